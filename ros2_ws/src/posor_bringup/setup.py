@@ -1,0 +1,42 @@
+"""Packaging of posor_bringup for colcon (ament_python)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+PACKAGE = "posor_bringup"
+
+
+def files(folder: str) -> list[str]:
+    """Return the data files of a folder of this package, in a fixed order."""
+    return sorted(str(path) for path in Path(folder).glob("*.*"))
+
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="The POSOR demo, its report, and the launch files, URDF and calibration files of the 1985 rig",
+    license="Apache-2.0",
+    maintainer="POSOR maintainers",
+    maintainer_email="maintainers@posor.invalid",
+    packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
+    package_data={PACKAGE: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+        (f"share/{PACKAGE}/config", files("config")),
+        (f"share/{PACKAGE}/launch", files("launch")),
+        (f"share/{PACKAGE}/urdf", files("urdf")),
+    ],
+    python_requires=">=3.11",
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            "demo = posor_bringup.demo:main",
+        ],
+    },
+)
