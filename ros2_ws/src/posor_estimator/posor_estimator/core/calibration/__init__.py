@@ -1,0 +1,1 @@
+"""Calibration files: YAML in SI units, versioned, validated, with uncertainties, provenance and a content hash."""

@@ -1,0 +1,29 @@
+"""States and faults of an estimate. The numbers are those of ``posor_msgs/JointTransform`` (a test holds them together)."""
+
+from __future__ import annotations
+
+from enum import IntEnum, IntFlag
+
+
+class State(IntEnum):
+    """May the pose be used?"""
+
+    OK = 0
+    DEGRADED = 1
+    LOST = 2
+    UNCOUNTED = 3
+
+
+class Fault(IntFlag):
+    """Why the state is not OK."""
+
+    NONE = 0
+    BAD_READING = 1
+    DARK_DIODE = 2
+    OUT_OF_RANGE = 4
+    NOT_CONVERGED = 8
+    ILL_CONDITIONED = 16
+    RESIDUAL = 32
+    INNOVATION = 64
+    SOURCE = 128
+    COUNT = 256

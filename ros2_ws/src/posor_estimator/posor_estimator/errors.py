@@ -1,0 +1,69 @@
+"""The one error hierarchy of the POSOR stack.
+
+Every error prints one sentence that says what is wrong, where, and what would be right. The place (file, line, key)
+and the offending value are also kept as attributes, so that a caller can act on them.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from posor_estimator.core.fault import Fault
+
+
+class PosorError(Exception):
+    """Base of every error that this stack raises on purpose.
+
+    Attributes:
+        what: What is wrong, a clause without a full stop.
+        where: File, line, key, topic or parameter at fault; empty when the text already names it.
+        expected: What would be right; empty when it is obvious.
+
+    """
+
+    exit_code = 1
+
+    def __init__(self, what: str, *, where: str = "", expected: str = "") -> None:
+        self.what = what
+        self.where = where
+        self.expected = expected
+        sentence = f"{where}: {what}" if where else what
+        if expected:
+            sentence += f"; expected {expected}"
+        super().__init__(sentence + ".")
+
+
+class ParameterError(PosorError):
+    """A node parameter or command-line option is wrong."""
+
+    exit_code = 2
+
+
+class CalibrationError(PosorError):
+    """A calibration file cannot be read, or says something that cannot be."""
+
+
+class DataFileError(PosorError):
+    """A recorded table cannot be read: missing file, column, or a cell that is not a number."""
+
+
+class BagError(PosorError):
+    """A rosbag2 bag cannot be read or written."""
+
+
+class ChainError(PosorError):
+    """The kinematic chain (URDF, frames) does not fit the POSORs that should measure it."""
+
+
+class ScanError(PosorError):
+    """A scan's readings do not fit the calibration: wrong count, not finite, no light.
+
+    Attributes:
+        fault: The flag of ``posor_msgs/JointTransform`` that reports it.
+
+    """
+
+    def __init__(self, what: str, *, fault: Fault, where: str = "", expected: str = "") -> None:
+        super().__init__(what, where=where, expected=expected)
+        self.fault = fault
