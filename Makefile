@@ -1,0 +1,39 @@
+# POSOR for ROS 2. Every target sets the workspace up first; a set-up that is up to date costs a fraction of a second.
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test lint lock clean
+
+BAG ?= ymo
+CAL ?= printed
+TESTS ?=
+
+help:
+	@echo "make demo [BAG=ymo|yzmo|zmo] [CAL=printed|section84]   replay a 1985 test through the nodes and compare"
+	@echo "make test [TESTS='path ...']                           lint, type check and all tests (or only those of TESTS)"
+	@echo "make lint                                              ruff and mypy only"
+	@echo "make setup                                             virtual environment, ROS 2 Jazzy, colcon build"
+	@echo "make lock                                              renew the exact versions in requirements/*.txt"
+	@echo "make clean                                             remove all that the above have made"
+	@echo "./run PACKAGE EXECUTABLE [--ros-args ...]              run one node, as 'ros2 run' does"
+	@echo "PYTHON=/path/to/python3.12 with any of them chooses the Python (3.11 or 3.12)."
+
+setup:
+	@tools/python.sh tools/setup_workspace.py
+
+demo:
+	@./run posor_bringup demo --bag $(BAG) --calibration $(CAL)
+
+test: lint
+	@.venv/bin/python -E tools/run_tests.py $(TESTS)
+
+lint: setup
+	@.venv/bin/python -I -m ruff check
+	@.venv/bin/python -I -m ruff format --check
+	@if [ -x .venv/bin/mypy ]; then .venv/bin/python -I -m mypy; \
+	else echo "mypy: not run, since its verdict depends on the pinned numpy and this Jazzy brings its own"; fi
+
+lock:
+	@tools/python.sh tools/lock_requirements.py
+
+clean:
+	rm -rf .venv build ros2_ws/build ros2_ws/install ros2_ws/log .mypy_cache .ruff_cache .pytest_cache

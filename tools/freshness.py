@@ -1,0 +1,86 @@
+"""Tell what the set-up has still to make, by reading files only: this runs before every program."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from environment import Workspace, read_stamp
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+RECIPE = 1  # counted up when the set-up changes what it makes: everything is then made again
+WHEEL_LOCKS = ("ros-jazzy.txt", "build.txt", "base.txt", "dev.txt", "typing.txt")
+MISSING_ONLY = ("build.in", "base.in", "dev.in")
+BUILD_FILES = {"CMakeLists.txt", "package.xml", "setup.cfg", "setup.py"}
+SOURCES_CHANGED = "sources changed"
+INTERFACES = {".action", ".idl", ".msg", ".srv"}
+
+
+def environment_inputs(workspace: Workspace, *, official: bool) -> str:
+    """Return the hash of all that decides what the virtual environment holds."""
+    names = MISSING_ONLY + WHEEL_LOCKS if official else WHEEL_LOCKS
+    digest = hashlib.sha256(f"{RECIPE} {workspace.root} official={official}".encode())
+    for name in names:
+        digest.update((workspace.root / "requirements" / name).read_bytes())
+    return digest.hexdigest()
+
+
+def build_inputs(workspace: Workspace) -> str:
+    """Return the hash of all that decides what colcon installs.
+
+    Python modules and data files are installed as links into the source tree, so of those only the names count.
+    """
+    digest = hashlib.sha256(f"{RECIPE}".encode())
+    source = workspace.ros2 / "src"
+    for file in sorted(path for package in source.glob("*/") for path in package_files(package)):
+        digest.update(f"{file.relative_to(source)}\0".encode())
+        if file.suffix in INTERFACES or file.name in BUILD_FILES:
+            digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def package_files(package: Path) -> Iterator[Path]:
+    """Yield the source files of a ROS package that are not inside its Python package or its tests."""
+    inside = {package / package.name, package / "test"}
+    for folder, folders, names in os.walk(package):
+        here = Path(folder)
+        folders[:] = sorted(name for name in folders if name != "__pycache__" and here / name not in inside)
+        yield from (here / name for name in names)
+
+
+def what_is_missing(workspace: Workspace, environ: Mapping[str, str], *, official: bool) -> tuple[str, str]:
+    """Tell why the virtual environment and the build have to be made, an empty string for each that need not.
+
+    Reads files only; starts no process.
+    """
+    stamp = read_stamp(workspace.environment_stamp)
+    if not workspace.venv.exists():
+        reason = "none yet"
+    elif not stamp or not workspace.python.exists():
+        reason = "unfinished or damaged"
+    elif stamp.get("inputs") != environment_inputs(workspace, official=official):
+        reason = "requirements or place changed"
+    elif environ.get("PYTHON") and stamp.get("interpreter") != interpreter():
+        reason = "another Python is asked for"
+    else:
+        reason = ""
+    built = read_stamp(workspace.build_stamp)
+    if reason:
+        return reason, "new environment"
+    if not built or not (workspace.ros2 / "build").is_dir():
+        return "", "none yet or unfinished"
+    if built.get("environment") != stamp["inputs"]:
+        return "", "new environment"
+    if built.get("inputs") != build_inputs(workspace):
+        return "", SOURCES_CHANGED
+    return "", ""
+
+
+def interpreter() -> list[str]:
+    """Return what identifies the Python that runs this."""
+    return [sys.base_prefix, sys.version.split()[0]]
