@@ -37,5 +37,9 @@ setup(
             "posor_node = posor_estimator.posor_node:main",
             "chain_node = posor_estimator.chain_node:main",
         ],
+        "posor_estimator.sensors": [
+            "gap_probes = posor_estimator.core.sensors.gap_probes:GapProbesCalibration",
+            "diodes = posor_estimator.core.sensors.diodes:DiodesCalibration",
+        ],
     },
 )

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 Kernel = TypeVar("Kernel", bound="Callable[..., Any]")
 
 
-def _numba_njit() -> Any | None:  # noqa: ANN401  numba ships no types
+def _numba_njit() -> Any | None:
     if os.environ.get("POSOR_COMPILE", "1") == "0":
         return None
     try:

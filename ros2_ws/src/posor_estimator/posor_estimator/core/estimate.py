@@ -6,12 +6,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pinocchio as pin
 
 from posor_estimator.core.fault import Fault, State
 from posor_estimator.core.native import native_from_rotation
 
 if TYPE_CHECKING:
+    import pinocchio as pin
+
     from posor_estimator.core.types import FloatArray
 
 

@@ -1,4 +1,4 @@
-"""States and faults of an estimate. The numbers are those of ``posor_msgs/JointTransform`` (a test holds them together)."""
+"""States and faults of an estimate; a test holds their numbers to those of ``posor_msgs/JointTransform``."""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
 """The six native coordinates of a POSOR: (x, y, gap, alpha, beta, theta).
 
-``x, y, gap`` are the origin of T in R [m]. The rotation is ``R_R_T = Ry(beta) Rx(alpha) Rz(theta)``: theta is the large
-rotation about the target's own Z, alpha and beta lean that axis about X and Y of R. In this order a pure alpha or beta
-is read by the gap probes as a slope without a cross term of second order, whatever theta is (thesis 5.3.1).
+``x, y, gap`` are the origin of T in R [m]. Alpha and beta are the lean of the target's own Z axis, about X and Y of R:
+``Z_T = Ry(beta) Rx(alpha) Z``. Theta, the large rotation, is the heading of the target's Y axis in the XY plane of R.
+In these coordinates a pure alpha or beta is what the gap probes read as a slope, and theta is what the spots read,
+without cross terms of first order, whatever theta is (thesis 5.3.1, 5.3.2).
 """
 
 from __future__ import annotations
@@ -17,22 +18,17 @@ if TYPE_CHECKING:
 
 
 def rotation_from_native(alpha: float, beta: float, theta: float) -> FloatArray:
-    """Return ``Ry(beta) Rx(alpha) Rz(theta)``, shape (3, 3); angles [rad]."""
-    sa, ca = math.sin(alpha), math.cos(alpha)
-    sb, cb = math.sin(beta), math.cos(beta)
-    st, ct = math.sin(theta), math.cos(theta)
-    return np.array(
-        [
-            [cb * ct + sb * sa * st, -cb * st + sb * sa * ct, sb * ca],
-            [ca * st, ca * ct, -sa],
-            [-sb * ct + cb * sa * st, sb * st + cb * sa * ct, cb * ca],
-        ]
-    )
+    """Return ``R_R_T`` whose Z axis leans by alpha, beta and whose Y axis heads along theta [rad], shape (3, 3)."""
+    z = np.array([math.sin(beta) * math.cos(alpha), -math.sin(alpha), math.cos(beta) * math.cos(alpha)])
+    heading = np.array([-math.sin(theta), math.cos(theta)])
+    y = np.array([heading[0], heading[1], -(heading @ z[:2]) / z[2]])
+    y /= np.linalg.norm(y)
+    return np.column_stack([np.cross(y, z), y, z])
 
 
 def native_from_rotation(rotation: FloatArray) -> tuple[float, float, float]:
-    """Return (alpha, beta, theta) [rad] of ``R_R_T``; theta in (-pi, pi], alpha in [-pi/2, pi/2]."""
-    alpha = math.atan2(-rotation[1, 2], math.hypot(rotation[1, 0], rotation[1, 1]))
+    """Return (alpha, beta, theta) [rad] of ``R_R_T``; theta in (-pi, pi], leans below a right angle."""
+    alpha = math.asin(max(-1.0, min(1.0, -rotation[1, 2])))
     beta = math.atan2(rotation[0, 2], rotation[2, 2])
-    theta = math.atan2(rotation[1, 0], rotation[1, 1])
+    theta = math.atan2(-rotation[0, 1], rotation[1, 1])
     return alpha, beta, theta

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 from scipy.linalg import null_space
+from scipy.stats import chi2
 
 from posor_estimator.core.calibration.model import Calibration, TiltAngle
 from posor_estimator.core.estimate import Estimate
@@ -38,19 +39,20 @@ class Posor:
     it returns a LOST estimate that says why.
     """
 
-    def __init__(self, calibration: Calibration, *, residual_limit: float = math.inf) -> None:
+    def __init__(self, calibration: Calibration, *, false_alarm: float = 1e-3) -> None:
         """Build the sensors of a calibration.
 
         Args:
             calibration: The POSOR's calibration, with its session already applied.
-            residual_limit: Largest chi-square of the redundant readings that passes.
+            false_alarm: Probability that the chi-square test of the redundant readings rejects a sound scan.
 
         """
         self.calibration = calibration
         self.sensors = [sensor.build() for sensor in calibration.sensors]
         self._kinds = np.concatenate([sensor.kinds for sensor in self.sensors])
         self._parameter_sigmas = np.concatenate([sensor.parameter_sigmas for sensor in self.sensors])
-        self._residual_limit = residual_limit
+        redundancy = len(self._kinds) - 6
+        self._residual_limit = float(chi2.isf(false_alarm, redundancy)) if redundancy > 0 else math.inf
         self._previous: pin.SE3 | None = None
 
     @property

@@ -27,7 +27,7 @@ def _frame(normal: FloatArray, along: FloatArray) -> FloatArray:
 
 
 def start_pose(kinds: IntArray, rows: FloatArray, values: FloatArray) -> pin.SE3 | None:
-    """Return a start for ``T_R_T`` from three or more gaps and two spots; None where the readings are of other kinds."""
+    """Return a start for ``T_R_T`` from three or more gaps and two spots; None where there are not as many."""
     gaps = rows[kinds == GAP]
     spots = np.flatnonzero(kinds == SPOT_X)
     if len(gaps) < 3 or len(spots) < 2:  # noqa: PLR2004

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import yaml
 from pydantic import ValidationError
 
-from posor_estimator.core.calibration.quantity import FrozenModel
 from posor_estimator.core.calibration.model import VERSION, Calibration, calibration_from
+from posor_estimator.core.calibration.quantity import FrozenModel
 from posor_estimator.errors import CalibrationError
 
 if TYPE_CHECKING:

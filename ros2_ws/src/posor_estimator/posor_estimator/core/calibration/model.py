@@ -33,7 +33,7 @@ class Provenance(FrozenModel):
     source: str
     method: str
     date: str
-    notes: list[str] = []
+    notes: tuple[str, ...] = ()
 
 
 class Frames(FrozenModel):
@@ -64,7 +64,7 @@ class Calibration(FrozenModel):
     frames: Frames
     tilt_angle: TiltAngle = TiltAngle.THIS_SCAN
     sensors: list[SerializeAsAny[SensorCalibration]]
-    sessions: dict[str, Session] = {}
+    sessions: dict[str, Session] = Field(default_factory=dict)
 
     @cached_property
     def content_hash(self) -> str:

@@ -85,9 +85,7 @@ class _Check:
             msg = f"unit '{quantity.unit}', expected '{self.unit}'"
             raise ValueError(msg)
         actual = np.shape(quantity.value)
-        if len(actual) != len(self.shape) or any(
-            w not in (ANY, a) for a, w in zip(actual, self.shape, strict=True)
-        ):
+        if len(actual) != len(self.shape) or any(w not in (ANY, a) for a, w in zip(actual, self.shape, strict=True)):
             msg = f"value of shape {describe(actual)}, expected {describe(self.shape)}"
             raise ValueError(msg)
         sigma_shape = np.shape(quantity.sigma)

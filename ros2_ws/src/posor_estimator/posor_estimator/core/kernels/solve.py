@@ -29,7 +29,7 @@ NOT_CONVERGED = 1
 ILL_CONDITIONED = 2
 
 SMALLEST_PIVOT_RATIO = 1e-10
-"""Smallest over largest squared Cholesky pivot of the scaled normal matrix: below it, six freedoms are not determined."""
+"""Smallest over largest squared Cholesky pivot of the scaled normal matrix; below it the pose is not determined."""
 
 
 @compiled
@@ -86,7 +86,7 @@ def substitute(lower: FloatArray, vector: FloatArray) -> None:
 
 
 @compiled
-def gauss_newton(
+def gauss_newton(  # noqa: C901  one loop over plain numbers, to be compiled
     kinds: IntArray,
     rows: FloatArray,
     values: FloatArray,

@@ -49,7 +49,7 @@ def _meet(
 
 @compiled
 def spot(row: FloatArray, rotation: FloatArray, translation: FloatArray, which: int, jacobian: FloatArray) -> float:
-    """Return spot coordinate ``which`` (0: x, 1: y) [m]; its derivative with respect to the local tangent goes to ``jacobian`` (6)."""
+    """Return spot coordinate ``which`` (0: x, 1: y) [m] and write its tangent derivative into ``jacobian`` (6)."""
     dual = np.empty(3)
     x, y, along = _meet(row, rotation, translation, which, dual)
     dual_T = rotate_back(rotation, dual)
@@ -64,7 +64,7 @@ def spot(row: FloatArray, rotation: FloatArray, translation: FloatArray, which: 
 def spot_parameters(
     row: FloatArray, rotation: FloatArray, translation: FloatArray, which: int, jacobian: FloatArray
 ) -> None:
-    """Write the derivative of coordinate ``which`` with respect to the row's fifteen parameters into ``jacobian`` (15)."""
+    """Write the derivative of coordinate ``which`` with respect to the row's parameters into ``jacobian`` (15)."""
     dual = np.empty(3)
     x, y, along = _meet(row, rotation, translation, which, dual)
     dual_T = rotate_back(rotation, dual)

@@ -65,8 +65,8 @@ class Sensor(ABC):
             start += value.size
         self._prepare()
 
-    def _prepare(self) -> None:
-        """Recompute what is derived from the parameters; subclasses extend."""
+    def _prepare(self) -> None:  # noqa: B027  not every sensor derives something
+        """Recompute what is derived from the parameters."""
 
     @property
     def parameter_names(self) -> tuple[str, ...]:

@@ -167,14 +167,20 @@ class Diodes(Sensor):
         where = f"scan {scan.number}"
         if len(scan.lit_sources) != len(self._names):
             raise ScanError(
-                f"{len(scan.lit_sources)} lit sources", fault=Fault.SOURCE, where=where, expected=f"{len(self._names)}, one for each diode"
+                f"{len(scan.lit_sources)} lit sources",
+                fault=Fault.SOURCE,
+                where=where,
+                expected=f"{len(self._names)}, one for each diode",
             )
         for name, lit in zip(self._names, scan.lit_sources, strict=True):
             if lit == NO_SOURCE:
                 raise ScanError("no light source was lit", fault=Fault.SOURCE, where=f"{where}, diode {name}")
             if not 0 <= lit < count:
                 raise ScanError(
-                    f"light source {lit}", fault=Fault.SOURCE, where=f"{where}, diode {name}", expected=f"0 to {count - 1}"
+                    f"light source {lit}",
+                    fault=Fault.SOURCE,
+                    where=f"{where}, diode {name}",
+                    expected=f"0 to {count - 1}",
                 )
         return scan.lit_sources
 
@@ -197,7 +203,10 @@ class Diodes(Sensor):
         currents = scan.diode_currents
         if currents.shape != (len(self._names), 4):
             raise ScanError(
-                f"{currents.size} contact currents", fault=Fault.BAD_READING, where=where, expected=f"{4 * len(self._names)}"
+                f"{currents.size} contact currents",
+                fault=Fault.BAD_READING,
+                where=where,
+                expected=f"{4 * len(self._names)}",
             )
         ratios = np.empty((len(self._names), 2))
         for i, name in enumerate(self._names):
@@ -205,13 +214,19 @@ class Diodes(Sensor):
             a, b, c, d = (float(current) for current in currents[i])
             if not all(map(math.isfinite, (a, b, c, d))):
                 raise ScanError(
-                    f"contact currents {a}, {b}, {c}, {d}", fault=Fault.BAD_READING, where=here, expected="finite currents"
+                    f"contact currents {a}, {b}, {c}, {d}",
+                    fault=Fault.BAD_READING,
+                    where=here,
+                    expected="finite currents",
                 )
             least = self._minimum_sums[i]
             for contacts, total in (("A + C", a + c), ("B + D", b + d)):
                 if not total >= least:
                     raise ScanError(
-                        f"{contacts} = {total:.3g} A is too dark", fault=Fault.DARK_DIODE, where=here, expected=f"at least {least:.3g} A"
+                        f"{contacts} = {total:.3g} A is too dark",
+                        fault=Fault.DARK_DIODE,
+                        where=here,
+                        expected=f"at least {least:.3g} A",
                     )
             ratios[i] = (a - c) / (a + c), (b - d) / (b + d)
             for axis, ratio, (low, high) in zip("xy", ratios[i], self._domains[i], strict=True):
@@ -222,7 +237,7 @@ class Diodes(Sensor):
                         where=here,
                         expected=f"{low:g} to {high:g}",
                     )
-        return ratios - self._centers
+        return np.asarray(ratios - self._centers)
 
     def linearise(self, scan: Scan) -> Linearised:
         """Return the spot positions x, y of each diode in turn [m] and their variances [m^2]."""

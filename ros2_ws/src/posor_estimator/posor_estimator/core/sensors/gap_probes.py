@@ -63,7 +63,9 @@ class GapProbeCalibration(FrozenModel):
             raise ValueError(msg)
         slope = polynomial.polyval(np.linspace(low, high, 257), polynomial.polyder(self.volts_to_gap.array))
         if not (np.all(slope > 0.0) or np.all(slope < 0.0)):
-            msg = f"volts_to_gap is not monotonic over the range {self.range.value} V, expected one gap for each voltage"
+            msg = (
+                f"volts_to_gap is not monotonic over the range {self.range.value} V, expected one gap for each voltage"
+            )
             raise ValueError(msg)
         if not self.noise.number > 0.0:
             msg = f"noise {self.noise.value}, expected more than 0 V"
@@ -94,12 +96,12 @@ class GapProbesCalibration(SensorCalibration):
             return self
         if shifts.array.shape != (len(self.probes),):
             raise CalibrationError(
-                f"{shifts.array.size} values", where="zero_shifts of the session", expected=f"{len(self.probes)}, one for each gap probe"
+                f"{shifts.array.size} values",
+                where="zero_shifts of the session",
+                expected=f"{len(self.probes)}, one for each gap probe",
             )
         probes = [
-            probe.model_copy(
-                update={"zero_shift": Quantity(value=float(value), sigma=float(sigma), unit="V")}
-            )
+            probe.model_copy(update={"zero_shift": Quantity(value=float(value), sigma=float(sigma), unit="V")})
             for probe, value, sigma in zip(self.probes, shifts.array, shifts.sigmas, strict=True)
         ]
         return self.model_copy(update={"probes": probes})
@@ -183,7 +185,10 @@ class GapProbes(Sensor):
         volts = scan.gap_voltages
         if volts.shape != (len(self._names),):
             raise ScanError(
-                f"{volts.size} gap voltages", fault=Fault.BAD_READING, where=f"scan {scan.number}", expected=f"{len(self._names)}"
+                f"{volts.size} gap voltages",
+                fault=Fault.BAD_READING,
+                where=f"scan {scan.number}",
+                expected=f"{len(self._names)}",
             )
         return np.asarray(volts + self._parameters["zero_shifts"])
 

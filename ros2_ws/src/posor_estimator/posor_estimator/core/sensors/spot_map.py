@@ -53,6 +53,6 @@ def position(coefficients: FloatArray, u: float, v: float) -> FloatArray:
 
 def slope(coefficients: FloatArray, u: float, v: float) -> FloatArray:
     """Return d(x, y)/d(u, v) [m], shape (2, 2)."""
-    by_u = polynomial.polyder(coefficients, axis=1)
-    by_v = polynomial.polyder(coefficients, axis=2)
+    by_u = np.asarray(polynomial.polyder(coefficients, axis=1), dtype=float)
+    by_v = np.asarray(polynomial.polyder(coefficients, axis=2), dtype=float)
     return np.column_stack([position(by_u, u, v), position(by_v, u, v)])
