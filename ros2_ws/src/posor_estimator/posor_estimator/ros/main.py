@@ -1,0 +1,138 @@
+"""The main program of a node: initialise, spin until a signal or until the node is done, end cleanly."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import rclpy
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args, try_shutdown
+
+from posor_estimator.errors import ParameterError, PosorError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+    from types import FrameType
+
+    from rclpy.node import Node
+
+    from posor_estimator.ros.node import PosorNode
+
+WAKE_S = 0.1
+"""Longest time between a signal and the reaction to it: nothing but an event or a timeout ends spin_once()."""
+
+
+class StopSignal:
+    """Remembers that SIGINT or SIGTERM came; a second one ends the program at once.
+
+    rclpy's own handlers would shut the context down under a node that has yet to say good-bye and close its files.
+    """
+
+    def __init__(self) -> None:
+        self.requested = False
+        self._former = {number: signal.signal(number, self._handle) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def _handle(self, number: int, _frame: FrameType | None) -> None:
+        if self.requested:
+            signal.signal(number, signal.SIG_DFL)
+            signal.raise_signal(number)
+        self.requested = True
+
+    def restore(self) -> None:
+        """Put the former handlers back."""
+        for number, handler in self._former.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def ros(arguments: Sequence[str]) -> Iterator[StopSignal]:
+    """Initialise ROS for the duration of a ``with`` block; yields the flag that a signal sets.
+
+    Args:
+        arguments: The command line, program name first.
+
+    Raises:
+        ParameterError: ROS cannot read its part of the command line.
+
+    """
+    stop = StopSignal()
+    try:
+        own_arguments(arguments)  # fails on what rclpy.init would fail on, but without a log line
+        try:
+            rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+        except RuntimeError as error:
+            raise _not_understood(error) from None
+        yield stop
+    finally:
+        try_shutdown()
+        stop.restore()
+
+
+def own_arguments(arguments: Sequence[str]) -> list[str]:
+    """Return what is left of a command line without the program name and without what is meant for ROS.
+
+    Raises:
+        ParameterError: ROS cannot read its part.
+
+    """
+    try:
+        return list(remove_ros_args(list(arguments)))[1:]
+    except RuntimeError as error:
+        raise _not_understood(error) from None
+
+
+def _not_understood(error: RuntimeError) -> ParameterError:
+    reason = " ".join(str(error).split(", at ")[0].split()).rstrip(".")
+    return ParameterError(f"cannot be understood, {reason}", where="ROS arguments")
+
+
+def spin(node: Node, done: Callable[[], bool]) -> None:
+    """Execute the node's callbacks until ``done()``; it is asked after each event, at least every ``WAKE_S``."""
+    executor = EventsExecutor()
+    executor.add_node(node)
+    try:
+        while not done():
+            executor.spin_once(timeout_sec=WAKE_S)
+    finally:
+        executor.remove_node(node)
+        executor.shutdown()
+
+
+def run(node_class: type[PosorNode[Any]], arguments: Sequence[str] | None = None) -> int:
+    """Run one node as a program.
+
+    Args:
+        node_class: The node.
+        arguments: The command line, program name first; ``None``: that of this process.
+
+    Returns:
+        The exit code: 0 after a signal or when the node is done, else that of the error, whose one sentence is then
+        on stderr.
+
+    """
+    argv = sys.argv if arguments is None else arguments
+    try:
+        with ros(argv) as stop:
+            own = own_arguments(argv)
+            if own in (["-h"], ["--help"]):
+                sys.stdout.write(node_class.help() + "\n")
+                return 0
+            if own:
+                raise ParameterError(
+                    f"argument '{own[0]}' is unknown", where=node_class.NAME, expected="--ros-args -p name:=value"
+                )
+            node = node_class()
+            try:
+                node.start()
+                spin(node, lambda: stop.requested or node.exit_requested)
+            finally:
+                node.stop()
+            node.raise_failure()
+    except PosorError as error:
+        sys.stderr.write(f"{error}\n")
+        return error.exit_code
+    return 0
