@@ -31,7 +31,7 @@ def rewrite_cmake_paths(venv: Path) -> int:
         SetupError: A path of the building machine is left that is neither headers nor site-packages.
 
     """
-    headers = sysconfig.get_config_var("INCLUDEPY")
+    headers = sysconfig.get_path("include")
     site_packages = sysconfig.get_path("purelib", "venv", vars={"base": str(venv)})
     changed = 0
     for file in sorted((venv / "share").rglob("*.cmake")):

@@ -14,8 +14,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
 RECIPE = 1  # counted up when the set-up changes what it makes: everything is then made again
-WHEEL_LOCKS = ("ros-jazzy.txt", "build.txt", "base.txt", "dev.txt", "typing.txt")
-MISSING_ONLY = ("build.in", "base.in", "dev.in")
+NAMED_LISTS = ("build.in", "base.in", "dev.in")  # what is added to an installed Jazzy, as far as it is missing
+NAMED_LOCKS = ("build.txt", "base.txt", "dev.txt")
+WHEEL_LOCKS = (*NAMED_LOCKS, "ros-jazzy.txt", "typing.txt")
 BUILD_FILES = {"CMakeLists.txt", "package.xml", "setup.cfg", "setup.py"}
 SOURCES_CHANGED = "sources changed"
 INTERFACES = {".action", ".idl", ".msg", ".srv"}
@@ -23,7 +24,7 @@ INTERFACES = {".action", ".idl", ".msg", ".srv"}
 
 def environment_inputs(workspace: Workspace, *, official: bool) -> str:
     """Return the hash of all that decides what the virtual environment holds."""
-    names = MISSING_ONLY + WHEEL_LOCKS if official else WHEEL_LOCKS
+    names = NAMED_LISTS + NAMED_LOCKS if official else WHEEL_LOCKS
     digest = hashlib.sha256(f"{RECIPE} {workspace.root} official={official}".encode())
     for name in names:
         digest.update((workspace.root / "requirements" / name).read_bytes())

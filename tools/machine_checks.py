@@ -63,7 +63,7 @@ def check_python() -> None:
             raise SetupError(
                 f"{sys.executable} has no module '{module}': install it, e.g. sudo apt install python{minor}-venv."
             )
-    header = Path(sysconfig.get_config_var("INCLUDEPY"), "Python.h")
+    header = Path(sysconfig.get_path("include"), "Python.h")
     if not header.is_file():
         raise SetupError(f"Python's C header {header} is missing: install it, e.g. sudo apt install python{minor}-dev.")
 

