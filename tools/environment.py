@@ -25,6 +25,7 @@ PATH_LISTS = (
     "PYTHONPATH",
 )
 SHELL_OWN = ("_", "LC_CTYPE", "OLDPWD", "PWD", "SHLVL")
+MARKER = "made-by-posor-setup"  # a file in every virtual environment of ours
 NOT_INHERITED = ("MAKEFLAGS", "MFLAGS", "MAKELEVEL")  # make's own, which would reach the makes that colcon starts
 FOREIGN = ("COLCON_PREFIX_PATH", "LD_LIBRARY_PATH", "PYTHONHOME", "PYTHONPATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
 
@@ -94,8 +95,8 @@ def write_stamp(path: Path, stamp: Mapping[str, Any]) -> None:
     fresh.replace(path)
 
 
-def official_ros(workspace: Workspace, environ: Mapping[str, str]) -> bool:
-    """Tell whether an installed ROS 2 Jazzy is sourced (as opposed to this workspace's own wheels, or nothing).
+def official_ros(environ: Mapping[str, str]) -> bool:
+    """Tell whether an installed ROS 2 Jazzy is sourced (as opposed to wheels in an environment of ours, or nothing).
 
     Raises:
         SetupError: Another distribution is sourced, or Jazzy only half.
@@ -103,7 +104,7 @@ def official_ros(workspace: Workspace, environ: Mapping[str, str]) -> bool:
     """
     distribution = environ.get("ROS_DISTRO", "")
     prefixes = [p for p in environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
-    if not distribution or str(workspace.venv) in prefixes:
+    if not distribution or any(Path(prefix, MARKER).is_file() for prefix in prefixes):
         return False
     if distribution != "jazzy":
         raise SetupError(

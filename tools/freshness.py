@@ -37,12 +37,21 @@ def build_inputs(workspace: Workspace) -> str:
     Python modules and data files are installed as links into the source tree, so of those only the names count.
     """
     digest = hashlib.sha256(f"{RECIPE}".encode())
-    source = workspace.ros2 / "src"
-    for file in sorted(path for package in source.glob("*/") for path in package_files(package)):
-        digest.update(f"{file.relative_to(source)}\0".encode())
+    for file in sorted(path for package in source_packages(workspace) for path in package_files(package)):
+        digest.update(f"{file.relative_to(workspace.ros2)}\0".encode())
         if file.suffix in INTERFACES or file.name in BUILD_FILES:
             digest.update(file.read_bytes())
     return digest.hexdigest()
+
+
+def source_packages(workspace: Workspace) -> list[Path]:
+    """Return the folders of the ROS packages, each named as its package."""
+    return [manifest.parent for manifest in sorted(workspace.ros2.glob("src/*/package.xml"))]
+
+
+def installed_as_links(workspace: Workspace, package: Path) -> bool:
+    """Tell whether a package is installed, and by links into the source tree as the set-up does it."""
+    return (workspace.install / package.name / "share" / package.name / "package.xml").is_symlink()
 
 
 def package_files(package: Path) -> Iterator[Path]:
@@ -59,12 +68,13 @@ def what_is_missing(workspace: Workspace, environ: Mapping[str, str], *, officia
 
     Reads files only; starts no process.
     """
+    inputs = environment_inputs(workspace, official=official)
     stamp = read_stamp(workspace.environment_stamp)
     if not workspace.venv.exists():
         reason = "none yet"
     elif not stamp or not workspace.python.exists():
         reason = "unfinished or damaged"
-    elif stamp.get("inputs") != environment_inputs(workspace, official=official):
+    elif stamp.get("inputs") != inputs:
         reason = "requirements or place changed"
     elif environ.get("PYTHON") and stamp.get("interpreter") != interpreter():
         reason = "another Python is asked for"
@@ -75,7 +85,9 @@ def what_is_missing(workspace: Workspace, environ: Mapping[str, str], *, officia
         return reason, "new environment"
     if not built or not (workspace.ros2 / "build").is_dir():
         return "", "none yet or unfinished"
-    if built.get("environment") != stamp["inputs"]:
+    if not all(installed_as_links(workspace, package) for package in source_packages(workspace)):
+        return "", "incomplete, or by a plain colcon build"
+    if built.get("environment") != inputs:
         return "", "new environment"
     if built.get("inputs") != build_inputs(workspace):
         return "", SOURCES_CHANGED

@@ -25,7 +25,7 @@ def main() -> int:
         sys.stderr.write(f"{USAGE}\n")
         return 2
     try:
-        if any(what_is_missing(THIS, os.environ, official=official_ros(THIS, os.environ))):
+        if any(what_is_missing(THIS, os.environ, official=official_ros(os.environ))):
             tools = Path(__file__).parent
             command = [tools / "python.sh", tools / "setup_workspace.py"]
             code = subprocess.run(command, stdout=sys.stderr, check=False).returncode
@@ -35,6 +35,9 @@ def main() -> int:
         executable = find_executable(package, name, environ)
     except SetupError as error:
         sys.stderr.write(f"posor run: {error}\n")
+        return 2
+    except OSError as error:
+        sys.stderr.write(f"posor run: {error.filename}: {error.strerror}.\n")
         return 2
     ros2 = shutil.which("ros2")
     program = [ros2, "run", package, name] if ros2 else [str(executable)]

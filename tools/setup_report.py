@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import subprocess
 import sys
 import time
@@ -14,38 +15,48 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-LOG_TAIL_LINES = 15
+LOG_TAIL_LINES = 25
 OFFLINE = (
-    "NewConnectionError",
     "ConnectTimeoutError",
+    "NameResolutionError",
+    "NewConnectionError",
     "ProxyError",
-    "Name or service not known",
-    "Network is unreachable",
-)
+    "ReadTimeoutError",
+)  # how pip's log says that it reached no index
+UNKNOWN = re.compile(r"No matching distribution found for (\S+)")
 
 
 class Report:
-    """Prints one line for each step, with the seconds it took, and runs the step's commands into a log file."""
+    """Prints one line for each step, with the seconds it took, and runs the step's commands into a log file.
 
-    def __init__(self, workspace: Workspace) -> None:
+    Args:
+        workspace: The checkout.
+        lock: File descriptor of the lock that keeps other set-ups out. The commands inherit it: should the set-up be
+            killed and leave a command behind, the next set-up waits for that too.
+
+    """
+
+    def __init__(self, workspace: Workspace, lock: int) -> None:
         self.workspace = workspace
+        self.lock = lock
         self.log = workspace.logs / "setup.log"
 
     @contextlib.contextmanager
     def step(self, what: str, log_name: str) -> Iterator[None]:
-        """Announce a step and say how long it took."""
+        """Announce a step and say how long it took, or show the end of its log."""
         self.workspace.logs.mkdir(parents=True, exist_ok=True)
         self.log = self.workspace.logs / log_name
         self.log.write_bytes(b"")
-        sys.stdout.write(f"set-up: {what} ... ")
-        sys.stdout.flush()
+        print(f"set-up: {what} ... ", end="", flush=True)
         start = time.monotonic()
         try:
             yield
         except BaseException:
-            sys.stdout.write("failed\n")
+            print("failed", flush=True)
+            lines = self.log.read_text(encoding="utf-8", errors="replace").splitlines()
+            sys.stderr.write("".join(f"  | {line}\n" for line in lines[-LOG_TAIL_LINES:]))
             raise
-        sys.stdout.write(f"{time.monotonic() - start:.1f} s\n")
+        print(f"{time.monotonic() - start:.1f} s", flush=True)
 
     def run(self, command: Sequence[str | Path], environ: Mapping[str, str], failure: str) -> None:
         """Run a command of the present step.
@@ -56,7 +67,7 @@ class Report:
             failure: What to say if it fails, without a full stop.
 
         Raises:
-            SetupError: It failed; the end of its log has been printed.
+            SetupError: It failed.
 
         """
         with self.log.open("ab") as log:
@@ -69,15 +80,19 @@ class Report:
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
+                pass_fds=[self.lock],
                 check=False,
             ).returncode
         if code:
-            text = self.log.read_text(encoding="utf-8", errors="replace")
-            sys.stderr.write("\n" + "".join(f"  | {line}\n" for line in text.splitlines()[-LOG_TAIL_LINES:]))
-            if any(sign in text for sign in OFFLINE):
-                failure = (
-                    "the Python package index cannot be reached: check the network (or pip's proxy and index settings)"
-                )
-            raise SetupError(
-                f"{failure} (exit code {code}; all of its output is in {self.log.relative_to(self.workspace.root)})."
-            )
+            place = self.log.relative_to(self.workspace.root)
+            raise SetupError(f"{self.cause() or failure} (exit code {code}; all of its output is in {place}).")
+
+    def cause(self) -> str:
+        """Return what pip's log says went wrong with the package index, or nothing."""
+        text = self.log.read_text(encoding="utf-8", errors="replace")
+        if any(sign in text for sign in OFFLINE):
+            return "the Python package index cannot be reached: check the network, or pip's index and proxy"
+        unknown = UNKNOWN.search(text)
+        if unknown:
+            return f"pip's package index has no {unknown[1]} for this Python: check pip's index settings"
+        return ""

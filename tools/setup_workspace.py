@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from cmake_paths import rewrite_cmake_paths
 from environment import (
+    MARKER,
     THIS,
     SetupError,
     Workspace,
@@ -43,8 +44,6 @@ from setup_report import Report
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-
-MARKER = "made-by-posor-setup"
 
 
 def make_environment(
@@ -92,6 +91,7 @@ def install(workspace: Workspace, environ: Mapping[str, str], report: Report, lo
     options = ["--no-deps", "--no-input", "--disable-pip-version-check", "--progress-bar=off"]
     command = [str(workspace.python), "-I", "-m", "pip", "install", *options]
     command += [f"--requirement={lock}" for lock in locks]
+    environ = {**environ, "PIP_USER": "0"}  # an environment is never the user's own site
     report.run(command, environ, "pip could not install the pinned libraries")
 
 
@@ -145,7 +145,7 @@ def build(workspace: Workspace, environ: Mapping[str, str], report: Report, *, o
         command: list[str | Path] = [
             *(workspace.python, "-m", "colcon", "--log-base", base["log"], "build", "--symlink-install"),
             *("--base-paths", base["src"], "--build-base", base["build"], "--install-base", base["install"]),
-            *("--event-handlers", "console_cohesion+", "desktop_notification-", "--cmake-args"),
+            *("--event-handlers", "console_cohesion+", "console_stderr-", "desktop_notification-", "--cmake-args"),
             *(f"-DPython3_EXECUTABLE={workspace.python}", "-DCMAKE_BUILD_TYPE=Release", "-DBUILD_TESTING=OFF"),
         ]
         report.run(command, ros | {"COLCON_DEFAULTS_FILE": os.devnull}, "colcon could not build ros2_ws")
@@ -170,17 +170,16 @@ def capture(workspace: Workspace, environ: Mapping[str, str], *, official: bool)
 
 
 @contextlib.contextmanager
-def only_one(workspace: Workspace) -> Iterator[None]:
-    """Let one set-up of this checkout work at a time; others wait here for it."""
+def only_one(workspace: Workspace) -> Iterator[int]:
+    """Let one set-up of this checkout work at a time; others wait here for it. Yields the lock's file descriptor."""
     workspace.logs.mkdir(parents=True, exist_ok=True)
     with (workspace.logs / "lock").open("w") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            sys.stdout.write("set-up: waiting for the set-up that is already at work here\n")
-            sys.stdout.flush()
+            print("set-up: waiting for the set-up that is already at work here", flush=True)
             fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
+        yield lock.fileno()
 
 
 def set_up(workspace: Workspace, environ: Mapping[str, str]) -> None:
@@ -190,15 +189,15 @@ def set_up(workspace: Workspace, environ: Mapping[str, str]) -> None:
         SetupError: Something is missing or failed.
 
     """
-    official = official_ros(workspace, environ)
+    official = official_ros(environ)
     if not any(what_is_missing(workspace, environ, official=official)):
         return
-    with only_one(workspace):
+    with only_one(workspace) as lock:
         environment_reason, build_reason = what_is_missing(workspace, environ, official=official)
         if not environment_reason and not build_reason:
             return
         check_machine(workspace, environ, official=official)
-        report = Report(workspace)
+        report = Report(workspace, lock)
         if environment_reason:
             make_environment(workspace, environ, report, official=official, reason=environment_reason)
         build(workspace, environ, report, official=official, reason=build_reason)
@@ -210,6 +209,9 @@ def main() -> int:
         set_up(THIS, os.environ)
     except SetupError as error:
         sys.stderr.write(f"posor set-up: {error}\n")
+        return 1
+    except OSError as error:
+        sys.stderr.write(f"posor set-up: {error.filename}: {error.strerror}; cure that and call again.\n")
         return 1
     except KeyboardInterrupt:
         sys.stderr.write("posor set-up: interrupted; the next call carries on.\n")

@@ -1,0 +1,59 @@
+"""The messages of this workspace cross the wire unchanged."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import rclpy
+from posor_msgs.msg import JointTransform, RawScan
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.serialization import serialize_message
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+def raw_scan() -> Any:
+    scan = RawScan(scan=2**63 + 1, samples=2500, status=RawScan.STATUS_SIMULATED | RawScan.STATUS_DARK_SUBTRACTED)
+    scan.header.stamp.sec, scan.header.stamp.nanosec = 478_000_000, 999_999_999
+    scan.header.frame_id = "receiving_plate"
+    scan.gap_voltages = [-1.25, 0.1 + 0.2, math.nan]
+    scan.diode_currents = [1e-6 * k for k in range(16)]
+    scan.lit_sources = [3, RawScan.NO_SOURCE]
+    scan.supply_voltage = math.nan
+    scan.temperature = 293.15
+    return scan
+
+
+def joint_transform() -> Any:
+    transform = JointTransform(scan=7, child_frame_id="target_plate", state=JointTransform.STATE_DEGRADED)
+    transform.covariance = [1e-12 * k for k in range(36)]
+    transform.native = [1e-6, -2e-6, 3e-3, math.nan, -0.0, 7.5]
+    transform.faults = JointTransform.FAULT_DARK_DIODE | JointTransform.FAULT_COUNT
+    return transform
+
+
+@pytest.mark.parametrize("make", [raw_scan, joint_transform])
+@pytest.mark.usefixtures("ros_domain")
+def test_message_crosses_the_wire(make: Callable[[], Any]) -> None:
+    sent = make()
+    received: list[Any] = []
+    context = Context()
+    rclpy.init(context=context)
+    try:
+        sender, receiver = rclpy.create_node("sender", context=context), rclpy.create_node("receiver", context=context)
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(receiver)
+        publisher = sender.create_publisher(type(sent), "message", 1)
+        receiver.create_subscription(type(sent), "message", received.append, 1)
+        while publisher.get_subscription_count() < 1:
+            executor.spin_once(timeout_sec=0.1)
+        publisher.publish(sent)
+        while not received:
+            executor.spin_once(timeout_sec=0.1)
+    finally:
+        rclpy.shutdown(context=context)
+    assert serialize_message(received[0]) == serialize_message(sent)

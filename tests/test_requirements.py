@@ -1,0 +1,92 @@
+"""The lock files: exact, complete, of one mind, and gentle to an installed ROS."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import re
+from typing import TYPE_CHECKING
+
+import pytest
+from environment import THIS
+from freshness import NAMED_LISTS, NAMED_LOCKS, WHEEL_LOCKS
+from missing_requirements import missing
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from pip._vendor.packaging.requirements import Requirement as PipRequirement
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+FOLDER = THIS.root / "requirements"
+PIN = re.compile(r"(?P<name>[A-Za-z0-9][A-Za-z0-9._-]*)==(?P<version>[A-Za-z0-9.]+)")
+
+
+def lines(path: Path) -> list[str]:
+    stripped = (line.partition("#")[0].strip() for line in path.read_text(encoding="utf-8").splitlines())
+    return [line for line in stripped if line]
+
+
+def pins(name: str) -> dict[str, str]:
+    matches = [PIN.fullmatch(line) for line in lines(FOLDER / name)]
+    assert all(matches), f"{name} holds something else than NAME==VERSION"
+    return {str(canonicalize_name(match["name"])): match["version"] for match in matches if match}
+
+
+def test_every_list_has_its_lock_file() -> None:
+    assert {path.stem for path in FOLDER.glob("*.in")} == {name.removesuffix(".txt") for name in WHEEL_LOCKS}
+
+
+@pytest.mark.parametrize("name", WHEEL_LOCKS)
+def test_lock_holds_what_its_list_names(name: str) -> None:
+    locked = pins(name)
+    for line in lines((FOLDER / name).with_suffix(".in")):
+        requirement = Requirement(line)
+        assert requirement.specifier.contains(locked[canonicalize_name(requirement.name)])
+
+
+def test_locks_agree() -> None:
+    together: dict[str, str] = {}
+    for name in WHEEL_LOCKS:
+        for library, version in pins(name).items():
+            assert together.setdefault(library, version) == version
+
+
+def test_locks_are_complete() -> None:
+    """Every requirement of every installed library of ours is met by the locks."""
+    locked = {library: version for name in NAMED_LOCKS for library, version in pins(name).items()}
+    here = {library: version for library, version in locked.items() if installed(library) == version}
+    assert here
+    for library in here:
+        for text in importlib.metadata.requires(library) or []:
+            requirement = Requirement(text)
+            if requirement.marker is None or requirement.marker.evaluate({"extra": ""}):
+                assert canonicalize_name(requirement.name) in locked, f"{library} needs {requirement}"
+
+
+def installed(library: str) -> str:
+    try:
+        return importlib.metadata.version(library)
+    except importlib.metadata.PackageNotFoundError:
+        return ""
+
+
+def test_nothing_is_missing_here() -> None:
+    named = [PipRequirement(line) for name in NAMED_LISTS for line in lines(FOLDER / name)]
+    locked = {library: version for name in NAMED_LOCKS for library, version in pins(name).items()}
+    assert missing(named, locked) == set()
+
+
+@pytest.mark.parametrize(
+    ("named", "locked", "lacking"),
+    [
+        ("rich>=1", {"rich": "9999"}, set()),
+        ("rich>=9999", {"rich": "9999"}, {"rich"}),
+        ("no-such-library", {"no-such-library": "1.0"}, {"no-such-library"}),
+        ("no-such-library", {}, set()),
+        ("no-such-library; python_version < '3'", {"no-such-library": "1.0"}, set()),
+        ("numpy>=9999", {"numpy": "9999"}, set()),
+    ],
+    ids=["recent enough", "too old", "absent", "not ours", "of another Python", "linked against"],
+)
+def test_what_an_installed_ros_lacks(named: str, locked: dict[str, str], lacking: set[str]) -> None:
+    assert missing([PipRequirement(named)], locked) == lacking

@@ -1,0 +1,88 @@
+"""``./run``: the workspace's environment, the right program, its signals and its exit code."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+from typing import TYPE_CHECKING
+
+import pytest
+
+from tests.miniature import Miniature
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.fixture(scope="module")
+def checkout(tmp_path_factory: pytest.TempPathFactory) -> Miniature:
+    """A miniature that is set up by its first ``./run``."""
+    miniature = Miniature(tmp_path_factory.mktemp("checkout"))
+    miniature.fill()
+    first = miniature.run("miniature", "tell")
+    assert first.returncode == 0, first.stderr
+    assert first.stdout.startswith("arguments\n"), "the set-up's report must not mix with the program's output"
+    assert "set-up: colcon build of ros2_ws" in first.stderr
+    return miniature
+
+
+def test_arguments_entry_points_and_environment(checkout: Miniature) -> None:
+    done = checkout.run("miniature", "tell", "--ros-args", "-p", "a:='b c'")
+    assert done.returncode == 0, done.stderr
+    arguments, things, prefixes = done.stdout.splitlines()
+    assert arguments == "arguments --ros-args -p a:='b c'"
+    assert things == "things 42"
+    assert prefixes.split()[1].split(":")[0] == str(checkout.install / "miniature")
+    assert done.stderr == ""
+
+
+def test_called_from_elsewhere_through_a_link(checkout: Miniature, tmp_path: Path) -> None:
+    link = tmp_path / "posor-run"
+    link.symlink_to(checkout.root / "run")
+    done = subprocess.run(
+        [link, "miniature", "tell"], cwd=tmp_path, env=checkout.environ(), capture_output=True, text=True, check=True
+    )
+    assert "things 42" in done.stdout
+
+
+def test_signal_reaches_the_program(checkout: Miniature) -> None:
+    command = [str(checkout.root / "run"), "miniature", "wait"]
+    with subprocess.Popen(command, env=checkout.environ(), stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert int(process.stdout.readline()) == process.pid
+        process.send_signal(signal.SIGINT)
+    assert process.returncode == 7
+
+
+def test_nested_call_is_the_same(checkout: Miniature) -> None:
+    outer = checkout.environ(AMENT_PREFIX_PATH=str(checkout.venv), ROS_DISTRO="jazzy", PYTHONPATH="/nowhere")
+    command = [str(checkout.root / "run"), "miniature", "tell"]
+    done = subprocess.run(command, env=outer, capture_output=True, text=True, check=False)
+    assert done.stderr == ""
+    assert "things 42" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("nowhere", "tell"), "posor run: there is no package 'nowhere'; this workspace has: miniature.\n"),
+        (("miniature", "sing"), "posor run: package 'miniature' has no executable 'sing'; it has: tell, wait.\n"),
+        (("miniature",), "usage: ./run PACKAGE EXECUTABLE [arguments]\n"),
+    ],
+)
+def test_wrong_call(checkout: Miniature, arguments: tuple[str, ...], complaint: str) -> None:
+    done = checkout.run(*arguments)
+    assert done.returncode == 2
+    assert done.stderr == complaint
+    assert done.stdout == ""
+
+
+def test_ros2_is_called_where_it_is(checkout: Miniature, tmp_path: Path) -> None:
+    ros2 = tmp_path / "ros2"
+    ros2.write_text('#!/bin/sh\necho "$@"\necho "$AMENT_PREFIX_PATH"\n')
+    ros2.chmod(0o755)
+    done = checkout.run("miniature", "tell", "--once", PATH=f"{tmp_path}:{os.environ['PATH']}")
+    call, prefixes = done.stdout.splitlines()
+    assert call == "run miniature tell --once"
+    assert prefixes.split(":")[0] == str(checkout.install / "miniature")

@@ -1,0 +1,195 @@
+"""The set-up: what it makes, that it repairs itself, and that it does nothing twice."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+from cmake_paths import rewrite_cmake_paths
+from environment import THIS, SetupError, Workspace
+from freshness import what_is_missing
+
+from tests.miniature import BASE_PYTHON, Miniature, clean_environ
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+EVENT_DEADLINE_S = 60.0
+STEP = re.compile(r"^set-up: (.*) \.\.\. \d+\.\d s$", re.MULTILINE)
+WATCH = """
+import runpy, sys
+started = []
+events = {"os.exec", "os.fork", "os.forkpty", "os.posix_spawn", "os.system", "subprocess.Popen"}
+sys.addaudithook(lambda event, arguments: started.append(event) if event in events else None)
+sys.path.insert(0, sys.argv[1])
+try:
+    runpy.run_path(sys.argv[1] + "/setup_workspace.py", run_name="__main__")
+finally:
+    print("started", *started)
+"""
+
+
+@pytest.fixture(scope="module")
+def checkout(tmp_path_factory: pytest.TempPathFactory) -> Miniature:
+    """A miniature that has been set up; every test leaves it so."""
+    miniature = Miniature(tmp_path_factory.mktemp("checkout"))
+    miniature.fill()
+    done = miniature.set_up()
+    assert done.returncode == 0, done.stderr
+    assert len(STEP.findall(done.stdout)) == 3
+    return miniature
+
+
+def wait_for(path: Path, process: subprocess.Popen[str]) -> None:
+    deadline = time.monotonic() + EVENT_DEADLINE_S
+    while not path.exists():
+        assert process.poll() is None, f"ended before {path} was there"
+        assert time.monotonic() < deadline, f"{path} has not appeared"
+        time.sleep(0.002)
+
+
+def processes_started(workspace: Workspace) -> str:
+    command = [str(BASE_PYTHON), "-c", WATCH, str(workspace.root / "tools")]
+    done = subprocess.run(command, env=clean_environ(), capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_set_up_twice_starts_nothing(checkout: Miniature) -> None:
+    assert processes_started(checkout) == "started\n"
+
+
+def test_the_watch_sees_what_a_set_up_starts(checkout: Miniature) -> None:
+    checkout.write("ros2_ws/src/miniature/config/more.txt", "4\n")
+    assert "subprocess.Popen" in processes_started(checkout)
+
+
+def test_this_checkout_is_up_to_date() -> None:
+    assert not any(what_is_missing(THIS, {}, official=json.loads(THIS.environment_stamp.read_text())["official"]))
+
+
+def test_python_and_data_files_need_no_build(checkout: Miniature) -> None:
+    installed = checkout.install / "miniature" / "share" / "miniature" / "config" / "numbers.txt"
+    for number in ("17", "23"):
+        checkout.write("ros2_ws/src/miniature/miniature/fresh.py", f"NUMBER = {number}\n")
+        checkout.write("ros2_ws/src/miniature/config/numbers.txt", f"{number}\n")
+        assert processes_started(checkout) == "started\n"
+        assert installed.read_text() == f"{number}\n"
+
+
+def test_new_executable_is_built(checkout: Miniature) -> None:
+    source = checkout.ros2 / "src" / "miniature" / "setup.py"
+    present = '"wait = miniature.programs:wait"'
+    source.write_text(source.read_text().replace(present, f'{present}, "more = miniature.programs:tell"'))
+    done = checkout.set_up()
+    assert done.returncode == 0, done.stderr
+    assert STEP.findall(done.stdout) == ["colcon build of ros2_ws (sources changed)"]
+    assert "arguments -x" in checkout.run("miniature", "more", "-x").stdout
+
+
+@pytest.mark.parametrize("whole_group", [True, False], ids=["with its commands", "alone"])
+def test_killed_during_colcon_build(checkout: Miniature, *, whole_group: bool) -> None:
+    shutil.rmtree(checkout.install)
+    with checkout.start_set_up() as process:
+        wait_for(checkout.install / "miniature", process)
+        (os.killpg if whole_group else os.kill)(process.pid, signal.SIGKILL)
+    assert process.returncode == -signal.SIGKILL
+    assert not checkout.build_stamp.exists()
+    done = checkout.set_up()
+    assert done.returncode == 0, done.stderr
+    assert STEP.findall(done.stdout) == ["colcon build of ros2_ws (none yet or unfinished)"]
+    assert "things 42" in checkout.run("miniature", "tell").stdout
+
+
+def test_killed_while_the_environment_is_made(checkout: Miniature) -> None:
+    shutil.rmtree(checkout.venv)
+    with checkout.start_set_up() as process:
+        wait_for(checkout.venv / "pyvenv.cfg", process)
+        os.killpg(process.pid, signal.SIGKILL)
+    done = checkout.set_up()
+    assert done.returncode == 0, done.stderr
+    assert len(STEP.findall(done.stdout)) == 3
+    assert "(unfinished or damaged)" in done.stdout
+    assert "things 42" in checkout.run("miniature", "tell").stdout
+
+
+def test_interrupted_by_the_user(checkout: Miniature) -> None:
+    shutil.rmtree(checkout.install)
+    with checkout.start_set_up() as process:
+        wait_for(checkout.install / "miniature", process)
+        os.killpg(process.pid, signal.SIGINT)
+        _, err = process.communicate()
+    assert process.returncode == 130
+    assert err.endswith("posor set-up: interrupted; the next call carries on.\n")
+    assert checkout.set_up().returncode == 0
+
+
+def test_broken_environment_is_made_again(checkout: Miniature) -> None:
+    checkout.python.unlink()
+    done = checkout.set_up()
+    assert done.returncode == 0, done.stderr
+    assert len(STEP.findall(done.stdout)) == 3
+    assert processes_started(checkout) == "started\n"
+
+
+def test_changed_lock_file_makes_the_environment_again(checkout: Miniature) -> None:
+    checkout.write("requirements/dev.txt", "# nothing more\n")
+    done = checkout.set_up()
+    assert done.returncode == 0, done.stderr
+    assert STEP.findall(done.stdout)[0].endswith("(requirements or place changed)")
+    assert processes_started(checkout) == "started\n"
+
+
+def test_removed_package_is_installed_again(checkout: Miniature) -> None:
+    shutil.rmtree(checkout.install / "miniature")
+    done = checkout.set_up()
+    assert STEP.findall(done.stdout) == ["colcon build of ros2_ws (incomplete, or by a plain colcon build)"]
+    assert checkout.run("miniature", "tell").returncode == 0
+
+
+def test_two_at_a_time_build_once(checkout: Miniature) -> None:
+    checkout.build_stamp.unlink()
+    both = [checkout.start_set_up() for _ in range(2)]
+    ends = [process.communicate() for process in both]
+    assert [process.returncode for process in both] == [0, 0], ends
+    assert len(STEP.findall("".join(out for out, _ in ends))) == 1
+    assert checkout.run("miniature", "tell").returncode == 0
+
+
+def test_moved_checkout_is_made_again(checkout: Miniature, tmp_path: Path) -> None:
+    moved = Miniature(tmp_path / "moved")
+    shutil.copytree(checkout.root, moved.root, symlinks=True)
+    done = moved.set_up()
+    assert done.returncode == 0, done.stderr
+    assert len(STEP.findall(done.stdout)) == 3
+    assert str(checkout.root) not in moved.run("miniature", "tell").stdout
+
+
+def test_cmake_paths_become_those_of_the_environment(tmp_path: Path) -> None:
+    file = tmp_path / "share" / "rcl" / "cmake" / "export.cmake"
+    file.parent.mkdir(parents=True)
+    built_with = "/opt/python/cp311-cp311"
+    file.write_text(
+        f'"{built_with}/include/python3.11;{built_with}/lib/python3.11/site-packages/numpy/_core/include"\n'
+    )
+    assert rewrite_cmake_paths(tmp_path) == 1
+    headers, numpy = file.read_text().strip('"\n').split(";")
+    assert os.path.isfile(f"{headers}/Python.h")  # noqa: PTH113 - a path within CMake text
+    assert numpy.startswith(str(tmp_path))
+    assert numpy.endswith("/site-packages/numpy/_core/include")
+    assert rewrite_cmake_paths(tmp_path) == 0
+
+
+def test_cmake_path_of_another_kind_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "share" / "export.cmake"
+    file.parent.mkdir()
+    file.write_text("/opt/python/cp311-cp311/bin/python3\n")
+    with pytest.raises(SetupError, match=r"export\.cmake: holds a path of the machine that built the wheel"):
+        rewrite_cmake_paths(tmp_path)
