@@ -51,6 +51,18 @@ def test_locks_agree() -> None:
             assert together.setdefault(library, version) == version
 
 
+def test_document_names_every_library_with_its_locked_version() -> None:
+    text = (THIS.root / "docs" / "dependencies.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| ([\w.-]+) \| (\d[\w.]*) \|", text, re.MULTILINE)
+    documented = {str(canonicalize_name(name)): version for name, version in rows}
+    named = {
+        str(canonicalize_name(Requirement(line).name)): name
+        for name in WHEEL_LOCKS
+        for line in lines((FOLDER / name).with_suffix(".in"))
+    }
+    assert documented == {library: pins(name)[library] for library, name in named.items()}
+
+
 def test_locks_are_complete() -> None:
     """Every requirement of every installed library of ours is met by the locks."""
     locked = {library: version for name in NAMED_LOCKS for library, version in pins(name).items()}
