@@ -128,6 +128,7 @@ def local_map(variant: str, diode: int) -> dict[str, Any]:
         sigma = [[LINEARISATION_UIN[name] * MICROINCH, 0.0], [0.0, 0.0], [0.0, 0.0]]
         tables[axis] = quantity(table, "m", sigma)
     return {
+        "kind": "polynomial",
         "center": quantity([0.51, 0.06], "1"),
         "domain": quantity(DOMAINS[diode - 1], "1"),
         "x": tables["x"],

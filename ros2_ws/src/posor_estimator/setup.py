@@ -40,6 +40,7 @@ setup(
         "posor_estimator.sensors": [
             "gap_probes = posor_estimator.core.sensors.gap_probes:GapProbesCalibration",
             "diodes = posor_estimator.core.sensors.diodes:DiodesCalibration",
+            "bumpy_ring = posor_estimator.core.sensors.bumpy_ring:BumpyRingCalibration",
         ],
     },
 )

@@ -64,7 +64,6 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self._calibration = whole.for_session(self.parameters.session)
         self._posor = Posor(self._calibration, false_alarm=self.parameters.false_alarm)
         self._scans = self._lost = 0
-        self._last_stamp_ns = 0
         identity = {
             "calibration": whole.name,
             "calibration_file": str(path),
@@ -86,10 +85,6 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
     def _locate(self, raw: RawScan) -> None:
         if not self._publisher.is_activated:
             return
-        stamp = stamp_ns(raw)
-        if stamp <= self._last_stamp_ns:
-            self._posor.reset()  # a replay has started over: what went before says nothing about this scan
-        self._last_stamp_ns = stamp
         estimate = self._unfit(raw) or self._posor.locate(scan_from_message(raw))
         frames = self._calibration.frames
         message = transform_message(raw, estimate, frames.parent, frames.child, self.parameters.covariance)

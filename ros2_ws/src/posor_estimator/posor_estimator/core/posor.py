@@ -6,37 +6,35 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pinocchio as pin
-from scipy.linalg import null_space
 from scipy.stats import chi2
 
 from posor_estimator.core.calibration.model import Calibration, TiltAngle
-from posor_estimator.core.estimate import Estimate
+from posor_estimator.core.estimate import Estimate, Estimates
 from posor_estimator.core.fault import Fault, State
-from posor_estimator.core.kernels import solve
-from posor_estimator.core.kernels.solve import GAP
-from posor_estimator.core.native import native_from_rotation, rotation_from_native
-from posor_estimator.core.start import start_pose
-from posor_estimator.errors import ScanError
+from posor_estimator.core.kernels import locate as kernel
+from posor_estimator.core.kernels.solve import CONVERGED, gauss_newton
+from posor_estimator.core.native import native_from_rotation
+from posor_estimator.core.plain_rows import PlainRows
+from posor_estimator.core.scan import Scan, Scans
+from posor_estimator.core.stack import Stack
+from posor_estimator.core.start import start_poses
 
 if TYPE_CHECKING:
-    from posor_estimator.core.scan import Scan
-    from posor_estimator.core.types import FloatArray
+    import pinocchio as pin
 
-LENGTH = 0.05
-"""Lever [m] that makes a rotation comparable to a translation in the estimator's step and conditioning."""
-TOLERANCE = 1e-9
-"""A last step below this [m] leaves an error of its square over LENGTH, far below a picometre."""
-ITERATIONS = 25
-TILT_SETTLED = 1e-14
-"""The previous-scan tilt is settled when theta moves by less than this [rad]."""
+    from posor_estimator.core.sensors.base import Batch
+    from posor_estimator.core.types import FloatArray, IntArray
+
+PHASE_GUESSES = 8
+"""Starts within one bump that are tried where theta is not known at all."""
 
 
 class Posor:
     """Turns scans into poses, one after the other.
 
-    Each solution starts from the last one; the first starts from a closed form. ``locate`` never raises for a bad scan:
-    it returns a LOST estimate that says why.
+    Each solution starts from the last one; the first starts from a closed form. A bad scan never raises: its estimate
+    is LOST and says why. The same loop serves one scan (``locate``) and many (``locate_all``), so both give the same
+    numbers.
     """
 
     def __init__(self, calibration: Calibration, *, false_alarm: float = 1e-3) -> None:
@@ -48,124 +46,209 @@ class Posor:
 
         """
         self.calibration = calibration
-        self.sensors = [sensor.build() for sensor in calibration.sensors]
-        self._kinds = np.concatenate([sensor.kinds for sensor in self.sensors])
-        self._parameter_sigmas = np.concatenate([sensor.parameter_sigmas for sensor in self.sensors])
-        redundancy = len(self._kinds) - 6
-        self._residual_limit = float(chi2.isf(false_alarm, redundancy)) if redundancy > 0 else math.inf
-        self._previous: pin.SE3 | None = None
-
-    @property
-    def reading_names(self) -> tuple[str, ...]:
-        """Name of each linearised reading."""
-        return tuple(name for sensor in self.sensors for name in sensor.reading_names)
+        self.stack = Stack([sensor.build() for sensor in calibration.sensors])
+        self._plain = PlainRows(self.stack)
+        self._redundancy = max(self.stack.readings - 6, 0)
+        counted = [(sensor.bump_angle, sensor.home_theta) for sensor in calibration.sensors if sensor.bump_angle > 0.0]
+        motion = calibration.motion
+        self._settings = np.full(kernel.SETTINGS, math.inf)
+        if self._redundancy > 0:
+            self._settings[kernel.LIMIT] = chi2.isf(false_alarm, self._redundancy)
+        if motion is not None:
+            self._settings[kernel.MOTION_TRANSLATION] = motion.translation.number
+            self._settings[kernel.MOTION_LEAN] = motion.lean.number
+            self._settings[kernel.MOTION_THETA] = motion.theta.number
+        self._settings[kernel.BUMP], self._settings[kernel.HOME] = counted[0] if counted else (0.0, 0.0)
+        self._settings[kernel.LAGGING] = float(calibration.tilt_angle is TiltAngle.PREVIOUS_SCAN)
+        self._counting = bool(counted)
+        self._memory = np.zeros(kernel.MEMORY)
+        self._epoch_ns: int | None = None
 
     def reset(self) -> None:
-        """Forget the last pose; the next scan starts from the closed form."""
-        self._previous = None
+        """Forget the last pose and the count; the next scan starts from a closed form."""
+        self._memory[:] = 0.0
+
+    def assume(self, T_R_T: pin.SE3, theta: float | None = None) -> None:
+        """Take a pose as known: the next scan starts from it, and a counted theta counts as counted.
+
+        Args:
+            T_R_T: The pose.
+            theta: The large rotation with its turns [rad]; None: within half a turn of zero.
+
+        """
+        self._give(T_R_T.rotation, T_R_T.translation)
+        self._memory[kernel.COUNTED] = 1.0
+        if theta is not None:
+            self._memory[kernel.THETA] = theta
 
     def locate(self, scan: Scan) -> Estimate:
-        """Return the pose that this scan gives, starting from the pose of the scan before."""
-        try:
-            linearised = [sensor.linearise(scan) for sensor in self.sensors]
-            rows = np.concatenate([sensor.rows(scan) for sensor in self.sensors])
-        except ScanError as error:
-            return Estimate.lost(scan.number, error.fault, str(error))
-        values = np.concatenate([part.values for part in linearised])
-        variances = np.concatenate([part.variances for part in linearised])
-        start = self._previous or start_pose(self._kinds, rows, values) or pin.SE3.Identity()
-        outcome, pose, jacobian, residuals = self._solve(rows, values, variances, start)
-        if outcome != solve.CONVERGED:
-            return self._failed(scan, outcome)
-        estimate = self._judge(scan, pose, jacobian, residuals, variances)
-        if estimate.T_R_T is not None:
-            self._previous = pose
-        return estimate
+        """Return the pose that one scan gives, starting from the pose of the scan before."""
+        scans = Scans.of([scan])
+        codes, estimates = self._locate(scans)
+        return estimates.one(0, self._reason(scan, codes[0], int(estimates.faults[0]), float(estimates.residuals[0])))
 
-    def _failed(self, scan: Scan, outcome: int) -> Estimate:
-        """Return the LOST estimate of a scan that the iteration could not solve; the next one starts afresh."""
-        self.reset()
-        if outcome == solve.ILL_CONDITIONED:
-            reason = f"scan {scan.number}: the readings do not determine all six freedoms."
-            return Estimate.lost(scan.number, Fault.ILL_CONDITIONED, reason)
-        reason = f"scan {scan.number}: the estimate did not settle within {ITERATIONS} steps."
-        return Estimate.lost(scan.number, Fault.NOT_CONVERGED, reason)
+    def locate_all(self, scans: Scans) -> Estimates:
+        """Return the poses that many scans give, one after the other: the same as ``locate`` of each."""
+        return self._locate(scans)[1]
 
-    def _solve(
-        self, rows: FloatArray, values: FloatArray, variances: FloatArray, start: pin.SE3
-    ) -> tuple[int, pin.SE3, FloatArray, FloatArray]:
-        """Run the iteration; return its outcome, the pose, the rows' derivatives (m, 6) and residuals (m,) [m]."""
-        rotation, translation = start.rotation.copy(), start.translation.copy()
-        jacobian, residuals = np.empty((len(values), 6)), np.empty(len(values))
-        weights = 1.0 / variances
-        lagging = self.calibration.tilt_angle is TiltAngle.PREVIOUS_SCAN and self._previous is not None
-        turn = 0.0
-        for _ in range(ITERATIONS):
-            outcome = solve.gauss_newton(
-                self._kinds,
-                _turned(self._kinds, rows, turn) if lagging else rows,
-                values,
-                weights,
-                rotation,
-                translation,
-                jacobian,
-                residuals,
-                LENGTH,
-                TOLERANCE,
-                ITERATIONS,
-            )
-            pose = pin.SE3(rotation, translation)
-            if not lagging or outcome != solve.CONVERGED:
-                return outcome, pose, jacobian, residuals
-            moved = native_from_rotation(start.rotation)[2] - native_from_rotation(rotation)[2] - turn
-            turn += moved
-            if abs(moved) < TILT_SETTLED:
-                return outcome, pose, jacobian, residuals
-        return solve.NOT_CONVERGED, pose, jacobian, residuals
+    def _locate(self, scans: Scans) -> tuple[IntArray, Estimates]:
+        count = len(scans)
+        codes, batch = self.stack.linearise(scans)
+        fit = np.all(codes == 0, axis=1).astype(np.int64)
+        out = Estimates(
+            scans=scans.numbers,
+            states=np.full(count, int(State.LOST), dtype=np.int64),
+            faults=np.zeros(count, dtype=np.int64),
+            rotations=np.empty((count, 3, 3)),
+            translations=np.empty((count, 3)),
+            thetas=np.empty(count),
+            covariances_random=np.empty((count, 6, 6)),
+            covariances_systematic=np.empty((count, 6, 6)),
+            residuals=np.empty(count),
+            redundancy=self._redundancy,
+        )
+        if self._epoch_ns is None and count:
+            self._epoch_ns = int(scans.stamps_ns[0])
+        stamps = np.asarray((scans.stamps_ns - (self._epoch_ns or 0)) * 1e-9, dtype=float)
+        figures = np.full((count, 2), np.nan)
+        self._run(scans, batch, fit, stamps, out, figures)
+        for n in np.flatnonzero(fit == 0):
+            sensor = int(np.flatnonzero(codes[n])[0])
+            out.faults[n] = int(self.stack.sensors[sensor].explain(scans[int(n)], int(codes[n, sensor])).fault)
+        lost = out.states == int(State.LOST)
+        out.residuals[:] = figures[:, 0]
+        out.thetas[:] = np.where(lost, np.nan, figures[:, 1])
+        for array in (out.rotations, out.translations, out.covariances_random, out.covariances_systematic):
+            array[lost] = np.nan
+        return codes, out
 
-    def _judge(
-        self, scan: Scan, pose: pin.SE3, jacobian: FloatArray, residuals: FloatArray, variances: FloatArray
-    ) -> Estimate:
-        """Return the estimate with both parts of its covariance, its residual and its state."""
-        whiten = 1.0 / np.sqrt(variances)
-        white = jacobian * whiten[:, None]
-        local = np.linalg.inv(white.T @ white)
-        gain = local @ (white.T * whiten)
-        to_parent = np.kron(np.eye(2), pose.rotation)
-        by_parameter = np.zeros((len(residuals), self._parameter_sigmas.size))
-        row = column = 0
-        for sensor in self.sensors:
-            block = sensor.residual_jacobian(scan, pose.rotation, pose.translation)
-            by_parameter[row : row + block.shape[0], column : column + block.shape[1]] = block
-            row += block.shape[0]
-            column += block.shape[1]
-        by_parameter *= self._parameter_sigmas
-        moved = to_parent @ gain @ by_parameter
-        redundant = null_space(white.T)
-        seen = redundant.T @ (residuals * whiten)
-        spread = redundant.T @ (by_parameter * whiten[:, None])
-        residual = float(seen @ np.linalg.solve(np.eye(len(seen)) + spread @ spread.T, seen))
-        passes = residual <= self._residual_limit
-        return Estimate(
-            scan=scan.number,
-            state=State.OK if passes else State.LOST,
-            faults=Fault.NONE if passes else Fault.RESIDUAL,
-            reason=""
-            if passes
-            else f"scan {scan.number}: the redundant readings contradict one another, chi-square {residual:.3g}; "
-            f"expected at most {self._residual_limit:.3g}.",
-            T_R_T=pose if passes else None,
-            covariance_random=to_parent @ local @ to_parent.T,
-            covariance_systematic=moved @ moved.T,
-            residual=residual,
-            redundancy=len(seen),
+    def _run(
+        self, scans: Scans, batch: Batch, fit: IntArray, stamps: FloatArray, out: Estimates, figures: FloatArray
+    ) -> None:
+        """Run the loop over all scans; give it a start wherever it asks for one."""
+        loop = self._plain_loop if self._plain else self._loop
+        n, count = 0, len(scans)
+        while n < count:
+            stopped = loop(scans, batch, fit, stamps, out, figures, n, count)
+            if stopped == count:
+                return
+            failed = stopped < 0
+            n = -1 - stopped if failed else stopped
+            if not (failed and self._counting):
+                # Not known yet, or settled in a wrong place from afar: this one scan starts from a closed form.
+                before = self._memory.copy()
+                self._start(batch, n)
+                loop(scans, batch, fit, stamps, out, figures, n, n + 1)
+                if failed and out.states[n] == State.LOST:
+                    self._memory[:] = before
+            n += 1
+
+    def _loop(
+        self,
+        scans: Scans,
+        batch: Batch,
+        fit: IntArray,
+        stamps: FloatArray,
+        out: Estimates,
+        figures: FloatArray,
+        begin: int,
+        end: int,
+    ) -> int:
+        """Run the compiled loop over scans ``begin`` to ``end``; see its return value."""
+        pool = self.stack.pool
+        return kernel.locate_scans(
+            pool.kinds,
+            pool.rows,
+            pool.ids,
+            pool.sigmas,
+            batch.chosen,
+            batch.values,
+            batch.variances,
+            batch.systematic,
+            fit,
+            self.stack.parameters,
+            stamps,
+            scans.at_home,
+            self._settings,
+            self._memory,
+            begin,
+            end,
+            out.states,
+            out.faults,
+            out.rotations,
+            out.translations,
+            out.covariances_random,
+            out.covariances_systematic,
+            figures,
         )
 
+    def _plain_loop(
+        self,
+        scans: Scans,
+        batch: Batch,
+        fit: IntArray,
+        stamps: FloatArray,
+        out: Estimates,
+        figures: FloatArray,
+        begin: int,
+        end: int,
+    ) -> int:
+        """Do what the compiled loop does, for a stack with plain sensors."""
+        for n in range(begin, end):
+            if fit[n] == 0:
+                continue
+            kernel.restart_if_back(stamps[n], self._memory)
+            if self._memory[kernel.KNOWN] == 0.0:
+                return n
+            warm = self._memory[kernel.GIVEN] == 0.0
+            self._plain.locate(scans, batch, n, stamps[n], self._settings, self._memory, out, figures)
+            if kernel.deserves_retry(int(out.states[n]), int(out.faults[n]), warm):
+                return -1 - n
+        return end
 
-def _turned(kinds: FloatArray, rows: FloatArray, angle: float) -> FloatArray:
-    """Return the rows with the directions fixed in the target turned about its Z by ``angle`` [rad]."""
-    turn = rotation_from_native(0.0, 0.0, angle)
-    turned = rows.copy()
-    turned[kinds == GAP, 9:12] = rows[kinds == GAP, 9:12] @ turn.T
-    turned[kinds != GAP, 12:15] = rows[kinds != GAP, 12:15] @ turn.T
-    return turned
+    def _give(self, rotation: FloatArray, translation: FloatArray) -> None:
+        """Put a start into the memory; the motion to it says nothing."""
+        kernel.remember(self._memory, rotation, translation)
+        self._memory[kernel.KNOWN] = self._memory[kernel.GIVEN] = 1.0
+        self._memory[kernel.RATE] = self._memory[kernel.COUNTED] = 0.0
+        self._memory[kernel.THETA] = native_from_rotation(rotation)[2]
+        if not self._counting:
+            self._memory[kernel.COUNTED] = 1.0
+
+    def _start(self, batch: Batch, n: int) -> None:
+        """Put the best closed-form start for scan n into the memory."""
+        pool, chosen = self.stack.pool, batch.chosen[n]
+        kinds, rows, values = pool.kinds[chosen], pool.rows[chosen].copy(), batch.values[n]
+        weights = 1.0 / batch.variances[n]
+        bump = self._settings[kernel.BUMP]
+        thetas = [bump * (i / PHASE_GUESSES - 0.5) for i in range(PHASE_GUESSES)] if self._counting else [0.0]
+        jacobian, residuals, moved = np.empty((len(values), 6)), np.empty(len(values)), np.empty(6)
+        best = math.inf
+        for pose in start_poses(kinds, rows, values, thetas):
+            rotation, translation = pose.rotation.copy(), pose.translation.copy()
+            self._plain.expand(rows, rotation, translation)
+            outcome = gauss_newton(
+                kinds, rows, values, weights, rotation, translation, jacobian, residuals, moved, kernel.SINGULAR
+            )
+            misfit = float(weights @ np.square(residuals)) if outcome == CONVERGED else math.inf
+            if misfit < best or math.isinf(best):
+                best = min(best, misfit)
+                settled = outcome == CONVERGED
+                self._give(*((rotation, translation) if settled else (pose.rotation, pose.translation)))
+
+    def _reason(self, scan: Scan, codes: IntArray, faults: int, residual: float) -> str:
+        """Return the sentence on what is wrong with one scan's estimate, empty where nothing is."""
+        for sensor, code in zip(self.stack.sensors, codes, strict=True):
+            if code != 0:
+                return str(sensor.explain(scan, int(code)))
+        limit = self._settings[kernel.LIMIT]
+        sentences = {
+            Fault.NOT_CONVERGED: "the estimate did not settle",
+            Fault.ILL_CONDITIONED: "the readings do not determine all six freedoms",
+            Fault.RESIDUAL: f"the redundant readings contradict one another, chi-square {residual:.3g}; "
+            f"expected at most {limit:.3g}",
+            Fault.INNOVATION: "the pose is further from the last one than the target can have moved",
+            Fault.COUNT: "the bump count is in doubt",
+        }
+        said = [sentence for fault, sentence in sentences.items() if faults & fault]
+        return f"scan {scan.number}: {'; '.join(said)}." if said else ""

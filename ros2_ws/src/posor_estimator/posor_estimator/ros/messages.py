@@ -31,12 +31,14 @@ def scan_from_message(message: RawScan) -> Scan:
     currents = np.array(message.diode_currents, dtype=float)
     return Scan(
         number=message.scan,
+        stamp_ns=stamp_ns(message),
         gap_voltages=np.array(message.gap_voltages, dtype=float),
         ring_voltages=np.array(message.ring_voltages, dtype=float),
         diode_currents=currents.reshape(-1, 4) if currents.size % 4 == 0 else currents.reshape(-1, 1),
         lit_sources=tuple(message.lit_sources),
         supply_voltage=message.supply_voltage,
         temperature=message.temperature,
+        at_home=bool(message.status & RawScan.STATUS_HOME_BUMP),
     )
 
 

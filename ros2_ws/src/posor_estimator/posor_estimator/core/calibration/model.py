@@ -2,7 +2,7 @@
 
 Versions of the format:
 
-1. First version: ``sensors`` by type, ``sessions``, ``tilt_angle``.
+1. First version: ``sensors`` by type, ``sessions``, ``tilt_angle``, ``motion``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union
 
 from pydantic import Field, SerializeAsAny, create_model
 
-from posor_estimator.core.calibration.quantity import FrozenModel
+from posor_estimator.core.calibration.quantity import FrozenModel, Quantity, measured
 from posor_estimator.core.calibration.session import Session
 from posor_estimator.core.sensors.base import SensorCalibration
 from posor_estimator.core.sensors.registry import sensor_types
@@ -43,6 +43,19 @@ class Frames(FrozenModel):
     child: str
 
 
+class Motion(FrozenModel):
+    """The fastest that the target moves against the receiving plate.
+
+    A pose further from the last one than this allows is a fault, and where readings are blind in some direction the
+    last pose stands in with an uncertainty that grows at this rate. ``translation`` is across and along, ``lean``
+    about X and Y, ``theta`` about the target's Z.
+    """
+
+    translation: Annotated[Quantity, measured("m/s")]
+    lean: Annotated[Quantity, measured("rad/s")]
+    theta: Annotated[Quantity, measured("rad/s")]
+
+
 class TiltAngle(StrEnum):
     """At which theta the directions fixed in the target (plane normal, rays) are turned.
 
@@ -63,6 +76,7 @@ class Calibration(FrozenModel):
     provenance: Provenance
     frames: Frames
     tilt_angle: TiltAngle = TiltAngle.THIS_SCAN
+    motion: Motion | None = None
     sensors: list[SerializeAsAny[SensorCalibration]]
     sessions: dict[str, Session] = Field(default_factory=dict)
 

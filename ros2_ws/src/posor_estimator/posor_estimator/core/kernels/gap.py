@@ -3,13 +3,18 @@
 Thesis 5.3.1 (equation 5.3, exact here): with the tip ``o`` and the axis ``a`` seen from T, the plane through ``q`` with
 normal ``m`` is met at the distance ``g = m.(q - o) / (m.a)``.
 
-Row parameters (12): tip in R [m] 0:3, axis in R 3:6, plane point in T [m] 6:9, plane normal in T 9:12. Neither the axis
-nor the normal need be of unit length for the derivatives to hold; with a unit axis the reading is in metres.
+Row parameters (12): tip in R [m] 0:3, axis in R 3:6, plane point in T [m] 6:9, tilt of the plane about X and Y of T
+[rad] 9:11, extra turn of the tilt about Z of T [rad] 11. The normal toward the probes is ``Rz(turn) Rx(tilt 0) Ry(tilt
+1) (0, 0, -1)``. The axis need not be of unit length for the derivatives to hold; with a unit axis the reading is in
+metres.
 """
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from posor_estimator.core.compiled import compiled
 from posor_estimator.core.kernels.vector import cross, dot, rotate, rotate_back
@@ -21,11 +26,32 @@ PARAMETERS = 12
 
 
 @compiled
+def turned(a: FloatArray, angle: float) -> FloatArray:
+    """Return a 3-vector turned about Z by ``angle`` [rad]."""
+    out = np.empty(3)
+    c, s = math.cos(angle), math.sin(angle)
+    out[0] = c * a[0] - s * a[1]
+    out[1] = s * a[0] + c * a[1]
+    out[2] = a[2]
+    return out
+
+
+@compiled
+def plane_normal(tilt_x: float, tilt_y: float, turn: float) -> FloatArray:
+    """Return the unit normal toward the probes, in T; angles [rad]."""
+    out = np.empty(3)
+    out[0] = -math.sin(tilt_y)
+    out[1] = math.sin(tilt_x) * math.cos(tilt_y)
+    out[2] = -math.cos(tilt_x) * math.cos(tilt_y)
+    return turned(out, turn)
+
+
+@compiled
 def gap(row: FloatArray, rotation: FloatArray, translation: FloatArray, jacobian: FloatArray) -> float:
     """Return the gap [m] and write its derivative with respect to the local tangent into ``jacobian`` (6)."""
     tip = rotate_back(rotation, row[0:3] - translation)
     axis = rotate_back(rotation, row[3:6])
-    normal = row[9:12]
+    normal = plane_normal(row[9], row[10], row[11])
     slant = dot(normal, axis)
     reading = dot(normal, row[6:9] - tip) / slant
     lever = cross(tip + reading * axis, normal)
@@ -40,7 +66,7 @@ def gap_parameters(row: FloatArray, rotation: FloatArray, translation: FloatArra
     """Write the derivative of the gap with respect to the row's twelve parameters into ``jacobian`` (12)."""
     tip = rotate_back(rotation, row[0:3] - translation)
     axis = rotate_back(rotation, row[3:6])
-    normal = row[9:12]
+    normal = plane_normal(row[9], row[10], row[11])
     normal_R = rotate(rotation, normal)
     slant = dot(normal, axis)
     reading = dot(normal, row[6:9] - tip) / slant
@@ -48,4 +74,12 @@ def gap_parameters(row: FloatArray, rotation: FloatArray, translation: FloatArra
         jacobian[i] = -normal_R[i] / slant
         jacobian[3 + i] = -reading * normal_R[i] / slant
         jacobian[6 + i] = normal[i] / slant
-        jacobian[9 + i] = (row[6 + i] - tip[i] - reading * axis[i]) / slant
+    beyond = (row[6:9] - tip - reading * axis) / slant
+    sx, cx = math.sin(row[9]), math.cos(row[9])
+    sy, cy = math.sin(row[10]), math.cos(row[10])
+    by_tilt = np.empty(3)
+    by_tilt[0], by_tilt[1], by_tilt[2] = 0.0, cx * cy, sx * cy
+    jacobian[9] = dot(beyond, turned(by_tilt, row[11]))
+    by_tilt[0], by_tilt[1], by_tilt[2] = -cy, -sx * sy, cx * sy
+    jacobian[10] = dot(beyond, turned(by_tilt, row[11]))
+    jacobian[11] = beyond[1] * normal[0] - beyond[0] * normal[1]

@@ -3,8 +3,9 @@
 Thesis 5.3.2 (exact here): the ray from the source, ``P + r D`` in R, meets the plane ``q + x u + y v``; x and y are the
 spot's coordinates along the diode's own axes, which need not be orthogonal.
 
-Row parameters (15): diode origin in R [m] 0:3, x axis u in R 3:6, y axis v in R 6:9, source origin in T [m] 9:12,
-ray direction in T 12:15. The lengths of u and v scale the reading; the length of the direction has no effect.
+Row parameters (16): diode origin in R [m] 0:3, x axis u in R 3:6, y axis v in R 6:9, source origin in T [m] 9:12, ray
+direction in T 12:15, extra turn of the direction about Z of T [rad] 15. The lengths of u and v scale the reading; the
+length of the direction has no effect.
 """
 
 from __future__ import annotations
@@ -14,25 +15,26 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posor_estimator.core.compiled import compiled
+from posor_estimator.core.kernels.gap import turned
 from posor_estimator.core.kernels.vector import cross, dot, rotate, rotate_back
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray
 
-PARAMETERS = 15
+PARAMETERS = 16
 
 
 @compiled
 def _meet(
     row: FloatArray, rotation: FloatArray, translation: FloatArray, which: int, dual: FloatArray
 ) -> tuple[float, float, float]:
-    """Solve ``[u v -D] (x, y, r) = P - q``; write the row of the inverse that gives coordinate ``which`` into ``dual``.
+    """Solve ``[u v -D] (x, y, r) = P - q``; write the row of the inverse for coordinate ``which`` into ``dual`` (3).
 
     Returns x [m], y [m] and the ray's parameter r.
     """
     u = row[3:6]
     v = row[6:9]
-    ray = rotate(rotation, row[12:15])
+    ray = rotate(rotation, turned(row[12:15], row[15]))
     offset = rotate(rotation, row[9:12]) + translation - row[0:3]
     v_ray = cross(v, ray)
     ray_u = cross(ray, u)
@@ -53,7 +55,7 @@ def spot(row: FloatArray, rotation: FloatArray, translation: FloatArray, which: 
     dual = np.empty(3)
     x, y, along = _meet(row, rotation, translation, which, dual)
     dual_T = rotate_back(rotation, dual)
-    lever = cross(row[9:12] + along * row[12:15], dual_T)
+    lever = cross(row[9:12] + along * turned(row[12:15], row[15]), dual_T)
     for i in range(3):
         jacobian[i] = dual_T[i]
         jacobian[3 + i] = lever[i]
@@ -64,13 +66,16 @@ def spot(row: FloatArray, rotation: FloatArray, translation: FloatArray, which: 
 def spot_parameters(
     row: FloatArray, rotation: FloatArray, translation: FloatArray, which: int, jacobian: FloatArray
 ) -> None:
-    """Write the derivative of coordinate ``which`` with respect to the row's parameters into ``jacobian`` (15)."""
+    """Write the derivative of coordinate ``which`` with respect to the row's parameters into ``jacobian`` (16)."""
     dual = np.empty(3)
     x, y, along = _meet(row, rotation, translation, which, dual)
     dual_T = rotate_back(rotation, dual)
+    by_direction = turned(dual_T, -row[15])
+    direction = turned(row[12:15], row[15])
     for i in range(3):
         jacobian[i] = -dual[i]
         jacobian[3 + i] = -x * dual[i]
         jacobian[6 + i] = -y * dual[i]
         jacobian[9 + i] = dual_T[i]
-        jacobian[12 + i] = along * dual_T[i]
+        jacobian[12 + i] = along * by_direction[i]
+    jacobian[15] = along * (dual_T[1] * direction[0] - dual_T[0] * direction[1])

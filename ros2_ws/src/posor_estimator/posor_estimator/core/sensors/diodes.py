@@ -1,5 +1,8 @@
 """Lateral effect diodes: two-dimensional position sensing diodes that see light sources on the target plate.
 
+Two fixed sources serve a large rotation as wide as the diodes; many sources on a ring, lit one after another, extend it
+to full turns: the scan names the source that each diode sees, and the diode is handed over from one to the next.
+
 Source: thesis 5.3.2; diode offsets 7.4.4 (equations 7.2-7.4); light-source inclination, table 7.8.
 """
 
@@ -13,24 +16,37 @@ from pydantic import Field, model_validator
 
 from posor_estimator.core.calibration.quantity import FrozenModel, Quantity, measured
 from posor_estimator.core.fault import Fault
+from posor_estimator.core.kernels import diode as codes
 from posor_estimator.core.kernels import spot as kernel
-from posor_estimator.core.kernels.solve import SPOT_X, SPOT_Y
+from posor_estimator.core.kernels.rows import SPOT_X, SPOT_Y
+from posor_estimator.core.kernels.spot_map import spot_position
 from posor_estimator.core.scan import NO_SOURCE
-from posor_estimator.core.sensors.base import ROW_WIDTH, Linearised, Sensor, SensorCalibration
-from posor_estimator.core.sensors.spot_map import SpotMapCalibration, position, powers, slope
+from posor_estimator.core.sensors.base import Batch, RowSensor, SensorCalibration
 from posor_estimator.errors import CalibrationError, ScanError
 
 if TYPE_CHECKING:
     from posor_estimator.core.calibration.session import Session
-    from posor_estimator.core.scan import Scan
+    from posor_estimator.core.scan import Scan, Scans
+    from posor_estimator.core.sensors.spot_map import SpotMap
     from posor_estimator.core.types import FloatArray, IntArray
+
+_WRONG_COUNT = -1
+_WRONG_SOURCES = -2
+_WRONG_SOURCE = -3  # and below: of diode (code - _WRONG_SOURCE)
+
+
+def _unit(name: str, quantity: Quantity) -> None:
+    length = float(np.linalg.norm(quantity.array))
+    if abs(length - 1.0) > 1e-6:  # noqa: PLR2004
+        msg = f"{name} {quantity.value} has length {length:.9g}, expected a unit vector"
+        raise ValueError(msg)
 
 
 class DiodeCalibration(FrozenModel):
     """One diode on the receiving plate R: its plane and axes, its noise, and what counts as light.
 
-    ``noise`` is the standard deviation of the two ratios; ``minimum_sum`` is the least current A + C, and B + D, that
-    a lit source gives.
+    ``noise`` is the standard deviation of the two averaged ratios; ``minimum_sum`` is the least current A + C, and B +
+    D, that one lit source gives, ``maximum_sum`` the greatest: more means that two sources are lit.
     """
 
     name: str
@@ -39,14 +55,12 @@ class DiodeCalibration(FrozenModel):
     y_axis: Annotated[Quantity, measured("1", 3)]
     noise: Annotated[Quantity, measured("1", 2)]
     minimum_sum: Annotated[Quantity, measured("A")]
+    maximum_sum: Annotated[Quantity, measured("A")] | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        for name, axis in (("x_axis", self.x_axis), ("y_axis", self.y_axis)):
-            length = float(np.linalg.norm(axis.array))
-            if abs(length - 1.0) > 1e-6:  # noqa: PLR2004
-                msg = f"{name} {axis.value} has length {length:.9g}, expected a unit vector"
-                raise ValueError(msg)
+        _unit("x_axis", self.x_axis)
+        _unit("y_axis", self.y_axis)
         sine = float(np.linalg.norm(np.cross(self.x_axis.array, self.y_axis.array)))
         if sine < 0.5:  # noqa: PLR2004
             msg = f"x_axis and y_axis are nearly parallel (sine {sine:.3g}), expected axes near a right angle"
@@ -54,10 +68,16 @@ class DiodeCalibration(FrozenModel):
         if not np.all(self.noise.array > 0.0):
             msg = f"noise {self.noise.value}, expected more than 0"
             raise ValueError(msg)
-        if not self.minimum_sum.number > 0.0:
-            msg = f"minimum_sum {self.minimum_sum.value}, expected more than 0 A"
+        least, greatest = self.sums
+        if not 0.0 < least < greatest:
+            msg = f"minimum_sum {least:g} A, maximum_sum {greatest:g} A, expected 0 < minimum_sum < maximum_sum"
             raise ValueError(msg)
         return self
+
+    @property
+    def sums(self) -> tuple[float, float]:
+        """Least and greatest current sum [A]."""
+        return self.minimum_sum.number, math.inf if self.maximum_sum is None else self.maximum_sum.number
 
 
 class LightSourceCalibration(FrozenModel):
@@ -69,10 +89,7 @@ class LightSourceCalibration(FrozenModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        length = float(np.linalg.norm(self.direction.array))
-        if abs(length - 1.0) > 1e-6:  # noqa: PLR2004
-            msg = f"direction {self.direction.value} has length {length:.9g}, expected a unit vector"
-            raise ValueError(msg)
+        _unit("direction", self.direction)
         return self
 
 
@@ -81,9 +98,9 @@ class DiodesCalibration(SensorCalibration):
 
     type: Literal["diodes"]
     diodes: Annotated[list[DiodeCalibration], Field(min_length=1, max_length=4)]
-    light_sources: Annotated[list[LightSourceCalibration], Field(min_length=1, max_length=250)]
+    light_sources: Annotated[list[LightSourceCalibration], Field(min_length=1, max_length=NO_SOURCE)]
     map: str
-    maps: dict[str, list[SpotMapCalibration]]
+    maps: dict[str, list[SpotMap]]
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -116,28 +133,30 @@ class DiodesCalibration(SensorCalibration):
         return self.model_copy(update={"map": session.diode_map})
 
 
-class Diodes(Sensor):
-    """Diodes with their maps; two rows, x and y, for each diode."""
+class Diodes(RowSensor):
+    """Diodes with their maps; two rows, x and y, for each diode and each source that it may see."""
 
     def __init__(self, calibration: DiodesCalibration) -> None:
         """Take the parameters out of a validated calibration."""
         diodes, sources, maps = calibration.diodes, calibration.light_sources, calibration.maps[calibration.map]
         self._names = tuple(diode.name for diode in diodes)
-        self._noise = np.array([diode.noise.array for diode in diodes])
-        self._minimum_sums = np.array([diode.minimum_sum.number for diode in diodes])
-        self._centers = np.array([m.center.array for m in maps])
+        self._sources = len(sources)
+        self._noises = np.array([diode.noise.array for diode in diodes])
+        self._sums = np.array([diode.sums for diode in diodes])
         self._domains = np.array([m.domain.array for m in maps])
-        shape = tuple(max(m.x.array.shape[axis] for m in maps) for axis in (0, 1))
+        self._map_shapes = np.array([m.shape for m in maps])
+        self._frames = np.array([m.frame for m in maps])
+        longest = max(m.parameters[0].size for m in maps)
 
-        def padded(table: FloatArray) -> FloatArray:
-            return np.pad(table, [(0, shape[0] - table.shape[0]), (0, shape[1] - table.shape[1])])
+        def padded(parameters: FloatArray) -> FloatArray:
+            return np.pad(parameters, (0, longest - parameters.size))
 
         super().__init__(
             {
                 "origins": np.array([d.origin.array for d in diodes]),
                 "x_axes": np.array([d.x_axis.array for d in diodes]),
                 "y_axes": np.array([d.y_axis.array for d in diodes]),
-                "maps": np.array([[padded(m.x.array), padded(m.y.array)] for m in maps]),
+                "maps": np.array([padded(m.parameters[0]) for m in maps]),
                 "source_origins": np.array([s.origin.array for s in sources]),
                 "source_directions": np.array([s.direction.array for s in sources]),
             },
@@ -145,130 +164,115 @@ class Diodes(Sensor):
                 "origins": np.array([d.origin.sigmas for d in diodes]),
                 "x_axes": np.array([d.x_axis.sigmas for d in diodes]),
                 "y_axes": np.array([d.y_axis.sigmas for d in diodes]),
-                "maps": np.array([[padded(m.x.sigmas), padded(m.y.sigmas)] for m in maps]),
+                "maps": np.array([padded(m.parameters[1]) for m in maps]),
                 "source_origins": np.array([s.origin.sigmas for s in sources]),
                 "source_directions": np.array([s.direction.sigmas for s in sources]),
             },
         )
+
+    def _layout(self) -> tuple[IntArray, IntArray, FloatArray]:
+        # Row 2 (diode * sources + source) + axis.
+        count = len(self._names) * self._sources
+        ids = np.full((count, 2, kernel.PARAMETERS), -1, dtype=np.int64)
+        diode, source = np.divmod(np.arange(count), self._sources)
+        for name, start, which in (
+            ("origins", 0, diode),
+            ("x_axes", 3, diode),
+            ("y_axes", 6, diode),
+            ("source_origins", 9, source),
+            ("source_directions", 12, source),
+        ):
+            ids[:, :, start : start + 3] = self._ids(name)[which][:, None, :]
+        kinds = np.tile(np.array([SPOT_X, SPOT_Y], dtype=np.int64), count)
+        flat = ids.reshape(2 * count, -1)
+        return kinds, flat, np.zeros(flat.shape)
 
     @property
     def reading_names(self) -> tuple[str, ...]:
         """``spot x <diode>``, ``spot y <diode>`` for each diode."""
         return tuple(f"spot {axis} {name}" for name in self._names for axis in "xy")
 
-    @property
-    def kinds(self) -> IntArray:
-        """Two rows for each diode."""
-        return np.tile(np.array([SPOT_X, SPOT_Y], dtype=np.int64), len(self._names))
+    def _rows_of(self, lit: IntArray) -> IntArray:
+        """Return the pool's rows for lit sources (n, diodes), shape (n, 2 diodes)."""
+        pairs = np.arange(len(self._names)) * self._sources + lit
+        return np.asarray((2 * pairs[:, :, None] + np.arange(2)).reshape(len(lit), -1), dtype=np.int64)
 
-    def _lit(self, scan: Scan) -> tuple[int, ...]:
-        """Return the index of the source that each diode sees."""
-        count = len(self._parameters["source_origins"])
+    def _chosen(self, scan: Scan) -> IntArray:
+        return self._rows_of(np.array([scan.lit_sources], dtype=np.int64))[0]
+
+    def linearise(self, scans: Scans, batch: Batch, first: int, offset: int) -> IntArray:
+        """Write the spot positions x, y of each diode in turn [m]; see ``Sensor.linearise``."""
+        count = len(self._names)
+        if scans.diode_currents.shape[1:] != (count, 4):
+            return np.full(len(scans), _WRONG_COUNT, dtype=np.int64)
+        if scans.lit_sources.shape[1] != count:
+            return np.full(len(scans), _WRONG_SOURCES, dtype=np.int64)
+        known = (scans.lit_sources >= 0) & (scans.lit_sources < self._sources)
+        result = np.where(known.all(axis=1), 0, _WRONG_SOURCE - np.argmin(known, axis=1))
+        batch.chosen[:, first : first + 2 * count] = offset + self._rows_of(np.where(known, scans.lit_sources, 0))
+        maps = self._ids("maps")
+        codes.linearise_all(
+            np.ascontiguousarray(scans.diode_currents),
+            self._sums,
+            self._domains,
+            self._noises,
+            self._map_shapes,
+            self._frames,
+            self._values[maps],
+            self._sigmas[maps],
+            batch.values,
+            batch.variances,
+            batch.systematic,
+            first,
+            result,
+        )
+        return result
+
+    def explain(self, scan: Scan, code: int) -> ScanError:  # noqa: PLR0911  one sentence for each code
+        """Return what a code of ``linearise`` means."""
         where = f"scan {scan.number}"
-        if len(scan.lit_sources) != len(self._names):
-            raise ScanError(
-                f"{len(scan.lit_sources)} lit sources",
-                fault=Fault.SOURCE,
-                where=where,
-                expected=f"{len(self._names)}, one for each diode",
+        count = len(self._names)
+        if code == _WRONG_COUNT:
+            what = f"{scan.diode_currents.size} contact currents"
+            return ScanError(what, fault=Fault.BAD_READING, where=where, expected=f"{4 * count}")
+        if code == _WRONG_SOURCES:
+            what = f"{len(scan.lit_sources)} lit sources"
+            return ScanError(what, fault=Fault.SOURCE, where=where, expected=f"{count}, one for each diode")
+        if code <= _WRONG_SOURCE:
+            diode = _WRONG_SOURCE - code
+            lit = scan.lit_sources[diode]
+            what = "no light source was lit" if lit == NO_SOURCE else f"light source {lit} is unknown"
+            where = f"{where}, diode {self._names[diode]}"
+            return ScanError(what, fault=Fault.SOURCE, where=where, expected=f"a source from 0 to {self._sources - 1}")
+        diode, what_code = divmod(code, codes.CODES)
+        where = f"{where}, diode {self._names[diode]}"
+        a, b, c, d = (float(current) for current in scan.diode_currents[diode])
+        if what_code == codes.NOT_FINITE:
+            what = f"contact currents {a}, {b}, {c}, {d}"
+            return ScanError(what, fault=Fault.BAD_READING, where=where, expected="finite currents")
+        least, greatest = self._sums[diode]
+        sums = f"A + C = {a + c:.3g} A, B + D = {b + d:.3g} A"
+        if what_code == codes.DARK:
+            what = f"too dark, {sums}"
+            return ScanError(what, fault=Fault.DARK_DIODE, where=where, expected=f"at least {least:.3g} A")
+        if what_code == codes.BRIGHT:
+            what = f"too bright for one light source, {sums}"
+            return ScanError(what, fault=Fault.SOURCE, where=where, expected=f"at most {greatest:.3g} A")
+        axis = what_code - codes.OUTSIDE_X
+        ratio = ((a - c) / (a + c), (b - d) / (b + d))[axis]
+        low, high = self._domains[diode][axis]
+        what = f"{'xy'[axis]} ratio {ratio:.6g} is outside the calibrated map"
+        return ScanError(what, fault=Fault.OUT_OF_RANGE, where=where, expected=f"{low:g} to {high:g}")
+
+    def _linearisation_jacobian(self, scan: Scan) -> FloatArray:
+        out = np.zeros((2 * len(self._names), self._values.size))
+        position, slope = np.empty(2), np.empty((2, 2))
+        for i, ids in enumerate(self._ids("maps")):
+            a, b, c, d = scan.diode_currents[i]
+            ratios = np.array([(a - c) / (a + c), (b - d) / (b + d)])
+            by_parameter = np.zeros((2, ids.size))
+            spot_position(
+                self._map_shapes[i], self._frames[i], self._values[ids], ratios, position, slope, by_parameter
             )
-        for name, lit in zip(self._names, scan.lit_sources, strict=True):
-            if lit == NO_SOURCE:
-                raise ScanError("no light source was lit", fault=Fault.SOURCE, where=f"{where}, diode {name}")
-            if not 0 <= lit < count:
-                raise ScanError(
-                    f"light source {lit}",
-                    fault=Fault.SOURCE,
-                    where=f"{where}, diode {name}",
-                    expected=f"0 to {count - 1}",
-                )
-        return scan.lit_sources
-
-    def rows(self, scan: Scan) -> FloatArray:
-        """Return the geometry rows for the sources that this scan lit, shape (2 x diodes, ROW_WIDTH)."""
-        p = self._parameters
-        rows = np.zeros((2 * len(self._names), ROW_WIDTH))
-        for i, lit in enumerate(self._lit(scan)):
-            for row in rows[2 * i : 2 * i + 2]:
-                row[0:3] = p["origins"][i]
-                row[3:6] = p["x_axes"][i]
-                row[6:9] = p["y_axes"][i]
-                row[9:12] = p["source_origins"][lit]
-                row[12:15] = p["source_directions"][lit]
-        return rows
-
-    def _centred_ratios(self, scan: Scan) -> FloatArray:
-        """Return each diode's current ratios minus the map's centre, shape (diodes, 2)."""
-        where = f"scan {scan.number}"
-        currents = scan.diode_currents
-        if currents.shape != (len(self._names), 4):
-            raise ScanError(
-                f"{currents.size} contact currents",
-                fault=Fault.BAD_READING,
-                where=where,
-                expected=f"{4 * len(self._names)}",
-            )
-        ratios = np.empty((len(self._names), 2))
-        for i, name in enumerate(self._names):
-            here = f"{where}, diode {name}"
-            a, b, c, d = (float(current) for current in currents[i])
-            if not all(map(math.isfinite, (a, b, c, d))):
-                raise ScanError(
-                    f"contact currents {a}, {b}, {c}, {d}",
-                    fault=Fault.BAD_READING,
-                    where=here,
-                    expected="finite currents",
-                )
-            least = self._minimum_sums[i]
-            for contacts, total in (("A + C", a + c), ("B + D", b + d)):
-                if not total >= least:
-                    raise ScanError(
-                        f"{contacts} = {total:.3g} A is too dark",
-                        fault=Fault.DARK_DIODE,
-                        where=here,
-                        expected=f"at least {least:.3g} A",
-                    )
-            ratios[i] = (a - c) / (a + c), (b - d) / (b + d)
-            for axis, ratio, (low, high) in zip("xy", ratios[i], self._domains[i], strict=True):
-                if not low <= ratio <= high:
-                    raise ScanError(
-                        f"{axis} ratio {ratio:.6g} is outside the calibrated map",
-                        fault=Fault.OUT_OF_RANGE,
-                        where=here,
-                        expected=f"{low:g} to {high:g}",
-                    )
-        return np.asarray(ratios - self._centers)
-
-    def linearise(self, scan: Scan) -> Linearised:
-        """Return the spot positions x, y of each diode in turn [m] and their variances [m^2]."""
-        maps = self._parameters["maps"]
-        values, variances = [], []
-        for i, (u, v) in enumerate(self._centred_ratios(scan)):
-            values.append(position(maps[i], u, v))
-            variances.append(np.square(slope(maps[i], u, v)) @ np.square(self._noise[i]))
-        return Linearised(np.concatenate(values), np.concatenate(variances))
-
-    def residual_jacobian(self, scan: Scan, rotation: FloatArray, translation: FloatArray) -> FloatArray:
-        """Return d(spot read - spot predicted)/d(parameter), shape (2 x diodes, p)."""
-        rows = self.rows(scan)
-        centred = self._centred_ratios(scan)
-        maps = self._parameters["maps"]
-        out = np.zeros((len(rows), self._sigmas.size))
-        geometry = np.empty(kernel.PARAMETERS)
-        size = maps[0, 0].size
-        for r, row in enumerate(rows):
-            i, axis = divmod(r, 2)
-            lit = scan.lit_sources[i]
-            kernel.spot_parameters(row, rotation, translation, axis, geometry)
-            for name, index, start in (
-                ("origins", i, 0),
-                ("x_axes", i, 3),
-                ("y_axes", i, 6),
-                ("source_origins", lit, 9),
-                ("source_directions", lit, 12),
-            ):
-                out[r, self._slices[name]][3 * index : 3 * index + 3] = -geometry[start : start + 3]
-            u, v = centred[i]
-            basis = np.outer(powers(u, maps.shape[2]), powers(v, maps.shape[3]))
-            out[r, self._slices["maps"]][size * r : size * (r + 1)] = basis.ravel()
+            out[2 * i : 2 * i + 2, ids] = by_parameter
         return out

@@ -1,32 +1,45 @@
-"""From the ratios of a lateral effect diode's contact currents to the light spot's position on the diode.
+"""Maps from the ratios of a diode's contact currents to the light spot's position, as calibration files give them.
 
-The ratios are ``(A - C)/(A + C)`` along x and ``(B - D)/(B + D)`` along y. A map is a pair of two-dimensional
-polynomials in the ratios' distance from a centre: ``x = sum_ij X_ij u^i v^j``, ``y`` likewise, valid in a box.
+The ratios are ``(A - C)/(A + C)`` along x and ``(B - D)/(B + D)`` along y. What each kind means, and the order of its
+parameters, is told in ``kernels.spot_map``.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 import numpy as np
-from numpy.polynomial import polynomial
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from posor_estimator.core.calibration.quantity import ANY, FrozenModel, Quantity, measured
+from posor_estimator.core.kernels.spot_map import CHEBYSHEV, CURVES, POWER
 
 if TYPE_CHECKING:
-    from posor_estimator.core.types import FloatArray
+    from posor_estimator.core.types import FloatArray, IntArray
 
 
-class SpotMapCalibration(FrozenModel):
-    """A polynomial map of one diode.
+class MapDomain(FrozenModel):
+    """What all maps have: the calibrated box of the ratios, [[lowest, highest] of x, [lowest, highest] of y]."""
 
-    ``x`` and ``y`` are tables of coefficients, entry [i][j] multiplies ``u^i v^j`` with (u, v) = ratios - center;
-    ``domain`` is the calibrated box of the ratios, [[lowest, highest] of x, [lowest, highest] of y].
+    domain: Annotated[Quantity, measured("1", 2, 2)]
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if not np.all(self.domain.array[:, 0] < self.domain.array[:, 1]):
+            msg = f"domain {self.domain.value}, expected [lowest, highest] for each ratio"
+            raise ValueError(msg)
+        return self
+
+
+class TensorMap(MapDomain):
+    """Two tables of coefficients: entry [i][j] multiplies function i of the x ratio and function j of the y ratio.
+
+    ``polynomial``: powers of the ratios' distance from ``center``. ``chebyshev``: Chebyshev polynomials of the ratios
+    scaled so that the domain becomes [-1, 1]; smooth, and the better conditioned the higher the order.
     """
 
-    center: Annotated[Quantity, measured("1", 2)]
-    domain: Annotated[Quantity, measured("1", 2, 2)]
+    kind: Literal["polynomial", "chebyshev"]
+    center: Annotated[Quantity, measured("1", 2)] | None = None
     x: Annotated[Quantity, measured("m", ANY, ANY)]
     y: Annotated[Quantity, measured("m", ANY, ANY)]
 
@@ -35,24 +48,77 @@ class SpotMapCalibration(FrozenModel):
         if self.x.array.shape != self.y.array.shape:
             msg = f"x has {self.x.array.shape} coefficients and y {self.y.array.shape}, expected the same shape"
             raise ValueError(msg)
-        if not np.all(self.domain.array[:, 0] < self.domain.array[:, 1]):
-            msg = f"domain {self.domain.value}, expected [lowest, highest] for each ratio"
+        if (self.kind == "polynomial") != (self.center is not None):
+            msg = f"map of kind {self.kind} {'without' if self.center is None else 'with'} center, expected center for "
+            msg += "polynomial only; chebyshev takes the middle of its domain"
             raise ValueError(msg)
         return self
 
+    @property
+    def shape(self) -> IntArray:
+        """Kind and lengths of the tables, see ``kernels.spot_map.spot_position``."""
+        return np.array([POWER if self.kind == "polynomial" else CHEBYSHEV, *self.x.array.shape], dtype=np.int64)
 
-def powers(value: float, count: int) -> FloatArray:
-    """Return ``value^0 ... value^(count-1)``."""
-    return np.asarray(value ** np.arange(count), dtype=float)
+    @property
+    def frame(self) -> FloatArray:
+        """Centre and scale of the ratios, shape (4,)."""
+        if self.center is not None:
+            return np.array([*self.center.array, 1.0, 1.0])
+        box = self.domain.array
+        return np.concatenate([box.mean(axis=1), 0.5 * (box[:, 1] - box[:, 0])])
+
+    @property
+    def parameters(self) -> tuple[FloatArray, FloatArray]:
+        """Values and standard uncertainties, shape (p,) each."""
+        return (
+            np.concatenate([self.x.array.ravel(), self.y.array.ravel()]),
+            np.concatenate([self.x.sigmas.ravel(), self.y.sigmas.ravel()]),
+        )
 
 
-def position(coefficients: FloatArray, u: float, v: float) -> FloatArray:
-    """Return (x, y) [m] of coefficients of shape (2, i, j) at centred ratios (u, v)."""
-    return np.asarray(coefficients @ powers(v, coefficients.shape[2]) @ powers(u, coefficients.shape[1]))
+class CurvesMap(MapDomain):
+    """The map of 1985 (thesis 7.4.3): polynomials along lines, linear weighting between them, fixed-point iteration.
+
+    ``x_curves`` [i][k] is the coefficient of (x ratio)^k in x [m] on the line y = ``x_curves_at``[i]; ``y_curves``
+    likewise for y of the y ratio on the lines x = ``y_curves_at``[i].
+    """
+
+    kind: Literal["curves"]
+    x_curves: Annotated[Quantity, measured("m", ANY, ANY)]
+    x_curves_at: Annotated[Quantity, measured("m", ANY)]
+    y_curves: Annotated[Quantity, measured("m", ANY, ANY)]
+    y_curves_at: Annotated[Quantity, measured("m", ANY)]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.x_curves.array.shape != self.y_curves.array.shape:
+            msg = f"x_curves {self.x_curves.array.shape} and y_curves {self.y_curves.array.shape}, expected one shape"
+            raise ValueError(msg)
+        count = self.x_curves.array.shape[0]
+        for name, at in (("x_curves_at", self.x_curves_at), ("y_curves_at", self.y_curves_at)):
+            if at.array.size != count or count < 2 or not np.all(np.diff(at.array) > 0.0):  # noqa: PLR2004
+                msg = f"{name} {at.value}, expected {count} ascending positions, two or more, one for each curve"
+                raise ValueError(msg)
+        return self
+
+    @property
+    def shape(self) -> IntArray:
+        """Kind, number of curves and of coefficients."""
+        return np.array([CURVES, *self.x_curves.array.shape], dtype=np.int64)
+
+    @property
+    def frame(self) -> FloatArray:
+        """Not used by this kind: the ratios are taken as they are."""
+        return np.array([0.0, 0.0, 1.0, 1.0])
+
+    @property
+    def parameters(self) -> tuple[FloatArray, FloatArray]:
+        """Values and standard uncertainties, shape (p,) each."""
+        parts = (self.x_curves, self.y_curves, self.x_curves_at, self.y_curves_at)
+        return (
+            np.concatenate([part.array.ravel() for part in parts]),
+            np.concatenate([part.sigmas.ravel() for part in parts]),
+        )
 
 
-def slope(coefficients: FloatArray, u: float, v: float) -> FloatArray:
-    """Return d(x, y)/d(u, v) [m], shape (2, 2)."""
-    by_u = np.asarray(polynomial.polyder(coefficients, axis=1), dtype=float)
-    by_v = np.asarray(polynomial.polyder(coefficients, axis=2), dtype=float)
-    return np.column_stack([position(by_u, u, v), position(by_v, u, v)])
+SpotMap = Annotated[TensorMap | CurvesMap, Field(discriminator="kind")]

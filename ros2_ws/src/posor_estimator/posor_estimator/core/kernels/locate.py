@@ -1,0 +1,446 @@
+"""Scan after scan: solve, judge, remember. The same loop serves one scan at servo rate and a whole bag.
+
+What is remembered between scans is one flat array (``MEMORY``), so that a run can stop anywhere, ask its caller for a
+start pose, and go on.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from posor_estimator.core.compiled import compiled
+from posor_estimator.core.kernels.judge import chi_square, covariances, reading_covariance
+from posor_estimator.core.kernels.rows import AFFINE, GAP, SPOT_X, SPOT_Y
+from posor_estimator.core.kernels.solve import CONVERGED, ILL_CONDITIONED, gauss_newton
+
+if TYPE_CHECKING:
+    from posor_estimator.core.types import FloatArray, IntArray
+
+OK, DEGRADED, LOST, UNCOUNTED = 0, 1, 2, 3
+
+FAULT_NOT_CONVERGED = 8
+FAULT_ILL_CONDITIONED = 16
+FAULT_RESIDUAL = 32
+FAULT_INNOVATION = 64
+FAULT_COUNT = 256
+
+# Layout of the memory.
+KNOWN = 0  # 1 where there is a last pose
+STAMP = 1  # its time [s], relative to the run's epoch
+THETA = 2  # its theta [rad], turns counted
+RATE = 3  # of theta [rad/s]
+COUNTED = 4  # 1 where theta is counted from the home mark, or needs no count
+GIVEN = 5  # 1 where the caller has just given the last pose as a start
+ROTATION = 6  # nine entries, row by row
+TRANSLATION = 15  # three entries [m]
+MEMORY = 18
+
+# Layout of the settings.
+LIMIT = 0  # largest chi-square of the redundant readings
+MOTION_TRANSLATION = 1  # fastest the target moves across [m/s]; infinite: not limited
+MOTION_LEAN = 2  # fastest it leans [rad/s]
+MOTION_THETA = 3  # fastest it turns [rad/s]
+BUMP = 4  # angle of one bump [rad]; zero: theta is not counted
+HOME = 5  # theta of the home mark [rad]
+LAGGING = 6  # 1: tilts are turned by the theta of the scan before
+SETTINGS = 7
+
+TURN_SETTLED = 1e-14
+NOISE_ALLOWANCE = 5.0
+"""Standard deviations of noise that may come on top of the largest motion before a jump is a fault."""
+SINGULAR = 1e-10
+"""Below this share (``kernels.cholesky``) of an unknown that the others do not explain, there is no pose."""
+WEAK = 1e-4
+"""Below this share the last pose is called in to carry the blind direction: its uncertainty is 100 times the usual."""
+
+
+@compiled
+def wrapped(angle: float) -> float:
+    """Return the angle [rad] in [-pi, pi)."""
+    return angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
+
+
+@compiled
+def theta_of(rotation: FloatArray) -> float:
+    """Return the heading of the Y axis of T in R [rad] (``core.native``)."""
+    return math.atan2(-rotation[0, 1], rotation[1, 1])
+
+
+@compiled
+def solve_scan(
+    kinds: IntArray,
+    rows: FloatArray,
+    values: FloatArray,
+    weights: FloatArray,
+    rotation: FloatArray,
+    translation: FloatArray,
+    jacobian: FloatArray,
+    residuals: FloatArray,
+    least_share: float,
+    lag_from: float,
+) -> int:
+    """Solve one scan; where ``lag_from`` is a number, with the tilts turned as at that theta (``TiltAngle``)."""
+    moved = np.empty(6)
+    turn = 0.0
+    while True:
+        outcome = gauss_newton(
+            kinds, rows, values, weights, rotation, translation, jacobian, residuals, moved, least_share
+        )
+        if outcome != CONVERGED or not math.isfinite(lag_from):
+            return outcome
+        change = wrapped(lag_from - theta_of(rotation)) - turn
+        if abs(change) < TURN_SETTLED:
+            return outcome
+        turn += change
+        for r in range(kinds.shape[0]):
+            if kinds[r] == GAP:
+                rows[r, 11] = turn
+            elif kinds[r] in (SPOT_X, SPOT_Y):
+                rows[r, 15] = turn
+
+
+@compiled
+def recall(memory: FloatArray, rotation: FloatArray, translation: FloatArray) -> None:
+    """Write the last pose into ``rotation`` and ``translation``."""
+    for i in range(3):
+        translation[i] = memory[TRANSLATION + i]
+        for j in range(3):
+            rotation[i, j] = memory[ROTATION + 3 * i + j]
+
+
+@compiled
+def remember(memory: FloatArray, rotation: FloatArray, translation: FloatArray) -> None:
+    """Keep a pose as the last one."""
+    for i in range(3):
+        memory[TRANSLATION + i] = translation[i]
+        for j in range(3):
+            memory[ROTATION + 3 * i + j] = rotation[i, j]
+
+
+@compiled
+def start_from_memory(
+    stamp: float, settings: FloatArray, memory: FloatArray, rotation: FloatArray, translation: FloatArray
+) -> None:
+    """Write the start for a scan: the last pose, for a counted theta turned on at the last rate."""
+    recall(memory, rotation, translation)
+    if settings[BUMP] > 0.0 and memory[GIVEN] == 0.0:
+        turn_about_z(rotation, memory[RATE] * (stamp - memory[STAMP]))
+
+
+@compiled
+def prior_rows(
+    kinds: IntArray,
+    rows: FloatArray,
+    values: FloatArray,
+    weights: FloatArray,
+    first: int,
+    settings: FloatArray,
+    elapsed: float,
+) -> None:
+    """Make rows ``first`` to ``first + 6`` say that the pose is at the start, as surely as the target moves slowly."""
+    for i in range(6):
+        kinds[first + i] = AFFINE
+        values[first + i] = 0.0
+        for k in range(rows.shape[1]):
+            rows[first + i, k] = 0.0
+        rows[first + i, 1 + i] = 1.0
+        rate = settings[MOTION_TRANSLATION] if i < 3 else settings[MOTION_LEAN]  # noqa: PLR2004  translation first
+        if i == 5:  # noqa: PLR2004  about Z
+            rate = settings[MOTION_THETA]
+        weights[first + i] = 1.0 / (rate * elapsed) ** 2
+
+
+@compiled
+def motion_faults(
+    settings: FloatArray,
+    elapsed: float,
+    random: FloatArray,
+    rotation: FloatArray,
+    translation: FloatArray,
+    memory: FloatArray,
+) -> int:
+    """Return the fault of a pose that is further from the last one than the target can have moved."""
+    before = np.empty((3, 3))
+    where = np.empty(3)
+    recall(memory, before, where)
+    across = 0.0
+    for i in range(3):
+        allowed = settings[MOTION_TRANSLATION] * elapsed + NOISE_ALLOWANCE * math.sqrt(2.0 * random[i, i])
+        across = max(across, abs(translation[i] - where[i]) / allowed)
+    for i in range(2):
+        leaned = abs(rotation[i, 2] - before[i, 2])
+        spread = random[4, 4] if i == 0 else random[3, 3]
+        across = max(across, leaned / (settings[MOTION_LEAN] * elapsed + NOISE_ALLOWANCE * math.sqrt(2.0 * spread)))
+    turned = abs(wrapped(theta_of(rotation) - theta_of(before)))
+    allowed = settings[MOTION_THETA] * elapsed + NOISE_ALLOWANCE * math.sqrt(2.0 * random[5, 5])
+    across = max(across, turned / allowed)
+    return FAULT_INNOVATION if across > 1.0 else 0
+
+
+@compiled
+def bumps_off(theta: float, settings: FloatArray) -> float:
+    """Return by how many whole bumps the counted theta misses the home mark's, a turn being no miss."""
+    bump = settings[BUMP]
+    per_turn = round(2.0 * math.pi / bump)
+    off = float(round((theta - settings[HOME]) / bump))
+    return float(off - per_turn * math.floor(off / per_turn + 0.5))
+
+
+@compiled
+def turn_about_z(rotation: FloatArray, angle: float) -> None:
+    """Turn a pose's rotation about the target's own Z by ``angle`` [rad], in place."""
+    c, s = math.cos(angle), math.sin(angle)
+    for i in range(3):
+        x, y = rotation[i, 0], rotation[i, 1]
+        rotation[i, 0] = c * x + s * y
+        rotation[i, 1] = c * y - s * x
+
+
+@compiled
+def locate_scan(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in order, to be compiled
+    kinds: IntArray,
+    rows: FloatArray,
+    ids: IntArray,
+    sigmas: FloatArray,
+    values: FloatArray,
+    variances: FloatArray,
+    systematic_readings: FloatArray,
+    parameters: int,
+    stamp: float,
+    at_home: bool,  # noqa: FBT001  kernels take no keywords
+    settings: FloatArray,
+    memory: FloatArray,
+    rotation: FloatArray,
+    translation: FloatArray,
+    random: FloatArray,
+    systematic: FloatArray,
+    figures: FloatArray,
+) -> tuple[int, int]:
+    """Locate one scan and update ``memory`` with it.
+
+    Args:
+        kinds: Kind of each row, shape (m + 6,); the last six are room for the prior.
+        rows: Parameters of each row, shape (m + 6, width).
+        ids: See ``reading_covariance``, shape (m, width).
+        sigmas: See ``reading_covariance``, shape (m, width).
+        values: Linearised readings [m], shape (m + 6,).
+        variances: Their variances from noise [m^2], shape (m,).
+        systematic_readings: Covariance of the readings from the linearisation's parameters, shape (m, m); the
+            geometry's is added to it.
+        parameters: Number of the POSOR's geometry parameters.
+        stamp: Time of the scan [s].
+        at_home: Whether the scan saw the home mark.
+        settings: See the module.
+        memory: See the module.
+        rotation: Start and result, shape (3, 3).
+        translation: Start and result [m], shape (3,).
+        random: Random covariance to write, shape (6, 6).
+        systematic: Systematic covariance to write, shape (6, 6).
+        figures: Chi-square and counted theta [rad] to write, shape (2,).
+
+    Returns:
+        State and faults.
+
+    """
+    m = variances.shape[0]
+    elapsed = stamp - memory[STAMP]
+    moving = memory[KNOWN] > 0.0 and memory[GIVEN] == 0.0
+    counting = settings[BUMP] > 0.0
+    weights = np.empty(m + 6)
+    for r in range(m):
+        weights[r] = 1.0 / variances[r]
+    jacobian = np.empty((m + 6, 6))
+    residuals = np.empty(m + 6)
+    start_rotation = rotation.copy()
+    start_translation = translation.copy()
+    before = np.empty((3, 3))
+    recall(memory, before, np.empty(3))
+    predicted = theta_of(rotation)
+    lag_from = theta_of(before) if settings[LAGGING] > 0.0 and moving else math.nan
+    carried = moving and settings[MOTION_TRANSLATION] < math.inf
+    used = m
+    faults = 0
+    least = WEAK if carried else SINGULAR
+    outcome = solve_scan(
+        kinds[:m],
+        rows[:m],
+        values[:m],
+        weights[:m],
+        rotation,
+        translation,
+        jacobian[:m],
+        residuals[:m],
+        least,
+        lag_from,
+    )
+    if outcome == ILL_CONDITIONED and carried:
+        # Blind in some direction: the last pose, as uncertain as the target can have moved since, carries it over.
+        rotation[:, :] = start_rotation
+        translation[:] = start_translation
+        used = m + 6
+        prior_rows(kinds, rows, values, weights, m, settings, elapsed)
+        outcome = solve_scan(
+            kinds, rows, values, weights, rotation, translation, jacobian, residuals, SINGULAR, lag_from
+        )
+        faults |= FAULT_ILL_CONDITIONED
+    if outcome != CONVERGED:
+        memory[KNOWN] = 0.0
+        memory[COUNTED] = 0.0
+        return LOST, FAULT_ILL_CONDITIONED if outcome == ILL_CONDITIONED else FAULT_NOT_CONVERGED
+    recounted = False
+    if counting and at_home:
+        off = bumps_off(theta_of(rotation), settings)
+        if off != 0.0:
+            recounted = True
+            if memory[COUNTED] > 0.0:
+                faults |= FAULT_COUNT
+            turn_about_z(rotation, -off * settings[BUMP])
+            outcome = solve_scan(
+                kinds[:m],
+                rows[:m],
+                values[:m],
+                weights[:m],
+                rotation,
+                translation,
+                jacobian[:m],
+                residuals[:m],
+                SINGULAR,
+                math.nan,
+            )
+            used = m
+            if outcome != CONVERGED:
+                memory[KNOWN] = 0.0
+                memory[COUNTED] = 0.0
+                return LOST, faults | FAULT_NOT_CONVERGED
+        memory[COUNTED] = 1.0
+    reading_covariance(kinds[:m], rows[:m], ids, sigmas, rotation, translation, parameters, systematic_readings)
+    whole = np.zeros((used, used))
+    whole[:m, :m] = systematic_readings
+    covariances(jacobian[:used], weights[:used], whole, rotation, random, systematic)
+    figures[0] = 0.0
+    if m > 6 and used == m:  # noqa: PLR2004  six unknowns
+        figures[0] = chi_square(jacobian[:m], weights[:m], residuals[:m], systematic_readings)
+    if not figures[0] <= settings[LIMIT]:
+        faults |= FAULT_RESIDUAL
+    if moving and not recounted:
+        faults |= motion_faults(settings, elapsed, random, rotation, translation, memory)
+        reach = max(abs(memory[RATE]) * elapsed, abs(wrapped(theta_of(rotation) - predicted)))
+        if counting and reach > 0.25 * settings[BUMP]:
+            faults |= FAULT_COUNT
+            memory[COUNTED] = 0.0
+    if faults & (FAULT_RESIDUAL | FAULT_INNOVATION):
+        return LOST, faults
+    figures[1] = theta_of(rotation)
+    if memory[KNOWN] > 0.0:
+        figures[1] = memory[THETA] + wrapped(figures[1] - memory[THETA])
+    if moving and not recounted:
+        memory[RATE] = (figures[1] - memory[THETA]) / elapsed
+    memory[KNOWN] = 1.0
+    memory[GIVEN] = 0.0
+    memory[STAMP] = stamp
+    memory[THETA] = figures[1]
+    remember(memory, rotation, translation)
+    if counting and memory[COUNTED] == 0.0:
+        return UNCOUNTED, faults
+    return DEGRADED if faults else OK, faults
+
+
+@compiled
+def restart_if_back(stamp: float, memory: FloatArray) -> None:
+    """Forget the last pose where time has not gone on: a replay has started over."""
+    if memory[KNOWN] > 0.0 and memory[GIVEN] == 0.0 and not stamp > memory[STAMP]:
+        memory[KNOWN] = 0.0
+        memory[COUNTED] = 0.0
+
+
+@compiled
+def deserves_retry(state: int, fault: int, warm: bool) -> bool:  # noqa: FBT001  kernels take no keywords
+    """Return whether a lost scan may have been lost because it started from a last pose that was far away."""
+    return warm and state == LOST and fault & (FAULT_RESIDUAL | FAULT_NOT_CONVERGED) != 0
+
+
+@compiled
+def locate_scans(
+    pool_kinds: IntArray,
+    pool: FloatArray,
+    pool_ids: IntArray,
+    pool_sigmas: FloatArray,
+    chosen: IntArray,
+    values: FloatArray,
+    variances: FloatArray,
+    systematic_readings: FloatArray,
+    fit: IntArray,
+    parameters: int,
+    stamps: FloatArray,
+    at_home: IntArray,
+    settings: FloatArray,
+    memory: FloatArray,
+    begin: int,
+    end: int,
+    states: IntArray,
+    faults: IntArray,
+    rotations: FloatArray,
+    translations: FloatArray,
+    random: FloatArray,
+    systematic: FloatArray,
+    figures: FloatArray,
+) -> int:
+    """Locate scans ``begin`` to ``end``, as far as no start is wanted.
+
+    Row r of scan n is entry ``chosen[n, r]`` of the pool of rows. Scans with ``fit`` zero have been refused by the
+    linearisation and are passed over. Shapes: scans n, rows m, pool K, width W.
+
+    Returns:
+        ``end`` when done; n where scan n needs a start pose in the memory; ``-1 - n`` where scan n failed
+        from the last pose and deserves another try from a fresh start.
+
+    """
+    m = values.shape[1]
+    width = pool.shape[1]
+    kinds = np.empty(m + 6, dtype=np.int64)
+    rows = np.zeros((m + 6, width))
+    ids = np.empty((m, width), dtype=np.int64)
+    sigmas = np.empty((m, width))
+    readings = np.empty(m + 6)
+    for n in range(begin, end):
+        if fit[n] == 0:
+            continue
+        restart_if_back(stamps[n], memory)
+        if memory[KNOWN] == 0.0:
+            return n
+        for r in range(m):
+            k = chosen[n, r]
+            kinds[r] = pool_kinds[k]
+            rows[r] = pool[k]
+            ids[r] = pool_ids[k]
+            sigmas[r] = pool_sigmas[k]
+            readings[r] = values[n, r]
+        warm = memory[GIVEN] == 0.0
+        start_from_memory(stamps[n], settings, memory, rotations[n], translations[n])
+        state, fault = locate_scan(
+            kinds,
+            rows,
+            ids,
+            sigmas,
+            readings,
+            variances[n],
+            systematic_readings[n],
+            parameters,
+            stamps[n],
+            at_home[n] != 0,
+            settings,
+            memory,
+            rotations[n],
+            translations[n],
+            random[n],
+            systematic[n],
+            figures[n],
+        )
+        states[n] = state
+        faults[n] = fault
+        if deserves_retry(state, fault, warm):
+            return -1 - n
+    return end

@@ -1,0 +1,193 @@
+"""From the ratios of a diode's contact currents to the spot's position on the diode, by a two-dimensional map.
+
+Two kinds of map:
+
+* TENSOR: ``x = sum_ij X_ij B_i(u) B_j(v)``, y likewise, with (u, v) = (ratios - center) / scale and B the powers or the
+  Chebyshev polynomials. Parameters: all X_ij, then all Y_ij (row by row).
+* CURVES, the map of 1985 (thesis 7.4.3): x is a polynomial of the x ratio on each of n lines of constant y, y one of
+  the y ratio on each of n lines of constant x; between neighbouring lines the curves are weighted linearly, and since
+  each coordinate needs the other, both are found by fixed-point iteration. Parameters: coefficients of the n curves of
+  x, of the n curves of y, positions in y of the curves of x, positions in x of the curves of y (positions ascending).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from posor_estimator.core.compiled import compiled
+
+if TYPE_CHECKING:
+    from posor_estimator.core.types import FloatArray, IntArray
+
+POWER = 0
+CHEBYSHEV = 1
+CURVES = 2
+
+INSIDE = 0
+OUTSIDE_X = 1
+OUTSIDE_Y = 2
+
+_ROUNDS = 60
+_SETTLED_M = 1e-15
+
+
+@compiled
+def _basis(kind: int, value: float, functions: FloatArray, slopes: FloatArray) -> None:
+    """Write the basis functions and their derivatives at ``value`` into the two arrays (n)."""
+    for i in range(functions.shape[0]):
+        if i == 0:
+            functions[i], slopes[i] = 1.0, 0.0
+        elif i == 1:
+            functions[i], slopes[i] = value, 1.0
+        elif kind == POWER:
+            functions[i], slopes[i] = functions[i - 1] * value, i * functions[i - 1]
+        else:
+            functions[i] = 2.0 * value * functions[i - 1] - functions[i - 2]
+            slopes[i] = 2.0 * functions[i - 1] + 2.0 * value * slopes[i - 1] - slopes[i - 2]
+
+
+@compiled
+def _tensor(
+    kind: int,
+    shape: IntArray,
+    frame: FloatArray,
+    parameters: FloatArray,
+    ratios: FloatArray,
+    position: FloatArray,
+    slope: FloatArray,
+    by_parameter: FloatArray,
+) -> None:
+    n, m = shape[1], shape[2]
+    fu, du = np.empty(n), np.empty(n)
+    fv, dv = np.empty(m), np.empty(m)
+    _basis(kind, (ratios[0] - frame[0]) / frame[2], fu, du)
+    _basis(kind, (ratios[1] - frame[1]) / frame[3], fv, dv)
+    for axis in range(2):
+        position[axis] = 0.0
+        slope[axis, 0] = 0.0
+        slope[axis, 1] = 0.0
+        for i in range(n):
+            for j in range(m):
+                k = (axis * n + i) * m + j
+                position[axis] += parameters[k] * fu[i] * fv[j]
+                slope[axis, 0] += parameters[k] * du[i] * fv[j] / frame[2]
+                slope[axis, 1] += parameters[k] * fu[i] * dv[j] / frame[3]
+                by_parameter[axis, k] = fu[i] * fv[j]
+
+
+@compiled
+def _curve(parameters: FloatArray, start: int, order: int, ratio: float) -> tuple[float, float]:
+    """Return the polynomial whose coefficients begin at ``start``, and its slope."""
+    value = 0.0
+    slope = 0.0
+    for k in range(order - 1, -1, -1):
+        slope = slope * ratio + value
+        value = value * ratio + parameters[start + k]
+    return value, slope
+
+
+@compiled
+def _between(parameters: FloatArray, start: int, count: int, where: float) -> int:
+    """Return the interval of the ascending positions at ``start`` that holds ``where``, the end ones for outside."""
+    i = 0
+    while i < count - 2 and where > parameters[start + i + 1]:
+        i += 1
+    return i
+
+
+@compiled
+def _curves(  # noqa: C901  one loop over plain numbers, to be compiled
+    shape: IntArray,
+    parameters: FloatArray,
+    ratios: FloatArray,
+    position: FloatArray,
+    slope: FloatArray,
+    by_parameter: FloatArray,
+) -> int:
+    count, order = shape[1], shape[2]
+    size = count * order
+    # Of coordinate a: its curves begin at a * size, their positions (along the other coordinate) at 2 size + a * count.
+    position[1] = 0.5 * (parameters[2 * size] + parameters[2 * size + count - 1])
+    cross = np.zeros(2)
+    by_ratio = np.zeros(2)
+    for round_ in range(_ROUNDS):
+        largest = 0.0
+        for axis in range(2):
+            lines = 2 * size + axis * count
+            other = position[1 - axis]
+            i = _between(parameters, lines, count, other)
+            below, above = parameters[lines + i], parameters[lines + i + 1]
+            weight = (other - below) / (above - below)
+            first, first_slope = _curve(parameters, axis * size + i * order, order, ratios[axis])
+            second, second_slope = _curve(parameters, axis * size + (i + 1) * order, order, ratios[axis])
+            new = first + weight * (second - first)
+            largest = max(largest, abs(new - position[axis])) if round_ > 0 or axis == 1 else math.inf
+            position[axis] = new
+            cross[axis] = (second - first) / (above - below)
+            by_ratio[axis] = first_slope + weight * (second_slope - first_slope)
+        if largest < _SETTLED_M:
+            break
+    # With x = F(rx, y) and y = G(ry, x): dx = (Fr drx + Fy Gr dry) / (1 - Fy Gx), dy likewise; parameters act like F,
+    # G.
+    whole = 1.0 - cross[0] * cross[1]
+    for k in range(by_parameter.shape[1]):
+        by_parameter[0, k] = 0.0
+        by_parameter[1, k] = 0.0
+    for axis in range(2):
+        own, seen = 1.0 / whole, cross[1 - axis] / whole
+        slope[axis, axis] = own * by_ratio[axis]
+        slope[1 - axis, axis] = seen * by_ratio[axis]
+        lines = 2 * size + axis * count
+        i = _between(parameters, lines, count, position[1 - axis])
+        below, above = parameters[lines + i], parameters[lines + i + 1]
+        weight = (position[1 - axis] - below) / (above - below)
+        power = 1.0
+        for k in range(order):
+            for which, share in ((i, 1.0 - weight), (i + 1, weight)):
+                at = axis * size + which * order + k
+                by_parameter[axis, at] = own * share * power
+                by_parameter[1 - axis, at] = seen * share * power
+            power *= ratios[axis]
+        for at, share in ((lines + i, -(1.0 - weight)), (lines + i + 1, -weight)):
+            by_parameter[axis, at] = own * share * cross[axis]
+            by_parameter[1 - axis, at] = seen * share * cross[axis]
+    for axis in range(2):
+        lines = 2 * size + axis * count
+        if position[1 - axis] < parameters[lines] or position[1 - axis] > parameters[lines + count - 1]:
+            return OUTSIDE_Y if axis == 0 else OUTSIDE_X
+    return INSIDE
+
+
+@compiled
+def spot_position(
+    shape: IntArray,
+    frame: FloatArray,
+    parameters: FloatArray,
+    ratios: FloatArray,
+    position: FloatArray,
+    slope: FloatArray,
+    by_parameter: FloatArray,
+) -> int:
+    """Map one diode's ratios to the spot's position.
+
+    Args:
+        shape: Kind of map, then the two lengths of its tables (tensor) or number of curves and coefficients, shape
+            (3,).
+        frame: Centre and scale of the ratios (tensor maps), shape (4,).
+        parameters: Of the map, shape (p,).
+        ratios: (x, y), shape (2,).
+        position: (x, y) [m] to write, shape (2,).
+        slope: Derivative of the position with respect to the ratios [m] to write, shape (2, 2).
+        by_parameter: Derivative with respect to the parameters to write, shape (2, p).
+
+    Returns:
+        INSIDE, or OUTSIDE_X or OUTSIDE_Y where a coordinate lies beyond the outermost curves.
+
+    """
+    if shape[0] == CURVES:
+        return _curves(shape, parameters, ratios, position, slope, by_parameter)
+    _tensor(shape[0], shape, frame, parameters, ratios, position, slope, by_parameter)
+    return INSIDE

@@ -1,0 +1,105 @@
+"""Locate scans of a stack that holds sensors written in plain Python (``PlainSensor``).
+
+Their readings enter the compiled solver as affine rows: value and derivative at one pose. Expanding them again at each
+solution until it no longer moves makes that exact.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from posor_estimator.core.kernels import locate as kernel
+from posor_estimator.core.kernels.solve import ITERATIONS, LENGTH, TOLERANCE
+from posor_estimator.core.sensors.base import PlainSensor
+
+if TYPE_CHECKING:
+    from posor_estimator.core.estimate import Estimates
+    from posor_estimator.core.scan import Scans
+    from posor_estimator.core.sensors.base import Batch
+    from posor_estimator.core.stack import Stack
+    from posor_estimator.core.types import FloatArray
+
+
+class PlainRows:
+    """The plain sensors of a stack, and the loop that serves them."""
+
+    def __init__(self, stack: Stack) -> None:
+        """Find the plain sensors of the stack."""
+        self._stack = stack
+        self._plain = [
+            (sensor, first)
+            for sensor, first in zip(stack.sensors, stack.first_rows, strict=True)
+            if isinstance(sensor, PlainSensor)
+        ]
+
+    def __bool__(self) -> bool:
+        """Return whether the stack has any plain sensor."""
+        return bool(self._plain)
+
+    def expand(self, rows: FloatArray, rotation: FloatArray, translation: FloatArray) -> None:
+        """Fill in the affine rows (m or more, width) at a pose ``T_R_T``."""
+        for sensor, first in self._plain:
+            values, jacobian = sensor.predict(rotation, translation)
+            end = first + len(values)
+            rows[first:end, 0] = values
+            rows[first:end, 1:7] = jacobian
+
+    def locate(
+        self,
+        scans: Scans,
+        batch: Batch,
+        n: int,
+        stamp: float,
+        settings: FloatArray,
+        memory: FloatArray,
+        out: Estimates,
+        figures: FloatArray,
+    ) -> None:
+        """Locate scan n from the pose in the memory, and update it; arguments as ``kernels.locate.locate_scan``."""
+        pool, chosen = self._stack.pool, batch.chosen[n]
+        kinds = np.concatenate([pool.kinds[chosen], np.zeros(6, dtype=np.int64)])
+        rows = np.concatenate([pool.rows[chosen], np.zeros((6, pool.rows.shape[1]))])
+        values = np.concatenate([batch.values[n], np.zeros(6)])
+        rotation, translation = out.rotations[n], out.translations[n]
+        kernel.start_from_memory(stamp, settings, memory, rotation, translation)
+        for _ in range(ITERATIONS):
+            before = rotation.copy(), translation.copy()
+            updated = memory.copy()
+            self.expand(rows, rotation, translation)
+            systematic = batch.systematic[n] + self._systematic(scans, n, rotation, translation)
+            out.states[n], out.faults[n] = kernel.locate_scan(
+                kinds,
+                rows,
+                pool.ids[chosen],
+                pool.sigmas[chosen],
+                values,
+                batch.variances[n],
+                systematic,
+                self._stack.parameters,
+                stamp,
+                bool(scans.at_home[n]),
+                settings,
+                updated,
+                rotation,
+                translation,
+                out.covariances_random[n],
+                out.covariances_systematic[n],
+                figures[n],
+            )
+            moved = max(
+                float(np.max(np.abs(translation - before[1]))), LENGTH * float(np.max(np.abs(rotation - before[0])))
+            )
+            if not moved > TOLERANCE * 1e-3:
+                break
+        memory[:] = updated
+
+    def _systematic(self, scans: Scans, n: int, rotation: FloatArray, translation: FloatArray) -> FloatArray:
+        """Return the covariance of the readings from the plain sensors' parameters, shape (m, m)."""
+        out = np.zeros((self._stack.readings, self._stack.readings))
+        for sensor, first in self._plain:
+            pushed = sensor.residual_jacobian(scans[n], rotation, translation) * sensor.parameter_sigmas
+            rows = slice(first, first + len(pushed))
+            out[rows, rows] = pushed @ pushed.T
+        return out

@@ -1,0 +1,155 @@
+"""Bumpy ring: gap probes looking radially at a ring with bumps; two runouts and the large rotation, counted in bumps.
+
+Source: thesis chapter 5, the alternative to diodes. The source draws three probes. With three, the sensitivity of the
+readings to (x, y, theta) vanishes at least twice in every bump, whatever the profile, since its determinant is a
+continuous function of the bump phase with zero mean. Four probes, opposite ones in phase and the two pairs in
+quadrature, are equally well conditioned at every phase, with one redundant reading for the health check: so four are
+the default. ``observability`` shows it for any arrangement.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from posor_estimator.core.calibration.quantity import ANY, FrozenModel, Quantity, measured
+from posor_estimator.core.kernels import ring as kernel
+from posor_estimator.core.kernels.ring import ring_gap
+from posor_estimator.core.kernels.rows import RING
+from posor_estimator.core.sensors.base import Batch, RowSensor, SensorCalibration
+from posor_estimator.core.sensors.probe import Channels, ProbeCalibration, probe_parameters
+
+if TYPE_CHECKING:
+    from posor_estimator.core.scan import Scan, Scans
+    from posor_estimator.core.types import FloatArray, IntArray
+    from posor_estimator.errors import ScanError
+
+
+class RingSurfaceCalibration(FrozenModel):
+    """The ring: ``r(phi) = mean_radius + sum_k (cos_k cos(k phi) + sin_k sin(k phi))``, phi the azimuth in T.
+
+    ``orders`` are the whole numbers k, ``cos`` and ``sin`` the amplitudes, one for each.
+    """
+
+    bumps: Annotated[int, Field(ge=2, le=10_000)]
+    mean_radius: Annotated[Quantity, measured("m")]
+    orders: Annotated[list[Annotated[int, Field(ge=1)]], Field(min_length=1)]
+    cos: Annotated[Quantity, measured("m", ANY)]
+    sin: Annotated[Quantity, measured("m", ANY)]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        for name, amplitudes in (("cos", self.cos), ("sin", self.sin)):
+            if amplitudes.array.size != len(self.orders):
+                msg = f"{name} has {amplitudes.array.size} amplitudes, expected {len(self.orders)}, one for each order"
+                raise ValueError(msg)
+        if len(set(self.orders)) != len(self.orders):
+            msg = f"orders {self.orders} repeat, expected each order once"
+            raise ValueError(msg)
+        if self.bumps not in self.orders:
+            msg = f"orders {self.orders}, expected {self.bumps} among them, the order of the bumps themselves"
+            raise ValueError(msg)
+        return self
+
+
+class BumpyRingCalibration(SensorCalibration):
+    """A bumpy ring, its probes, and theta at its home mark."""
+
+    type: Literal["bumpy_ring"]
+    ring: RingSurfaceCalibration
+    home: Annotated[Quantity, measured("rad")]
+    probes: Annotated[list[ProbeCalibration], Field(min_length=3, max_length=8)]
+
+    def build(self) -> BumpyRing:
+        """Return the sensor."""
+        return BumpyRing(self)
+
+    @property
+    def bump_angle(self) -> float:
+        """Angle of one bump [rad]."""
+        return 2.0 * math.pi / self.ring.bumps
+
+    @property
+    def home_theta(self) -> float:
+        """Theta at the home mark [rad]."""
+        return self.home.number
+
+
+class BumpyRing(RowSensor):
+    """Ring probes with their linearisation."""
+
+    def __init__(self, calibration: BumpyRingCalibration) -> None:
+        """Take the parameters out of a validated calibration."""
+        ring = calibration.ring
+        values, sigmas = probe_parameters(calibration.probes)
+        self._names = tuple(probe.name for probe in calibration.probes)
+        self._orders = np.array(ring.orders, dtype=float)
+        self.bumps = ring.bumps
+        super().__init__(
+            {**values, "mean_radius": ring.mean_radius.array, "cos": ring.cos.array, "sin": ring.sin.array},
+            {**sigmas, "mean_radius": ring.mean_radius.sigmas, "cos": ring.cos.sigmas, "sin": ring.sin.sigmas},
+        )
+        channel = ("volts_to_gap", "zero_shifts", "supply", "temperature")
+        ids = np.column_stack([self._ids(name) for name in channel])
+        self._channels = Channels(calibration.probes, "ring probe", ids)
+
+    def _layout(self) -> tuple[IntArray, IntArray, FloatArray]:
+        count, harmonics = len(self._names), len(self._orders)
+        ids = np.full((count, kernel.FIXED_PARAMETERS + kernel.PER_HARMONIC * harmonics), -1, dtype=np.int64)
+        constants = np.zeros(ids.shape)
+        ids[:, 0:3] = self._ids("tips")
+        ids[:, 3:6] = self._ids("axes")
+        ids[:, 6] = self._ids("mean_radius")
+        constants[:, 7] = harmonics
+        constants[:, 8::3] = self._orders
+        ids[:, 9::3] = self._ids("cos")
+        ids[:, 10::3] = self._ids("sin")
+        return np.full(count, RING, dtype=np.int64), ids, constants
+
+    @property
+    def reading_names(self) -> tuple[str, ...]:
+        """``ring <probe>`` for each probe."""
+        return tuple(f"ring {name}" for name in self._names)
+
+    def _chosen(self, scan: Scan) -> IntArray:  # noqa: ARG002  the same for every scan
+        return np.arange(len(self._names))
+
+    def linearise(self, scans: Scans, batch: Batch, first: int, offset: int) -> IntArray:
+        """Write the ring gaps [m]; see ``Sensor.linearise``."""
+        batch.chosen[:, first : first + len(self._names)] = offset + np.arange(len(self._names))
+        return self._channels.linearise(scans.ring_voltages, scans, (self._values, self._sigmas), batch, first)
+
+    def explain(self, scan: Scan, code: int) -> ScanError:
+        """Return what a code of ``linearise`` means."""
+        return self._channels.explain(scan.ring_voltages, scan, code, self._values)
+
+    def _linearisation_jacobian(self, scan: Scan) -> FloatArray:
+        return self._channels.jacobian(scan.ring_voltages, scan, self._values)
+
+    def observability(self, phases: FloatArray) -> FloatArray:
+        """Return how well the ring's readings tell (x, y, theta) apart at each bump phase.
+
+        Args:
+            phases: Bump phases [rad, 2 pi to a bump], shape (n,), at theta = phase / bumps, no runout.
+
+        Returns:
+            Smallest over largest singular value of the readings' sensitivity to x, y and theta times the mean radius,
+            shape (n,): zero is blind.
+
+        """
+        out = np.empty(len(phases))
+        jacobian = np.empty((len(self._names), 6))
+        radius = float(self._array("mean_radius"))
+        for n, phase in enumerate(phases):
+            theta = phase / self.bumps
+            rotation = np.array(
+                [[math.cos(theta), -math.sin(theta), 0.0], [math.sin(theta), math.cos(theta), 0.0], [0.0, 0.0, 1.0]]
+            )
+            for r, row in enumerate(self.pool.rows):
+                ring_gap(row, rotation, np.zeros(3), jacobian[r])
+            spread = np.linalg.svd(jacobian[:, [0, 1, 5]] / np.array([1.0, 1.0, radius]), compute_uv=False)
+            out[n] = spread[2] / spread[0]
+        return out

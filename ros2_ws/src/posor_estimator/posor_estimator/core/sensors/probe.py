@@ -1,0 +1,194 @@
+"""One non-contact probe, as gap probes and ring probes share it: where it looks from, and what its voltage means."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Self
+
+import numpy as np
+from numpy.polynomial import polynomial
+from pydantic import model_validator
+
+from posor_estimator.core.calibration.quantity import ANY, FrozenModel, Quantity, measured
+from posor_estimator.core.fault import Fault
+from posor_estimator.core.kernels import voltage
+from posor_estimator.errors import ScanError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from posor_estimator.core.scan import Scan, Scans
+    from posor_estimator.core.sensors.base import Batch
+    from posor_estimator.core.types import FloatArray, IntArray
+
+
+class SupplyCalibration(FrozenModel):
+    """How the gap read changes with the supply voltage, and the supply at which the probe was linearised."""
+
+    sensitivity: Annotated[Quantity, measured("m/V")]
+    reference: Annotated[Quantity, measured("V")]
+
+
+class TemperatureCalibration(FrozenModel):
+    """How the gap read changes with the plate's temperature, and the temperature of the linearisation."""
+
+    sensitivity: Annotated[Quantity, measured("m/K")]
+    reference: Annotated[Quantity, measured("K")]
+
+
+class ProbeCalibration(FrozenModel):
+    """One probe: where its tip is, where it looks, and what its voltage means.
+
+    ``volts_to_gap`` are the coefficients A_0, A_1, ... of ``gap = sum_k A_k (V + zero_shift)^k``, any order; ``range``
+    is the calibrated span of ``V + zero_shift``, outside of which nothing is extrapolated; ``noise`` is the standard
+    deviation of one averaged voltage.
+    """
+
+    name: str
+    tip: Annotated[Quantity, measured("m", 3)]
+    axis: Annotated[Quantity, measured("1", 3)]
+    volts_to_gap: Annotated[Quantity, measured("m/V^k", ANY)]
+    zero_shift: Annotated[Quantity, measured("V")]
+    noise: Annotated[Quantity, measured("V")]
+    range: Annotated[Quantity, measured("V", 2)]
+    supply: SupplyCalibration | None = None
+    temperature: TemperatureCalibration | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        length = float(np.linalg.norm(self.axis.array))
+        if abs(length - 1.0) > 1e-6:  # noqa: PLR2004
+            msg = f"axis {self.axis.value} has length {length:.9g}, expected a unit vector"
+            raise ValueError(msg)
+        low, high = self.range.array
+        if not low < high:
+            msg = f"range {self.range.value}, expected [lowest, highest] voltage"
+            raise ValueError(msg)
+        slope = polynomial.polyval(np.linspace(low, high, 257), polynomial.polyder(self.volts_to_gap.array))
+        if not (np.all(slope > 0.0) or np.all(slope < 0.0)):
+            msg = (
+                f"volts_to_gap is not monotonic over the range {self.range.value} V, expected one gap for each voltage"
+            )
+            raise ValueError(msg)
+        if not self.noise.number > 0.0:
+            msg = f"noise {self.noise.value}, expected more than 0 V"
+            raise ValueError(msg)
+        return self
+
+
+def probe_parameters(probes: Sequence[ProbeCalibration]) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+    """Return values and standard uncertainties of what is calibrated of some probes, as named arrays."""
+    order = max(probe.volts_to_gap.array.size for probe in probes)
+
+    def of(attribute: str) -> dict[str, FloatArray]:
+        def get(quantity: Quantity) -> FloatArray:
+            return np.asarray(getattr(quantity, attribute))
+
+        def padded(quantity: Quantity) -> FloatArray:
+            return np.pad(get(quantity), (0, order - quantity.array.size))
+
+        def pair(part: SupplyCalibration | TemperatureCalibration | None) -> FloatArray:
+            return np.zeros(2) if part is None else np.array([get(part.sensitivity), get(part.reference)], dtype=float)
+
+        return {
+            "tips": np.array([get(p.tip) for p in probes]),
+            "axes": np.array([get(p.axis) for p in probes]),
+            "volts_to_gap": np.array([padded(p.volts_to_gap) for p in probes]),
+            "zero_shifts": np.array([get(p.zero_shift) for p in probes]),
+            "supply": np.array([pair(p.supply) for p in probes]),
+            "temperature": np.array([pair(p.temperature) for p in probes]),
+        }
+
+    return of("array"), of("sigmas")
+
+
+class Channels:
+    """The voltage channels of some probes, taken out of a sensor's parameter vector."""
+
+    def __init__(self, probes: Sequence[ProbeCalibration], kind: str, ids: IntArray) -> None:
+        """Keep what is not a parameter.
+
+        Args:
+            probes: Calibration of the probes.
+            kind: What to call them in complaints, ``gap probe`` or ``ring probe``.
+            ids: Where each channel parameter stands in the sensor's parameter vector, shape (p, n + 5), see
+                ``kernels.voltage``.
+
+        """
+        self.names = tuple(probe.name for probe in probes)
+        self.ids = ids
+        self._kind = kind
+        self._ranges = np.array([probe.range.array for probe in probes])
+        self._noises = np.array([probe.noise.number for probe in probes])
+
+    def linearise(
+        self,
+        volts: FloatArray,
+        scans: Scans,
+        parameters: tuple[FloatArray, FloatArray],
+        batch: Batch,
+        first: int,
+    ) -> IntArray:
+        """Linearise the voltages (n, p) of all scans; ``parameters`` are the sensor's values and sigmas.
+
+        Returns:
+            For each scan zero or a code for ``explain``, shape (n,).
+
+        """
+        codes = np.full(len(scans), -1, dtype=np.int64)
+        if volts.shape[1] != len(self.names):
+            return codes
+        values, sigmas = parameters
+        voltage.linearise_all(
+            volts,
+            scans.supply_voltages,
+            scans.temperatures,
+            values[self.ids],
+            sigmas[self.ids],
+            self._ranges,
+            self._noises,
+            batch.values,
+            batch.variances,
+            batch.systematic,
+            first,
+            codes,
+        )
+        return codes
+
+    def explain(self, volts: FloatArray, scan: Scan, code: int, values: FloatArray) -> ScanError:
+        """Return what a code means."""
+        where = f"scan {scan.number}"
+        if code < 0:
+            return ScanError(
+                f"{volts.size} {self._kind} voltages",
+                fault=Fault.BAD_READING,
+                where=where,
+                expected=f"{len(self.names)}",
+            )
+        probe, what = divmod(code - 1, 2)
+        where = f"{where}, {self._kind} {self.names[probe]}"
+        if what == voltage.NOT_FINITE - 1:
+            return ScanError(
+                f"voltage {volts[probe]}", fault=Fault.BAD_READING, where=where, expected="a finite voltage"
+            )
+        low, high = self._ranges[probe]
+        shifted = volts[probe] + values[self.ids[probe, -voltage.EXTRA_PARAMETERS]]
+        return ScanError(
+            f"{shifted:.6g} V after the zero shift is outside the calibrated range",
+            fault=Fault.OUT_OF_RANGE,
+            where=where,
+            expected=f"{low:g} to {high:g} V",
+        )
+
+    def jacobian(self, volts: FloatArray, scan: Scan, values: FloatArray) -> FloatArray:
+        """Return d(gap)/d(parameter) of each probe, shape (p, size of the parameter vector)."""
+        out = np.zeros((len(self.names), values.size))
+        order = self.ids.shape[1] - voltage.EXTRA_PARAMETERS
+        for i, ids in enumerate(self.ids):
+            channel = values[ids]
+            volt = volts[i] + channel[order]
+            out[i, ids[:order]] = volt ** np.arange(order)
+            out[i, ids[order]] = voltage.polynomial(channel, order, volt)[1]
+            for at, level in ((order + 1, scan.supply_voltage), (order + 3, scan.temperature)):
+                out[i, ids[at]] = level - channel[at + 1] if np.isfinite(level) else 0.0
+                out[i, ids[at + 1]] = -channel[at]
+        return out
