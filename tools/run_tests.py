@@ -6,6 +6,7 @@ test with its reason, and last of all ``N passed, N failed, N skipped``. With pa
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -20,6 +21,7 @@ from environment import THIS, SetupError, workspace_environment
 
 AT_A_TIME = min(2, os.cpu_count() or 1)
 FILE_TIMEOUT_S = 480.0  # a net under pytest's own timeout for each test
+FAREWELL_S = 20.0  # what an interrupted pytest gets to stop the nodes that its tests have started
 REPORTS = THIS.root / "build" / "test"
 
 
@@ -40,7 +42,12 @@ class Outcome:
         counts = f"{self.passed} passed"
         counts += f", {self.failed} failed" if self.failed else ""
         counts += f", {len(self.skipped)} skipped" if self.skipped else ""
-        return f"{verdict:<6} {self.seconds:6.1f} s  {self.file.relative_to(THIS.root)}: {counts}"
+        return f"{verdict:<6} {self.seconds:6.1f} s  {shown(self.file)}: {counts}"
+
+
+def shown(file: Path) -> str:
+    """Return a file's name as it is printed: relative to the checkout if it is in it."""
+    return str(file.relative_to(THIS.root) if file.is_relative_to(THIS.root) else file)
 
 
 def test_files(wanted: list[str]) -> list[Path]:
@@ -70,56 +77,86 @@ def read_report(path: Path, outcome: Outcome) -> None:
             outcome.passed += 1
 
 
-def run_file(file: Path, environ: dict[str, str]) -> Outcome:
-    """Run one test file in a process group of its own and return what came of it."""
-    outcome = Outcome(file)
-    report = REPORTS / (str(file.relative_to(THIS.root)).replace("/", ".") + ".xml")
-    report.unlink(missing_ok=True)
-    start = time.monotonic()
-    command = [str(THIS.python), "-m", "pytest", "-q", "--color=no", f"--junitxml={report}", str(file)]
-    with subprocess.Popen(
-        command,
-        cwd=THIS.root,
-        env=environ,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        start_new_session=True,
-        text=True,
-        errors="replace",
-    ) as process:
+class Runner:
+    """Runs test files in pytest processes and knows which are at work, so that an interruption ends them all.
+
+    Args:
+        environ: Environment of the sourced workspace.
+
+    """
+
+    def __init__(self, environ: dict[str, str]) -> None:
+        self.environ = environ
+        self.at_work: set[subprocess.Popen[str]] = set()
+
+    def run_all(self, files: list[Path]) -> list[Outcome]:
+        """Run the files and print a line for each as it ends."""
+        outcomes = []
+        with ThreadPoolExecutor(max_workers=AT_A_TIME) as pool:
+            running = [pool.submit(self.run_file, file) for file in files]
+            try:
+                for number, future in enumerate(as_completed(running), start=1):
+                    outcome = future.result()
+                    outcomes.append(outcome)
+                    print(f"[{number}/{len(files)}] {outcome.line()}", flush=True)
+                    if outcome.failed:
+                        print(outcome.output, flush=True)
+            except KeyboardInterrupt:
+                pool.shutdown(wait=False, cancel_futures=True)
+                for process in list(self.at_work):
+                    end(process)
+                raise
+        return outcomes
+
+    def run_file(self, file: Path) -> Outcome:
+        """Run one test file in a process group of its own and return what came of it."""
+        outcome = Outcome(file)
+        report = REPORTS / (shown(file).strip("/").replace("/", ".") + ".xml")
+        report.unlink(missing_ok=True)
+        start = time.monotonic()
+        process = self.start([f"--junitxml={report}", str(file)])
         try:
             outcome.output, _ = process.communicate(timeout=FILE_TIMEOUT_S)
             ending = f"pytest ended with exit code {process.returncode}"
         except subprocess.TimeoutExpired:
-            os.killpg(process.pid, signal.SIGKILL)
+            end(process)
             outcome.output, _ = process.communicate()
-            ending = f"killed after {FILE_TIMEOUT_S:.0f} s"
-    outcome.seconds = time.monotonic() - start
-    if report.is_file():
-        read_report(report, outcome)
-    if process.returncode and not outcome.failed:
-        outcome.failed = 1
-        outcome.output += f"{ending}\n"
-    return outcome
+            ending = f"ended after {FILE_TIMEOUT_S:.0f} s"
+        self.at_work.discard(process)
+        outcome.seconds = time.monotonic() - start
+        if report.is_file():
+            read_report(report, outcome)
+        if process.returncode and not outcome.failed:
+            outcome.failed = 1
+            outcome.output += f"{ending}\n"
+        return outcome
+
+    def start(self, arguments: list[str]) -> subprocess.Popen[str]:
+        """Start pytest."""
+        settings = ["-c", str(THIS.root / "pyproject.toml")]
+        process = subprocess.Popen(
+            [str(THIS.python), "-m", "pytest", *settings, "-q", "--color=no", *arguments],
+            cwd=THIS.root,
+            env=self.environ,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            text=True,
+            errors="replace",
+        )
+        self.at_work.add(process)
+        return process
 
 
-def run_all(files: list[Path], environ: dict[str, str]) -> list[Outcome]:
-    """Run the files and print a line for each as it ends."""
-    outcomes = []
-    with ThreadPoolExecutor(max_workers=AT_A_TIME) as pool:
-        running = [pool.submit(run_file, file, environ) for file in files]
+def end(process: subprocess.Popen[str]) -> None:
+    """Interrupt a pytest process as Ctrl-C would; kill its group if it does not end by itself."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGINT)
         try:
-            for number, future in enumerate(as_completed(running), start=1):
-                outcome = future.result()
-                outcomes.append(outcome)
-                print(f"[{number}/{len(files)}] {outcome.line()}", flush=True)
-                if outcome.failed:
-                    print(outcome.output, flush=True)
-        except KeyboardInterrupt:
-            pool.shutdown(cancel_futures=True)
-            raise
-    return outcomes
+            process.wait(FAREWELL_S)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
 
 
 def main() -> int:
@@ -131,17 +168,26 @@ def main() -> int:
         sys.stderr.write(f"make test: {error}\n")
         return 2
     REPORTS.mkdir(parents=True, exist_ok=True)
-    outcomes = run_all(files, environ)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        outcomes = Runner(environ).run_all(files)
+    except KeyboardInterrupt:
+        sys.stderr.write("make test: interrupted.\n")
+        return 130
+    summarise(outcomes)
+    return 0 if outcomes and not any(outcome.failed for outcome in outcomes) else 1
+
+
+def summarise(outcomes: list[Outcome]) -> None:
+    """Print the skipped tests with their reasons, the files that failed, and the counts."""
     for outcome in outcomes:
         for skip in outcome.skipped:
             print(f"skipped: {skip}")
     for outcome in outcomes:
         if outcome.failed:
-            print(f"failed: {outcome.file.relative_to(THIS.root)}")
-    failed = sum(outcome.failed for outcome in outcomes)
-    passed = sum(outcome.passed for outcome in outcomes)
-    print(f"{passed} passed, {failed} failed, {sum(len(outcome.skipped) for outcome in outcomes)} skipped")
-    return 1 if failed or not passed else 0
+            print(f"failed: {shown(outcome.file)}")
+    passed, failed = sum(o.passed for o in outcomes), sum(o.failed for o in outcomes)
+    print(f"{passed} passed, {failed} failed, {sum(len(o.skipped) for o in outcomes)} skipped")
 
 
 if __name__ == "__main__":

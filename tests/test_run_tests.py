@@ -1,0 +1,113 @@
+"""The test runner: nothing that goes wrong in a test file goes unnoticed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from textwrap import dedent
+from typing import TYPE_CHECKING
+
+import pytest
+from environment import THIS
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+RUNNER = [sys.executable, str(THIS.root / "tools" / "run_tests.py")]
+
+
+def write(folder: Path, **files: str) -> None:
+    for name, text in files.items():
+        (folder / f"test_{name}.py").write_text(dedent(text), encoding="utf-8")
+
+
+def run(*places: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*RUNNER, *map(str, places)], capture_output=True, text=True, check=False)
+
+
+def test_counts_and_reasons(tmp_path: Path) -> None:
+    write(
+        tmp_path,
+        good="def test_a(): pass\ndef test_b(): pass\n",
+        skips="""
+            import pytest
+
+            @pytest.mark.skip(reason="no rig on this machine")
+            def test_rig(): pass
+        """,
+    )
+    done = run(tmp_path)
+    assert done.returncode == 0, done.stdout
+    lines = done.stdout.splitlines()
+    assert any(line.endswith("test_good.py: 2 passed") for line in lines)
+    assert any(line.startswith("skipped: ") and line.endswith("no rig on this machine") for line in lines)
+    assert lines[-1] == "2 passed, 0 failed, 1 skipped"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("def test_a(): pass\ndef test_b(): assert 1 == 2\n", "assert 1 == 2"),
+        ("import os\ndef test_a(): os._exit(3)\n", "pytest ended with exit code 3"),
+        ("import os, signal\ndef test_a(): os.kill(os.getpid(), signal.SIGKILL)\n", "pytest ended with exit code -9"),
+        ("def nothing(): pass\n", "pytest ended with exit code 5"),
+        ("import no_such_module\n", "No module named 'no_such_module'"),
+        ("import pytest\n@pytest.fixture\ndef broken(): raise KeyError('key')\ndef test_a(broken): pass\n", "KeyError"),
+    ],
+    ids=["assertion", "exit", "killed", "no tests", "import", "fixture"],
+)
+def test_failures(tmp_path: Path, text: str, words: str) -> None:
+    write(tmp_path, bad=text, good="def test_a(): pass\n")
+    done = run(tmp_path)
+    assert done.returncode == 1
+    assert words in done.stdout
+    assert done.stdout.splitlines()[-2].startswith("failed: ")
+    assert ", 1 failed, 0 skipped" in done.stdout.splitlines()[-1]
+
+
+def test_each_file_has_a_process_of_its_own(tmp_path: Path) -> None:
+    text = f"import os\ndef test_a(): open('{tmp_path}/pids', 'a').write(str(os.getpid()) + ' ')\n"
+    write(tmp_path, one=text, two=text, three=text)
+    assert run(tmp_path).returncode == 0
+    assert len(set((tmp_path / "pids").read_text().split())) == 3
+
+
+def test_no_such_path(tmp_path: Path) -> None:
+    done = run(tmp_path / "nowhere")
+    assert done.returncode == 2
+    assert done.stderr == f"make test: {tmp_path}/nowhere: no such test file or folder.\n"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interruption_ends_the_tests_at_work(tmp_path: Path, number: signal.Signals) -> None:
+    fifo = tmp_path / "fifo"
+    os.mkfifo(fifo)
+    write(
+        tmp_path,
+        endless=f"""
+            import os, pytest, signal
+
+            @pytest.fixture
+            def told():
+                fifo = open("{fifo}", "w")
+                print("begun", file=fifo, flush=True)
+                yield
+                print("cleaned up", file=fifo, flush=True)
+
+            def test_endless(told):
+                while True:
+                    signal.pause()
+        """,
+    )
+    with subprocess.Popen(
+        [*RUNNER, str(tmp_path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as runner:
+        with fifo.open() as told:
+            assert told.readline() == "begun\n"
+            runner.send_signal(number)
+            assert told.readline() == "cleaned up\n"
+        _, err = runner.communicate()
+    assert runner.returncode == 130
+    assert err == "make test: interrupted.\n"
