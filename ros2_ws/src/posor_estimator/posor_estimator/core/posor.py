@@ -12,6 +12,7 @@ from posor_estimator.core.calibration.model import Calibration, TiltAngle
 from posor_estimator.core.estimate import Estimate, Estimates
 from posor_estimator.core.fault import Fault, State
 from posor_estimator.core.kernels import locate as kernel
+from posor_estimator.core.kernels.rows import evaluate_row
 from posor_estimator.core.kernels.solve import CONVERGED, gauss_newton
 from posor_estimator.core.native import native_from_rotation
 from posor_estimator.core.plain_rows import PlainRows
@@ -90,6 +91,24 @@ class Posor:
     def locate_all(self, scans: Scans) -> Estimates:
         """Return the poses that many scans give, one after the other: the same as ``locate`` of each."""
         return self._locate(scans)[1]
+
+    def predict(self, scan: Scan, T_R_T: pin.SE3) -> FloatArray:
+        """Return what every linearised reading of a scan would be at a pose [m], shape (m,).
+
+        The scan says only which rows are read (which light sources are lit).
+        """
+        batch = self.stack.linearise(Scans.of([scan]))[1]
+        chosen = batch.chosen[0]
+        rows = self.stack.pool.rows[chosen].copy()
+        rotation, translation = T_R_T.rotation.copy(), T_R_T.translation.copy()
+        self._plain.expand(rows, rotation, translation)
+        still, jacobian = np.zeros(6), np.empty(6)
+        return np.array(
+            [
+                evaluate_row(kind, row, rotation, translation, still, jacobian)
+                for kind, row in zip(self.stack.pool.kinds[chosen], rows, strict=True)
+            ]
+        )
 
     def _locate(self, scans: Scans) -> tuple[IntArray, Estimates]:
         count = len(scans)

@@ -22,12 +22,12 @@ from posor_estimator.core.kernels.rows import SPOT_X, SPOT_Y
 from posor_estimator.core.kernels.spot_map import spot_position
 from posor_estimator.core.scan import NO_SOURCE
 from posor_estimator.core.sensors.base import Batch, RowSensor, SensorCalibration
+from posor_estimator.core.sensors.spot_map import SpotMap
 from posor_estimator.errors import CalibrationError, ScanError
 
 if TYPE_CHECKING:
     from posor_estimator.core.calibration.session import Session
     from posor_estimator.core.scan import Scan, Scans
-    from posor_estimator.core.sensors.spot_map import SpotMap
     from posor_estimator.core.types import FloatArray, IntArray
 
 _WRONG_COUNT = -1
@@ -195,7 +195,9 @@ class Diodes(RowSensor):
     def _rows_of(self, lit: IntArray) -> IntArray:
         """Return the pool's rows for lit sources (n, diodes), shape (n, 2 diodes)."""
         pairs = np.arange(len(self._names)) * self._sources + lit
-        return np.asarray((2 * pairs[:, :, None] + np.arange(2)).reshape(len(lit), -1), dtype=np.int64)
+        rows: IntArray = np.repeat(2 * pairs, 2, axis=1)
+        rows[:, 1::2] += 1
+        return rows
 
     def _chosen(self, scan: Scan) -> IntArray:
         return self._rows_of(np.array([scan.lit_sources], dtype=np.int64))[0]

@@ -1,0 +1,76 @@
+"""Check the measurement model against a file of ray-traced cases: ``python -m posor_estimator.golden FILE.jsonl``.
+
+Prints one JSON line: for each stack the largest error of a predicted reading [m] and of a recovered pose [m, rad].
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pinocchio as pin
+
+from posor_estimator.core.case import Case, StackName, read_cases
+from posor_estimator.core.posor import Posor
+from posor_estimator.errors import DataFileError, PosorError
+
+
+def errors_of(case: Case) -> tuple[float, float, float]:
+    """Return the largest error of the predicted readings [m], and of the recovered pose: translation [m], angle [rad].
+
+    Raises:
+        DataFileError: The readings of the case do not give a pose.
+
+    """
+    posor = Posor(case.calibration)
+    predicted = posor.predict(case.scan, case.T_R_T)
+    if any(sensor.bump_angle > 0.0 for sensor in case.calibration.sensors):
+        # The bump count is taken as known: the true rotation about Z, rounded to a whole bump.
+        bump = max(sensor.bump_angle for sensor in case.calibration.sensors)
+        theta = math.atan2(case.T_R_T.rotation[1, 0], case.T_R_T.rotation[0, 0])
+        posor.assume(pin.SE3(pin.utils.rotate("z", bump * round(theta / bump)), np.zeros(3)))
+    estimate = posor.locate(case.scan)
+    if estimate.T_R_T is None:
+        raise DataFileError(f"gives no pose, {estimate.reason}", where=case.name)
+    error = case.T_R_T.inverse() * estimate.T_R_T
+    return (
+        float(np.max(np.abs(predicted - case.readings))),
+        float(np.linalg.norm(error.translation)),
+        float(np.linalg.norm(pin.log3(error.rotation))),
+    )
+
+
+def largest_errors(path: Path) -> dict[str, dict[str, float]]:
+    """Return the largest errors over all cases of a file, by stack.
+
+    Raises:
+        DataFileError: The file cannot be read, or a case gives no pose.
+
+    """
+    report = {}
+    for stack in get_args(StackName):
+        largest = np.max([errors_of(case) for case in read_cases(path, stack)], axis=0)
+        report[stack] = dict(zip(("prediction_m", "translation_m", "rotation_rad"), largest.tolist(), strict=True))
+    return report
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the check; the exit code is 0 when the file could be checked."""
+    parser = argparse.ArgumentParser(prog="golden", description=str(__doc__).splitlines()[0])
+    parser.add_argument("file", type=Path, help="cases, one JSON object to a line")
+    options = parser.parse_args(arguments)
+    try:
+        print(json.dumps(largest_errors(options.file)))
+    except PosorError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
