@@ -8,6 +8,7 @@ import subprocess
 from typing import TYPE_CHECKING
 
 import pytest
+from environment import workspace_environment
 
 from tests.miniature import Miniature
 
@@ -56,7 +57,7 @@ def test_signal_reaches_the_program(checkout: Miniature) -> None:
 
 
 def test_nested_call_is_the_same(checkout: Miniature) -> None:
-    outer = checkout.environ(AMENT_PREFIX_PATH=str(checkout.venv), ROS_DISTRO="jazzy", PYTHONPATH="/nowhere")
+    outer = workspace_environment(checkout, checkout.environ())
     command = [str(checkout.root / "run"), "miniature", "tell"]
     done = subprocess.run(command, env=outer, capture_output=True, text=True, check=False)
     assert done.stderr == ""

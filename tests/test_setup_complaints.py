@@ -121,6 +121,7 @@ def test_no_network_then_network(checkout: Miniature) -> None:
 
 
 def test_index_without_a_pinned_library(checkout: Miniature) -> None:
+    checkout.write("requirements/dev.in", "no-such-library\n")
     checkout.write("requirements/dev.txt", "no-such-library==1.0\n")
     done = checkout.set_up()
     last = done.stderr.splitlines()[-1]
