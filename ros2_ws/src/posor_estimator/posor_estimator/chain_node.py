@@ -14,7 +14,6 @@ from typing import Any, Literal
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from posor_msgs.msg import JointTransform
 from pydantic import Field
-from rclpy.event_handler import SubscriptionEventCallbacks
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -23,6 +22,7 @@ from posor_estimator.core.fault import Fault, State
 from posor_estimator.core.joining import ScanJoiner
 from posor_estimator.errors import ChainError
 from posor_estimator.ros.diagnostics import Level
+from posor_estimator.ros.listeners import Listeners
 from posor_estimator.ros.main import run
 from posor_estimator.ros.messages import is_usable, measured_joint, pose_message, stamp_ns
 from posor_estimator.ros.node import PosorNode
@@ -64,6 +64,7 @@ class ChainNode(PosorNode[ChainParameters]):
         """Create the node; ``options`` go to rclpy."""
         super().__init__(**options)
         self._status = self.diagnostics.add("endpoint")
+        self._listeners = Listeners(self)
 
     def configure(self) -> None:
         """Read the URDF and open the topics."""
@@ -80,23 +81,15 @@ class ChainNode(PosorNode[ChainParameters]):
         self._joiner = ScanJoiner(names)
         self._home = self._last = None
         self._poses = self._scans_refused = self._scans_incomplete = 0
-        self._unmeasured = set(names)
-        self._status.update({"joints": ", ".join(names), "urdf": str(path)})
-        self._say_who_is_missing()
-        self._pose_publisher = self.create_lifecycle_publisher(PoseStamped, ENDPOINT_TOPIC, RELIABLE_QOS)
-        self._covariance_publisher = self.create_lifecycle_publisher(
+        self._status.report(Level.STALE, "no complete scan yet", {"joints": ", ".join(names), "urdf": str(path)})
+        self._pose_publisher = self._listeners.publisher(PoseStamped, ENDPOINT_TOPIC, RELIABLE_QOS)
+        self._covariance_publisher = self._listeners.publisher(
             PoseWithCovarianceStamped, ENDPOINT_COVARIANCE_TOPIC, RELIABLE_QOS
         )
-        self._joint_publisher = self.create_lifecycle_publisher(JointState, JOINT_STATES_TOPIC, RELIABLE_QOS)
+        self._joint_publisher = self._listeners.publisher(JointState, JOINT_STATES_TOPIC, RELIABLE_QOS)
         qos = sensor_qos(self.parameters)
         self._transform_subscriptions = [
-            self.create_subscription(
-                JointTransform,
-                f"{joint.name}/{TRANSFORM_TOPIC}",
-                partial(self._take, joint),
-                qos,
-                event_callbacks=SubscriptionEventCallbacks(matched=partial(self._match, joint)),
-            )
+            self.create_subscription(JointTransform, f"{joint.name}/{TRANSFORM_TOPIC}", partial(self._take, joint), qos)
             for joint in self._chain.joints
         ]
         self._home_service = self.create_service(Trigger, "~/set_home", self._set_home)
@@ -109,21 +102,6 @@ class ChainNode(PosorNode[ChainParameters]):
             self.destroy_lifecycle_publisher(publisher)
         self.destroy_service(self._home_service)
         del self._chain, self._joiner
-
-    def _match(self, joint: PosorJoint, event: Any) -> None:
-        """Note whether anybody publishes a joint's transforms."""
-        is_measured = event.current_count > 0
-        if is_measured != (joint.name in self._unmeasured):
-            return
-        self._unmeasured ^= {joint.name}
-        self._say_who_is_missing()
-
-    def _say_who_is_missing(self) -> None:
-        """Report the joints that nobody measures, or that all are there and a scan is to come."""
-        names = ", ".join(sorted(self._unmeasured))
-        message = f"nobody publishes the transforms of {names}" if names else "no complete scan yet"
-        level = Level.ERROR if names and self._poses else Level.STALE
-        self._status.report(level, message, {"joints_unmeasured": names})
 
     def _take(self, joint: PosorJoint, message: JointTransform) -> None:
         if not self._pose_publisher.is_activated:

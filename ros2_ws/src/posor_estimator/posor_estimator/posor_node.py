@@ -17,6 +17,7 @@ from posor_estimator.core.estimate import Estimate
 from posor_estimator.core.fault import Fault, State
 from posor_estimator.core.posor import Posor
 from posor_estimator.ros.diagnostics import Level
+from posor_estimator.ros.listeners import Listeners
 from posor_estimator.ros.main import run
 from posor_estimator.ros.messages import CovarianceKind, scan_from_message, stamp_ns, transform_message
 from posor_estimator.ros.node import PosorNode
@@ -56,6 +57,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         """Create the node; ``options`` go to rclpy."""
         super().__init__(**options)
         self._status = self.diagnostics.add("estimate")
+        self._listeners = Listeners(self)
 
     def configure(self) -> None:
         """Read the calibration file, say which one it is, and open the topics."""
@@ -73,7 +75,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self.get_logger().info(f"calibration '{whole.name}' from {path}, hash {whole.content_hash}")
         self._status.report(Level.STALE, "no scan yet", identity)
         qos = sensor_qos(self.parameters)
-        self._publisher = self.create_lifecycle_publisher(JointTransform, TRANSFORM_TOPIC, qos)
+        self._publisher = self._listeners.publisher(JointTransform, TRANSFORM_TOPIC, qos)
         self._subscription = self.create_subscription(RawScan, RAW_TOPIC, self._locate, qos)
 
     def cleanup(self) -> None:
