@@ -28,5 +28,9 @@ setup(
             "driver_node = posor_drivers.driver_node:main",
             "record = posor_drivers.record:main",
         ],
+        "posor_drivers.sources": [
+            "bag = posor_drivers.sources.bag:BagSource",
+            "table = posor_drivers.sources.table:TableSource",
+        ],
     },
 )

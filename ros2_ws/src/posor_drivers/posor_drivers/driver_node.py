@@ -1,0 +1,191 @@
+"""driver_node: publishes the raw scans of one joint, from whatever source.
+
+Publishes ``raw`` (posor_msgs/RawScan) in the joint's namespace, for instance ``-r __ns:=/joint1``, and whatever else
+the source holds. What a source recorded is passed on as recorded: whether a scan is any good is for the POSOR node to
+judge.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from posor_estimator.ros.diagnostics import Level
+from posor_estimator.ros.main import run
+from posor_estimator.ros.node import PosorNode
+from posor_estimator.ros.parameters import help_text
+from posor_estimator.ros.qos import RAW_TOPIC, RELIABLE_QOS, sensor_qos
+from pydantic import Field, create_model
+from rclpy.duration import Duration
+
+from posor_drivers.message_types import MessageTypes, message_class
+from posor_drivers.replayer import Replayer, ReplayState
+from posor_drivers.sources.registry import source_class, source_entries
+from posor_drivers.timeline import Due, ReplayParameters, timeline
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from posor_drivers.sources.base import Source, Topic
+
+DELIVERY_S = 10.0
+"""How long to wait, after the last message, for slow reliable subscribers before the program ends."""
+
+
+class DriverParameters(ReplayParameters):
+    """Parameters of driver_node; those of the chosen source are added under its name."""
+
+    source: str = Field(description="where the scans come from: the name of a source, such as 'table' or 'bag'")
+    wait_for_subscribers: Annotated[int, Field(ge=0)] = Field(
+        default=1, description="begin when this many subscriptions to the scans are there; 0: at once"
+    )
+    wait_for_other_subscribers: Annotated[int, Field(ge=0)] = Field(
+        default=0, description="begin when this many subscriptions to each other topic are there"
+    )
+    on_end: Literal["exit", "stay"] = Field(
+        default="exit", description="after the last message: end the program, or stay in the graph"
+    )
+
+
+class DriverNode(PosorNode[DriverParameters]):
+    """Publishes the raw scans of one joint, read from a source.
+
+    Each activation replays the source from its beginning.
+    """
+
+    NAME = "driver_node"
+    Parameters = DriverParameters
+
+    _source: Source[Any]
+
+    def __init__(self, **options: Any) -> None:
+        """Create the node; ``options`` go to rclpy."""
+        super().__init__(**options)
+        self._types = MessageTypes()
+        self._outputs: dict[str, Any] = {}
+        self._counts: dict[str, int] = {}
+        self._rated = (time.monotonic(), 0)
+        self._replayer: Replayer | None = None
+        self._status = self.diagnostics.add("source")
+        self.diagnostics.before_each(self._refresh)
+
+    @classmethod
+    def parameter_model(cls, overrides: dict[str, object]) -> type[DriverParameters]:
+        """Return the driver's parameters and, as a group, those of the source that the user chose."""
+        name = overrides.get("source")
+        if not isinstance(name, str):
+            return DriverParameters
+        group: Any = (source_class(name).Parameters, ...)
+        return create_model("DriverParameters", __base__=DriverParameters, **{name: group})
+
+    @classmethod
+    def help(cls) -> str:
+        """Return the help of the node and of every source."""
+        sources = [
+            f"Parameters of source '{name}':\n{help_text(source_class(name).Parameters, f'{name}.')}"
+            for name in source_entries()
+        ]
+        return "\n\n".join([super().help(), *sources])
+
+    def configure(self) -> None:
+        """Open the source and make the publishers, so that listeners can match before anything is published."""
+        name = self.parameters.source
+        self._source = source_class(name)(getattr(self.parameters, name), self._types)
+        topics = self._source.open()
+        self._type_names = {topic.name: topic.type_name for topic in topics}
+        self._outputs = {topic.name: self._output(topic) for topic in topics}
+        self._status.report(Level.OK, "ready", {"source": name, "record": self._source.record})
+
+    def _output(self, topic: Topic) -> Any:
+        return self.create_lifecycle_publisher(
+            message_class(topic.type_name),
+            topic.name,
+            sensor_qos(self.parameters) if topic.name == RAW_TOPIC else RELIABLE_QOS,
+        )
+
+    def activate(self) -> None:
+        """Begin the replay."""
+        self._counts = dict.fromkeys(self._outputs, 0)
+        self._rated = (time.monotonic(), 0)
+        self._replayer = Replayer(self._dues, self._publish, self._has_listeners, self._on_state)
+        self._replayer.start()
+
+    def deactivate(self) -> None:
+        """End the replay."""
+        if self._replayer is not None:
+            self._replayer.stop()
+        self._status.report(Level.OK, "stopped")
+
+    def cleanup(self) -> None:
+        """Close source and topics."""
+        self._source.close()
+        for output in self._outputs.values():
+            self.destroy_lifecycle_publisher(output)
+        self._outputs = {}
+
+    def _dues(self) -> Iterator[Due]:
+        return timeline(self._source, self._type_names, self.parameters, self.get_clock().now().nanoseconds)
+
+    def _has_listeners(self) -> bool:
+        missing = []
+        for name, output in self._outputs.items():
+            scans = name == RAW_TOPIC
+            wanted = self.parameters.wait_for_subscribers if scans else self.parameters.wait_for_other_subscribers
+            if (count := output.get_subscription_count()) < wanted:
+                missing.append(f"{output.topic_name} ({count} of {wanted})")
+        if missing:
+            self._status.report(Level.OK, "waiting for subscriptions to " + ", ".join(missing))
+        return not missing
+
+    def _publish(self, due: Due) -> None:
+        """Publish one message; where everything is kept, a full history means that a subscriber makes us wait."""
+        while not self._stopping:
+            try:
+                self._outputs[due.topic].publish(due.data)
+            except RuntimeError:
+                if self.parameters.qos_depth:
+                    raise
+            else:
+                self._counts[due.topic] += 1
+                return
+
+    @property
+    def _stopping(self) -> bool:
+        return self._replayer is not None and self._replayer.stopping
+
+    def _on_state(self, state: ReplayState, error: Exception | None) -> None:
+        """Report what the replay does, and end the program with it. Runs in the replay's thread."""
+        if state is ReplayState.RUNNING:
+            self._status.report(Level.OK, "running")
+        elif state in (ReplayState.ENDED, ReplayState.FAILED):
+            self._deliver()
+            self._refresh()
+            level, message = (Level.OK, "ended") if error is None else (Level.ERROR, str(error))
+            self._status.report(level, message)
+            if error is not None or self.parameters.on_end == "exit":
+                self.request_exit(error)
+
+    def _deliver(self) -> None:
+        """Wait until every reliable subscription has all messages."""
+        deadline = time.monotonic() + DELIVERY_S
+        for output in self._outputs.values():
+            while not output.wait_for_all_acked(Duration(seconds=0.1)):
+                if self._stopping:
+                    return
+                if time.monotonic() > deadline:
+                    self.get_logger().warning(f"not all messages of {output.topic_name} were received")
+                    break
+
+    def _refresh(self) -> None:
+        """Bring counts and rate up to date."""
+        now, count = time.monotonic(), self._counts.get(RAW_TOPIC, 0)
+        before, counted = self._rated
+        self._rated = (now, count)
+        rate = (count - counted) / (now - before) if now > before else 0.0
+        messages = sum(self._counts.values())
+        self._status.update({"scans_published": count, "messages_published": messages, "scans_per_second": rate})
+
+
+def main() -> int:
+    """Run the node as a program."""
+    return run(DriverNode)
