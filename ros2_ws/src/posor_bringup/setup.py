@@ -26,7 +26,9 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
+        *((f"share/{PACKAGE}/bags/{test}", files(f"bags/{test}")) for test in ("ymo", "yzmo", "zmo")),
         (f"share/{PACKAGE}/config", files("config")),
+        (f"share/{PACKAGE}/data", files("data")),
         (f"share/{PACKAGE}/launch", files("launch")),
         (f"share/{PACKAGE}/urdf", files("urdf")),
     ],

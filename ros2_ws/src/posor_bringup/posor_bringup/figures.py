@@ -1,0 +1,172 @@
+"""Draws a replayed motion test as figures 8.8 to 8.14 of the thesis do: motion and error of each angle, endpoint."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from posor_bringup.motion import ANGLES, Angle, MotionTest
+from posor_bringup.thesis import URAD, Band, PrintedColumns
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from posor_estimator.core.types import FloatArray
+
+# Okabe and Ito's palette: told apart by colour-blind readers; each curve also has a marker or line style of its own.
+POSOR_BLUE = "#0072B2"
+PRINTED_ORANGE = "#D55E00"
+TRUTH_GREY = "#333333"
+BAND_FILL = "#56B4E9"
+MEANING: Mapping[Angle, str] = {
+    "alpha": "alpha, twist about the beam (gap probes)",
+    "beta": "beta, turn to the side (gap probes)",
+    "theta": "theta, turn upwards or down (diodes)",
+}
+DIRECTIONS = ("x, along the beam", "y, side to side", "z, vertical")
+MICRON = 1e-6
+DPI = 110
+STYLE: Mapping[str, dict[str, Any]] = {
+    "posor": {"color": POSOR_BLUE, "marker": "o", "ms": 4.0, "lw": 1.4, "label": "POSOR, replayed"},
+    "printed": {
+        "color": PRINTED_ORANGE,
+        "marker": "s",
+        "ms": 7.0,
+        "mfc": "none",
+        "mew": 1.3,
+        "lw": 0.0,
+        "label": "POSOR, as printed in 1985",
+    },
+    "estimated": {
+        "color": POSOR_BLUE,
+        "marker": "o",
+        "ms": 7.5,
+        "mfc": "white",
+        "mew": 1.5,
+        "lw": 0.0,
+        "label": "estimated reading",
+    },
+    "truth": {"color": TRUTH_GREY, "ls": "--", "marker": "x", "ms": 4.0, "lw": 1.0, "label": "machining centre"},
+}
+
+
+def draw(test: MotionTest, title: str, printed: PrintedColumns | None, bands: Mapping[Angle, Band]) -> bytes:
+    """Return a picture (PNG) of all curves: one column for each angle, and the endpoint's displacement below.
+
+    Args:
+        test: The replayed test.
+        title: Heading.
+        printed: The printed result table, where there is one with the same steps.
+        bands: Predicted error of each angle.
+
+    """
+    figure = Figure(figsize=(13.0, 10.2), layout="constrained")
+    figure.suptitle(title, fontsize=14, fontweight="bold")
+    rows = figure.subplots(3, 3, sharex=True)
+    same = printed is not None and len(printed.posor) == len(test.steps)
+    for column, angle in enumerate(ANGLES):
+        shown = printed.posor[:, column] if printed is not None and same else None
+        _motion(rows[0][column], test, angle, shown)
+        _error(rows[1][column], test, angle, shown, bands.get(angle))
+        _displacement(rows[2][column], test, column)
+    figure.legend(
+        *_unique_entries([axes for row in rows for axes in row]),
+        loc="outside lower center",
+        ncols=6,
+        frameon=False,
+        fontsize=10,
+    )
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=DPI, metadata={"Software": None})
+    return picture.getvalue()
+
+
+def _motion(axes: Axes, test: MotionTest, angle: Angle, printed: FloatArray | None) -> None:
+    column = ANGLES.index(angle)
+    axes.set_title(MEANING[angle], fontsize=11)
+    axes.plot(test.numbers, test.measured[:, column] / URAD, **STYLE["truth"])
+    if printed is not None:
+        axes.plot(test.numbers, printed / URAD, **STYLE["printed"])
+    axes.plot(test.numbers, test.posor[:, column] / URAD, **STYLE["posor"])
+    _mark_refused(axes, test)
+    _finish(axes, f"{angle} [µrad]" if column else f"motion\n{angle} [µrad]", test)
+
+
+def _error(axes: Axes, test: MotionTest, angle: Angle, printed: FloatArray | None, band: Band | None) -> None:
+    column = ANGLES.index(angle)
+    measured = test.measured[:, column]
+    axes.axhline(0.0, color=TRUTH_GREY, lw=0.8)
+    if band is not None:
+        width = band.at(measured) / URAD
+        axes.fill_between(
+            test.numbers, -width, width, color=BAND_FILL, alpha=0.3, lw=0.0, label="predicted error (section 8.4)"
+        )
+        axes.text(
+            0.02,
+            0.02,
+            f"predicted: {band.terms.split(' (')[0].replace('; ', ', ')} µrad",
+            transform=axes.transAxes,
+            fontsize=7.5,
+            color="#444444",
+            bbox={"facecolor": "white", "alpha": 0.7, "lw": 0.0, "pad": 1.0},
+        )
+    if printed is not None:
+        axes.plot(test.numbers, (printed - measured) / URAD, **STYLE["printed"])
+    axes.plot(test.numbers, test.error[:, column] / URAD, **STYLE["posor"])
+    estimated = test.has_pose & ~test.measured_throughout(angle)
+    if estimated.any():
+        axes.plot(
+            np.array(test.numbers)[estimated],
+            test.error[estimated, column] / URAD,
+            **STYLE["estimated"],
+        )
+    _mark_refused(axes, test)
+    axes.margins(y=0.12)
+    _finish(axes, "error [µrad]" if column else "POSOR - machining centre\nerror [µrad]", test)
+
+
+def _displacement(axes: Axes, test: MotionTest, axis: int) -> None:
+    axes.set_title(DIRECTIONS[axis], fontsize=11)
+    axes.plot(test.numbers, test.truth[:, axis] / MICRON, **STYLE["truth"])
+    axes.plot(test.numbers, test.displacement[:, axis] / MICRON, **STYLE["posor"])
+    _mark_refused(axes, test)
+    axes.set_xlabel("step")
+    _finish(axes, "displacement [µm]" if axis else "endpoint (not judged: other lever)\ndisplacement [µm]", test)
+
+
+def _mark_refused(axes: Axes, test: MotionTest) -> None:
+    for step in test.steps:
+        if not step.has_pose:
+            axes.axvspan(
+                step.number - 0.4,
+                step.number + 0.4,
+                facecolor="none",
+                edgecolor="#999999",
+                hatch="////",
+                lw=0.0,
+                label="no pose",
+            )
+
+
+def _finish(axes: Axes, label: str, test: MotionTest) -> None:
+    axes.set_ylabel(label, fontsize=9.5)
+    axes.set_xlim(min(test.numbers) - 0.6, max(test.numbers) + 0.6)
+    axes.set_xticks(test.numbers[:: 1 + len(test.numbers) // 16])
+    axes.grid(visible=True, color="#dddddd", lw=0.6)
+    axes.set_axisbelow(True)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+
+
+def _unique_entries(all_axes: list[Axes]) -> tuple[list[Artist], list[str]]:
+    """Return the legend's entries, each once."""
+    entries: dict[str, Artist] = {}
+    for axes in all_axes:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            entries.setdefault(label, handle)
+    return list(entries.values()), list(entries)

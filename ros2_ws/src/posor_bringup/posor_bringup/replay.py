@@ -1,0 +1,238 @@
+"""Replays a bag through driver, POSOR, chain and recorder, each a process of its own, and collects the outcome."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from posor_estimator.errors import PosorError
+from posor_estimator.ros.listeners import STATUS as LISTENERS
+from posor_estimator.ros.main import spin
+from posor_estimator.ros.qos import ENDPOINT_TOPIC, RAW_TOPIC, TRANSFORM_TOPIC, TRUTH_TOPIC
+
+from posor_bringup.installed import JOINT
+from posor_bringup.supervisor import ProcessError, Program, RunningProgram, Supervisor
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
+
+    from posor_bringup.collector import Collector
+    from posor_bringup.motion import Step
+    from posor_bringup.supervisor import Parameter
+
+TOPICS = (f"/{JOINT}/{RAW_TOPIC}", f"/{JOINT}/{TRANSFORM_TOPIC}", f"/{ENDPOINT_TOPIC}", TRUTH_TOPIC)
+"""What is recorded."""
+
+LOSSLESS: Mapping[str, Parameter] = {"qos_reliability": "reliable", "qos_depth": 0}
+"""Parameters that make a fast publisher wait for a slow subscriber."""
+
+PATIENCE_S = 60.0
+"""A net, not a pace: how long nothing at all may happen before the replay is given up."""
+
+
+class InterruptedReplayError(PosorError):
+    """SIGINT or SIGTERM came during the replay."""
+
+    exit_code = 130
+
+
+@dataclass(frozen=True)
+class ReplayPlan:
+    """What to replay with what.
+
+    Attributes:
+        bag: The recorded scans and machining-centre readings.
+        calibration: Calibration file of the POSOR.
+        session: Session of the calibration file.
+        urdf: The rig.
+        output: Existing folder; the recorder makes ``bag`` in it, and ``logs`` gets what the programs write.
+        rate: Speed, 1 is real time; 0: as fast as possible.
+
+    """
+
+    bag: Path
+    calibration: Path
+    session: str
+    urdf: Path
+    output: Path
+    rate: float = 0.0
+
+    @property
+    def recorded(self) -> Path:
+        """The bag that the recorder makes."""
+        return self.output / "bag"
+
+    def driver(self) -> Program:
+        """Return the driver; it waits to be activated, then until POSOR, recorder and collector listen."""
+        parameters: dict[str, Parameter] = {
+            "autostart": False,
+            "source": "bag",
+            "bag.path": str(self.bag.resolve()),
+            "bag.other_topics": [TRUTH_TOPIC],
+            "rate": float(self.rate),
+            "wait_for_subscribers": 2,
+            "wait_for_other_subscribers": 2,
+            "on_end": "exit",
+        }
+        return Program(
+            "driver_node", "posor_drivers", "driver_node", (), f"/{JOINT}", {**parameters, **LOSSLESS}, ends=True
+        )
+
+    def posor(self) -> Program:
+        """Return the POSOR node."""
+        parameters = {"calibration": str(self.calibration.resolve()), "session": self.session}
+        return Program("posor_node", "posor_estimator", "posor_node", (), f"/{JOINT}", {**parameters, **LOSSLESS})
+
+    def chain(self) -> Program:
+        """Return the chain node."""
+        return Program(
+            "chain_node", "posor_estimator", "chain_node", (), "", {"urdf": str(self.urdf.resolve()), **LOSSLESS}
+        )
+
+    def recorder(self) -> Program:
+        """Return the recorder."""
+        arguments = ("--output", str(self.recorded.resolve()), "--topics", *TOPICS)
+        return Program("record", "posor_drivers", "record", arguments)
+
+
+class Replay:
+    """One replay: ``listen``, ``play``, ``finish``."""
+
+    _driver: RunningProgram
+    _nodes: list[RunningProgram]
+    _recorder: RunningProgram
+
+    def __init__(
+        self,
+        plan: ReplayPlan,
+        supervisor: Supervisor,
+        collector: Collector,
+        *,
+        on_steps: Callable[[Sequence[Step]], None] = lambda _steps: None,
+        interrupted: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Prepare.
+
+        Args:
+            plan: What to replay.
+            supervisor: Starts and ends the processes.
+            collector: Node that receives.
+            on_steps: Called with all complete steps so far, whenever something has arrived.
+            interrupted: Whether to give up.
+
+        """
+        self.plan = plan
+        self.collector = collector
+        self._supervisor = supervisor
+        self._on_steps = on_steps
+        self._interrupted = interrupted
+
+    def listen(self) -> None:
+        """Start all programs and wait until those that listen have found those that publish.
+
+        Raises:
+            ProcessError: One ended, or they did not find one another.
+
+        """
+        start = self._supervisor.start
+        self._driver = start(self.plan.driver())
+        self._nodes = [start(program) for program in (self.plan.posor(), self.plan.chain())]
+        self._recorder = start(self.plan.recorder())
+        self._change(Transition.TRANSITION_CONFIGURE, "configure")
+        self.wait(lambda: not self._unconnected(), lambda: ", ".join(self._unconnected()))
+
+    def _unconnected(self) -> list[str]:
+        """Return the topics that lack listeners; the driver looks after its own."""
+        return [
+            f"{wanted} subscriptions to the {topic} of {node}"
+            for node, topic, wanted in (
+                (f"/{JOINT}/posor_node", TRANSFORM_TOPIC, 3),  # chain, recorder, collector
+                ("/chain_node", ENDPOINT_TOPIC, 2),  # recorder, collector
+            )
+            if int(self.collector.value(f"{node}: {LISTENERS}", topic) or 0) < wanted
+        ]
+
+    def _change(self, transition: int, name: str) -> None:
+        """Ask the driver for a transition of its lifecycle.
+
+        Raises:
+            ProcessError: It refuses.
+
+        """
+        client = self.collector.create_client(ChangeState, f"/{JOINT}/driver_node/change_state")
+        self.wait(client.service_is_ready, lambda: "the driver's lifecycle service")
+        answer = client.call_async(ChangeState.Request(transition=Transition(id=transition)))
+        self.wait(answer.done, lambda: "the driver's answer")
+        self.collector.destroy_client(client)
+        if not answer.result().success:
+            raise ProcessError(f"cannot {name}: {self._driver.last_sentence()}", where="driver_node")
+
+    def play(self) -> None:
+        """Activate the driver and wait until it has published all and everything that follows has arrived.
+
+        Raises:
+            ProcessError: A program ended as it should not, or something did not arrive.
+
+        """
+        self._change(Transition.TRANSITION_ACTIVATE, "activate")
+        self.wait(lambda: self._driver.has_ended, lambda: "the end of the driver")
+        self.wait(lambda: not self._outstanding(), lambda: ", ".join(self._outstanding()))
+
+    def _outstanding(self) -> list[str]:
+        nothing = [] if self.collector.truths else ["any machining-centre reading"]
+        unnamed = [] if self.identity()["calibration_hash"] else ["what calibration the POSOR node has"]
+        return self.collector.missing() + nothing + unnamed
+
+    def identity(self) -> dict[str, str]:
+        """Return what the POSOR node says of its calibration: file, hash, session; empty where it has not yet."""
+        keys = ("calibration", "calibration_hash", "session")
+        return {key: self.collector.value(f"/{JOINT}/posor_node: estimate", key) or "" for key in keys}
+
+    def finish(self) -> None:
+        """End the nodes, then the recorder, so that it has all they published.
+
+        Raises:
+            ProcessError: One did not end as it should.
+
+        """
+        self._supervisor.end(self._nodes)
+        self._supervisor.end([self._recorder])
+
+    def restart_posor(self) -> None:
+        """Kill the POSOR node as a crash would and start it anew."""
+        self._supervisor.kill(self._nodes[0])
+        self._nodes[0] = self._supervisor.start(self.plan.posor())
+
+    def wait(self, until: Callable[[], bool], lacking: Callable[[], str]) -> None:
+        """Receive until a condition holds.
+
+        Args:
+            until: The condition.
+            lacking: What to say is missing when nothing happens any more.
+
+        Raises:
+            InterruptedReplayError: The user gives up.
+            ProcessError: A program ended as it should not, or nothing arrived for ``PATIENCE_S``.
+
+        """
+        received, since = -1, time.monotonic()
+
+        def done() -> bool:
+            nonlocal received, since
+            if self._interrupted():
+                raise InterruptedReplayError("interrupted", where="replay")
+            self._supervisor.check()
+            if self.collector.received != received:
+                received, since = self.collector.received, time.monotonic()
+                self._on_steps(self.collector.steps())
+            if until():
+                return True
+            if time.monotonic() - since > PATIENCE_S:
+                raise ProcessError(f"nothing arrives any more, missing: {lacking()}", where="replay")
+            return False
+
+        spin(self.collector, done)
