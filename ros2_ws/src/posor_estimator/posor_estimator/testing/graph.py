@@ -1,0 +1,122 @@
+"""A node of the test itself: receives, publishes and calls services in the ROS domain of the environment."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Self
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from lifecycle_msgs.srv import ChangeState, GetState
+from rclpy.context import Context
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from posor_estimator.ros.qos import DIAGNOSTICS_TOPIC
+from posor_estimator.testing.program import wait_until
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import TracebackType
+
+LOSSLESS = QoSProfile(history=HistoryPolicy.KEEP_ALL, depth=0, reliability=ReliabilityPolicy.RELIABLE)
+"""Receives everything that a reliable publisher sends."""
+
+BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+class Graph:
+    """A node with its own context; a ``with`` block ends it.
+
+    Attributes:
+        node: For whatever the methods do not offer.
+        diagnostics: All statuses received after ``watch_diagnostics``, in order.
+
+    """
+
+    def __init__(self) -> None:
+        """Join the graph."""
+        self._context = Context()
+        rclpy.init(context=self._context)
+        self.node = Node("test_graph", context=self._context, enable_rosout=False)
+        self._executor = EventsExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self.diagnostics: list[DiagnosticStatus] = []
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Leave the graph."""
+        self._executor.remove_node(self.node)
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+    def wait_until(self, condition: Callable[[], bool], what: str) -> None:
+        """Receive until ``condition`` holds."""
+        wait_until(condition, what, self.receive)
+
+    def receive(self) -> None:
+        """Let one event happen, or a short time pass."""
+        self._executor.spin_once(timeout_sec=0.05)
+
+    def collect(
+        self, message_type: type[Any], topic: str, qos: QoSProfile = LOSSLESS, *, raw: bool = False
+    ) -> list[Any]:
+        """Subscribe; return the list into which messages come (bytes if ``raw``)."""
+        messages: list[Any] = []
+        self.node.create_subscription(message_type, topic, messages.append, qos, raw=raw)
+        return messages
+
+    def publisher(
+        self, message_type: type[Any], topic: str, qos: QoSProfile = LOSSLESS, *, subscriptions: int = 1
+    ) -> Any:
+        """Return a publisher once it has the given number of subscriptions."""
+        publisher = self.node.create_publisher(message_type, topic, qos)
+        self.wait_until(lambda: publisher.get_subscription_count() >= subscriptions, f"subscriptions to {topic}")
+        return publisher
+
+    def call(self, service_type: type[Any], name: str, request: Any) -> Any:
+        """Call a service once it is there and return its response."""
+        client = self.node.create_client(service_type, name)
+        self.wait_until(client.service_is_ready, f"service {name}")
+        future = client.call_async(request)
+        self.wait_until(future.done, f"an answer from {name}")
+        self.node.destroy_client(client)
+        return future.result()
+
+    def change_state(self, node: str, transition: int) -> bool:
+        """Ask a lifecycle node for a transition; return whether it succeeded."""
+        request = ChangeState.Request()
+        request.transition.id = transition
+        return bool(self.call(ChangeState, f"{node}/change_state", request).success)
+
+    def state(self, node: str) -> str:
+        """Return the label of a lifecycle node's state."""
+        return str(self.call(GetState, f"{node}/get_state", GetState.Request()).current_state.label)
+
+    def watch_diagnostics(self) -> None:
+        """Collect all diagnostics from now on."""
+
+        def take(array: Any) -> None:
+            self.diagnostics.extend(array.status)
+
+        self.node.create_subscription(DiagnosticArray, DIAGNOSTICS_TOPIC, take, LOSSLESS)
+
+    def latest(self, name: str) -> DiagnosticStatus | None:
+        """Return the newest diagnostic status of that name, for instance ``/joint1/driver_node: source``."""
+        return next((status for status in reversed(self.diagnostics) if status.name == name), None)
+
+    def wait_for_status(self, name: str, text: str) -> DiagnosticStatus:
+        """Return the newest diagnostic status of that name once its message contains ``text``."""
+        self.wait_until(lambda: text in getattr(self.latest(name), "message", ""), f"'{text}' from {name}")
+        return self.latest(name)
+
+
+def values_of(status: DiagnosticStatus) -> dict[str, str]:
+    """Return the key-value pairs of a diagnostic status."""
+    return {pair.key: pair.value for pair in status.values}

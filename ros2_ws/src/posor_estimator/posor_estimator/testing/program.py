@@ -1,0 +1,153 @@
+"""Runs one program in a process of its own and waits for what it writes."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from threading import Condition, Thread
+from typing import IO, TYPE_CHECKING, Self
+
+from ament_index_python.packages import get_package_prefix
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+    from types import TracebackType
+
+PATIENCE_S = 60.0
+"""A net, not a pace: how long to wait for something that ought to happen at once."""
+
+
+def installed(package: str, executable: str) -> list[str]:
+    """Return the command of an installed executable."""
+    return [str(Path(get_package_prefix(package), "lib", package, executable))]
+
+
+def script(path: Path) -> list[str]:
+    """Return the command of a Python file."""
+    return [sys.executable, str(path)]
+
+
+def ros_arguments(parameters: Mapping[str, object], namespace: str = "") -> list[str]:
+    """Return the command-line arguments that give a node its parameters and its namespace."""
+    arguments = ["--ros-args"]
+    if namespace:
+        arguments += ["-r", f"__ns:={namespace}"]
+    for name, value in parameters.items():
+        text = ".inf" if value == math.inf else json.dumps(value)  # YAML, which JSON is but for infinity
+        arguments += ["-p", f"{name}:={text}"]
+    return arguments
+
+
+class Program:
+    """A running program; leaving the ``with`` block kills it if it has not ended."""
+
+    def __init__(self, command: Sequence[str], environment: Mapping[str, str] | None = None) -> None:
+        """Start it.
+
+        Args:
+            command: Program and arguments.
+            environment: Variables to add to those of this process.
+
+        """
+        self._condition = Condition()
+        self._lines: dict[str, list[str]] = {"stdout": [], "stderr": []}
+        self.process = subprocess.Popen(
+            list(command),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONUNBUFFERED": "1", **(environment or {})},
+        )
+        self._readers = [
+            Thread(target=self._read, args=(stream, name), daemon=True)
+            for stream, name in ((self.process.stdout, "stdout"), (self.process.stderr, "stderr"))
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    def __enter__(self) -> Self:
+        """Return the program."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Kill what is still running."""
+        if self.process.poll() is None:
+            self.process.kill()
+        self.wait()
+        for stream in (self.process.stdout, self.process.stderr):
+            if stream is not None:
+                stream.close()
+
+    def _read(self, stream: IO[str] | None, name: str) -> None:
+        for line in stream or ():
+            with self._condition:
+                self._lines[name].append(line.rstrip("\n"))
+                self._condition.notify_all()
+
+    @property
+    def stdout(self) -> list[str]:
+        """The lines written to standard output so far."""
+        return list(self._lines["stdout"])
+
+    @property
+    def stderr(self) -> list[str]:
+        """The lines written to standard error so far."""
+        return list(self._lines["stderr"])
+
+    @property
+    def ended(self) -> bool:
+        """Whether the program has ended."""
+        return self.process.poll() is not None
+
+    def wait_for_line(self, text: str) -> str:
+        """Return the first line on either stream that contains ``text``, as soon as there is one.
+
+        Raises:
+            AssertionError: the program ended without, or it took too long.
+
+        """
+        deadline = time.monotonic() + PATIENCE_S
+        with self._condition:
+            while True:
+                ended = self.ended and not any(reader.is_alive() for reader in self._readers)
+                for line in self.stdout + self.stderr:
+                    if text in line:
+                        return line
+                if ended or time.monotonic() > deadline:
+                    raise AssertionError(f"no line '{text}' but {self.stdout + self.stderr}")
+                self._condition.wait(0.2)
+
+    def wait(self) -> int:
+        """Wait for the program's end and return its exit code; all it wrote is there then."""
+        code = self.process.wait(PATIENCE_S)
+        for reader in self._readers:
+            reader.join(PATIENCE_S)
+        return code
+
+    def end(self, number: signal.Signals = signal.SIGINT) -> int:
+        """Send a signal, wait for the end and return the exit code."""
+        self.process.send_signal(number)
+        return self.wait()
+
+
+def wait_until(condition: Callable[[], bool], what: str, meanwhile: Callable[[], None]) -> None:
+    """Call ``meanwhile`` until ``condition`` holds.
+
+    Raises:
+        AssertionError: it took too long; says what was waited for.
+
+    """
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        if time.monotonic() > deadline:
+            raise AssertionError(f"waited in vain for {what}")
+        meanwhile()

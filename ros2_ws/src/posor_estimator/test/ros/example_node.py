@@ -1,0 +1,70 @@
+"""A node that tests start as a program: says on stdout which of its hooks ran, and fails where its parameter says."""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated, Literal
+
+from posor_estimator.errors import CalibrationError, ParameterError
+from posor_estimator.ros.diagnostics import Level
+from posor_estimator.ros.main import run
+from posor_estimator.ros.node import PosorNode
+from posor_estimator.ros.parameters import ChangeableAtRunTime, NodeParameters
+from pydantic import Field
+from rcl_interfaces.msg import Log
+
+
+class ExampleParameters(NodeParameters):
+    fail: Literal["never", "configure", "activate", "bug"] = Field(default="never", description="where to fail")
+    gain: Annotated[float, Field(ge=0.0, le=5.0), ChangeableAtRunTime()] = Field(default=1.0, description="a gain")
+    names: tuple[str, ...] = Field(default=(), description="names")
+    count: Annotated[int, Field(ge=1, le=9)] = Field(default=2, description="a count")
+
+
+class ExampleNode(PosorNode[ExampleParameters]):
+    """An example."""
+
+    NAME = "example"
+    Parameters = ExampleParameters
+
+    def configure(self) -> None:
+        print("configure", flush=True)
+        if self.parameters.fail == "configure":
+            raise CalibrationError("is wrong", where="some.yaml", expected="a right one")
+        if self.parameters.fail == "bug":
+            raise KeyError("a bug")
+        self.output = self.create_lifecycle_publisher(Log, "output", 10)
+        self.status = self.diagnostics.add("work")
+        self.refreshed = 0
+        self.diagnostics.before_each(self.refresh)
+
+    def refresh(self) -> None:
+        self.refreshed += 1
+        self.status.update({"refreshed": self.refreshed})
+
+    def activate(self) -> None:
+        print(f"activate, publisher active: {self.output.is_activated}", flush=True)
+        if self.parameters.fail == "activate":
+            raise CalibrationError("is wrong", where="some.yaml")
+        self.status.report(Level.WARN, "first", {"number": 1, "flag": True, "real": 0.1})
+        self.status.report(Level.OK, "second")
+        self.status.report(Level.OK, "second", {"number": 2})
+        self.status.report(Level.OK, "third")
+
+    def deactivate(self) -> None:
+        print(f"deactivate, publisher active: {self.output.is_activated}", flush=True)
+
+    def cleanup(self) -> None:
+        print("cleanup", flush=True)
+        self.destroy_lifecycle_publisher(self.output)
+
+    def accept_parameters(self, parameters: ExampleParameters) -> None:
+        if parameters.gain == 4.0:
+            raise ParameterError("four is not wanted", where="gain")
+
+    def parameters_changed(self, parameters: ExampleParameters) -> None:
+        print(f"gain is now {parameters.gain!r}", flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(run(ExampleNode))

@@ -1,0 +1,226 @@
+"""How a node behaves as a program: start, refusals, signals, lifecycle by service, parameters, diagnostics."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+
+import pytest
+from lifecycle_msgs.msg import Transition
+from posor_estimator.testing.graph import Graph, values_of
+from posor_estimator.testing.program import Program, ros_arguments, script
+from rcl_interfaces.msg import ParameterDescriptor, ParameterType
+from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
+from rclpy.parameter import Parameter
+
+pytestmark = pytest.mark.usefixtures("ros_domain")
+
+EXAMPLE = script(Path(__file__).with_name("example_node.py"))
+HOOKS_TO_ACTIVE = ["configure", "activate, publisher active: True"]
+HOOKS_TO_END = ["deactivate, publisher active: True", "cleanup"]
+
+
+def example(namespace: str = "", **parameters: object) -> Program:
+    return Program([*EXAMPLE, *ros_arguments(parameters, namespace)])
+
+
+def refusal(*arguments: str) -> tuple[int, list[str], list[str]]:
+    with Program([*EXAMPLE, *arguments]) as program:
+        return program.wait(), program.stderr, program.stdout
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_ends_an_active_node_cleanly(number: signal.Signals) -> None:
+    with example() as node:
+        node.wait_for_line("activate")
+        assert node.end(number) == 0
+        assert node.stdout == HOOKS_TO_ACTIVE + HOOKS_TO_END
+        assert node.stderr == []
+
+
+def test_wrong_parameters_end_the_program_with_one_sentence() -> None:
+    assert refusal("--ros-args", "-p", "count:=10") == (
+        2,
+        ["node /example, parameter 'count': 10 is wrong; expected an integer at least 1 and at most 9."],
+        [],
+    )
+    assert refusal("--ros-args", "-r", "__ns:=/joint1", "-p", "gian:=1.0") == (
+        2,
+        ["node /joint1/example, parameter 'gian': there is no such parameter; expected perhaps 'gain'."],
+        [],
+    )
+
+
+def test_parameter_file_is_checked_in_the_same_way(tmp_path: Path) -> None:
+    file = tmp_path / "parameters.yaml"
+    file.write_text("example:\n  ros__parameters:\n    names: [a, b]\n    count: 0\n", encoding="utf-8")
+    assert refusal("--ros-args", "--params-file", str(file))[:2] == (
+        2,
+        ["node /example, parameter 'count': 0 is wrong; expected an integer at least 1 and at most 9."],
+    )
+
+
+def test_failing_hook_ends_the_program_with_its_sentence_and_exit_code() -> None:
+    assert refusal("--ros-args", "-p", "fail:=configure") == (
+        1,
+        ["some.yaml: is wrong; expected a right one."],
+        ["configure"],
+    )
+    code, stderr, stdout = refusal("--ros-args", "-p", "fail:=activate")
+    assert (code, stderr) == (1, ["some.yaml: is wrong."])
+    assert stdout == [*HOOKS_TO_ACTIVE, "cleanup"]
+
+
+def test_bug_in_a_hook_shows_its_traceback() -> None:
+    code, stderr, _ = refusal("--ros-args", "-p", "fail:=bug")
+    assert code == 1
+    assert stderr[-1] == "KeyError: 'a bug'"
+
+
+def test_arguments_that_nobody_understands_are_refused() -> None:
+    code, stderr, _ = refusal("--calibration", "x.yaml")
+    assert (code, stderr) == (2, ["example: argument '--calibration' is unknown; expected --ros-args -p name:=value."])
+    for arguments in (["-p", "gain"], ["--params-file", "nowhere.yaml"], ["-x"]):
+        code, stderr, _ = refusal("--ros-args", *arguments)
+        assert code == 2
+        assert len(stderr) == 1
+        assert stderr[0].startswith("ROS arguments: cannot be understood, ")
+
+
+def test_impossible_namespace_is_refused() -> None:
+    code, stderr, _ = refusal("--ros-args", "-r", "__ns:=/joint1/")
+    assert code == 2
+    assert "namespace" in stderr[-1]
+    assert "Traceback" not in "".join(stderr)
+
+
+def test_help_lists_the_parameters() -> None:
+    code, stderr, stdout = refusal("--help")
+    assert (code, stderr) == (0, [])
+    assert stdout[0] == "example: An example."
+    assert "  gain: a number at least 0.0 and at most 5.0 (default: 1.0)" in stdout
+
+
+def test_lifecycle_services_move_a_node_that_does_not_start_itself() -> None:
+    with example(autostart=False) as node, Graph() as graph:
+        assert graph.state("/example") == "unconfigured"
+        for transition, state in (
+            (Transition.TRANSITION_CONFIGURE, "inactive"),
+            (Transition.TRANSITION_ACTIVATE, "active"),
+            (Transition.TRANSITION_DEACTIVATE, "inactive"),
+            (Transition.TRANSITION_CLEANUP, "unconfigured"),
+            (Transition.TRANSITION_CONFIGURE, "inactive"),
+            (Transition.TRANSITION_ACTIVATE, "active"),
+        ):
+            assert graph.change_state("/example", transition)
+            assert graph.state("/example") == state
+        assert graph.change_state("/example", Transition.TRANSITION_ACTIVE_SHUTDOWN)
+        assert node.wait() == 0
+        assert node.stdout == (HOOKS_TO_ACTIVE + HOOKS_TO_END) * 2
+
+
+def test_impossible_transition_is_answered_with_no_and_harms_nothing() -> None:
+    with example() as node, Graph() as graph:
+        node.wait_for_line("activate")
+        assert not graph.change_state("/example", Transition.TRANSITION_CLEANUP)
+        assert not graph.change_state("/example", 99)
+        assert graph.state("/example") == "active"
+        assert node.end() == 0
+
+
+def test_refused_transition_leaves_the_node_alive_in_its_former_state() -> None:
+    with example(autostart=False, fail="configure") as node, Graph() as graph:
+        graph.watch_diagnostics()
+        assert not graph.change_state("/example", Transition.TRANSITION_CONFIGURE)
+        assert graph.state("/example") == "unconfigured"
+        status = graph.wait_for_status("/example: lifecycle", "some.yaml: is wrong; expected a right one.")
+        assert status.level == b"\x02"
+        node.wait_for_line("some.yaml: is wrong; expected a right one.")
+        assert node.end() == 0
+
+
+def test_refused_activation_leaves_no_publisher_active() -> None:
+    with example(autostart=False, fail="activate") as node, Graph() as graph:
+        assert graph.change_state("/example", Transition.TRANSITION_CONFIGURE)
+        assert not graph.change_state("/example", Transition.TRANSITION_ACTIVATE)
+        assert graph.state("/example") == "inactive"
+        assert node.end() == 0
+        assert node.stdout == [*HOOKS_TO_ACTIVE, "cleanup"]
+
+
+def test_descriptors_tell_type_text_range_and_read_only() -> None:
+    with example(), Graph() as graph:
+        names = ["gain", "names", "count", "fail"]
+        gain, names_, count, fail = graph.call(
+            DescribeParameters, "/example/describe_parameters", DescribeParameters.Request(names=names)
+        ).descriptors
+        expected = ParameterDescriptor(
+            name="gain",
+            type=ParameterType.PARAMETER_DOUBLE,
+            description="a gain",
+            additional_constraints="a number at least 0.0 and at most 5.0",
+        )
+        (span,) = gain.floating_point_range
+        assert (span.from_value, span.to_value, span.step) == (0.0, 5.0, 0.0)
+        gain.floating_point_range = []
+        assert gain == expected
+        assert (names_.type, names_.read_only) == (ParameterType.PARAMETER_STRING_ARRAY, True)
+        (span,) = count.integer_range
+        assert (span.from_value, span.to_value, count.read_only) == (1, 9, True)
+        assert fail.additional_constraints == "one of 'never', 'configure', 'activate', 'bug'"
+
+
+def test_parameter_changes_at_run_time() -> None:
+    with example(gain=2) as node, Graph() as graph:
+
+        def set_parameter(name: str, value: object) -> tuple[bool, str]:
+            request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+            (result,) = graph.call(SetParameters, "/example/set_parameters", request).results
+            return result.successful, result.reason
+
+        def gain() -> float:
+            request = GetParameters.Request(names=["gain"])
+            return float(graph.call(GetParameters, "/example/get_parameters", request).values[0].double_value)
+
+        assert gain() == 2.0
+        assert set_parameter("gain", 3.0) == (True, "")
+        assert set_parameter("gain", 1) == (True, "")
+        assert gain() == 1.0
+        node.wait_for_line("gain is now 1.0")
+        assert set_parameter("gain", 4.0) == (False, "gain: four is not wanted.")
+        for name, value in (("gain", 6.0), ("gain", float("nan")), ("gain", "high"), ("count", 3), ("gian", 1.0)):
+            successful, reason = set_parameter(name, value)
+            assert not successful
+            assert reason
+        assert gain() == 1.0
+        assert node.end() == 0
+        assert [line for line in node.stdout if "gain" in line] == ["gain is now 3.0", "gain is now 1.0"]
+
+
+def test_diagnostics_go_out_at_each_change_and_then_once_a_second() -> None:
+    with Graph() as graph, example("/joint1", autostart=False):
+        graph.watch_diagnostics()
+        graph.wait_for_status("/joint1/example: lifecycle", "unconfigured")
+        assert graph.change_state("/joint1/example", Transition.TRANSITION_CONFIGURE)
+        assert graph.change_state("/joint1/example", Transition.TRANSITION_ACTIVATE)
+        graph.wait_for_status("/joint1/example: work", "third")
+        work = [status for status in graph.diagnostics if status.name == "/joint1/example: work"]
+        changes = [status.message for status in work if status.message != "no report yet"]
+        assert list(dict.fromkeys(changes)) == ["first", "second", "third"]
+        assert {status.hardware_id for status in work} == {"joint1"}
+        first = next(status for status in work if status.message == "first")
+        assert first.level == b"\x01"
+        assert {key: values_of(first)[key] for key in ("number", "flag", "real")} == {
+            "number": "1",
+            "flag": "true",
+            "real": "0.1",
+        }
+        assert values_of(work[-1])["number"] == "2"
+        lifecycle = graph.latest("/joint1/example: lifecycle")
+        assert lifecycle is not None
+        assert lifecycle.message == "active"
+        before = int(values_of(work[-1]).get("refreshed", "0"))
+        graph.wait_until(
+            lambda: int(values_of(graph.latest("/joint1/example: work")).get("refreshed", "0")) >= before + 2,
+            "periodic diagnostics",
+        )
