@@ -3,31 +3,14 @@
 from __future__ import annotations
 
 import os
-import socket
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 import pytest
+from posor_estimator.ros.domain import leased_domain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-
-DOMAINS = range(1, 101)  # valid on every platform with the standard DDS port mapping
-FIRST_LEASE_PORT = 32768  # of ROS's own domain_coordinator: whoever holds this port + domain uses that domain
-
-
-@contextmanager
-def leased_domain() -> Iterator[int]:
-    """Lease a ROS domain that no other test on this host uses; the bound port is the lease."""
-    for domain in DOMAINS:
-        with closing(socket.socket(socket.AF_INET, socket.SOCK_STREAM)) as lease:
-            try:
-                lease.bind(("127.0.0.1", FIRST_LEASE_PORT + domain))
-            except OSError:
-                continue
-            yield domain
-            return
-    raise RuntimeError("all ROS domains from 1 to 100 are in use on this host; expected at least one free.")
 
 
 def pytest_configure(config: pytest.Config) -> None:

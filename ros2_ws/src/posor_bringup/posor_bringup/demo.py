@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, NoReturn
 
 from posor_estimator.core.calibration.load import load_calibration
 from posor_estimator.errors import ParameterError, PosorError
+from posor_estimator.ros.domain import own_network
 from posor_estimator.ros.main import exit_code_of, own_arguments, ros
 from rich.console import Console
 
 from posor_bringup.collector import Collector
 from posor_bringup.comparison import Comparison, compare
-from posor_bringup.domain import own_network
 from posor_bringup.expectations import BAGS, CALIBRATIONS
 from posor_bringup.figures import draw
 from posor_bringup.findings_table import print_comparison
@@ -48,9 +48,12 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _rate(text: str) -> float:
-    rate = float(text)
+    try:
+        rate = float(text)
+    except ValueError:
+        rate = math.nan
     if not (math.isfinite(rate) and rate >= 0.0):
-        raise ValueError
+        raise argparse.ArgumentTypeError(f"'{text}' is no speed, a number of at least 0")
     return rate
 
 
@@ -119,7 +122,8 @@ def _replay(plan: ReplayPlan, argv: Sequence[str], table: LiveTable) -> tuple[Mo
             with table:
                 replay = Replay(plan, supervisor, collector, on_steps=table.show, interrupted=lambda: stop.requested)
                 replay.listen()
-                replay.play()
+                replay.begin()
+                replay.complete()
             replay.finish()
             return MotionTest(tuple(collector.steps())), replay.identity()
         finally:

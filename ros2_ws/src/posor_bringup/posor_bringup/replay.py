@@ -51,6 +51,7 @@ class ReplayPlan:
         urdf: The rig.
         output: Existing folder; the recorder makes ``bag`` in it, and ``logs`` gets what the programs write.
         rate: Speed, 1 is real time; 0: as fast as possible.
+        loop: Whether the driver starts over at the end, for ever.
 
     """
 
@@ -60,6 +61,7 @@ class ReplayPlan:
     urdf: Path
     output: Path
     rate: float = 0.0
+    loop: bool = False
 
     @property
     def recorded(self) -> Path:
@@ -74,6 +76,7 @@ class ReplayPlan:
             "bag.path": str(self.bag.resolve()),
             "bag.other_topics": [TRUTH_TOPIC],
             "rate": float(self.rate),
+            "loop": self.loop,
             "wait_for_subscribers": 2,
             "wait_for_other_subscribers": 2,
             "on_end": "exit",
@@ -100,7 +103,7 @@ class ReplayPlan:
 
 
 class Replay:
-    """One replay: ``listen``, ``play``, ``finish``."""
+    """One replay: ``listen``, ``begin``, ``complete``, ``finish``."""
 
     _driver: RunningProgram
     _nodes: list[RunningProgram]
@@ -171,14 +174,22 @@ class Replay:
         if not answer.result().success:
             raise ProcessError(f"cannot {name}: {self._driver.last_sentence()}", where="driver_node")
 
-    def play(self) -> None:
-        """Activate the driver and wait until it has published all and everything that follows has arrived.
+    def begin(self) -> None:
+        """Activate the driver.
+
+        Raises:
+            ProcessError: It refuses, or a program ended as it should not.
+
+        """
+        self._change(Transition.TRANSITION_ACTIVATE, "activate")
+
+    def complete(self) -> None:
+        """Wait until the driver has published all and everything that follows has arrived.
 
         Raises:
             ProcessError: A program ended as it should not, or something did not arrive.
 
         """
-        self._change(Transition.TRANSITION_ACTIVATE, "activate")
         self.wait(lambda: self._driver.has_ended, lambda: "the end of the driver")
         self.wait(lambda: not self._outstanding(), lambda: ", ".join(self._outstanding()))
 
@@ -193,12 +204,13 @@ class Replay:
         return {key: self.collector.value(f"/{JOINT}/posor_node: estimate", key) or "" for key in keys}
 
     def finish(self) -> None:
-        """End the nodes, then the recorder, so that it has all they published.
+        """End the driver if it still runs, then the nodes, then the recorder, so that it has all they published.
 
         Raises:
             ProcessError: One did not end as it should.
 
         """
+        self._supervisor.end([self._driver])
         self._supervisor.end(self._nodes)
         self._supervisor.end([self._recorder])
 

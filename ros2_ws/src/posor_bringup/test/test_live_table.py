@@ -1,0 +1,60 @@
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING
+
+from posor_bringup.comparison import compare
+from posor_bringup.findings_table import print_comparison
+from posor_bringup.live_table import LiveTable
+from rich.console import Console
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from posor_bringup.motion import MotionTest
+    from posor_bringup.thesis import PrintedColumns
+
+
+def shown(test: MotionTest, *, terminal: bool, live: bool = True, height: int = 60) -> str:
+    screen = io.StringIO()
+    console = Console(file=screen, force_terminal=terminal, width=130, height=height, highlight=False)
+    with LiveTable("a title", console, live=live) as table:
+        for count in range(1, len(test.steps) + 1):
+            table.show(test.steps[:count])
+            table.show(test.steps[:count])
+    return screen.getvalue()
+
+
+def test_every_step_is_one_plain_line_where_there_is_no_terminal(printed_test: Callable[..., MotionTest]) -> None:
+    lines = shown(printed_test(lost=(15,)), terminal=False).splitlines()
+    assert lines[0] == "a title"
+    steps = lines[3:]
+    assert [line.split()[0] for line in steps] == [str(number) for number in range(1, 16)]
+    assert steps[13].split()[1:6] == ["66.0", "3922.0", "4034.0", "-229.0", "-16.0"]
+    assert steps[14].split()[1:6] == ["-", "-", "4318.0", "-", "-13.0"]
+    assert steps[14].endswith("lost:OUT_OF_RANGE")
+
+
+def test_the_user_may_have_plain_lines_in_a_terminal(printed_test: Callable[..., MotionTest]) -> None:
+    assert "┃" not in shown(printed_test(), terminal=True, live=False)
+
+
+def test_a_terminal_ends_with_the_whole_table_even_if_it_is_low(printed_test: Callable[..., MotionTest]) -> None:
+    text = shown(printed_test(), terminal=True, height=12)
+    last = text[text.rindex("a title") :]
+    assert all(f"│ {number:>4} │" in last for number in range(1, 16))
+
+
+def test_the_comparison_is_printed_line_by_line_or_as_a_table(
+    printed_test: Callable[..., MotionTest], printed: PrintedColumns
+) -> None:
+    comparison = compare(printed_test(lost=(3,)), "ymo", "printed", printed)
+    for terminal in (False, True):
+        screen = io.StringIO()
+        print_comparison(comparison, Console(file=screen, force_terminal=terminal, width=200, color_system=None))
+        text = screen.getvalue()
+        assert "FAILS" in text
+        assert "3 (lost:OUT_OF_RANGE)" in text
+        assert ("┃" in text) == terminal
+        if not terminal:
+            assert len(text.splitlines()) == len(comparison.findings)
