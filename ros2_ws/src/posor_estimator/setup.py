@@ -36,6 +36,9 @@ setup(
         "console_scripts": [
             "posor_node = posor_estimator.posor_node:main",
             "chain_node = posor_estimator.chain_node:main",
+            "golden = posor_estimator.golden:main",
+            "accuracy = posor_estimator.accuracy.report:main",
+            "bench_core = posor_estimator.accuracy.bench_core:main",
         ],
         "posor_estimator.sensors": [
             "gap_probes = posor_estimator.core.sensors.gap_probes:GapProbesCalibration",

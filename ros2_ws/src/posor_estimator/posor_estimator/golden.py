@@ -16,7 +16,9 @@ import numpy as np
 import pinocchio as pin
 
 from posor_estimator.core.case import Case, StackName, read_cases
+from posor_estimator.core.fault import Fault, State
 from posor_estimator.core.posor import Posor
+from posor_estimator.core.scan import Scans
 from posor_estimator.errors import DataFileError, PosorError
 
 
@@ -29,15 +31,14 @@ def errors_of(case: Case) -> tuple[float, float, float]:
     """
     posor = Posor(case.calibration)
     predicted = posor.predict(case.scan, case.T_R_T)
-    if any(sensor.bump_angle > 0.0 for sensor in case.calibration.sensors):
-        # The bump count is taken as known: the true rotation about Z, rounded to a whole bump.
-        bump = max(sensor.bump_angle for sensor in case.calibration.sensors)
-        theta = math.atan2(case.T_R_T.rotation[1, 0], case.T_R_T.rotation[0, 0])
-        posor.assume(pin.SE3(pin.utils.rotate("z", bump * round(theta / bump)), np.zeros(3)))
-    estimate = posor.locate(case.scan)
-    if estimate.T_R_T is None:
-        raise DataFileError(f"gives no pose, {estimate.reason}", where=case.name)
-    error = case.T_R_T.inverse() * estimate.T_R_T
+    # The bump count is taken as known: the true rotation about Z, rounded to a whole bump.
+    bump = max(sensor.bump_angle for sensor in case.calibration.sensors)
+    theta = math.atan2(case.T_R_T.rotation[1, 0], case.T_R_T.rotation[0, 0])
+    counts = np.array([bump * round(theta / bump)]) if bump > 0.0 else None
+    found = posor.locate_each(Scans.of([case.scan]), counts)
+    if found.states[0] != State.OK:
+        raise DataFileError(f"gives no pose ({Fault(int(found.faults[0])).name})", where=case.name)
+    error = case.T_R_T.inverse() * pin.SE3(found.rotations[0], found.translations[0])
     return (
         float(np.max(np.abs(predicted - case.readings))),
         float(np.linalg.norm(error.translation)),

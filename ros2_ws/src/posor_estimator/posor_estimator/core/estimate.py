@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +12,8 @@ from posor_estimator.core.fault import Fault, State
 from posor_estimator.core.native import native_from_rotation
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from posor_estimator.core.types import FloatArray, IntArray
 
 
@@ -85,6 +87,16 @@ class Estimates:
     def __len__(self) -> int:
         """Return the number of scans."""
         return len(self.scans)
+
+    @staticmethod
+    def joined(parts: Sequence[Estimates]) -> Estimates:
+        """Return estimates end to end; there must be at least one part."""
+        arrays = {
+            f.name: np.concatenate([getattr(part, f.name) for part in parts])
+            for f in fields(Estimates)
+            if f.name != "redundancy"
+        }
+        return Estimates(redundancy=parts[0].redundancy, **arrays)
 
     def one(self, index: int, reason: str) -> Estimate:
         """Return one scan's estimate, given the sentence on its fault."""

@@ -77,7 +77,6 @@ class PlainRows:
                 values,
                 batch.variances[n],
                 systematic,
-                self._stack.parameters,
                 stamp,
                 bool(scans.at_home[n]),
                 settings,

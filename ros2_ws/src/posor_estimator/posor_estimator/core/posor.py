@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 PHASE_GUESSES = 8
 """Starts within one bump that are tried where theta is not known at all."""
+COUNT_WINDOW = 0.52
+"""How far from a theta that is known to half a bump a solution may be, in bumps."""
 
 
 class Posor:
@@ -64,23 +66,11 @@ class Posor:
         self._counting = bool(counted)
         self._memory = np.zeros(kernel.MEMORY)
         self._epoch_ns: int | None = None
+        self._known_theta: float | None = None
 
     def reset(self) -> None:
         """Forget the last pose and the count; the next scan starts from a closed form."""
         self._memory[:] = 0.0
-
-    def assume(self, T_R_T: pin.SE3, theta: float | None = None) -> None:
-        """Take a pose as known: the next scan starts from it, and a counted theta counts as counted.
-
-        Args:
-            T_R_T: The pose.
-            theta: The large rotation with its turns [rad]; None: within half a turn of zero.
-
-        """
-        self._give(T_R_T.rotation, T_R_T.translation)
-        self._memory[kernel.COUNTED] = 1.0
-        if theta is not None:
-            self._memory[kernel.THETA] = theta
 
     def locate(self, scan: Scan) -> Estimate:
         """Return the pose that one scan gives, starting from the pose of the scan before."""
@@ -91,6 +81,26 @@ class Posor:
     def locate_all(self, scans: Scans) -> Estimates:
         """Return the poses that many scans give, one after the other: the same as ``locate`` of each."""
         return self._locate(scans)[1]
+
+    def locate_each(self, scans: Scans, thetas: FloatArray | None = None) -> Estimates:
+        """Return the poses of scans that have nothing to do with one another: each starts afresh.
+
+        Args:
+            scans: The scans.
+            thetas: For a counted theta: what it is to half a bump [rad], shape (n,); None: not known.
+
+        Returns:
+            The estimates; the last pose and the count are forgotten afterwards.
+
+        """
+        parts = []
+        for n in range(len(scans)):
+            self.reset()
+            self._known_theta = None if thetas is None else float(thetas[n])
+            parts.append(self._locate(scans.part(n, n + 1))[1])
+        self._known_theta = None
+        self.reset()
+        return Estimates.joined(parts)
 
     def predict(self, scan: Scan, T_R_T: pin.SE3) -> FloatArray:
         """Return what every linearised reading of a scan would be at a pose [m], shape (m,).
@@ -109,6 +119,37 @@ class Posor:
                 for kind, row in zip(self.stack.pool.kinds[chosen], rows, strict=True)
             ]
         )
+
+    @property
+    def residual_limit(self) -> float:
+        """Largest chi-square of the redundant readings that passes."""
+        return float(self._settings[kernel.LIMIT])
+
+    def sensitivity(self, scan: Scan, T_R_T: pin.SE3) -> tuple[FloatArray, FloatArray]:
+        """Return what a shift of each linearised reading does at a pose.
+
+        Returns:
+            Change of the pose in ROS order (6, m) [m/m, rad/m], and of chi-square for a square metre of shift (m,).
+
+        """
+        batch = self.stack.linearise(Scans.of([scan]))[1]
+        jacobian = self._tangent_jacobian(batch.chosen[0], T_R_T)
+        weights = 1.0 / batch.variances[0]
+        gain = np.linalg.solve(jacobian.T @ (weights[:, None] * jacobian), (weights[:, None] * jacobian).T)
+        parameters = self.stack.residual_jacobian(scan, T_R_T.rotation, T_R_T.translation) * self.stack.parameter_sigmas
+        whole = np.linalg.inv(np.diag(batch.variances[0]) + parameters @ parameters.T)
+        seen = whole - whole @ jacobian @ np.linalg.solve(jacobian.T @ whole @ jacobian, jacobian.T @ whole)
+        return np.kron(np.eye(2), T_R_T.rotation) @ gain, np.diagonal(seen).copy()
+
+    def _tangent_jacobian(self, chosen: IntArray, T_R_T: pin.SE3) -> FloatArray:
+        """Return d(reading)/d(local tangent) of the chosen rows at a pose, shape (m, 6)."""
+        rows = self.stack.pool.rows[chosen].copy()
+        rotation, translation = T_R_T.rotation.copy(), T_R_T.translation.copy()
+        self._plain.expand(rows, rotation, translation)
+        jacobian = np.empty((len(chosen), 6))
+        for kind, row, derivative in zip(self.stack.pool.kinds[chosen], rows, jacobian, strict=True):
+            evaluate_row(kind, row, rotation, translation, np.zeros(6), derivative)
+        return jacobian
 
     def _locate(self, scans: Scans) -> tuple[IntArray, Estimates]:
         count = len(scans)
@@ -131,9 +172,10 @@ class Posor:
         stamps = np.asarray((scans.stamps_ns - (self._epoch_ns or 0)) * 1e-9, dtype=float)
         figures = np.full((count, 2), np.nan)
         self._run(scans, batch, fit, stamps, out, figures)
-        for n in np.flatnonzero(fit == 0):
-            sensor = int(np.flatnonzero(codes[n])[0])
-            out.faults[n] = int(self.stack.sensors[sensor].explain(scans[int(n)], int(codes[n, sensor])).fault)
+        for sensor, of_sensor in zip(reversed(self.stack.sensors), codes.T[::-1], strict=True):
+            for code in np.unique(of_sensor[of_sensor != 0]):
+                which = of_sensor == code
+                out.faults[which] = int(sensor.explain(scans[int(np.argmax(which))], int(code)).fault)
         lost = out.states == int(State.LOST)
         out.residuals[:] = figures[:, 0]
         out.thetas[:] = np.where(lost, np.nan, figures[:, 1])
@@ -185,7 +227,6 @@ class Posor:
             batch.variances,
             batch.systematic,
             fit,
-            self.stack.parameters,
             stamps,
             scans.at_home,
             self._settings,
@@ -240,20 +281,26 @@ class Posor:
         kinds, rows, values = pool.kinds[chosen], pool.rows[chosen].copy(), batch.values[n]
         weights = 1.0 / batch.variances[n]
         bump = self._settings[kernel.BUMP]
-        thetas = [bump * (i / PHASE_GUESSES - 0.5) for i in range(PHASE_GUESSES)] if self._counting else [0.0]
+        known = self._known_theta
+        guesses = [(known or 0.0) + bump * (i / PHASE_GUESSES - 0.5) for i in range(PHASE_GUESSES)]
         jacobian, residuals, moved = np.empty((len(values), 6)), np.empty(len(values)), np.empty(6)
         best = math.inf
-        for pose in start_poses(kinds, rows, values, thetas):
+        for pose in start_poses(kinds, rows, values, guesses if self._counting else [0.0]):
             rotation, translation = pose.rotation.copy(), pose.translation.copy()
             self._plain.expand(rows, rotation, translation)
             outcome = gauss_newton(
                 kinds, rows, values, weights, rotation, translation, jacobian, residuals, moved, kernel.SINGULAR
             )
-            misfit = float(weights @ np.square(residuals)) if outcome == CONVERGED else math.inf
+            settled = outcome == CONVERGED
+            misfit = float(weights @ np.square(residuals)) if settled else math.inf
+            if settled and self._counting and known is not None:
+                off = abs(kernel.wrapped(native_from_rotation(rotation)[2] - known))
+                misfit = misfit if off < COUNT_WINDOW * bump else math.inf
             if misfit < best or math.isinf(best):
                 best = min(best, misfit)
-                settled = outcome == CONVERGED
                 self._give(*((rotation, translation) if settled else (pose.rotation, pose.translation)))
+        if known is not None:
+            self._memory[kernel.COUNTED] = 1.0
 
     def _reason(self, scan: Scan, codes: IntArray, faults: int, residual: float) -> str:
         """Return the sentence on what is wrong with one scan's estimate, empty where nothing is."""

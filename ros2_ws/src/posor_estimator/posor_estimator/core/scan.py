@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from posor_estimator.core.types import FloatArray, IntArray
 
@@ -97,3 +97,8 @@ class Scans:
     def part(self, begin: int, end: int) -> Scans:
         """Return scans ``begin`` to ``end``, without copying."""
         return Scans(**{f.name: getattr(self, f.name)[begin:end] for f in fields(self)})
+
+    def with_fields(self, fields_by_name: Mapping[str, FloatArray] | Mapping[str, IntArray]) -> Scans:
+        """Return the same scans with some fields replaced."""
+        every: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
+        return Scans(**{**every, **fields_by_name})

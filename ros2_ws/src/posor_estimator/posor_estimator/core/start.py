@@ -52,7 +52,7 @@ def start_poses(kinds: IntArray, rows: FloatArray, values: FloatArray, thetas: S
     normal = np.linalg.svd(hits - centre)[2][2]
     if normal @ gaps[:, 3:6].sum(axis=0) > 0.0:
         normal = -normal
-    normal_T = plane_normal(*gaps[0, 9:12])
+    normal_T = np.array(plane_normal(*gaps[0, 9:12]))
     spots = np.flatnonzero(kinds == SPOT_X)
     if len(spots) < 2:  # noqa: PLR2004  a direction
         return [_leaning(theta, normal_T, normal, centre, gaps[0, 6:9]) for theta in thetas]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sys
+from math import inf
 from typing import TYPE_CHECKING, Generic
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -61,8 +61,7 @@ def descriptor_of(spec: ParameterSpec) -> ParameterDescriptor:
             low, high = (-(2**63) if least is None else int(least)), (2**63 - 1 if greatest is None else int(greatest))
             descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=0)]
         elif spec.element_type is float:
-            span = sys.float_info.max
-            low_x, high_x = (-span if least is None else float(least)), (span if greatest is None else float(greatest))
+            low_x, high_x = (-inf if least is None else float(least)), (inf if greatest is None else float(greatest))
             descriptor.floating_point_range = [FloatingPointRange(from_value=low_x, to_value=high_x, step=0.0)]
     return descriptor
 

@@ -102,37 +102,44 @@ def spin(node: Node, done: Callable[[], bool]) -> None:
         executor.shutdown()
 
 
+def exit_code_of(program: Callable[[], None]) -> int:
+    """Run ``program``; return 0, or after a PosorError, whose sentence goes to stderr, the error's exit code."""
+    try:
+        program()
+    except PosorError as error:
+        sys.stderr.write(f"{error}\n")
+        return error.exit_code
+    return 0
+
+
 def run(node_class: type[PosorNode[Any]], arguments: Sequence[str] | None = None) -> int:
-    """Run one node as a program.
+    """Run one node as a program, until a signal comes or the node is done.
 
     Args:
         node_class: The node.
         arguments: The command line, program name first; ``None``: that of this process.
 
     Returns:
-        The exit code: 0 after a signal or when the node is done, else that of the error, whose one sentence is then
-        on stderr.
+        The exit code.
 
     """
-    argv = sys.argv if arguments is None else arguments
-    try:
-        with ros(argv) as stop:
-            own = own_arguments(argv)
-            if own in (["-h"], ["--help"]):
-                sys.stdout.write(node_class.help() + "\n")
-                return 0
-            if own:
-                raise ParameterError(
-                    f"argument '{own[0]}' is unknown", where=node_class.NAME, expected="--ros-args -p name:=value"
-                )
-            node = node_class()
-            try:
-                node.start()
-                spin(node, lambda: stop.requested or node.exit_requested)
-            finally:
-                node.stop()
-            node.raise_failure()
-    except PosorError as error:
-        sys.stderr.write(f"{error}\n")
-        return error.exit_code
-    return 0
+    return exit_code_of(lambda: _run(node_class, sys.argv if arguments is None else arguments))
+
+
+def _run(node_class: type[PosorNode[Any]], arguments: Sequence[str]) -> None:
+    with ros(arguments) as stop:
+        own = own_arguments(arguments)
+        if own in (["-h"], ["--help"]):
+            sys.stdout.write(node_class.help() + "\n")
+            return
+        if own:
+            raise ParameterError(
+                f"argument '{own[0]}' is unknown", where=node_class.NAME, expected="--ros-args -p name:=value"
+            )
+        node = node_class()
+        try:
+            node.start()
+            spin(node, lambda: stop.requested or node.exit_requested)
+        finally:
+            node.stop()
+        node.raise_failure()

@@ -54,7 +54,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
             raise ParameterError(reason, where=f"node {self.NAME}") from None
         self._forgive_impossible_transitions()
         self.exit_requested = False
-        self._failure: PosorError | None = None
+        self._failure: Exception | None = None
         self._refusal: Exception | None = None
         self._starting = False
         self._finalized = False
@@ -124,7 +124,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
     def cleanup(self) -> None:
         """Undo ``configure``."""
 
-    def request_exit(self, failure: PosorError | None = None) -> None:
+    def request_exit(self, failure: Exception | None = None) -> None:
         """Ask the main loop, from any thread, to end the program; with ``failure``, as one that failed."""
         self._failure = failure
         self.exit_requested = True

@@ -212,10 +212,10 @@ def _refusal(error: ValidationError, known: Mapping[str, ParameterSpec], node: s
     return ParameterError(f"{first['input']!r} is wrong", where=where, expected=spec.constraint)
 
 
-def help_text(model: type[BaseModel]) -> str:
+def help_text(model: type[BaseModel], prefix: str = "") -> str:
     """Return a table of the parameters in plain text, from their declaration."""
     lines = []
-    for spec in specs(model):
+    for spec in specs(model, prefix):
         lines.append(f"  {spec.name}: {spec.constraint} (default: {spec.default_text})")
         lines.append(f"      {spec.field.description}" + ("" if spec.read_only else " [may be set at run time]"))
     return "\n".join(lines)

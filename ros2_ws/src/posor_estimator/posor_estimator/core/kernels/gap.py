@@ -14,47 +14,32 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from posor_estimator.core.compiled import compiled
-from posor_estimator.core.kernels.vector import cross, dot, rotate, rotate_back
+from posor_estimator.core.kernels.vector import at, cross, dot, minus, plus, rotate, rotate_back, times, turned
 
 if TYPE_CHECKING:
+    from posor_estimator.core.kernels.vector import Vector
     from posor_estimator.core.types import FloatArray
 
 PARAMETERS = 12
 
 
 @compiled
-def turned(a: FloatArray, angle: float) -> FloatArray:
-    """Return a 3-vector turned about Z by ``angle`` [rad]."""
-    out = np.empty(3)
-    c, s = math.cos(angle), math.sin(angle)
-    out[0] = c * a[0] - s * a[1]
-    out[1] = s * a[0] + c * a[1]
-    out[2] = a[2]
-    return out
-
-
-@compiled
-def plane_normal(tilt_x: float, tilt_y: float, turn: float) -> FloatArray:
+def plane_normal(tilt_x: float, tilt_y: float, turn: float) -> Vector:
     """Return the unit normal toward the probes, in T; angles [rad]."""
-    out = np.empty(3)
-    out[0] = -math.sin(tilt_y)
-    out[1] = math.sin(tilt_x) * math.cos(tilt_y)
-    out[2] = -math.cos(tilt_x) * math.cos(tilt_y)
-    return turned(out, turn)
+    normal = -math.sin(tilt_y), math.sin(tilt_x) * math.cos(tilt_y), -math.cos(tilt_x) * math.cos(tilt_y)
+    return turned(normal, turn)
 
 
 @compiled
 def gap(row: FloatArray, rotation: FloatArray, translation: FloatArray, jacobian: FloatArray) -> float:
     """Return the gap [m] and write its derivative with respect to the local tangent into ``jacobian`` (6)."""
-    tip = rotate_back(rotation, row[0:3] - translation)
-    axis = rotate_back(rotation, row[3:6])
+    tip = rotate_back(rotation, minus(at(row, 0), at(translation, 0)))
+    axis = rotate_back(rotation, at(row, 3))
     normal = plane_normal(row[9], row[10], row[11])
     slant = dot(normal, axis)
-    reading = dot(normal, row[6:9] - tip) / slant
-    lever = cross(tip + reading * axis, normal)
+    reading = dot(normal, minus(at(row, 6), tip)) / slant
+    lever = cross(plus(tip, times(reading, axis)), normal)
     for i in range(3):
         jacobian[i] = normal[i] / slant
         jacobian[3 + i] = lever[i] / slant
@@ -64,22 +49,19 @@ def gap(row: FloatArray, rotation: FloatArray, translation: FloatArray, jacobian
 @compiled
 def gap_parameters(row: FloatArray, rotation: FloatArray, translation: FloatArray, jacobian: FloatArray) -> None:
     """Write the derivative of the gap with respect to the row's twelve parameters into ``jacobian`` (12)."""
-    tip = rotate_back(rotation, row[0:3] - translation)
-    axis = rotate_back(rotation, row[3:6])
+    tip = rotate_back(rotation, minus(at(row, 0), at(translation, 0)))
+    axis = rotate_back(rotation, at(row, 3))
     normal = plane_normal(row[9], row[10], row[11])
     normal_R = rotate(rotation, normal)
     slant = dot(normal, axis)
-    reading = dot(normal, row[6:9] - tip) / slant
+    reading = dot(normal, minus(at(row, 6), tip)) / slant
     for i in range(3):
         jacobian[i] = -normal_R[i] / slant
         jacobian[3 + i] = -reading * normal_R[i] / slant
         jacobian[6 + i] = normal[i] / slant
-    beyond = (row[6:9] - tip - reading * axis) / slant
+    beyond = times(1.0 / slant, minus(at(row, 6), plus(tip, times(reading, axis))))
     sx, cx = math.sin(row[9]), math.cos(row[9])
     sy, cy = math.sin(row[10]), math.cos(row[10])
-    by_tilt = np.empty(3)
-    by_tilt[0], by_tilt[1], by_tilt[2] = 0.0, cx * cy, sx * cy
-    jacobian[9] = dot(beyond, turned(by_tilt, row[11]))
-    by_tilt[0], by_tilt[1], by_tilt[2] = -cy, -sx * sy, cx * sy
-    jacobian[10] = dot(beyond, turned(by_tilt, row[11]))
+    jacobian[9] = dot(beyond, turned((0.0, cx * cy, sx * cy), row[11]))
+    jacobian[10] = dot(beyond, turned((-cy, -sx * sy, cx * sy), row[11]))
     jacobian[11] = beyond[1] * normal[0] - beyond[0] * normal[1]

@@ -36,10 +36,12 @@ def reading_covariance(
     sigmas: FloatArray,
     rotation: FloatArray,
     translation: FloatArray,
-    parameters: int,
+    work: FloatArray,
     out: FloatArray,
 ) -> None:
     """Add the readings' covariance from the rows' geometry to ``out`` (m, m) [m^2].
+
+    Rows that share a parameter have it in the same column: rows of one kind share what is common to a sensor.
 
     Args:
         kinds: Kind of each row, shape (m,).
@@ -48,23 +50,21 @@ def reading_covariance(
         sigmas: Standard uncertainty of each row parameter, shape (m, width).
         rotation: R_R_T, shape (3, 3).
         translation: Of ``T_R_T`` [m], shape (3,).
-        parameters: Number of parameters of the POSOR.
+        work: Room for the derivatives, shape (m, width).
         out: Covariance to add to, shape (m, m).
 
     """
-    m = kinds.shape[0]
-    by_parameter = np.zeros((m, parameters))
-    derivative = np.empty(rows.shape[1])
+    m, width = ids.shape
     for r in range(m):
-        row_parameters(kinds[r], rows[r], rotation, translation, derivative)
-        for k in range(rows.shape[1]):
-            if ids[r, k] >= 0:
-                by_parameter[r, ids[r, k]] += derivative[k] * sigmas[r, k]
+        row_parameters(kinds[r], rows[r], rotation, translation, work[r])
+        for k in range(width):
+            work[r, k] *= sigmas[r, k]
     for i in range(m):
         for j in range(i + 1):
             total = 0.0
-            for p in range(parameters):
-                total += by_parameter[i, p] * by_parameter[j, p]
+            for k in range(width):
+                if ids[i, k] >= 0 and ids[i, k] == ids[j, k]:
+                    total += work[i, k] * work[j, k]
             out[i, j] += total
             if i != j:
                 out[j, i] += total

@@ -208,7 +208,6 @@ def locate_scan(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in orde
     values: FloatArray,
     variances: FloatArray,
     systematic_readings: FloatArray,
-    parameters: int,
     stamp: float,
     at_home: bool,  # noqa: FBT001  kernels take no keywords
     settings: FloatArray,
@@ -228,9 +227,7 @@ def locate_scan(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in orde
         sigmas: See ``reading_covariance``, shape (m, width).
         values: Linearised readings [m], shape (m + 6,).
         variances: Their variances from noise [m^2], shape (m,).
-        systematic_readings: Covariance of the readings from the linearisation's parameters, shape (m, m); the
-            geometry's is added to it.
-        parameters: Number of the POSOR's geometry parameters.
+        systematic_readings: Covariance of the readings from the linearisation's parameters, shape (m, m).
         stamp: Time of the scan [s].
         at_home: Whether the scan saw the home mark.
         settings: See the module.
@@ -316,13 +313,14 @@ def locate_scan(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in orde
                 memory[COUNTED] = 0.0
                 return LOST, faults | FAULT_NOT_CONVERGED
         memory[COUNTED] = 1.0
-    reading_covariance(kinds[:m], rows[:m], ids, sigmas, rotation, translation, parameters, systematic_readings)
+    work = np.empty(sigmas.shape)
     whole = np.zeros((used, used))
     whole[:m, :m] = systematic_readings
+    reading_covariance(kinds[:m], rows[:m], ids, sigmas, rotation, translation, work, whole)
     covariances(jacobian[:used], weights[:used], whole, rotation, random, systematic)
     figures[0] = 0.0
     if m > 6 and used == m:  # noqa: PLR2004  six unknowns
-        figures[0] = chi_square(jacobian[:m], weights[:m], residuals[:m], systematic_readings)
+        figures[0] = chi_square(jacobian[:m], weights[:m], residuals[:m], whole)
     if not figures[0] <= settings[LIMIT]:
         faults |= FAULT_RESIDUAL
     if moving and not recounted:
@@ -373,7 +371,6 @@ def locate_scans(
     variances: FloatArray,
     systematic_readings: FloatArray,
     fit: IntArray,
-    parameters: int,
     stamps: FloatArray,
     at_home: IntArray,
     settings: FloatArray,
@@ -428,7 +425,6 @@ def locate_scans(
             readings,
             variances[n],
             systematic_readings[n],
-            parameters,
             stamps[n],
             at_home[n] != 0,
             settings,

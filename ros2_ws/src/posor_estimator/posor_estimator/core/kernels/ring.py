@@ -13,19 +13,18 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from posor_estimator.core.compiled import compiled
-from posor_estimator.core.kernels.vector import cross, dot, rotate, rotate_back
+from posor_estimator.core.kernels.vector import at, cross, dot, minus, plus, rotate, rotate_back, times
 
 if TYPE_CHECKING:
+    from posor_estimator.core.kernels.vector import Vector
     from posor_estimator.core.types import FloatArray
 
 FIXED_PARAMETERS = 8
 PER_HARMONIC = 3
 
 _NEWTON_STEPS = 30
-_SETTLED_M = 1e-16
+_SETTLED_M = 1e-15
 
 
 @compiled
@@ -42,8 +41,8 @@ def radius_and_slope(row: FloatArray, phi: float) -> tuple[float, float]:
 
 
 @compiled
-def _meet(tip: FloatArray, axis: FloatArray, row: FloatArray, normal: FloatArray) -> float:
-    """Return the distance [m] from the tip to the surface, both in T; write the surface's gradient into ``normal`` (3).
+def _meet(tip: Vector, axis: Vector, row: FloatArray) -> tuple[float, Vector]:
+    """Return the distance [m] from the tip to the surface, and the surface's gradient there; all in T.
 
     The start is where the probe would meet the mean circle; NaN where it does not look at the ring.
     """
@@ -52,30 +51,28 @@ def _meet(tip: FloatArray, axis: FloatArray, row: FloatArray, normal: FloatArray
     c = tip[0] * tip[0] + tip[1] * tip[1] - row[6] * row[6]
     discriminant = b * b - a * c
     reading = (-b - math.sqrt(discriminant)) / a if discriminant > 0.0 and a > 0.0 else math.nan
+    normal = (1.0, 0.0, 0.0)
     for _ in range(_NEWTON_STEPS):
         x = tip[0] + reading * axis[0]
         y = tip[1] + reading * axis[1]
         distance = math.sqrt(x * x + y * y)
         radius, slope = radius_and_slope(row, math.atan2(y, x))
-        normal[0] = (x + slope * y / distance) / distance
-        normal[1] = (y - slope * x / distance) / distance
-        normal[2] = 0.0
+        normal = ((x + slope * y / distance) / distance, (y - slope * x / distance) / distance, 0.0)
         step = (radius - distance) / dot(normal, axis)
         reading += step
         if not abs(step) > _SETTLED_M:
             break
-    return reading
+    return reading, normal
 
 
 @compiled
 def ring_gap(row: FloatArray, rotation: FloatArray, translation: FloatArray, jacobian: FloatArray) -> float:
     """Return the gap [m] and write its derivative with respect to the local tangent into ``jacobian`` (6)."""
-    tip = rotate_back(rotation, row[0:3] - translation)
-    axis = rotate_back(rotation, row[3:6])
-    normal = np.empty(3)
-    reading = _meet(tip, axis, row, normal)
+    tip = rotate_back(rotation, minus(at(row, 0), at(translation, 0)))
+    axis = rotate_back(rotation, at(row, 3))
+    reading, normal = _meet(tip, axis, row)
     slant = dot(normal, axis)
-    lever = cross(tip + reading * axis, normal)
+    lever = cross(plus(tip, times(reading, axis)), normal)
     for i in range(3):
         jacobian[i] = normal[i] / slant
         jacobian[3 + i] = lever[i] / slant
@@ -88,10 +85,9 @@ def ring_parameters(row: FloatArray, rotation: FloatArray, translation: FloatArr
 
     The number of harmonics and each k are whole numbers: their derivatives are zero.
     """
-    tip = rotate_back(rotation, row[0:3] - translation)
-    axis = rotate_back(rotation, row[3:6])
-    normal = np.empty(3)
-    reading = _meet(tip, axis, row, normal)
+    tip = rotate_back(rotation, minus(at(row, 0), at(translation, 0)))
+    axis = rotate_back(rotation, at(row, 3))
+    reading, normal = _meet(tip, axis, row)
     slant = dot(normal, axis)
     normal_R = rotate(rotation, normal)
     for i in range(3):

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from posor_estimator.core.compiled import compiled
 from posor_estimator.core.kernels.gap import gap, gap_parameters
 from posor_estimator.core.kernels.ring import ring_gap, ring_parameters
 from posor_estimator.core.kernels.spot import spot, spot_parameters
 
 if TYPE_CHECKING:
-    from posor_estimator.core.types import FloatArray
+    from posor_estimator.core.types import FloatArray, IntArray
 
 GAP = 0
 SPOT_X = 1
@@ -62,3 +64,21 @@ def row_parameters(
         ring_parameters(row, rotation, translation, jacobian)
     elif kind in (SPOT_X, SPOT_Y):
         spot_parameters(row, rotation, translation, kind - SPOT_X, jacobian)
+
+
+@compiled
+def evaluate_all(
+    kinds: IntArray,
+    pool: FloatArray,
+    chosen: IntArray,
+    rotations: FloatArray,
+    translations: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Write what the chosen rows (n, m) of a pool read at n poses into ``out`` (n, m) [m]; no affine rows."""
+    still = np.zeros(6)
+    jacobian = np.empty(6)
+    for n in range(chosen.shape[0]):
+        for r in range(chosen.shape[1]):
+            k = chosen[n, r]
+            out[n, r] = evaluate_row(kinds[k], pool[k], rotations[n], translations[n], still, jacobian)

@@ -12,13 +12,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from posor_estimator.core.compiled import compiled
-from posor_estimator.core.kernels.gap import turned
-from posor_estimator.core.kernels.vector import cross, dot, rotate, rotate_back
+from posor_estimator.core.kernels.vector import at, cross, dot, minus, plus, rotate, rotate_back, times, turned
 
 if TYPE_CHECKING:
+    from posor_estimator.core.kernels.vector import Vector
     from posor_estimator.core.types import FloatArray
 
 PARAMETERS = 16
@@ -26,36 +24,30 @@ PARAMETERS = 16
 
 @compiled
 def _meet(
-    row: FloatArray, rotation: FloatArray, translation: FloatArray, which: int, dual: FloatArray
-) -> tuple[float, float, float]:
-    """Solve ``[u v -D] (x, y, r) = P - q``; write the row of the inverse for coordinate ``which`` into ``dual`` (3).
+    row: FloatArray, rotation: FloatArray, translation: FloatArray, which: int
+) -> tuple[float, float, float, Vector]:
+    """Solve ``[u v -D] (x, y, r) = P - q``.
 
-    Returns x [m], y [m] and the ray's parameter r.
+    Returns x [m], y [m], the ray's parameter r, and the row of the inverse that gives coordinate ``which``.
     """
-    u = row[3:6]
-    v = row[6:9]
-    ray = rotate(rotation, turned(row[12:15], row[15]))
-    offset = rotate(rotation, row[9:12]) + translation - row[0:3]
+    u, v = at(row, 3), at(row, 6)
+    ray = rotate(rotation, turned(at(row, 12), row[15]))
+    offset = minus(plus(rotate(rotation, at(row, 9)), at(translation, 0)), at(row, 0))
     v_ray = cross(v, ray)
     ray_u = cross(ray, u)
-    u_v = cross(u, v)
     volume = dot(u, v_ray)
     x = dot(v_ray, offset) / volume
     y = dot(ray_u, offset) / volume
-    along = -dot(u_v, offset) / volume
-    chosen = v_ray if which == 0 else ray_u
-    for i in range(3):
-        dual[i] = chosen[i] / volume
-    return x, y, along
+    along = -dot(cross(u, v), offset) / volume
+    return x, y, along, times(1.0 / volume, v_ray if which == 0 else ray_u)
 
 
 @compiled
 def spot(row: FloatArray, rotation: FloatArray, translation: FloatArray, which: int, jacobian: FloatArray) -> float:
     """Return spot coordinate ``which`` (0: x, 1: y) [m] and write its tangent derivative into ``jacobian`` (6)."""
-    dual = np.empty(3)
-    x, y, along = _meet(row, rotation, translation, which, dual)
+    x, y, along, dual = _meet(row, rotation, translation, which)
     dual_T = rotate_back(rotation, dual)
-    lever = cross(row[9:12] + along * turned(row[12:15], row[15]), dual_T)
+    lever = cross(plus(at(row, 9), times(along, turned(at(row, 12), row[15]))), dual_T)
     for i in range(3):
         jacobian[i] = dual_T[i]
         jacobian[3 + i] = lever[i]
@@ -67,11 +59,10 @@ def spot_parameters(
     row: FloatArray, rotation: FloatArray, translation: FloatArray, which: int, jacobian: FloatArray
 ) -> None:
     """Write the derivative of coordinate ``which`` with respect to the row's parameters into ``jacobian`` (16)."""
-    dual = np.empty(3)
-    x, y, along = _meet(row, rotation, translation, which, dual)
+    x, y, along, dual = _meet(row, rotation, translation, which)
     dual_T = rotate_back(rotation, dual)
     by_direction = turned(dual_T, -row[15])
-    direction = turned(row[12:15], row[15])
+    direction = turned(at(row, 12), row[15])
     for i in range(3):
         jacobian[i] = -dual[i]
         jacobian[3 + i] = -x * dual[i]

@@ -191,3 +191,36 @@ def spot_position(
         return _curves(shape, parameters, ratios, position, slope, by_parameter)
     _tensor(shape[0], shape, frame, parameters, ratios, position, slope, by_parameter)
     return INSIDE
+
+
+@compiled
+def ratios_of_positions(
+    shape: IntArray,
+    frame: FloatArray,
+    parameters: FloatArray,
+    domain: FloatArray,
+    positions: FloatArray,
+    ratios: FloatArray,
+) -> None:
+    """Write the ratios (n, 2) at which one diode's map gives positions (n, 2) [m]; NaN where none does."""
+    position = np.empty(2)
+    slope = np.empty((2, 2))
+    by_parameter = np.zeros((2, parameters.shape[0]))
+    for n in range(positions.shape[0]):
+        ratio = ratios[n]
+        for axis in range(2):
+            ratio[axis] = 0.5 * (domain[axis, 0] + domain[axis, 1])
+        for _ in range(_ROUNDS):
+            spot_position(shape, frame, parameters, ratio, position, slope, by_parameter)
+            ex, ey = positions[n, 0] - position[0], positions[n, 1] - position[1]
+            whole = slope[0, 0] * slope[1, 1] - slope[0, 1] * slope[1, 0]
+            step_x = (slope[1, 1] * ex - slope[0, 1] * ey) / whole
+            step_y = (slope[0, 0] * ey - slope[1, 0] * ex) / whole
+            for axis, step in ((0, step_x), (1, step_y)):
+                reach = domain[axis, 1] - domain[axis, 0]
+                ratio[axis] = min(max(ratio[axis] + step, domain[axis, 0] - reach), domain[axis, 1] + reach)
+            if not max(abs(ex), abs(ey)) > _SETTLED_M:
+                break
+        for axis in range(2):
+            if not domain[axis, 0] <= ratio[axis] <= domain[axis, 1]:
+                ratio[:] = math.nan

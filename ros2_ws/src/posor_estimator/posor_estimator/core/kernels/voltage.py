@@ -124,3 +124,44 @@ def linearise_all(
             systematic[n],
             first,
         )
+
+
+@compiled
+def voltages_of_gaps(
+    gaps: FloatArray,
+    supplies: FloatArray,
+    temperatures: FloatArray,
+    channels: FloatArray,
+    ranges: FloatArray,
+    volts: FloatArray,
+) -> None:
+    """Write the voltages (n, p) that the probes give for gaps (n, p) [m]; NaN where no voltage in the range does.
+
+    Bisection to a half of the range's 2^-20, then Newton steps: the polynomial is monotonic over the range.
+    """
+    order = channels.shape[1] - EXTRA_PARAMETERS
+    for n in range(gaps.shape[0]):
+        for i in range(gaps.shape[1]):
+            channel = channels[i]
+            wanted = gaps[n, i]
+            if math.isfinite(supplies[n]):
+                wanted -= channel[order + 1] * (supplies[n] - channel[order + 2])
+            if math.isfinite(temperatures[n]):
+                wanted -= channel[order + 3] * (temperatures[n] - channel[order + 4])
+            low, high = ranges[i, 0], ranges[i, 1]
+            at_low = polynomial(channel, order, low)[0] - wanted
+            at_high = polynomial(channel, order, high)[0] - wanted
+            volts[n, i] = math.nan
+            if at_low * at_high > 0.0:
+                continue
+            for _ in range(20):
+                middle = 0.5 * (low + high)
+                if (polynomial(channel, order, middle)[0] - wanted) * at_low > 0.0:
+                    low = middle
+                else:
+                    high = middle
+            volt = 0.5 * (low + high)
+            for _ in range(4):
+                value, slope = polynomial(channel, order, volt)
+                volt -= (value - wanted) / slope
+            volts[n, i] = volt - channel[order]

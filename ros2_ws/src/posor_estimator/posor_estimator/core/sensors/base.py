@@ -186,6 +186,32 @@ class RowSensor(Sensor):
         """Return which rows of the pool this scan reads, shape (m,)."""
 
     @abstractmethod
+    def encode(self, readings: FloatArray, scans: Scans) -> dict[str, FloatArray]:
+        """Return the raw readings that linearise to these: the inverse of ``linearise``.
+
+        Args:
+            readings: On the model's scale [m], shape (n, m).
+            scans: Supply voltage, temperature and lit sources that hold; raw readings are not looked at.
+
+        Returns:
+            The fields of ``Scans`` that are this sensor's, such as ``gap_voltages``; NaN beyond the calibrated range.
+
+        """
+
+    @abstractmethod
+    def disturbed(self, scans: Scans, noise: np.random.Generator) -> dict[str, FloatArray]:
+        """Return this sensor's raw fields with the electronics' noise added, as large as the calibration says."""
+
+    def rows_at(self, rotations: FloatArray, translations: FloatArray) -> tuple[IntArray, dict[str, IntArray]]:
+        """Return which rows of the pool are read at poses (n, 3, 3), (n, 3), shape (n, m), and what scans say of it.
+
+        A sensor that can choose (which light source to light) chooses here; the dictionary then holds that field of
+        ``Scans``.
+        """
+        del translations
+        return np.tile(np.arange(len(self.reading_names)), (len(rotations), 1)), {}
+
+    @abstractmethod
     def _linearisation_jacobian(self, scan: Scan) -> FloatArray:
         """Return d(linearised reading)/d(parameter), shape (m, p)."""
 

@@ -126,6 +126,16 @@ class BumpyRing(RowSensor):
         """Return what a code of ``linearise`` means."""
         return self._channels.explain(scan.ring_voltages, scan, code, self._values)
 
+    def encode(self, readings: FloatArray, scans: Scans) -> dict[str, FloatArray]:
+        """Return the voltages of gaps; see ``RowSensor.encode``."""
+        return {"ring_voltages": self._channels.encode(readings, scans, self._values)}
+
+    def disturbed(self, scans: Scans, noise: np.random.Generator) -> dict[str, FloatArray]:
+        """Return the voltages with noise."""
+        return {
+            "ring_voltages": scans.ring_voltages + noise.normal(size=scans.ring_voltages.shape) * self._channels.noises
+        }
+
     def _linearisation_jacobian(self, scan: Scan) -> FloatArray:
         return self._channels.jacobian(scan.ring_voltages, scan, self._values)
 

@@ -18,8 +18,8 @@ from posor_estimator.core.calibration.quantity import FrozenModel, Quantity, mea
 from posor_estimator.core.fault import Fault
 from posor_estimator.core.kernels import diode as codes
 from posor_estimator.core.kernels import spot as kernel
-from posor_estimator.core.kernels.rows import SPOT_X, SPOT_Y
-from posor_estimator.core.kernels.spot_map import spot_position
+from posor_estimator.core.kernels.rows import SPOT_X, SPOT_Y, evaluate_all
+from posor_estimator.core.kernels.spot_map import ratios_of_positions, spot_position
 from posor_estimator.core.scan import NO_SOURCE
 from posor_estimator.core.sensors.base import Batch, RowSensor, SensorCalibration
 from posor_estimator.core.sensors.spot_map import SpotMap
@@ -195,7 +195,7 @@ class Diodes(RowSensor):
     def _rows_of(self, lit: IntArray) -> IntArray:
         """Return the pool's rows for lit sources (n, diodes), shape (n, 2 diodes)."""
         pairs = np.arange(len(self._names)) * self._sources + lit
-        rows: IntArray = np.repeat(2 * pairs, 2, axis=1)
+        rows = np.repeat(2 * pairs, 2, axis=1).astype(np.int64)
         rows[:, 1::2] += 1
         return rows
 
@@ -265,6 +265,46 @@ class Diodes(RowSensor):
         low, high = self._domains[diode][axis]
         what = f"{'xy'[axis]} ratio {ratio:.6g} is outside the calibrated map"
         return ScanError(what, fault=Fault.OUT_OF_RANGE, where=where, expected=f"{low:g} to {high:g}")
+
+    def encode(self, readings: FloatArray, scans: Scans) -> dict[str, FloatArray]:
+        """Return the contact currents of spot positions, their sums in the middle of the diode's range."""
+        del scans
+        currents = np.empty((len(readings), len(self._names), 4))
+        for i, ids in enumerate(self._ids("maps")):
+            ratios = np.empty((len(readings), 2))
+            positions = np.ascontiguousarray(readings[:, 2 * i : 2 * i + 2])
+            ratios_of_positions(
+                self._map_shapes[i], self._frames[i], self._values[ids], self._domains[i], positions, ratios
+            )
+            least, greatest = self._sums[i]
+            total = 0.5 * (least + greatest) if math.isfinite(greatest) else 2.0 * least
+            currents[:, i, :2] = 0.5 * total * (1.0 + ratios)
+            currents[:, i, 2:] = 0.5 * total * (1.0 - ratios)
+        return {"diode_currents": currents}
+
+    def disturbed(self, scans: Scans, noise: np.random.Generator) -> dict[str, FloatArray]:
+        """Return the currents with the ratios' noise, their sums unchanged."""
+        currents = scans.diode_currents
+        totals = currents[:, :, :2] + currents[:, :, 2:]
+        shifts = 0.5 * totals * noise.normal(size=totals.shape) * self._noises
+        return {"diode_currents": np.concatenate([currents[:, :, :2] + shifts, currents[:, :, 2:] - shifts], axis=2)}
+
+    def rows_at(self, rotations: FloatArray, translations: FloatArray) -> tuple[IntArray, dict[str, IntArray]]:
+        """Light, for each diode, the source whose spot is nearest to the middle of the diode's map."""
+        count = len(rotations)
+        lit = np.empty((count, len(self._names)), dtype=np.int64)
+        position, slope = np.empty(2), np.empty((2, 2))
+        for i, ids in enumerate(self._ids("maps")):
+            middle = self._domains[i].mean(axis=1)
+            unused = np.zeros((2, ids.size))
+            spot_position(self._map_shapes[i], self._frames[i], self._values[ids], middle, position, slope, unused)
+            rows = 2 * (i * self._sources + np.arange(self._sources))
+            every = np.tile(np.column_stack([rows, rows + 1]).ravel(), (count, 1))
+            spots = np.empty(every.shape)
+            evaluate_all(self.pool.kinds, self.pool.rows, every, rotations, translations, spots)
+            away = spots.reshape(count, self._sources, 2) - position
+            lit[:, i] = np.argmin(np.sum(np.square(away), axis=2), axis=1)
+        return self._rows_of(lit), {"lit_sources": lit}
 
     def _linearisation_jacobian(self, scan: Scan) -> FloatArray:
         out = np.zeros((2 * len(self._names), self._values.size))

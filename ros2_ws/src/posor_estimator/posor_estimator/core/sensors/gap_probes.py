@@ -110,5 +110,15 @@ class GapProbes(RowSensor):
         """Return what a code of ``linearise`` means."""
         return self._channels.explain(scan.gap_voltages, scan, code, self._values)
 
+    def encode(self, readings: FloatArray, scans: Scans) -> dict[str, FloatArray]:
+        """Return the voltages of gaps; see ``RowSensor.encode``."""
+        return {"gap_voltages": self._channels.encode(readings, scans, self._values)}
+
+    def disturbed(self, scans: Scans, noise: np.random.Generator) -> dict[str, FloatArray]:
+        """Return the voltages with noise."""
+        return {
+            "gap_voltages": scans.gap_voltages + noise.normal(size=scans.gap_voltages.shape) * self._channels.noises
+        }
+
     def _linearisation_jacobian(self, scan: Scan) -> FloatArray:
         return self._channels.jacobian(scan.gap_voltages, scan, self._values)

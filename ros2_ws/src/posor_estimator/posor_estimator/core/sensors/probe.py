@@ -118,7 +118,7 @@ class Channels:
         self.ids = ids
         self._kind = kind
         self._ranges = np.array([probe.range.array for probe in probes])
-        self._noises = np.array([probe.noise.number for probe in probes])
+        self.noises = np.array([probe.noise.number for probe in probes])
 
     def linearise(
         self,
@@ -145,7 +145,7 @@ class Channels:
             values[self.ids],
             sigmas[self.ids],
             self._ranges,
-            self._noises,
+            self.noises,
             batch.values,
             batch.variances,
             batch.systematic,
@@ -153,6 +153,14 @@ class Channels:
             codes,
         )
         return codes
+
+    def encode(self, gaps: FloatArray, scans: Scans, values: FloatArray) -> FloatArray:
+        """Return the voltages (n, p) of gaps (n, p) [m]; NaN beyond the calibrated range."""
+        volts = np.empty(gaps.shape)
+        voltage.voltages_of_gaps(
+            np.ascontiguousarray(gaps), scans.supply_voltages, scans.temperatures, values[self.ids], self._ranges, volts
+        )
+        return volts
 
     def explain(self, volts: FloatArray, scan: Scan, code: int, values: FloatArray) -> ScanError:
         """Return what a code means."""

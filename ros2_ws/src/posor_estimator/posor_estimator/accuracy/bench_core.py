@@ -1,0 +1,91 @@
+"""Speed of the core: ``./run posor_estimator bench_core`` (``make bench-core``).
+
+For each design: microseconds for one scan with its covariances, scan by scan as a node does it, and scans per second in
+one call. The floor in the same run is the same loop around a call that does nothing but convert the raw readings.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from pathlib import Path
+from statistics import median
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from posor_estimator.accuracy.poses import STACKS, TICK_NS
+from posor_estimator.accuracy.report import write_json
+from posor_estimator.core.compiled import COMPILING
+from posor_estimator.core.designs import DesignName, design
+from posor_estimator.core.fault import State
+from posor_estimator.core.forward import scans_at
+from posor_estimator.core.native import rotation_from_native
+from posor_estimator.core.posor import Posor
+from posor_estimator.core.scan import Scans
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+ROUNDS = 5
+
+
+def bench(stack: DesignName, scalar: int, vectorised: int) -> dict[str, float]:
+    """Return the figures of one design; checks first that both ways give the same numbers."""
+    posor = Posor(design(stack))
+    thetas = 0.05 * np.sin(np.arange(vectorised) * 1e-3)
+    rotations = np.array([rotation_from_native(1e-3 * math.sin(t), 1e-3 * math.cos(t), t) for t in thetas])
+    translations = np.tile([1e-4, -1e-4, 0.7e-3], (vectorised, 1))
+    stamps = np.arange(1, vectorised + 1, dtype=np.int64) * TICK_NS
+    scans = scans_at(posor.stack, rotations, translations, stamps, noise=np.random.default_rng(1))
+    scans.at_home[0] = 1
+    together = posor.locate_all(scans)
+    posor.reset()
+    singles = [scans[n] for n in range(scalar)]
+    alone = [posor.locate(scan) for scan in singles]
+    for n, estimate in enumerate(alone):
+        if estimate.state != together.states[n] or estimate.state is State.LOST or estimate.T_R_T is None:
+            message = f"{stack}: scan {n} is not the same alone and together, or lost"
+            raise AssertionError(message)
+        if not np.allclose(estimate.T_R_T.translation, together.translations[n], rtol=0.0, atol=1e-12):
+            message = f"{stack}: scan {n} differs by more than 1e-12 m between the two ways"
+            raise AssertionError(message)
+
+    def timed(count: int, work: Callable[[], object]) -> float:
+        seconds = []
+        for _ in range(ROUNDS):
+            posor.reset()
+            begin = perf_counter()
+            work()
+            seconds.append((perf_counter() - begin) / count)
+        return median(seconds)
+
+    one = timed(scalar, lambda: [posor.locate(scan) for scan in singles])
+    floor = timed(scalar, lambda: [Scans.of([scan]) for scan in singles])
+    many = timed(vectorised, lambda: posor.locate_all(scans))
+    return {"scalar_us": 1e6 * one, "scalar_floor_us": 1e6 * floor, "scans_per_s": 1.0 / many}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the benchmark, print a table and write a JSON file."""
+    parser = argparse.ArgumentParser(prog="bench_core", description=str(__doc__).splitlines()[0])
+    parser.add_argument("--output", type=Path, default=Path("build/bench_core.json"), help="JSON file to write")
+    options = parser.parse_args(arguments)
+    figures = {stack: bench(stack, 2_000, 20_000) for stack in STACKS}
+    title = f"Speed of the core, kernels {'compiled' if COMPILING else 'not compiled'}; medians of {ROUNDS} rounds"
+    table = Table(title=title, title_justify="left")
+    for column in ("stack", "one scan [us]", "floor: conversion only [us]", "together [scans/s]"):
+        table.add_column(column)
+    for stack, row in figures.items():
+        table.add_row(stack, f"{row['scalar_us']:.1f}", f"{row['scalar_floor_us']:.1f}", f"{row['scans_per_s']:,.0f}")
+    Console(width=118).print(table)
+    write_json(options.output, figures)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,80 @@
+"""The model run forward: what the sensors of a POSOR read, raw, when the target is somewhere."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from posor_estimator.core.kernels.rows import evaluate_all
+from posor_estimator.core.scan import Scans
+from posor_estimator.core.sensors.base import RowSensor
+
+if TYPE_CHECKING:
+    from posor_estimator.core.stack import Stack
+    from posor_estimator.core.types import FloatArray, IntArray
+
+
+def empty_scans(stamps_ns: IntArray) -> Scans:
+    """Return scans at given times [ns], shape (n,), without any reading."""
+    count = len(stamps_ns)
+    return Scans(
+        numbers=np.arange(count, dtype=np.int64),
+        stamps_ns=stamps_ns,
+        gap_voltages=np.empty((count, 0)),
+        ring_voltages=np.empty((count, 0)),
+        diode_currents=np.empty((count, 0, 4)),
+        lit_sources=np.empty((count, 0), dtype=np.int64),
+        supply_voltages=np.full(count, np.nan),
+        temperatures=np.full(count, np.nan),
+        at_home=np.zeros(count, dtype=np.int64),
+    )
+
+
+def readings_at(stack: Stack, rotations: FloatArray, translations: FloatArray) -> FloatArray:
+    """Return the linearised readings [m] at poses (n, 3, 3), (n, 3) [m], shape (n, m); sensors with rows only."""
+    return np.concatenate([_readings(sensor, rotations, translations)[0] for sensor in _row_sensors(stack)], axis=1)
+
+
+def scans_at(
+    stack: Stack,
+    rotations: FloatArray,
+    translations: FloatArray,
+    stamps_ns: IntArray,
+    *,
+    noise: np.random.Generator | None = None,
+) -> Scans:
+    """Return the raw scans of n poses ``T_R_T``.
+
+    Args:
+        stack: The sensors; all must be sensors with rows.
+        rotations: R_R_T, shape (n, 3, 3).
+        translations: Origin of T in R [m], shape (n, 3).
+        stamps_ns: Time of each scan [ns], shape (n,).
+        noise: Where to draw the electronics' noise from, as large as the calibration says; None: no noise.
+
+    Returns:
+        The scans; a reading beyond a sensor's calibrated range is NaN.
+
+    """
+    scans = empty_scans(stamps_ns)
+    for sensor in _row_sensors(stack):
+        readings, fields = _readings(sensor, rotations, translations)
+        scans = scans.with_fields(fields)
+        scans = scans.with_fields(sensor.encode(readings, scans))
+        if noise is not None:
+            scans = scans.with_fields(sensor.disturbed(scans, noise))
+    return scans
+
+
+def _row_sensors(stack: Stack) -> list[RowSensor]:
+    return [sensor for sensor in stack.sensors if isinstance(sensor, RowSensor)]
+
+
+def _readings(
+    sensor: RowSensor, rotations: FloatArray, translations: FloatArray
+) -> tuple[FloatArray, dict[str, IntArray]]:
+    chosen, fields = sensor.rows_at(rotations, translations)
+    out = np.empty(chosen.shape)
+    evaluate_all(sensor.pool.kinds, sensor.pool.rows, chosen, rotations, translations, out)
+    return out, fields
