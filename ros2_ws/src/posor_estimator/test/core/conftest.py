@@ -1,0 +1,68 @@
+"""Builders that the tests of the numerical core share."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from posor_estimator.core.types import FloatArray
+
+HERE = Path(__file__).resolve().parent
+RIG_CALIBRATIONS = HERE.parents[2] / "posor_bringup" / "config"
+GOLDEN_CASES = 100
+STEP = 1e-5
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(1985)
+
+
+@pytest.fixture(scope="session")
+def golden_cases() -> list[dict[str, Any]]:
+    """Ray-traced cases, see data/README.md."""
+    lines = (HERE / "data" / "posor_cases.jsonl").read_text(encoding="utf-8").splitlines()
+    cases = [json.loads(line) for line in lines]
+    assert len(cases) == GOLDEN_CASES
+    return cases
+
+
+@pytest.fixture
+def random_rotation(rng: np.random.Generator) -> Callable[[], FloatArray]:
+    """Return a maker of rotations, uniform over all orientations."""
+
+    def make() -> FloatArray:
+        quaternion = pin.Quaternion(*rng.normal(size=4).tolist())
+        quaternion.normalize()
+        return np.array(quaternion.toRotationMatrix())
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def central_difference() -> Callable[[Callable[[FloatArray], float], int], FloatArray]:
+    """Return a maker of d function(x)/dx at x = 0: central differences of fourth order, error near 1e-11."""
+
+    def differentiate(function: Callable[[FloatArray], float], size: int) -> FloatArray:
+        gradient = np.empty(size)
+        for i, step in enumerate(STEP * np.eye(size)):
+            near = function(step) - function(-step)
+            far = function(2.0 * step) - function(-2.0 * step)
+            gradient[i] = (8.0 * near - far) / (12.0 * STEP)
+        return gradient
+
+    return differentiate
+
+
+@pytest.fixture(scope="session")
+def rig_calibrations() -> dict[str, Path]:
+    """The calibration files of the 1985 rig: ``printed`` and ``section84``."""
+    return {name: RIG_CALIBRATIONS / f"slocum1985_{name}.yaml" for name in ("printed", "section84")}

@@ -1,0 +1,106 @@
+"""Run every kind of kernel on the same random inputs and save what comes out: ``kernel_outputs.py FILE.npz``.
+
+A program of its own, since whether kernels are compiled is decided when they are imported (POSOR_COMPILE).
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from posor_estimator.core import compiled
+from posor_estimator.core.kernels import cholesky, gap, ring, solve, spot, vector
+from posor_estimator.core.kernels.rows import GAP, RING, SPOT_X, SPOT_Y
+
+if TYPE_CHECKING:
+    from posor_estimator.core.types import FloatArray
+
+CASES = 100
+HARMONICS = ((1.0, 1e-5), (36.0, 2e-4), (72.0, 1e-5))
+
+
+def random_pose(rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Return rotation and translation: any turn, small leans."""
+    rotation, translation = np.eye(3), np.zeros(3)
+    turn = np.array([0.0, 0.0, 0.0, 0.0, 0.0, rng.uniform(-math.pi, math.pi)])
+    vector.apply_tangent(rotation, translation, turn)
+    vector.apply_tangent(rotation, translation, rng.uniform(-1e-2, 1e-2, 6))
+    return rotation, translation
+
+
+def random_rows(rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the parameters of a gap probe, of a diode with its source, and of a ring probe."""
+    probe = np.concatenate(
+        [rng.uniform(-0.08, 0.08, 3), rng.normal([0, 0, 1], 0.01), rng.normal(0, 1e-3, 3), rng.normal(0, 0.03, 3)]
+    )
+    diode = np.concatenate(
+        [
+            *(rng.uniform(-0.05, 0.05, 3), rng.normal([1, 0, 0], 0.01), rng.normal([0, 1, 0], 0.01)),
+            *(rng.uniform(-0.05, 0.05, 3), rng.normal([0, 0, -1], 0.01), rng.normal(0, 0.1, 1)),
+        ]
+    )
+    around = rng.uniform(-math.pi, math.pi)
+    outward = np.array([math.cos(around), math.sin(around), 0.0])
+    profile = np.ravel([[k, *rng.uniform(-size, size, 2)] for k, size in HARMONICS])
+    ring_probe = np.array([*(0.052 * outward), *(rng.normal(0, 0.01, 3) - outward), 0.0508, len(HARMONICS), *profile])
+    return probe, diode, ring_probe
+
+
+def one_by_one(rng: np.random.Generator) -> list[float]:
+    """Return the outputs of the kernels of one row, of the pose and of the factorisation."""
+    out: list[float] = []
+    rotation, translation = random_pose(rng)
+    probe, diode, ring_probe = random_rows(rng)
+    tangent = np.empty(6)
+    by_parameter = np.zeros(32)
+    out += [gap.gap(probe, rotation, translation, tangent), *tangent]
+    gap.gap_parameters(probe, rotation, translation, by_parameter)
+    out += by_parameter.tolist()
+    for which in (0, 1):
+        out += [spot.spot(diode, rotation, translation, which, tangent), *tangent]
+        spot.spot_parameters(diode, rotation, translation, which, by_parameter)
+        out += by_parameter.tolist()
+    out += [ring.ring_gap(ring_probe, rotation, translation, tangent), *tangent]
+    ring.ring_parameters(ring_probe, rotation, translation, by_parameter)
+    out += by_parameter.tolist()
+    for size in (1e-6, 1e-2, 1.0):
+        vector.apply_tangent(rotation, translation, rng.uniform(-size, size, 6))
+        vector.orthonormalise(rotation)
+        out += [*rotation.ravel(), *translation]
+    matrix = np.cov(rng.normal(size=(6, 20)))
+    right = rng.normal(size=6)
+    out.append(cholesky.factor(matrix))
+    cholesky.substitute(matrix, right)
+    return [*out, *np.tril(matrix).ravel(), *right]
+
+
+def whole_scan(rng: np.random.Generator) -> list[float]:
+    """Return the outcome of the solver for one scan with noise."""
+    kinds = np.array([GAP, GAP, GAP, SPOT_X, SPOT_Y, SPOT_X, SPOT_Y, RING])
+    rows = np.zeros((len(kinds), 17))
+    for row, kind in zip(rows, kinds, strict=True):
+        probe, diode, ring_probe = random_rows(rng)
+        made = {GAP: probe, RING: ring_probe}.get(int(kind), diode)
+        row[: made.size] = made
+    rows[4], rows[6] = rows[3], rows[5]
+    rotation, translation = random_pose(rng)
+    jacobian, residuals, moved = np.empty((len(kinds), 6)), np.empty(len(kinds)), np.empty(6)
+    values = rng.normal(0, 1e-4, len(kinds))
+    weights = rng.uniform(0.5, 2.0, len(kinds)) * 1e12
+    outcome = solve.gauss_newton(kinds, rows, values, weights, rotation, translation, jacobian, residuals, moved, 1e-7)
+    return [outcome, *rotation.ravel(), *translation, *jacobian.ravel(), *residuals, *moved]
+
+
+def main(file: Path) -> None:
+    """Save the outputs, and whether the kernels were compiled."""
+    rng = np.random.default_rng(1985)
+    rows = [one_by_one(rng) for _ in range(CASES)]
+    scans = [whole_scan(rng) for _ in range(CASES)]
+    np.savez(file, compiling=compiled.COMPILING, rows=np.array(rows), scans=np.array(scans))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,164 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from posor_estimator.core.joining import MOST_OPEN, ScanJoiner
+
+if TYPE_CHECKING:
+    import numpy as np
+
+JOINTS = ("shoulder", "elbow", "wrist")
+
+
+@pytest.fixture
+def joiner() -> ScanJoiner[str]:
+    return ScanJoiner(JOINTS)
+
+
+def whole(stamp: int) -> dict[str, str]:
+    return {joint: f"{joint} at {stamp}" for joint in JOINTS}
+
+
+def add(joiner: ScanJoiner[str], joint: str, stamp: int) -> dict[str, str] | None:
+    return joiner.add(joint, stamp, f"{joint} at {stamp}")
+
+
+def test_a_scan_is_handed_out_once_when_its_last_item_comes(joiner: ScanJoiner[str]) -> None:
+    assert add(joiner, "wrist", 7) is None
+    assert add(joiner, "shoulder", 7) is None
+    assert add(joiner, "elbow", 7) == whole(7)
+    assert joiner.take_given_up() == {}
+
+
+def test_one_joint_needs_no_others() -> None:
+    joiner: ScanJoiner[str] = ScanJoiner(("only",))
+    assert joiner.add("only", 5, "item") == {"only": "item"}
+
+
+def test_the_same_item_twice_does_not_stand_for_another_joint(joiner: ScanJoiner[str]) -> None:
+    for _ in range(len(JOINTS) + 1):
+        assert add(joiner, "shoulder", 7) is None
+    add(joiner, "elbow", 7)
+    assert add(joiner, "wrist", 7) == whole(7)
+
+
+def test_stamps_one_nanosecond_apart_are_never_mixed(joiner: ScanJoiner[str]) -> None:
+    add(joiner, "shoulder", 1_000)
+    add(joiner, "elbow", 1_000)
+    assert add(joiner, "wrist", 1_001) is None
+    assert add(joiner, "shoulder", 1_001) is None
+    assert add(joiner, "elbow", 1_001) == whole(1_001)
+
+
+def test_whatever_the_order_a_scan_holds_one_stamp_and_scans_come_in_order(rng: np.random.Generator) -> None:
+    """Each joint sends in order and loses a tenth; the network mixes the joints as it likes."""
+    for _ in range(50):
+        joiner: ScanJoiner[str] = ScanJoiner(JOINTS)
+        queues = {joint: [stamp for stamp in range(1, 60) if rng.random() > 0.1] for joint in JOINTS}
+        complete = set.intersection(*(set(queue) for queue in queues.values()))
+        handed_out = []
+        given_up: dict[int, tuple[str, ...]] = {}
+        sent = {joint: set(queue) for joint, queue in queues.items()}
+        while any(queues.values()):
+            joint = JOINTS[rng.integers(len(JOINTS))]
+            if queues[joint]:
+                stamp = queues[joint].pop(0)
+                scan = add(joiner, joint, stamp)
+                given_up |= joiner.take_given_up()
+                if scan is not None:
+                    assert scan == whole(stamp)
+                    handed_out.append(stamp)
+        assert handed_out == sorted(handed_out)
+        assert set(handed_out) == complete  # as each joint is in order, no complete scan can be overtaken
+        for stamp, missing in given_up.items():
+            assert missing == tuple(joint for joint in JOINTS if stamp not in sent[joint])
+
+
+def test_an_older_scan_is_given_up_when_a_newer_one_is_complete(joiner: ScanJoiner[str]) -> None:
+    add(joiner, "shoulder", 1)
+    add(joiner, "elbow", 2)
+    add(joiner, "wrist", 2)
+    for joint in JOINTS:
+        add(joiner, joint, 3)
+    assert joiner.take_given_up() == {1: ("elbow", "wrist"), 2: ("shoulder",)}
+    assert joiner.take_given_up() == {}
+
+
+def test_a_newer_incomplete_scan_stays_open(joiner: ScanJoiner[str]) -> None:
+    add(joiner, "wrist", 8)
+    add(joiner, "wrist", 9)
+    add(joiner, "shoulder", 8)
+    assert add(joiner, "elbow", 8) == whole(8)
+    assert joiner.take_given_up() == {}
+    add(joiner, "shoulder", 9)
+    assert add(joiner, "elbow", 9) == whole(9)
+
+
+def test_items_of_a_scan_that_is_done_come_too_late(joiner: ScanJoiner[str]) -> None:
+    for joint in ("shoulder", "elbow"):
+        add(joiner, joint, 5)
+        add(joiner, joint, 6)
+    assert add(joiner, "wrist", 6) == whole(6)
+    for joint in JOINTS:
+        assert add(joiner, joint, 6) is None
+    assert joiner.take_given_up() == {5: ("wrist",)}
+
+
+@pytest.mark.xfail(reason="each joint that starts over forgets the new items of those before it", strict=True)
+@pytest.mark.parametrize("first_joint_back", JOINTS)
+def test_a_replay_that_starts_over_is_followed_from_its_first_scan(
+    first_joint_back: str, joiner: ScanJoiner[str]
+) -> None:
+    others = [joint for joint in JOINTS if joint != first_joint_back]
+    for stamp in (100, 200, 300):
+        for joint in JOINTS:
+            add(joiner, joint, stamp)
+    for round_ in range(2):
+        for stamp in (100, 200, 300):
+            add(joiner, first_joint_back, stamp)
+            assert add(joiner, others[0], stamp) is None
+            assert add(joiner, others[1], stamp) == whole(stamp), f"round {round_}"
+
+
+def test_a_replay_that_starts_over_is_followed(joiner: ScanJoiner[str]) -> None:
+    for _ in range(3):
+        for stamp in (100, 200, 300):
+            scans = [add(joiner, joint, stamp) for joint in JOINTS]
+        assert scans[-1] == whole(300)
+
+
+def test_a_replay_that_starts_over_is_not_joined_with_its_past(joiner: ScanJoiner[str]) -> None:
+    """Two joints' items of a scan before the jump must not be completed by the third's after it."""
+    add(joiner, "shoulder", 100)
+    add(joiner, "elbow", 100)
+    add(joiner, "wrist", 200)
+    assert joiner.add("wrist", 100, "wrist of the second round") is None
+    assert joiner.add("shoulder", 100, "shoulder of the second round") is None
+    assert joiner.add("elbow", 100, "elbow of the second round") == {
+        joint: f"{joint} of the second round" for joint in JOINTS
+    }
+
+
+def test_no_more_than_so_many_scans_are_open(joiner: ScanJoiner[str]) -> None:
+    """A joint that is off must not make the memory grow; each scan is given up with its name."""
+    for stamp in range(1, MOST_OPEN + 1):
+        add(joiner, "shoulder", stamp)
+        add(joiner, "elbow", stamp)
+    assert joiner.take_given_up() == {}
+    for stamp in range(MOST_OPEN + 1, 3 * MOST_OPEN + 1):
+        add(joiner, "shoulder", stamp)
+        add(joiner, "elbow", stamp)
+    given_up = joiner.take_given_up()
+    assert given_up == dict.fromkeys(range(1, 2 * MOST_OPEN + 1), ("wrist",))
+
+
+@pytest.mark.xfail(reason="a late item opens its scan afresh, which then counts the others as missing", strict=True)
+def test_a_joint_that_lags_far_behind_is_the_one_that_is_named(joiner: ScanJoiner[str]) -> None:
+    """The wrist is so late that its scans have been given up: it is missing, the other two are not."""
+    for stamp in range(1, MOST_OPEN + 11):
+        add(joiner, "shoulder", stamp)
+        add(joiner, "elbow", stamp)
+    for stamp in range(1, MOST_OPEN + 11):
+        add(joiner, "wrist", stamp)
+    assert joiner.take_given_up() == dict.fromkeys(range(1, 11), ("wrist",))

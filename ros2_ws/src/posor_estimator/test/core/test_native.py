@@ -1,0 +1,59 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from posor_estimator.core.native import native_from_rotation, rotation_from_native
+
+LEAN = 0.06  # rad, more than a POSOR's gaps allow
+
+
+def test_native_coordinates_come_back_from_the_rotation_over_full_turns(rng: np.random.Generator) -> None:
+    for _ in range(500):
+        alpha, beta = rng.uniform(-LEAN, LEAN, 2)
+        theta = rng.uniform(-math.pi, math.pi)
+        back = native_from_rotation(rotation_from_native(alpha, beta, theta))
+        np.testing.assert_allclose(back, (alpha, beta, theta), rtol=0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize("theta", [-3.0 * math.pi, -math.pi, 0.0, math.pi / 2.0, math.pi, 2.0 * math.pi, 7.0])
+def test_theta_is_the_same_heading_whatever_turns_it_counts(theta: float) -> None:
+    back = native_from_rotation(rotation_from_native(0.01, -0.02, theta))
+    assert math.remainder(back[2] - theta, 2.0 * math.pi) == pytest.approx(0.0, abs=2e-15)
+    assert -math.pi <= back[2] <= math.pi
+
+
+def test_the_rotation_is_a_rotation_and_comes_back_from_its_native_coordinates(rng: np.random.Generator) -> None:
+    for _ in range(500):
+        lean = np.array([*rng.uniform(-LEAN, LEAN, 2), 0.0])
+        rotation = pin.exp3(lean) @ pin.utils.rotate("z", rng.uniform(-math.pi, math.pi))
+        back = rotation_from_native(*native_from_rotation(rotation))
+        np.testing.assert_allclose(back, rotation, rtol=0.0, atol=1e-15)
+
+
+def test_alpha_and_beta_are_the_lean_of_z_about_x_and_y_of_the_receiving_plate(rng: np.random.Generator) -> None:
+    for alpha, beta, theta in rng.uniform(-1.0, 1.0, (200, 3)) * (LEAN, LEAN, math.pi):
+        rotation = rotation_from_native(alpha, beta, theta)
+        leaned = pin.utils.rotate("y", beta) @ pin.utils.rotate("x", alpha) @ np.array([0.0, 0.0, 1.0])
+        np.testing.assert_allclose(rotation[:, 2], leaned, rtol=0.0, atol=1e-15)
+
+
+def test_theta_is_the_heading_of_the_y_axis_in_the_xy_plane_of_the_receiving_plate(rng: np.random.Generator) -> None:
+    for alpha, beta, theta in rng.uniform(-1.0, 1.0, (200, 3)) * (LEAN, LEAN, math.pi):
+        y = rotation_from_native(alpha, beta, theta)[:, 1]
+        heading = math.atan2(-y[0], y[1])  # zero along Y of R, positive toward -X
+        assert math.remainder(heading - theta, 2.0 * math.pi) == pytest.approx(0.0, abs=2e-15)
+
+
+@pytest.mark.parametrize(("axis", "index"), [("x", 0), ("y", 1), ("z", 2)])
+def test_a_turn_about_one_axis_is_one_coordinate(axis: str, index: int) -> None:
+    expected = [0.0, 0.0, 0.0]
+    expected[index] = 0.05
+    np.testing.assert_allclose(native_from_rotation(pin.utils.rotate(axis, 0.05)), expected, rtol=0.0, atol=1e-16)
+
+
+def test_rounding_beyond_a_right_angle_is_no_error() -> None:
+    rotation = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0 - 1e-15], [0.0, 1.0, 0.0]])
+    assert native_from_rotation(rotation)[0] == math.pi / 2.0
