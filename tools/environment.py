@@ -170,11 +170,16 @@ def workspace_environment(workspace: Workspace = THIS, environ: Mapping[str, str
     stamp = read_stamp(workspace.build_stamp)
     if not stamp:
         raise SetupError("the workspace is not built: call 'make setup'.")
+    return with_variables(environ, stamp)
+
+
+def with_variables(environ: Mapping[str, str], recorded: Mapping[str, Any]) -> dict[str, str]:
+    """Return an environment plus the variables that ``workspace_variables`` found."""
     result = dict(environ)
-    for name, own in stamp["prepend"].items():
+    for name, own in recorded["prepend"].items():
         others = [p for p in environ.get(name, "").split(os.pathsep) if p and p not in own]
         result[name] = os.pathsep.join([*own, *others])
-    result.update(stamp["set"])
+    result.update(recorded["set"])
     return result
 
 

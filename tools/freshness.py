@@ -19,6 +19,7 @@ NAMED_LOCKS = ("build.txt", "base.txt", "dev.txt")
 WHEEL_LOCKS = (*NAMED_LOCKS, "ros-jazzy.txt", "typing.txt")
 BUILD_FILES = {"CMakeLists.txt", "package.xml", "setup.cfg", "setup.py"}
 SOURCES_CHANGED = "sources changed"
+KERNELS = "src/posor_estimator/posor_estimator/core/kernels/*.py"
 INTERFACES = {".action", ".idl", ".msg", ".srv"}
 
 
@@ -34,13 +35,16 @@ def environment_inputs(workspace: Workspace, *, official: bool) -> str:
 def build_inputs(workspace: Workspace) -> str:
     """Return the hash of all that decides what colcon installs.
 
-    Python modules and data files are installed as links into the source tree, so of those only the names count.
+    Python modules and data files are installed as links into the source tree, so of those only the names count; but
+    the kernels are compiled once after the build, so that no node has to wait for it.
     """
     digest = hashlib.sha256(f"{RECIPE}".encode())
     for file in sorted(path for package in source_packages(workspace) for path in package_files(package)):
         digest.update(f"{file.relative_to(workspace.ros2)}\0".encode())
         if file.suffix in INTERFACES or file.name in BUILD_FILES:
             digest.update(file.read_bytes())
+    for kernel in sorted(workspace.ros2.glob(KERNELS)):
+        digest.update(kernel.read_bytes())
     return digest.hexdigest()
 
 

@@ -27,10 +27,12 @@ from environment import (
     official_ros,
     read_stamp,
     ros_environment,
+    with_variables,
     workspace_variables,
     write_stamp,
 )
 from freshness import (
+    KERNELS,
     NAMED_LISTS,
     NAMED_LOCKS,
     SOURCES_CHANGED,
@@ -160,6 +162,11 @@ def build(workspace: Workspace, environ: Mapping[str, str], report: Report, *, o
         ]
         report.run(command, ros | {"COLCON_DEFAULTS_FILE": os.devnull}, "colcon could not build ros2_ws")
         variables = capture(workspace, environ, official=official)
+    if any(workspace.ros2.glob(KERNELS)):
+        with report.step("compile the measurement model's kernels", "kernels.log"):
+            command = [str(workspace.python), "-m", "posor_estimator.core.warm_up"]
+            failure = "the kernels cannot be compiled"
+            report.run(command, with_variables(environ, variables), failure)
     environment = read_stamp(workspace.environment_stamp)["inputs"]
     write_stamp(workspace.build_stamp, {"environment": environment, "inputs": inputs, **variables})
 

@@ -57,8 +57,8 @@ def nees(stack: DesignName, runs: int, seed: int) -> Nees:
         "ni,ni->n", errors, np.linalg.solve(found.covariances_random[known], errors[:, :, None])[:, :, 0]
     )
     count = len(errors)
-    low, high = chi2.ppf([0.025, 0.975], FREEDOMS * count) / (FREEDOMS * count)
-    return Nees(float(np.mean(squared)) / FREEDOMS, float(low), float(high))
+    low, high = (float(chi2.ppf(p, FREEDOMS * count)) / (FREEDOMS * count) for p in (0.025, 0.975))
+    return Nees(float(np.mean(squared)) / FREEDOMS, low, high)
 
 
 def _furthest(found: FloatArray, stated: FloatArray) -> float:

@@ -200,7 +200,8 @@ class Diodes(RowSensor):
         return rows
 
     def _chosen(self, scan: Scan) -> IntArray:
-        return self._rows_of(np.array([scan.lit_sources], dtype=np.int64))[0]
+        rows: IntArray = self._rows_of(np.array([scan.lit_sources], dtype=np.int64))[0]
+        return rows
 
     def linearise(self, scans: Scans, batch: Batch, first: int, offset: int) -> IntArray:
         """Write the spot positions x, y of each diode in turn [m]; see ``Sensor.linearise``."""
