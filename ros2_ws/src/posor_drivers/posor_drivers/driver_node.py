@@ -26,7 +26,7 @@ from posor_drivers.timeline import Due, ReplayParameters, timeline
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from posor_drivers.sources.base import Source, Topic
+    from posor_drivers.sources.base import Source
 
 DELIVERY_S = 10.0
 """How long to wait, after the last message, for slow reliable subscribers before the program ends."""
@@ -92,15 +92,15 @@ class DriverNode(PosorNode[DriverParameters]):
         name = self.parameters.source
         self._source = source_class(name)(getattr(self.parameters, name), self._types)
         topics = self._source.open()
-        self._type_names = {topic.name: topic.type_name for topic in topics}
-        self._outputs = {topic.name: self._output(topic) for topic in topics}
+        self._classes = {topic.name: message_class(topic.type_name) for topic in topics}
+        self._outputs = {topic.name: self._output(topic.name) for topic in topics}
         self._status.report(Level.OK, "ready", {"source": name, "record": self._source.record})
 
-    def _output(self, topic: Topic) -> Any:
+    def _output(self, topic: str) -> Any:
         return self.create_lifecycle_publisher(
-            message_class(topic.type_name),
-            topic.name,
-            sensor_qos(self.parameters) if topic.name == RAW_TOPIC else RELIABLE_QOS,
+            self._classes[topic],
+            topic,
+            sensor_qos(self.parameters) if topic == RAW_TOPIC else RELIABLE_QOS,
         )
 
     def activate(self) -> None:
@@ -124,7 +124,7 @@ class DriverNode(PosorNode[DriverParameters]):
         self._outputs = {}
 
     def _dues(self) -> Iterator[Due]:
-        return timeline(self._source, self._type_names, self.parameters, self.get_clock().now().nanoseconds)
+        return timeline(self._source, self._classes, self.parameters, self.get_clock().now().nanoseconds)
 
     def _has_listeners(self) -> bool:
         missing = []
@@ -141,7 +141,7 @@ class DriverNode(PosorNode[DriverParameters]):
         """Publish one message; where everything is kept, a full history means that a subscriber makes us wait."""
         while not self._stopping:
             try:
-                self._outputs[due.topic].publish(due.data)
+                self._outputs[due.topic].publish(due.content)
             except RuntimeError:
                 if self.parameters.qos_depth:
                     raise

@@ -1,4 +1,4 @@
-"""Message types as they are installed: definition text, type hash, class, and (de)serialisation without a node.
+"""Message types as they are installed: definition text, type hash, class, and messages as bytes.
 
 Any type can be asked for: its ``.msg`` file and those of its parts are found through the ament index.
 """
@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from posor_estimator.errors import BagError
 from rosbags.interfaces import Nodetype
-from rosbags.serde import SerdeError
 from rosbags.typesys import get_types_from_msg
 from rosbags.typesys.store import Typestore
 
@@ -57,19 +56,6 @@ class MessageTypes:
     def serialize(self, message: Any, name: str) -> bytes:
         """Return ``message`` as CDR; unlike that of the middleware, padding is always zero."""
         return bytes(self._store.serialize_cdr(message, name))
-
-    def deserialize(self, data: bytes, name: str) -> Any:
-        """Return the message of type ``name`` that ``data`` (CDR) holds.
-
-        Raises:
-            BagError: it holds none.
-
-        """
-        self._register(name)
-        try:
-            return self._store.deserialize_cdr(data, name)
-        except (SerdeError, IndexError) as error:
-            raise BagError(f"{len(data)} bytes are no message of type {name}, {error}") from None
 
     def _register(self, name: str) -> None:
         if name in self._store.types:

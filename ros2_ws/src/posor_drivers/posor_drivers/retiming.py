@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from posor_estimator.errors import BagError
 from posor_estimator.ros.qos import RAW_TOPIC
+from rclpy.serialization import deserialize_message
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from posor_drivers.message_types import MessageTypes
     from posor_drivers.sources.base import SourceMessage
 
 NS = 1_000_000_000
@@ -52,8 +53,8 @@ class Retiming:
     What needs no change keeps its recorded bytes.
     """
 
-    types: MessageTypes
-    type_names: Mapping[str, str]
+    classes: Mapping[str, Any]
+    """Message class of each topic."""
     loop: bool
     restamp: bool
     now_ns: int
@@ -63,12 +64,16 @@ class Retiming:
     _scans: Extent = field(default_factory=Extent)
     _first_stamp_ns: int | None = None
 
-    def apply(self, message: SourceMessage) -> bytes:
-        """Return the bytes of ``message`` as they are to be published."""
+    def apply(self, message: SourceMessage) -> Any:
+        """Return what is to be published: the recorded bytes, or a message with a new stamp.
+
+        Raises:
+            BagError: the bytes are no message of the topic's type.
+
+        """
         if not (self.loop or self.restamp):
             return message.data
-        type_name = self.type_names[message.topic]
-        content = self.types.deserialize(message.data, type_name)
+        content = self._content(message)
         header = getattr(content, "header", None)
         if header is None:
             return message.data
@@ -86,4 +91,13 @@ class Retiming:
         header.stamp.sec, header.stamp.nanosec = divmod(stamp_ns, NS)
         if message.topic == RAW_TOPIC:
             content.scan += self.turn * (self._scans.span + 1)
-        return self.types.serialize(content, type_name)
+        return content
+
+    def _content(self, message: SourceMessage) -> Any:
+        try:
+            return deserialize_message(message.data, self.classes[message.topic])
+        except RuntimeError:
+            raise BagError(
+                f"the {len(message.data)} bytes recorded at {message.time_ns} ns cannot be decoded",
+                where=f"topic {message.topic}",
+            ) from None

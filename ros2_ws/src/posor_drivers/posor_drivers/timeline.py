@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from posor_drivers.retiming import NS, Extent, Retiming
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from posor_drivers.sources.base import Source, SourceMessage
 
@@ -49,20 +49,21 @@ class ReplayParameters(NodeParameters):
 
 @dataclass(frozen=True, slots=True)
 class Due:
-    """Bytes to publish on a topic, and when."""
+    """What to publish on a topic, and when."""
 
     topic: str
-    data: bytes
+    content: Any
+    """Recorded bytes, or a message where its stamp had to change."""
     after_s: float
     """Since the beginning of the replay [s]; 0 where it is as fast as possible."""
 
 
-def timeline(source: Source[Any], type_names: dict[str, str], options: ReplayParameters, now_ns: int) -> Iterator[Due]:
+def timeline(source: Source[Any], classes: Mapping[str, Any], options: ReplayParameters, now_ns: int) -> Iterator[Due]:
     """Yield what is to be published, in order; endless where the replay loops.
 
     Args:
         source: An open source.
-        type_names: Message type of each of its topics.
+        classes: Message class of each of its topics.
         options: Rate, offsets, looping and stamps.
         now_ns: Time of the ROS clock at which the replay begins [ns].
 
@@ -72,7 +73,7 @@ def timeline(source: Source[Any], type_names: dict[str, str], options: ReplayPar
 
     """
     speed = options.rate or 1.0
-    retiming = Retiming(source.types, type_names, options.loop, options.restamp, now_ns, speed)
+    retiming = Retiming(classes, options.loop, options.restamp, now_ns, speed)
     length_ns = 0
     for turn in itertools.count():
         retiming.turn = turn

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -19,6 +20,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from rosbags.interfaces import Connection
+
+
+EXPECTED = "a rosbag2 bag, MCAP or SQLite, that was closed properly"
+SQLITE_MAGIC = b"SQLite format 3\0"
 
 
 class BagParameters(ParameterGroup):
@@ -63,24 +68,32 @@ class BagSource(Source[BagParameters]):
         """Yield the recorded messages in the order of their log times."""
         with self._reader() as reader:
             chosen = [connection for connection in reader.connections if connection.topic in self._names]
+            count, promised = 0, sum(connection.msgcount for connection in chosen)
             for connection, time_ns, data in reader.messages(chosen):
+                count += 1
                 yield SourceMessage(self._names[connection.topic], time_ns, bytes(data))
+            if count != promised:
+                raise BagError(
+                    f"holds {count} messages of {', '.join(self._names)}",
+                    where=self.parameters.path,
+                    expected=f"{promised}, as its index says",
+                )
 
     @contextmanager
     def _reader(self) -> Iterator[Reader]:
         """Open the bag; whatever the storage layers stumble over becomes one sentence that names the bag."""
         path = Path(self.parameters.path)
-        expected = "a rosbag2 bag, MCAP or SQLite, that was closed properly"
         if not path.exists():
-            raise BagError("does not exist", where=str(path), expected=expected)
+            raise BagError("does not exist", where=str(path), expected=EXPECTED)
         try:
+            _check_size(path)
             with Reader(path) as reader:
                 yield reader
         except PosorError:
             raise
         except Exception as error:
             reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-            raise BagError(f"the bag cannot be read, {reason}", where=str(path), expected=expected) from error
+            raise BagError(f"the bag cannot be read, {reason}", where=str(path), expected=EXPECTED) from error
 
     def _scan_topic(self, connections: Sequence[Connection]) -> str:
         if self.parameters.topic:
@@ -117,3 +130,14 @@ class BagSource(Source[BagParameters]):
 def _listed(connections: Sequence[Connection]) -> str:
     """Return the topics of a bag with their types, in words."""
     return ", ".join(sorted({f"{connection.topic} ({connection.msgtype})" for connection in connections})) or "none"
+
+
+def _check_size(bag: Path) -> None:
+    """Refuse an SQLite file that lacks its end; SQLite itself notices only where it happens to read there."""
+    for path in sorted(bag.glob("*.db3")) if bag.is_dir() else [bag]:
+        with path.open("rb") as file:
+            head = file.read(32)
+        if len(head) == len(SQLITE_MAGIC) + 16 and head.startswith(SQLITE_MAGIC):
+            page_size, pages = struct.unpack(">H10xI", head[16:])
+            if path.stat().st_size < (page_size if page_size > 1 else 65536) * pages:
+                raise BagError("the file is cut short", where=str(path), expected=EXPECTED)
