@@ -112,9 +112,8 @@ class DriverNode(PosorNode[DriverParameters]):
 
     def deactivate(self) -> None:
         """End the replay."""
-        if self._replayer is not None:
-            self._replayer.stop()
-        self._status.report(Level.OK, "stopped")
+        if self._replayer is not None and self._replayer.stop():
+            self._status.report(Level.OK, "stopped")
 
     def cleanup(self) -> None:
         """Close source and topics."""

@@ -51,7 +51,8 @@ class Replayer:
         self._dues = dues
         self._publish = publish
         self._may_start = may_start
-        self._on_state = on_state
+        self._report = on_state
+        self._state = ReplayState.WAITING
         self._stop = Event()
         self._thread = Thread(target=self._run, name="replay")
 
@@ -64,24 +65,29 @@ class Replayer:
         """Begin."""
         self._thread.start()
 
-    def stop(self) -> None:
-        """Stop after the message in hand and wait for the thread."""
+    def stop(self) -> bool:
+        """Stop after the message in hand and wait for the thread; return whether there was anything left to do."""
         self._stop.set()
         self._thread.join()
+        return self._state not in (ReplayState.ENDED, ReplayState.FAILED)
+
+    def _enter(self, state: ReplayState, error: Exception | None = None) -> None:
+        self._state = state
+        self._report(state, error)
 
     def _run(self) -> None:
         try:
-            self._on_state(ReplayState.WAITING, None)
+            self._enter(ReplayState.WAITING)
             while not self._may_start():
                 if self._stop.wait(LOOKOUT_S):
                     return
-            self._on_state(ReplayState.RUNNING, None)
+            self._enter(ReplayState.RUNNING)
             begin = time.monotonic()
             for due in self._dues():
                 if self._stop.wait(max(0.0, begin + due.after_s - time.monotonic())):
                     return
                 self._publish(due)
         except Exception as error:  # noqa: BLE001  it ends the program, from the main thread
-            self._on_state(ReplayState.FAILED, error)
+            self._enter(ReplayState.FAILED, error)
         else:
-            self._on_state(ReplayState.ENDED, None)
+            self._enter(ReplayState.ENDED)

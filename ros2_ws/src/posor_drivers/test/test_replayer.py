@@ -68,6 +68,7 @@ def test_replay_waits_for_listeners() -> None:
     assert stage.over.wait(30.0)
     assert len(stage.published) == 1
     stage.replayer.stop()
+    assert not stage.replayer.stop()
 
 
 def test_replay_can_be_stopped_while_it_waits_for_listeners() -> None:
@@ -84,7 +85,7 @@ def test_replay_can_be_stopped_between_messages() -> None:
     stage = Stage(Due("a", b"", 0.0), Due("b", b"", 1000.0))
     stage.replayer.start()
     assert stage.first.wait(30.0)
-    stage.replayer.stop()
+    assert stage.replayer.stop()
     assert [topic for topic, _ in stage.published] == ["a"]
     assert stage.states == [ReplayState.WAITING, ReplayState.RUNNING]
 

@@ -1,0 +1,247 @@
+"""The driver node as a program, its scans received over DDS."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import pytest
+from geometry_msgs.msg import PointStamped
+from lifecycle_msgs.msg import Transition
+from posor_estimator.testing.graph import BEST_EFFORT, Graph, values_of
+from posor_estimator.testing.program import Program, installed, ros_arguments
+from posor_msgs.msg import RawScan
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+from .bags import SECOND, Record, point, scan, write_bag
+from .tables import write_table
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+pytestmark = pytest.mark.usefixtures("ros_domain")
+
+START = 1000 * SECOND
+RECORDS = [
+    Record(*record)
+    for number in range(20)
+    for record in (scan(number, START + number * SECOND // 100), point(START + number * SECOND // 100))
+]
+RAW = [record.data for record in RECORDS if record.topic == "/joint1/raw"]
+TRUTH = [record.data for record in RECORDS if record.topic != "/joint1/raw"]
+STATUS = "/joint1/driver_node: source"
+LOSSLESS = {"qos_reliability": "reliable", "qos_depth": 0}
+
+
+def driver(**parameters: object) -> Program:
+    named = {name.replace("__", "."): value for name, value in parameters.items()}
+    return Program([*installed("posor_drivers", "driver_node"), *ros_arguments(named, "/joint1")])
+
+
+def replay(bag: Path, **parameters: object) -> Program:
+    return driver(source="bag", bag__path=str(bag), **LOSSLESS, **parameters)
+
+
+def refusal(program: Program) -> tuple[int, list[str]]:
+    with program:
+        return program.wait(), program.stderr
+
+
+@pytest.mark.parametrize("sqlite", [False, True])
+def test_bag_is_replayed_with_the_recorded_bytes_and_the_program_ends(tmp_path: Path, *, sqlite: bool) -> None:
+    bag = write_bag(tmp_path / "bag", RECORDS, sqlite=sqlite)
+    with Graph() as graph:
+        raw = graph.collect(RawScan, "/joint1/raw", raw=True)
+        truth = graph.collect(PointStamped, "/truth/machining_centre", raw=True)
+        others = {"bag__other_topics": ["/truth/machining_centre"], "wait_for_other_subscribers": 1}
+        with replay(bag, **others) as program:
+            graph.wait_until(lambda: len(raw) == len(RAW) and len(truth) == len(TRUTH), "all messages")
+            assert program.wait() == 0
+            assert program.stderr == []
+        assert raw == RAW
+        assert truth == TRUTH
+
+
+def test_table_is_published_as_scans_and_truth(tmp_path: Path) -> None:
+    table = write_table(tmp_path / "table.csv")
+    with Graph() as graph:
+        scans = graph.collect(RawScan, "/joint1/raw")
+        truths = graph.collect(PointStamped, "/truth/machining_centre")
+        with driver(source="table", table__path=str(table), wait_for_other_subscribers=1, rate=0.0, **LOSSLESS) as node:
+            graph.wait_until(lambda: len(scans) == len(truths) == 4, "all steps")
+            assert node.wait() == 0
+        assert [content.scan for content in scans] == [1, 2, 3, 5]
+        assert [content.status for content in scans] == [0, 1, 2, 0]
+        assert [truth.header.stamp for truth in truths] == [content.header.stamp for content in scans]
+        assert math.isnan(truths[1].point.x)
+
+
+def test_fast_replay_to_a_slow_listener_loses_nothing(tmp_path: Path) -> None:
+    records = [scan(number, START + number) for number in range(12_000)]
+    bag = write_bag(tmp_path / "bag", records)
+    with Graph() as graph:
+        raw = graph.collect(RawScan, "/joint1/raw", raw=True)
+        with replay(bag, rate=0.0) as program:
+            graph.wait_until(lambda: len(raw) == len(records), "all scans")
+            assert program.wait() == 0
+        assert raw == [record.data for record in records]
+
+
+def test_sensor_quality_of_service_is_best_effort_unless_told_otherwise(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", RECORDS)
+    for parameters, reliability in (
+        ({}, ReliabilityPolicy.BEST_EFFORT),
+        ({"qos_reliability": "reliable"}, ReliabilityPolicy.RELIABLE),
+    ):
+        with Graph() as graph, driver(source="bag", bag__path=str(bag), **parameters) as program:
+            graph.wait_until(lambda: graph.node.count_publishers("/joint1/raw") == 1, "the driver")
+            (info,) = graph.node.get_publishers_info_by_topic("/joint1/raw")
+            assert info.qos_profile.reliability == reliability
+            assert program.end() == 0
+
+
+def test_replay_waits_for_as_many_subscriptions_as_told(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", RECORDS)
+    with Graph() as graph, replay(bag, wait_for_subscribers=2) as program:
+        graph.watch_diagnostics()
+        first = graph.collect(RawScan, "/joint1/raw", raw=True)
+        graph.wait_for_status(STATUS, "waiting for subscriptions to /joint1/raw (1 of 2)")
+        assert first == []
+        second = graph.collect(RawScan, "/joint1/raw", raw=True)
+        graph.wait_until(lambda: len(first) == len(second) == len(RAW), "all scans")
+        assert first == second == RAW
+        assert program.wait() == 0
+
+
+def test_driver_may_stay_after_the_end_and_reports_it(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", RECORDS)
+    with Graph() as graph, replay(bag, on_end="stay", hardware_id="rig", rate=0.0) as program:
+        graph.watch_diagnostics()
+        raw = graph.collect(RawScan, "/joint1/raw", raw=True)
+        status = graph.wait_for_status(STATUS, "ended")
+        graph.wait_until(lambda: len(raw) == len(RAW), "all scans")
+        values = values_of(status)
+        assert (values["source"], values["record"], values["scans_published"]) == ("bag", str(bag), str(len(RAW)))
+        assert (status.level, status.hardware_id) == (b"\x00", "rig")
+        messages = [entry.message for entry in graph.diagnostics if entry.name == STATUS]
+        assert "running" in messages
+        assert graph.state("/joint1/driver_node") == "active"
+        assert program.end() == 0
+
+
+def test_each_activation_replays_from_the_beginning(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", RECORDS)
+    with Graph() as graph, replay(bag, autostart=False, on_end="stay") as program:
+        raw = graph.collect(RawScan, "/joint1/raw", raw=True)
+        assert graph.change_state("/joint1/driver_node", Transition.TRANSITION_CONFIGURE)
+        assert graph.change_state("/joint1/driver_node", Transition.TRANSITION_ACTIVATE)
+        graph.wait_until(lambda: len(raw) == len(RAW), "all scans")
+        assert graph.change_state("/joint1/driver_node", Transition.TRANSITION_DEACTIVATE)
+        assert graph.change_state("/joint1/driver_node", Transition.TRANSITION_ACTIVATE)
+        graph.wait_until(lambda: len(raw) == 2 * len(RAW), "all scans once more")
+        assert raw == RAW + RAW
+        assert program.end() == 0
+
+
+def test_endless_loop_is_one_long_record(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", RECORDS)
+    with Graph() as graph, replay(bag, loop=True) as program:
+        scans = graph.collect(RawScan, "/joint1/raw")
+        graph.wait_until(lambda: len(scans) >= 3 * len(RAW), "three rounds")
+        assert [content.scan for content in scans] == list(range(len(scans)))
+        stamps = [content.header.stamp.sec * SECOND + content.header.stamp.nanosec for content in scans]
+        assert stamps == [START + number * SECOND // 100 for number in range(len(scans))]
+        assert program.end() == 0
+
+
+def test_restamped_scans_are_of_the_present(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", RECORDS)
+    with Graph() as graph:
+        scans = graph.collect(RawScan, "/joint1/raw")
+        before = graph.node.get_clock().now().nanoseconds
+        with replay(bag, restamp=True) as program:
+            graph.wait_until(lambda: len(scans) == len(RAW), "all scans")
+            after = graph.node.get_clock().now().nanoseconds
+            assert program.wait() == 0
+        stamps = [content.header.stamp.sec * SECOND + content.header.stamp.nanosec for content in scans]
+        assert before < stamps[0] < after
+        assert [stamp - stamps[0] for stamp in stamps] == [number * SECOND // 100 for number in range(len(RAW))]
+
+
+def test_default_listeners_hear_the_driver(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", RECORDS)
+    with Graph() as graph, driver(source="bag", bag__path=str(bag), loop=True) as program:
+        scans = graph.collect(RawScan, "/joint1/raw", BEST_EFFORT)
+        graph.wait_until(lambda: len(scans) >= 3, "scans")
+        assert program.end() == 0
+
+
+def test_late_listener_hears_the_rest(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", RECORDS)
+    with Graph() as graph, replay(bag, loop=True) as program:
+        first = graph.collect(RawScan, "/joint1/raw")
+        graph.wait_until(lambda: len(first) > len(RAW), "one round")
+        late = graph.collect(RawScan, "/joint1/raw", QoSProfile(depth=100))
+        graph.wait_until(lambda: len(late) > 3, "scans for the late listener")
+        numbers = [content.scan for content in late]
+        assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+        assert program.end() == 0
+
+
+def test_wrong_parameters_are_refused_with_one_sentence(tmp_path: Path) -> None:
+    node = "node /joint1/driver_node, parameter"
+    code, (sentence,) = refusal(driver())
+    assert code == 2
+    assert sentence.startswith(f"{node} 'source': is not set; expected a string: where the scans come from")
+    code, (sentence,) = refusal(driver(source="tabel"))
+    assert code == 2
+    assert sentence.startswith("parameter 'source': source 'tabel' is unknown; expected one of 'bag', ")
+    assert refusal(driver(source="table", table__pth="x")) == (
+        2,
+        [f"{node} 'table.pth': there is no such parameter; expected perhaps 'table.path'."],
+    )
+    code, (sentence,) = refusal(driver(source="table", table__path=str(tmp_path), bag__topic="/x"))
+    assert code == 2
+    assert sentence.startswith(f"{node} 'bag.topic': there is no such parameter; expected perhaps 'table.")
+    assert refusal(driver(source="bag", bag__path="x", rate=-1.0)) == (
+        2,
+        [f"{node} 'rate': -1.0 is wrong; expected a number at least 0.0 and at most 10000.0."],
+    )
+
+
+def test_unreadable_inputs_end_the_program_with_one_sentence(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", RECORDS)
+    storage = bag / "bag.mcap"
+    storage.write_bytes(storage.read_bytes()[:-100])
+    code, (sentence,) = refusal(replay(bag))
+    assert code == 1
+    assert sentence.startswith(f"{bag}: the bag cannot be read, ")
+    table = write_table(tmp_path / "table.csv", "1,0,0,0,x,0,0,0,0,0,0,")
+    assert refusal(driver(source="table", table__path=str(table))) == (
+        1,
+        [f"{table}, line 4, column 'l1_v': 'x' is wrong; expected a finite number."],
+    )
+
+
+def test_offsets_beyond_the_record_end_the_program_with_one_sentence(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", RECORDS)
+    code, lines = refusal(replay(bag, start_offset=50.0, wait_for_subscribers=0))
+    assert (code, lines) == (
+        2,
+        ["no scan lies between 'start_offset' 50.0 and 'stop_offset' inf; expected offsets within the record."],
+    )
+
+
+def test_record_that_breaks_off_in_the_middle_ends_the_program_after_what_there_is(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", RECORDS)
+    metadata = bag / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace("message_count: 20", "message_count: 21"))
+    with Graph() as graph:
+        graph.watch_diagnostics()
+        raw = graph.collect(RawScan, "/joint1/raw", raw=True)
+        with replay(bag, on_end="stay") as program:
+            assert program.wait() == 1
+            sentence = f"{bag}: holds 20 messages of /joint1/raw; expected 21, as its index says."
+            assert program.stderr == [sentence]
+        graph.wait_until(lambda: len(raw) == len(RAW), "the scans before")
+        assert graph.wait_for_status(STATUS, sentence).level == b"\x02"
