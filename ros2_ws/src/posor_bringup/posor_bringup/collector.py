@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PointStamped, PoseStamped
 from posor_estimator.core.fault import Fault, State
+from posor_estimator.ros.main import WAKE_S
 from posor_estimator.ros.messages import is_usable, stamp_ns
 from posor_estimator.ros.qos import DIAGNOSTICS_TOPIC, ENDPOINT_TOPIC, TRANSFORM_TOPIC, TRUTH_TOPIC
 from posor_msgs.msg import JointTransform
+from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from posor_bringup.motion import Step
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 KEEP_ALL_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL, depth=0, reliability=ReliabilityPolicy.RELIABLE)
 """For a replay that loses nothing."""
@@ -45,6 +50,20 @@ class Collector(Node):
         for kind, topic, store in topics:
             self.create_subscription(kind, topic, partial(self._keep, store), KEEP_ALL_QOS)
         self.create_subscription(DiagnosticArray, DIAGNOSTICS_TOPIC, self._note, KEEP_ALL_QOS)
+        # One executor for good: messages that arrive while one executor gives way to the next are never taken.
+        self._executor = EventsExecutor()
+        self._executor.add_node(self)
+
+    def receive_until(self, done: Callable[[], bool]) -> None:
+        """Receive until ``done()``; it is asked after each event, at least every ``WAKE_S``."""
+        while not done():
+            self._executor.spin_once(timeout_sec=WAKE_S)
+
+    def close(self) -> None:
+        """Stop receiving."""
+        self._executor.remove_node(self)
+        self._executor.shutdown()
+        self.destroy_node()
 
     def _keep(self, store: dict[int, Any], message: Any) -> None:
         self.received += 1

@@ -127,7 +127,7 @@ def _replay(plan: ReplayPlan, argv: Sequence[str], table: LiveTable) -> tuple[Mo
             replay.finish()
             return MotionTest(tuple(collector.steps())), replay.identity()
         finally:
-            collector.destroy_node()
+            collector.close()
 
 
 def _report(

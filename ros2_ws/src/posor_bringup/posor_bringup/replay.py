@@ -10,7 +10,6 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from posor_estimator.errors import PosorError
 from posor_estimator.ros.listeners import STATUS as LISTENERS
-from posor_estimator.ros.main import spin
 from posor_estimator.ros.qos import ENDPOINT_TOPIC, RAW_TOPIC, TRANSFORM_TOPIC, TRUTH_TOPIC
 
 from posor_bringup.installed import JOINT
@@ -214,10 +213,11 @@ class Replay:
         self._supervisor.end(self._nodes)
         self._supervisor.end([self._recorder])
 
-    def restart_posor(self) -> None:
-        """Kill the POSOR node as a crash would and start it anew."""
-        self._supervisor.kill(self._nodes[0])
-        self._nodes[0] = self._supervisor.start(self.plan.posor())
+    def restart(self, name: str) -> None:
+        """Kill ``posor_node`` or ``chain_node`` as a crash would and start it anew."""
+        index = next(index for index, running in enumerate(self._nodes) if running.program.name == name)
+        self._supervisor.kill(self._nodes[index])
+        self._nodes[index] = self._supervisor.start(self._nodes[index].program)
 
     def wait(self, until: Callable[[], bool], lacking: Callable[[], str]) -> None:
         """Receive until a condition holds.
@@ -247,4 +247,4 @@ class Replay:
                 raise ProcessError(f"nothing arrives any more, missing: {lacking()}", where="replay")
             return False
 
-        spin(self.collector, done)
+        self.collector.receive_until(done)

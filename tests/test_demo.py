@@ -1,0 +1,153 @@
+"""The demo as its user starts it: a program that runs the graph, and its exit code."""
+
+from __future__ import annotations
+
+import csv
+import os
+import shutil
+import signal
+import subprocess
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from ament_index_python.packages import get_package_prefix
+from posor_bringup.installed import share
+from posor_bringup.replay import TOPICS
+
+from tests.graphs import recorded
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+DEMO = Path(get_package_prefix("posor_bringup"), "lib", "posor_bringup", "demo")
+FIRST_STEP = "   1     0.0"
+
+
+@pytest.fixture
+def rig_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Put a copy of the package's files before the installed ones and leave the choice of a domain to the demo."""
+    prefix = tmp_path / "prefix"
+    copy = prefix / "share" / "posor_bringup"
+    shutil.copytree(share(), copy)
+    marker = prefix / "share" / "ament_index" / "resource_index" / "packages" / "posor_bringup"
+    marker.parent.mkdir(parents=True)
+    marker.touch()
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{prefix}{os.pathsep}{os.environ['AMENT_PREFIX_PATH']}")
+    monkeypatch.delenv("ROS_DOMAIN_ID")
+    return copy
+
+
+@pytest.fixture
+def demo(tmp_path: Path, rig_files: Path) -> Iterator[list[subprocess.Popen[str]]]:
+    """Return a list that ``start`` adds to; what still runs after the test is ended, and nothing may be left."""
+    started: list[subprocess.Popen[str]] = []
+    yield started
+    for process in started:
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+        process.communicate()
+    assert processes_that_use(tmp_path) == {}
+    assert rig_files.is_dir()
+
+
+def start(started: list[subprocess.Popen[str]], output: Path, *arguments: str) -> subprocess.Popen[str]:
+    command = [str(DEMO), "--output", str(output), *arguments]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    started.append(process)
+    return process
+
+
+def processes_that_use(folder: Path) -> dict[int, str]:
+    """Return the command lines, by process, that name something in a folder."""
+    lines = {}
+    for entry in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            line = entry.read_bytes().replace(b"\0", b" ").decode()
+        except OSError:  # it has ended meanwhile
+            continue
+        if str(folder) in line:
+            lines[int(entry.parent.name)] = line
+    return lines
+
+
+def wait_for_first_step(process: subprocess.Popen[str]) -> None:
+    assert process.stdout is not None
+    assert any(line.startswith(FIRST_STEP) for line in process.stdout)
+
+
+def test_the_demo_holds_and_writes_its_report(demo: list[subprocess.Popen[str]], tmp_path: Path) -> None:
+    process = start(demo, tmp_path / "report", "--rate", "0")
+    out, err = process.communicate()
+    assert err == ""
+    assert process.returncode == 0
+    assert out.splitlines()[-1] == "The comparison holds."
+    assert "FAILS" not in out
+    folder = tmp_path / "report" / "ymo_printed"
+    assert sorted(path.name for path in folder.iterdir()) == ["bag", "logs", "report.html", "report.png", "steps.csv"]
+    assert (folder / "report.png").read_bytes().startswith(b"\x89PNG")
+    assert "The comparison holds." in (folder / "report.html").read_text(encoding="utf-8")
+    with (folder / "steps.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["step"] for row in rows] == [str(number) for number in range(1, 16)]
+    assert float(rows[-1]["beta_posor_urad"]) == pytest.approx(4191.0, abs=1.0)
+    assert rows[13]["status"] == "ok:diodes_estimated"
+    assert {topic: len(messages) for topic, messages in recorded(folder / "bag").items()} == dict.fromkeys(TOPICS, 15)
+
+
+def test_a_comparison_that_does_not_hold_is_exit_code_1(
+    demo: list[subprocess.Popen[str]], tmp_path: Path, rig_files: Path
+) -> None:
+    table = rig_files / "data" / "ymo_output.csv"
+    text = table.read_text(encoding="utf-8")
+    assert "\n9,0,52,2564,2497," in text
+    table.write_text(text.replace("\n9,0,52,2564,2497,", "\n9,0,52,2564,2499,"), encoding="utf-8")
+    process = start(demo, tmp_path / "report", "--rate", "0")
+    out, err = process.communicate()
+    assert err == ""
+    assert process.returncode == 1
+    assert out.splitlines()[-1] == "The comparison does not hold."
+    failed = [line for line in out.splitlines() if line.startswith("FAILS")]
+    assert len(failed) == 1
+    assert "beta: POSOR - printed POSOR column: 2.21 urad; limit at most 1 urad" in failed[0]
+    page = (tmp_path / "report" / "ymo_printed" / "report.html").read_text(encoding="utf-8")
+    assert "The comparison does not hold." in page
+
+
+def test_a_node_that_refuses_is_reported_with_its_own_sentence(
+    demo: list[subprocess.Popen[str]], tmp_path: Path, rig_files: Path
+) -> None:
+    calibration = rig_files / "config" / "slocum1985_printed.yaml"
+    text = calibration.read_text(encoding="utf-8")
+    calibration.write_text(text.replace("version: 1\n", "version: 7\n"), encoding="utf-8")
+    process = start(demo, tmp_path / "report")
+    _, err = process.communicate()
+    assert process.returncode == 1
+    assert err == f"posor_node: ended with exit code 1: {calibration}, line 3, key version: version 7; expected 1.\n"
+
+
+def test_a_node_that_dies_is_reported(demo: list[subprocess.Popen[str]], tmp_path: Path) -> None:
+    process = start(demo, tmp_path / "report", "--rate", "0.2")
+    wait_for_first_step(process)
+    victims = [pid for pid, line in processes_that_use(tmp_path / "prefix").items() if "/posor_node " in line]
+    assert len(victims) == 1
+    os.kill(victims[0], signal.SIGKILL)
+    _, err = process.communicate()
+    assert process.returncode == 1
+    assert err.startswith("posor_node: was ended by SIGKILL: ")
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_demo_ends_all_in_order(
+    demo: list[subprocess.Popen[str]], tmp_path: Path, number: signal.Signals
+) -> None:
+    process = start(demo, tmp_path / "report", "--rate", "0.2")
+    wait_for_first_step(process)
+    process.send_signal(number)
+    _, err = process.communicate()
+    assert process.returncode == 130
+    assert err == "replay: interrupted.\n"
+    bag = recorded(tmp_path / "report" / "ymo_printed" / "bag")
+    assert bag[TOPICS[0]]
+    assert (tmp_path / "report" / "ymo_printed" / "bag" / "metadata.yaml").is_file()
