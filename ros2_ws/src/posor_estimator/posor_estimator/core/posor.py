@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 PHASE_GUESSES = 8
 """Starts within one bump that are tried where theta is not known at all."""
+LIKELY_RUNOUT = 1e-4
+"""Of starts that fit alike, as three ring probes have several, the one of least runout is taken; scale [m]."""
 COUNT_WINDOW = 0.52
 """How far from a theta that is known to half a bump a solution may be, in bumps."""
 
@@ -293,6 +295,7 @@ class Posor:
             )
             settled = outcome == CONVERGED
             misfit = float(weights @ np.square(residuals)) if settled else math.inf
+            misfit += float(np.sum(np.square(translation[:2] / LIKELY_RUNOUT)))
             if settled and self._counting and known is not None:
                 off = abs(kernel.wrapped(native_from_rotation(rotation)[2] - known))
                 misfit = misfit if off < COUNT_WINDOW * bump else math.inf

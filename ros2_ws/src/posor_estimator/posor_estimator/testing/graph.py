@@ -56,9 +56,16 @@ class Graph:
         self.node.destroy_node()
         self._context.try_shutdown()
 
-    def wait_until(self, condition: Callable[[], bool], what: str) -> None:
-        """Receive until ``condition`` holds."""
-        wait_until(condition, what, self.receive)
+    def wait_until(
+        self, condition: Callable[[], bool], what: str, meanwhile: Callable[[], None] = lambda: None
+    ) -> None:
+        """Receive, and do what is to be done ``meanwhile``, until ``condition`` holds."""
+
+        def step() -> None:
+            self.receive()
+            meanwhile()
+
+        wait_until(condition, what, step)
 
     def receive(self) -> None:
         """Let one event happen, or a short time pass."""
