@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, NoReturn
 
 from posor_estimator.errors import BagError, ParameterError
 from posor_estimator.ros.main import exit_code_of, own_arguments, ros, spin
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.validate_topic_name import validate_topic_name
 
 from posor_drivers.bag_writer import BagWriter
 from posor_drivers.recorder import Recorder
@@ -34,7 +36,14 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     choice = parser.add_mutually_exclusive_group(required=True)
     choice.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="topics to record")
     choice.add_argument("--all", action="store_true", help="record every topic that appears")
-    return parser.parse_args(list(arguments))
+    options = parser.parse_args(list(arguments))
+    for topic in options.topics:
+        try:
+            validate_topic_name(topic)
+        except InvalidTopicNameException as error:
+            reason = str(error).split(":")[1].split("\n")[0].strip()
+            raise ParameterError(f"'{topic}' is no topic name, {reason}", where="record") from None
+    return options
 
 
 def _say(line: str) -> None:

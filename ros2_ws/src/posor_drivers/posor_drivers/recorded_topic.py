@@ -16,8 +16,9 @@ if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.qos import QoSProfile
 
-DEPTH = 10_000
-"""Messages that a subscription holds while this process is kept from taking them: ten seconds at 1 kHz."""
+DEPTH = 5000
+"""Messages that a subscription holds while this process is kept from taking them: five seconds at 1 kHz, and as many as
+Fast DDS holds whatever the depth."""
 
 
 class RecordedTopic:

@@ -112,10 +112,8 @@ class Recorder(Node):
         try:
             for name, type_names in self.get_topic_names_and_types():
                 hidden = any(part.startswith("_") for part in name.split("/"))
-                if name in self.topics:
-                    self._check_offers(self.topics[name])
-                elif name in self._names or (not self._names and not hidden and name not in self._skipped):
-                    self._try_to_begin(name, type_names)
+                if name in self._names or (not self._names and not hidden and name not in self._skipped):
+                    self._attend(name, type_names)
         except PosorError as error:
             self._failure = error
         if not self._ready and all(name in self.topics and self.topics[name].matched for name in self._names):
@@ -123,23 +121,24 @@ class Recorder(Node):
             self._status.report(Level.OK, "recording")
             self._announce(f"ready: recording {' '.join(self._names) or 'every topic'} to {self._writer.path}")
 
-    def _try_to_begin(self, name: str, type_names: list[str]) -> None:
-        """Begin to record a topic; one that cannot be is fatal if it was asked for by name, else told and left out."""
+    def _attend(self, name: str, type_names: list[str]) -> None:
+        """Begin to record a topic, or look after it; trouble is fatal if it was asked for by name, else only told."""
         try:
-            self._begin(name, type_names)
+            type_name = _only_type(name, type_names)
+            if name in self.topics:
+                self._check_offers(self.topics[name])
+            else:
+                self._begin(name, type_name)
         except BagError as error:
             if self._names:
                 raise
             self._skipped.add(name)
             self._announce(f"not recorded: {error}")
 
-    def _begin(self, name: str, type_names: list[str]) -> None:
+    def _begin(self, name: str, type_name: str) -> None:
         publishers = self.get_publishers_info_by_topic(name)
         if not publishers:
             return
-        if len(type_names) != 1:
-            raise BagError(f"topic {name} has several types, {', '.join(type_names)}", expected="one")
-        type_name = type_names[0]
         definition = self._types.definition(type_name)
         for type_hash in {str(publisher.topic_type_hash) for publisher in publishers}:
             if type_hash not in ("INVALID", definition.type_hash):
@@ -165,3 +164,9 @@ class Recorder(Node):
         self._status.update({name: topic.received for name, topic in self.topics.items()} | lost)
         if lost:
             self._status.report(Level.WARN, "messages are being lost")
+
+
+def _only_type(topic: str, type_names: Sequence[str]) -> str:
+    if len(type_names) != 1:
+        raise BagError(f"topic {topic} has several types, {', '.join(type_names)}", expected="one")
+    return type_names[0]

@@ -57,7 +57,7 @@ class Graph:
         self._context.try_shutdown()
 
     def wait_until(
-        self, condition: Callable[[], bool], what: str, meanwhile: Callable[[], None] = lambda: None
+        self, condition: Callable[[], bool], what: str, meanwhile: Callable[[], object] = lambda: None
     ) -> None:
         """Receive, and do what is to be done ``meanwhile``, until ``condition`` holds."""
 

@@ -1,0 +1,240 @@
+"""The recorder as a program: what it writes, how it ends, what it refuses."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+import yaml
+from geometry_msgs.msg import PointStamped
+from posor_drivers.message_types import MessageTypes
+from posor_drivers.recorded_topic import DEPTH, RecordedTopic
+from posor_estimator.testing.graph import Graph, values_of
+from posor_estimator.testing.program import Program, installed, ros_arguments, script
+from posor_msgs.msg import RawScan
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import String
+
+from .bags import read_bag, scan, write_bag
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+pytestmark = pytest.mark.usefixtures("ros_domain")
+
+FLOOD = script(Path(__file__).with_name("flood.py"))
+BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+RELIABLE = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+LATCHED = QoSProfile(depth=5, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def record(*arguments: str) -> Program:
+    return Program([*installed("posor_drivers", "record"), *arguments])
+
+
+def refusal(*arguments: str) -> tuple[int, list[str]]:
+    with record(*arguments) as program:
+        return program.wait(), program.stderr
+
+
+def delivered(publisher: object) -> bool:
+    return bool(publisher.wait_for_all_acked(Duration(seconds=30)))  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_closes_the_bag_with_all_that_was_received(tmp_path: Path, number: signal.Signals) -> None:
+    bag = tmp_path / "deep/bag"
+    with Graph() as graph, record("--output", str(bag), "--topics", "words", "/joint1/raw") as program:
+        words = graph.publisher(String, "/words", RELIABLE)
+        scans = graph.publisher(RawScan, "/joint1/raw", RELIABLE)
+        program.wait_for_line("ready: recording /words /joint1/raw to ")
+        for index in range(50):
+            words.publish(String(data=f"word {index}"))
+        scans.publish(scan(7, 100).data)
+        assert delivered(words)
+        assert delivered(scans)
+        assert program.end(number) == 0
+        assert program.stderr == []
+        assert program.stdout[-1] in (
+            f"closed {bag}: /words 50, /joint1/raw 1",
+            f"closed {bag}: /joint1/raw 1, /words 50",
+        )
+    messages = read_bag(bag)
+    assert [data for topic, _, data in messages if topic == "/joint1/raw"] == [scan(7, 100).data]
+    texts = [deserialize_message(data, String).data for topic, _, data in messages if topic == "/words"]
+    assert texts == [f"word {index}" for index in range(50)]
+
+
+def test_bag_tells_types_hashes_and_offered_quality_of_service(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    with Graph() as graph, record("--output", str(bag), "--topics", "/joint1/raw", "/map") as program:
+        scans = graph.node.create_publisher(RawScan, "/joint1/raw", BEST_EFFORT)
+        latched = graph.node.create_publisher(String, "/map", LATCHED)
+        latched.publish(String(data="sent before anybody listened"))
+        program.wait_for_line("ready: ")
+        graph.wait_until(
+            lambda: scans.get_subscription_count() == latched.get_subscription_count() == 1, "the recorder"
+        )
+        assert delivered(latched)
+        assert program.end() == 0
+    information = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert (information["version"], information["storage_identifier"]) == (9, "mcap")
+    topics = {entry["topic_metadata"]["name"]: entry for entry in information["topics_with_message_count"]}
+    for name, type_name, reliability, durability, count in (
+        ("/joint1/raw", "posor_msgs/msg/RawScan", "best_effort", "volatile", 0),
+        ("/map", "std_msgs/msg/String", "reliable", "transient_local", 1),
+    ):
+        metadata = topics[name]["topic_metadata"]
+        (qos,) = metadata["offered_qos_profiles"]
+        assert (qos["reliability"], qos["durability"]) == (reliability, durability)
+        assert metadata["type"] == type_name
+        assert metadata["type_description_hash"] == MessageTypes().definition(type_name).type_hash
+        assert topics[name]["message_count"] == count
+
+
+def test_nothing_is_lost_of_five_joints_at_a_kilohertz(tmp_path: Path) -> None:
+    bag, ticks = tmp_path / "bag", 4000
+    topics = [f"/joint{joint}/raw" for joint in range(1, 6)]
+    with record("--output", str(bag), "--topics", *topics) as program, Program([*FLOOD, str(ticks), "1000"]) as flood:
+        flood.wait_for_line("all received")
+        assert flood.wait() == 0
+        assert program.end(signal.SIGTERM) == 0
+        assert program.stderr == []
+    numbers: Mapping[str, list[int]] = {topic: [] for topic in topics}
+    for topic, _, data in read_bag(bag):
+        numbers[topic].append(deserialize_message(data, RawScan).scan)
+    assert numbers == {topic: list(range(ticks)) for topic in topics}
+
+
+def test_recording_of_a_replay_is_the_replayed_bag(tmp_path: Path) -> None:
+    records = [scan(number, 1000 + number) for number in range(300)]
+    original = write_bag(tmp_path / "original", records)
+    copy = tmp_path / "copy"
+    parameters = {
+        "source": "bag",
+        "bag.path": str(original),
+        "rate": 0.0,
+        "qos_reliability": "reliable",
+        "qos_depth": 0,
+    }
+    driver = [*installed("posor_drivers", "driver_node"), *ros_arguments(parameters, "/joint1")]
+    with record("--output", str(copy), "--topics", "/joint1/raw") as program, Program(driver) as replay:
+        assert replay.wait() == 0
+        assert program.end() == 0
+    assert [data for _, _, data in read_bag(copy)] == [record.data for record in records]
+
+
+def test_all_topics_are_recorded_also_those_that_come_later(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    with Graph() as graph, record("--output", str(bag), "--all") as program:
+        program.wait_for_line(f"ready: recording every topic to {bag}")
+        for topic in ("/early", "/late"):
+            publisher = graph.publisher(String, topic, RELIABLE)
+            program.wait_for_line(f"found {topic} [std_msgs/msg/String]")
+            publisher.publish(String(data=topic))
+            assert delivered(publisher)
+        hidden = graph.node.create_publisher(String, "/_hidden", RELIABLE)
+        last = graph.publisher(String, "/last", RELIABLE)
+        program.wait_for_line("found /last")
+        assert hidden.get_subscription_count() == 0
+        assert delivered(last)
+        assert program.end() == 0
+    texts = {topic: data for topic, _, data in read_bag(bag) if topic in ("/early", "/late", "/_hidden")}
+    assert {topic: deserialize_message(data, String).data for topic, data in texts.items()} == {
+        "/early": "/early",
+        "/late": "/late",
+    }
+
+
+def test_progress_is_in_the_diagnostics(tmp_path: Path) -> None:
+    with Graph() as graph, record("--output", str(tmp_path / "bag"), "--topics", "/words") as program:
+        graph.watch_diagnostics()
+        graph.wait_for_status("/recorder: recording", "waiting for topics")
+        words = graph.publisher(String, "/words", RELIABLE)
+        graph.wait_for_status("/recorder: recording", "recording")
+        for _ in range(3):
+            words.publish(String(data="word"))
+        graph.wait_until(
+            lambda: values_of(graph.latest("/recorder: recording")).get("/words") == "3", "the count in the diagnostics"
+        )
+        assert program.end() == 0
+
+
+def test_existing_output_is_refused(tmp_path: Path) -> None:
+    assert refusal("--output", str(tmp_path), "--all") == (
+        1,
+        [f"{tmp_path}: exists already; expected a folder that is yet to be made."],
+    )
+
+
+def test_wrong_command_line_is_refused_with_one_sentence(tmp_path: Path) -> None:
+    bag = str(tmp_path / "bag")
+    for arguments in ([], ["--output", bag], ["--all"], ["--output", bag, "--all", "--topics", "/x"], ["--what"]):
+        code, (sentence,) = refusal(*arguments)
+        assert code == 2
+        assert sentence.startswith("record: ")
+        assert sentence.endswith("expected --output FOLDER and --topics TOPIC... or --all.")
+    assert not (tmp_path / "bag").exists()
+
+
+def test_topic_name_that_cannot_be_is_refused(tmp_path: Path) -> None:
+    code, (sentence,) = refusal("--output", str(tmp_path / "bag"), "--topics", "/1st topic")
+    assert code == 2
+    assert sentence.startswith("record: '/1st topic' is no topic name")
+
+
+def test_topic_that_never_came_makes_the_recording_a_failure_but_a_readable_one(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    with Graph() as graph, record("--output", str(bag), "--topics", "/words", "/nobody") as program:
+        words = graph.publisher(String, "/words", RELIABLE)
+        words.publish(String(data="word"))
+        assert delivered(words)
+        assert program.end() == 1
+        assert program.stderr == [f"{bag}: topic /nobody never appeared."]
+        assert not any("ready" in line for line in program.stdout)
+    assert len(read_bag(bag)) == 1
+
+
+def test_publisher_whose_messages_cannot_come_is_told(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    with Graph() as graph, record("--output", str(bag), "--topics", "/words") as program:
+        graph.watch_diagnostics()
+        graph.publisher(String, "/words", RELIABLE)
+        program.wait_for_line("ready")
+        graph.node.create_publisher(String, "/words", BEST_EFFORT)
+        graph.wait_for_status("/recorder: recording", "best effort among reliable publishers")
+        assert program.end() == 1
+        (sentence,) = program.stderr
+        assert sentence == f"{bag}: /words of /test_graph, best effort among reliable publishers, is missing."
+
+
+def test_topic_with_two_types_is_refused(tmp_path: Path) -> None:
+    with Graph() as one, Graph() as other:
+        one.node.create_publisher(String, "/odd", RELIABLE)
+        other.node.create_publisher(PointStamped, "/odd", RELIABLE)
+        with record("--output", str(tmp_path / "bag"), "--topics", "/odd") as program:
+            one.wait_until(lambda: program.ended, "the end of the recorder")
+            assert program.wait() == 1
+            (sentence,) = program.stderr
+    assert sentence.startswith("topic /odd has several types, ")
+
+
+def test_lost_messages_are_counted() -> None:
+    with Graph() as graph:
+        tap = Node("_tap", context=graph.node.context, enable_rosout=False)
+        publisher = graph.node.create_publisher(String, "/words", BEST_EFFORT)
+        topic = RecordedTopic(tap, "/words", "std_msgs/msg/String", [BEST_EFFORT])
+        graph.wait_until(lambda: publisher.get_subscription_count() == 1 and topic.matched, "the subscription")
+        publisher.publish(String(data="first"))
+        graph.wait_until(lambda: topic.received == 1, "the first message", lambda: list(topic.take()))
+        for index in range(DEPTH + 300):  # more than the subscription holds, and nothing is taken meanwhile
+            publisher.publish(String(data=str(index)))
+        taken = [deserialize_message(data, String).data for _, data in topic.take()]
+        assert taken == [str(index) for index in range(300, DEPTH + 300)]
+        assert (topic.received, topic.lost) == (1 + DEPTH, 300)
+        tap.destroy_node()
