@@ -1,7 +1,7 @@
 # POSOR for ROS 2. Every target sets the workspace up first; a set-up that is up to date costs a fraction of a second.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint lock clean
+.PHONY: help setup demo test accuracy bench-core lint lock clean
 
 BAG ?= ymo
 CAL ?= printed
@@ -10,6 +10,8 @@ TESTS ?=
 help:
 	@echo "make demo [BAG=ymo|yzmo|zmo] [CAL=printed|section84]   replay a 1985 test through the nodes and compare"
 	@echo "make test [TESTS='path ...']                           lint, type check and all tests (or only those of TESTS)"
+	@echo "make accuracy                                          closure, consistency and fault detection of the estimator"
+	@echo "make bench-core                                        speed of the estimator's core"
 	@echo "make lint                                              ruff and mypy only"
 	@echo "make setup                                             virtual environment, ROS 2 Jazzy, colcon build"
 	@echo "make lock                                              renew the exact versions in requirements/*.txt"
@@ -25,6 +27,12 @@ demo:
 
 test: lint
 	@.venv/bin/python -E tools/run_tests.py $(TESTS)
+
+accuracy:
+	@./run posor_estimator accuracy --output build/accuracy.json
+
+bench-core:
+	@./run posor_estimator bench_core --output build/bench_core.json
 
 lint: setup
 	@.venv/bin/python -I -m ruff check

@@ -18,13 +18,13 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from posor_estimator.core.chain import Chain, Endpoint, PosorJoint
-from posor_estimator.core.fault import Fault, State
+from posor_estimator.core.fault import State
 from posor_estimator.core.joining import ScanJoiner
 from posor_estimator.errors import ChainError
 from posor_estimator.ros.diagnostics import Level
 from posor_estimator.ros.listeners import Listeners
 from posor_estimator.ros.main import run
-from posor_estimator.ros.messages import is_usable, measured_joint, pose_message, stamp_ns
+from posor_estimator.ros.messages import measured_joint, pose_message, stamp_ns, why_unusable
 from posor_estimator.ros.node import PosorNode
 from posor_estimator.ros.parameters import NodeParameters
 from posor_estimator.ros.qos import (
@@ -123,11 +123,7 @@ class ChainNode(PosorNode[ChainParameters]):
 
     def _fuse(self, scan: dict[str, JointTransform]) -> None:
         """Publish the endpoint of one complete scan, unless a joint's pose may not be used."""
-        unusable = [
-            f"{name} is {State(message.state).name.lower()} ({Fault(message.faults).name})"
-            for name, message in scan.items()
-            if not is_usable(message)
-        ]
+        unusable = [f"{name} {why}" for name, message in scan.items() if (why := why_unusable(message))]
         if unusable:
             self._scans_refused += 1
             self._say_no("; ".join(unusable))

@@ -13,6 +13,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pinocchio as pin
 
+from posor_estimator.core.quiet import caught_output
 from posor_estimator.errors import ChainError
 
 if TYPE_CHECKING:
@@ -86,10 +87,16 @@ class Chain:
             ET.fromstring(urdf)  # noqa: S314  only to say where it is malformed; urdfdom then reads it
         except ET.ParseError as error:
             raise ChainError(f"is not XML: {error}", where=source, expected="a robot description (URDF)") from error
-        try:
-            self._model = pin.buildModelFromXML(urdf)
-        except (ValueError, RuntimeError) as error:
-            raise ChainError(f"cannot be read as a robot description ({error})", where=source) from error
+        with caught_output() as printed:
+            try:
+                self._model = pin.buildModelFromXML(urdf)
+            except (ValueError, RuntimeError) as error:
+                self._model = None
+                failure = error
+        if self._model is None:
+            said = " ".join(line.strip() for line in printed if line.strip() and " at line " not in line)
+            reason = (said.removeprefix("Error:").strip() or str(failure)).rstrip(". ")
+            raise ChainError(f"cannot be read as a robot description: {reason}", where=source) from failure
         self._data = self._model.createData()
         self.base_frame: str = self._links(0)[0]
         if not self._model.existBodyName(endpoint_frame):

@@ -3,11 +3,17 @@
 The kernels are written once, as loops over scalars. Compiled or not, they are the same source and do the same
 operations in the same order, so both give the same numbers (checked by ``test/core/test_compiled.py``).
 Set ``POSOR_COMPILE=0`` to leave them uncompiled, for example to step through them in a debugger.
+
+Numba keeps machine code as long as the file of a kernel stands, whatever the kernels that it calls have become; so the
+code is kept in a folder that is named after the text of all kernels.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
+import tempfile
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
@@ -15,14 +21,31 @@ if TYPE_CHECKING:
 
 Kernel = TypeVar("Kernel", bound="Callable[..., Any]")
 
+_HERE = Path(__file__).resolve().parent
+
+
+def _cache_folder() -> str:
+    """Return where the machine code of exactly these kernels is kept: beside them, or in the user's cache."""
+    digest = hashlib.sha256()
+    for file in sorted([Path(__file__).resolve(), *(_HERE / "kernels").glob("*.py")]):
+        digest.update(file.read_bytes())
+    name = f"posor-kernels-{digest.hexdigest()[:16]}"
+    beside = _HERE / "kernels" / "__pycache__"
+    if os.access(beside if beside.exists() else beside.parent, os.W_OK):
+        return str(beside / name)
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # noqa: PTH111  ~ may be unknown
+    return str(Path(home if os.access(home, os.W_OK) else tempfile.gettempdir()) / name)
+
 
 def _numba_njit() -> Any | None:
     if os.environ.get("POSOR_COMPILE", "1") == "0":
         return None
     try:
-        from numba import njit  # noqa: PLC0415  optional, and slow to import
+        from numba import config, njit  # noqa: PLC0415  optional, and slow to import
     except ImportError:
         return None
+    if "NUMBA_CACHE_DIR" not in os.environ:
+        config.CACHE_DIR = _cache_folder()
     return njit
 
 

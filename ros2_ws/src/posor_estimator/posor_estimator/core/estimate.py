@@ -14,6 +14,8 @@ from posor_estimator.core.native import native_from_rotation
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from posor_estimator.core.types import FloatArray, IntArray
 
 
@@ -73,7 +75,7 @@ class Estimates:
 
     """
 
-    scans: IntArray
+    scans: NDArray[np.uint64]
     states: IntArray
     faults: IntArray
     rotations: FloatArray

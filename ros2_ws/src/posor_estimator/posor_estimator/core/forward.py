@@ -19,7 +19,7 @@ def empty_scans(stamps_ns: IntArray) -> Scans:
     """Return scans at given times [ns], shape (n,), without any reading."""
     count = len(stamps_ns)
     return Scans(
-        numbers=np.arange(count, dtype=np.int64),
+        numbers=np.arange(count, dtype=np.uint64),
         stamps_ns=stamps_ns,
         gap_voltages=np.empty((count, 0)),
         ring_voltages=np.empty((count, 0)),

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Generic, TypeVar
+from typing import Generic, TypeAlias, TypeVar
 
 Item = TypeVar("Item")
+Key: TypeAlias = tuple[int, int]
 
 MOST_OPEN = 64
 """Scans that may be incomplete at the same time; beyond that the oldest is given up."""
@@ -15,45 +16,64 @@ class ScanJoiner(Generic[Item]):
 
     A set is handed out when its last member arrives. Older incomplete sets are then given up, since a pose older than
     one already published is of no use to a controller; ``take_given_up`` names who was missing.
+
+    A member whose stamps go back has started over (a looping replay, a clock set back) and so begins a new round. Items
+    of different rounds are never joined. A member that goes on without starting over for MOST_OPEN items after another
+    has done so is taken into the new round as it is: then only the other's clock was set back.
     """
 
     def __init__(self, members: tuple[str, ...]) -> None:
         """Join items of these members."""
         self._members = members
-        self._open: dict[int, dict[str, Item]] = {}
-        self._done = -1
+        self._round = 0
+        self._rounds = dict.fromkeys(members, 0)
+        self._behind = dict.fromkeys(members, 0)
         self._last: dict[str, int] = {}
+        self._open: dict[Key, dict[str, Item]] = {}
+        self._closed: Key = (0, -1)
         self._given_up: dict[int, tuple[str, ...]] = {}
 
     def add(self, member: str, stamp: int, item: Item) -> dict[str, Item] | None:
         """Add one item; return the complete set of its stamp, or None while members are missing.
 
-        Items at or before the last stamp handed out come too late and are dropped. A member whose stamps go back has
-        started over (a looping replay, a clock set back): everything that is open belongs to the past and is forgotten.
+        Items of a set that has been handed out or given up, or that is older, come too late and are dropped.
         """
-        if stamp < self._last.get(member, stamp):
-            self._open.clear()
-            self._done = -1
-        self._last[member] = stamp
-        if stamp <= self._done:
+        key = (self._round_of(member, stamp), stamp)
+        if key <= self._closed:
             return None
-        scan = self._open.setdefault(stamp, {})
+        scan = self._open.setdefault(key, {})
         scan[member] = item
         if len(scan) < len(self._members):
             if len(self._open) > MOST_OPEN:
                 self._give_up(min(self._open))
             return None
-        del self._open[stamp]
-        self._done = stamp
-        for older in [other for other in self._open if other < stamp]:
+        del self._open[key]
+        for older in sorted(other for other in self._open if other < key):
             self._give_up(older)
+        self._closed = key
         return scan
+
+    def _round_of(self, member: str, stamp: int) -> int:
+        """Return the round that an item belongs to."""
+        on = stamp - self._last.get(member, stamp - 1)
+        self._last[member] = stamp
+        if self._rounds[member] == self._round:
+            if on < 0:
+                self._round += 1
+                self._rounds[member] = self._round
+        else:
+            self._behind[member] += 1
+            if on <= 0 or self._behind[member] > MOST_OPEN:
+                self._rounds[member] = self._round
+                self._behind[member] = 0
+        return self._rounds[member]
 
     def take_given_up(self) -> dict[int, tuple[str, ...]]:
         """Return stamps given up since the last call, with the members that were missing."""
         given_up, self._given_up = self._given_up, {}
         return given_up
 
-    def _give_up(self, stamp: int) -> None:
-        present = self._open.pop(stamp)
-        self._given_up[stamp] = tuple(member for member in self._members if member not in present)
+    def _give_up(self, key: Key) -> None:
+        present = self._open.pop(key)
+        self._closed = max(self._closed, key)
+        self._given_up[key[1]] = tuple(member for member in self._members if member not in present)

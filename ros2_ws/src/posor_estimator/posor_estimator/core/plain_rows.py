@@ -9,8 +9,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pinocchio as pin
 
+from posor_estimator.core.fault import Fault, State
 from posor_estimator.core.kernels import locate as kernel
+from posor_estimator.core.kernels.rows import AFFINE
 from posor_estimator.core.kernels.solve import ITERATIONS, LENGTH, TOLERANCE
 from posor_estimator.core.sensors.base import PlainSensor
 
@@ -63,12 +66,10 @@ class PlainRows:
         rows = np.concatenate([pool.rows[chosen], np.zeros((6, pool.rows.shape[1]))])
         values = np.concatenate([batch.values[n], np.zeros(6)])
         rotation, translation = out.rotations[n], out.translations[n]
-        kernel.start_from_memory(stamp, settings, memory, rotation, translation)
-        for _ in range(ITERATIONS):
-            before = rotation.copy(), translation.copy()
-            updated = memory.copy()
-            self.expand(rows, rotation, translation)
-            systematic = batch.systematic[n] + self._systematic(scans, n, rotation, translation)
+
+        def locate_from(begin: FloatArray, systematic: FloatArray) -> FloatArray:
+            """Locate with the rows as they are, and return the memory that ``begin`` becomes."""
+            updated = begin.copy()
             out.states[n], out.faults[n] = kernel.locate_scan(
                 kinds,
                 rows,
@@ -76,7 +77,7 @@ class PlainRows:
                 pool.sigmas[chosen],
                 values,
                 batch.variances[n],
-                systematic,
+                batch.systematic[n] + systematic,
                 stamp,
                 bool(scans.at_home[n]),
                 settings,
@@ -87,11 +88,42 @@ class PlainRows:
                 out.covariances_systematic[n],
                 figures[n],
             )
+            return updated
+
+        kernel.start_from_memory(stamp, settings, memory, rotation, translation)
+        start = pin.SE3(rotation, translation)
+        self.expand(rows, rotation, translation)
+        updated = locate_from(memory, self._systematic(scans, n, rotation, translation))
+        if out.faults[n] & Fault.ILL_CONDITIONED and out.states[n] != State.LOST:
+            # The last pose stands in for what is not seen: solve from there once more, expanded where that has led to.
+            self.expand(rows, rotation, translation)
+            gone = pin.log6(start.actInv(pin.SE3(rotation, translation))).vector
+            affine = np.flatnonzero(kinds[: len(chosen)] == AFFINE)
+            rows[affine, 0] -= rows[affine, 1:7] @ gone
+            systematic = self._systematic(scans, n, rotation, translation)
+            rotation[:, :], translation[:] = start.rotation, start.translation
+            memory[:] = locate_from(memory, systematic)
+            return
+        # What the kernel has said of the way from the start is not seen from further on.
+        count_fault = out.faults[n] & Fault.COUNT
+        begin = _further_on(memory, settings, count_fault, start.rotation, rotation)
+        for _ in range(ITERATIONS):
+            before = rotation.copy(), translation.copy()
+            self.expand(rows, rotation, translation)
+            updated = locate_from(begin, self._systematic(scans, n, rotation, translation))
             moved = max(
                 float(np.max(np.abs(translation - before[1]))), LENGTH * float(np.max(np.abs(rotation - before[0])))
             )
             if not moved > TOLERANCE * 1e-3:
                 break
+        else:
+            out.states[n], out.faults[n] = State.LOST, Fault.NOT_CONVERGED
+            updated[kernel.KNOWN] = updated[kernel.COUNTED] = 0.0
+        out.faults[n] |= count_fault
+        if out.states[n] == State.OK and count_fault:
+            out.states[n] = State.DEGRADED
+        if out.states[n] == State.LOST:
+            updated[kernel.GIVEN] = memory[kernel.GIVEN]
         memory[:] = updated
 
     def _systematic(self, scans: Scans, n: int, rotation: FloatArray, translation: FloatArray) -> FloatArray:
@@ -102,3 +134,20 @@ class PlainRows:
             rows = slice(first, first + len(pushed))
             out[rows, rows] = pushed @ pushed.T
         return out
+
+
+def _further_on(
+    memory: FloatArray, settings: FloatArray, count_fault: int, before: FloatArray, rotation: FloatArray
+) -> FloatArray:
+    """Return the memory for going on from the first solution of a scan.
+
+    Where the home mark has put the count right by whole bumps, the way from the last pose no longer says anything, and
+    theta is counted; where the count is in doubt, it is not.
+    """
+    begin = memory.copy()
+    turned = abs(kernel.wrapped(kernel.theta_of(rotation) - kernel.theta_of(before)))
+    if settings[kernel.BUMP] > 0.0 and turned > 0.5 * settings[kernel.BUMP]:
+        begin[kernel.GIVEN] = begin[kernel.COUNTED] = 1.0
+    elif count_fault:
+        begin[kernel.COUNTED] = 0.0
+    return begin

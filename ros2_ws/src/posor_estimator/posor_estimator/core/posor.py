@@ -174,15 +174,23 @@ class Posor:
         stamps = np.asarray((scans.stamps_ns - (self._epoch_ns or 0)) * 1e-9, dtype=float)
         figures = np.full((count, 2), np.nan)
         self._run(scans, batch, fit, stamps, out, figures)
-        for sensor, of_sensor in zip(reversed(self.stack.sensors), codes.T[::-1], strict=True):
-            for code in np.unique(of_sensor[of_sensor != 0]):
-                which = of_sensor == code
-                out.faults[which] = int(sensor.explain(scans[int(np.argmax(which))], int(code)).fault)
-        lost = out.states == int(State.LOST)
+        if not fit.all():
+            for sensor, of_sensor in zip(reversed(self.stack.sensors), codes.T[::-1], strict=True):
+                for code in np.unique(of_sensor[of_sensor != 0]):
+                    which = of_sensor == code
+                    out.faults[which] = int(sensor.explain(scans[int(np.argmax(which))], int(code)).fault)
         out.residuals[:] = figures[:, 0]
-        out.thetas[:] = np.where(lost, np.nan, figures[:, 1])
-        for array in (out.rotations, out.translations, out.covariances_random, out.covariances_systematic):
-            array[lost] = np.nan
+        out.thetas[:] = figures[:, 1]
+        lost = out.states == int(State.LOST)
+        if lost.any():
+            for array in (
+                out.rotations,
+                out.translations,
+                out.thetas,
+                out.covariances_random,
+                out.covariances_systematic,
+            ):
+                array[lost] = np.nan
         return codes, out
 
     def _run(
@@ -307,6 +315,8 @@ class Posor:
 
     def _reason(self, scan: Scan, codes: IntArray, faults: int, residual: float) -> str:
         """Return the sentence on what is wrong with one scan's estimate, empty where nothing is."""
+        if faults == 0:
+            return ""
         for sensor, code in zip(self.stack.sensors, codes, strict=True):
             if code != 0:
                 return str(sensor.explain(scan, int(code)))

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray  # noqa: TC002  read by dataclasses
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -51,7 +52,7 @@ class Scan:
 class Scans:
     """Raw readings of many scans of one POSOR: the attributes of ``Scan``, each with a leading axis of length n."""
 
-    numbers: IntArray
+    numbers: NDArray[np.uint64]
     stamps_ns: IntArray
     gap_voltages: FloatArray
     ring_voltages: FloatArray
@@ -65,7 +66,7 @@ class Scans:
     def of(scans: Sequence[Scan]) -> Scans:
         """Return scans, all with the same number of readings, as one."""
         return Scans(
-            numbers=np.array([scan.number for scan in scans], dtype=np.int64),
+            numbers=np.array([scan.number for scan in scans], dtype=np.uint64),
             stamps_ns=np.array([scan.stamp_ns for scan in scans], dtype=np.int64),
             gap_voltages=np.array([scan.gap_voltages for scan in scans], dtype=float),
             ring_voltages=np.array([scan.ring_voltages for scan in scans], dtype=float),

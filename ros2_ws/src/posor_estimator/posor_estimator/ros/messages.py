@@ -10,12 +10,15 @@ from geometry_msgs.msg import Pose
 from posor_msgs.msg import JointTransform, RawScan
 
 from posor_estimator.core.chain import MeasuredJoint
-from posor_estimator.core.fault import State
+from posor_estimator.core.fault import Fault, State
 from posor_estimator.core.scan import Scan
 
 if TYPE_CHECKING:
     from posor_estimator.core.estimate import Estimate
     from posor_estimator.core.types import FloatArray
+
+UNIT_WITHIN = 1e-6
+"""How far from one the length of an orientation quaternion may be."""
 
 CovarianceKind = Literal["random", "systematic", "total"]
 
@@ -96,9 +99,26 @@ def transform_message(
     return message
 
 
+def why_unusable(message: JointTransform) -> str:
+    """Return why the message's pose must not be used, an empty string when it may.
+
+    The numbers are looked at whatever the state says of them: a pose that is none must not go on.
+    """
+    if message.state not in (State.OK, State.DEGRADED):
+        return f"is {State(message.state).name.lower()} ({Fault(message.faults).name})"
+    p, q = message.pose.position, message.pose.orientation
+    if not np.isfinite([p.x, p.y, p.z, q.x, q.y, q.z, q.w]).all():
+        return "has a pose that is not finite"
+    if abs(np.linalg.norm([q.x, q.y, q.z, q.w]) - 1.0) > UNIT_WITHIN:
+        return "has an orientation that is no unit quaternion"
+    if not np.isfinite(np.asarray(message.covariance, dtype=float)).all():
+        return "has a covariance that is not finite"
+    return ""
+
+
 def is_usable(message: JointTransform) -> bool:
-    """Return whether the message's pose may be used at all."""
-    return message.state in (State.OK, State.DEGRADED)
+    """Return whether the message's pose may be used."""
+    return not why_unusable(message)
 
 
 def measured_joint(message: JointTransform) -> MeasuredJoint:

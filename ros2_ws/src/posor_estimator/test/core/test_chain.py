@@ -281,7 +281,6 @@ def test_xml_that_is_no_robot_description_is_refused(case: str) -> None:
     refusal(WRONG_DESCRIPTIONS[case][0])
 
 
-@pytest.mark.xfail(reason="the URDF reader prints what is wrong past the error's sentence", strict=True)
 @pytest.mark.parametrize("case", WRONG_DESCRIPTIONS)
 def test_the_refusal_of_a_robot_description_says_what_is_wrong_in_it(
     case: str, capfd: pytest.CaptureFixture[str]

@@ -68,7 +68,6 @@ print(evaluate_row(GAP, row, np.eye(3), np.zeros(3), np.zeros(6), np.empty(6)))
 """
 
 
-@pytest.mark.xfail(reason="machine code is kept as long as its own file stands, whatever it calls", strict=True)
 def test_machine_code_on_disk_is_not_used_once_a_kernel_that_it_calls_has_changed(tmp_path: Path) -> None:
     """After an update of the package no process may go on with yesterday's formula."""
     source = Path(posor_estimator.__file__).parent

@@ -54,7 +54,7 @@ def test_reversals_and_many_turns_keep_the_count() -> None:
 
 def test_lost_scans_put_the_count_in_doubt_until_home() -> None:
     posor = Posor(design("triad_bumpy_ring"))
-    thetas = 2.0 * np.arange(400) * 1e-3
+    thetas = np.linspace(0.0, 0.8, 401)
     scans = turning(posor, thetas, home=(0,))
     before = posor.locate_all(scans.part(0, 100))
     assert (before.states == State.OK).all()

@@ -105,7 +105,6 @@ def test_items_of_a_scan_that_is_done_come_too_late(joiner: ScanJoiner[str]) -> 
     assert joiner.take_given_up() == {5: ("wrist",)}
 
 
-@pytest.mark.xfail(reason="each joint that starts over forgets the new items of those before it", strict=True)
 @pytest.mark.parametrize("first_joint_back", JOINTS)
 def test_a_replay_that_starts_over_is_followed_from_its_first_scan(
     first_joint_back: str, joiner: ScanJoiner[str]
@@ -153,7 +152,6 @@ def test_no_more_than_so_many_scans_are_open(joiner: ScanJoiner[str]) -> None:
     assert given_up == dict.fromkeys(range(1, 2 * MOST_OPEN + 1), ("wrist",))
 
 
-@pytest.mark.xfail(reason="a late item opens its scan afresh, which then counts the others as missing", strict=True)
 def test_a_joint_that_lags_far_behind_is_the_one_that_is_named(joiner: ScanJoiner[str]) -> None:
     """The wrist is so late that its scans have been given up: it is missing, the other two are not."""
     for stamp in range(1, MOST_OPEN + 11):

@@ -157,9 +157,9 @@ BAD_SCANS = {
     "range": (lambda s: {"gap_voltages": s.gap_voltages + 9.0}, Fault.OUT_OF_RANGE, "outside the calibrated range"),
     "dark": (lambda s: {"diode_currents": s.diode_currents * 1e-3}, Fault.DARK_DIODE, "too dark"),
     "bright": (lambda s: {"diode_currents": s.diode_currents * 2.0}, Fault.SOURCE, "too bright for one light source"),
-    "unlit": (lambda s: {"lit_sources": (0, NO_SOURCE)}, Fault.SOURCE, "no light source was lit"),
-    "unknown": (lambda s: {"lit_sources": (0, 7)}, Fault.SOURCE, "light source 7 is unknown"),
-    "sources": (lambda s: {"lit_sources": (0,)}, Fault.SOURCE, "1 lit sources"),
+    "unlit": (lambda _: {"lit_sources": (0, NO_SOURCE)}, Fault.SOURCE, "no light source was lit"),
+    "unknown": (lambda _: {"lit_sources": (0, 7)}, Fault.SOURCE, "light source 7 is unknown"),
+    "sources": (lambda _: {"lit_sources": (0,)}, Fault.SOURCE, "1 lit sources"),
     "contacts": (lambda s: {"diode_currents": s.diode_currents[:1]}, Fault.BAD_READING, "4 contact currents"),
 }
 
@@ -170,7 +170,7 @@ def test_bad_scans_are_lost_and_say_why(name: str) -> None:
     posor = Posor(design("triad_diodes"))
     scans, _ = sweep(posor, np.zeros(2))
     assert posor.locate(scans[0]).state is State.OK
-    estimate = posor.locate(spoiled(scans[1], **spoil(scans[1])))  # type: ignore[no-untyped-call]
+    estimate = posor.locate(spoiled(scans[1], **spoil(scans[1])))
     assert estimate.state is State.LOST
     assert estimate.faults == fault
     assert sentence in estimate.reason

@@ -19,6 +19,7 @@ from posor_estimator.core.scan import Scan, Scans
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from posor_estimator.core.designs import DesignName
     from posor_estimator.core.stack import Stack
     from posor_estimator.core.types import FloatArray
 
@@ -48,13 +49,15 @@ def check(stack: Stack, scan: Scan, rotation: FloatArray, translation: FloatArra
 
         found = (8.0 * (at(1.0) - at(-1.0)) - (at(2.0) - at(-2.0))) / (12.0 * step)
         rounding = 1e-15 / step
-        assert analytic[:, p] == pytest.approx(found, rel=RELATIVE, abs=RELATIVE * np.max(np.abs(found)) + rounding), name
+        assert analytic[:, p] == pytest.approx(found, rel=RELATIVE, abs=RELATIVE * np.max(np.abs(found)) + rounding), (
+            name
+        )
 
 
 @pytest.mark.parametrize("name", STACKS)
-def test_designs(name: str, rng: np.random.Generator) -> None:
-    posor = Posor(design(name))  # type: ignore[arg-type]  a parametrised name
-    rotations, translations = readable_poses(posor, name, 3, rng)  # type: ignore[arg-type]
+def test_designs(name: DesignName, rng: np.random.Generator) -> None:
+    posor = Posor(design(name))
+    rotations, translations = readable_poses(posor, name, 3, rng)
     translations[:, 2] = 0.7e-3
     rotations, translations = rotations[:2], translations[:2]
     scans = scans_at(posor.stack, rotations, translations, np.arange(2, dtype=np.int64))

@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 from enum import StrEnum
-from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union
 
 from pydantic import Field, SerializeAsAny, create_model
@@ -80,7 +79,7 @@ class Calibration(FrozenModel):
     sensors: list[SerializeAsAny[SensorCalibration]]
     sessions: dict[str, Session] = Field(default_factory=dict)
 
-    @cached_property
+    @property
     def content_hash(self) -> str:
         """SHA-256 of everything the file says, whatever its layout or comments; 64 hexadecimal digits."""
         text = json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))

@@ -9,6 +9,7 @@ import numpy as np
 
 from posor_estimator.core.compiled import compiled
 from posor_estimator.core.kernels.spot_map import INSIDE, spot_position
+from posor_estimator.core.kernels.vector import square
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray, IntArray
@@ -80,7 +81,7 @@ def linearise_spots(  # noqa: C901  one loop over plain numbers, to be compiled
         if outcome != INSIDE:
             return OUTSIDE_X + outcome - 1 + offset
         for axis in range(2):
-            variances[row + axis] = (slope[axis, 0] * noises[i, 0]) ** 2 + (slope[axis, 1] * noises[i, 1]) ** 2
+            variances[row + axis] = square(slope[axis, 0] * noises[i, 0]) + square(slope[axis, 1] * noises[i, 1])
             for other in range(2):
                 total = 0.0
                 for k in range(maps.shape[1]):

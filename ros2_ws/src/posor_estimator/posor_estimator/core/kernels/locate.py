@@ -15,6 +15,7 @@ from posor_estimator.core.compiled import compiled
 from posor_estimator.core.kernels.judge import chi_square, covariances, reading_covariance
 from posor_estimator.core.kernels.rows import AFFINE, GAP, SPOT_X, SPOT_Y
 from posor_estimator.core.kernels.solve import CONVERGED, ILL_CONDITIONED, gauss_newton
+from posor_estimator.core.kernels.vector import square
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray, IntArray
@@ -150,7 +151,7 @@ def prior_rows(
         rate = settings[MOTION_TRANSLATION] if i < 3 else settings[MOTION_LEAN]  # noqa: PLR2004  translation first
         if i == 5:  # noqa: PLR2004  about Z
             rate = settings[MOTION_THETA]
-        weights[first + i] = 1.0 / (rate * elapsed) ** 2
+        weights[first + i] = 1.0 / square(rate * elapsed)
 
 
 @compiled

@@ -93,10 +93,10 @@ def gauss_newton(
         substitute(normal, step)
         largest = 0.0
         for i in range(6):
+            if not math.isfinite(step[i]):
+                return NOT_CONVERGED
             largest = max(largest, abs(step[i]) * (1.0 if i < 3 else LENGTH))  # noqa: PLR2004  translation, then rotation
             moved[i] += step[i]
-        if not largest < math.inf:
-            return NOT_CONVERGED
         apply_tangent(rotation, translation, step)
         orthonormalise(rotation)
         settled = largest < TOLERANCE

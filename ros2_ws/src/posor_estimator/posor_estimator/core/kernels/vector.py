@@ -13,7 +13,16 @@ from posor_estimator.core.compiled import compiled
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray
 
+SERIES_BELOW = 0.02
+"""Squared angle [rad^2] below which the exponential map is summed as a series."""
+
 Vector: TypeAlias = tuple[float, float, float]
+
+
+@compiled
+def square(value: float) -> float:
+    """Return the square; ``**`` would round in another way where it is not compiled."""
+    return value * value
 
 
 @compiled
@@ -89,10 +98,12 @@ def apply_tangent(rotation: FloatArray, translation: FloatArray, step: FloatArra
     """
     v, w = at(step, 0), at(step, 3)
     angle_squared = dot(w, w)
-    if angle_squared < 1e-8:  # noqa: PLR2004  series: the next terms are below 1e-18
-        s = 1.0 - angle_squared / 6.0
-        c = 0.5 - angle_squared / 24.0
-        d = 1.0 / 6.0 - angle_squared / 120.0
+    if angle_squared < SERIES_BELOW:
+        # One minus a cosine would cancel its digits; the terms left out are below 1e-18.
+        x = angle_squared
+        s = 1.0 - x / 6.0 * (1.0 - x / 20.0 * (1.0 - x / 42.0 * (1.0 - x / 72.0)))
+        c = 0.5 * (1.0 - x / 12.0 * (1.0 - x / 30.0 * (1.0 - x / 56.0 * (1.0 - x / 90.0))))
+        d = (1.0 - x / 20.0 * (1.0 - x / 42.0 * (1.0 - x / 72.0 * (1.0 - x / 110.0)))) / 6.0
     else:
         angle = math.sqrt(angle_squared)
         s = math.sin(angle) / angle

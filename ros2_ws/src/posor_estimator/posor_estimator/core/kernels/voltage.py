@@ -13,6 +13,7 @@ import math
 from typing import TYPE_CHECKING
 
 from posor_estimator.core.compiled import compiled
+from posor_estimator.core.kernels.vector import square
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray, IntArray
@@ -85,11 +86,11 @@ def linearise_voltages(
         total = 0.0
         power = 1.0
         for k in range(order):
-            total += (power * sigma[k]) ** 2
+            total += square(power * sigma[k])
             power *= volt
-        total += (slope * sigma[order]) ** 2
-        total += (above_supply * sigma[order + 1]) ** 2 + (channel[order + 1] * sigma[order + 2]) ** 2
-        total += (above_temperature * sigma[order + 3]) ** 2 + (channel[order + 3] * sigma[order + 4]) ** 2
+        total += square(slope * sigma[order])
+        total += square(above_supply * sigma[order + 1]) + square(channel[order + 1] * sigma[order + 2])
+        total += square(above_temperature * sigma[order + 3]) + square(channel[order + 3] * sigma[order + 4])
         systematic[first + i, first + i] += total
     return FINE
 

@@ -88,13 +88,18 @@ class BumpyRing(RowSensor):
         self._names = tuple(probe.name for probe in calibration.probes)
         self._orders = np.array(ring.orders, dtype=float)
         self.bumps = ring.bumps
+        self._probes = calibration.probes
         super().__init__(
             {**values, "mean_radius": ring.mean_radius.array, "cos": ring.cos.array, "sin": ring.sin.array},
             {**sigmas, "mean_radius": ring.mean_radius.sigmas, "cos": ring.cos.sigmas, "sin": ring.sin.sigmas},
         )
+
+    def _prepare(self) -> None:
+        super()._prepare()
         channel = ("volts_to_gap", "zero_shifts", "supply", "temperature")
         ids = np.column_stack([self._ids(name) for name in channel])
-        self._channels = Channels(calibration.probes, "ring probe", ids)
+        self._channels = Channels(self._probes, "ring probe", ids)
+        self._channel_values = self._values[ids], self._sigmas[ids]
 
     def _layout(self) -> tuple[IntArray, IntArray, FloatArray]:
         count, harmonics = len(self._names), len(self._orders)
@@ -120,7 +125,7 @@ class BumpyRing(RowSensor):
     def linearise(self, scans: Scans, batch: Batch, first: int, offset: int) -> IntArray:
         """Write the ring gaps [m]; see ``Sensor.linearise``."""
         batch.chosen[:, first : first + len(self._names)] = offset + np.arange(len(self._names))
-        return self._channels.linearise(scans.ring_voltages, scans, (self._values, self._sigmas), batch, first)
+        return self._channels.linearise(scans.ring_voltages, scans, self._channel_values, batch, first)
 
     def explain(self, scan: Scan, code: int) -> ScanError:
         """Return what a code of ``linearise`` means."""

@@ -170,6 +170,12 @@ class Diodes(RowSensor):
             },
         )
 
+    def _prepare(self) -> None:
+        super()._prepare()
+        maps = self._ids("maps")
+        self._map_values = self._values[maps], self._sigmas[maps]
+        self._first_pairs = np.arange(len(self._names)) * self._sources
+
     def _layout(self) -> tuple[IntArray, IntArray, FloatArray]:
         # Row 2 (diode * sources + source) + axis.
         count = len(self._names) * self._sources
@@ -194,9 +200,9 @@ class Diodes(RowSensor):
 
     def _rows_of(self, lit: IntArray) -> IntArray:
         """Return the pool's rows for lit sources (n, diodes), shape (n, 2 diodes)."""
-        pairs = np.arange(len(self._names)) * self._sources + lit
-        rows = np.repeat(2 * pairs, 2, axis=1).astype(np.int64)
-        rows[:, 1::2] += 1
+        rows = np.empty((len(lit), 2 * len(self._names)), dtype=np.int64)
+        rows[:, 0::2] = 2 * (self._first_pairs + lit)
+        rows[:, 1::2] = rows[:, 0::2] + 1
         return rows
 
     def _chosen(self, scan: Scan) -> IntArray:
@@ -210,10 +216,13 @@ class Diodes(RowSensor):
             return np.full(len(scans), _WRONG_COUNT, dtype=np.int64)
         if scans.lit_sources.shape[1] != count:
             return np.full(len(scans), _WRONG_SOURCES, dtype=np.int64)
-        known = (scans.lit_sources >= 0) & (scans.lit_sources < self._sources)
-        result = np.where(known.all(axis=1), 0, _WRONG_SOURCE - np.argmin(known, axis=1))
-        batch.chosen[:, first : first + 2 * count] = offset + self._rows_of(np.where(known, scans.lit_sources, 0))
-        maps = self._ids("maps")
+        lit = scans.lit_sources
+        result = np.zeros(len(scans), dtype=np.int64)
+        if lit.size and (lit.min() < 0 or lit.max() >= self._sources):
+            known = (lit >= 0) & (lit < self._sources)
+            result[:] = np.where(known.all(axis=1), 0, _WRONG_SOURCE - np.argmin(known, axis=1))
+            lit = np.where(known, lit, 0)
+        batch.chosen[:, first : first + 2 * count] = offset + self._rows_of(lit)
         codes.linearise_all(
             np.ascontiguousarray(scans.diode_currents),
             self._sums,
@@ -221,8 +230,7 @@ class Diodes(RowSensor):
             self._noises,
             self._map_shapes,
             self._frames,
-            self._values[maps],
-            self._sigmas[maps],
+            *self._map_values,
             batch.values,
             batch.variances,
             batch.systematic,

@@ -76,13 +76,18 @@ class GapProbes(RowSensor):
         values, sigmas = probe_parameters(calibration.probes)
         plane = calibration.target_plane
         self._names = tuple(probe.name for probe in calibration.probes)
+        self._probes = calibration.probes
         super().__init__(
             {**values, "plane_point": plane.point.array, "plane_tilt": plane.tilt.array},
             {**sigmas, "plane_point": plane.point.sigmas, "plane_tilt": plane.tilt.sigmas},
         )
+
+    def _prepare(self) -> None:
+        super()._prepare()
         channel = ("volts_to_gap", "zero_shifts", "supply", "temperature")
         ids = np.column_stack([self._ids(name) for name in channel])
-        self._channels = Channels(calibration.probes, "gap probe", ids)
+        self._channels = Channels(self._probes, "gap probe", ids)
+        self._channel_values = self._values[ids], self._sigmas[ids]
 
     def _layout(self) -> tuple[IntArray, IntArray, FloatArray]:
         count = len(self._names)
@@ -104,7 +109,7 @@ class GapProbes(RowSensor):
     def linearise(self, scans: Scans, batch: Batch, first: int, offset: int) -> IntArray:
         """Write the gaps [m]; see ``Sensor.linearise``."""
         batch.chosen[:, first : first + len(self._names)] = offset + np.arange(len(self._names))
-        return self._channels.linearise(scans.gap_voltages, scans, (self._values, self._sigmas), batch, first)
+        return self._channels.linearise(scans.gap_voltages, scans, self._channel_values, batch, first)
 
     def explain(self, scan: Scan, code: int) -> ScanError:
         """Return what a code of ``linearise`` means."""

@@ -124,11 +124,11 @@ class Channels:
         self,
         volts: FloatArray,
         scans: Scans,
-        parameters: tuple[FloatArray, FloatArray],
+        channels: tuple[FloatArray, FloatArray],
         batch: Batch,
         first: int,
     ) -> IntArray:
-        """Linearise the voltages (n, p) of all scans; ``parameters`` are the sensor's values and sigmas.
+        """Linearise the voltages (n, p) of all scans; ``channels`` are their values and sigmas, (p, n + 5).
 
         Returns:
             For each scan zero or a code for ``explain``, shape (n,).
@@ -137,13 +137,11 @@ class Channels:
         codes = np.full(len(scans), -1, dtype=np.int64)
         if volts.shape[1] != len(self.names):
             return codes
-        values, sigmas = parameters
         voltage.linearise_all(
             volts,
             scans.supply_voltages,
             scans.temperatures,
-            values[self.ids],
-            sigmas[self.ids],
+            *channels,
             self._ranges,
             self.noises,
             batch.values,

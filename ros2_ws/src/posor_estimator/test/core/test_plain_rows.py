@@ -1,0 +1,193 @@
+"""Sensors in plain Python: the same sensor as plain sensor and as rows gives the same poses, states and covariances."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import pytest
+from posor_estimator.accuracy.poses import TICK_NS, readable_poses
+from posor_estimator.core.calibration.model import TiltAngle
+from posor_estimator.core.designs import BUMPS, design
+from posor_estimator.core.fault import Fault, State
+from posor_estimator.core.forward import scans_at
+from posor_estimator.core.kernels.rows import evaluate_row, row_parameters
+from posor_estimator.core.native import rotation_from_native
+from posor_estimator.core.posor import Posor
+from posor_estimator.core.scan import Scan, Scans
+from posor_estimator.core.sensors.base import Batch, Linearised, PlainSensor, RowSensor, SensorCalibration
+
+if TYPE_CHECKING:
+    from posor_estimator.core.calibration.model import Calibration
+    from posor_estimator.core.types import FloatArray
+
+BUMP = 2.0 * math.pi / BUMPS
+
+
+class PlainTwin(PlainSensor):
+    """Any sensor with rows whose scans all read the same rows, as a plain sensor."""
+
+    def __init__(self, original: RowSensor) -> None:
+        self._original = original
+        self._rows = np.arange(len(original.reading_names))
+        super().__init__({"all": original.parameter_values}, {"all": original.parameter_sigmas})
+
+    @property
+    def reading_names(self) -> tuple[str, ...]:
+        return self._original.reading_names
+
+    def read(self, scan: Scan) -> Linearised:
+        m = len(self._rows)
+        scans = Scans.of([scan])
+        batch = Batch(np.zeros((1, m)), np.ones((1, m)), np.zeros((1, m, m)), np.zeros((1, m), dtype=np.int64))
+        [code] = self._original.linearise(scans, batch, 0, 0)
+        if code:
+            raise self._original.explain(scan, int(code))
+        self._rows = batch.chosen[0]
+        return Linearised(batch.values[0], batch.variances[0], self._original._linearisation_jacobian(scan))
+
+    def predict(self, rotation: FloatArray, translation: FloatArray) -> tuple[FloatArray, FloatArray]:
+        pool, jacobian = self._original.pool, np.empty((len(self._rows), 6))
+        values = [
+            evaluate_row(pool.kinds[k], pool.rows[k], rotation, translation, np.zeros(6), jacobian[r])
+            for r, k in enumerate(self._rows)
+        ]
+        return np.array(values), jacobian
+
+    def predict_jacobian(self, rotation: FloatArray, translation: FloatArray) -> FloatArray:
+        pool, out = self._original.pool, np.zeros((len(self._rows), self._values.size))
+        derivative = np.empty(pool.rows.shape[1])
+        for r, k in enumerate(self._rows):
+            row_parameters(pool.kinds[k], pool.rows[k], rotation, translation, derivative)
+            known = pool.ids[k] >= 0
+            np.add.at(out[r], pool.ids[k][known], derivative[known])
+        return out
+
+
+class TwinCalibration(SensorCalibration):
+    """The calibration of a plain twin."""
+
+    type: Literal["twin"] = "twin"
+    original: SensorCalibration
+
+    def build(self) -> PlainTwin:
+        original = self.original.build()
+        assert isinstance(original, RowSensor)
+        return PlainTwin(original)
+
+    @property
+    def bump_angle(self) -> float:
+        return self.original.bump_angle
+
+    @property
+    def home_theta(self) -> float:
+        return self.original.home_theta
+
+
+def twins(calibration: Calibration, plain: tuple[int, ...]) -> tuple[Posor, Posor]:
+    """Return a POSOR, and the same with some of its sensors plain."""
+    sensors: list[SensorCalibration] = list(calibration.sensors)
+    for i in plain:
+        sensors[i] = TwinCalibration.model_construct(original=sensors[i])
+    return Posor(calibration), Posor(calibration.model_copy(update={"sensors": sensors}))
+
+
+def check_alike(rows: Posor, plain: Posor, scans: Scans) -> None:
+    expected, found = rows.locate_all(scans), plain.locate_all(scans)
+    np.testing.assert_array_equal(found.states, expected.states)
+    np.testing.assert_array_equal(found.faults, expected.faults)
+    np.testing.assert_allclose(found.translations, expected.translations, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(found.rotations, expected.rotations, rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(found.thetas, expected.thetas, rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(found.residuals, expected.residuals, rtol=1e-6, atol=1e-9)
+    for name in ("covariances_random", "covariances_systematic"):
+        ours, theirs = getattr(found, name), getattr(expected, name)
+        np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-9 * np.nanmax(np.abs(theirs)))
+
+
+def turning(posor: Posor, thetas: FloatArray, home: tuple[int, ...] = (), noise: int | None = None) -> Scans:
+    """Scans at 1 kHz of a target that turns; the home mark is seen in some of them."""
+    rotations = np.array([rotation_from_native(1e-4, -2e-4, theta) for theta in thetas])
+    translations = np.tile([2e-5, 1e-5, 0.7e-3], (len(thetas), 1))
+    stamps = np.arange(1, len(thetas) + 1, dtype=np.int64) * TICK_NS
+    random = None if noise is None else np.random.default_rng(noise)
+    scans = scans_at(posor.stack, rotations, translations, stamps, noise=random)
+    scans.at_home[list(home)] = 1
+    return scans
+
+
+@pytest.mark.parametrize("plain", [(0,), (1,), (0, 1)])
+def test_noisy_scans_one_after_the_other(plain: tuple[int, ...]) -> None:
+    rows, twin = twins(design("triad_diodes"), plain)
+    check_alike(rows, twin, turning(rows, 0.05 * np.sin(np.arange(40) * 0.3), noise=2))
+
+
+def test_poses_that_have_nothing_to_do_with_one_another() -> None:
+    rows, twin = twins(design("triad_diodes"), (1,))
+    rotations, translations = readable_poses(rows, "triad_diodes", 20, np.random.default_rng(5))
+    scans = scans_at(rows.stack, rotations, translations, np.arange(20, dtype=np.int64))
+    found = twin.locate_each(scans)
+    assert (found.states == State.OK).all()
+    np.testing.assert_allclose(found.translations, translations, rtol=0.0, atol=1e-12)
+
+
+def test_faults_and_limits_of_motion() -> None:
+    rows, twin = twins(design("triad_diodes", motion=True), (1,))
+    thetas = np.concatenate([np.arange(20) * 1e-4, 0.05 + np.arange(20) * 1e-4])  # a jump by 48 mrad in a millisecond
+    scans = turning(rows, thetas, noise=6)
+    scans.diode_currents[7] = np.nan
+    scans.diode_currents[9, 0, :2] *= 1.01
+    expected = rows.locate_all(scans)
+    assert expected.faults[7] == Fault.BAD_READING
+    assert expected.faults[9] & Fault.RESIDUAL
+    assert expected.faults[20] & Fault.INNOVATION
+    rows.reset()
+    check_alike(rows, twin, scans)
+
+
+def test_tilts_at_the_theta_of_the_scan_before() -> None:
+    """Gaps lag, ring readings never do: so the ring may be plain."""
+    calibration = design("triad_bumpy_ring").model_copy(update={"tilt_angle": TiltAngle.PREVIOUS_SCAN})
+    rows, twin = twins(calibration, (1,))
+    check_alike(rows, twin, turning(rows, np.arange(30) * 1e-3, home=(0,), noise=9))
+
+
+def test_time_that_goes_back_starts_over() -> None:
+    rows, twin = twins(design("triad_diodes", motion=True), (1,))
+    scans = turning(rows, np.concatenate([np.arange(10) * 1e-4, 0.05 + np.arange(10) * 1e-4]))
+    scans = replace(scans, stamps_ns=np.tile(np.arange(1, 11), 2) * TICK_NS)
+    check_alike(rows, twin, scans)
+
+
+def test_counting_and_the_home_mark() -> None:
+    rows, twin = twins(design("triad_bumpy_ring", motion=True), (1,))
+    check_alike(rows, twin, turning(rows, np.linspace(-1.5 * BUMP, 0.1 * BUMP, 160), home=(150,)))
+
+
+def test_a_wrong_count_is_mended_at_home() -> None:
+    rows, twin = twins(design("triad_bumpy_ring"), (1,))
+    thetas = np.concatenate([[0.0], np.linspace(2.0 * BUMP, -0.2 * BUMP, 100)])
+    at_mark = int(np.argmin(np.abs(thetas[1:]))) + 1
+    scans = turning(rows, thetas, home=(0, at_mark))
+    assert rows.locate_all(scans).faults[at_mark] == Fault.COUNT
+    rows.reset()
+    check_alike(rows, twin, scans)
+
+
+def test_a_count_in_doubt() -> None:
+    rows, twin = twins(design("triad_bumpy_ring"), (1,))
+    scans = turning(rows, 2.0 * np.arange(120) * 1e-3, home=(0,))
+    gap = replace(scans, ring_voltages=scans.ring_voltages.copy())
+    gap.ring_voltages[40:105] = np.nan
+    check_alike(rows, twin, gap)
+
+
+def test_blind_phases_are_carried_over() -> None:
+    rows, twin = twins(design("triad_bumpy_ring", ring_probes=3, motion=True), (1,))
+    scans = turning(rows, np.arange(300) * 3.5e-4, home=(0,), noise=7)
+    expected = rows.locate_all(scans)
+    assert (expected.faults == Fault.ILL_CONDITIONED).any()
+    rows.reset()
+    check_alike(rows, twin, scans)
