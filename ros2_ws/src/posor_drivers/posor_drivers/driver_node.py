@@ -1,8 +1,8 @@
 """driver_node: publishes the raw scans of one joint, from whatever source.
 
 Publishes ``raw`` (posor_msgs/RawScan) in the joint's namespace, for instance ``-r __ns:=/joint1``, and whatever else
-the source holds. What a source recorded is passed on as recorded: whether a scan is any good is for the POSOR node to
-judge.
+the source holds. What a source recorded is passed on as recorded, unless parameter group ``conditioning`` asks for
+means of several scans: whether a scan is any good is for the POSOR node to judge.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from posor_estimator.ros.qos import RAW_TOPIC, RELIABLE_QOS, sensor_qos
 from pydantic import Field, create_model
 from rclpy.duration import Duration
 
+from posor_drivers.conditioned_scans import ConditioningParameters, conditioned
 from posor_drivers.message_types import MessageTypes, message_class
 from posor_drivers.replayer import Replayer, ReplayState
 from posor_drivers.sources.registry import source_class, source_entries
@@ -45,6 +46,7 @@ class DriverParameters(ReplayParameters):
     on_end: Literal["exit", "stay"] = Field(
         default="exit", description="after the last message: end the program, or stay in the graph"
     )
+    conditioning: ConditioningParameters = ConditioningParameters()
 
 
 class DriverNode(PosorNode[DriverParameters]):
@@ -123,7 +125,8 @@ class DriverNode(PosorNode[DriverParameters]):
         self._outputs = {}
 
     def _dues(self) -> Iterator[Due]:
-        return timeline(self._source, self._classes, self.parameters, self.get_clock().now().nanoseconds)
+        now_ns = self.get_clock().now().nanoseconds
+        return conditioned(timeline(self._source, self._classes, self.parameters, now_ns), self.parameters.conditioning)
 
     def _has_listeners(self) -> bool:
         missing = []

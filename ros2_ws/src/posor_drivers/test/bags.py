@@ -31,25 +31,27 @@ def header(stamp_ns: int, frame_id: str = "posor_receiving") -> Any:
     return TYPES.new("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id)
 
 
-def scan(number: int, time_ns: int, *, stamp_ns: int | None = None, topic: str = "/joint1/raw") -> Record:
-    """Return a recorded scan; its stamp is its log time unless given."""
+def scan(
+    number: int, time_ns: int, *, stamp_ns: int | None = None, topic: str = "/joint1/raw", **fields: Any
+) -> Record:
+    """Return a recorded scan; its stamp is its log time unless given, ``fields`` replace those of the usual scan."""
     none = np.empty(0)
-    content = TYPES.new(
-        RAW_SCAN,
-        header=header(time_ns if stamp_ns is None else stamp_ns),
-        scan=number,
-        samples=1,
-        status=0,
-        gap_voltages=np.array([0.1, float("nan"), 0.3]),
-        gap_voltage_spreads=none,
-        ring_voltages=none,
-        ring_voltage_spreads=none,
-        diode_currents=np.full(8, 5e-5),
-        diode_current_spreads=none,
-        lit_sources=np.array([0, 1], dtype=np.uint8),
-        supply_voltage=float("nan"),
-        temperature=float("nan"),
-    )
+    usual = {
+        "header": header(time_ns if stamp_ns is None else stamp_ns),
+        "scan": number,
+        "samples": 1,
+        "status": 0,
+        "gap_voltages": np.array([0.1, float("nan"), 0.3]),
+        "gap_voltage_spreads": none,
+        "ring_voltages": none,
+        "ring_voltage_spreads": none,
+        "diode_currents": np.full(8, 5e-5),
+        "diode_current_spreads": none,
+        "lit_sources": np.array([0, 1], dtype=np.uint8),
+        "supply_voltage": float("nan"),
+        "temperature": float("nan"),
+    }
+    content = TYPES.new(RAW_SCAN, **(usual | fields))
     return Record(topic, RAW_SCAN, time_ns, TYPES.serialize(content, RAW_SCAN))
 
 
