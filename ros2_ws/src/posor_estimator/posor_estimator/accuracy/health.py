@@ -20,11 +20,13 @@ from posor_estimator.core.forward import scans_at
 from posor_estimator.core.kernels.locate import NOISE_ALLOWANCE
 from posor_estimator.core.native import rotation_from_native
 from posor_estimator.core.posor import Posor
+from posor_estimator.core.sensors.bumpy_ring import BumpyRing
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from posor_estimator.core.scan import Scan, Scans
+    from posor_estimator.core.types import FloatArray
 
 SPOT_SHIFT = 50e-6
 ZERO_SHIFT = 0.1
@@ -131,6 +133,15 @@ def detection(fault: str, runs: int, seed: int) -> Detection:
         sound += SETTLED
         detected += posor.locate(spoil(scans[SETTLED + lost], random)).state is not State.OK
     return Detection(detected / runs, alarms / sound)
+
+
+def ring_observability(probes: int) -> FloatArray:
+    """Return ``BumpyRing.observability`` of the design with so many ring probes, over one bump."""
+    ring = Posor(design("triad_bumpy_ring", ring_probes=probes)).stack.sensors[1]
+    if not isinstance(ring, BumpyRing):
+        message = "the second sensor of the design is its ring"
+        raise TypeError(message)
+    return ring.observability(np.linspace(0.0, 2.0 * math.pi, 721))
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from posor_estimator.accuracy.closure import closure
 from posor_estimator.accuracy.consistency import monte_carlo, nees
-from posor_estimator.accuracy.health import FAULTS, detection, visibility
+from posor_estimator.accuracy.health import FAULTS, detection, ring_observability, visibility
 from posor_estimator.accuracy.poses import STACKS
 from posor_estimator.errors import ParameterError, PosorError
 
@@ -88,6 +88,15 @@ def print_report(report: Report, console: Console) -> None:
             shifts.add_row(stack, row.reading, f"{1e6 * row.by_motion_m:.1f} um", by_residual)
     console.print(shifts)
     console.print(WHY)
+    blindness = Table(
+        title="How well a bumpy ring tells x, y and theta apart over the phase of a bump", title_justify="left"
+    )
+    for column in ("ring probes", "worst phase / best phase"):
+        blindness.add_column(column)
+    for probes in (3, 4):
+        seen = ring_observability(probes)
+        blindness.add_row(str(probes), f"{seen.min() / seen.max():.4f}")
+    console.print(blindness)
 
 
 def main(arguments: list[str] | None = None) -> int:
