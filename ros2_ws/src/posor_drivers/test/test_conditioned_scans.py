@@ -110,6 +110,11 @@ def test_group_ends_early_where_scans_do_not_belong_together(other: dict[str, An
     ]
 
 
+def test_scan_without_a_stamp_does_not_spoil_the_stamp_of_others() -> None:
+    results = scans([due(0, header=header(0)), due(1), due(2)])
+    assert [(stamp_of(each), each.samples) for each in results] == [(0, 1), (START + 3 * TICK // 2, 2)]
+
+
 def test_samples_of_averaged_scans_add_up() -> None:
     two = {"samples": 2, "gap_voltage_spreads": np.full(3, 0.1)}
     (result,) = scans([due(0, **two), due(1, **two)], samples=2)
@@ -127,6 +132,14 @@ def test_outlier_is_dropped_and_told() -> None:
     (untrimmed,) = scans(raw)
     assert (untrimmed.status, untrimmed.samples) == (0, 5)
     assert untrimmed.gap_voltages[0] == pytest.approx(0.58)
+
+
+def test_contacts_of_a_diode_are_dropped_together() -> None:
+    currents = np.random.default_rng(4).normal(5e-5, 1e-8, (5, 8))
+    currents[1, 6] += 1e-5
+    (result,) = scans((due(n, diode_currents=currents[n]) for n in range(5)), method="trimmed")
+    np.testing.assert_allclose(result.diode_currents[:4], currents[:, :4].mean(axis=0), rtol=1e-14)
+    np.testing.assert_allclose(result.diode_currents[4:], currents[[0, 2, 3, 4], 4:].mean(axis=0), rtol=1e-14)
 
 
 def test_reading_that_is_not_finite_is_never_hidden() -> None:
@@ -173,6 +186,21 @@ def test_background_is_subtracted(text: str, expected: list[tuple[int, int]]) ->
 def test_steady_drift_of_the_background_cancels_between_dark_neighbours() -> None:
     for result in scans(pattern("DLDLDLDLDLD" + "LDLDLDLDLD", drift=0.1), subtract_dark=True):
         np.testing.assert_allclose(result.diode_currents, NET_A, rtol=1e-12)
+
+
+def test_only_near_dark_scans_are_background() -> None:
+    far = (due(n, diode_currents=np.ones(8), lit_sources=DARK) for n in range(50))
+    near = (due(50 + each, diode_currents=BACKGROUND_A, lit_sources=DARK) for each in range(MOST_DARK))
+    lit = due(50 + MOST_DARK, diode_currents=NET_A + BACKGROUND_A)
+    (result,) = scans([*far, *near, lit], subtract_dark=True)
+    np.testing.assert_allclose(result.diode_currents, NET_A, rtol=1e-12)
+
+
+def test_dark_scans_of_before_a_break_are_no_background() -> None:
+    for dark in (due(0, header=header(START, "another_frame"), lit_sources=DARK), due(5, lit_sources=DARK)):
+        (result,) = scans([dark, due(1, diode_currents=NET_A)], subtract_dark=True)
+        assert result.status == 0
+        np.testing.assert_allclose(result.diode_currents, NET_A, rtol=1e-14)
 
 
 def test_single_scans_can_be_freed_of_their_background() -> None:
