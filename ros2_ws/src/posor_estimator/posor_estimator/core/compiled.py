@@ -45,7 +45,7 @@ def _numba_njit() -> Any | None:
     except ImportError:
         return None
     if "NUMBA_CACHE_DIR" not in os.environ:
-        config.CACHE_DIR = _cache_folder()
+        vars(config)["CACHE_DIR"] = _cache_folder()  # numba makes the attributes of this module at run time
     return njit
 
 

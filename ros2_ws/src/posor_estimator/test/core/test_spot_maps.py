@@ -11,6 +11,7 @@ from posor_estimator.core.kernels.spot_map import INSIDE, OUTSIDE_Y, ratios_of_p
 from posor_estimator.core.sensors.spot_map import CurvesMap, TensorMap
 
 if TYPE_CHECKING:
+    import numpy.typing as npt
     from posor_estimator.core.types import FloatArray
 
 STOPS = 15  # by 15, as in thesis 7.4.3
@@ -25,8 +26,8 @@ def ratios(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     return 0.9 * u * (1.0 - 0.06 * v**2 - 0.04 * u**2) + 0.01 * v, 0.9 * v * (1.0 - 0.05 * u**2 - 0.03 * v**2)
 
 
-def quantity(value: FloatArray, unit: str) -> Quantity:
-    return Quantity(value=value.tolist(), unit=unit)
+def quantity(value: npt.ArrayLike, unit: str) -> Quantity:
+    return Quantity(value=np.asarray(value).tolist(), unit=unit)
 
 
 def curves_map() -> CurvesMap:
