@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,14 +22,24 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from geometry_msgs.msg import Pose
     from posor_bringup.replay import Replay
 
 RAW, TRANSFORM, ENDPOINT, TRUTH = TOPICS
 MORE = 5
 """How many further poses show that the graph works (again)."""
 
-LEAN = 0.05
-"""Bound of the target plane's tilt in the calibration [rad]; with it theta of the scan before acts on alpha, beta."""
+BEAM_M = 1.0
+"""Bound of the lever from the POSOR to the endpoint."""
+
+
+def disturbance(scan: int) -> float:
+    """Return what the first scan after a restart may differ by in alpha and beta [rad].
+
+    It has no theta of the scan before, with which the target plane's tilt, 0.045 rad, is turned. From scan to scan
+    theta changes by less than 0.1 mrad, but by 0.25 mrad where the loop begins anew.
+    """
+    return 5e-6 if (scan - 1) % STEPS["ymo"] else 12.5e-6
 
 
 def run_until(replay: Replay, count: Callable[[], int], more: int = MORE) -> None:
@@ -41,33 +52,35 @@ def run_until(replay: Replay, count: Callable[[], int], more: int = MORE) -> Non
 def test_a_killed_node_comes_back_and_no_pose_is_wrong(tmp_path: Path, victim: str) -> None:
     plan = rig(tmp_path / "run", "ymo", "printed", rate=1.0, loop=True)
     with graph(plan) as replay:
-        poses = replay.collector.poses
+        poses, transforms = replay.collector.poses, replay.collector.transforms
         replay.listen()
         replay.begin()
         run_until(replay, lambda: len(poses))
         before = max(poses)
         replay.restart(victim)
-        run_until(replay, lambda: sum(stamp > before for stamp in poses))
+        replay.connect()
+        run_until(replay, lambda: len(poses))
         replay.finish()
 
-    messages = recorded(plan.recorded)
-    undisturbed = {stamp_ns(message): message for message in located(plan, messages[RAW])}
-    transforms = [deserialize_message(data, JointTransform) for data in messages[TRANSFORM]]
-    endpoints = {
-        stamp_ns(pose): pose for pose in (deserialize_message(data, PoseStamped) for data in messages[ENDPOINT])
-    }
+    raw = recorded(plan.recorded)[RAW]
+    assert sum(stamp > before for stamp in poses) >= MORE
+    assert len(poses) < len(raw)  # some scans passed while the node was away
+    undisturbed = {stamp_ns(message): message for message in located(plan, raw)}
+    heard = [transforms[stamp] for stamp in sorted(transforms)]
+    check_transforms(heard, undisturbed, restarted_after=before if victim == "posor_node" else None)
+    for stamp, pose in poses.items():
+        assert undisturbed[stamp].state == State.OK
+        away = distance(pose.pose, placed(plan, [undisturbed[stamp]])[0])
+        assert away <= math.sqrt(2.0) * BEAM_M * disturbance(undisturbed[stamp].scan)
+        if stamp in transforms:
+            assert [bits(pose.pose)] == [bits(expected) for expected in placed(plan, [transforms[stamp]])]
+    assert sum(before < stamp and stamp in transforms for stamp in poses) >= MORE
 
-    assert sum(stamp <= before for stamp in endpoints) >= MORE
-    assert sum(stamp > before for stamp in endpoints) >= MORE
-    assert len(endpoints) < len(messages[RAW])  # some scans passed while the node was away
-    check_transforms(transforms, undisturbed, restarted_after=before if victim == "posor_node" else None)
-    by_stamp = {stamp_ns(transform): transform for transform in transforms}
-    assert set(endpoints) <= set(by_stamp)
-    for stamp, pose in endpoints.items():
-        assert by_stamp[stamp].state == State.OK
-        position = pose.pose.position
-        assert np.all(np.isfinite([position.x, position.y, position.z]))
-        assert [bits(pose.pose)] == [bits(expected) for expected in placed(plan, [by_stamp[stamp]])]
+
+def distance(pose: Pose, other: Pose) -> float:
+    """Return how far apart two positions are [m]; NaN, which no comparison lets pass, where one is not a number."""
+    p, q = pose.position, other.position
+    return math.dist((p.x, p.y, p.z), (q.x, q.y, q.z))
 
 
 def check_transforms(
@@ -75,8 +88,8 @@ def check_transforms(
 ) -> None:
     """Compare with an undisturbed run of the same scans.
 
-    The first scan after a restart has no theta of the scan before, so the tilt turns with its own theta instead; all
-    others are the same, but for where their iteration started from.
+    The first scan after a restart has no theta of the scan before, so the tilt turns with its own theta instead. That
+    changes its theta in turn, by far less, and so on: from the second scan on next to nothing is left of it.
     """
     is_first = restarted_after is not None
     for transform in transforms:
@@ -88,13 +101,9 @@ def check_transforms(
         difference = np.abs(np.array(transform.native) - np.array(expected.native))
         if is_first:
             is_first = False
-            earlier = [other for other in undisturbed if other < stamp]
-            turned = abs(expected.native[5] - undisturbed[max(earlier)].native[5])
-            assert difference[3:5].max() <= LEAN * turned + 1e-9
-            if (transform.scan - 1) % STEPS["ymo"]:  # within a pass of the loop theta turns by less than 0.1 mrad
-                assert difference[3:5].max() <= 5e-6
+            assert difference[3:5].max() <= disturbance(transform.scan)
         else:
-            assert difference.max() <= 1e-10
+            assert difference.max() <= 1e-8
         assert transform.state == expected.state
     assert not is_first
 
@@ -119,6 +128,6 @@ def test_a_late_subscriber_hears_all_from_then_on(tmp_path: Path) -> None:
         everything = [deserialize_message(data, kind) for data in messages[topic]]
         published = {stamp_ns(message): message for message in everything}
         stamps = [stamp_ns(message) for message in late]
-        assert stamps[0] > last
+        assert stamps[0] >= last  # the newest scan may still be on its way to others; nothing older is heard
         assert stamps == [stamp for stamp in sorted(published) if stamps[0] <= stamp <= stamps[-1]]
         assert [bits(message) for message in late] == [bits(published[stamp]) for stamp in stamps]

@@ -85,6 +85,10 @@ class Collector(Node):
             return None
         return {**{item.key: item.value for item in said.values}, "message": said.message}.get(key)
 
+    def forget(self, node: str) -> None:
+        """Forget what a node said of itself, such as ``/chain_node``: it is no more."""
+        self._statuses = {name: said for name, said in self._statuses.items() if not name.startswith(f"{node}:")}
+
     def missing(self) -> list[str]:
         """Return what has not arrived although something else of the same scan has."""
         known = sorted(self.truths.keys() | self.transforms.keys() | self.poses.keys())

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from posor_estimator.errors import PosorError
-from posor_estimator.ros.listeners import STATUS as LISTENERS
+from posor_estimator.ros.listeners import STATUS
 from posor_estimator.ros.qos import ENDPOINT_TOPIC, RAW_TOPIC, TRANSFORM_TOPIC, TRUTH_TOPIC
 
 from posor_bringup.installed import JOINT
@@ -28,6 +28,12 @@ TOPICS = (f"/{JOINT}/{RAW_TOPIC}", f"/{JOINT}/{TRANSFORM_TOPIC}", f"/{ENDPOINT_T
 
 LOSSLESS: Mapping[str, Parameter] = {"qos_reliability": "reliable", "qos_depth": 0}
 """Parameters that make a fast publisher wait for a slow subscriber."""
+
+_LISTENERS: Mapping[str, tuple[str, int]] = {
+    f"/{JOINT}/posor_node": (TRANSFORM_TOPIC, 3),  # chain, recorder, collector
+    "/chain_node": (ENDPOINT_TOPIC, 2),  # recorder, collector
+}
+"""Subscriptions that a node has to have on a topic before the replay begins."""
 
 PATIENCE_S = 60.0
 """A net, not a pace: how long nothing at all may happen before the replay is given up."""
@@ -145,17 +151,23 @@ class Replay:
         self._nodes = [start(program) for program in (self.plan.posor(), self.plan.chain())]
         self._recorder = start(self.plan.recorder())
         self._change(Transition.TRANSITION_CONFIGURE, "configure")
+        self.connect()
+
+    def connect(self) -> None:
+        """Wait until POSOR and chain have all their listeners.
+
+        Raises:
+            ProcessError: A program ended, or they did not find one another.
+
+        """
         self.wait(lambda: not self._unconnected(), lambda: ", ".join(self._unconnected()))
 
     def _unconnected(self) -> list[str]:
         """Return the topics that lack listeners; the driver looks after its own."""
         return [
             f"{wanted} subscriptions to the {topic} of {node}"
-            for node, topic, wanted in (
-                (f"/{JOINT}/posor_node", TRANSFORM_TOPIC, 3),  # chain, recorder, collector
-                ("/chain_node", ENDPOINT_TOPIC, 2),  # recorder, collector
-            )
-            if int(self.collector.value(f"{node}: {LISTENERS}", topic) or 0) < wanted
+            for node, (topic, wanted) in _LISTENERS.items()
+            if int(self.collector.value(f"{node}: {STATUS}", topic) or 0) < wanted
         ]
 
     def _change(self, transition: int, name: str) -> None:
@@ -217,6 +229,9 @@ class Replay:
         """Kill ``posor_node`` or ``chain_node`` as a crash would and start it anew."""
         index = next(index for index, running in enumerate(self._nodes) if running.program.name == name)
         self._supervisor.kill(self._nodes[index])
+        for node in _LISTENERS:
+            if node.endswith(f"/{name}"):
+                self.collector.forget(node)
         self._nodes[index] = self._supervisor.start(self._nodes[index].program)
 
     def wait(self, until: Callable[[], bool], lacking: Callable[[], str]) -> None:
