@@ -17,7 +17,7 @@ from posor_estimator.accuracy.poses import TICK_NS
 from posor_estimator.core.designs import DesignName, design
 from posor_estimator.core.fault import State
 from posor_estimator.core.forward import scans_at
-from posor_estimator.core.kernels.locate import NOISE_ALLOWANCE
+from posor_estimator.core.kernels.motion import NOISE_ALLOWANCE
 from posor_estimator.core.native import rotation_from_native
 from posor_estimator.core.posor import Posor
 from posor_estimator.core.sensors.bumpy_ring import BumpyRing

@@ -13,7 +13,8 @@ import pinocchio as pin
 
 from posor_estimator.core.fault import Fault, State
 from posor_estimator.core.kernels import locate as kernel
-from posor_estimator.core.kernels.rows import AFFINE
+from posor_estimator.core.kernels import memory as layout
+from posor_estimator.core.kernels.rows import AFFINE, GAP, SPOT_X, SPOT_Y
 from posor_estimator.core.kernels.solve import ITERATIONS, LENGTH, TOLERANCE
 from posor_estimator.core.sensors.base import PlainSensor
 
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
     from posor_estimator.core.sensors.base import Batch
     from posor_estimator.core.stack import Stack
     from posor_estimator.core.types import FloatArray
+
+_TURNS = {GAP: 11, SPOT_X: 15, SPOT_Y: 15}
+"""Where a row holds the extra turn of what is fixed in the target, see ``kernels.locate.solve_scan``."""
 
 
 class PlainRows:
@@ -90,7 +94,11 @@ class PlainRows:
             )
             return updated
 
-        kernel.start_from_memory(stamp, settings, memory, rotation, translation)
+        # Affine rows hold from where they were expanded; so the lag of the tilts is kept up here, not in the kernel.
+        settings = settings.copy()
+        lagging = settings[layout.LAGGING] > 0.0 and memory[layout.GIVEN] == 0.0
+        settings[layout.LAGGING] = 0.0
+        layout.start_from_memory(stamp, settings, memory, rotation, translation)
         start = pin.SE3(rotation, translation)
         self.expand(rows, rotation, translation)
         updated = locate_from(memory, self._systematic(scans, n, rotation, translation))
@@ -110,6 +118,11 @@ class PlainRows:
         for _ in range(ITERATIONS):
             before = rotation.copy(), translation.copy()
             self.expand(rows, rotation, translation)
+            if lagging:
+                turn = layout.wrapped(memory[layout.THETA] - layout.theta_of(rotation))
+                for r in range(len(chosen)):
+                    if kinds[r] in _TURNS:
+                        rows[r, _TURNS[kinds[r]]] = turn
             updated = locate_from(begin, self._systematic(scans, n, rotation, translation))
             moved = max(
                 float(np.max(np.abs(translation - before[1]))), LENGTH * float(np.max(np.abs(rotation - before[0])))
@@ -118,12 +131,12 @@ class PlainRows:
                 break
         else:
             out.states[n], out.faults[n] = State.LOST, Fault.NOT_CONVERGED
-            updated[kernel.KNOWN] = updated[kernel.COUNTED] = 0.0
+            updated[layout.KNOWN] = updated[layout.COUNTED] = 0.0
         out.faults[n] |= count_fault
         if out.states[n] == State.OK and count_fault:
             out.states[n] = State.DEGRADED
         if out.states[n] == State.LOST:
-            updated[kernel.GIVEN] = memory[kernel.GIVEN]
+            updated[layout.GIVEN] = memory[layout.GIVEN]
         memory[:] = updated
 
     def _systematic(self, scans: Scans, n: int, rotation: FloatArray, translation: FloatArray) -> FloatArray:
@@ -145,9 +158,9 @@ def _further_on(
     theta is counted; where the count is in doubt, it is not.
     """
     begin = memory.copy()
-    turned = abs(kernel.wrapped(kernel.theta_of(rotation) - kernel.theta_of(before)))
-    if settings[kernel.BUMP] > 0.0 and turned > 0.5 * settings[kernel.BUMP]:
-        begin[kernel.GIVEN] = begin[kernel.COUNTED] = 1.0
+    turned = abs(layout.wrapped(layout.theta_of(rotation) - layout.theta_of(before)))
+    if settings[layout.BUMP] > 0.0 and turned > 0.5 * settings[layout.BUMP]:
+        begin[layout.GIVEN] = begin[layout.COUNTED] = 1.0
     elif count_fault:
-        begin[kernel.COUNTED] = 0.0
+        begin[layout.COUNTED] = 0.0
     return begin

@@ -12,6 +12,7 @@ from posor_estimator.core.calibration.model import Calibration, TiltAngle
 from posor_estimator.core.estimate import Estimate, Estimates
 from posor_estimator.core.fault import Fault, State
 from posor_estimator.core.kernels import locate as kernel
+from posor_estimator.core.kernels import memory as layout
 from posor_estimator.core.kernels.rows import evaluate_row
 from posor_estimator.core.kernels.solve import CONVERGED, gauss_newton
 from posor_estimator.core.native import native_from_rotation
@@ -56,17 +57,17 @@ class Posor:
         self._redundancy = max(self.stack.readings - 6, 0)
         counted = [(sensor.bump_angle, sensor.home_theta) for sensor in calibration.sensors if sensor.bump_angle > 0.0]
         motion = calibration.motion
-        self._settings = np.full(kernel.SETTINGS, math.inf)
+        self._settings = np.full(layout.SETTINGS, math.inf)
         if self._redundancy > 0:
-            self._settings[kernel.LIMIT] = chi2.isf(false_alarm, self._redundancy)
+            self._settings[layout.LIMIT] = chi2.isf(false_alarm, self._redundancy)
         if motion is not None:
-            self._settings[kernel.MOTION_TRANSLATION] = motion.translation.number
-            self._settings[kernel.MOTION_LEAN] = motion.lean.number
-            self._settings[kernel.MOTION_THETA] = motion.theta.number
-        self._settings[kernel.BUMP], self._settings[kernel.HOME] = counted[0] if counted else (0.0, 0.0)
-        self._settings[kernel.LAGGING] = float(calibration.tilt_angle is TiltAngle.PREVIOUS_SCAN)
+            self._settings[layout.MOTION_TRANSLATION] = motion.translation.number
+            self._settings[layout.MOTION_LEAN] = motion.lean.number
+            self._settings[layout.MOTION_THETA] = motion.theta.number
+        self._settings[layout.BUMP], self._settings[layout.HOME] = counted[0] if counted else (0.0, 0.0)
+        self._settings[layout.LAGGING] = float(calibration.tilt_angle is TiltAngle.PREVIOUS_SCAN)
         self._counting = bool(counted)
-        self._memory = np.zeros(kernel.MEMORY)
+        self._memory = np.zeros(layout.MEMORY)
         self._epoch_ns: int | None = None
         self._known_theta: float | None = None
 
@@ -125,7 +126,7 @@ class Posor:
     @property
     def residual_limit(self) -> float:
         """Largest chi-square of the redundant readings that passes."""
-        return float(self._settings[kernel.LIMIT])
+        return float(self._settings[layout.LIMIT])
 
     def sensitivity(self, scan: Scan, T_R_T: pin.SE3) -> tuple[FloatArray, FloatArray]:
         """Return what a shift of each linearised reading does at a pose.
@@ -267,10 +268,10 @@ class Posor:
         for n in range(begin, end):
             if fit[n] == 0:
                 continue
-            kernel.restart_if_back(stamps[n], self._memory)
-            if self._memory[kernel.KNOWN] == 0.0:
+            layout.restart_if_back(stamps[n], self._memory)
+            if self._memory[layout.KNOWN] == 0.0:
                 return n
-            warm = self._memory[kernel.GIVEN] == 0.0
+            warm = self._memory[layout.GIVEN] == 0.0
             self._plain.locate(scans, batch, n, stamps[n], self._settings, self._memory, out, figures)
             if kernel.deserves_retry(int(out.states[n]), int(out.faults[n]), warm):
                 return -1 - n
@@ -278,19 +279,19 @@ class Posor:
 
     def _give(self, rotation: FloatArray, translation: FloatArray) -> None:
         """Put a start into the memory; the motion to it says nothing."""
-        kernel.remember(self._memory, rotation, translation)
-        self._memory[kernel.KNOWN] = self._memory[kernel.GIVEN] = 1.0
-        self._memory[kernel.RATE] = self._memory[kernel.COUNTED] = 0.0
-        self._memory[kernel.THETA] = native_from_rotation(rotation)[2]
+        layout.remember(self._memory, rotation, translation)
+        self._memory[layout.KNOWN] = self._memory[layout.GIVEN] = 1.0
+        self._memory[layout.RATE] = self._memory[layout.COUNTED] = 0.0
+        self._memory[layout.THETA] = native_from_rotation(rotation)[2]
         if not self._counting:
-            self._memory[kernel.COUNTED] = 1.0
+            self._memory[layout.COUNTED] = 1.0
 
     def _start(self, batch: Batch, n: int) -> None:
         """Put the best closed-form start for scan n into the memory."""
         pool, chosen = self.stack.pool, batch.chosen[n]
         kinds, rows, values = pool.kinds[chosen], pool.rows[chosen].copy(), batch.values[n]
         weights = 1.0 / batch.variances[n]
-        bump = self._settings[kernel.BUMP]
+        bump = self._settings[layout.BUMP]
         known = self._known_theta
         guesses = [(known or 0.0) + bump * (i / PHASE_GUESSES - 0.5) for i in range(PHASE_GUESSES)]
         jacobian, residuals, moved = np.empty((len(values), 6)), np.empty(len(values)), np.empty(6)
@@ -305,13 +306,13 @@ class Posor:
             misfit = float(weights @ np.square(residuals)) if settled else math.inf
             misfit += float(np.sum(np.square(translation[:2] / LIKELY_RUNOUT)))
             if settled and self._counting and known is not None:
-                off = abs(kernel.wrapped(native_from_rotation(rotation)[2] - known))
+                off = abs(layout.wrapped(native_from_rotation(rotation)[2] - known))
                 misfit = misfit if off < COUNT_WINDOW * bump else math.inf
             if misfit < best or math.isinf(best):
                 best = min(best, misfit)
                 self._give(*((rotation, translation) if settled else (pose.rotation, pose.translation)))
         if known is not None:
-            self._memory[kernel.COUNTED] = 1.0
+            self._memory[layout.COUNTED] = 1.0
 
     def _reason(self, scan: Scan, codes: IntArray, faults: int, residual: float) -> str:
         """Return the sentence on what is wrong with one scan's estimate, empty where nothing is."""
@@ -320,7 +321,7 @@ class Posor:
         for sensor, code in zip(self.stack.sensors, codes, strict=True):
             if code != 0:
                 return str(sensor.explain(scan, int(code)))
-        limit = self._settings[kernel.LIMIT]
+        limit = self._settings[layout.LIMIT]
         sentences = {
             Fault.NOT_CONVERGED: "the estimate did not settle",
             Fault.ILL_CONDITIONED: "the readings do not determine all six freedoms",

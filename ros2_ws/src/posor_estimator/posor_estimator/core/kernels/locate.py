@@ -1,8 +1,4 @@
-"""Scan after scan: solve, judge, remember. The same loop serves one scan at servo rate and a whole bag.
-
-What is remembered between scans is one flat array (``MEMORY``), so that a run can stop anywhere, ask its caller for a
-start pose, and go on.
-"""
+"""Scan after scan: solve, judge, remember. The same loop serves one scan at servo rate and a whole bag."""
 
 from __future__ import annotations
 
@@ -12,62 +8,48 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posor_estimator.core.compiled import compiled
+from posor_estimator.core.fault import Fault, State
 from posor_estimator.core.kernels.judge import chi_square, covariances, reading_covariance
-from posor_estimator.core.kernels.rows import AFFINE, GAP, SPOT_X, SPOT_Y
+from posor_estimator.core.kernels.memory import (
+    BUMP,
+    COUNTED,
+    GIVEN,
+    KNOWN,
+    LAGGING,
+    LIMIT,
+    MOTION_TRANSLATION,
+    RATE,
+    STAMP,
+    THETA,
+    bumps_off,
+    recall,
+    remember,
+    restart_if_back,
+    start_from_memory,
+    theta_of,
+    turn_about_z,
+    wrapped,
+)
+from posor_estimator.core.kernels.motion import moved_too_far, prior_rows
+from posor_estimator.core.kernels.rows import GAP, SPOT_X, SPOT_Y
 from posor_estimator.core.kernels.solve import CONVERGED, ILL_CONDITIONED, gauss_newton
-from posor_estimator.core.kernels.vector import square
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray, IntArray
 
-OK, DEGRADED, LOST, UNCOUNTED = 0, 1, 2, 3
+OK, DEGRADED, LOST, UNCOUNTED = (int(state) for state in (State.OK, State.DEGRADED, State.LOST, State.UNCOUNTED))
 
-FAULT_NOT_CONVERGED = 8
-FAULT_ILL_CONDITIONED = 16
-FAULT_RESIDUAL = 32
-FAULT_INNOVATION = 64
-FAULT_COUNT = 256
-
-# Layout of the memory.
-KNOWN = 0  # 1 where there is a last pose
-STAMP = 1  # its time [s], relative to the run's epoch
-THETA = 2  # its theta [rad], turns counted
-RATE = 3  # of theta [rad/s]
-COUNTED = 4  # 1 where theta is counted from the home mark, or needs no count
-GIVEN = 5  # 1 where the caller has just given the last pose as a start
-ROTATION = 6  # nine entries, row by row
-TRANSLATION = 15  # three entries [m]
-MEMORY = 18
-
-# Layout of the settings.
-LIMIT = 0  # largest chi-square of the redundant readings
-MOTION_TRANSLATION = 1  # fastest the target moves across [m/s]; infinite: not limited
-MOTION_LEAN = 2  # fastest it leans [rad/s]
-MOTION_THETA = 3  # fastest it turns [rad/s]
-BUMP = 4  # angle of one bump [rad]; zero: theta is not counted
-HOME = 5  # theta of the home mark [rad]
-LAGGING = 6  # 1: tilts are turned by the theta of the scan before
-SETTINGS = 7
+FAULT_NOT_CONVERGED = int(Fault.NOT_CONVERGED)
+FAULT_ILL_CONDITIONED = int(Fault.ILL_CONDITIONED)
+FAULT_RESIDUAL = int(Fault.RESIDUAL)
+FAULT_INNOVATION = int(Fault.INNOVATION)
+FAULT_COUNT = int(Fault.COUNT)
 
 TURN_SETTLED = 1e-14
-NOISE_ALLOWANCE = 5.0
-"""Standard deviations of noise that may come on top of the largest motion before a jump is a fault."""
 SINGULAR = 1e-10
 """Below this share (``kernels.cholesky``) of an unknown that the others do not explain, there is no pose."""
 WEAK = 1e-4
 """Below this share the last pose is called in to carry the blind direction: its uncertainty is 100 times the usual."""
-
-
-@compiled
-def wrapped(angle: float) -> float:
-    """Return the angle [rad] in [-pi, pi)."""
-    return angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
-
-
-@compiled
-def theta_of(rotation: FloatArray) -> float:
-    """Return the heading of the Y axis of T in R [rad] (``core.native``)."""
-    return math.atan2(-rotation[0, 1], rotation[1, 1])
 
 
 @compiled
@@ -101,103 +83,6 @@ def solve_scan(
                 rows[r, 11] = turn
             elif kinds[r] in (SPOT_X, SPOT_Y):
                 rows[r, 15] = turn
-
-
-@compiled
-def recall(memory: FloatArray, rotation: FloatArray, translation: FloatArray) -> None:
-    """Write the last pose into ``rotation`` and ``translation``."""
-    for i in range(3):
-        translation[i] = memory[TRANSLATION + i]
-        for j in range(3):
-            rotation[i, j] = memory[ROTATION + 3 * i + j]
-
-
-@compiled
-def remember(memory: FloatArray, rotation: FloatArray, translation: FloatArray) -> None:
-    """Keep a pose as the last one."""
-    for i in range(3):
-        memory[TRANSLATION + i] = translation[i]
-        for j in range(3):
-            memory[ROTATION + 3 * i + j] = rotation[i, j]
-
-
-@compiled
-def start_from_memory(
-    stamp: float, settings: FloatArray, memory: FloatArray, rotation: FloatArray, translation: FloatArray
-) -> None:
-    """Write the start for a scan: the last pose, for a counted theta turned on at the last rate."""
-    recall(memory, rotation, translation)
-    if settings[BUMP] > 0.0 and memory[GIVEN] == 0.0:
-        turn_about_z(rotation, memory[RATE] * (stamp - memory[STAMP]))
-
-
-@compiled
-def prior_rows(
-    kinds: IntArray,
-    rows: FloatArray,
-    values: FloatArray,
-    weights: FloatArray,
-    first: int,
-    settings: FloatArray,
-    elapsed: float,
-) -> None:
-    """Make rows ``first`` to ``first + 6`` say that the pose is at the start, as surely as the target moves slowly."""
-    for i in range(6):
-        kinds[first + i] = AFFINE
-        values[first + i] = 0.0
-        for k in range(rows.shape[1]):
-            rows[first + i, k] = 0.0
-        rows[first + i, 1 + i] = 1.0
-        rate = settings[MOTION_TRANSLATION] if i < 3 else settings[MOTION_LEAN]  # noqa: PLR2004  translation first
-        if i == 5:  # noqa: PLR2004  about Z
-            rate = settings[MOTION_THETA]
-        weights[first + i] = 1.0 / square(rate * elapsed)
-
-
-@compiled
-def motion_faults(
-    settings: FloatArray,
-    elapsed: float,
-    random: FloatArray,
-    rotation: FloatArray,
-    translation: FloatArray,
-    memory: FloatArray,
-) -> int:
-    """Return the fault of a pose that is further from the last one than the target can have moved."""
-    before = np.empty((3, 3))
-    where = np.empty(3)
-    recall(memory, before, where)
-    across = 0.0
-    for i in range(3):
-        allowed = settings[MOTION_TRANSLATION] * elapsed + NOISE_ALLOWANCE * math.sqrt(2.0 * random[i, i])
-        across = max(across, abs(translation[i] - where[i]) / allowed)
-    for i in range(2):
-        leaned = abs(rotation[i, 2] - before[i, 2])
-        spread = random[4, 4] if i == 0 else random[3, 3]
-        across = max(across, leaned / (settings[MOTION_LEAN] * elapsed + NOISE_ALLOWANCE * math.sqrt(2.0 * spread)))
-    turned = abs(wrapped(theta_of(rotation) - theta_of(before)))
-    allowed = settings[MOTION_THETA] * elapsed + NOISE_ALLOWANCE * math.sqrt(2.0 * random[5, 5])
-    across = max(across, turned / allowed)
-    return FAULT_INNOVATION if across > 1.0 else 0
-
-
-@compiled
-def bumps_off(theta: float, settings: FloatArray) -> float:
-    """Return by how many whole bumps the counted theta misses the home mark's, a turn being no miss."""
-    bump = settings[BUMP]
-    per_turn = round(2.0 * math.pi / bump)
-    off = float(round((theta - settings[HOME]) / bump))
-    return float(off - per_turn * math.floor(off / per_turn + 0.5))
-
-
-@compiled
-def turn_about_z(rotation: FloatArray, angle: float) -> None:
-    """Turn a pose's rotation about the target's own Z by ``angle`` [rad], in place."""
-    c, s = math.cos(angle), math.sin(angle)
-    for i in range(3):
-        x, y = rotation[i, 0], rotation[i, 1]
-        rotation[i, 0] = c * x + s * y
-        rotation[i, 1] = c * y - s * x
 
 
 @compiled
@@ -325,7 +210,8 @@ def locate_scan(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in orde
     if not figures[0] <= settings[LIMIT]:
         faults |= FAULT_RESIDUAL
     if moving and not recounted:
-        faults |= motion_faults(settings, elapsed, random, rotation, translation, memory)
+        if moved_too_far(settings, elapsed, random, rotation, translation, memory):
+            faults |= FAULT_INNOVATION
         reach = max(abs(memory[RATE]) * elapsed, abs(wrapped(theta_of(rotation) - predicted)))
         if counting and reach > 0.25 * settings[BUMP]:
             faults |= FAULT_COUNT
@@ -345,14 +231,6 @@ def locate_scan(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in orde
     if counting and memory[COUNTED] == 0.0:
         return UNCOUNTED, faults
     return DEGRADED if faults else OK, faults
-
-
-@compiled
-def restart_if_back(stamp: float, memory: FloatArray) -> None:
-    """Forget the last pose where time has not gone on: a replay has started over."""
-    if memory[KNOWN] > 0.0 and memory[GIVEN] == 0.0 and not stamp > memory[STAMP]:
-        memory[KNOWN] = 0.0
-        memory[COUNTED] = 0.0
 
 
 @compiled
