@@ -17,7 +17,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 import numpy as np
-from posor_estimator.core.calibration.quantity import FrozenModel, Quantity, measured
+from posor_estimator.core.calibration.entry import EntryError
+from posor_estimator.core.calibration.part import FrozenModel
+from posor_estimator.core.calibration.quantity import Quantity, measured
 from posor_estimator.core.fault import Fault
 from posor_estimator.core.sensors.base import Linearised, PlainSensor, SensorCalibration
 from posor_estimator.errors import ScanError
@@ -46,15 +48,13 @@ class WireCalibration(FrozenModel):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.volts_to_length.array[1] == 0.0:
-            msg = f"volts_to_length {self.volts_to_length.value}, expected a slope A_1 other than 0 m/V"
-            raise ValueError(msg)
+            what = f"volts_to_length {self.volts_to_length.value}"
+            raise EntryError(what, key=("volts_to_length",), expected="a slope A_1 other than 0 m/V")
         if not self.noise.number > 0.0:
-            msg = f"noise {self.noise.value}, expected more than 0 V"
-            raise ValueError(msg)
+            raise EntryError(f"noise {self.noise.value}", key=("noise",), expected="more than 0 V")
         low, high = self.range.array
         if not low < high:
-            msg = f"range {self.range.value}, expected [lowest, highest] voltage"
-            raise ValueError(msg)
+            raise EntryError(f"range {self.range.value}", key=("range",), expected="[lowest, highest] voltage")
         return self
 
 

@@ -12,9 +12,12 @@ import json
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union
 
-from pydantic import Field, SerializeAsAny, create_model
+from pydantic import Field, SerializeAsAny, create_model, field_validator, model_validator
 
-from posor_estimator.core.calibration.quantity import FrozenModel, Quantity, measured
+from posor_estimator.core.calibration.choice import chosen_by
+from posor_estimator.core.calibration.entry import EntryError
+from posor_estimator.core.calibration.part import FrozenModel
+from posor_estimator.core.calibration.quantity import Quantity, measured
 from posor_estimator.core.calibration.session import Session
 from posor_estimator.core.sensors.base import SensorCalibration
 from posor_estimator.core.sensors.registry import sensor_types
@@ -40,6 +43,15 @@ class Frames(FrozenModel):
 
     parent: str
     child: str
+
+    @model_validator(mode="after")
+    def _two(self) -> Self:
+        for name, frame in (("parent", self.parent), ("child", self.child)):
+            if not frame.strip():
+                raise EntryError(f"{name} is empty", key=(name,), expected="the name of a frame")
+        if self.child == self.parent:
+            raise EntryError(f"child '{self.child}' is the parent too", key=("child",), expected="two frames")
+        return self
 
 
 class Motion(FrozenModel):
@@ -79,6 +91,13 @@ class Calibration(FrozenModel):
     sensors: list[SerializeAsAny[SensorCalibration]]
     sessions: dict[str, Session] = Field(default_factory=dict)
 
+    @field_validator("sessions")
+    @classmethod
+    def _named(cls, sessions: dict[str, Session]) -> dict[str, Session]:
+        if "" in sessions:
+            raise EntryError("a session has no name", expected="a name, by which it can be chosen")
+        return sessions
+
     @property
     def content_hash(self) -> str:
         """SHA-256 of everything the file says, whatever its layout or comments; 64 hexadecimal digits."""
@@ -109,8 +128,8 @@ def calibration_from(content: Mapping[str, Any]) -> Calibration:
         pydantic.ValidationError: The content does not fit; ``load_calibration`` turns it into one sentence.
 
     """
-    types = tuple(sensor_types().values())
-    union: Any = Annotated[Union[types], Field(discriminator="type")] if len(types) > 1 else types[0]  # noqa: UP007
+    types = sensor_types()
+    union: Any = Annotated[Union[tuple(types.values())], chosen_by("type", types)]  # noqa: UP007
     model = create_model(
         "Calibration",
         __base__=Calibration,

@@ -7,12 +7,16 @@ written and always checked; ``sigma`` (one number, or one for each component) is
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationInfo, field_validator
+from pydantic import AfterValidator, ValidationInfo, field_validator, model_validator
+
+from posor_estimator.core.calibration.entry import EntryError, shown
+from posor_estimator.core.calibration.part import FrozenModel
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,13 +24,9 @@ if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray
 
 Number = float
+_DIMENSIONS = 2
+_UNIT_TOLERANCE = 1e-6
 Nested = Number | list[Number] | list[list[Number]]
-
-
-class FrozenModel(BaseModel):
-    """Base of everything in a calibration file: immutable, and a key that is not known is an error."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", ignored_types=(cached_property,))
 
 
 class Quantity(FrozenModel):
@@ -36,20 +36,25 @@ class Quantity(FrozenModel):
     sigma: Nested = 0.0
     unit: str
 
-    @field_validator("value", "sigma")
+    @model_validator(mode="before")
     @classmethod
-    def _finite(cls, numbers: Nested, info: ValidationInfo) -> Nested:
+    def _not_bare(cls, data: object) -> object:
+        if isinstance(data, int | float | list):
+            raise EntryError(f"{shown(data)} has no unit", expected="a mapping such as {value: 1.0, unit: m}")
+        return data
+
+    @field_validator("value", "sigma", mode="before")
+    @classmethod
+    def _numbers(cls, written: object, info: ValidationInfo) -> object:
+        numbers = _as_floats(written)
         try:
             array = np.array(numbers, dtype=float)
         except ValueError:
-            msg = f"rows of different lengths {numbers}, expected a rectangular array"
-            raise ValueError(msg) from None
+            raise EntryError(f"rows of different lengths {shown(written)}", expected="a rectangular array") from None
         if not np.all(np.isfinite(array)):
-            msg = f"{numbers} is not finite, expected finite numbers"
-            raise ValueError(msg)
+            raise EntryError(f"{shown(written)} is not finite", expected="finite numbers")
         if info.field_name == "sigma" and np.any(array < 0.0):
-            msg = f"{numbers} is negative, expected a standard uncertainty of zero or more"
-            raise ValueError(msg)
+            raise EntryError(f"{shown(written)} is negative", expected="a standard uncertainty of zero or more")
         return numbers
 
     @cached_property
@@ -72,6 +77,20 @@ class Quantity(FrozenModel):
         return float(self.array)
 
 
+def _as_floats(written: object, key: tuple[int, ...] = ()) -> object:
+    """Return a number, or a list or table of numbers, as floats; text and truth values are no numbers."""
+    if isinstance(written, list | tuple) and len(key) < _DIMENSIONS:
+        if not written:
+            raise EntryError("the list is empty", key=key, expected="at least one number")
+        return [_as_floats(entry, (*key, i)) for i, entry in enumerate(written)]
+    if isinstance(written, bool) or not isinstance(written, int | float):
+        raise EntryError(shown(written), key=key, expected="a number")
+    try:
+        return float(written)
+    except OverflowError:
+        return math.inf
+
+
 ANY = -1
 
 
@@ -82,27 +101,44 @@ class _Check:
 
     def __call__(self, quantity: Quantity) -> Quantity:
         if quantity.unit != self.unit:
-            msg = f"unit '{quantity.unit}', expected '{self.unit}'"
-            raise ValueError(msg)
+            raise EntryError(f"unit '{quantity.unit}'", key=("unit",), expected=f"'{self.unit}'")
         actual = np.shape(quantity.value)
         if len(actual) != len(self.shape) or any(w not in (ANY, a) for a, w in zip(actual, self.shape, strict=True)):
-            msg = f"value of shape {describe(actual)}, expected {describe(self.shape)}"
-            raise ValueError(msg)
+            raise EntryError(f"value has {describe(actual)}", key=("value",), expected=describe(self.shape))
         sigma_shape = np.shape(quantity.sigma)
         if sigma_shape not in ((), actual):
-            msg = f"sigma of shape {describe(sigma_shape)}, expected one number or {describe(actual)}"
-            raise ValueError(msg)
+            expected = describe(()) + (f" or {describe(actual)}" if actual else "")
+            raise EntryError(f"sigma has {describe(sigma_shape)}", key=("sigma",), expected=expected)
         return quantity
 
 
 def describe(shape: tuple[int, ...]) -> str:
-    """Return a shape in words: ``one number``, ``3 numbers``, ``a table of 2 x any``."""
-    names = ["any number of" if n == ANY else str(n) for n in shape]
+    """Return a shape in words: ``one number``, ``3 numbers``, ``a table of 2 x 2 numbers``."""
     if not shape:
         return "one number"
+    if shape == (1,):
+        return "one number in a list"
+    if shape == (ANY,):
+        return "a list of numbers"
     if len(shape) == 1:
-        return f"{names[0]} numbers"
-    return "a table of " + " x ".join(names)
+        return f"{shape[0]} numbers"
+    if set(shape) == {ANY}:
+        return "a table of numbers"
+    return "a table of " + " x ".join("any" if n == ANY else str(n) for n in shape) + " numbers"
+
+
+def check_unit_vector(name: str, quantity: Quantity) -> None:
+    """Refuse a vector whose length is not 1.
+
+    Raises:
+        EntryError: It is not; ``name`` is its key.
+
+    """
+    length = float(np.linalg.norm(quantity.array))
+    if abs(length - 1.0) > _UNIT_TOLERANCE:
+        raise EntryError(
+            f"{name} {shown(quantity.value)} has length {length:.9g}", key=(name,), expected="a unit vector"
+        )
 
 
 def measured(unit: str, *shape: int) -> AfterValidator:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from posor_estimator.core.calibration.quantity import ANY, FrozenModel, Quantity, measured
+from posor_estimator.core.calibration.part import FrozenModel
+from posor_estimator.core.calibration.quantity import ANY, Quantity, measured
 
 
 class Session(FrozenModel):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from posor_estimator.core.calibration.quantity import FrozenModel
+from posor_estimator.core.calibration.part import FrozenModel
 from posor_estimator.core.kernels.rows import row_parameters
 from posor_estimator.errors import ScanError
 

@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from posor_estimator.core.calibration.quantity import ANY, FrozenModel, Quantity, measured
+from posor_estimator.core.calibration.entry import EntryError
+from posor_estimator.core.calibration.part import FrozenModel
+from posor_estimator.core.calibration.quantity import ANY, Quantity, measured
 from posor_estimator.core.kernels import ring as kernel
 from posor_estimator.core.kernels.ring import ring_gap
 from posor_estimator.core.kernels.rows import RING
@@ -34,9 +36,9 @@ class RingSurfaceCalibration(FrozenModel):
     ``orders`` are the whole numbers k, ``cos`` and ``sin`` the amplitudes, one for each.
     """
 
-    bumps: Annotated[int, Field(ge=2, le=10_000)]
+    bumps: Annotated[int, Field(strict=True, ge=2, le=10_000)]
     mean_radius: Annotated[Quantity, measured("m")]
-    orders: Annotated[list[Annotated[int, Field(ge=1)]], Field(min_length=1)]
+    orders: Annotated[list[Annotated[int, Field(strict=True, ge=1)]], Field(min_length=1)]
     cos: Annotated[Quantity, measured("m", ANY)]
     sin: Annotated[Quantity, measured("m", ANY)]
 
@@ -44,14 +46,13 @@ class RingSurfaceCalibration(FrozenModel):
     def _consistent(self) -> Self:
         for name, amplitudes in (("cos", self.cos), ("sin", self.sin)):
             if amplitudes.array.size != len(self.orders):
-                msg = f"{name} has {amplitudes.array.size} amplitudes, expected {len(self.orders)}, one for each order"
-                raise ValueError(msg)
+                expected = f"{len(self.orders)}, one for each order"
+                raise EntryError(f"{name} has {amplitudes.array.size} amplitudes", key=(name,), expected=expected)
         if len(set(self.orders)) != len(self.orders):
-            msg = f"orders {self.orders} repeat, expected each order once"
-            raise ValueError(msg)
+            raise EntryError(f"orders {self.orders} repeat", key=("orders",), expected="each order once")
         if self.bumps not in self.orders:
-            msg = f"orders {self.orders}, expected {self.bumps} among them, the order of the bumps themselves"
-            raise ValueError(msg)
+            expected = f"{self.bumps} among them, the order of the bumps themselves"
+            raise EntryError(f"orders {self.orders}", key=("orders",), expected=expected)
         return self
 
 

@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from posor_estimator.core.calibration.quantity import FrozenModel, Quantity, measured
+from posor_estimator.core.calibration.entry import EntryError
+from posor_estimator.core.calibration.part import FrozenModel
+from posor_estimator.core.calibration.quantity import Quantity, check_unit_vector, measured
 from posor_estimator.core.fault import Fault
 from posor_estimator.core.kernels import diode as codes
 from posor_estimator.core.kernels import spot as kernel
@@ -35,13 +37,6 @@ _WRONG_SOURCES = -2
 _WRONG_SOURCE = -3  # and below: of diode (code - _WRONG_SOURCE)
 
 
-def _unit(name: str, quantity: Quantity) -> None:
-    length = float(np.linalg.norm(quantity.array))
-    if abs(length - 1.0) > 1e-6:  # noqa: PLR2004
-        msg = f"{name} {quantity.value} has length {length:.9g}, expected a unit vector"
-        raise ValueError(msg)
-
-
 class DiodeCalibration(FrozenModel):
     """One diode on the receiving plate R: its plane and axes, its noise, and what counts as light.
 
@@ -59,19 +54,20 @@ class DiodeCalibration(FrozenModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        _unit("x_axis", self.x_axis)
-        _unit("y_axis", self.y_axis)
+        check_unit_vector("x_axis", self.x_axis)
+        check_unit_vector("y_axis", self.y_axis)
         sine = float(np.linalg.norm(np.cross(self.x_axis.array, self.y_axis.array)))
         if sine < 0.5:  # noqa: PLR2004
-            msg = f"x_axis and y_axis are nearly parallel (sine {sine:.3g}), expected axes near a right angle"
-            raise ValueError(msg)
+            what = f"x_axis and y_axis are nearly parallel (sine {sine:.3g})"
+            raise EntryError(what, key=("x_axis",), expected="axes near a right angle")
         if not np.all(self.noise.array > 0.0):
-            msg = f"noise {self.noise.value}, expected more than 0"
-            raise ValueError(msg)
+            raise EntryError(f"noise {self.noise.value}", key=("noise",), expected="more than 0")
         least, greatest = self.sums
-        if not 0.0 < least < greatest:
-            msg = f"minimum_sum {least:g} A, maximum_sum {greatest:g} A, expected 0 < minimum_sum < maximum_sum"
-            raise ValueError(msg)
+        if not least > 0.0:
+            raise EntryError(f"minimum_sum {least:g} A", key=("minimum_sum",), expected="more than 0 A")
+        if not greatest > least:
+            expected = f"more than minimum_sum, {least:g} A"
+            raise EntryError(f"maximum_sum {greatest:g} A", key=("maximum_sum",), expected=expected)
         return self
 
     @property
@@ -89,7 +85,7 @@ class LightSourceCalibration(FrozenModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        _unit("direction", self.direction)
+        check_unit_vector("direction", self.direction)
         return self
 
 
@@ -106,11 +102,10 @@ class DiodesCalibration(SensorCalibration):
     def _consistent(self) -> Self:
         for name, maps in self.maps.items():
             if len(maps) != len(self.diodes):
-                msg = f"maps.{name} has {len(maps)} maps, expected {len(self.diodes)}, one for each diode"
-                raise ValueError(msg)
+                expected = f"{len(self.diodes)}, one for each diode"
+                raise EntryError(f"maps.{name} has {len(maps)} maps", key=("maps", name), expected=expected)
         if self.map not in self.maps:
-            msg = f"map '{self.map}', expected one of {', '.join(self.maps)}"
-            raise ValueError(msg)
+            raise EntryError(f"map '{self.map}'", key=("map",), expected=f"one of {', '.join(self.maps)}")
         return self
 
     def build(self) -> Diodes:

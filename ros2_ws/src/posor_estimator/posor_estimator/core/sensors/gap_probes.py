@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 import numpy as np
 from pydantic import Field
 
-from posor_estimator.core.calibration.quantity import FrozenModel, Quantity, measured
+from posor_estimator.core.calibration.part import FrozenModel
+from posor_estimator.core.calibration.quantity import Quantity, measured
 from posor_estimator.core.kernels import gap as kernel
 from posor_estimator.core.kernels.rows import GAP
 from posor_estimator.core.sensors.base import Batch, RowSensor, SensorCalibration

@@ -8,7 +8,9 @@ import numpy as np
 from numpy.polynomial import polynomial
 from pydantic import model_validator
 
-from posor_estimator.core.calibration.quantity import ANY, FrozenModel, Quantity, measured
+from posor_estimator.core.calibration.entry import EntryError
+from posor_estimator.core.calibration.part import FrozenModel
+from posor_estimator.core.calibration.quantity import ANY, Quantity, check_unit_vector, measured
 from posor_estimator.core.fault import Fault
 from posor_estimator.core.kernels import voltage
 from posor_estimator.errors import ScanError
@@ -55,23 +57,16 @@ class ProbeCalibration(FrozenModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        length = float(np.linalg.norm(self.axis.array))
-        if abs(length - 1.0) > 1e-6:  # noqa: PLR2004
-            msg = f"axis {self.axis.value} has length {length:.9g}, expected a unit vector"
-            raise ValueError(msg)
+        check_unit_vector("axis", self.axis)
         low, high = self.range.array
         if not low < high:
-            msg = f"range {self.range.value}, expected [lowest, highest] voltage"
-            raise ValueError(msg)
+            raise EntryError(f"range {self.range.value}", key=("range",), expected="[lowest, highest] voltage")
         slope = polynomial.polyval(np.linspace(low, high, 257), polynomial.polyder(self.volts_to_gap.array))
         if not (np.all(slope > 0.0) or np.all(slope < 0.0)):
-            msg = (
-                f"volts_to_gap is not monotonic over the range {self.range.value} V, expected one gap for each voltage"
-            )
-            raise ValueError(msg)
+            what = f"volts_to_gap is not monotonic over the range {self.range.value} V"
+            raise EntryError(what, key=("volts_to_gap",), expected="one gap for each voltage")
         if not self.noise.number > 0.0:
-            msg = f"noise {self.noise.value}, expected more than 0 V"
-            raise ValueError(msg)
+            raise EntryError(f"noise {self.noise.value}", key=("noise",), expected="more than 0 V")
         return self
 
 

@@ -9,9 +9,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
-from posor_estimator.core.calibration.quantity import ANY, FrozenModel, Quantity, measured
+from posor_estimator.core.calibration.choice import chosen_by
+from posor_estimator.core.calibration.entry import EntryError, shown
+from posor_estimator.core.calibration.part import FrozenModel
+from posor_estimator.core.calibration.quantity import ANY, Quantity, describe, measured
 from posor_estimator.core.kernels.spot_map import CHEBYSHEV, CURVES, POWER
 
 if TYPE_CHECKING:
@@ -26,8 +29,8 @@ class MapDomain(FrozenModel):
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if not np.all(self.domain.array[:, 0] < self.domain.array[:, 1]):
-            msg = f"domain {self.domain.value}, expected [lowest, highest] for each ratio"
-            raise ValueError(msg)
+            expected = "[lowest, highest] for each ratio"
+            raise EntryError(f"domain {self.domain.value}", key=("domain",), expected=expected)
         return self
 
 
@@ -46,12 +49,13 @@ class TensorMap(MapDomain):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.x.array.shape != self.y.array.shape:
-            msg = f"x has {self.x.array.shape} coefficients and y {self.y.array.shape}, expected the same shape"
-            raise ValueError(msg)
-        if (self.kind == "polynomial") != (self.center is not None):
-            msg = f"map of kind {self.kind} {'without' if self.center is None else 'with'} center, expected center for "
-            msg += "polynomial only; chebyshev takes the middle of its domain"
-            raise ValueError(msg)
+            expected = f"{describe(self.x.array.shape)}, as x has"
+            raise EntryError(f"y has {describe(self.y.array.shape)}", key=("y",), expected=expected)
+        if self.kind == "polynomial" and self.center is None:
+            raise EntryError("key 'center' is missing", expected="the ratios from which a polynomial counts")
+        if self.kind == "chebyshev" and self.center is not None:
+            what = "a chebyshev map has a center"
+            raise EntryError(what, key=("center",), expected="none: it takes the middle of its domain")
         return self
 
     @property
@@ -92,13 +96,15 @@ class CurvesMap(MapDomain):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.x_curves.array.shape != self.y_curves.array.shape:
-            msg = f"x_curves {self.x_curves.array.shape} and y_curves {self.y_curves.array.shape}, expected one shape"
-            raise ValueError(msg)
+            expected = f"{describe(self.x_curves.array.shape)}, as x_curves has"
+            raise EntryError(
+                f"y_curves has {describe(self.y_curves.array.shape)}", key=("y_curves",), expected=expected
+            )
         count = self.x_curves.array.shape[0]
         for name, at in (("x_curves_at", self.x_curves_at), ("y_curves_at", self.y_curves_at)):
             if at.array.size != count or count < 2 or not np.all(np.diff(at.array) > 0.0):  # noqa: PLR2004
-                msg = f"{name} {at.value}, expected {count} ascending positions, two or more, one for each curve"
-                raise ValueError(msg)
+                expected = f"{count} ascending positions, two or more, one for each curve"
+                raise EntryError(f"{name} {shown(at.value)}", key=(name,), expected=expected)
         return self
 
     @property
@@ -121,4 +127,7 @@ class CurvesMap(MapDomain):
         )
 
 
-SpotMap = Annotated[TensorMap | CurvesMap, Field(discriminator="kind")]
+SpotMap = Annotated[
+    TensorMap | CurvesMap,
+    chosen_by("kind", {"polynomial": TensorMap, "chebyshev": TensorMap, "curves": CurvesMap}),
+]
