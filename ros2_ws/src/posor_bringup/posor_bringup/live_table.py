@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 MICRON = 1e-6
 COLUMNS = ("alpha", "beta", "m.c.", "theta", "m.c.", "x", "m.c.", "y", "m.c.", "z", "m.c.")
-_LINES_AROUND = 7
+_LINES_AROUND = 8
 """Lines of a terminal that title, header, frame and legend take."""
 LEGEND = "alpha, beta, theta in urad, x, y, z of the endpoint in um, less step 1; m.c.: by the machining centre"
 
@@ -62,6 +62,7 @@ class LiveTable:
         """Begin to show."""
         if self._live is not None:
             self._live.start()
+            self._live.update(self._table([]), refresh=True)
         else:
             self._line(self._title)
             self._line(LEGEND)
