@@ -461,6 +461,36 @@ WRONG = {
         ("frames", "child"),
         "child 'posor_receiving' is the parent too; expected two frames",
     ),
+    "empty list": Wrong(
+        put([], *PROBE, "volts_to_gap", "value"),
+        (*PROBE, "volts_to_gap", "value"),
+        "the list is empty; expected at least one number",
+    ),
+    "number beyond all floats": Wrong(
+        put(10**309, *PROBE, "noise", "value"),
+        (*PROBE, "noise", "value"),
+        f"1{'0' * 17}...{'0' * 19} is not finite; expected finite numbers",
+    ),
+    "least current sum of zero": Wrong(
+        put(0.0, *DIODES, "diodes", 0, "minimum_sum", "value"),
+        (*DIODES, "diodes", 0, "minimum_sum"),
+        "minimum_sum 0 A; expected more than 0 A",
+    ),
+    "greatest current sum below the least": Wrong(
+        put({"value": 1e-6, "unit": "A"}, *DIODES, "diodes", 0, "maximum_sum"),
+        (*DIODES, "diodes", 0, "maximum_sum"),
+        "maximum_sum 1e-06 A; expected more than minimum_sum, 2e-05 A",
+    ),
+    "unknown kind of map": Wrong(
+        put("spline", *DIODES, "maps", "A", 0, "kind"),
+        (*DIODES, "maps", "A", 0, "kind"),
+        "kind 'spline'; expected one of 'chebyshev', 'curves', 'polynomial'",
+    ),
+    "session without a name": Wrong(
+        put({"note": "x"}, "sessions", ""),
+        ("sessions",),
+        "a session has no name; expected a name, by which it can be chosen",
+    ),
     "frame without a name": Wrong(
         put("", "frames", "parent"), ("frames", "parent"), "parent is empty; expected the name of a frame"
     ),
