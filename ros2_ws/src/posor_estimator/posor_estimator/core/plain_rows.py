@@ -1,7 +1,8 @@
 """Locate scans of a stack that holds sensors written in plain Python (``PlainSensor``).
 
 Their readings enter the compiled solver as affine rows: value and derivative at one pose. Expanding them again at each
-solution until it no longer moves makes that exact.
+solution until it no longer moves makes that exact. Only where the last pose must stand in for a direction that the
+readings do not show is the solution left at the expansion that showed so.
 """
 
 from __future__ import annotations
@@ -23,8 +24,10 @@ if TYPE_CHECKING:
     from posor_estimator.core.scan import Scans
     from posor_estimator.core.sensors.base import Batch
     from posor_estimator.core.stack import Stack
-    from posor_estimator.core.types import FloatArray
+    from posor_estimator.core.types import FloatArray, IntArray
 
+SETTLED = 1e-3 * TOLERANCE
+"""An expansion that moves the solution by less [m] is the last."""
 _TURNS = {GAP: 11, SPOT_X: 15, SPOT_Y: 15}
 """Where a row holds the extra turn of what is fixed in the target, see ``kernels.locate.solve_scan``."""
 
@@ -100,34 +103,26 @@ class PlainRows:
         settings[layout.LAGGING] = 0.0
         layout.start_from_memory(stamp, settings, memory, rotation, translation)
         start = pin.SE3(rotation, translation)
-        self.expand(rows, rotation, translation)
-        updated = locate_from(memory, self._systematic(scans, n, rotation, translation))
-        if out.faults[n] & Fault.ILL_CONDITIONED and out.states[n] != State.LOST:
-            # The last pose stands in for what is not seen: solve from there once more, expanded where that has led to.
-            self.expand(rows, rotation, translation)
-            gone = pin.log6(start.actInv(pin.SE3(rotation, translation))).vector
-            affine = np.flatnonzero(kinds[: len(chosen)] == AFFINE)
-            rows[affine, 0] -= rows[affine, 1:7] @ gone
-            systematic = self._systematic(scans, n, rotation, translation)
-            rotation[:, :], translation[:] = start.rotation, start.translation
-            memory[:] = locate_from(memory, systematic)
-            return
-        # What the kernel has said of the way from the start is not seen from further on.
-        count_fault = out.faults[n] & Fault.COUNT
-        begin = _further_on(memory, settings, count_fault, start.rotation, rotation)
-        for _ in range(ITERATIONS):
-            before = rotation.copy(), translation.copy()
+        begin, count_fault = memory, 0
+        for attempt in range(ITERATIONS):
+            before = pin.SE3(rotation, translation)
             self.expand(rows, rotation, translation)
             if lagging:
-                turn = layout.wrapped(memory[layout.THETA] - layout.theta_of(rotation))
-                for r in range(len(chosen)):
-                    if kinds[r] in _TURNS:
-                        rows[r, _TURNS[kinds[r]]] = turn
-            updated = locate_from(begin, self._systematic(scans, n, rotation, translation))
-            moved = max(
-                float(np.max(np.abs(translation - before[1]))), LENGTH * float(np.max(np.abs(rotation - before[0])))
-            )
-            if not moved > TOLERANCE * 1e-3:
+                _turn_tilts(kinds, rows, layout.wrapped(memory[layout.THETA] - layout.theta_of(rotation)))
+            systematic = self._systematic(scans, n, rotation, translation)
+            updated = locate_from(begin, systematic)
+            if attempt == 0:
+                # What the kernel has said of the way from the start is not seen from further on.
+                count_fault = int(out.faults[n] & Fault.COUNT)
+                begin = _further_on(memory, settings, count_fault, start.rotation, rotation)
+            elif out.faults[n] & Fault.ILL_CONDITIONED and out.states[n] != State.LOST:
+                # The last pose stands in for what is not seen. It holds the pose to where the kernel starts: start it
+                # where the scan did, with the affine rows moved back there along the tangent.
+                affine = np.flatnonzero(kinds[: len(chosen)] == AFFINE)
+                rows[affine, 0] -= rows[affine, 1:7] @ pin.log6(start.actInv(before)).vector
+                rotation[:, :], translation[:] = start.rotation, start.translation
+                updated = locate_from(begin, systematic)
+            if out.faults[n] & Fault.ILL_CONDITIONED or _distance(before, rotation, translation) < SETTLED:
                 break
         else:
             out.states[n], out.faults[n] = State.LOST, Fault.NOT_CONVERGED
@@ -147,6 +142,19 @@ class PlainRows:
             rows = slice(first, first + len(pushed))
             out[rows, rows] = pushed @ pushed.T
         return out
+
+
+def _turn_tilts(kinds: IntArray, rows: FloatArray, turn: float) -> None:
+    """Turn what is fixed in the target by an angle [rad] about its Z, as ``kernels.locate.solve_scan`` does."""
+    for kind, column in _TURNS.items():
+        for r in np.flatnonzero(kinds == kind):
+            rows[r, column] = turn
+
+
+def _distance(before: pin.SE3, rotation: FloatArray, translation: FloatArray) -> float:
+    """Return how far a pose has moved [m], a turn by its arc at the solver's lever."""
+    turned = LENGTH * np.max(np.abs(rotation - before.rotation))
+    return float(max(np.max(np.abs(translation - before.translation)), turned))
 
 
 def _further_on(
