@@ -139,6 +139,35 @@ def test_a_replay_that_starts_over_is_not_joined_with_its_past(joiner: ScanJoine
     }
 
 
+def test_items_of_the_round_before_are_never_joined_with_those_of_the_next(joiner: ScanJoiner[str]) -> None:
+    """The wrist has started over and is ahead again; the others' last items of the old round have its stamps."""
+
+    def second(joint: str, stamp: int) -> dict[str, str] | None:
+        return joiner.add(joint, stamp, f"{joint} at {stamp} of the second round")
+
+    for stamp in (100, 200):
+        for joint in JOINTS:
+            add(joiner, joint, stamp)
+    for stamp in (100, 200, 300):
+        assert second("wrist", stamp) is None
+    for joint in ("shoulder", "elbow"):
+        assert add(joiner, joint, 300) is None
+    for stamp in (100, 200, 300):
+        second("shoulder", stamp)
+        assert second("elbow", stamp) == {joint: f"{joint} at {stamp} of the second round" for joint in JOINTS}
+
+
+def test_a_joint_that_was_silent_while_the_others_started_over_is_taken_back(joiner: ScanJoiner[str]) -> None:
+    for stamp in range(1, 10):
+        for joint in JOINTS:
+            add(joiner, joint, stamp)
+    for stamp in range(1, 20):
+        add(joiner, "shoulder", stamp)
+        add(joiner, "elbow", stamp)
+    scans = [add(joiner, joint, stamp) for stamp in range(20, 20 + 2 * MOST_OPEN) for joint in JOINTS]
+    assert scans[-1] == whole(19 + 2 * MOST_OPEN)
+
+
 def test_no_more_than_so_many_scans_are_open(joiner: ScanJoiner[str]) -> None:
     """A joint that is off must not make the memory grow; each scan is given up with its name."""
     for stamp in range(1, MOST_OPEN + 1):
