@@ -244,7 +244,7 @@ class Linearised:
 
 
 class PlainSensor(Sensor):
-    """A sensor written in plain Python: the way for a new type. Slower than rows by a factor of some tens."""
+    """A sensor written in plain Python: the way for a new type. It costs Python calls, several times in every scan."""
 
     @abstractmethod
     def read(self, scan: Scan) -> Linearised:

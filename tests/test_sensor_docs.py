@@ -1,0 +1,84 @@
+"""docs/sensors.md and docs/adding_a_sensor.md: what they show is what the code takes and what the files hold."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from textwrap import dedent
+
+import numpy as np
+import pytest
+import yaml
+from posor_estimator.core.calibration.model import calibration_from
+from posor_estimator.core.sensors.bumpy_ring import BumpyRing
+from posor_estimator.core.sensors.registry import sensor_types
+from posor_estimator.core.stack import Stack
+
+ROOT = Path(__file__).resolve().parents[1]
+SENSORS = (ROOT / "docs" / "sensors.md").read_text(encoding="utf-8")
+ADDING = (ROOT / "docs" / "adding_a_sensor.md").read_text(encoding="utf-8")
+EXAMPLE = ROOT / "examples" / "posor_draw_wire"
+
+
+def blocks(text: str, language: str) -> list[str]:
+    """Return the code blocks of a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+
+
+def stack_of(block: str, **changes: object) -> Stack:
+    [sensor] = yaml.safe_load(block)
+    calibration = calibration_from(
+        {
+            "format": "posor_calibration",
+            "version": 1,
+            "name": "docs",
+            "provenance": {"source": "docs/sensors.md", "method": "example", "date": "none"},
+            "frames": {"parent": "receiving", "child": "target"},
+            "sensors": [{**sensor, **changes}],
+        }
+    )
+    return Stack([part.build() for part in calibration.sensors])
+
+
+def test_every_type_of_ours_has_its_example() -> None:
+    shown = [yaml.safe_load(block)[0]["type"] for block in blocks(SENSORS, "yaml")]
+    ours = [name for name, found in sensor_types().items() if found.__module__.startswith("posor_estimator.")]
+    assert sorted(shown) == sorted(ours)
+    for name in shown:
+        assert f": `{name}`\n" in SENSORS  # the heading
+
+
+@pytest.mark.parametrize("block", blocks(SENSORS, "yaml"), ids=["gap_probes", "diodes", "bumpy_ring"])
+def test_the_examples_are_calibrations(block: str) -> None:
+    assert stack_of(block).readings >= 1
+
+
+@pytest.mark.parametrize("kind", ["factory", "local", "of_1985"])
+def test_every_set_of_maps_of_the_example_works(kind: str) -> None:
+    [sensor] = stack_of(blocks(SENSORS, "yaml")[1], map=kind).sensors
+    assert sensor.reading_names == ("spot x diode_1", "spot y diode_1")
+
+
+def test_the_four_probes_of_the_example_see_alike_at_every_phase() -> None:
+    [ring] = stack_of(blocks(SENSORS, "yaml")[2]).sensors
+    assert isinstance(ring, BumpyRing)
+    seen = ring.observability(np.linspace(0.0, 2.0 * np.pi, 73))
+    assert seen.min() > 0.8 * seen.max()
+
+
+def test_excerpts_are_the_example_itself() -> None:
+    shown = blocks(ADDING, "python")
+    assert len(shown) == 3
+    files = [path.read_text(encoding="utf-8") for path in sorted(EXAMPLE.rglob("*.py"))]
+    for excerpt in shown:
+        assert any(excerpt in text for text in files), dedent(excerpt)
+
+
+def test_what_the_docs_name_is_there() -> None:
+    places = [ROOT, ROOT / "ros2_ws/src/posor_estimator", ROOT / "ros2_ws/src/posor_estimator/posor_estimator"]
+    places += [places[-1] / "core", places[-1] / "core" / "sensors"]
+    names = re.findall(r"`([\w./]+\.py|[\w]+/[\w./]+)`", ADDING)
+    assert len(names) > 5
+    for name in names:
+        if name != "posor_msgs/RawScan":
+            assert any((place / name).exists() for place in [*places, EXAMPLE]), name
