@@ -210,6 +210,21 @@ def test_relative_to_home_is_in_the_axes_of_the_endpoint_at_home() -> None:
     np.testing.assert_allclose(relative.covariance, expected, rtol=0.0, atol=1e-14)
 
 
+def test_relative_covariance_is_that_along_the_axes_at_home() -> None:
+    """Home's X axis heads 30 degrees from base's X toward Y, where the errors along X and Y help each other."""
+    heading = math.radians(30.0)
+    home = Endpoint(pin.SE3(pin.utils.rotate("z", heading), np.zeros(3)), np.eye(6))
+    covariance = np.diag([1.0, 4.0, 9.0, 1.0, 4.0, 9.0])
+    for first in (0, 3):
+        covariance[first, first + 1] = covariance[first + 1, first] = 1.5
+    relative = Endpoint(home.T_base_endpoint, covariance).relative_to(home)
+    along = np.array([math.cos(heading), math.sin(heading)])
+    for first in (0, 3):
+        block = covariance[first : first + 2, first : first + 2]
+        assert relative.covariance[first, first] == pytest.approx(along @ block @ along, rel=1e-14)
+    assert relative.covariance[0, 0] == pytest.approx(0.75 + 1.0 + 1.5 * math.sqrt(0.75), rel=1e-14)
+
+
 def test_relative_to_itself_is_the_identity(
     chain: Chain, transforms: list[pin.SE3], covariances: list[FloatArray]
 ) -> None:
