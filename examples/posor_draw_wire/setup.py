@@ -5,6 +5,7 @@ from __future__ import annotations
 from setuptools import setup
 
 PACKAGE = "posor_draw_wire"
+ENTRY_POINTS = {"posor_estimator.sensors": ["draw_wire = posor_draw_wire.draw_wire:DrawWireCalibration"]}
 
 setup(
     name=PACKAGE,
@@ -23,9 +24,5 @@ setup(
     python_requires=">=3.11",
     install_requires=["setuptools"],
     zip_safe=False,
-    entry_points={
-        "posor_estimator.sensors": [
-            "draw_wire = posor_draw_wire.draw_wire:DrawWireCalibration",
-        ],
-    },
+    entry_points=ENTRY_POINTS,
 )
