@@ -92,11 +92,11 @@ def test_interruption_ends_the_tests_at_work(tmp_path: Path, number: signal.Sign
             @pytest.fixture
             def told():
                 fifo = open("{fifo}", "w")
-                print("begun", file=fifo, flush=True)
-                yield
+                yield fifo
                 print("cleaned up", file=fifo, flush=True)
 
             def test_endless(told):
+                print("begun", file=told, flush=True)  # from here, so that the signal does not meet pytest's own work
                 while True:
                     signal.pause()
         """,

@@ -107,6 +107,11 @@ class Chain:
         self.joints = tuple(self._posor_joint(index, source) for index in range(1, self._model.njoints))
         if not self.joints:
             raise ChainError("has no POSOR joint", where=source, expected="at least one joint of type 'floating'")
+        if self._model.frames[self._endpoint].parentJoint == 0:
+            moved = [name for joint in self.joints for name in self._links(joint.index)]
+            raise ChainError(
+                f"no POSOR joint moves link '{endpoint_frame}'", where=source, expected=f"one of {', '.join(moved)}"
+            )
 
     def _all_links(self) -> list[str]:
         return [frame.name for frame in self._model.frames if frame.type == pin.FrameType.BODY]

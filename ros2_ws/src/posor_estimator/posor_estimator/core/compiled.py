@@ -30,6 +30,8 @@ def _cache_folder() -> str:
     for file in sorted([Path(__file__).resolve(), *(_HERE / "kernels").glob("*.py")]):
         digest.update(file.read_bytes())
     name = f"posor-kernels-{digest.hexdigest()[:16]}"
+    if chosen := os.environ.get("NUMBA_CACHE_DIR"):
+        return str(Path(chosen) / name)
     beside = _HERE / "kernels" / "__pycache__"
     if os.access(beside if beside.exists() else beside.parent, os.W_OK):
         return str(beside / name)
@@ -44,8 +46,7 @@ def _numba_njit() -> Any | None:
         from numba import config, njit  # noqa: PLC0415  optional, and slow to import
     except ImportError:
         return None
-    if "NUMBA_CACHE_DIR" not in os.environ:
-        vars(config)["CACHE_DIR"] = _cache_folder()  # numba makes the attributes of this module at run time
+    vars(config)["CACHE_DIR"] = _cache_folder()  # numba makes the attributes of this module at run time
     return njit
 
 

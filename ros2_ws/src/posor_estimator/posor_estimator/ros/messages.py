@@ -105,7 +105,10 @@ def why_unusable(message: JointTransform) -> str:
     The numbers are looked at whatever the state says of them: a pose that is none must not go on.
     """
     if message.state not in (State.OK, State.DEGRADED):
-        return f"is {State(message.state).name.lower()} ({Fault(message.faults).name})"
+        known = {int(state): state.name.lower() for state in State}
+        if message.state not in known:
+            return f"has the unknown state {message.state}"
+        return f"is {known[message.state]} ({Fault(message.faults).name or f'unknown faults {message.faults}'})"
     p, q = message.pose.position, message.pose.orientation
     if not np.isfinite([p.x, p.y, p.z, q.x, q.y, q.z, q.w]).all():
         return "has a pose that is not finite"

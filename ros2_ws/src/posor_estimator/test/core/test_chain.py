@@ -303,3 +303,8 @@ def test_the_refusal_of_a_robot_description_says_what_is_wrong_in_it(
     urdf, culprit = WRONG_DESCRIPTIONS[case]
     assert culprit in refusal(urdf)
     assert capfd.readouterr() == ("", "")
+
+
+def test_an_endpoint_that_no_joint_moves_is_refused() -> None:
+    with pytest.raises(ChainError, match=r"no POSOR joint moves link 'base'; expected one of .*tip"):
+        Chain(ONE_JOINT, "base")

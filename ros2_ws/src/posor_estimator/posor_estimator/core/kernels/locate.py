@@ -32,7 +32,7 @@ from posor_estimator.core.kernels.memory import (
 )
 from posor_estimator.core.kernels.motion import moved_too_far, prior_rows
 from posor_estimator.core.kernels.rows import GAP, SPOT_X, SPOT_Y
-from posor_estimator.core.kernels.solve import CONVERGED, ILL_CONDITIONED, gauss_newton
+from posor_estimator.core.kernels.solve import CONVERGED, ILL_CONDITIONED, ITERATIONS, NOT_CONVERGED, gauss_newton
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray, IntArray
@@ -68,7 +68,7 @@ def solve_scan(
     """Solve one scan; where ``lag_from`` is a number, with the tilts turned as at that theta (``TiltAngle``)."""
     moved = np.empty(6)
     turn = 0.0
-    while True:
+    for _ in range(ITERATIONS):
         outcome = gauss_newton(
             kinds, rows, values, weights, rotation, translation, jacobian, residuals, moved, least_share
         )
@@ -83,6 +83,7 @@ def solve_scan(
                 rows[r, 11] = turn
             elif kinds[r] in (SPOT_X, SPOT_Y):
                 rows[r, 15] = turn
+    return NOT_CONVERGED
 
 
 @compiled
