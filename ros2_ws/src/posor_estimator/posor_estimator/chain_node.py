@@ -65,6 +65,8 @@ class ChainNode(PosorNode[ChainParameters]):
         super().__init__(**options)
         self._status = self.diagnostics.add("endpoint")
         self._listeners = Listeners(self)
+        self._transform_subscriptions: list[Any] = []
+        self.diagnostics.before_each(self._report_unmeasured)
 
     def configure(self) -> None:
         """Read the URDF and open the topics."""
@@ -98,10 +100,18 @@ class ChainNode(PosorNode[ChainParameters]):
         """Close the topics and forget the chain."""
         for subscription in self._transform_subscriptions:
             self.destroy_subscription(subscription)
+        self._transform_subscriptions = []
         for publisher in (self._pose_publisher, self._covariance_publisher, self._joint_publisher):
             self.destroy_lifecycle_publisher(publisher)
         self.destroy_service(self._home_service)
         del self._chain, self._joiner
+
+    def _report_unmeasured(self) -> None:
+        """Say which joints nobody measures, once a second."""
+        topics = [subscription.topic_name for subscription in self._transform_subscriptions]
+        silent = [topic for topic in topics if not self.count_publishers(topic)]
+        if silent:
+            self._say_no(f"nobody publishes {', '.join(silent)}")
 
     def _take(self, joint: PosorJoint, message: JointTransform) -> None:
         if not self._pose_publisher.is_activated:

@@ -593,3 +593,12 @@ def test_set_home_is_refused_where_poses_are_absolute() -> None:
         success, message = call_set_home(graph)
         assert not success
         assert message == "reference is 'absolute'; start the node with reference:=home to publish relative poses"
+
+
+def test_a_joint_that_nobody_measures_is_named_with_the_time_since(two_joints: str) -> None:
+    with chain_node(urdf=two_joints, endpoint_frame="t2", **LOSSLESS), Graph() as graph:
+        arm = Arm(graph)
+        arm.joint("shoulder")
+        arm.wait_for_no("no pose: nobody publishes /elbow/transform")
+        status = next(s for s in graph.diagnostics if s.message == "no pose: nobody publishes /elbow/transform")
+        assert float(values_of(status)["since"]) > 0.0

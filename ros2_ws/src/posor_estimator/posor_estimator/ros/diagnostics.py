@@ -35,22 +35,27 @@ Value = str | bool | int | float
 class Status:
     """One line of the diagnostics: level, message and values. May be set from any thread."""
 
-    def __init__(self, name: str, publish: Callable[[], None], lock: RLock) -> None:
+    def __init__(self, name: str, publish: Callable[[], None], now_s: Callable[[], float], lock: RLock) -> None:
         self.name = name
         self.level = Level.STALE
         self.message = "no report yet"
         self._values: dict[str, Value] = {}
         self._publish = publish
+        self._now_s = now_s
         self._lock = lock
 
     def report(self, level: Level, message: str, values: Mapping[str, Value] | None = None) -> None:
-        """Set level and message, update ``values``; published at once when level or message are new."""
+        """Set level and message, update ``values``; published at once when level or message are new.
+
+        The value ``since`` is the ROS time [s] from which the present level and message hold.
+        """
         with self._lock:
             changed = (level, message) != (self.level, self.message)
             self.level, self.message = level, message
             if values:
                 self._values.update(values)
             if changed:
+                self._values["since"] = f"{self._now_s():.3f}"
                 self._publish()
 
     def update(self, values: Mapping[str, Value]) -> None:
@@ -100,7 +105,7 @@ class Diagnostics:
     def add(self, name: str) -> Status:
         """Add a status line; it is published once it has been reported."""
         with self._lock:
-            status = Status(name, self._publish, self._lock)
+            status = Status(name, self._publish, self._now_s, self._lock)
             self._statuses.append(status)
         return status
 
@@ -112,6 +117,9 @@ class Diagnostics:
         for refresh in self._refreshers:
             refresh()
         self._publish()
+
+    def _now_s(self) -> float:
+        return float(self._node.get_clock().now().nanoseconds) * 1e-9
 
     def _publish(self) -> None:
         with self._lock:

@@ -19,7 +19,8 @@ def test_a_node_tells_who_listens_as_they_come_and_go() -> None:
     with Graph() as graph, Program(chain) as node:
         graph.watch_diagnostics()
         nobody = graph.wait_for_status(name, "subscriptions: endpoint/pose 0")
-        assert values_of(nobody) == {"endpoint/pose": "0", "endpoint/pose_with_covariance": "0", "joint_states": "0"}
+        counts = {name: value for name, value in values_of(nobody).items() if name != "since"}
+        assert counts == {"endpoint/pose": "0", "endpoint/pose_with_covariance": "0", "joint_states": "0"}
         subscriptions = [graph.node.create_subscription(PoseStamped, "endpoint/pose", print, 10) for _ in range(2)]
         assert values_of(graph.wait_for_status(name, "endpoint/pose 2"))["joint_states"] == "0"
         graph.node.destroy_subscription(subscriptions[0])
