@@ -1,7 +1,7 @@
 # POSOR for ROS 2. Every target sets the workspace up first; a set-up that is up to date costs a fraction of a second.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test accuracy bench-core lint lock clean
+.PHONY: help setup demo test accuracy bench-core data lint lock clean
 
 BAG ?= ymo
 CAL ?= printed
@@ -12,6 +12,7 @@ help:
 	@echo "make test [TESTS='path ...']                           lint, type check and all tests (or only those of TESTS)"
 	@echo "make accuracy                                          closure, consistency and fault detection of the estimator"
 	@echo "make bench-core                                        speed of the estimator's core"
+	@echo "make data                                              make bags and calibrations again from the 1985 tables"
 	@echo "make lint                                              ruff and mypy only"
 	@echo "make setup                                             virtual environment, ROS 2 Jazzy, colcon build"
 	@echo "make lock                                              renew the exact versions in requirements/*.txt"
@@ -33,6 +34,10 @@ accuracy:
 
 bench-core:
 	@./run posor_estimator bench_core --output build/bench_core.json
+
+data: setup
+	@.venv/bin/python -E tools/in_workspace.py data/slocum1985/make_calibrations.py
+	@.venv/bin/python -E tools/in_workspace.py bags/make_bags.py
 
 lint: setup
 	@.venv/bin/python -I -m ruff check

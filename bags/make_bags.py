@@ -1,19 +1,22 @@
 """Make the bags of the 1985 tests YMO, YZMO and ZMO from the recorded tables.
 
-Run it in the workspace's environment: ``python bags/make_bags.py [OUTPUT_FOLDER]``. Existing bags are replaced. The
-scans come from the driver's own source ``table``, the bags from the recorder's own writer; the same bytes on every run.
+``make data`` runs it, in the workspace's environment; with an argument it makes the bags in that folder. Existing bags
+are replaced, each only once the new one is whole. The scans come from the driver's own source ``table``, the bags from
+the recorder's own writer; the same bytes on every run.
 """
 
 from __future__ import annotations
 
 import shutil
 import sys
+import tempfile
 from pathlib import Path
 
 from posor_drivers.bag_writer import BagWriter
 from posor_drivers.message_types import MessageTypes
 from posor_drivers.offered_qos import kept_in_bag
 from posor_drivers.sources.table import TableParameters, TableSource
+from posor_estimator.errors import PosorError
 from posor_estimator.ros.parameters import NodeParameters
 from posor_estimator.ros.qos import RAW_TOPIC, RELIABLE_QOS, sensor_qos
 
@@ -41,13 +44,20 @@ def make_bag(table: Path, bag: Path) -> None:
 
 def main(folder: Path) -> None:
     """Make all bags in ``folder``."""
+    folder.mkdir(parents=True, exist_ok=True)
     for test in TESTS:
         bag = folder / test
-        if bag.exists():
-            shutil.rmtree(bag)
-        make_bag(TABLES / f"{test}_input.csv", bag)
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".making-") as making:
+            made = Path(making) / test
+            make_bag(TABLES / f"{test}_input.csv", made)
+            if bag.exists():
+                shutil.rmtree(bag)
+            made.rename(bag)
         print(f"made {bag}")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else HERE)
+    try:
+        main(Path(sys.argv[1]) if len(sys.argv) > 1 else HERE)
+    except PosorError as complaint:
+        sys.exit(str(complaint))

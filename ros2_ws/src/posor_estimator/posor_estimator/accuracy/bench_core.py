@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from posor_estimator.accuracy.poses import STACKS, TICK_NS
-from posor_estimator.accuracy.report import write_json
+from posor_estimator.accuracy.report import writable, write_json
 from posor_estimator.core.compiled import COMPILING
 from posor_estimator.core.designs import DesignName, design
 from posor_estimator.core.fault import State
@@ -27,6 +27,7 @@ from posor_estimator.core.forward import scans_at
 from posor_estimator.core.native import rotation_from_native
 from posor_estimator.core.posor import Posor
 from posor_estimator.core.scan import Scans
+from posor_estimator.errors import PosorError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -75,10 +76,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="bench_core", description=str(__doc__).splitlines()[0])
     parser.add_argument("--output", type=Path, default=Path("build/bench_core.json"), help="JSON file to write")
     options = parser.parse_args(arguments)
+    try:
+        writable(options.output)
+    except PosorError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
     figures = {stack: bench(stack, 2_000, 20_000) for stack in STACKS}
     title = f"Speed of the core, kernels {'compiled' if COMPILING else 'not compiled'}; medians of {ROUNDS} rounds"
     table = Table(title=title, title_justify="left")
-    for column in ("stack", "one scan [us]", "floor: conversion only [us]", "together [scans/s]"):
+    for column in ("stack", "one scan, us", "floor: conversion only, us", "together, scans/s"):
         table.add_column(column)
     for stack, row in figures.items():
         table.add_row(stack, f"{row['scalar_us']:.1f}", f"{row['scalar_floor_us']:.1f}", f"{row['scans_per_s']:,.0f}")

@@ -70,6 +70,10 @@ def read_cases(path: Path, stack: StackName) -> Iterator[Case]:
             raise DataFileError(f"is not JSON: {error.msg}", where=where, expected="one case") from error
         except KeyError as error:
             raise DataFileError(f"key {error} is missing", where=where) from error
+        except (TypeError, ValueError, IndexError, AttributeError) as error:
+            raise DataFileError(f"is not a case: {error}", where=where, expected="one ray-traced case") from error
+    if not lines:
+        raise DataFileError("holds no case", where=str(path), expected="one JSON case to a line")
 
 
 def _quantity(value: object, unit: str) -> dict[str, object]:
