@@ -24,9 +24,10 @@ SEED = 1985
 WHY = """\
 Why: seven readings for six freedoms leave one contradiction that can show, the distance between the spots or the
 two pairs of ring probes. A shift that only looks like another pose is seen by its jump alone: slower drift than
-the limits of motion, and any shift before the first scan, cannot be told from motion. False alarms are rarer than the 0.1 % that the chi-square test allows, since its limit leaves
-room for the calibration's uncertainty, which these runs do without. The missed bump is a gap of 100 scans in a turn at
-2 rad/s: the count is put in doubt because it may have been lost, whether or not it was."""
+the limits of motion, and any shift before the first scan, cannot be told from motion.
+False alarms are rarer than the 0.1 % that the chi-square test allows, since its limit leaves room for the
+calibration's uncertainty, which these runs do without. The missed bump is a gap of 100 scans in a turn at 2 rad/s:
+the count is put in doubt because it may have been lost, whether or not it was."""
 
 Report = dict[str, dict[str, dict[str, float]]]
 
