@@ -17,7 +17,8 @@ from pydantic import Field
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from posor_estimator.core.chain import Chain, Endpoint, PosorJoint
+from posor_estimator.core.chain import Chain, Endpoint
+from posor_estimator.core.robot_model import FreeJoint
 from posor_estimator.core.fault import State
 from posor_estimator.core.joining import ScanJoiner
 from posor_estimator.errors import ChainError
@@ -113,7 +114,7 @@ class ChainNode(PosorNode[ChainParameters]):
         if silent:
             self._say_no(f"nobody publishes {', '.join(silent)}")
 
-    def _take(self, joint: PosorJoint, message: JointTransform) -> None:
+    def _take(self, joint: FreeJoint, message: JointTransform) -> None:
         if not self._pose_publisher.is_activated:
             return
         named = (message.header.frame_id, message.child_frame_id)

@@ -1,8 +1,8 @@
-"""Read a calibration file; every complaint names the file, the line and the key."""
+"""Read a calibration file, or another file of its manner; every complaint names the file, the line and the key."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from pydantic import ValidationError
 
@@ -14,11 +14,35 @@ from posor_estimator.core.calibration.strict_yaml import read_yaml
 from posor_estimator.errors import CalibrationError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
+    from typing import Any
+
+Document = TypeVar("Document")
 
 
 def load_calibration(path: Path) -> Calibration:
     """Read and validate a calibration file (YAML, SI).
+
+    Raises:
+        CalibrationError: The file cannot be read, is not YAML, or says something that cannot be.
+
+    """
+    keys = "format, version, name, provenance, frames, sensors"
+    return load_document(path, "calibration file", keys, VERSION, calibration_from)
+
+
+def load_document(
+    path: Path, kind: str, keys: str, version: int, validate: Callable[[dict[str, Any]], Document]
+) -> Document:
+    """Read a YAML file that states its version, and validate what it says.
+
+    Args:
+        path: The file.
+        kind: What to call it in complaints, such as ``calibration file``.
+        keys: The keys that it must have, in words.
+        version: The version of its format that is understood.
+        validate: Makes the document of its content; raises pydantic's ValidationError.
 
     Raises:
         CalibrationError: The file cannot be read, is not YAML, or says something that cannot be.
@@ -29,21 +53,19 @@ def load_calibration(path: Path) -> Calibration:
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise CalibrationError(
-            f"cannot be read: {reason}", where=f"calibration file {path}", expected="a YAML calibration file"
+            f"cannot be read: {reason}", where=f"{kind} {path}", expected=f"a YAML {kind}"
         ) from error
     source = str(path)
     root, content = read_yaml(text, source)
     if not isinstance(content, dict):
-        raise CalibrationError(
-            "is not a mapping", where=f"{path}, line 1", expected="format, version, name, provenance, frames, sensors"
-        )
-    version = content.get("version")
+        raise CalibrationError("is not a mapping", where=f"{path}, line 1", expected=keys)
+    said = content.get("version")
     # Of the same type too: True and 1.0 are equal to 1.
-    if type(version) is not int or version != VERSION:
-        what = f"version {shown(version)}" if "version" in content else "key 'version' is missing"
-        raise CalibrationError(what, where=place(source, root, ("version",)), expected=str(VERSION))
+    if type(said) is not int or said != version:
+        what = f"version {shown(said)}" if "version" in content else "key 'version' is missing"
+        raise CalibrationError(what, where=place(source, root, ("version",)), expected=str(version))
     try:
-        return calibration_from(content)
+        return validate(content)
     except ValidationError as error:
         complaint = first_complaint(error)
         where = place(source, root, complaint.location)

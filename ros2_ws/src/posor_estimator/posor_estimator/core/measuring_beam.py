@@ -1,0 +1,103 @@
+"""A measuring beam: the unloaded bar between two POSORs, and how it sags on its gimbals.
+
+The beam carries nothing but its own weight and the plates of the POSORs at its ends, so its sag follows from its
+section and from the direction of gravity, and can be corrected (thesis 6.2.2, 9.3.2). Sag is linear in the specific
+force (gravity minus acceleration), of which only the part across the beam bends it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+
+from posor_estimator.core.beam import PointForce, Tube, on_gimbals
+from posor_estimator.errors import ChainError
+
+if TYPE_CHECKING:
+    from posor_estimator.core.beams_file import BeamFile, SagFile
+    from posor_estimator.core.types import FloatArray
+
+
+class MeasuringBeam:
+    """One beam, from the frame at its start to that at its end.
+
+    Attributes:
+        name: The URDF's fixed joint.
+        T_start_end: The beam when it does not sag.
+        covariance: (6, 6) of x, y, z [m], about X, Y, Z [rad] of the end, axes of the start, the small turn applied on
+            the start's side at the end's origin.
+        sag_sigma: Standard uncertainty of the sag, relative to the sag.
+        start_gain: (6, 3): translation [m] and rotation vector [rad] of the plate at the start, axes of the start, for
+            a specific force [m/s^2] in the same axes, counted from the line through the gimbals.
+        end_gain: (6, 3): the same of the plate at the end.
+
+    """
+
+    def __init__(self, said: BeamFile, T_start_end: pin.SE3, source: str) -> None:
+        """Make the beam of a beams file and of its place in the URDF.
+
+        Args:
+            said: The beam's entry of the beams file.
+            T_start_end: Origin of its fixed joint.
+            source: What to call the beams file in complaints.
+
+        Raises:
+            ChainError: The beam has no length although it sags, or gimbals or plates beyond its ends.
+
+        """
+        self.name = said.joint
+        self.T_start_end = T_start_end
+        sigmas = np.concatenate([said.uncertainty.position.array, said.uncertainty.orientation.array])
+        self.covariance: FloatArray = np.diag(np.square(sigmas))
+        self.start_gain: FloatArray = np.zeros((6, 3))
+        self.end_gain: FloatArray = np.zeros((6, 3))
+        self.sag_sigma = 0.0
+        if said.sag is not None:
+            self.sag_sigma = said.sag.uncertainty.number
+            self._bend(said.sag, f"{source}, beam '{said.joint}'")
+
+    def _bend(self, sag: SagFile, where: str) -> None:
+        length = float(np.linalg.norm(self.T_start_end.translation))
+        near, far = (float(at) for at in sag.gimbals.array)
+        places = {"gimbal at": (near, far), **{f"plate '{plate.name}' at": (plate.at.number,) for plate in sag.plates}}
+        for what, distances in places.items():
+            for at in distances:
+                if not 0.0 <= at <= length:
+                    raise ChainError(f"{what} {at:g} m", where=where, expected=f"0 to {length:g} m, the beam's length")
+        tube = Tube(
+            sag.tube.outer_diameter.number,
+            sag.tube.inner_diameter.number,
+            sag.tube.modulus.number,
+            sag.tube.density.number,
+        )
+        masses = [PointForce(plate.at.number, plate.mass.number) for plate in sag.plates]
+        # With masses for forces, the shape is that of a specific force of 1 m/s^2.
+        bent = on_gimbals(length, tube.bending_stiffness, tube.mass_per_length, masses, (near, far))
+        along = self.T_start_end.translation / length
+        across = np.eye(3) - np.outer(along, along)
+        for x, gain in ((0.0, self.start_gain), (length, self.end_gain)):
+            gain[:3] = bent.deflection(x) * across
+            gain[3:] = bent.slope(x) * pin.skew(along) @ across
+
+    def T_under(self, force: FloatArray) -> pin.SE3:
+        """Return start plate to end plate under a specific force [m/s^2], (3,), axes of the start."""
+        return _moved(pin.SE3.Identity(), self.start_gain @ force).inverse() * _moved(
+            self.T_start_end, self.end_gain @ force
+        )
+
+    def covariance_under(self, force: FloatArray) -> FloatArray:
+        """Return the covariance of ``T_under``, as the attribute ``covariance``, that of the sag included."""
+        if self.sag_sigma == 0.0:
+            return self.covariance
+        start, end = self.start_gain @ force, self.end_gain @ force
+        sag = end - start
+        sag[:3] -= np.cross(start[3:], self.T_start_end.translation)
+        sag *= self.sag_sigma
+        return self.covariance + np.outer(sag, sag)
+
+
+def _moved(T_start_plate: pin.SE3, motion: FloatArray) -> pin.SE3:
+    """Return a plate after a small motion in the axes of the beam's start, turned about its own origin."""
+    return pin.SE3(pin.exp3(motion[3:]) @ T_start_plate.rotation, T_start_plate.translation + motion[:3])
