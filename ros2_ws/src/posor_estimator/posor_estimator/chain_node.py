@@ -1,27 +1,30 @@
 """chain_node: joins the transforms of all joints of an arm and publishes where its endpoint is.
 
 Subscribes ``<joint>/transform`` (posor_msgs/JointTransform) for every floating joint of the URDF; publishes
-``endpoint/pose``, ``endpoint/pose_with_covariance`` and ``joint_states``. Only transforms of the same stamp are joined;
-where one is missing or not usable there is no pose, and the diagnostics say which joint, and why.
+``endpoint/pose``, ``endpoint/pose_with_covariance`` and ``joint_states``, the angles about the joints' nominal axes.
+Only transforms of the same stamp are joined; where one is missing, too late or not usable there is no pose, and the
+diagnostics say which joint, and why.
 """
 
 from __future__ import annotations
 
+import time
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from posor_msgs.msg import JointTransform
 from pydantic import Field
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from posor_estimator.core.chain import Chain, Endpoint
-from posor_estimator.core.robot_model import FreeJoint
+from posor_estimator.core.beam_motion import BeamMotion
+from posor_estimator.core.chain import Chain, Endpoint, load_chain
 from posor_estimator.core.fault import State
 from posor_estimator.core.joining import ScanJoiner
-from posor_estimator.errors import ChainError
 from posor_estimator.ros.diagnostics import Level
 from posor_estimator.ros.listeners import Listeners
 from posor_estimator.ros.main import run
@@ -37,12 +40,30 @@ from posor_estimator.ros.qos import (
     sensor_qos,
 )
 
+if TYPE_CHECKING:
+    from posor_estimator.core.robot_model import FreeJoint
+
+LOOKS_FOR_LATE = 4
+"""How many times in ``max_wait`` the node looks for transforms that are late."""
+
 
 class ChainParameters(NodeParameters):
     """Parameters of chain_node."""
 
     urdf: str = Field(description="path of the arm's URDF; its floating joints are the POSORs")
     endpoint_frame: str = Field(default="endpoint", description="link of the URDF whose pose is published")
+    beams: str = Field(
+        default="",
+        description="path of the beams file: uncertainties and sag of the measuring beams; empty: straight and exact",
+    )
+    acceleration_window: Annotated[float, Field(ge=0.0, le=10.0)] = Field(
+        default=0.0,
+        description="motion [s] from which the beams' accelerations are found, for their sag; 0: as if at rest",
+    )
+    max_wait: Annotated[float, Field(gt=0.0, le=60.0)] = Field(
+        default=0.1,
+        description="how long the first transform of a scan waits for the others [s]; then there is no pose",
+    )
     reference: Literal["absolute", "home"] = Field(
         default="absolute",
         description="publish the endpoint in the URDF's base frame, or relative to where it was at home: at the first "
@@ -60,6 +81,7 @@ class ChainNode(PosorNode[ChainParameters]):
     _joiner: ScanJoiner[JointTransform]
     _home: Endpoint | None
     _last: Endpoint | None
+    _motion: BeamMotion | None
 
     def __init__(self, **options: Any) -> None:
         """Create the node; ``options`` go to rclpy."""
@@ -71,20 +93,16 @@ class ChainNode(PosorNode[ChainParameters]):
 
     def configure(self) -> None:
         """Read the URDF and open the topics."""
-        path = Path(self.parameters.urdf)
-        try:
-            urdf = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-            raise ChainError(
-                f"cannot be read: {reason}", where=f"URDF {path}", expected="a robot description"
-            ) from error
-        self._chain = Chain(urdf, self.parameters.endpoint_frame, source=f"URDF {path}")
+        path, beams = Path(self.parameters.urdf), self.parameters.beams
+        self._chain = load_chain(path, self.parameters.endpoint_frame, Path(beams) if beams else None)
         names = tuple(joint.name for joint in self._chain.joints)
         self._joiner = ScanJoiner(names)
+        self._motion = BeamMotion(self.parameters.acceleration_window) if self.parameters.acceleration_window else None
         self._home = self._last = None
         self._poses = self._scans_refused = self._scans_incomplete = 0
-        self._status.report(Level.STALE, "no complete scan yet", {"joints": ", ".join(names), "urdf": str(path)})
+        self._status.report(
+            Level.STALE, "no complete scan yet", {"joints": ", ".join(names), "urdf": str(path), "beams": beams}
+        )
         self._pose_publisher = self._listeners.publisher(PoseStamped, ENDPOINT_TOPIC, RELIABLE_QOS)
         self._covariance_publisher = self._listeners.publisher(
             PoseWithCovarianceStamped, ENDPOINT_COVARIANCE_TOPIC, RELIABLE_QOS
@@ -95,6 +113,10 @@ class ChainNode(PosorNode[ChainParameters]):
             self.create_subscription(JointTransform, f"{joint.name}/{TRANSFORM_TOPIC}", partial(self._take, joint), qos)
             for joint in self._chain.joints
         ]
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._late_timer = self.create_timer(
+            self.parameters.max_wait / LOOKS_FOR_LATE, self._give_up_late, clock=steady
+        )
         self._home_service = self.create_service(Trigger, "~/set_home", self._set_home)
 
     def cleanup(self) -> None:
@@ -105,6 +127,7 @@ class ChainNode(PosorNode[ChainParameters]):
         for publisher in (self._pose_publisher, self._covariance_publisher, self._joint_publisher):
             self.destroy_lifecycle_publisher(publisher)
         self.destroy_service(self._home_service)
+        self.destroy_timer(self._late_timer)
         del self._chain, self._joiner
 
     def _report_unmeasured(self) -> None:
@@ -125,12 +148,20 @@ class ChainNode(PosorNode[ChainParameters]):
                 f"expected '{joint.parent}' to '{joint.child}', as in the URDF"
             )
             return
-        scan = self._joiner.add(joint.name, stamp_ns(message), message)
+        scan = self._joiner.add(joint.name, stamp_ns(message), message, time.monotonic())
+        self._report_given_up()
+        if scan is not None:
+            self._fuse(scan)
+
+    def _give_up_late(self) -> None:
+        """Give up scans that have waited long enough for a late joint."""
+        self._joiner.give_up_before(time.monotonic() - self.parameters.max_wait)
+        self._report_given_up()
+
+    def _report_given_up(self) -> None:
         for missing in self._joiner.take_given_up().values():
             self._scans_incomplete += 1
             self._say_no(f"{', '.join(missing)}: transform missing from a scan that the other joints sent")
-        if scan is not None:
-            self._fuse(scan)
 
     def _fuse(self, scan: dict[str, JointTransform]) -> None:
         """Publish the endpoint of one complete scan, unless a joint's pose may not be used."""
@@ -139,7 +170,7 @@ class ChainNode(PosorNode[ChainParameters]):
             self._scans_refused += 1
             self._say_no("; ".join(unusable))
             return
-        self._last = self._chain.endpoint({name: measured_joint(message) for name, message in scan.items()})
+        self._last = self._endpoint(scan)
         endpoint, frame = self._last, self._chain.base_frame
         if self.parameters.reference == "home":
             self._home = self._home or self._last
@@ -149,6 +180,14 @@ class ChainNode(PosorNode[ChainParameters]):
         degraded = [name for name, message in scan.items() if message.state == State.DEGRADED]
         level, text = (Level.WARN, f"degraded: {', '.join(degraded)}") if degraded else (Level.OK, "ok")
         self._status.report(level, text, self._counts())
+
+    def _endpoint(self, scan: dict[str, JointTransform]) -> Endpoint:
+        measured = {name: measured_joint(message) for name, message in scan.items()}
+        if self._motion is None:
+            return self._chain.endpoint(measured)
+        endpoint = self._chain.endpoint(measured, self._motion.accelerations())
+        self._motion.take(stamp_ns(next(iter(scan.values()))), self._chain.beam_centres())
+        return endpoint
 
     def _publish(self, endpoint: Endpoint, frame: str, scan: dict[str, JointTransform]) -> None:
         stamp = next(iter(scan.values())).header.stamp

@@ -112,7 +112,7 @@ class BeamsFile(FrozenModel):
     name: str
     provenance: Provenance
     gravity: Annotated[Quantity, measured("m/s^2", 3)] = Quantity(value=[0.0, 0.0, -STANDARD_GRAVITY], unit="m/s^2")
-    beams: Annotated[tuple[BeamFile, ...], Field(min_length=1)]
+    beams: Annotated[list[BeamFile], Field(min_length=1)]
 
     @model_validator(mode="after")
     def _each_once(self) -> Self:

@@ -116,7 +116,7 @@ class Chain:
                 a beam is no fixed joint of it, or its gimbals or plates are not on it.
 
         """
-        said = () if beams is None else beams.beams
+        said = [] if beams is None else beams.beams
         self._robot = RobotModel(urdf, endpoint_frame, (beam.joint for beam in said), source)
         self._data = self._robot.model.createData()
         self.base_frame = self._robot.base_frame

@@ -1,7 +1,8 @@
-"""Three POSORs as one would build them, with the uncertainties one would reach.
+"""POSORs as one would build them, with the uncertainties one would reach: three of the 1985 size, others of any size.
 
-For accuracy runs, budgets and simulation. Sizes follow the thesis' design (probes at 1.5 and 3 in, table 5.2; sensors
-of 5 microinch); everything else is assumed here and labelled so in the provenance.
+For accuracy runs, budgets and simulation. Sizes follow the thesis: ``design`` its 1985 design (probes at 1.5 and 3 in,
+table 5.2; sensors of 5 microinch), ``sized_design`` the POSORs of its conceptual robot (section 9.3.1), known by their
+outside diameter. Everything else is assumed here and labelled so in the provenance.
 """
 
 from __future__ import annotations
@@ -9,11 +10,23 @@ from __future__ import annotations
 import math
 from typing import Any, Literal
 
-import numpy as np
-
 from posor_estimator.core.calibration.model import Calibration, calibration_from
+from posor_estimator.core.design_parts import (
+    INCH,
+    DiodeKind,
+    Part,
+    ProbeKind,
+    RingShape,
+    bumpy_ring,
+    diodes,
+    light_ring,
+    quantity,
+    triad,
+)
+from posor_estimator.errors import CalibrationError
 
 DesignName = Literal["triad_diodes", "triad_light_ring", "triad_bumpy_ring"]
+SizedDesignName = Literal["triad_light_ring", "triad_bumpy_ring"]
 
 DIODE_SPAN = 5.5e-3
 """Half the width of the diodes' calibrated surface [m], a little less than the map's corners reach."""
@@ -21,159 +34,177 @@ THETA_OF_TWO_SOURCES = 0.1
 """Largest theta [rad] at which two fixed sources stay on their diodes, with a runout of 1 mm."""
 SOURCES = 36
 BUMPS = 36
+STANDOFF = 0.735e-3
+"""Gap at which a probe along Z reads 0 V: where the target plate stands before the receiving plate [m]."""
 
-_GAP_OF_VOLT = [0.735e-3, -0.118e-3, 1.5e-6, -2e-7, 1e-8]
+PROBE_ACCURACY = 5e-6 * INCH
+"""Of the probes of section 9.3.1: 5 microinch [m]."""
+SMALLEST_DIAMETER = 3.0 * INCH
+"""Outside diameter [m] below which the sensors of ``sized_design`` find no room."""
+SOURCE_PITCH = 7.7e-3
+"""Largest distance between light sources [m] at which each diode always sees one."""
+BUMPS_PER_INCH = 16
+"""Bumps per inch of a sized ring's diameter: 4.99 mm from bump to bump, and a multiple of four for whole inches."""
+
+_GAP_OF_VOLT = (STANDOFF, -0.118e-3, 1.5e-6, -2e-7, 1e-8)
+_RING_RANGE = 1.5
+"""Range of the sized rings' probes over that of the others: bumps of 0.4 mm and a stage of 0.5 mm are to fit in."""
+
+_PROBE = ProbeKind(
+    volts_to_gap=_GAP_OF_VOLT,
+    volts_to_gap_sigmas=(0.13e-6, 5e-8, 5e-9, 0.0, 0.0),
+    noise=1e-3,
+    tip_sigma=(20e-6, 20e-6, 1e-6),
+    axis_sigma=1e-3,
+    zero_shift_sigma=5e-4,
+)
+_DIODE = DiodeKind(
+    noise=1e-4,
+    origin_sigma=(5e-6, 5e-6, 20e-6),
+    axis_sigma=(2e-4, 1e-3),
+    map_sigma=0.5e-6,
+    source_sigma=(3e-6, 3e-6, 20e-6),
+    direction_sigma=5e-4,
+)
+_RING = RingShape(
+    bumps=BUMPS,
+    mean_radius=0.0508,
+    cos=(-4e-6, 0.0, 1.6e-4, 2e-7, 9e-6),
+    sin=(0.0, -5e-6, 0.0, -4e-6, 0.0),
+    radius_sigma=1e-6,
+    amplitude_sigma=0.2e-6,
+    tip_radius=0.0516,
+)
+
+# Sized designs are calibrated as they are assembled, against an index table and an interferometer: what is left is
+# what the sensors themselves resolve, some 50 nm, not how well single parts were measured.
+_SIZED_GAP_PROBE = ProbeKind(
+    volts_to_gap=_GAP_OF_VOLT,
+    volts_to_gap_sigmas=(30e-9, 1e-8, 1e-9, 0.0, 0.0),
+    noise=PROBE_ACCURACY / 0.118e-3,
+    tip_sigma=(5e-6, 5e-6, 30e-9),
+    axis_sigma=1e-4,
+    zero_shift_sigma=2e-4,
+)
+_SIZED_RING_PROBE = ProbeKind(
+    volts_to_gap=tuple(_RING_RANGE * coefficient for coefficient in _GAP_OF_VOLT),
+    volts_to_gap_sigmas=(30e-9, 1e-8, 1e-9, 0.0, 0.0),
+    noise=PROBE_ACCURACY / (_RING_RANGE * 0.118e-3),
+    tip_sigma=(30e-9, 30e-9, 5e-6),
+    axis_sigma=2e-5,
+    zero_shift_sigma=2e-4,
+)
+_SIZED_TILT_SIGMA = 0.3e-6
+_SIZED_DIODE = DiodeKind(
+    noise=2e-5,
+    origin_sigma=(0.1e-6, 0.1e-6, 5e-6),
+    axis_sigma=(1e-5, 1e-4),
+    map_sigma=0.1e-6,
+    source_sigma=(0.1e-6, 0.1e-6, 5e-6),
+    direction_sigma=2e-5,
+)
 
 
-def _quantity(value: object, unit: str, sigma: object = 0.0) -> dict[str, object]:
-    return {"value": value, "sigma": sigma, "unit": unit}
+def _sized_ring(outside_diameter: float) -> RingShape:
+    radius = 0.5 * outside_diameter - INCH
+    return RingShape(
+        bumps=4 * max(1, round(BUMPS_PER_INCH * 2.0 * radius / INCH / 4.0)),
+        mean_radius=radius,
+        cos=(-4e-6, 0.0, 4e-4, 5e-7, 2e-5),
+        sin=(0.0, -5e-6, 0.0, -1e-5, 0.0),
+        radius_sigma=0.1e-6,
+        amplitude_sigma=20e-9,
+        tip_radius=radius + _RING_RANGE * 0.8e-3,
+    )
 
 
-def _probe(name: str, tip: list[float], axis: list[float]) -> dict[str, object]:
+def _limits(translation: float) -> Part:
     return {
+        "translation": quantity(translation, "m/s"),
+        "lean": quantity(0.02, "rad/s"),
+        "theta": quantity(3.0, "rad/s"),
+    }
+
+
+def _calibration(
+    name: str, source: str, notes: tuple[str, ...], frames: tuple[str, str], motion: Part | None, sensors: list[Part]
+) -> Calibration:
+    content: dict[str, Any] = {
+        "format": "posor_calibration",
+        "version": 1,
         "name": name,
-        "tip": _quantity(tip, "m", [20e-6, 20e-6, 1e-6]),
-        "axis": _quantity(axis, "1", [1e-3 if abs(component) < 0.5 else 0.0 for component in axis]),  # noqa: PLR2004
-        "volts_to_gap": _quantity(_GAP_OF_VOLT, "m/V^k", [0.13e-6, 5e-8, 5e-9, 0.0, 0.0]),
-        "zero_shift": _quantity(0.0, "V", 5e-4),
-        "noise": _quantity(1e-3, "V"),
-        "range": _quantity([-6.0, 6.0], "V"),
-        "supply": {"sensitivity": _quantity(2e-5, "m/V", 2e-6), "reference": _quantity(15.0, "V", 0.01)},
-        "temperature": {"sensitivity": _quantity(2e-7, "m/K", 2e-8), "reference": _quantity(293.15, "K", 0.1)},
+        "provenance": {"source": source, "method": "core/designs.py", "date": "none", "notes": notes},
+        "frames": {"parent": frames[0], "child": frames[1]},
+        "motion": motion,
+        "sensors": sensors,
     }
+    return calibration_from(content)
 
 
-def _triad() -> dict[str, object]:
-    tips = ([-0.0762, 0.0, 0.0], [0.0, 0.0381, 0.0], [0.0, -0.0381, 0.0])
-    return {
-        "type": "gap_probes",
-        "target_plane": {
-            "point": _quantity([0.0, 0.0, 0.0], "m"),
-            "tilt": _quantity([8e-4, -1.1e-3], "rad", 20e-6),
-        },
-        "probes": [_probe(f"gap_{i + 1}", tip, [0.0, 0.0, 1.0]) for i, tip in enumerate(tips)],
-    }
-
-
-def _spot_map() -> dict[str, object]:
-    # x = s (u + .05 u^3 + .03 u v^2), y likewise, in Chebyshev functions: u^3 = (3 T1 + T3) / 4, v^2 = (1 + T2) / 2.
-    scale = 6e-3
-    x = np.zeros((4, 4))
-    x[1, 0], x[3, 0], x[1, 2] = 1.0 + 0.0375 + 0.015, 0.0125, 0.015
-    sigma = np.zeros((4, 4))
-    sigma[0, 0], sigma[1, 0], sigma[0, 1] = 0.5e-6, 0.5e-6, 0.5e-6
-    return {
-        "kind": "chebyshev",
-        "domain": _quantity([[-0.9, 0.9], [-0.9, 0.9]], "1"),
-        "x": _quantity((scale * x).tolist(), "m", sigma.tolist()),
-        "y": _quantity((scale * x.T).tolist(), "m", sigma.tolist()),
-    }
-
-
-def _diodes(places: list[tuple[float, float]], sources: list[tuple[float, float]]) -> dict[str, object]:
-    skew = 2e-3  # the y axes are this far from square to the x axes [rad]
-    diodes = [
-        {
-            "name": f"diode_{i + 1}",
-            "origin": _quantity([x, y, -2e-3], "m", [5e-6, 5e-6, 20e-6]),
-            "x_axis": _quantity([1.0, 0.0, 0.0], "1", [0.0, 2e-4, 1e-3]),
-            "y_axis": _quantity([-math.sin(skew), math.cos(skew), 0.0], "1", [2e-4, 0.0, 1e-3]),
-            "noise": _quantity([1e-4, 1e-4], "1"),
-            "minimum_sum": _quantity(2e-5, "A"),
-            "maximum_sum": _quantity(1.5e-4, "A"),
-        }
-        for i, (x, y) in enumerate(places)
-    ]
-    lights = []
-    for i, (x, y) in enumerate(sources):
-        lean = np.array([2e-3 * math.cos(2.4 * i), 2e-3 * math.sin(2.4 * i), -1.0])
-        direction = (lean / np.linalg.norm(lean)).tolist()
-        lights.append(
-            {
-                "name": f"source_{i + 1}",
-                "origin": _quantity([x, y, 0.4e-3], "m", [3e-6, 3e-6, 20e-6]),
-                "direction": _quantity(direction, "1", [5e-4, 5e-4, 0.0]),
-            }
-        )
-    return {
-        "type": "diodes",
-        "diodes": diodes,
-        "light_sources": lights,
-        "map": "factory",
-        "maps": {"factory": [_spot_map() for _ in places]},
-    }
-
-
-def _two_diodes() -> dict[str, object]:
-    places = [(-0.0254, 0.0381), (-0.0254, -0.0381)]
-    return _diodes(places, places)
-
-
-def _light_ring() -> dict[str, object]:
-    radius = 0.044
-    around = [2.0 * math.pi * i / SOURCES for i in range(SOURCES)]
-    opposite = [(radius * math.sqrt(0.5),) * 2, (-radius * math.sqrt(0.5),) * 2]
-    return _diodes(opposite, [(radius * math.cos(phi), radius * math.sin(phi)) for phi in around])
-
-
-def _bumpy_ring(probes: int) -> dict[str, object]:
-    tip_radius = 0.0516
-    bump = 2.0 * math.pi / BUMPS
-    if probes == 4:  # noqa: PLR2004  opposite probes in phase, the two pairs in quadrature
-        azimuths = [0.0, 0.5 * math.pi + 0.25 * bump, math.pi, 1.5 * math.pi + 0.25 * bump]
-    else:  # evenly around, a fraction of a bump apart, as the source draws three
-        azimuths = [2.0 * math.pi * i / probes + bump * i / probes for i in range(probes)]
-    orders = [1, 2, BUMPS, 2 * BUMPS, 3 * BUMPS]
-    return {
-        "type": "bumpy_ring",
-        "ring": {
-            "bumps": BUMPS,
-            "mean_radius": _quantity(0.0508, "m", 1e-6),
-            "orders": orders,
-            "cos": _quantity([-4e-6, 0.0, 1.6e-4, 2e-7, 9e-6], "m", [0.2e-6] * len(orders)),
-            "sin": _quantity([0.0, -5e-6, 0.0, -4e-6, 0.0], "m", [0.2e-6] * len(orders)),
-        },
-        "home": _quantity(0.0, "rad"),
-        "probes": [
-            _probe(
-                f"ring_{i + 1}",
-                [tip_radius * math.cos(phi), tip_radius * math.sin(phi), 5e-3],
-                [-math.cos(phi), -math.sin(phi), 0.0],
-            )
-            for i, phi in enumerate(azimuths)
-        ],
-    }
-
-
-def design(name: DesignName, *, ring_probes: int = 4, motion: bool = False) -> Calibration:
-    """Return the calibration of one of the designs.
+def design(
+    name: DesignName,
+    *,
+    ring_probes: int = 4,
+    motion: bool = False,
+    frames: tuple[str, str] = ("receiving", "target"),
+) -> Calibration:
+    """Return the calibration of one of the designs of the 1985 size.
 
     Args:
         name: Which stack.
         ring_probes: Number of probes of a bumpy ring, three or more.
         motion: Whether the calibration limits how fast the target moves: 1 mm/s, 0.02 rad/s of lean, 3 rad/s of theta.
+        frames: Names of receiving and target plate.
 
     """
-    sensors: list[dict[str, Any]] = [_triad()]
+    tips = ([-0.0762, 0.0, 0.0], [0.0, 0.0381, 0.0], [0.0, -0.0381, 0.0])
+    sensors = [triad(_PROBE, tips, 20e-6)]
     if name == "triad_diodes":
-        sensors.append(_two_diodes())
+        places = [(-0.0254, 0.0381), (-0.0254, -0.0381)]
+        sensors.append(diodes(_DIODE, places, places))
     elif name == "triad_light_ring":
-        sensors.append(_light_ring())
+        sensors.append(light_ring(_DIODE, 0.044, SOURCES))
     else:
-        sensors.append(_bumpy_ring(ring_probes))
-    limits = {
-        "translation": _quantity(1e-3, "m/s"),
-        "lean": _quantity(0.02, "rad/s"),
-        "theta": _quantity(3.0, "rad/s"),
-    }
-    return calibration_from(
-        {
-            "format": "posor_calibration",
-            "version": 1,
-            "name": name,
-            "provenance": {"source": "assumed design", "method": "core/designs.py", "date": "none"},
-            "frames": {"parent": "receiving", "child": "target"},
-            "motion": limits if motion else None,
-            "sensors": sensors,
-        }
-    )
+        sensors.append(bumpy_ring(_PROBE, _RING, ring_probes))
+    return _calibration(name, "assumed design", (), frames, _limits(1e-3) if motion else None, sensors)
+
+
+def sized_design(name: SizedDesignName, outside_diameter: float, *, frames: tuple[str, str], title: str) -> Calibration:
+    """Return the calibration of a POSOR that is known by its outside diameter D.
+
+    Three probes in an equilateral triangle on a circle of D - 1 in, whose altitude .75 (D - 1 in) is the lever of
+    section 9.3.1; a bumpy ring, or a ring of light sources, of D - 2 in; ring probes: four. The calibration limits how
+    fast the target moves: 20 mm/s, 0.02 rad/s of lean, 3 rad/s of theta.
+
+    Args:
+        name: Which stack.
+        outside_diameter: [m].
+        frames: Names of receiving and target plate.
+        title: The calibration's name.
+
+    Raises:
+        CalibrationError: The diameter is too small.
+
+    """
+    if not outside_diameter >= SMALLEST_DIAMETER:
+        raise CalibrationError(
+            f"outside diameter {outside_diameter:g} m", where=title, expected=f"at least {SMALLEST_DIAMETER:g} m"
+        )
+    circle = 0.5 * (outside_diameter - INCH)
+    half_side = circle * math.sqrt(0.75)
+    tips = ([-circle, 0.0, 0.0], [0.5 * circle, half_side, 0.0], [0.5 * circle, -half_side, 0.0])
+    sensors = [triad(_SIZED_GAP_PROBE, tips, _SIZED_TILT_SIGMA)]
+    notes = [
+        "thesis 9.3.1: probes of 5 microinch on a circle of the outside diameter less 1 in, ring of it less 2 in",
+        "assumed: that all is calibrated as assembled, hence the small uncertainties; that the readings' noise is the "
+        "5 microinch; linearisation, tilt of the target plane, limits of motion",
+    ]
+    if name == "triad_light_ring":
+        radius = 0.5 * outside_diameter - INCH
+        sensors.append(light_ring(_SIZED_DIODE, radius, 4 * math.ceil(2.0 * math.pi * radius / SOURCE_PITCH / 4.0)))
+        notes.append("assumed: light sources at most 7.7 mm apart, two diodes of 5.5 mm half width, their noise")
+    else:
+        sensors.append(bumpy_ring(_SIZED_RING_PROBE, _sized_ring(outside_diameter), 4))
+        notes.append("assumed: bumps of 0.4 mm every 4.99 mm, ring probes of 1.5 times the range of the others")
+    source = f"assumed design of {outside_diameter / INCH:g} in outside diameter"
+    return _calibration(title, source, tuple(notes), frames, _limits(0.02), sensors)

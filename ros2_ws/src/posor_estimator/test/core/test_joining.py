@@ -21,7 +21,7 @@ def whole(stamp: int) -> dict[str, str]:
 
 
 def add(joiner: ScanJoiner[str], joint: str, stamp: int) -> dict[str, str] | None:
-    return joiner.add(joint, stamp, f"{joint} at {stamp}")
+    return joiner.add(joint, stamp, f"{joint} at {stamp}", 0.0)
 
 
 def test_a_scan_is_handed_out_once_when_its_last_item_comes(joiner: ScanJoiner[str]) -> None:
@@ -33,7 +33,7 @@ def test_a_scan_is_handed_out_once_when_its_last_item_comes(joiner: ScanJoiner[s
 
 def test_one_joint_needs_no_others() -> None:
     joiner: ScanJoiner[str] = ScanJoiner(("only",))
-    assert joiner.add("only", 5, "item") == {"only": "item"}
+    assert joiner.add("only", 5, "item", 0.0) == {"only": "item"}
 
 
 def test_the_same_item_twice_does_not_stand_for_another_joint(joiner: ScanJoiner[str]) -> None:
@@ -132,9 +132,9 @@ def test_a_replay_that_starts_over_is_not_joined_with_its_past(joiner: ScanJoine
     add(joiner, "shoulder", 100)
     add(joiner, "elbow", 100)
     add(joiner, "wrist", 200)
-    assert joiner.add("wrist", 100, "wrist of the second round") is None
-    assert joiner.add("shoulder", 100, "shoulder of the second round") is None
-    assert joiner.add("elbow", 100, "elbow of the second round") == {
+    assert joiner.add("wrist", 100, "wrist of the second round", 0.0) is None
+    assert joiner.add("shoulder", 100, "shoulder of the second round", 0.0) is None
+    assert joiner.add("elbow", 100, "elbow of the second round", 0.0) == {
         joint: f"{joint} of the second round" for joint in JOINTS
     }
 
@@ -143,7 +143,7 @@ def test_items_of_the_round_before_are_never_joined_with_those_of_the_next(joine
     """The wrist has started over and is ahead again; the others' last items of the old round have its stamps."""
 
     def second(joint: str, stamp: int) -> dict[str, str] | None:
-        return joiner.add(joint, stamp, f"{joint} at {stamp} of the second round")
+        return joiner.add(joint, stamp, f"{joint} at {stamp} of the second round", 0.0)
 
     for stamp in (100, 200):
         for joint in JOINTS:
@@ -189,3 +189,20 @@ def test_a_joint_that_lags_far_behind_is_the_one_that_is_named(joiner: ScanJoine
     for stamp in range(1, MOST_OPEN + 11):
         add(joiner, "wrist", stamp)
     assert joiner.take_given_up() == dict.fromkeys(range(1, 11), ("wrist",))
+
+
+def test_a_scan_that_waits_too_long_is_given_up_with_all_older_ones(joiner: ScanJoiner[str]) -> None:
+    joiner.add("shoulder", 1, "shoulder", 20.0)  # an older scan whose first item came later
+    joiner.add("shoulder", 2, "shoulder", 10.0)
+    joiner.add("elbow", 2, "elbow", 19.0)
+    joiner.add("elbow", 3, "elbow", 19.5)
+    joiner.give_up_before(10.0)
+    assert joiner.take_given_up() == {}
+    joiner.give_up_before(10.5)
+    assert joiner.take_given_up() == {1: ("elbow", "wrist"), 2: ("wrist",)}
+    assert joiner.add("wrist", 2, "too late", 20.0) is None
+    assert joiner.take_given_up() == {}
+    assert joiner.add("shoulder", 3, "shoulder", 20.0) is None
+    assert joiner.add("wrist", 3, "wrist", 20.0) == {"wrist": "wrist", "shoulder": "shoulder", "elbow": "elbow"}
+    joiner.give_up_before(1e9)
+    assert joiner.take_given_up() == {}
