@@ -29,6 +29,7 @@ class ProbeKind:
         tip_sigma: Standard uncertainty of the tip's place along X, Y, Z of R [m].
         axis_sigma: Of the axis across its own direction [rad].
         zero_shift_sigma: [V].
+        supply_sigma: Of the supply voltage at which the probe was linearised [V].
 
     """
 
@@ -38,6 +39,7 @@ class ProbeKind:
     tip_sigma: tuple[float, float, float]
     axis_sigma: float
     zero_shift_sigma: float
+    supply_sigma: float
 
 
 @dataclass(frozen=True)
@@ -102,7 +104,7 @@ def probe(name: str, kind: ProbeKind, tip: Sequence[float], axis: Sequence[float
         "zero_shift": quantity(0.0, "V", kind.zero_shift_sigma),
         "noise": quantity(kind.noise, "V"),
         "range": quantity([-6.0, 6.0], "V"),
-        "supply": {"sensitivity": quantity(2e-5, "m/V", 2e-6), "reference": quantity(15.0, "V", 0.01)},
+        "supply": {"sensitivity": quantity(2e-5, "m/V", 2e-6), "reference": quantity(15.0, "V", kind.supply_sigma)},
         "temperature": {"sensitivity": quantity(2e-7, "m/K", 2e-8), "reference": quantity(293.15, "K", 0.1)},
     }
 

@@ -57,6 +57,7 @@ _PROBE = ProbeKind(
     tip_sigma=(20e-6, 20e-6, 1e-6),
     axis_sigma=1e-3,
     zero_shift_sigma=5e-4,
+    supply_sigma=0.01,
 )
 _DIODE = DiodeKind(
     noise=1e-4,
@@ -85,6 +86,7 @@ _SIZED_GAP_PROBE = ProbeKind(
     tip_sigma=(5e-6, 5e-6, 30e-9),
     axis_sigma=1e-4,
     zero_shift_sigma=2e-4,
+    supply_sigma=1e-3,
 )
 _SIZED_RING_PROBE = ProbeKind(
     volts_to_gap=tuple(_RING_RANGE * coefficient for coefficient in _GAP_OF_VOLT),
@@ -93,6 +95,7 @@ _SIZED_RING_PROBE = ProbeKind(
     tip_sigma=(30e-9, 30e-9, 5e-6),
     axis_sigma=2e-5,
     zero_shift_sigma=2e-4,
+    supply_sigma=1e-3,
 )
 _SIZED_TILT_SIGMA = 0.3e-6
 _SIZED_DIODE = DiodeKind(
@@ -112,7 +115,7 @@ def _sized_ring(outside_diameter: float) -> RingShape:
         mean_radius=radius,
         cos=(-4e-6, 0.0, 4e-4, 5e-7, 2e-5),
         sin=(0.0, -5e-6, 0.0, -1e-5, 0.0),
-        radius_sigma=0.1e-6,
+        radius_sigma=20e-9,
         amplitude_sigma=20e-9,
         tip_radius=radius + _RING_RANGE * 0.8e-3,
     )
@@ -196,8 +199,8 @@ def sized_design(name: SizedDesignName, outside_diameter: float, *, frames: tupl
     sensors = [triad(_SIZED_GAP_PROBE, tips, _SIZED_TILT_SIGMA)]
     notes = [
         "thesis 9.3.1: probes of 5 microinch on a circle of the outside diameter less 1 in, ring of it less 2 in",
-        "assumed: that all is calibrated as assembled, hence the small uncertainties; that the readings' noise is the "
-        "5 microinch; linearisation, tilt of the target plane, limits of motion",
+        "assumed: all calibrated as assembled, hence the small uncertainties; the 5 microinch taken for noise",
+        "assumed: linearisation and range of the probes, tilt of the target plane, limits of motion",
     ]
     if name == "triad_light_ring":
         radius = 0.5 * outside_diameter - INCH
