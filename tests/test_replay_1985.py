@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
-from posor_bringup.comparison import Verdict, compare
+from posor_bringup.comparison import compare
 from posor_bringup.expectations import BAGS, CALIBRATIONS, STEPS, Bag, CalibrationName
+from posor_bringup.findings import Verdict
 from posor_bringup.installed import data_path
 from posor_bringup.motion import DIODES_ESTIMATED, PROBES_ESTIMATED, MotionTest
 from posor_bringup.replay import TOPICS

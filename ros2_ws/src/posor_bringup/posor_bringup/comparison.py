@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import Enum
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,6 +16,7 @@ from posor_bringup.expectations import (
     CalibrationName,
     Expectation,
 )
+from posor_bringup.findings import Finding, Findings, Verdict
 from posor_bringup.motion import ANGLES, Angle, MotionTest, standard_deviation
 from posor_bringup.thesis import URAD, PrintedColumns
 
@@ -25,52 +24,7 @@ if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray
 
 
-class Verdict(Enum):
-    """Does a figure hold?"""
-
-    HOLDS = "holds"
-    FAILS = "FAILS"
-    SHOWN = "not judged"
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One line of the comparison, all text ready to print.
-
-    Attributes:
-        what: The quantity.
-        computed: What the replay gives.
-        stated: What the thesis says; empty where it says nothing.
-        limit: What holds; empty where nothing is judged.
-        source: Table or section of the thesis.
-        verdict: Whether it holds.
-        remark: Which steps count, why this limit.
-
-    """
-
-    what: str
-    computed: str
-    stated: str
-    limit: str
-    source: str
-    verdict: Verdict
-    remark: str = ""
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """All lines of the comparison."""
-
-    findings: tuple[Finding, ...]
-
-    @property
-    def holds(self) -> bool:
-        """Whether no line fails and at least one was judged."""
-        verdicts = {finding.verdict for finding in self.findings}
-        return Verdict.FAILS not in verdicts and Verdict.HOLDS in verdicts
-
-
-def compare(test: MotionTest, bag: Bag, calibration: CalibrationName, printed: PrintedColumns | None) -> Comparison:
+def compare(test: MotionTest, bag: Bag, calibration: CalibrationName, printed: PrintedColumns | None) -> Findings:
     """Compare ``test`` with the thesis.
 
     Args:
@@ -86,16 +40,12 @@ def compare(test: MotionTest, bag: Bag, calibration: CalibrationName, printed: P
         if calibration == "printed":
             findings += [_against_printed(test, printed, angle) for angle in ANGLES]
     findings += [_against_stated(test, expectation) for expectation in EXPECTATIONS[bag, calibration]]
-    return Comparison(tuple(findings))
+    return Findings(tuple(findings))
 
 
 def _same_steps(test: MotionTest, printed: PrintedColumns) -> bool:
     """Return whether the rows belong together; if not, the step count has failed already."""
     return test.numbers == list(range(1, len(printed.posor) + 1))
-
-
-def _verdict(*, holds: bool) -> Verdict:
-    return Verdict.HOLDS if holds else Verdict.FAILS
 
 
 def _steps(test: MotionTest, bag: Bag) -> Finding:
@@ -106,7 +56,7 @@ def _steps(test: MotionTest, bag: Bag) -> Finding:
         f"{STEPS[bag]}",
         f"1 to {STEPS[bag]}",
         "appendix 8B",
-        _verdict(holds=test.numbers == expected),
+        Verdict.of(holds=test.numbers == expected),
         "each with a transform and a machining-centre reading",
     )
 
@@ -120,7 +70,7 @@ def _refused(test: MotionTest, bag: Bag) -> Finding:
         "",
         ", ".join(str(number) for number in limit) or "none",
         "",
-        _verdict(holds=[step.number for step in refused] == list(limit)),
+        Verdict.of(holds=[step.number for step in refused] == list(limit)),
         "; ".join(f"step {number}: {why}" for number, why in limit.items()),
     )
 
@@ -146,7 +96,7 @@ def _against_printed(test: MotionTest, printed: PrintedColumns, angle: Angle) ->
         "",
         f"at most {limit:g} urad",
         "appendix 8B, Y motion results",
-        _verdict(holds=largest <= limit),
+        Verdict.of(holds=largest <= limit),
         remark,
     )
 
@@ -160,7 +110,7 @@ def _against_printed_measured(test: MotionTest, printed: PrintedColumns, angle: 
         "",
         f"at most {MEASURED_LIMIT:g} urad",
         "appendix 8B, Y motion results",
-        _verdict(holds=largest <= MEASURED_LIMIT),
+        Verdict.of(holds=largest <= MEASURED_LIMIT),
         "largest difference; lever 31.43 in",
     )
 
@@ -182,7 +132,7 @@ def _against_stated(test: MotionTest, expected: Expectation) -> Finding:
         limit, verdict = "", Verdict.SHOWN
     else:
         limit = f"{expected.low:g} to {expected.high:g} urad" if expected.low else f"at most {expected.high:g} urad"
-        verdict = _verdict(holds=expected.low <= value <= expected.high)
+        verdict = Verdict.of(holds=expected.low <= value <= expected.high)
     return Finding(
         f"{expected.angle}: error against machining centre, {name}",
         f"{value:.2f} urad",

@@ -7,26 +7,26 @@ from __future__ import annotations
 
 import argparse
 import math
-import shutil
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 from posor_estimator.core.calibration.load import load_calibration
-from posor_estimator.errors import ParameterError, PosorError
+from posor_estimator.errors import PosorError
 from posor_estimator.ros.domain import own_network
 from posor_estimator.ros.main import exit_code_of, own_arguments, ros
 from rich.console import Console
 
 from posor_bringup.collector import Collector
-from posor_bringup.comparison import Comparison, compare
+from posor_bringup.command_line import LOGS, Parser, prepare
+from posor_bringup.comparison import compare
 from posor_bringup.expectations import BAGS, CALIBRATIONS
 from posor_bringup.figures import draw
-from posor_bringup.findings_table import print_comparison
+from posor_bringup.findings_table import print_findings
 from posor_bringup.installed import JOINT, bag_path, calibration_path, data_path, urdf_path
 from posor_bringup.live_table import LiveTable
 from posor_bringup.motion import MotionTest
-from posor_bringup.page import Report, page
+from posor_bringup.page import HEADINGS, Report, page
 from posor_bringup.provenance import MOTIONS, STATES, notes, provenance
 from posor_bringup.replay import Replay, ReplayPlan
 from posor_bringup.steps_file import write_steps
@@ -36,15 +36,10 @@ from posor_bringup.thesis import EXPECTED_ERRORS_FILE, PRINTED_FILES, read_bands
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-MADE_HERE = ("report.html", "report.png", "steps.csv", "bag", "logs")
-"""What a report's folder holds; an earlier one of these is replaced, anything else left alone."""
+    from posor_bringup.findings import Findings
 
-
-class _Parser(argparse.ArgumentParser):
-    """Reports a wrong command line the way every other error is reported."""
-
-    def error(self, message: str) -> NoReturn:
-        raise ParameterError(message, where="demo", expected="options as 'demo --help' lists them")
+MADE_HERE = ("report.html", "report.png", "steps.csv", "bag")
+"""What a report's folder holds beside the logs."""
 
 
 def _rate(text: str) -> float:
@@ -64,7 +59,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         ParameterError: An option is unknown or its value wrong.
 
     """
-    parser = _Parser(prog="demo", description="Replay a motion test of 1985 and compare it with the thesis.")
+    parser = Parser(prog="demo", description="Replay a motion test of 1985 and compare it with the thesis.")
     parser.add_argument("--bag", choices=BAGS, default="ymo", help="motion test (default: ymo)")
     parser.add_argument(
         "--calibration", choices=CALIBRATIONS, default="printed", help="state to reproduce (default: printed)"
@@ -82,15 +77,15 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the demo as a program."""
     argv = sys.argv if arguments is None else arguments
-    verdicts: list[Comparison] = []
+    verdicts: list[Findings] = []
     code = exit_code_of(lambda: verdicts.append(_demo(argv)))
     return code or int(not verdicts[0].holds)
 
 
-def _demo(argv: Sequence[str]) -> Comparison:
+def _demo(argv: Sequence[str]) -> Findings:
     options = parse(own_arguments(argv))
     console = Console(highlight=False)
-    folder = prepare(options.output / f"{options.bag}_{options.calibration}")
+    folder = prepare(options.output / f"{options.bag}_{options.calibration}", MADE_HERE, "demo")
     plan = ReplayPlan(
         bag=bag_path(options.bag),
         calibration=calibration_path(options.calibration),
@@ -105,7 +100,7 @@ def _demo(argv: Sequence[str]) -> Comparison:
     )
     test, identity = _replay(plan, argv, LiveTable(title, console, live=not options.no_live))
     comparison = _report(options, title, plan, test, identity)
-    print_comparison(comparison, console)
+    print_findings(comparison, console, "comparison with the thesis", HEADINGS)
     console.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False)
     if comparison.holds:
         console.print("The comparison holds.", style="green")
@@ -116,7 +111,7 @@ def _demo(argv: Sequence[str]) -> Comparison:
 
 def _replay(plan: ReplayPlan, argv: Sequence[str], table: LiveTable) -> tuple[MotionTest, Mapping[str, str]]:
     """Run the graph; return the steps and what the POSOR node says of its calibration."""
-    with own_network(), ros(argv) as stop, Supervisor(plan.output / "logs") as supervisor:
+    with own_network(), ros(argv) as stop, Supervisor(plan.output / LOGS) as supervisor:
         collector = Collector(JOINT)
         try:
             with table:
@@ -132,7 +127,7 @@ def _replay(plan: ReplayPlan, argv: Sequence[str], table: LiveTable) -> tuple[Mo
 
 def _report(
     options: argparse.Namespace, title: str, plan: ReplayPlan, test: MotionTest, identity: Mapping[str, str]
-) -> Comparison:
+) -> Findings:
     """Compare and write all files of the report."""
     name = PRINTED_FILES.get(options.bag)
     printed = read_printed(data_path(name)) if name else None
@@ -159,29 +154,6 @@ def _report(
     except OSError as error:
         raise PosorError(f"cannot be written: {error.strerror}", where=str(plan.output)) from error
     return comparison
-
-
-def prepare(folder: Path) -> Path:
-    """Make the report's folder, without what an earlier report left there.
-
-    Raises:
-        ParameterError: The folder cannot be made.
-
-    """
-    try:
-        (folder / "logs").mkdir(parents=True, exist_ok=True)
-        for name in MADE_HERE:
-            entry = folder / name
-            if entry.is_dir():
-                shutil.rmtree(entry)
-            else:
-                entry.unlink(missing_ok=True)
-        (folder / "logs").mkdir()
-    except OSError as error:
-        raise ParameterError(
-            f"cannot be made: {error.strerror}", where=f"demo, --output, {folder}", expected="a folder to write to"
-        ) from error
-    return folder
 
 
 if __name__ == "__main__":

@@ -2,39 +2,31 @@
 
 from __future__ import annotations
 
-import io
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from posor_bringup.drawing import BLUE, GREY, LIGHT_BLUE, MICRON, ORANGE, png, tidy, unique_entries
 from posor_bringup.motion import ANGLES, Angle, MotionTest
 from posor_bringup.thesis import URAD, Band, PrintedColumns
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from posor_estimator.core.types import FloatArray
 
-# Okabe and Ito's palette: told apart by colour-blind readers; each curve also has a marker or line style of its own.
-POSOR_BLUE = "#0072B2"
-PRINTED_ORANGE = "#D55E00"
-TRUTH_GREY = "#333333"
-BAND_FILL = "#56B4E9"
 MEANING: Mapping[Angle, str] = {
     "alpha": "alpha, twist about the beam (gap probes)",
     "beta": "beta, turn to the side (gap probes)",
     "theta": "theta, turn upwards or down (diodes)",
 }
 DIRECTIONS = ("x, along the beam", "y, side to side", "z, vertical")
-MICRON = 1e-6
-DPI = 110
 STYLE: Mapping[str, dict[str, Any]] = {
-    "posor": {"color": POSOR_BLUE, "marker": "o", "ms": 4.0, "lw": 1.4, "label": "POSOR, replayed"},
+    "posor": {"color": BLUE, "marker": "o", "ms": 4.0, "lw": 1.4, "label": "POSOR, replayed"},
     "printed": {
-        "color": PRINTED_ORANGE,
+        "color": ORANGE,
         "marker": "s",
         "ms": 7.0,
         "mfc": "none",
@@ -43,7 +35,7 @@ STYLE: Mapping[str, dict[str, Any]] = {
         "label": "POSOR, as printed in 1985",
     },
     "estimated": {
-        "color": POSOR_BLUE,
+        "color": BLUE,
         "marker": "o",
         "ms": 7.5,
         "mfc": "white",
@@ -51,7 +43,7 @@ STYLE: Mapping[str, dict[str, Any]] = {
         "lw": 0.0,
         "label": "estimated reading",
     },
-    "truth": {"color": TRUTH_GREY, "ls": "--", "marker": "x", "ms": 4.0, "lw": 1.0, "label": "machining centre"},
+    "truth": {"color": GREY, "ls": "--", "marker": "x", "ms": 4.0, "lw": 1.0, "label": "machining centre"},
 }
 
 
@@ -75,15 +67,13 @@ def draw(test: MotionTest, title: str, printed: PrintedColumns | None, bands: Ma
         _error(rows[1][column], test, angle, shown, bands.get(angle))
         _displacement(rows[2][column], test, column)
     figure.legend(
-        *_unique_entries([axes for row in rows for axes in row]),
+        *unique_entries([axes for row in rows for axes in row]),
         loc="outside lower center",
         ncols=6,
         frameon=False,
         fontsize=10,
     )
-    picture = io.BytesIO()
-    figure.savefig(picture, format="png", dpi=DPI, metadata={"Software": None})
-    return picture.getvalue()
+    return png(figure)
 
 
 def _motion(axes: Axes, test: MotionTest, angle: Angle, printed: FloatArray | None) -> None:
@@ -100,11 +90,11 @@ def _motion(axes: Axes, test: MotionTest, angle: Angle, printed: FloatArray | No
 def _error(axes: Axes, test: MotionTest, angle: Angle, printed: FloatArray | None, band: Band | None) -> None:
     column = ANGLES.index(angle)
     measured = test.measured[:, column]
-    axes.axhline(0.0, color=TRUTH_GREY, lw=0.8)
+    axes.axhline(0.0, color=GREY, lw=0.8)
     if band is not None:
         width = band.at(measured) / URAD
         axes.fill_between(
-            test.numbers, -width, width, color=BAND_FILL, alpha=0.3, lw=0.0, label="predicted error (section 8.4)"
+            test.numbers, -width, width, color=LIGHT_BLUE, alpha=0.3, lw=0.0, label="predicted error (section 8.4)"
         )
         axes.text(
             0.02,
@@ -157,16 +147,4 @@ def _finish(axes: Axes, label: str, test: MotionTest) -> None:
     axes.set_ylabel(label, fontsize=9.5)
     axes.set_xlim(min(test.numbers) - 0.6, max(test.numbers) + 0.6)
     axes.set_xticks(test.numbers[:: 1 + len(test.numbers) // 16])
-    axes.grid(visible=True, color="#dddddd", lw=0.6)
-    axes.set_axisbelow(True)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-
-
-def _unique_entries(all_axes: list[Axes]) -> tuple[list[Artist], list[str]]:
-    """Return the legend's entries, each once."""
-    entries: dict[str, Artist] = {}
-    for axes in all_axes:
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            entries.setdefault(label, handle)
-    return list(entries.values()), list(entries)
+    tidy(axes)

@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from posor_bringup.drawing import MICRON
 from posor_bringup.motion import measured_angles
 from posor_bringup.thesis import URAD
 
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
 
     from posor_bringup.motion import Step
 
-MICRON = 1e-6
 COLUMNS = ("alpha", "beta", "m.c.", "theta", "m.c.", "x", "m.c.", "y", "m.c.", "z", "m.c.")
 _LINES_AROUND = 8
 """Lines of a terminal that title, header, frame and legend take."""

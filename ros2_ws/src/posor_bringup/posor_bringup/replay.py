@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from posor_estimator.errors import PosorError
 from posor_estimator.ros.listeners import STATUS
 from posor_estimator.ros.qos import ENDPOINT_TOPIC, RAW_TOPIC, TRANSFORM_TOPIC, TRUTH_TOPIC
 
 from posor_bringup.installed import JOINT
 from posor_bringup.supervisor import ProcessError, Program, RunningProgram, Supervisor
+from posor_bringup.watch import Watch
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -34,15 +33,6 @@ _LISTENERS: Mapping[str, tuple[str, int]] = {
     "/chain_node": (ENDPOINT_TOPIC, 2),  # recorder, collector
 }
 """Subscriptions that a node has to have on a topic before the replay begins."""
-
-PATIENCE_S = 60.0
-"""A net, not a pace: how long nothing at all may happen before the replay is given up."""
-
-
-class InterruptedReplayError(PosorError):
-    """SIGINT or SIGTERM came during the replay."""
-
-    exit_code = 130
 
 
 @dataclass(frozen=True)
@@ -136,8 +126,13 @@ class Replay:
         self.plan = plan
         self.collector = collector
         self._supervisor = supervisor
-        self._on_steps = on_steps
-        self._interrupted = interrupted
+        self._watch = Watch(
+            supervisor,
+            collector,
+            "replay",
+            on_received=lambda: on_steps(collector.steps()),
+            interrupted=interrupted,
+        )
 
     def listen(self) -> None:
         """Start all programs and wait until those that listen have found those that publish.
@@ -235,31 +230,5 @@ class Replay:
         self._nodes[index] = self._supervisor.start(self._nodes[index].program)
 
     def wait(self, until: Callable[[], bool], lacking: Callable[[], str]) -> None:
-        """Receive until a condition holds.
-
-        Args:
-            until: The condition.
-            lacking: What to say is missing when nothing happens any more.
-
-        Raises:
-            InterruptedReplayError: The user gives up.
-            ProcessError: A program ended as it should not, or nothing arrived for ``PATIENCE_S``.
-
-        """
-        received, since = -1, time.monotonic()
-
-        def done() -> bool:
-            nonlocal received, since
-            if self._interrupted():
-                raise InterruptedReplayError("interrupted", where="replay")
-            self._supervisor.check()
-            if self.collector.received != received:
-                received, since = self.collector.received, time.monotonic()
-                self._on_steps(self.collector.steps())
-            if until():
-                return True
-            if time.monotonic() - since > PATIENCE_S:
-                raise ProcessError(f"nothing arrives any more, missing: {lacking()}", where="replay")
-            return False
-
-        self.collector.receive_until(done)
+        """Receive until a condition holds, see ``Watch.wait``."""
+        self._watch.wait(until, lacking)

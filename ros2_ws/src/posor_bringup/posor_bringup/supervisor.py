@@ -151,7 +151,7 @@ class Supervisor:
             ProcessError: It is not installed.
 
         """
-        running = RunningProgram(program, self._logs / f"{program.name}.log")
+        running = RunningProgram(program, self._logs / f"{program.name.replace('/', '.')}.log")
         self._running.append(running)
         return running
 

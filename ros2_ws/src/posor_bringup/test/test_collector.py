@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PointStamped, PoseStamped
-from posor_bringup.collector import KEEP_ALL_QOS, Collector
+from posor_bringup.collector import Collector
+from posor_bringup.receiver import KEEP_ALL_QOS
 from posor_estimator.core.fault import State
 from posor_estimator.ros.main import ros
 from posor_msgs.msg import JointTransform

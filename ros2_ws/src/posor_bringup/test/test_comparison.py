@@ -4,8 +4,9 @@ from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 import pytest
-from posor_bringup.comparison import Comparison, Finding, Verdict, compare
+from posor_bringup.comparison import compare
 from posor_bringup.expectations import BAGS, CALIBRATIONS, EXPECTATIONS, STEPS, WITHOUT_POSE, Bag
+from posor_bringup.findings import Finding, Findings, Verdict
 from posor_bringup.motion import DIODES_ESTIMATED, PROBES_ESTIMATED
 
 if TYPE_CHECKING:
@@ -17,11 +18,11 @@ if TYPE_CHECKING:
 URAD = 1e-6
 
 
-def finding(comparison: Comparison, beginning: str) -> Finding:
+def finding(comparison: Findings, beginning: str) -> Finding:
     return next(item for item in comparison.findings if item.what.startswith(beginning))
 
 
-def failing(comparison: Comparison) -> list[str]:
+def failing(comparison: Findings) -> list[str]:
     return [item.what for item in comparison.findings if item.verdict is Verdict.FAILS]
 
 

@@ -3,7 +3,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from posor_bringup.demo import main, parse, prepare
+from posor_bringup.command_line import prepare
+from posor_bringup.demo import MADE_HERE, main, parse
 from posor_estimator.errors import ParameterError
 
 
@@ -47,7 +48,7 @@ def test_an_earlier_report_is_replaced_and_nothing_else(tmp_path: Path) -> None:
     for name in ("report.html", "steps.csv", "bag/bag_0.mcap", "logs/record.log", "my notes.txt"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
-    assert prepare(tmp_path) == tmp_path
+    assert prepare(tmp_path, MADE_HERE, "demo") == tmp_path
     assert sorted(path.name for path in tmp_path.iterdir()) == ["logs", "my notes.txt"]
     assert not list((tmp_path / "logs").iterdir())
 
@@ -55,4 +56,4 @@ def test_an_earlier_report_is_replaced_and_nothing_else(tmp_path: Path) -> None:
 def test_a_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "report").touch()
     with pytest.raises(ParameterError):
-        prepare(tmp_path / "report")
+        prepare(tmp_path / "report", MADE_HERE, "demo")

@@ -4,8 +4,9 @@ import io
 from typing import TYPE_CHECKING
 
 from posor_bringup.comparison import compare
-from posor_bringup.findings_table import print_comparison
+from posor_bringup.findings_table import print_findings
 from posor_bringup.live_table import LiveTable
+from posor_bringup.page import HEADINGS
 from rich.console import Console
 
 if TYPE_CHECKING:
@@ -51,7 +52,8 @@ def test_the_comparison_is_printed_line_by_line_or_as_a_table(
     comparison = compare(printed_test(lost=(3,)), "ymo", "printed", printed)
     for terminal in (False, True):
         screen = io.StringIO()
-        print_comparison(comparison, Console(file=screen, force_terminal=terminal, width=200, color_system=None))
+        console = Console(file=screen, force_terminal=terminal, width=200, color_system=None)
+        print_findings(comparison, console, "a comparison", HEADINGS)
         text = screen.getvalue()
         assert "FAILS" in text
         assert "3 (lost:OUT_OF_RANGE)" in text

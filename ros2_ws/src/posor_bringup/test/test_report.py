@@ -12,7 +12,8 @@ import matplotlib.image
 import numpy as np
 import pytest
 from posor_bringup.comparison import compare
-from posor_bringup.figures import BAND_FILL, POSOR_BLUE, PRINTED_ORANGE, TRUTH_GREY, draw
+from posor_bringup.drawing import BLUE, GREY, LIGHT_BLUE, ORANGE
+from posor_bringup.figures import draw
 from posor_bringup.installed import calibration_path, data_path
 from posor_bringup.motion import DIODES_ESTIMATED
 from posor_bringup.page import Report, page
@@ -40,13 +41,13 @@ def test_the_picture_shows_every_curve(printed_test: Callable[..., MotionTest], 
     bands = read_bands(data_path(EXPECTED_ERRORS_FILE), "ymo")
     picture = draw(printed_test(), "title", printed, bands)
     assert picture.startswith(b"\x89PNG\r\n\x1a\n")
-    for color in (POSOR_BLUE, PRINTED_ORANGE, TRUTH_GREY):
+    for color in (BLUE, ORANGE, GREY):
         assert pixels_of(picture, color) > 500, color
-    assert pixels_of(picture, BAND_FILL, 0.3) > 10_000
+    assert pixels_of(picture, LIGHT_BLUE, 0.3) > 10_000
     bare = draw(printed_test(), "title", None, {})
-    assert pixels_of(bare, PRINTED_ORANGE) == 0
-    assert pixels_of(bare, BAND_FILL, 0.3) < 100
-    assert pixels_of(bare, POSOR_BLUE) > 500
+    assert pixels_of(bare, ORANGE) == 0
+    assert pixels_of(bare, LIGHT_BLUE, 0.3) < 100
+    assert pixels_of(bare, BLUE) > 500
 
 
 def test_the_picture_is_the_same_every_time(printed_test: Callable[..., MotionTest], printed: PrintedColumns) -> None:

@@ -1,0 +1,58 @@
+"""What the programs of this package share: their command lines and the folders they write."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+from typing import TYPE_CHECKING, NoReturn
+
+from posor_estimator.errors import ParameterError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+LOGS = "logs"
+"""Folder, in a folder of output, for what the programs of a graph write."""
+
+
+class Parser(argparse.ArgumentParser):
+    """Reports a wrong command line the way every other error is reported."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise what is wrong.
+
+        Raises:
+            ParameterError: Always.
+
+        """
+        raise ParameterError(message, where=self.prog, expected=f"options as '{self.prog} --help' lists them")
+
+
+def prepare(folder: Path, made_here: Sequence[str], program: str) -> Path:
+    """Make a folder of output with an empty folder for logs, without what an earlier run left there.
+
+    Args:
+        folder: What to make.
+        made_here: Files and folders that the program makes in it; an earlier one of these is removed, anything else
+            left alone.
+        program: What to call the program in complaints.
+
+    Raises:
+        ParameterError: The folder cannot be made.
+
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in (*made_here, LOGS):
+            entry = folder / name
+            if entry.is_dir():
+                shutil.rmtree(entry)
+            else:
+                entry.unlink(missing_ok=True)
+        (folder / LOGS).mkdir()
+    except OSError as error:
+        raise ParameterError(
+            f"cannot be made: {error.strerror}", where=f"{program}, --output, {folder}", expected="a folder to write to"
+        ) from error
+    return folder
