@@ -1,0 +1,272 @@
+"""posor_node as a program: what it publishes, what it refuses, and what it says then."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from posor_estimator.core.calibration.load import load_calibration
+from posor_estimator.testing.graph import Graph, values_of
+from posor_estimator.testing.program import Program, installed, ros_arguments
+from posor_estimator.testing.stamped import stamp, status_with
+from posor_msgs.msg import JointTransform, RawScan
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+pytestmark = pytest.mark.usefixtures("ros_domain")
+
+ROOT = Path(__file__).resolve().parents[4]
+BRINGUP = ROOT / "ros2_ws" / "src" / "posor_bringup"
+CALIBRATION = BRINGUP / "config" / "slocum1985_printed.yaml"
+YMO = ROOT / "data" / "slocum1985" / "ymo_input.csv"
+
+PLATES = ("posor_receiving", "posor_target")
+TOTAL_A = 1e-4
+LOSSLESS = {"qos_reliability": "reliable", "qos_depth": 0}
+
+
+def posor_node(**parameters: object) -> Program:
+    return Program([*installed("posor_estimator", "posor_node"), *ros_arguments(parameters)])
+
+
+# posor_node.
+
+
+@pytest.fixture(scope="module")
+def recorded() -> dict[str, float]:
+    """The first step of test YMO."""
+    lines = YMO.read_text(encoding="utf-8").splitlines()
+    row = next(csv.DictReader(line for line in lines if not line.startswith("#")))
+    return {name: float(cell) for name, cell in row.items() if name not in ("step", "repaired")}
+
+
+@pytest.fixture
+def sound(recorded: dict[str, float]) -> Callable[[int], Any]:
+    """Return a maker of sound scans: the first step of test YMO with a number, which is its second too."""
+
+    def make(number: int) -> Any:
+        scan = stamp(RawScan(scan=number, samples=1, supply_voltage=math.nan, temperature=math.nan), number)
+        scan.header.frame_id = PLATES[0]
+        scan.gap_voltages = [recorded[f"l{k}_v"] for k in (1, 2, 3)]
+        half = TOTAL_A / 2.0
+        for k in (1, 2):
+            x, y = recorded[f"dx{k}"], recorded[f"dy{k}"]
+            scan.diode_currents += type(scan.diode_currents)("d", [half * (1.0 + r) for r in (x, y, -x, -y)])
+        scan.lit_sources = [0, 1]
+        return scan
+
+    return make
+
+
+def nan_voltage(scan: Any) -> None:
+    scan.gap_voltages[1] = math.nan
+
+
+def infinite_current(scan: Any) -> None:
+    scan.diode_currents[6] = math.inf
+
+
+def missing_voltage(scan: Any) -> None:
+    scan.gap_voltages = scan.gap_voltages[:2]
+
+
+def surplus_currents(scan: Any) -> None:
+    scan.diode_currents = [*scan.diode_currents, 1e-5, 1e-5]
+
+
+def dark_diode(scan: Any) -> None:
+    scan.diode_currents[4], scan.diode_currents[6] = 1e-6, 1e-6
+
+
+def voltage_out_of_range(scan: Any) -> None:
+    scan.gap_voltages[2] = 2.5
+
+
+def spot_off_the_map(scan: Any) -> None:
+    scan.diode_currents[0], scan.diode_currents[2] = 0.2 * TOTAL_A, 0.8 * TOTAL_A
+
+
+def no_light(scan: Any) -> None:
+    scan.lit_sources[0] = RawScan.NO_SOURCE
+
+
+def unknown_light(scan: Any) -> None:
+    scan.lit_sources[1] = 7
+
+
+def foreign_frame(scan: Any) -> None:
+    scan.header.frame_id = "elbow_receiving"
+
+
+def zero_stamp(scan: Any) -> None:
+    scan.header.stamp.sec = scan.header.stamp.nanosec = 0
+
+
+UNFIT: list[tuple[Callable[[Any], None], int, tuple[str, ...]]] = [
+    (nan_voltage, JointTransform.FAULT_BAD_READING, ("probe_2", "nan", "finite voltage")),
+    (infinite_current, JointTransform.FAULT_BAD_READING, ("diode_2", "inf", "finite currents")),
+    (missing_voltage, JointTransform.FAULT_BAD_READING, ("2 gap", "voltages", "expected 3")),
+    (surplus_currents, JointTransform.FAULT_BAD_READING, ("10 contact currents", "expected 8")),
+    (dark_diode, JointTransform.FAULT_DARK_DIODE, ("diode_2", "too dark", "A + C = 2e-06 A", "at least 2e-05 A")),
+    (voltage_out_of_range, JointTransform.FAULT_OUT_OF_RANGE, ("probe_3", "2.8 V", "-0.6 to 1.2 V")),
+    (spot_off_the_map, JointTransform.FAULT_OUT_OF_RANGE, ("diode_1", "-0.6", "0.502 to 0.526")),
+    (no_light, JointTransform.FAULT_SOURCE, ("diode_1", "no light source was lit")),
+    (unknown_light, JointTransform.FAULT_SOURCE, ("diode_2", "light source 7", "0 to 1")),
+    (foreign_frame, JointTransform.FAULT_BAD_READING, ("'elbow_receiving'", "expected 'posor_receiving'")),
+    (zero_stamp, JointTransform.FAULT_BAD_READING, ("the stamp is zero", "expected the time of exposure")),
+]
+
+
+def test_posor_node_refuses_what_it_cannot_start_with(tmp_path: Path) -> None:
+    missing = tmp_path / "none.yaml"
+    wrong = tmp_path / "wrong.yaml"
+    wrong.write_text(CALIBRATION.read_text(encoding="utf-8").replace("unit: V}", "unit: mV}", 1), encoding="utf-8")
+    line = next(n for n, text in enumerate(wrong.read_text(encoding="utf-8").splitlines(), 1) if "mV}" in text)
+    for parameters, code, sentence in (
+        (
+            {"calibration": str(missing)},
+            1,
+            f"calibration file {missing}: cannot be read: No such file or directory; expected a YAML calibration file.",
+        ),
+        (
+            {},
+            2,
+            (
+                "node /posor_node, parameter 'calibration': is not set; expected a string: "
+                "path of the calibration file (YAML) of this joint's POSOR."
+            ),
+        ),
+        (
+            {"calibration": str(CALIBRATION), "session": "ymx"},
+            1,
+            "calibration 'slocum1985_printed': session 'ymx' is unknown; expected ymo, yzmo, zmo.",
+        ),
+        (
+            {"calibration": str(CALIBRATION), "covariance": "all"},
+            2,
+            (
+                "node /posor_node, parameter 'covariance': 'all' is wrong; "
+                "expected one of 'random', 'systematic', 'total'."
+            ),
+        ),
+    ):
+        with posor_node(**parameters) as node:
+            assert (node.wait(), node.stderr, node.stdout) == (code, [sentence], [])
+    with posor_node(calibration=str(wrong)) as node:
+        assert node.wait() == 1
+        [sentence] = node.stderr
+        assert sentence.startswith(f"{wrong}, line {line}, key sensors[0].probes[0].zero_shift")
+        assert sentence.endswith(": unit 'mV'; expected 'V'.")
+
+
+def test_a_sound_scan_becomes_a_transform_of_its_own_time_and_frames(sound: Callable[[int], Any]) -> None:
+    with posor_node(calibration=str(CALIBRATION), session="ymo", **LOSSLESS), Graph() as graph:
+        transforms = graph.collect(JointTransform, "transform")
+        graph.watch_diagnostics()
+        raw = graph.publisher(RawScan, "raw")
+        status_with(graph, "/posor_node: listeners", "transform", "1")
+        scan = sound(5)
+        scan.status = RawScan.STATUS_OUTLIERS_DROPPED
+        raw.publish(scan)
+        graph.wait_until(lambda: len(transforms) == 1, "a transform")
+        [transform] = transforms
+        assert transform.header.stamp == scan.header.stamp
+        assert (transform.header.frame_id, transform.child_frame_id) == PLATES
+        assert (transform.scan, transform.scan_status) == (5, RawScan.STATUS_OUTLIERS_DROPPED)
+        assert (transform.state, transform.faults) == (JointTransform.STATE_OK, JointTransform.FAULT_NONE)
+        assert transform.covariance_kind == JointTransform.COVARIANCE_TOTAL
+        assert transform.redundancy == 1
+        covariance = np.reshape(transform.covariance, (6, 6))
+        np.testing.assert_allclose(covariance, covariance.T, rtol=1e-9)
+        assert (np.linalg.eigvalsh(covariance) > 0.0).all()
+        position = transform.pose.position
+        assert list(transform.native[:3]) == [position.x, position.y, position.z]
+        # The calibration's home is this step: level, about zero theta as far as the diodes' maps know.
+        assert abs(transform.native[5]) < 1e-4
+        status = graph.wait_for_status("/posor_node: estimate", "ok: none")
+        assert values_of(status)["last_scan"] == "5"
+
+
+def test_the_diagnostics_and_the_log_name_the_calibration() -> None:
+    digest = load_calibration(CALIBRATION).content_hash
+    with posor_node(calibration=str(CALIBRATION), session="zmo") as node, Graph() as graph:
+        graph.watch_diagnostics()
+        values = values_of(graph.wait_for_status("/posor_node: estimate", "no scan yet"))
+        assert values["calibration"] == "slocum1985_printed"
+        assert values["calibration_file"] == str(CALIBRATION)
+        assert values["calibration_hash"] == digest
+        assert values["session"] == "zmo"
+        assert digest in node.wait_for_line("calibration 'slocum1985_printed'")
+        assert node.end() == 0
+
+
+def test_an_unfit_scan_is_lost_without_a_number_and_the_next_sound_one_is_found(sound: Callable[[int], Any]) -> None:
+    with posor_node(calibration=str(CALIBRATION), session="ymo", **LOSSLESS) as node, Graph() as graph:
+        transforms = graph.collect(JointTransform, "transform")
+        graph.watch_diagnostics()
+        raw = graph.publisher(RawScan, "raw")
+        status_with(graph, "/posor_node: listeners", "transform", "1")
+        for case, (spoil, fault, words) in enumerate(UNFIT, start=1):
+            scan = sound(10 * case)
+            spoil(scan)
+            raw.publish(scan)
+            graph.wait_until(lambda: len(transforms) == 2 * case - 1, spoil.__name__)  # noqa: B023  used at once
+            lost = transforms[-1]
+            assert (lost.scan, lost.state, lost.faults) == (10 * case, JointTransform.STATE_LOST, fault), spoil.__name__
+            assert lost.header.stamp == scan.header.stamp
+            position, orientation = lost.pose.position, lost.pose.orientation
+            pose = [position.x, position.y, position.z, orientation.x, orientation.y, orientation.z, orientation.w]
+            assert np.isnan([*pose, *lost.native, *lost.covariance]).all(), spoil.__name__
+            status = status_with(graph, "/posor_node: estimate", "reason", f"scan {10 * case}")
+            assert status.level == b"\x02"
+            assert status.message.startswith("lost: ")
+            reason = values_of(status)["reason"]
+            assert all(word in reason for word in words), reason
+            raw.publish(sound(10 * case + 1))
+            graph.wait_until(lambda: len(transforms) == 2 * case, "a sound scan")  # noqa: B023  used at once
+            assert transforms[-1].state == JointTransform.STATE_OK, spoil.__name__
+        status = status_with(graph, "/posor_node: estimate", "last_scan", str(10 * len(UNFIT) + 1))
+        assert values_of(status)["scans_lost"] == str(len(UNFIT))
+        # Where a scan starts from does not matter: all sound scans were the same, and so are their poses.
+        poses = [tuple(transform.native) for transform in transforms[1::2]]
+        np.testing.assert_allclose(poses, [poses[0]] * len(UNFIT), rtol=0.0, atol=1e-12)
+        assert node.end() == 0
+
+
+def test_every_scan_number_that_a_message_can_hold_is_answered(sound: Callable[[int], Any]) -> None:
+    with posor_node(calibration=str(CALIBRATION), session="ymo", **LOSSLESS) as node, Graph() as graph:
+        transforms = graph.collect(JointTransform, "transform")
+        graph.watch_diagnostics()
+        raw = graph.publisher(RawScan, "raw")
+        status_with(graph, "/posor_node: listeners", "transform", "1")
+        scan = sound(1)
+        scan.scan = 2**64 - 1
+        raw.publish(scan)
+        graph.wait_until(lambda: bool(transforms) or node.ended, "a transform, or the node's end")
+        assert [transform.scan for transform in transforms] == [2**64 - 1]
+
+
+def test_a_contradicting_reading_is_lost_by_its_chi_square(sound: Callable[[int], Any]) -> None:
+    """A spot moved by dirt: every reading is in range, but no pose explains all seven."""
+    with posor_node(calibration=str(CALIBRATION), session="ymo", **LOSSLESS), Graph() as graph:
+        transforms = graph.collect(JointTransform, "transform")
+        graph.watch_diagnostics()
+        raw = graph.publisher(RawScan, "raw")
+        status_with(graph, "/posor_node: listeners", "transform", "1")
+        scan = sound(1)
+        shift = 0.03 * TOTAL_A  # of the ratio along y, within the map
+        scan.diode_currents[5] -= shift
+        scan.diode_currents[7] += shift
+        raw.publish(scan)
+        graph.wait_until(lambda: len(transforms) == 1, "a transform")
+        [transform] = transforms
+        assert (transform.state, transform.faults) == (JointTransform.STATE_LOST, JointTransform.FAULT_RESIDUAL)
+        assert math.isnan(transform.pose.position.x)
+        status = graph.wait_for_status("/posor_node: estimate", "lost: RESIDUAL")
+        assert "contradict one another" in values_of(status)["reason"]
