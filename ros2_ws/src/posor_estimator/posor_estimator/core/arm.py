@@ -7,12 +7,13 @@ Versions of the format:
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from posor_estimator.core.calibration.entry import EntryError
+from posor_estimator.core.calibration.entry import EntryError, shown
 from posor_estimator.core.calibration.load import load_calibration, load_document
 from posor_estimator.core.calibration.model import Calibration, Provenance
 from posor_estimator.core.calibration.part import FrozenModel
@@ -24,7 +25,24 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 VERSION = 1
-Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+
+
+def _ros_name(name: str) -> str:
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+        raise EntryError(f"name {shown(name)}", expected="letters, digits and underscores, a letter first")
+    return name
+
+
+def _parameter_value(value: object) -> object:
+    if isinstance(value, bool | int | float | str) or (
+        isinstance(value, list) and all(isinstance(entry, str) for entry in value)
+    ):
+        return value
+    raise EntryError(shown(value), expected="a truth value, a number, a text or a list of texts")
+
+
+Name = Annotated[str, AfterValidator(_ros_name)]
+ParameterValue = bool | int | float | str | list[str]
 
 
 class JointFile(FrozenModel):
@@ -38,7 +56,7 @@ class DriverFile(FrozenModel):
     """Where the scans come from: a source of driver_node, and ROS parameters that all drivers of the arm share."""
 
     source: str
-    parameters: dict[str, bool | int | float | str | list[str]] = Field(default_factory=dict)
+    parameters: dict[str, Annotated[ParameterValue, BeforeValidator(_parameter_value)]] = Field(default_factory=dict)
 
 
 class ArmFile(FrozenModel):
