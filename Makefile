@@ -12,7 +12,7 @@ help:
 	@echo "make test [TESTS='path ...']                           lint, type check and all tests (or only those of TESTS)"
 	@echo "make accuracy                                          closure, consistency and fault detection of the estimator"
 	@echo "make bench-core                                        speed of the estimator's core"
-	@echo "make data                                              make bags and calibrations again from the 1985 tables"
+	@echo "make data                                              make bags and calibrations again from tables and designs"
 	@echo "make lint                                              ruff and mypy only"
 	@echo "make setup                                             virtual environment, ROS 2 Jazzy, colcon build"
 	@echo "make lock                                              renew the exact versions in requirements/*.txt"
@@ -37,6 +37,7 @@ bench-core:
 
 data: setup
 	@.venv/bin/python -E tools/in_workspace.py data/slocum1985/make_calibrations.py
+	@.venv/bin/python -E tools/in_workspace.py data/arms/make_arm_calibrations.py
 	@.venv/bin/python -E tools/in_workspace.py bags/make_bags.py
 
 lint: setup

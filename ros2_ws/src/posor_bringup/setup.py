@@ -14,10 +14,15 @@ def files(folder: str) -> list[str]:
     return sorted(str(path) for path in Path(folder).glob("*.*"))
 
 
+def folders(folder: str) -> list[str]:
+    """Return a folder of this package and all below it, in a fixed order."""
+    return sorted({str(path.parent) for path in Path(folder).rglob("*.*")})
+
+
 setup(
     name=PACKAGE,
     version="0.1.0",
-    description="The POSOR demo, its report, and the launch files, URDF and calibration files of the 1985 rig",
+    description="The 1985 rig and simulated arms: demos, reports, launch files, URDF and calibration files",
     license="Apache-2.0",
     maintainer="POSOR maintainers",
     maintainer_email="maintainers@posor.invalid",
@@ -27,6 +32,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
         *((f"share/{PACKAGE}/bags/{test}", files(f"bags/{test}")) for test in ("ymo", "yzmo", "zmo")),
+        *((f"share/{PACKAGE}/{folder}", files(folder)) for folder in folders("arms")),
         (f"share/{PACKAGE}/config", files("config")),
         (f"share/{PACKAGE}/data", files("data")),
         (f"share/{PACKAGE}/launch", files("launch")),
@@ -38,6 +44,7 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
+            "arm_budget = posor_bringup.arm_budget:main",
             "demo = posor_bringup.demo:main",
         ],
     },

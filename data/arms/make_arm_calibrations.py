@@ -1,0 +1,106 @@
+"""Make the calibration files of the simulated arms from the estimator's designs.
+
+Run it with the workspace's Python from anywhere: ``python data/arms/make_arm_calibrations.py [OUTPUT_FOLDER]``. For
+each arm it writes ``<arm>/calibrations/<joint>.yaml``; the same bytes on every run. Where the numbers come from stands
+in each file's provenance.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import yaml
+from posor_estimator.core.designs import SizedDesignName, design, sized_design
+
+if TYPE_CHECKING:
+    from posor_estimator.core.calibration.model import Calibration
+
+HERE = Path(__file__).resolve().parent
+DEFAULT_OUTPUT = HERE.parents[1] / "ros2_ws/src/posor_bringup/arms"
+INCH = 0.0254
+NAME = "data/arms/make_arm_calibrations.py"
+
+FIVE_AXIS = {"base_swivel": 8.0, "shoulder": 8.0, "elbow": 6.0, "wrist_roll": 5.0, "wrist_yaw": 4.0}
+"""Outside diameters [inch] of the thesis' conceptual robot, section 9.3.1."""
+SIX_AXIS = {"base_turn": 8.0, "shoulder": 8.0, "elbow": 6.0, "wrist_roll": 5.0, "wrist_pitch": 5.0, "tool_roll": 4.0}
+"""Outside diameters [inch], assumed."""
+TEST_RIG = "joint1"
+
+SIZED: dict[str, tuple[SizedDesignName, dict[str, float]]] = {
+    "five_axis": ("triad_bumpy_ring", FIVE_AXIS),
+    "six_axis": ("triad_light_ring", SIX_AXIS),
+}
+
+
+def frames(joint: str) -> tuple[str, str]:
+    """Return the names of a joint's receiving and target plate, as the URDFs have them."""
+    return f"{joint}_receiving", f"{joint}_target"
+
+
+def calibrations() -> dict[str, Calibration]:
+    """Return all calibrations by the path of their file in the folder of the arms."""
+    made = {
+        f"{arm}/calibrations/{joint}.yaml": sized_design(
+            stack, diameter * INCH, frames=frames(joint), title=f"{arm}_{joint}"
+        )
+        for arm, (stack, diameters) in SIZED.items()
+        for joint, diameter in diameters.items()
+    }
+    rig = design("triad_diodes", motion=True, frames=frames(TEST_RIG)).model_copy(update={"name": "test_rig_joint1"})
+    return {**made, f"test_rig/calibrations/{TEST_RIG}.yaml": rig}
+
+
+class Line(dict[str, Any]):
+    """A mapping that the YAML writer sets on one line."""
+
+
+class Dumper(yaml.SafeDumper):
+    """Writes quantities on one line each, whatever is the same twice in full."""
+
+    def ignore_aliases(self, data: Any) -> bool:  # noqa: ARG002
+        """Return that nothing is written as an alias."""
+        return True
+
+
+Dumper.add_representer(
+    Line, lambda dumper, line: dumper.represent_mapping("tag:yaml.org,2002:map", line.items(), flow_style=True)
+)
+
+
+def laid_out(part: Any) -> Any:
+    """Return a part of a calibration as it is to be written: numbers in twelve digits, nothing that is not said."""
+    if isinstance(part, dict):
+        if set(part) == {"value", "sigma", "unit"}:
+            kept = {key: laid_out(entry) for key, entry in part.items()}
+            if not _any(kept["sigma"]):
+                del kept["sigma"]
+            return Line(kept)
+        return {key: laid_out(entry) for key, entry in part.items() if entry is not None and entry not in ({}, ())}
+    if isinstance(part, list | tuple):
+        return [laid_out(entry) for entry in part]
+    return float(f"{part:.12g}") + 0.0 if isinstance(part, float) else part
+
+
+def _any(sigma: Any) -> bool:
+    return any(_any(entry) for entry in sigma) if isinstance(sigma, list) else sigma != 0.0
+
+
+def write(path: Path, calibration: Calibration) -> None:
+    """Write one calibration file."""
+    content = calibration.model_dump(mode="json")
+    content["provenance"]["method"] += f", written by {NAME}"
+    text = yaml.dump(laid_out(content), Dumper=Dumper, sort_keys=False, width=120, allow_unicode=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f"# Made by {NAME}; SI units throughout.\n{text}", encoding="utf-8")
+
+
+def main(output: Path) -> None:
+    """Write all files into the folder of the arms."""
+    for name, calibration in calibrations().items():
+        write(output / name, calibration)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else DEFAULT_OUTPUT)
