@@ -67,3 +67,11 @@ class ScanError(PosorError):
     def __init__(self, what: str, *, fault: Fault, where: str = "", expected: str = "") -> None:
         super().__init__(what, where=where, expected=expected)
         self.fault = fault
+
+
+class FitError(PosorError):
+    """Data do not determine what is to be fitted to them, or do not fit the model."""
+
+
+class TrackError(PosorError):
+    """A reference measurement cannot be used: no values, stamps that go back, the wrong unit or type."""

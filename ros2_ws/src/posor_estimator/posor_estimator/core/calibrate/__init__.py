@@ -1,0 +1,1 @@
+"""Calibration procedures: from recorded readings and a reference to parameters with their uncertainty. No ROS here."""
