@@ -42,6 +42,7 @@ def scans_at(
     translations: FloatArray,
     stamps_ns: IntArray,
     *,
+    supply_voltages: FloatArray | None = None,
     noise: np.random.Generator | None = None,
 ) -> Scans:
     """Return the raw scans of n poses ``T_R_T``.
@@ -51,6 +52,7 @@ def scans_at(
         rotations: R_R_T, shape (n, 3, 3).
         translations: Origin of T in R [m], shape (n, 3).
         stamps_ns: Time of each scan [ns], shape (n,).
+        supply_voltages: Of the probe electronics [V], shape (n,); None: at each probe's reference, not measured.
         noise: Where to draw the electronics' noise from, as large as the calibration says; None: no noise.
 
     Returns:
@@ -58,6 +60,8 @@ def scans_at(
 
     """
     scans = empty_scans(stamps_ns)
+    if supply_voltages is not None:
+        scans = scans.with_fields({"supply_voltages": supply_voltages})
     for sensor in _row_sensors(stack):
         readings, fields = _readings(sensor, rotations, translations)
         scans = scans.with_fields(fields)
