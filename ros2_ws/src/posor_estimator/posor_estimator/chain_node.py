@@ -8,6 +8,7 @@ diagnostics say which joint, and why.
 
 from __future__ import annotations
 
+import math
 import time
 from functools import partial
 from pathlib import Path
@@ -24,7 +25,7 @@ from std_srvs.srv import Trigger
 from posor_estimator.core.beam_motion import BeamMotion
 from posor_estimator.core.chain import Chain, Endpoint, load_chain
 from posor_estimator.core.fault import State
-from posor_estimator.core.joining import ScanJoiner
+from posor_estimator.core.joining import MOST_OPEN, ScanJoiner
 from posor_estimator.ros.diagnostics import Level
 from posor_estimator.ros.listeners import Listeners
 from posor_estimator.ros.main import run
@@ -35,8 +36,8 @@ from posor_estimator.ros.qos import (
     ENDPOINT_COVARIANCE_TOPIC,
     ENDPOINT_TOPIC,
     JOINT_STATES_TOPIC,
-    RELIABLE_QOS,
     TRANSFORM_TOPIC,
+    result_qos,
     sensor_qos,
 )
 
@@ -96,18 +97,20 @@ class ChainNode(PosorNode[ChainParameters]):
         path, beams = Path(self.parameters.urdf), self.parameters.beams
         self._chain = load_chain(path, self.parameters.endpoint_frame, Path(beams) if beams else None)
         names = tuple(joint.name for joint in self._chain.joints)
-        self._joiner = ScanJoiner(names)
+        # Where everything is kept, one joint may be ahead of another by a whole replay.
+        self._joiner = ScanJoiner(names, MOST_OPEN if self.parameters.qos_depth else math.inf)
         self._motion = BeamMotion(self.parameters.acceleration_window) if self.parameters.acceleration_window else None
         self._home = self._last = None
         self._poses = self._scans_refused = self._scans_incomplete = 0
         self._status.report(
             Level.STALE, "no complete scan yet", {"joints": ", ".join(names), "urdf": str(path), "beams": beams}
         )
-        self._pose_publisher = self._listeners.publisher(PoseStamped, ENDPOINT_TOPIC, RELIABLE_QOS)
+        results = result_qos(self.parameters)
+        self._pose_publisher = self._listeners.publisher(PoseStamped, ENDPOINT_TOPIC, results)
         self._covariance_publisher = self._listeners.publisher(
-            PoseWithCovarianceStamped, ENDPOINT_COVARIANCE_TOPIC, RELIABLE_QOS
+            PoseWithCovarianceStamped, ENDPOINT_COVARIANCE_TOPIC, results
         )
-        self._joint_publisher = self._listeners.publisher(JointState, JOINT_STATES_TOPIC, RELIABLE_QOS)
+        self._joint_publisher = self._listeners.publisher(JointState, JOINT_STATES_TOPIC, results)
         qos = sensor_qos(self.parameters)
         self._transform_subscriptions = [
             self.create_subscription(JointTransform, f"{joint.name}/{TRANSFORM_TOPIC}", partial(self._take, joint), qos)

@@ -8,7 +8,7 @@ Item = TypeVar("Item")
 Key: TypeAlias = tuple[int, int]
 
 MOST_OPEN = 64
-"""Scans that may be incomplete at the same time; beyond that the oldest is given up."""
+"""Scans that may be incomplete at the same time unless told otherwise; beyond that the oldest is given up."""
 
 
 class ScanJoiner(Generic[Item]):
@@ -23,9 +23,10 @@ class ScanJoiner(Generic[Item]):
     has done so is taken into the new round as it is: then only the other's clock was set back.
     """
 
-    def __init__(self, members: tuple[str, ...]) -> None:
-        """Join items of these members."""
+    def __init__(self, members: tuple[str, ...], most_open: float = MOST_OPEN) -> None:
+        """Join items of these members, with at most so many scans incomplete at the same time."""
         self._members = members
+        self._most_open = most_open
         self._round = 0
         self._rounds = dict.fromkeys(members, 0)
         self._behind = dict.fromkeys(members, 0)
@@ -54,7 +55,7 @@ class ScanJoiner(Generic[Item]):
         scan[member] = item
         self._arrived.setdefault(key, arrived)
         if len(scan) < len(self._members):
-            if len(self._open) > MOST_OPEN:
+            if len(self._open) > self._most_open:
                 self._give_up(min(self._open))
             return None
         del self._open[key], self._arrived[key]

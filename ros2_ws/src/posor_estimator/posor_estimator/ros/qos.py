@@ -20,6 +20,9 @@ TRUTH_TOPIC = "/truth/machining_centre"
 RELIABLE_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 """For everything that is not sensor data."""
 
+KEEP_ALL_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL, depth=0, reliability=ReliabilityPolicy.RELIABLE)
+"""The same in a replay without loss."""
+
 
 def sensor_qos(parameters: NodeParameters) -> QoSProfile:
     """Return the profile of the sensor topics (raw scans, transforms) as the node's parameters ask for it.
@@ -35,3 +38,8 @@ def sensor_qos(parameters: NodeParameters) -> QoSProfile:
         if parameters.qos_reliability == "reliable"
         else ReliabilityPolicy.BEST_EFFORT,
     )
+
+
+def result_qos(parameters: NodeParameters) -> QoSProfile:
+    """Return the profile of what a node makes of sensor data: reliable, keeping all where the sensor topics do."""
+    return RELIABLE_QOS if parameters.qos_depth else KEEP_ALL_QOS

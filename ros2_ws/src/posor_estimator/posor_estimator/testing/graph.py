@@ -10,16 +10,16 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from posor_estimator.ros.qos import DIAGNOSTICS_TOPIC
+from posor_estimator.ros.qos import DIAGNOSTICS_TOPIC, KEEP_ALL_QOS
 from posor_estimator.testing.program import wait_until
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from types import TracebackType
 
-LOSSLESS = QoSProfile(history=HistoryPolicy.KEEP_ALL, depth=0, reliability=ReliabilityPolicy.RELIABLE)
+LOSSLESS = KEEP_ALL_QOS
 """Receives everything that a reliable publisher sends."""
 
 BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)

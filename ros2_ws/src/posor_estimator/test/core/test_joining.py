@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import pytest
@@ -179,6 +180,15 @@ def test_no_more_than_so_many_scans_are_open(joiner: ScanJoiner[str]) -> None:
         add(joiner, "elbow", stamp)
     given_up = joiner.take_given_up()
     assert given_up == dict.fromkeys(range(1, 2 * MOST_OPEN + 1), ("wrist",))
+
+
+def test_a_replay_without_loss_keeps_every_scan_open() -> None:
+    joiner: ScanJoiner[str] = ScanJoiner(JOINTS, math.inf)
+    stamps = range(1, 5 * MOST_OPEN)
+    for joint in JOINTS[:-1]:
+        assert not any(add(joiner, joint, stamp) for stamp in stamps)
+    assert [add(joiner, JOINTS[-1], stamp) for stamp in stamps] == [whole(stamp) for stamp in stamps]
+    assert joiner.take_given_up() == {}
 
 
 def test_a_joint_that_lags_far_behind_is_the_one_that_is_named(joiner: ScanJoiner[str]) -> None:

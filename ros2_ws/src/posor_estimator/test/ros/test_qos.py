@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from posor_estimator.ros.parameters import NodeParameters
-from posor_estimator.ros.qos import RELIABLE_QOS, sensor_qos
+from posor_estimator.ros.qos import RELIABLE_QOS, result_qos, sensor_qos
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 
 
@@ -19,3 +19,9 @@ def test_parameters_override_the_sensor_profile() -> None:
 
 def test_everything_else_is_reliable() -> None:
     assert RELIABLE_QOS.reliability == ReliabilityPolicy.RELIABLE
+
+
+def test_results_are_reliable_and_keep_all_where_the_sensor_topics_do() -> None:
+    assert result_qos(NodeParameters()) == RELIABLE_QOS
+    lossless = result_qos(NodeParameters(qos_depth=0))
+    assert (lossless.history, lossless.reliability) == (HistoryPolicy.KEEP_ALL, ReliabilityPolicy.RELIABLE)
