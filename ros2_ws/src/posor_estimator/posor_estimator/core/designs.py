@@ -43,8 +43,9 @@ SMALLEST_DIAMETER = 3.0 * INCH
 """Outside diameter [m] below which the sensors of ``sized_design`` find no room."""
 SOURCE_PITCH = 7.7e-3
 """Largest distance between light sources [m] at which each diode always sees one."""
-BUMPS_PER_INCH = 16
-"""Bumps per inch of a sized ring's diameter: 4.99 mm from bump to bump, and a multiple of four for whole inches."""
+BUMPS_PER_INCH = 24
+"""Bumps per inch of a sized ring's diameter, 3.32 mm from bump to bump: steep enough that theta is resolved nearly as
+section 9.3.1 has it, 5 microinch over the ring's radius; a multiple of four for whole inches."""
 
 _GAP_OF_VOLT = (STANDOFF, -0.118e-3, 1.5e-6, -2e-7, 1e-8)
 _RING_RANGE = 1.5
@@ -113,7 +114,7 @@ def _sized_ring(outside_diameter: float) -> RingShape:
     return RingShape(
         bumps=4 * max(1, round(BUMPS_PER_INCH * 2.0 * radius / INCH / 4.0)),
         mean_radius=radius,
-        cos=(-4e-6, 0.0, 4e-4, 5e-7, 2e-5),
+        cos=(-4e-6, 0.0, 4e-4, 5e-7, 1e-5),
         sin=(0.0, -5e-6, 0.0, -1e-5, 0.0),
         radius_sigma=20e-9,
         amplitude_sigma=20e-9,
@@ -208,6 +209,6 @@ def sized_design(name: SizedDesignName, outside_diameter: float, *, frames: tupl
         notes.append("assumed: light sources at most 7.7 mm apart, two diodes of 5.5 mm half width, their noise")
     else:
         sensors.append(bumpy_ring(_SIZED_RING_PROBE, _sized_ring(outside_diameter), 4))
-        notes.append("assumed: bumps of 0.4 mm every 4.99 mm, ring probes of 1.5 times the range of the others")
+        notes.append("assumed: bumps of 0.4 mm every 3.32 mm, ring probes of 1.5 times the range of the others")
     source = f"assumed design of {outside_diameter / INCH:g} in outside diameter"
     return _calibration(title, source, tuple(notes), frames, _limits(0.02), sensors)

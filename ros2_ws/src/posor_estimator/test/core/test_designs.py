@@ -15,6 +15,8 @@ from posor_estimator.core.posor import Posor
 from posor_estimator.errors import CalibrationError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from posor_estimator.core.calibration.model import Calibration
     from posor_estimator.core.estimate import Estimates
 
@@ -28,7 +30,7 @@ def made(name: SizedDesignName, diameter_in: float) -> Calibration:
     return sized_design(name, diameter_in * INCH, frames=FRAMES, title="elbow")
 
 
-def located(posor: Posor, places: list[tuple[float, ...]]) -> Estimates:
+def located(posor: Posor, places: Sequence[tuple[float, ...]]) -> Estimates:
     """Locate noise-free scans at (x, y, gap, alpha, beta, theta), theta known to a bump."""
     rotations = np.array([rotation_from_native(*place[3:]) for place in places])
     translations = np.array([place[:3] for place in places])
@@ -71,14 +73,14 @@ def test_small_rotations_are_resolved_as_a_triad_of_that_altitude_resolves_them(
 
 
 @pytest.mark.parametrize("diameter_in", DIAMETERS_IN)
-def test_theta_is_resolved_to_less_than_twice_the_thesis_figure_at_every_phase_of_a_bump(diameter_in: float) -> None:
+def test_theta_is_resolved_nearly_as_the_thesis_has_it_at_every_phase_of_a_bump(diameter_in: float) -> None:
     posor = Posor(made("triad_bumpy_ring", diameter_in))
     bump = posor.calibration.sensors[1].bump_angle
     places = [(0.0, 0.0, STANDOFF, 0.0, 0.0, float(theta)) for theta in np.linspace(0.0, bump, 21)]
     sigmas = np.sqrt(located(posor, places).covariances_random[:, 5, 5])
     thesis = PROBE_ACCURACY / (0.5 * (diameter_in - 2.0) * INCH)
-    assert np.all(sigmas > thesis)
-    assert np.all(sigmas < 2.0 * thesis)
+    assert np.all(sigmas > 0.8 * thesis)
+    assert np.all(sigmas < 1.2 * thesis)
 
 
 @pytest.mark.parametrize("diameter_in", DIAMETERS_IN)
