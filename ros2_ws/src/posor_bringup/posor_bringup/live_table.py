@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Self
 
-from rich.console import Console
-from rich.live import Live
 from rich.table import Table
 
 from posor_bringup.drawing import MICRON
+from posor_bringup.live_view import LiveView
 from posor_bringup.motion import measured_angles
 from posor_bringup.thesis import URAD
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from types import TracebackType
+
+    from rich.console import Console
 
     from posor_bringup.motion import Step
 
@@ -53,40 +54,37 @@ class LiveTable:
             live: False: plain lines even in a terminal.
 
         """
-        self._console = console or Console(highlight=False)
+        self._view = LiveView(console, live=live)
         self._title = title
         self._rows: list[list[str]] = []
-        self._live = Live(console=self._console) if live and self._console.is_terminal else None
 
     def __enter__(self) -> Self:
         """Begin to show."""
-        if self._live is not None:
-            self._live.start()
-            self._live.update(self._table([]), refresh=True)
+        self._view.__enter__()
+        if self._view.is_live:
+            self._view.update(self._table([]), at_once=True)
         else:
-            self._line(self._title)
-            self._line(LEGEND)
-            self._line(_row(["step", *COLUMNS, "status"]))
+            for text in (self._title, LEGEND, _row(["step", *COLUMNS, "status"])):
+                self._view.line(text)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Leave the whole table on the screen."""
-        if self._live is not None:
-            self._live.update(self._table(self._rows))
-            self._live.stop()
+        self._view.update(self._table(self._rows))
+        self._view.__exit__(kind, error, trace)
 
     def show(self, steps: Sequence[Step]) -> None:
         """Add the steps that are new; ``steps`` holds all so far, the first is the reference."""
         new = [cells(step, steps[0]) for step in steps[len(self._rows) :]]
         self._rows += new
-        if self._live is not None:
-            fitting = max(1, self._console.height - _LINES_AROUND)
-            self._live.update(self._table(self._rows[-fitting:]))
+        if self._view.is_live:
+            fitting = max(1, self._view.console.height - _LINES_AROUND)
+            self._view.update(self._table(self._rows[-fitting:]))
             return
         for row in new:
-            self._line(_row(row))
+            self._view.line(_row(row))
 
     def _table(self, rows: Sequence[Sequence[str]]) -> Table:
         table = Table(title=self._title, caption=LEGEND, header_style="bold")
@@ -97,9 +95,6 @@ class LiveTable:
         for row in rows:
             table.add_row(*row)
         return table
-
-    def _line(self, text: str) -> None:
-        self._console.print(text, soft_wrap=True, markup=False)
 
 
 def _row(texts: Sequence[str]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -35,6 +36,7 @@ class Receiver(Node):
         super().__init__(name)
         self.received = 0
         self._statuses: dict[str, DiagnosticStatus] = {}
+        self._heard: Counter[str] = Counter()
         self.create_subscription(DiagnosticArray, DIAGNOSTICS_TOPIC, self._note, KEEP_ALL_QOS)
         # One executor for good: messages that arrive while one executor gives way to the next are never taken.
         self._executor = EventsExecutor()
@@ -63,6 +65,7 @@ class Receiver(Node):
 
     def _note(self, message: DiagnosticArray) -> None:
         self._statuses |= {status.name: status for status in message.status}
+        self._heard.update(status.name for status in message.status)
 
     def value(self, status: str, key: str) -> str | None:
         """Return what a node said last in its diagnostics; None if it has not said it yet.
@@ -76,6 +79,15 @@ class Receiver(Node):
         if said is None:
             return None
         return {**{item.key: item.value for item in said.values}, "message": said.message}.get(key)
+
+    def counts(self, status: str) -> dict[str, int]:
+        """Return the values that a node said last that are whole numbers, by key."""
+        said = self._statuses.get(status)
+        return {} if said is None else {item.key: int(item.value) for item in said.values if item.value.isdigit()}
+
+    def heard(self, status: str) -> int:
+        """Return how often a status has come."""
+        return self._heard[status]
 
     def forget(self, node: str) -> None:
         """Forget what a node said of itself, such as ``/chain_node``: it is no more."""

@@ -6,6 +6,7 @@ import json
 import re
 import signal
 import subprocess
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
@@ -62,9 +63,10 @@ class Program:
         arguments = [*self.arguments, "--ros-args", *(["-r", f"__ns:={self.namespace}"] if self.namespace else [])]
         for name, value in self.parameters.items():
             arguments += ["-p", f"{name}:={json.dumps(value)}"]  # ROS reads values as YAML, which JSON is
-        return [str(self._path()), *arguments]
+        return [*self._beginning(), *arguments]
 
-    def _path(self) -> Path:
+    def _beginning(self) -> list[str]:
+        """Return what is executed, without arguments."""
         try:
             path = Path(get_package_prefix(self.package), "lib", self.package, self.executable)
         except PackageNotFoundError:
@@ -77,7 +79,17 @@ class Program:
                 where=self.name,
                 expected=f"it at {path}",
             )
-        return path
+        return [str(path)]
+
+
+@dataclass(frozen=True)
+class Script(Program):
+    """A Python file to start; ``executable`` is its path, ``package`` is not used."""
+
+    def _beginning(self) -> list[str]:
+        if not Path(self.executable).is_file():
+            raise ProcessError(f"there is no file {self.executable}", where=self.name, expected="a Python program")
+        return [sys.executable, self.executable]
 
 
 class RunningProgram:

@@ -1,0 +1,62 @@
+"""Finds an arm by the name it is installed under or by the path of its file, and checks that its files fit together."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from posor_estimator.core.arm import Arm, load_arm
+from posor_estimator.errors import ChainError, ParameterError
+
+from posor_bringup.installed import share
+
+FILE = "arm.yaml"
+
+
+def installed_arms() -> list[str]:
+    """Return the names of the arms that this package installs."""
+    return sorted(path.parent.name for path in (share() / "arms").glob(f"*/{FILE}"))
+
+
+def find_arm(text: str) -> Path:
+    """Return the arm file that a user means.
+
+    Args:
+        text: Path of an arm file or of the folder that holds ``arm.yaml``, or the name of an installed arm.
+
+    Raises:
+        ParameterError: There is no such arm.
+
+    """
+    for path in (Path(text), Path(text) / FILE, share() / "arms" / text / FILE):
+        if path.is_file():
+            return path
+    names = ", ".join(installed_arms())
+    raise ParameterError("no such arm", where=f"arm '{text}'", expected=f"the path of an arm file, or one of {names}")
+
+
+def checked_arm(text: str) -> Arm:
+    """Return an arm all of whose files can be read and fit together.
+
+    Args:
+        text: Path or name, see ``find_arm``.
+
+    Raises:
+        ParameterError: There is no such arm.
+        CalibrationError: A file of it cannot be read, or says something that cannot be.
+        ChainError: The URDF cannot be used, or the calibrations do not fit its joints.
+
+    """
+    arm = load_arm(find_arm(text))
+    for joint in arm.chain().joints:
+        frames = arm.calibration(joint.name).frames
+        if (frames.parent, frames.child) != (joint.parent, joint.child):
+            raise ChainError(
+                f"measures '{frames.child}' in '{frames.parent}'",
+                where=f"{arm.calibrations[joint.name]}, calibration of joint '{joint.name}'",
+                expected=f"'{joint.child}' in '{joint.parent}', as in {arm.urdf}",
+            )
+    if arm.scenario is not None and not arm.scenario.is_file():
+        raise ParameterError(
+            f"there is no file {arm.scenario}", where=f"{arm.path}, key scenario", expected="the simulator's scenario"
+        )
+    return arm

@@ -1,0 +1,116 @@
+"""bringup: starts all nodes of an arm, watches them, says which ended and why, and ends all on Ctrl-C or SIGTERM."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+import yaml
+from posor_estimator.ros.main import WAKE_S, StopSignal, exit_code_of, own_arguments
+from rich.console import Console
+
+from posor_bringup.arm_programs import arm_programs
+from posor_bringup.arms import checked_arm, installed_arms
+from posor_bringup.command_line import LOGS, Parser, prepare
+from posor_bringup.supervisor import Supervisor
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from posor_bringup.supervisor import Parameter, RunningProgram
+
+
+def _parameter(text: str) -> tuple[str, Parameter]:
+    """Return name and value of ``name:=value``; the value is YAML, as on a ROS command line."""
+    name, separator, value = text.partition(":=")
+    try:
+        read = yaml.safe_load(value)
+    except yaml.YAMLError:
+        read = None
+    is_list = isinstance(read, list) and all(isinstance(entry, str) for entry in read)
+    if not (name and separator and (is_list or isinstance(read, bool | int | float | str))):
+        raise argparse.ArgumentTypeError(f"'{text}' is no parameter, name:=value")
+    return name, cast("Parameter", read)
+
+
+def parse(arguments: Sequence[str]) -> argparse.Namespace:
+    """Return the options.
+
+    Raises:
+        ParameterError: An option is unknown or its value wrong.
+
+    """
+    parser = Parser(prog="bringup", description="Start all nodes of an arm and watch them until Ctrl-C.")
+    parser.add_argument(
+        "arm",
+        metavar="ARM",
+        help=f"path of an arm file, or the name of an installed one: {', '.join(installed_arms())}",
+    )
+    parser.add_argument("--no-driver", action="store_true", help="without drivers: the scans come from elsewhere")
+    parser.add_argument("--use-sim-time", action="store_true", help="all nodes take the time from /clock")
+    parser.add_argument(
+        "-p",
+        action="append",
+        default=[],
+        type=_parameter,
+        dest="parameters",
+        metavar="NAME:=VALUE",
+        help="a parameter for all drivers, such as simulated.sag:=false; may be repeated",
+    )
+    parser.add_argument(
+        "--output", type=Path, default=Path("build/bringup"), metavar="FOLDER", help="logs; default: build/bringup"
+    )
+    return parser.parse_args(list(arguments))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; the exit code is 0 if all nodes ended as they were asked to."""
+    argv = sys.argv if arguments is None else arguments
+    return exit_code_of(lambda: _bring_up(argv))
+
+
+def _bring_up(argv: Sequence[str]) -> None:
+    options = parse(own_arguments(argv))
+    console = Console(highlight=False, soft_wrap=True, markup=False)
+    arm = checked_arm(options.arm)
+    programs = arm_programs(
+        arm,
+        drivers=not options.no_driver,
+        driver_parameters=dict(options.parameters),
+        parameters={"use_sim_time": True} if options.use_sim_time else {},
+    )
+    folder = prepare(options.output / arm.name, (), "bringup")
+    stop = StopSignal()
+    try:
+        with Supervisor(folder / LOGS) as supervisor:
+            running = [supervisor.start(program) for program in programs]
+            for started in running:
+                console.print(f"{started.program.name}: process {started.process.pid}")
+            console.print(f"{arm.name}: {len(running)} nodes started, their logs in {folder / LOGS}; Ctrl-C ends them")
+            _watch(supervisor, running, stop, console)
+    finally:
+        stop.restore()
+    console.print(f"{arm.name}: all nodes have ended")
+
+
+def _watch(supervisor: Supervisor, running: Sequence[RunningProgram], stop: StopSignal, console: Console) -> None:
+    """Wait until asked to stop; say of each driver when it has come to its end, what it sent may still be on its way.
+
+    Raises:
+        ProcessError: A node ended as it should not.
+
+    """
+    drivers = [started for started in running if started.program.ends]
+    while not stop.requested:
+        supervisor.check()
+        for driver in [driver for driver in drivers if driver.has_ended]:
+            drivers.remove(driver)
+            console.print(f"{driver.program.name}: has come to the end of its scans")
+        time.sleep(WAKE_S)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

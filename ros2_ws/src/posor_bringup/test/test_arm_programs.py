@@ -1,0 +1,130 @@
+from __future__ import annotations
+
+import re
+import shutil
+from typing import TYPE_CHECKING
+
+import pytest
+from posor_bringup.arm_programs import arm_programs
+from posor_bringup.arms import checked_arm, find_arm, installed_arms
+from posor_bringup.installed import share
+from posor_estimator.core.arm import load_arm
+from posor_estimator.errors import CalibrationError, ChainError, ParameterError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+JOINTS = ["base_swivel", "shoulder", "elbow", "wrist_roll", "wrist_yaw"]
+
+PARAMETERS = """  source: bag
+  parameters:
+    bag.path: '{folder}/bags/{arm}_{joint}'
+    bag.other_topics: ['/{arm}/truth/{joint}']
+    rate: 2.0"""
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    """Return the folder of an arm of one's own, a copy of the test rig."""
+    folder = tmp_path / "own"
+    shutil.copytree(share() / "arms" / "test_rig", folder)
+    return folder
+
+
+def change(folder: Path, pattern: str, new: str, file: str = "arm.yaml") -> None:
+    path = folder / file
+    text, count = re.subn(pattern, new, path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    assert count, pattern
+    path.write_text(text, encoding="utf-8")
+
+
+def test_every_installed_arm_fits_together() -> None:
+    assert {"five_axis", "six_axis", "test_rig"} <= set(installed_arms())
+    for name in installed_arms():
+        arm = checked_arm(name)
+        assert arm.name == name
+        programs = arm_programs(arm)
+        assert len(programs) == 1 + 2 * len(arm.calibrations)
+        for program in programs:
+            assert program.command()  # its package installs it
+
+
+def test_five_axis_arm() -> None:
+    arm = checked_arm("five_axis")
+    programs = arm_programs(arm, driver_parameters={"simulated.sag": False}, parameters={"use_sim_time": True})
+    assert [program.name for program in programs] == [
+        "chain_node",
+        *(f"{joint}/posor_node" for joint in JOINTS),
+        *(f"{joint}/driver_node" for joint in JOINTS),
+    ]
+    chain, elbow, driver = programs[0], programs[3], programs[-1]
+    folder = find_arm("five_axis").resolve().parent
+    assert chain.namespace == "/five_axis"
+    assert chain.parameters == {
+        "urdf": str(folder / "five_axis.urdf"),
+        "endpoint_frame": "endpoint",
+        "beams": str(folder / "beams.yaml"),
+        "use_sim_time": True,
+    }
+    assert elbow.namespace == "/five_axis/elbow"
+    assert elbow.parameters == {
+        "calibration": str(folder / "calibrations" / "elbow.yaml"),
+        "session": "",
+        "use_sim_time": True,
+    }
+    assert driver.namespace == "/five_axis/wrist_yaw"
+    assert driver.parameters == {
+        "source": "simulated",
+        "simulated.arm": str(find_arm("five_axis").resolve()),
+        "simulated.joint": "wrist_yaw",
+        "simulated.sag": False,
+        "use_sim_time": True,
+    }
+    assert [program.ends for program in programs] == [False] * 6 + [True] * 5
+
+
+def test_without_drivers_the_scans_come_from_elsewhere() -> None:
+    programs = arm_programs(checked_arm("five_axis"), drivers=False)
+    assert {program.executable for program in programs} == {"chain_node", "posor_node"}
+
+
+def test_text_of_the_arm_file_is_filled_in_for_every_joint(own: Path) -> None:
+    change(own, "^  source: simulated$", PARAMETERS)
+    driver = arm_programs(load_arm(own / "arm.yaml"))[-1]
+    assert driver.parameters == {
+        "source": "bag",
+        "bag.path": f"{own}/bags/test_rig_joint1",
+        "bag.other_topics": ["/test_rig/truth/joint1"],
+        "rate": 2.0,
+    }
+    change(own, r"\{joint\}", "{joints}")
+    with pytest.raises(ParameterError, match=r"key driver\.parameters\.bag\.path: '\{joints\}' stands for nothing; "):
+        arm_programs(load_arm(own / "arm.yaml"))
+
+
+def test_an_arm_is_found_by_name_file_or_folder(own: Path) -> None:
+    assert find_arm("test_rig") == share() / "arms" / "test_rig" / "arm.yaml"
+    assert find_arm(str(own)) == find_arm(str(own / "arm.yaml")) == own / "arm.yaml"
+    with pytest.raises(ParameterError, match=r"^arm 'six_fingers': no such arm; expected the path of an arm file, or"):
+        find_arm("six_fingers")
+
+
+def test_a_joint_that_the_urdf_does_not_have_is_named(own: Path) -> None:
+    change(own, "^  joint1:", "  joint7:")
+    with pytest.raises(ChainError, match=r"arm\.yaml: joints joint7; expected joint1, the floating joints of .*urdf"):
+        checked_arm(str(own))
+
+
+@pytest.mark.parametrize("file", ["test_rig.urdf", "beams.yaml", "calibrations/joint1.yaml", "scenario.yaml"])
+def test_a_missing_file_is_named(own: Path, file: str) -> None:
+    (own / file).unlink()
+    with pytest.raises((CalibrationError, ChainError, ParameterError), match=re.escape(file)):
+        checked_arm(str(own))
+
+
+def test_a_calibration_of_another_joint_is_refused(own: Path) -> None:
+    change(own, "joint1_receiving", "joint2_receiving", "calibrations/joint1.yaml")
+    with pytest.raises(
+        ChainError, match=r"measures 'joint1_target' in 'joint2_receiving'; expected 'joint1_target' in"
+    ):
+        checked_arm(str(own))

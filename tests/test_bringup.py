@@ -1,0 +1,143 @@
+"""bringup as its user starts it: real nodes of an arm, one of them killed, one refusing, all of them ended."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from geometry_msgs.msg import PoseStamped
+from posor_bringup.expectations import STEPS
+from posor_bringup.installed import bag_path, calibration_path, urdf_path
+from posor_estimator.testing.graph import BEST_EFFORT, Graph
+from posor_estimator.testing.program import Program, installed
+from posor_msgs.msg import RawScan
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+pytestmark = pytest.mark.usefixtures("ros_domain")
+
+ARM = f"""\
+format: posor_arm
+version: 1
+name: rig
+provenance: {{source: the rig of 1985, method: 'for a test', date: none}}
+urdf: {urdf_path()}
+joints:
+  joint1: {{calibration: {calibration_path("printed")}, session: ymo}}
+driver:
+  source: bag
+  parameters:
+    bag.path: {bag_path("ymo")}
+    rate: 5.0
+"""
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    path = tmp_path / "rig.yaml"
+    path.write_text(ARM, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def pids() -> Iterator[list[int]]:
+    """Return a list for processes that must have ended when the test is over."""
+    numbers: list[int] = []
+    yield numbers
+    assert numbers
+    left = [number for number in numbers if Path(f"/proc/{number}").exists()]
+    for number in left:
+        os.kill(number, signal.SIGKILL)
+    assert left == []
+
+
+def start(tmp_path: Path, *arguments: object) -> Program:
+    return Program([*installed("posor_bringup", "bringup"), *map(str, arguments), "--output", str(tmp_path / "out")])
+
+
+def processes(program: Program, count: int) -> dict[str, int]:
+    """Return the process of each node once all have been started."""
+    assert f" {count} nodes started, " in program.wait_for_line("nodes started")
+    found = (re.fullmatch(r"(\S+): process (\d+)", line) for line in program.stdout)
+    return {match[1]: int(match[2]) for match in found if match}
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_all_nodes_end_when_asked_to(tmp_path: Path, rig: Path, pids: list[int], number: signal.Signals) -> None:
+    with start(tmp_path, rig, "--no-driver") as program, Graph() as graph:
+        started = processes(program, 2)
+        assert list(started) == ["chain_node", "joint1/posor_node"]
+        pids += started.values()
+        graph.watch_diagnostics()
+        graph.wait_for_status("/rig/chain_node: lifecycle", "active")
+        graph.wait_for_status("/rig/joint1/posor_node: lifecycle", "active")
+        assert program.end(number) == 0
+        assert program.stdout[-1] == "rig: all nodes have ended"
+        assert program.stderr == []
+    assert sorted(path.name for path in (tmp_path / "out" / "rig" / "logs").iterdir()) == [
+        "chain_node.log",
+        "joint1.posor_node.log",
+    ]
+
+
+def test_a_killed_node_is_named_and_the_others_end(tmp_path: Path, rig: Path, pids: list[int]) -> None:
+    with start(tmp_path, rig, "--no-driver") as program, Graph() as graph:
+        started = processes(program, 2)
+        pids += started.values()
+        graph.watch_diagnostics()
+        graph.wait_for_status("/rig/joint1/posor_node: lifecycle", "active")
+        graph.wait_for_status("/rig/chain_node: lifecycle", "active")
+        os.kill(started["joint1/posor_node"], signal.SIGKILL)
+        assert program.wait() == 1
+        assert len(program.stderr) == 1
+        assert program.stderr[0].startswith("joint1/posor_node: was ended by SIGKILL: ")
+
+
+def test_a_node_that_refuses_is_quoted(tmp_path: Path, rig: Path, pids: list[int]) -> None:
+    with start(tmp_path, rig, "-p", "bag.speed:=2.0") as program:
+        pids += processes(program, 3).values()
+        assert program.wait() == 1
+        (sentence,) = program.stderr
+        assert sentence.startswith("joint1/driver_node: ended with exit code 2: node /rig/joint1/driver_node, ")
+        assert "bag.speed" in sentence
+
+
+def test_an_arm_of_recorded_scans_comes_to_its_end(tmp_path: Path, rig: Path, pids: list[int]) -> None:
+    with Graph() as graph:
+        poses = graph.collect(PoseStamped, "/rig/endpoint/pose")
+        with start(tmp_path, rig, "-p", "wait_for_subscribers:=2") as program:
+            pids += processes(program, 3).values()
+            graph.watch_diagnostics()
+            graph.wait_for_status("/rig/chain_node: listeners", "endpoint/pose 1")
+            graph.wait_for_status("/rig/joint1/posor_node: listeners", "transform 1")
+            scans = graph.collect(RawScan, "/rig/joint1/raw", BEST_EFFORT)  # the second one, which the driver waits for
+            graph.wait_until(lambda: len(scans) == STEPS["ymo"], "all scans")
+            graph.wait_until(lambda: len(poses) == STEPS["ymo"], "all poses")
+            program.wait_for_line("joint1/driver_node: has come to the end of its scans")
+            assert not program.ended
+            assert program.end() == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (
+            ["six_fingers"],
+            r"arm 'six_fingers': no such arm; expected the path of an arm file, or one of .*five_axis.*\.",
+        ),
+        ([], r"bringup: the following arguments are required: ARM; expected options as 'bringup --help' lists them\."),
+        (["five_axis", "-p", "rate=2"], r"bringup: argument -p: 'rate=2' is no parameter, name:=value; expected .*\."),
+        (["five_axis", "-p", "a:={b: c}"], r"bringup: argument -p: 'a:=\{b: c\}' is no parameter, .*\."),
+    ],
+)
+def test_a_wrong_command_line_is_one_sentence(tmp_path: Path, arguments: list[str], sentence: str) -> None:
+    with start(tmp_path, *arguments) as program:
+        assert program.wait() == 2
+        assert len(program.stderr) == 1
+        assert re.fullmatch(sentence, program.stderr[0])
+        assert program.stdout == []
