@@ -1,8 +1,9 @@
-"""The calibration file of one POSOR, version 1.
+"""The calibration file of one POSOR, version 2.
 
 Versions of the format:
 
-1. First version: ``sensors`` by type, ``sessions``, ``tilt_angle``, ``motion``.
+1. First version: ``sensors`` by type, ``sessions``, ``tilt_angle``, ``motion``. Still read.
+2. ``fits``: from which recording, how and how well the values were fitted, and their covariances.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from pydantic import Field, SerializeAsAny, create_model, field_validator, model
 
 from posor_estimator.core.calibration.choice import chosen_by
 from posor_estimator.core.calibration.entry import EntryError
+from posor_estimator.core.calibration.fit_record import FitRecord
 from posor_estimator.core.calibration.part import FrozenModel
 from posor_estimator.core.calibration.quantity import Quantity, measured
 from posor_estimator.core.calibration.session import Session
@@ -26,7 +28,8 @@ from posor_estimator.errors import CalibrationError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-VERSION = 1
+VERSION = 2
+FORMER_VERSIONS = (1,)
 
 
 class Provenance(FrozenModel):
@@ -82,7 +85,7 @@ class Calibration(FrozenModel):
     """All that is known of one POSOR."""
 
     format: Literal["posor_calibration"]
-    version: Literal[1]
+    version: Literal[1, 2]
     name: str
     provenance: Provenance
     frames: Frames
@@ -90,6 +93,7 @@ class Calibration(FrozenModel):
     motion: Motion | None = None
     sensors: list[SerializeAsAny[SensorCalibration]]
     sessions: dict[str, Session] = Field(default_factory=dict)
+    fits: list[FitRecord] = Field(default_factory=list)
 
     @field_validator("sessions")
     @classmethod
@@ -98,10 +102,20 @@ class Calibration(FrozenModel):
             raise EntryError("a session has no name", expected="a name, by which it can be chosen")
         return sessions
 
+    @model_validator(mode="after")
+    def _of_its_version(self) -> Self:
+        if self.fits and self.version == 1:
+            raise EntryError("fits in a file of version 1", key=("fits",), expected="version 2")
+        return self
+
     @property
     def content_hash(self) -> str:
-        """SHA-256 of everything the file says, whatever its layout or comments; 64 hexadecimal digits."""
-        text = json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+        """SHA-256 of everything the file says, whatever its layout or comments; 64 hexadecimal digits.
+
+        A file of version 1 has kept the hash that it had when that was the only version.
+        """
+        later = set() if self.fits else {"fits"}
+        text = json.dumps(self.model_dump(mode="json", exclude=later), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
 
     def for_session(self, name: str) -> Self:
