@@ -8,24 +8,30 @@ means of several scans: whether a scan is any good is for the POSOR node to judg
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from posor_estimator.ros.diagnostics import Level
 from posor_estimator.ros.main import run
 from posor_estimator.ros.node import PosorNode
 from posor_estimator.ros.parameters import help_text
 from posor_estimator.ros.qos import RAW_TOPIC, RELIABLE_QOS, sensor_qos
-from pydantic import Field, create_model
 from rclpy.duration import Duration
 
-from posor_drivers.conditioned_scans import ConditioningParameters, conditioned
+from posor_drivers.conditioned_scans import conditioned
+from posor_drivers.driver_parameters import DriverParameters, ReplayDriverParameters, parameters_for
+from posor_drivers.live import Misses, live
 from posor_drivers.message_types import MessageTypes, message_class
 from posor_drivers.replayer import Replayer, ReplayState
+from posor_drivers.ros_wait import RosWait
+from posor_drivers.source_inputs import SourceInputs
+from posor_drivers.sources.base import LiveSource, RecordedSource
 from posor_drivers.sources.registry import source_class, source_entries
-from posor_drivers.timeline import Due, ReplayParameters, timeline
+from posor_drivers.timeline import Due, timeline
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+    from posor_estimator.ros.diagnostics import Status
 
     from posor_drivers.sources.base import Source
 
@@ -33,32 +39,17 @@ DELIVERY_S = 10.0
 """How long to wait, after the last message, for slow reliable subscribers before the program ends."""
 
 
-class DriverParameters(ReplayParameters):
-    """Parameters of driver_node; those of the chosen source are added under its name."""
-
-    source: str = Field(description="where the scans come from: the name of a source, such as 'table' or 'bag'")
-    wait_for_subscribers: Annotated[int, Field(ge=0)] = Field(
-        default=1, description="begin when this many subscriptions to the scans are there; 0: at once"
-    )
-    wait_for_other_subscribers: Annotated[int, Field(ge=0)] = Field(
-        default=0, description="begin when this many subscriptions to each other topic are there"
-    )
-    on_end: Literal["exit", "stay"] = Field(
-        default="exit", description="after the last message: end the program, or stay in the graph"
-    )
-    conditioning: ConditioningParameters = ConditioningParameters()
-
-
 class DriverNode(PosorNode[DriverParameters]):
     """Publishes the raw scans of one joint, read from a source.
 
-    Each activation replays the source from its beginning.
+    Each activation replays a recorded source from its beginning; a live one goes on with the present tick.
     """
 
     NAME = "driver_node"
-    Parameters = DriverParameters
+    Parameters = ReplayDriverParameters
 
     _source: Source[Any]
+    _wait: RosWait
 
     def __init__(self, **options: Any) -> None:
         """Create the node; ``options`` go to rclpy."""
@@ -68,17 +59,16 @@ class DriverNode(PosorNode[DriverParameters]):
         self._counts: dict[str, int] = {}
         self._rated = (time.monotonic(), 0)
         self._replayer: Replayer | None = None
+        self._misses, self._misses_told = Misses(), 0
+        self._pace: Status | None = None
+        self._inputs = SourceInputs(self)
         self._status = self.diagnostics.add("source")
         self.diagnostics.before_each(self._refresh)
 
     @classmethod
     def parameter_model(cls, overrides: dict[str, object]) -> type[DriverParameters]:
         """Return the driver's parameters and, as a group, those of the source that the user chose."""
-        name = overrides.get("source")
-        if not isinstance(name, str):
-            return DriverParameters
-        group: Any = (source_class(name).Parameters, ...)
-        return create_model("DriverParameters", __base__=DriverParameters, **{name: group})
+        return parameters_for(overrides)
 
     @classmethod
     def help(cls) -> str:
@@ -96,6 +86,9 @@ class DriverNode(PosorNode[DriverParameters]):
         topics = self._source.open()
         self._classes = {topic.name: message_class(topic.type_name) for topic in topics}
         self._outputs = {topic.name: self._output(topic.name) for topic in topics}
+        if isinstance(self._source, LiveSource):
+            self._pace = self._pace or self.diagnostics.add("pace")
+            self._inputs.open(self._source.inputs())
         self._status.report(Level.OK, "ready", {"source": name, "record": self._source.record})
 
     def _output(self, topic: str) -> Any:
@@ -106,27 +99,34 @@ class DriverNode(PosorNode[DriverParameters]):
         )
 
     def activate(self) -> None:
-        """Begin the replay."""
+        """Begin the replay, or the scans of a live source."""
         self._counts = dict.fromkeys(self._outputs, 0)
         self._rated = (time.monotonic(), 0)
-        self._replayer = Replayer(self._dues, self._publish, self._has_listeners, self._on_state)
+        self._misses, self._misses_told = Misses(), 0
+        self._wait = RosWait(self.get_clock())
+        self._replayer = Replayer(self._dues, self._publish, self._has_listeners, self._on_state, self._wait.end)
         self._replayer.start()
 
     def deactivate(self) -> None:
-        """End the replay."""
+        """End it."""
         if self._replayer is not None and self._replayer.stop():
             self._status.report(Level.OK, "stopped")
 
     def cleanup(self) -> None:
         """Close source and topics."""
+        self._inputs.close()
         self._source.close()
         for output in self._outputs.values():
             self.destroy_lifecycle_publisher(output)
         self._outputs = {}
 
     def _dues(self) -> Iterator[Due]:
-        now_ns = self.get_clock().now().nanoseconds
-        return conditioned(timeline(self._source, self._classes, self.parameters, now_ns), self.parameters.conditioning)
+        parameters, source = self.parameters, self._source
+        if isinstance(parameters, ReplayDriverParameters) and isinstance(source, RecordedSource):
+            dues = timeline(source, self._classes, parameters, self._wait.now_ns)
+        elif isinstance(source, LiveSource):
+            dues = live(source, self._wait, self._misses)
+        return conditioned(dues, parameters.conditioning)
 
     def _has_listeners(self) -> bool:
         missing = []
@@ -186,6 +186,11 @@ class DriverNode(PosorNode[DriverParameters]):
         rate = (count - counted) / (now - before) if now > before else 0.0
         messages = sum(self._counts.values())
         self._status.update({"scans_published": count, "messages_published": messages, "scans_per_second": rate})
+        if self._pace is not None:
+            count = self._misses.count
+            level, message = (Level.WARN, "late") if count > self._misses_told else (Level.OK, "in time")
+            self._pace.report(level, message, {"ticks_missed": count})
+            self._misses_told = count
 
 
 def main() -> int:

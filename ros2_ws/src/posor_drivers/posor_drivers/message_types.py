@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 RAW_SCAN = "posor_msgs/msg/RawScan"
 POINT_STAMPED = "geometry_msgs/msg/PointStamped"
+POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
+VECTOR_STAMPED = "geometry_msgs/msg/Vector3Stamped"
+JOINT_STATE = "sensor_msgs/msg/JointState"
 
 
 class Definition(NamedTuple):
@@ -48,7 +51,7 @@ class MessageTypes:
         text, _ = self._store.generate_msgdef(name, ros_version=2)
         return Definition(text, self._store.hash_rihs01(name))
 
-    def new(self, name: str, **fields: Any) -> Any:
+    def new(self, name: str, /, **fields: Any) -> Any:
         """Return a message of type ``name``; every field must be given, number sequences as numpy arrays."""
         self._register(name)
         return self._store.types[name](**fields)

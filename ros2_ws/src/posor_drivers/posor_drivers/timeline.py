@@ -17,7 +17,7 @@ from posor_drivers.retiming import NS, Extent, Retiming
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from posor_drivers.sources.base import Source, SourceMessage
+    from posor_drivers.sources.base import RecordedSource, SourceMessage
 
 
 class ReplayParameters(NodeParameters):
@@ -58,7 +58,9 @@ class Due:
     """Since the beginning of the replay [s]; 0 where it is as fast as possible."""
 
 
-def timeline(source: Source[Any], classes: Mapping[str, Any], options: ReplayParameters, now_ns: int) -> Iterator[Due]:
+def timeline(
+    source: RecordedSource[Any], classes: Mapping[str, Any], options: ReplayParameters, now_ns: int
+) -> Iterator[Due]:
     """Yield what is to be published, in order; endless where the replay loops.
 
     Args:
@@ -94,7 +96,7 @@ def timeline(source: Source[Any], classes: Mapping[str, Any], options: ReplayPar
         length_ns = everything.span + scans.period
 
 
-def _window(source: Source[Any], options: ReplayParameters) -> Iterator[SourceMessage]:
+def _window(source: RecordedSource[Any], options: ReplayParameters) -> Iterator[SourceMessage]:
     """Yield the messages between the offsets, which count from the first message."""
     origin_ns = None
     for message in source.messages():

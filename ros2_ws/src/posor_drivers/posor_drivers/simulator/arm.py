@@ -138,6 +138,10 @@ class ArmSimulation:
             stage,
         )
 
+    def latency_ns(self, joint: str, tick: int) -> int:
+        """Return how long after its stamp a joint's scan of a tick is published [ns]."""
+        return self._electronics[joint].latency_ns(tick)
+
     def scans(self, joint: str, ticks: IntArray, truth: ArmTruth | None = None) -> SimulatedScans:
         """Return the scans of a joint at ticks (n,); ``truth`` is that of the same ticks, where the stage matters."""
         if truth is None:

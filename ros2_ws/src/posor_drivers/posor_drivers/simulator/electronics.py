@@ -115,6 +115,10 @@ class Electronics:
         """Theta at the ring's home mark [rad]; None where nothing is counted."""
         return None if self._home is None else self._home[1]
 
+    def latency_ns(self, tick: int) -> int:
+        """Return how long after its stamp the scan of a tick is published [ns]."""
+        return int(self._latencies(self._readings.at(tick).uniform(size=2)[1:])[0])
+
     def scans(self, ticks: IntArray, poses: Poses) -> SimulatedScans:
         """Return the scans of ticks (n,) at which the target plate is at poses ``T_parent_child``."""
         count = len(ticks)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from threading import Lock
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +20,8 @@ NS = 1_000_000_000
 class Stage:
     """The stage's state. Times are those of the ROS clock [ns]; positions [m], (3,), axes of the endpoint.
 
-    Every command has the time at which it came, so that the position at a tick is the same whenever it is asked for.
+    Commands may come in another thread. Each is kept with the time at which it came, so that the position at a tick is
+    the same whenever it is asked for.
     """
 
     def __init__(self, said: StageFile, frame: str) -> None:
@@ -37,6 +39,7 @@ class Stage:
         self._goal = np.zeros(3)
         self._now_ns: int | None = None
         self._newest_ns: int | None = None
+        self._lock = Lock()
         self._waiting: deque[tuple[int, FloatArray]] = deque()
 
     def command(self, goal: FloatArray, frame: str, stamp_ns: int, now_ns: int) -> None:
@@ -60,26 +63,29 @@ class Stage:
             raise PosorError(
                 f"came at {now_ns / NS:.6f} s, {away:.3g} s after its stamp", where=where, expected=expected
             )
-        if self._newest_ns is not None and stamp_ns < self._newest_ns:
-            expected = "commands in the order of their stamps"
-            raise PosorError(f"came after that of {self._newest_ns / NS:.6f} s", where=where, expected=expected)
-        self._newest_ns = stamp_ns
-        self._waiting.append((now_ns, goal))
+        with self._lock:
+            if self._newest_ns is not None and stamp_ns < self._newest_ns:
+                expected = "commands in the order of their stamps"
+                raise PosorError(f"came after that of {self._newest_ns / NS:.6f} s", where=where, expected=expected)
+            self._newest_ns = stamp_ns
+            self._waiting.append((now_ns, goal))
 
     def restart(self) -> None:
         """Forget all commands, since time has gone back; the stage stays where it is."""
-        self._goal = self._position
-        self._now_ns = self._newest_ns = None
-        self._waiting.clear()
+        with self._lock:
+            self._goal = self._position
+            self._now_ns = self._newest_ns = None
+            self._waiting.clear()
 
     def position_at(self, time_ns: int) -> FloatArray:
         """Return where the stage is; times must not go back but after ``restart``."""
-        while self._waiting and self._waiting[0][0] <= time_ns:
-            came_ns, goal = self._waiting.popleft()
-            self._advance(came_ns)
-            self._goal = goal
-        self._advance(time_ns)
-        return np.asarray(self._resolution * np.round(self._position / self._resolution))
+        with self._lock:
+            while self._waiting and self._waiting[0][0] <= time_ns:
+                came_ns, goal = self._waiting.popleft()
+                self._advance(came_ns)
+                self._goal = goal
+            self._advance(time_ns)
+            return np.asarray(self._resolution * np.round(self._position / self._resolution))
 
     def _advance(self, time_ns: int) -> None:
         if self._now_ns is not None and time_ns > self._now_ns:

@@ -14,7 +14,7 @@ from pydantic import Field
 from rosbags.rosbag2 import Reader
 
 from posor_drivers.message_types import RAW_SCAN
-from posor_drivers.sources.base import Source, SourceMessage, Topic
+from posor_drivers.sources.base import RecordedSource, SourceMessage, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -38,7 +38,7 @@ class BagParameters(ParameterGroup):
     )
 
 
-class BagSource(Source[BagParameters]):
+class BagSource(RecordedSource[BagParameters]):
     """Replays the recorded bytes of the chosen topics; what the scans hold is the POSOR node's to judge."""
 
     Parameters = BagParameters

@@ -1,15 +1,15 @@
-"""What every source is: an iterator of serialised messages with their times."""
+"""What every source is: recorded, an iterator of serialised messages with their times, or live, asked tick by tick."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 from posor_estimator.ros.parameters import ParameterGroup
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from posor_drivers.message_types import MessageTypes
 
@@ -30,8 +30,17 @@ class SourceMessage:
 
     topic: str
     time_ns: int
-    """When it was recorded; its distance to the other messages' times is the pace of the replay."""
+    """When it was recorded, or the scan's stamp; the distance to the others' times is the pace of a replay."""
     data: bytes
+
+
+@dataclass(frozen=True)
+class Input:
+    """A topic that a live source listens to."""
+
+    topic: Topic
+    take: Callable[[Any, int], None]
+    """Called with each message and the ROS time [ns]; a PosorError refuses it. Not in the thread of the scans."""
 
 
 class Source(ABC, Generic[ParametersT]):
@@ -63,6 +72,13 @@ class Source(ABC, Generic[ParametersT]):
 
         """
 
+    def close(self) -> None:
+        """Give back what ``open`` took."""
+
+
+class RecordedSource(Source[ParametersT]):
+    """A source that has all its messages from the beginning; the driver replays them at whatever pace it is told."""
+
     @abstractmethod
     def messages(self) -> Iterator[SourceMessage]:
         """Yield all messages from the beginning, in the order of their times; may be asked for again.
@@ -72,5 +88,34 @@ class Source(ABC, Generic[ParametersT]):
 
         """
 
-    def close(self) -> None:
-        """Give back what ``open`` took."""
+
+class LiveSource(Source[ParametersT]):
+    """A source whose scans happen at ticks of the ROS clock, and which has none before.
+
+    Ticks are whole numbers; each has a time at which its scan is due to be published.
+    """
+
+    @abstractmethod
+    def inputs(self) -> Sequence[Input]:
+        """Return what the source listens to, once it is open."""
+
+    @abstractmethod
+    def begin(self, now_ns: int) -> tuple[int, int | None]:
+        """Begin a run, or begin again after the clock has gone back.
+
+        Returns:
+            The first tick later than a time [ns], and the last one of the run; None: endless.
+
+        """
+
+    @abstractmethod
+    def newest(self, now_ns: int) -> int:
+        """Return the newest tick whose scan has happened by a time [ns]."""
+
+    @abstractmethod
+    def due_ns(self, tick: int) -> int:
+        """Return the ROS time at which a tick's scan is due to be published [ns]."""
+
+    @abstractmethod
+    def messages(self, tick: int) -> Iterator[SourceMessage]:
+        """Yield the messages of a tick; each tick is asked for once at most, in order."""

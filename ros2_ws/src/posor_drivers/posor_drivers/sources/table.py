@@ -12,7 +12,7 @@ from posor_estimator.ros.qos import RAW_TOPIC, TRUTH_TOPIC
 from pydantic import Field
 
 from posor_drivers.message_types import POINT_STAMPED, RAW_SCAN
-from posor_drivers.sources.base import Source, SourceMessage, Topic
+from posor_drivers.sources.base import RecordedSource, SourceMessage, Topic
 from posor_drivers.sources.table_file import TableRow, read_table
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ class TableParameters(ParameterGroup):
     )
 
 
-class TableSource(Source[TableParameters]):
+class TableSource(RecordedSource[TableParameters]):
     """Turns each row of the table into a scan and the machining centre's reading that belongs to it, same stamp.
 
     The contact currents are rebuilt from the recorded ratios with a nominal total: A + C = B + D = total / 2. Where the
