@@ -2,31 +2,20 @@
 
 from __future__ import annotations
 
-import argparse
 import shutil
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 from posor_estimator.errors import ParameterError
+from posor_estimator.reporting.command_line import Parser
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+__all__ = ["LOGS", "Parser", "prepare"]
+
 LOGS = "logs"
 """Folder, in a folder of output, for what the programs of a graph write."""
-
-
-class Parser(argparse.ArgumentParser):
-    """Reports a wrong command line the way every other error is reported."""
-
-    def error(self, message: str) -> NoReturn:
-        """Raise what is wrong.
-
-        Raises:
-            ParameterError: Always.
-
-        """
-        raise ParameterError(message, where=self.prog, expected=f"options as '{self.prog} --help' lists them")
 
 
 def prepare(folder: Path, made_here: Sequence[str], program: str) -> Path:
