@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from typing import TYPE_CHECKING
 
@@ -70,6 +71,17 @@ class Posor:
         self._memory = np.zeros(layout.MEMORY)
         self._epoch_ns: int | None = None
         self._known_theta: float | None = None
+
+    def with_parameter_values(self, values: FloatArray) -> Posor:
+        """Return the same POSOR with another parameter vector of its stack (shape (p,)), and nothing remembered.
+
+        ``calibration`` stays what this one was made of.
+        """
+        other = copy.copy(self)
+        other.stack = self.stack.with_parameter_values(values)
+        other._plain = PlainRows(other.stack)  # noqa: SLF001  a copy of the same class
+        other._memory = np.zeros(layout.MEMORY)  # noqa: SLF001
+        return other
 
     def reset(self) -> None:
         """Forget the last pose and the count; the next scan starts from a closed form."""

@@ -19,7 +19,8 @@ class Track:
 
     Attributes:
         stamps_ns: Strictly increasing [ns], (n,).
-        values: (n, k); which quantities, and their units, is the procedure's to know.
+        values: (n, k); which quantities, and their units, is the procedure's to know. NaN where the reference has one
+            quantity but lacks another.
         sigmas: Standard uncertainty of each of the k quantities.
         source: What to call it in complaints: bag and topic.
 
@@ -41,7 +42,7 @@ class Track:
                 where=self.source,
                 expected="stamps that increase",
             )
-        bad = np.flatnonzero(~np.isfinite(self.values).all(axis=1))
+        bad = np.flatnonzero(np.isinf(self.values).any(axis=1) | np.isnan(self.values).all(axis=1))
         if bad.size:
             raise TrackError(
                 f"the value at {int(self.stamps_ns[bad[0]])} ns is not finite", where=self.source, expected="numbers"
@@ -55,7 +56,8 @@ class Track:
             longest_gap_ns: Neighbours further apart than this are not joined by a line.
 
         Returns:
-            The values; NaN where a time lies outside the track, or in a gap: nothing is extrapolated.
+            The values; NaN where a time lies outside the track, in a gap, or beside a value that is not there: nothing
+            is extrapolated.
 
         """
         after = np.searchsorted(self.stamps_ns, stamps_ns)
@@ -104,7 +106,17 @@ def dwells(track: Track, still: float, least_ns: int, *, settle_ns: int = 0) -> 
         least_ns: Shorter stops are none [ns].
         settle_ns: How much of each dwell's beginning is left out, for what has to come to rest [ns].
 
+    Raises:
+        TrackError: Some value lacks a quantity: whether it stood still is not known.
+
     """
+    lacking = np.flatnonzero(np.isnan(track.values).any(axis=1))
+    if lacking.size:
+        raise TrackError(
+            f"the value at {int(track.stamps_ns[lacking[0]])} ns is not whole",
+            where=track.source,
+            expected="every quantity, where dwells are looked for",
+        )
     found: list[Dwell] = []
     begin, total = 0, np.zeros(track.values.shape[1])
     for index, value in enumerate(track.values):
