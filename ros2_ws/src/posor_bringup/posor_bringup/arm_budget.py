@@ -147,7 +147,7 @@ def print_budgets(budgets: Mapping[str, Mapping[str, Any]], console: Console) ->
 def _table(title: str, first: str) -> Table:
     table = Table(title=title, title_justify="left")
     table.add_column(first)
-    for column in ("aX [urad]", "aY", "aZ", "dX [uin]", "dY", "dZ", "total [uin]", "[um]"):
+    for column in ("aX urad", "aY urad", "aZ urad", "dX uin", "dY uin", "dZ uin", "total uin", "total um"):
         table.add_column(column, justify="right")
     return table
 
