@@ -11,7 +11,7 @@ from numpy.typing import NDArray  # noqa: TC002  read by dataclasses
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from posor_estimator.core.types import FloatArray, IntArray
+    from posor_estimator.core.types import BoolArray, FloatArray, IntArray
 
 NO_SOURCE = 255
 
@@ -98,6 +98,10 @@ class Scans:
     def part(self, begin: int, end: int) -> Scans:
         """Return scans ``begin`` to ``end``, without copying."""
         return Scans(**{f.name: getattr(self, f.name)[begin:end] for f in fields(self)})
+
+    def chosen(self, which: BoolArray | IntArray) -> Scans:
+        """Return the scans that truth values (n,) or indices choose."""
+        return Scans(**{f.name: getattr(self, f.name)[which] for f in fields(self)})
 
     def with_fields(self, fields_by_name: Mapping[str, FloatArray] | Mapping[str, IntArray]) -> Scans:
         """Return the same scans with some fields replaced."""

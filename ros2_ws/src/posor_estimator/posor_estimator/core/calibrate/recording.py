@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.transform import Rotation
 
 from posor_estimator.errors import TrackError
 
@@ -12,9 +15,13 @@ if TYPE_CHECKING:
 
     from posor_estimator.core.calibrate.track import Track
     from posor_estimator.core.scan import Scans
+    from posor_estimator.core.types import BoolArray, FloatArray, IntArray
 
 SCALAR, POINT, POSE = 1, 3, 7
 """Columns of a track: one number; x, y, z [m]; x, y, z [m] and the unit quaternion x, y, z, w."""
+
+PROBES_ESTIMATED, DIODES_ESTIMATED, SATURATED = 1, 2, 16
+"""Status bits of ``posor_msgs/RawScan``: a probe or diode reading was filled in; a channel was at its range's end."""
 
 _KINDS = {
     SCALAR: "one number (std_msgs/Float64)",
@@ -32,7 +39,7 @@ class Recording:
         tracks: Reference measurements by topic. A pose's quaternion keeps its sign from sample to sample.
         source: What to call it in complaints and in the result: path of the bag.
         sha256: Of the bag's files, 64 hexadecimal digits; empty when it does not come from files.
-        left_out: Scans that the bag holds but that are not here, because a reading was filled in or saturated.
+        statuses: Status bits of each scan, (n,), as ``posor_msgs/RawScan`` has them; None: none is set.
 
     """
 
@@ -40,7 +47,20 @@ class Recording:
     tracks: Mapping[str, Track]
     source: str
     sha256: str = ""
-    left_out: int = 0
+    statuses: IntArray | None = None
+
+    def having(self, flags: int) -> BoolArray:
+        """Return which scans have any of these status bits set, (n,) of truth values."""
+        if self.statuses is None:
+            return np.zeros(len(self.scans), dtype=bool)
+        return np.asarray((self.statuses & flags) != 0)
+
+    def without(self, flags: int) -> Recording:
+        """Return the recording without the scans that have any of these status bits set, such as ``SATURATED``."""
+        if self.statuses is None:
+            return self
+        kept = ~self.having(flags)
+        return replace(self, scans=self.scans.chosen(kept), statuses=self.statuses[kept])
 
     def track(self, topic: str, columns: int) -> Track:
         """Return a reference measurement.
@@ -73,6 +93,14 @@ class Recording:
                 f"topic {topic} holds {_KINDS.get(has, f'{has} numbers')}", where=self.source, expected=_KINDS[columns]
             )
         return self.tracks[topic]
+
+
+def poses_of(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the rotations (n, 3, 3) and translations [m] (n, 3) of a pose track's values (n, 7).
+
+    Means and interpolations of quaternions are a little short of unit length: they are taken by their direction.
+    """
+    return Rotation.from_quat(values[:, 3:]).as_matrix(), values[:, :3]
 
 
 def _listed(names: Mapping[str, Track] | list[str]) -> str:
