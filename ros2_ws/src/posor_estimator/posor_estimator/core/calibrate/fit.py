@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -26,6 +26,8 @@ UNTOLD = 0.5
 """A direction whose standard uncertainty stays above this part of what was known before is not told by the data."""
 NAMED = 0.3
 """Parameters with at least this share in a direction are named."""
+EVALUATIONS = 200
+"""Of the residuals, after which a fit that has not settled is given up."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ class Fit:
         residuals: Normalised: each over its own standard uncertainty, (n,).
         weights: Weight of each residual under the loss, 1 for full weight, (n,).
         jacobian: d(normalised residual)/d(parameter), (n, p).
-        freedoms: Residuals less parameters.
+        freedoms: Residuals less parameters; where the prior counts, as many as residuals.
         spread: Root of chi-square over the freedoms: 1 if the stated uncertainties of the readings are right.
 
     """
@@ -117,6 +119,8 @@ def fit(
     units: Sequence[str],
     scales: FloatArray,
     *,
+    jacobian: Callable[[FloatArray], FloatArray] | None = None,
+    prior: bool = False,
     loss: Loss = "linear",
     trust_sigmas: bool = True,
     what: str = "the fit",
@@ -129,6 +133,9 @@ def fit(
         names: Of the parameters.
         units: Of the parameters.
         scales: Typical size of each parameter's correction, positive, (p,): what was known before.
+        jacobian: Given parameters (p,), d(residual)/d(parameter), (n, p); None: by differences.
+        prior: Whether what was known before counts: each parameter is a reading of itself, at its start, with its scale
+            as the standard uncertainty. These readings are not among the fit's residuals, and the loss is not theirs.
         loss: Robust where outliers are to be survived.
         trust_sigmas: Whether the stated uncertainties of the readings hold (JCGM 100, 4.3); if not, the covariance is
             scaled by what the residuals show (4.2).
@@ -140,49 +147,43 @@ def fit(
 
     """
     names, units = tuple(names), tuple(units)
-    count = len(residuals(start))
-    if count < len(names):
-        raise FitError(f"{count} readings for {len(names)} parameters", where=what, expected="as many at least")
+    if not names:
+        raise FitError("there is no parameter to fit", where=what, expected="at least one")
+    count, size = len(residuals(start)), len(names)
+    if count < (1 if prior else size):
+        raise FitError(f"{count} readings for {size} parameters", where=what, expected="as many at least")
 
-    def of_scaled(x: FloatArray) -> FloatArray:
-        return residuals(start + scales * x)
+    def scaled_jacobian(x: FloatArray) -> FloatArray:
+        values = start + scales * x
+        return derivatives(residuals, values, scales) if jacobian is None else jacobian(values) * scales
 
-    try:
-        found = least_squares(
-            of_scaled,
-            np.zeros(len(names)),
-            loss=loss,
-            f_scale=ROBUST_SCALE,
-            xtol=1e-14,
-            ftol=1e-14,
-            gtol=1e-12,
-            x_scale=1.0,
-            max_nfev=200,
-        )
-    except ValueError as error:
-        raise FitError(f"cannot begin: {error}", where=what, expected="finite residuals at the start") from error
-    if not found.success:
-        raise FitError("does not settle within 200 evaluations", where=what, expected="data that fit the model")
-    values = start + scales * found.x
+    known = np.eye(size) if prior else np.zeros((0, size))
+    x = _settled(
+        lambda x: np.concatenate([residuals(start + scales * x), known @ x]),
+        lambda x: np.vstack([scaled_jacobian(x), known]),
+        count,
+        size,
+        loss,
+        what,
+    )
+    values = start + scales * x
     normalised = residuals(values)
-    scaled = derivatives(residuals, values, scales)
-    blind = [direction for direction in weak_directions(scaled, names) if np.isinf(direction.remaining)]
-    if blind:
-        raise FitError(
-            f"the readings do not tell {' and '.join(blind[0].names)} apart"
-            if len(blind[0].names) > 1
-            else f"the readings say nothing of {blind[0].names[0]}",
-            where=what,
-            expected="readings at other poses, or fewer parameters",
-        )
-    weights = _weights(normalised, loss)
-    information = scaled.T @ (weights[:, None] * scaled)
-    inverse = np.linalg.inv(information)
+    scaled = scaled_jacobian(x)
+    _refuse_blind(np.vstack([scaled, known]), names, what)
+    squared = np.square(normalised / ROBUST_SCALE)
+    _, weights, bends = _rho(squared, loss)
+    inverse = np.linalg.inv(scaled.T @ (weights[:, None] * scaled) + known.T @ known)
     if loss != "linear":
-        # With outliers the residuals are not as stated: the sandwich of their own squares (Huber, White).
-        inverse = inverse @ (scaled.T @ (np.square(weights * normalised)[:, None] * scaled)) @ inverse
-    freedoms = count - len(names)
-    spread = float(np.sqrt(np.sum(weights * np.square(normalised)) / freedoms)) if freedoms else 1.0
+        # With outliers the residuals are not as stated: the sandwich (Huber 1981, 7.6) of their influences, these
+        # enlarged for the parameters that were fitted to them.
+        slopes = np.maximum(weights + 2.0 * squared * bends, 0.0)
+        inverse = np.linalg.inv(scaled.T @ (slopes[:, None] * scaled) + known.T @ known)
+        fitted = np.trace(inverse @ (scaled.T @ (slopes[:, None] * scaled)))
+        influences = np.square(weights * normalised) * count / max(count - fitted, 1.0)
+        inverse = inverse @ (scaled.T @ (influences[:, None] * scaled) + known.T @ known) @ inverse
+    freedoms = count if prior else count - size
+    squares = float(np.sum(weights * np.square(normalised)) + np.sum(np.square(known @ x)))
+    spread = np.sqrt(squares / freedoms) if freedoms else 1.0
     if loss == "linear" and not trust_sigmas:
         inverse = inverse * spread**2
     return Fit(
@@ -194,8 +195,45 @@ def fit(
         weights=weights,
         jacobian=scaled / scales,
         freedoms=freedoms,
-        spread=spread,
+        spread=float(spread),
     )
+
+
+def _settled(
+    residuals: Callable[[FloatArray], FloatArray],
+    jacobian: Callable[[FloatArray], FloatArray],
+    count: int,
+    size: int,
+    loss: Loss,
+    what: str,
+) -> FloatArray:
+    """Return the scaled corrections (size,) of the least cost; the loss is that of the first ``count`` residuals."""
+
+    def rho(squares: FloatArray) -> FloatArray:
+        return np.hstack([_rho(squares[:count], loss), _rho(squares[count:], "linear")])
+
+    options: Any = {"loss": rho, "f_scale": ROBUST_SCALE, "xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-12}
+    try:
+        found = least_squares(residuals, np.zeros(size), jacobian, max_nfev=EVALUATIONS, **options)
+    except ValueError as error:
+        raise FitError(f"cannot begin: {error}", where=what, expected="finite residuals at the start") from error
+    if not found.success:
+        raise FitError(
+            f"does not settle within {EVALUATIONS} evaluations", where=what, expected="data that fit the model"
+        )
+    return np.asarray(found.x)
+
+
+def _refuse_blind(scaled: FloatArray, names: Sequence[str], what: str) -> None:
+    blind = [direction for direction in weak_directions(scaled, names) if np.isinf(direction.remaining)]
+    if blind:
+        raise FitError(
+            f"the readings do not tell {' and '.join(blind[0].names)} apart"
+            if len(blind[0].names) > 1
+            else f"the readings say nothing of {blind[0].names[0]}",
+            where=what,
+            expected="readings at other poses, or fewer parameters",
+        )
 
 
 def derivatives(residuals: Callable[[FloatArray], FloatArray], values: FloatArray, scales: FloatArray) -> FloatArray:
@@ -243,13 +281,25 @@ def telling(direction: Direction, candidates: Sequence[FloatArray]) -> list[int]
     return [int(index) for index in np.argsort(-np.array(gains), kind="stable")]
 
 
-def _weights(normalised: FloatArray, loss: Loss) -> FloatArray:
-    """Return the derivative of the loss with respect to the squared residual, 1 for a small one, (n,)."""
-    size = np.abs(normalised) / ROBUST_SCALE
-    if loss == "huber":
-        return np.where(size <= 1.0, 1.0, 1.0 / np.maximum(size, 1.0))
-    if loss == "soft_l1":
-        return 1.0 / np.sqrt(1.0 + np.square(size))
+def _rho(squares: FloatArray, loss: Loss) -> FloatArray:
+    """Return a loss of squared residuals (over the robust scale) and its two derivatives, (3, n).
+
+    The first derivative is the weight that the residual has, 1 for a small one.
+    """
+    if loss == "linear":
+        return np.vstack([squares, np.ones_like(squares), np.zeros_like(squares)])
     if loss == "cauchy":
-        return 1.0 / (1.0 + np.square(size))
-    return np.ones_like(size)
+        weights = 1.0 / (1.0 + squares)
+        return np.vstack([np.log1p(squares), weights, -np.square(weights)])
+    if loss == "soft_l1":
+        weights = 1.0 / np.sqrt(1.0 + squares)
+        return np.vstack([2.0 * (1.0 / weights - 1.0), weights, -0.5 * weights**3])
+    large = squares > 1.0
+    roots = np.sqrt(np.maximum(squares, 1.0))
+    return np.vstack(
+        [
+            np.where(large, 2.0 * roots - 1.0, squares),
+            1.0 / roots,
+            np.where(large, -0.5 / roots**3, 0.0),
+        ]
+    )
