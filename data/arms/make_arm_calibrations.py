@@ -77,7 +77,7 @@ def laid_out(part: Any) -> Any:
             if not _any(kept["sigma"]):
                 del kept["sigma"]
             return Line(kept)
-        return {key: laid_out(entry) for key, entry in part.items() if entry is not None and entry not in ({}, ())}
+        return {key: laid_out(entry) for key, entry in part.items() if entry is not None and entry not in ({}, [])}
     if isinstance(part, list | tuple):
         return [laid_out(entry) for entry in part]
     return float(f"{part:.12g}") + 0.0 if isinstance(part, float) else part
