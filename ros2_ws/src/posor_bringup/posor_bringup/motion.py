@@ -7,6 +7,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
+from posor_estimator.core.calibrate.attitude_fit import deviation
+from posor_estimator.core.calibrate.orientation import angles_of_displacements
 from posor_estimator.core.fault import Fault, State
 from posor_estimator.errors import PosorError
 
@@ -74,9 +76,7 @@ def measured_angles(truth: FloatArray) -> FloatArray:
 
     Source: listings of appendix 8A; alpha, the twist, is zero in all three tests.
     """
-    measured = np.zeros_like(truth)
-    measured[:, 1:] = -np.arctan(truth[:, 1:] / TRUTH_LEVER)
-    return measured
+    return angles_of_displacements(truth, TRUTH_LEVER)
 
 
 @dataclass(frozen=True)
@@ -155,5 +155,4 @@ def standard_deviation(errors: FloatArray) -> float:
 
     The root of the sum of squares of steps 2 to n, over n - 2 (listings of appendix 8A). NaN for fewer than three.
     """
-    freedoms = len(errors) - 2
-    return float(np.sqrt(np.sum(errors[1:] ** 2) / freedoms)) if freedoms > 0 else float("nan")
+    return float(deviation(errors))

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pinocchio as pin
 
-from posor_estimator.core.calibrate.recording import POINT, POSE
+from posor_estimator.core.calibrate.recording import POINT, POSE, poses_of
 from posor_estimator.core.native import native_from_rotation
 from posor_estimator.errors import FitError, TrackError
 
@@ -75,12 +74,9 @@ def orientation_at(
         expected = "a lever, if the reference is a point"
         raise TrackError(error.what, where=error.where, expected=f"{error.expected}; or {expected}") from error
     values = track.at(stamps_ns, round(longest_gap_s * 1e9))
-    rows = [native_from_rotation(_rotation(row[3:])) if np.isfinite(row).all() else (np.nan,) * 3 for row in values]
-    # A small turn of phi about an axis changes that component of the quaternion by phi / 2.
-    return Orientation(np.array(rows), 2.0 * track.sigmas[3:6])
-
-
-def _rotation(quaternion_xyzw: FloatArray) -> FloatArray:
-    quaternion = pin.Quaternion(*np.roll(quaternion_xyzw, 1).tolist())
-    quaternion.normalize()
-    return np.array(quaternion.toRotationMatrix())
+    known = np.isfinite(values).all(axis=1)
+    angles = np.full((len(values), 3), np.nan)
+    if known.any():
+        angles[known] = [native_from_rotation(rotation) for rotation in poses_of(values[known])[0]]
+        angles[known, 2] = np.unwrap(angles[known, 2])
+    return Orientation(angles, track.sigmas[3:6])

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 
     from posor_estimator.core.calibration.model import Calibration
     from posor_estimator.core.sensors.base import SensorCalibration
-    from posor_estimator.core.stack import Stack
     from posor_estimator.core.types import FloatArray, IntArray
 
 SensorKind = TypeVar("SensorKind", bound="SensorCalibration")
@@ -38,10 +37,11 @@ def _type_of(kind: type[SensorCalibration]) -> str:
     return str(kind.model_fields["type"].annotation.__args__[0])  # type: ignore[union-attr]
 
 
-def indices(stack: Stack, sensor: int, names: Sequence[str]) -> IntArray:
+def indices(calibration: Calibration, sensor: int, names: Sequence[str]) -> IntArray:
     """Return where parameters of one sensor, such as ``zero_shifts[1]``, stand in the stack's vector, shape (k,)."""
-    first = sum(one.parameter_values.size for one in stack.sensors[:sensor])
-    known = stack.sensors[sensor].parameter_names
+    sensors = [part.build() for part in calibration.sensors[: sensor + 1]]
+    first = sum(one.parameter_values.size for one in sensors[:-1])
+    known = sensors[-1].parameter_names
     return np.array([first + known.index(name) for name in names], dtype=np.int64)
 
 

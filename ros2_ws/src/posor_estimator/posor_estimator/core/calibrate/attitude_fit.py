@@ -1,0 +1,177 @@
+"""Fit of parameters to what a reference says of the target's attitude while it moves: alpha, beta, theta.
+
+The estimator itself is the model: at each set of parameters the scans are located again and their angles compared with
+the reference's. Constant differences between the two mean nothing, since each has a zero of its own; what must agree
+is how the angles change.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from posor_estimator.core.calibrate.fit import Fit, Loss, fit
+from posor_estimator.core.calibrate.orientation import ANGLES
+from posor_estimator.core.calibrate.parameters import changed
+from posor_estimator.core.native import native_from_rotation
+from posor_estimator.core.posor import Posor
+from posor_estimator.errors import FitError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from posor_estimator.core.calibrate.orientation import Orientation
+    from posor_estimator.core.calibration.model import Calibration
+    from posor_estimator.core.scan import Scans
+    from posor_estimator.core.types import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """A parameter to be found.
+
+    Attributes:
+        name: What to call it.
+        unit: Its unit.
+        index: Where it stands in the stack's parameter vector.
+        scale: Standard uncertainty of what is known of it before.
+
+    """
+
+    name: str
+    unit: str
+    index: int
+    scale: float
+
+
+@dataclass(frozen=True)
+class AttitudeFit:
+    """What came of it.
+
+    Attributes:
+        fit: Of the unknowns, and of the angles' zeros if those were not taken for exact.
+        values: The unknowns, (p,).
+        used: Which scans were used, (n,) of truth values.
+        before: Error of the angles, POSOR less reference, with the parameters as they were [rad], (n, 3), the one of
+            the first scan used taken off; NaN where there is none.
+        after: The same with the parameters found.
+
+    """
+
+    fit: Fit
+    values: FloatArray
+    used: BoolArray
+    before: FloatArray
+    after: FloatArray
+
+
+class _Angles:
+    """Angles that a POSOR finds as a function of its parameters."""
+
+    def __init__(self, calibration: Calibration, scans: Scans) -> None:
+        # Nothing is refused: a wrong parameter is what this is about.
+        self.posor = Posor(calibration.model_copy(update={"motion": None}), false_alarm=0.0)
+        self.start = self.posor.stack.parameter_values
+        self._scans = scans
+
+    def at(self, where: IntArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return alpha, beta, theta [rad] (n, 3) and their random covariances (n, 3, 3)."""
+        moved = self.posor.with_parameter_values(changed(self.start, where, values))
+        found = moved.locate_all(self._scans)
+        angles = np.array([native_from_rotation(rotation) for rotation in found.rotations])
+        angles[:, 2] = found.thetas
+        return angles, found.covariances_random[:, 3:, 3:]
+
+
+def fit_attitude(
+    calibration: Calibration,
+    scans: Scans,
+    sound: BoolArray,
+    reference: Orientation,
+    unknowns: Sequence[Unknown],
+    angles: Sequence[str],
+    *,
+    first_sigma: float | None,
+    loss: Loss,
+    trust_sigmas: bool,
+    what: str,
+) -> AttitudeFit:
+    """Find the parameters with which the angles change as the reference's do.
+
+    Args:
+        calibration: As it is.
+        scans: In the order of time.
+        sound: Which of them count, (n,) of truth values; the others only lead from one to the next.
+        reference: Orientation at the time of each scan.
+        unknowns: What to find.
+        angles: Which of alpha, beta, theta to compare.
+        first_sigma: How well the zero of the angles at the first scan is known [rad]: zero where it counts as exact,
+            since all motion is referred to it, as in 1985; None where it is as uncertain as that of any other scan.
+        loss: Of the fit.
+        trust_sigmas: Whether the readings scatter as stated.
+        what: What to call the fit in complaints.
+
+    Raises:
+        FitError: No scan gives a pose whose orientation the reference knows, or the fit fails.
+
+    """
+    model = _Angles(calibration, scans)
+    where = np.array([unknown.index for unknown in unknowns])
+    columns = [ANGLES.index(angle) for angle in angles]
+    start = model.start[where]
+    found, covariances = model.at(where, start)
+    used = sound & np.isfinite(found).all(axis=1) & np.isfinite(reference.angles[:, columns]).all(axis=1)
+    if not used.any():
+        raise FitError(
+            f"none of {len(scans)} scans gives a pose whose orientation the reference knows",
+            where=what,
+            expected="some",
+        )
+    covariance = covariances[used][:, columns][:, :, columns] + np.diag(np.square(reference.sigmas[columns]))
+    whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+
+    def errors(values: FloatArray) -> FloatArray:
+        every = np.full(found.shape, np.nan)
+        every[used] = (model.at(where, values)[0] - reference.angles)[used]
+        return np.asarray(every - every[int(np.argmax(used))])
+
+    count = len(unknowns)
+    zeros = [] if first_sigma == 0.0 else list(angles)
+
+    def residuals(values: FloatArray) -> FloatArray:
+        zero = np.zeros(len(columns))
+        zero[: len(zeros)] = values[count:]
+        rest = errors(values[:count])[used][:, columns] - zero
+        # The first scan's error is what the others are referred to; its own row speaks of the zero only.
+        white = np.einsum("nij,nj->ni", whiten, rest)
+        if first_sigma is None:
+            return np.asarray(white.ravel())
+        prior = zero[: len(zeros)] / first_sigma if zeros else np.empty(0)
+        return np.concatenate([white[1:].ravel(), prior])
+
+    outcome = fit(
+        residuals,
+        np.concatenate([start, np.zeros(len(zeros))]),
+        [*(unknown.name for unknown in unknowns), *(f"zero of {angle}" for angle in zeros)],
+        [*(unknown.unit for unknown in unknowns), *("rad" for _ in zeros)],
+        np.array([*(unknown.scale for unknown in unknowns), *(1e-3 for _ in zeros)]),
+        loss=loss,
+        trust_sigmas=trust_sigmas,
+        what=what,
+    )
+    best = outcome.values[:count]
+    return AttitudeFit(outcome, best, used, errors(start), errors(best))
+
+
+def deviation(errors: FloatArray) -> FloatArray:
+    """Return the thesis' standard deviation of errors referred to the first, shape (n,) or (n, k), along n.
+
+    The root of the sum of squares of all but the first, over their number less one (listings of thesis appendix 8A).
+    NaN for fewer than three.
+    """
+    freedoms = len(errors) - 2
+    if freedoms <= 0:
+        return np.full(errors.shape[1:], np.nan)
+    return np.asarray(np.sqrt(np.sum(np.square(errors[1:]), axis=0) / freedoms))
