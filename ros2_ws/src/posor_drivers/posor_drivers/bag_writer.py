@@ -14,9 +14,8 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
+    from posor_estimator.ros.message_types import Definition
     from rosbags.interfaces import Connection, Qos
-
-    from posor_drivers.message_types import Definition
 
 METADATA_VERSION: Literal[9] = 9
 

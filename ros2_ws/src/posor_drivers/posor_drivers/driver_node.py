@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from posor_estimator.ros.diagnostics import Level
 from posor_estimator.ros.main import run
+from posor_estimator.ros.message_types import MessageTypes, message_class
 from posor_estimator.ros.node import PosorNode
 from posor_estimator.ros.parameters import help_text
 from posor_estimator.ros.qos import RAW_TOPIC, RELIABLE_QOS, sensor_qos
@@ -20,7 +21,6 @@ from rclpy.duration import Duration
 from posor_drivers.conditioned_scans import conditioned
 from posor_drivers.driver_parameters import DriverParameters, ReplayDriverParameters, parameters_for
 from posor_drivers.live import Misses, live
-from posor_drivers.message_types import MessageTypes, message_class
 from posor_drivers.replayer import Replayer, ReplayState
 from posor_drivers.ros_wait import RosWait
 from posor_drivers.source_inputs import SourceInputs

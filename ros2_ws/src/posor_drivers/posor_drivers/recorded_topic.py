@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from posor_estimator.ros.message_types import message_class
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import ReliabilityPolicy
 
-from posor_drivers.message_types import message_class
 from posor_drivers.offered_qos import request_for
 
 if TYPE_CHECKING:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 from posor_estimator.errors import BagError, PosorError
 from posor_estimator.ros.diagnostics import Diagnostics, Level
+from posor_estimator.ros.message_types import MessageTypes
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 
-from posor_drivers.message_types import MessageTypes
 from posor_drivers.offered_qos import kept_in_bag
 from posor_drivers.recorded_topic import RecordedTopic
 

@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
+from posor_estimator.ros.message_types import JOINT_STATE, POSE_STAMPED, RAW_SCAN, VECTOR_STAMPED
 from posor_estimator.ros.qos import RAW_TOPIC
 
-from posor_drivers.message_types import JOINT_STATE, POSE_STAMPED, RAW_SCAN, VECTOR_STAMPED
 from posor_drivers.sources.base import SourceMessage, Topic
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray
+    from posor_estimator.ros.message_types import MessageTypes
 
-    from posor_drivers.message_types import MessageTypes
     from posor_drivers.simulator.arm import ArmSimulation, ArmTruth
     from posor_drivers.simulator.electronics import SimulatedScans
 

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from posor_estimator.errors import PosorError
 from posor_estimator.ros.diagnostics import Level
+from posor_estimator.ros.message_types import message_class
 from posor_estimator.ros.qos import RELIABLE_QOS
-
-from posor_drivers.message_types import message_class
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from posor_drivers.message_types import RAW_SCAN, MessageTypes
+from posor_estimator.ros.message_types import RAW_SCAN, MessageTypes
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 if TYPE_CHECKING:

@@ -4,10 +4,10 @@ import shutil
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from posor_drivers.message_types import MessageTypes
 from posor_drivers.sources.bag import BagParameters, BagSource
 from posor_drivers.sources.base import SourceMessage, Topic
 from posor_estimator.errors import BagError
+from posor_estimator.ros.message_types import MessageTypes
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from .bags import point, scan, text, write_bag

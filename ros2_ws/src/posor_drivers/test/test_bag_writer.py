@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 import yaml
 from posor_drivers.bag_writer import BagWriter
-from posor_drivers.message_types import MessageTypes
 from posor_drivers.offered_qos import kept_in_bag, request_for
 from posor_estimator.errors import BagError
+from posor_estimator.ros.message_types import MessageTypes
 from posor_estimator.ros.qos import RELIABLE_QOS
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import pytest
 import yaml
 from geometry_msgs.msg import PointStamped
-from posor_drivers.message_types import MessageTypes
 from posor_drivers.recorded_topic import DEPTH, RecordedTopic
+from posor_estimator.ros.message_types import MessageTypes
 from posor_estimator.testing.graph import Graph, values_of
 from posor_estimator.testing.program import Program, installed, ros_arguments, script
 from posor_msgs.msg import RawScan

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import PointStamped
-from posor_drivers.message_types import MessageTypes
 from posor_drivers.sources.base import Topic
 from posor_drivers.sources.table import (
     STATUS_DIODES_ESTIMATED,
@@ -15,6 +14,7 @@ from posor_drivers.sources.table import (
     TableSource,
     contact_currents,
 )
+from posor_estimator.ros.message_types import MessageTypes
 from posor_msgs.msg import RawScan
 from rclpy.serialization import deserialize_message
 

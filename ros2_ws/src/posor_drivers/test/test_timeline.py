@@ -5,10 +5,10 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from posor_drivers.message_types import MessageTypes, message_class
 from posor_drivers.sources.bag import BagParameters, BagSource
 from posor_drivers.timeline import Due, ReplayParameters, timeline
 from posor_estimator.errors import BagError, ParameterError
+from posor_estimator.ros.message_types import MessageTypes, message_class
 from posor_estimator.ros.parameters import validate
 from posor_msgs.msg import RawScan
 from rclpy.serialization import deserialize_message

@@ -11,7 +11,7 @@ from posor_estimator.ros.parameters import ParameterGroup
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from posor_drivers.message_types import MessageTypes
+    from posor_estimator.ros.message_types import MessageTypes
 
 ParametersT = TypeVar("ParametersT", bound=ParameterGroup)
 

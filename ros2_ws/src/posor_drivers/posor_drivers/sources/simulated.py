@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from posor_estimator.core.arm import load_arm
 from posor_estimator.errors import ParameterError
+from posor_estimator.ros.message_types import RAW_SCAN
 from posor_estimator.ros.parameters import ParameterGroup
 from posor_estimator.ros.qos import RAW_TOPIC
 from pydantic import Field
 
-from posor_drivers.message_types import RAW_SCAN
 from posor_drivers.simulated_messages import SimulatedMessages
 from posor_drivers.simulator.arm import ArmSimulation
 from posor_drivers.simulator.stage import Stage

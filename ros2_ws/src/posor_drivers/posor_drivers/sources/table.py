@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+from posor_estimator.ros.message_types import POINT_STAMPED, RAW_SCAN
 from posor_estimator.ros.parameters import ParameterGroup
 from posor_estimator.ros.qos import RAW_TOPIC, TRUTH_TOPIC
 from pydantic import Field
 
-from posor_drivers.message_types import POINT_STAMPED, RAW_SCAN
 from posor_drivers.sources.base import RecordedSource, SourceMessage, Topic
 from posor_drivers.sources.table_file import TableRow, read_table
 

@@ -1,0 +1,135 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from posor_drivers.simulator.nominal import NominalArm
+from posor_drivers.simulator.scenario import load_scenario
+from posor_drivers.simulator.trajectory import commanded_angles, smooth
+from posor_estimator.core.arm import load_arm
+from posor_estimator.errors import CalibrationError
+
+from .arms import JOINTS, scenario, write_arm
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from posor_estimator.core.types import FloatArray
+
+
+def angles(folder: Path, content: dict[str, Any]) -> tuple[NominalArm, FloatArray]:
+    arm = load_arm(write_arm(folder, content))
+    nominal = NominalArm(arm.chain())
+    assert arm.scenario is not None
+    return nominal, commanded_angles(load_scenario(arm.scenario), nominal, "the scenario")
+
+
+def at_rate(rate: int) -> dict[str, Any]:
+    content = scenario()
+    content["rate"]["value"] = rate
+    return content
+
+
+def test_nominal_kinematics_of_many_angles_is_that_of_the_chain(tmp_path: Path) -> None:
+    chain = load_arm(write_arm(tmp_path)).chain()
+    many = np.random.default_rng(1).uniform(-2.0, 2.0, size=(20, 3))
+    found = NominalArm(chain).endpoint(many)
+    for n, row in enumerate(many):
+        expected = chain.nominal_endpoint(dict(zip(JOINTS, row, strict=True)))
+        assert np.allclose(found[n].homogeneous, expected.homogeneous, rtol=0.0, atol=1e-14)
+
+
+def test_jacobian_agrees_with_differences(tmp_path: Path) -> None:
+    arm = NominalArm(load_arm(write_arm(tmp_path)).chain())
+    here = np.random.default_rng(2).uniform(-1.0, 1.0, size=(5, 3))
+    _, jacobian = arm.jacobian(here)
+    for column in range(3):
+        step = 1e-6 * np.eye(3)[column]
+        difference = arm.endpoint(here + step).translations - arm.endpoint(here - step).translations
+        assert np.allclose(jacobian[:, :, column], difference / 2e-6, rtol=0.0, atol=1e-9)
+
+
+def test_motion_is_periodic_and_begins_at_home(tmp_path: Path) -> None:
+    _, found = angles(tmp_path, at_rate(1000))
+    assert np.array_equal(found[0], np.zeros(3))
+    # The way from the last tick to the first is as smooth as any other: half a second of approach ends there.
+    assert np.max(np.abs(found[0] - found[-1])) < 1e-7
+
+
+def test_motion_is_smooth_across_all_phases(tmp_path: Path) -> None:
+    second = {}
+    for rate in (500, 1000):
+        _, found = angles(tmp_path, at_rate(rate))
+        round_and_round = np.vstack([found, found[:2]])
+        second[rate] = np.max(np.abs(np.diff(round_and_round, n=2, axis=0)), axis=0)
+    # Twice the rate, a quarter of the second difference: with a jump of the velocity it would be half.
+    assert np.all(second[500] / second[1000] > 3.5)
+
+
+def test_rest_rests_and_spline_passes_its_waypoints(tmp_path: Path) -> None:
+    content = scenario()
+    _, found = angles(tmp_path, content)
+    assert np.array_equal(found[:20], np.zeros((20, 3)))
+    for time, row in zip((0.7, 1.2, 1.8), content["motion"][1]["through"]["value"], strict=True):
+        assert np.allclose(found[round(100 * time)], row, rtol=0.0, atol=1e-12)
+
+
+def test_spline_without_times_is_evenly_spaced(tmp_path: Path) -> None:
+    content = scenario()
+    del content["motion"][1]["at"]
+    content["motion"][1]["duration"]["value"], content["motion"][0]["duration"]["value"] = 1.5, 0.3
+    _, found = angles(tmp_path, content)
+    for time, row in zip((0.8, 1.3, 1.8), content["motion"][1]["through"]["value"], strict=True):
+        assert np.allclose(found[round(100 * time)], row, rtol=0.0, atol=1e-12)
+
+
+def test_dither_is_a_sum_of_windowed_sines(tmp_path: Path) -> None:
+    _, found = angles(tmp_path, scenario())
+    t = np.arange(70) / 100
+    window = np.sin(np.pi * t / 0.7) ** 2
+    base = window * (1e-3 * np.sin(2 * np.pi * 3 * t) + 5e-4 * np.sin(2 * np.pi * 7 * t))
+    elbow = window * 1e-3 * np.sin(2 * np.pi * 5 * t)
+    assert np.allclose(found[180:250], np.column_stack([base, np.zeros(70), elbow]), rtol=0.0, atol=1e-12)
+
+
+def test_circle_is_a_circle_in_its_plane_run_once(tmp_path: Path) -> None:
+    nominal, found = angles(tmp_path, scenario())
+    points = nominal.endpoint(found[300:351]).translations - np.array([0.95, 0.05, 0.69])
+    assert np.allclose(np.linalg.norm(points, axis=1), 0.03, rtol=0.0, atol=1e-9)
+    assert np.allclose(points @ np.array([0.0, 0.6, 0.8]), 0.0, atol=1e-9)
+    turned = np.unwrap(np.arctan2(points @ np.cross([0.0, 0.6, 0.8], points[0]) / 0.03, points @ points[0] / 0.03))
+    assert np.allclose(turned, 2.0 * np.pi * smooth(np.arange(51) / 50), rtol=0.0, atol=1e-6)
+
+
+def test_circle_begins_nearest_to_the_posture(tmp_path: Path) -> None:
+    nominal, found = angles(tmp_path, scenario())
+    posture = nominal.endpoint(np.array([[0.0, -0.5, 0.9]])).translations[0]
+    away = np.linalg.norm(nominal.endpoint(found[300:351]).translations - posture, axis=1)
+    assert np.argmin(away) in (0, 50)
+
+
+def test_circle_about_the_posture_itself_can_begin_anywhere(tmp_path: Path) -> None:
+    content = scenario()
+    nominal, _ = angles(tmp_path, content)
+    centre = nominal.endpoint(np.array([[0.0, -0.5, 0.9]])).translations[0]
+    content["motion"][3]["centre"]["value"] = centre.tolist()
+    _, found = angles(tmp_path, content)
+    points = nominal.endpoint(found[300:351]).translations - centre
+    assert np.allclose(np.linalg.norm(points, axis=1), 0.03, rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({"centre": {"value": [3.0, 0.05, 0.69], "unit": "m"}}, "the circle of 0.03 m about (3, 0.05, 0.69) m"),
+        ({"radius": {"value": 0.4, "unit": "m"}}, "the circle of 0.4 m about (0.95, 0.05, 0.69) m"),
+    ],
+)
+def test_circle_out_of_reach_is_refused_with_phase_and_keys(tmp_path: Path, change: dict[str, Any], what: str) -> None:
+    content = scenario()
+    content["motion"][3].update(change)
+    with pytest.raises(CalibrationError) as refused:
+        angles(tmp_path, content)
+    assert refused.value.where == "the scenario, key motion[3] (circle), keys centre, radius, posture"
+    assert refused.value.what == f"the arm cannot follow {what} from its posture"
