@@ -13,10 +13,10 @@ import tempfile
 from pathlib import Path
 
 from posor_drivers.bag_writer import BagWriter
-from posor_drivers.message_types import MessageTypes
 from posor_drivers.offered_qos import kept_in_bag
 from posor_drivers.sources.table import TableParameters, TableSource
 from posor_estimator.errors import PosorError
+from posor_estimator.ros.message_types import MessageTypes
 from posor_estimator.ros.parameters import NodeParameters
 from posor_estimator.ros.qos import RAW_TOPIC, RELIABLE_QOS, sensor_qos
 

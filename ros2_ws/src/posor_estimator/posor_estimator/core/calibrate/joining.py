@@ -129,7 +129,7 @@ def while_known(scans: Scans, track: Track, longest_gap_ns: int) -> tuple[Scans,
 
     """
     values = track.at(scans.stamps_ns, longest_gap_ns)
-    known = np.isfinite(values).all(axis=1)
+    known = np.asarray(np.isfinite(values).all(axis=1))
     if not known.any():
         raise TrackError(
             f"says nothing at the times of the {len(scans)} scans",

@@ -68,7 +68,7 @@ class OneProbe:
         return np.asarray((volts >= low) & (volts <= high))
 
     def gaps(self, scans: Scans, coefficients: FloatArray | None = None) -> FloatArray:
-        """Return its gaps [m] at any voltage, (n,); coefficients (order + 1,) of the polynomial, None: as calibrated."""
+        """Return its gaps [m] at any voltage, (n,); coefficients (order + 1,), None: as calibrated."""
         return self._linearised(scans, coefficients)[0]
 
     def slopes(self, scans: Scans, coefficients: FloatArray | None = None) -> FloatArray:

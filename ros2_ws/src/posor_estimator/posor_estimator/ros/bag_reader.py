@@ -1,0 +1,151 @@
+"""Opening a rosbag2 bag, MCAP or SQLite, for whoever reads one: every complaint is one sentence that names the bag."""
+
+from __future__ import annotations
+
+import struct
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from rosbags.rosbag2 import Reader
+
+from posor_estimator.errors import BagError, PosorError
+from posor_estimator.ros.message_types import RAW_SCAN
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Sequence
+    from pathlib import Path
+
+    from rosbags.interfaces import Connection
+
+    from posor_estimator.ros.message_types import MessageTypes
+
+EXPECTED = "a rosbag2 bag, MCAP or SQLite, that was closed properly"
+SQLITE_MAGIC = b"SQLite format 3\0"
+
+
+@contextmanager
+def opened_bag(path: Path) -> Iterator[Reader]:
+    """Open a bag; whatever the storage layers stumble over, also later, becomes one sentence that names the bag.
+
+    Raises:
+        BagError: It does not exist, cannot be read, or holds no messages.
+
+    """
+    if not path.exists():
+        raise BagError("does not exist", where=str(path), expected=EXPECTED)
+    try:
+        _check_size(path)
+        with Reader(path) as reader:
+            _check_not_empty(reader, path)
+            yield reader
+    except PosorError:
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+        raise BagError(f"the bag cannot be read, {reason}", where=str(path), expected=EXPECTED) from error
+
+
+def scan_topic(connections: Sequence[Connection], wanted: str, where: str, setting: str) -> str:
+    """Return the topic of the scans: the one wanted, or the only one there is.
+
+    Args:
+        connections: Of the bag.
+        wanted: Empty: the only one there is.
+        where: What to call the bag.
+        setting: By what the user chooses one.
+
+    Raises:
+        BagError: There is none, or there are several to choose from.
+
+    """
+    if wanted:
+        return wanted
+    names = sorted({connection.topic for connection in connections if connection.msgtype == RAW_SCAN})
+    if len(names) == 1:
+        return names[0]
+    if names:
+        what, expected = f"scans are on {len(names)} topics", f"{setting} as one of " + ", ".join(names)
+    else:
+        what, expected = f"there is no topic of type {RAW_SCAN}", f"one among {_listed(connections)}"
+    raise BagError(what, where=where, expected=expected)
+
+
+def checked_type(
+    connections: Sequence[Connection], topic: str, where: str, types: MessageTypes, allowed: Collection[str] = ()
+) -> str:
+    """Return the type of a recorded topic, after checking that its version is the one installed.
+
+    Args:
+        connections: Of the bag.
+        topic: Its name.
+        where: What to call the bag.
+        types: The installed types.
+        allowed: Types that it may have; empty: any.
+
+    Raises:
+        BagError: There is no such topic, its type is another one, or another version of it.
+
+    """
+    found = next((connection for connection in connections if connection.topic == topic), None)
+    if found is None:
+        raise BagError(f"there is no topic {topic}", where=where, expected=f"one of {_listed(connections)}")
+    if allowed and found.msgtype not in allowed:
+        raise BagError(f"topic {topic} is of type {found.msgtype}", where=where, expected=" or ".join(sorted(allowed)))
+    installed = types.definition(found.msgtype).type_hash
+    if found.digest and found.digest != installed:
+        raise BagError(
+            f"topic {topic} was recorded with another version of {found.msgtype}, {found.digest}",
+            where=where,
+            expected=installed,
+        )
+    return found.msgtype
+
+
+def check_filled(connections: Sequence[Connection], topic: str, where: str) -> None:
+    """Refuse a recorded topic without messages.
+
+    Raises:
+        BagError: It holds none.
+
+    """
+    if not sum(connection.msgcount for connection in connections if connection.topic == topic):
+        raise BagError(f"topic {topic} holds no messages", where=where)
+
+
+def counted_messages(reader: Reader, topics: Collection[str], where: str) -> Iterator[tuple[Connection, int, bytes]]:
+    """Yield the messages of some topics in the order of their log times [ns].
+
+    Raises:
+        BagError: At the end, when there were fewer or more than the bag's index says.
+
+    """
+    chosen = [connection for connection in reader.connections if connection.topic in topics]
+    count, promised = 0, sum(connection.msgcount for connection in chosen)
+    for connection, time_ns, data in reader.messages(chosen):
+        count += 1
+        yield connection, time_ns, bytes(data)
+    if count != promised:
+        raise BagError(
+            f"holds {count} messages of {', '.join(topics)}", where=where, expected=f"{promised}, as its index says"
+        )
+
+
+def _listed(connections: Sequence[Connection]) -> str:
+    """Return the topics of a bag with their types, in words."""
+    return ", ".join(sorted({f"{connection.topic} ({connection.msgtype})" for connection in connections})) or "none"
+
+
+def _check_not_empty(reader: Reader, path: Path) -> None:
+    if not reader.message_count:
+        raise BagError("holds no messages", where=str(path))
+
+
+def _check_size(bag: Path) -> None:
+    """Refuse an SQLite file that lacks its end; SQLite itself notices only where it happens to read there."""
+    for path in sorted(bag.glob("*.db3")) if bag.is_dir() else [bag]:
+        with path.open("rb") as file:
+            head = file.read(32)
+        if len(head) == len(SQLITE_MAGIC) + 16 and head.startswith(SQLITE_MAGIC):
+            page_size, pages = struct.unpack(">H10xI", head[16:])
+            if path.stat().st_size < (page_size if page_size > 1 else 65536) * pages:
+                raise BagError("the file is cut short", where=str(path), expected=EXPECTED)
