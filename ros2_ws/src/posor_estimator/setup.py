@@ -36,6 +36,7 @@ setup(
         "console_scripts": [
             "posor_node = posor_estimator.posor_node:main",
             "chain_node = posor_estimator.chain_node:main",
+            "budget = posor_estimator.budget.command:main",
             "golden = posor_estimator.golden:main",
             "accuracy = posor_estimator.accuracy.report:main",
             "bench_core = posor_estimator.accuracy.bench_core:main",

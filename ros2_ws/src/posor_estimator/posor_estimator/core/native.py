@@ -32,3 +32,23 @@ def native_from_rotation(rotation: FloatArray) -> tuple[float, float, float]:
     beta = math.atan2(rotation[0, 2], rotation[2, 2])
     theta = math.atan2(-rotation[0, 1], rotation[1, 1])
     return alpha, beta, theta
+
+
+def native_jacobian(rotation: FloatArray) -> FloatArray:
+    """Return d(alpha, beta, theta)/d(small turn about X, Y, Z of R) at ``R_R_T``, shape (3, 3)."""
+    y, z = rotation[:, 1], rotation[:, 2]
+    # A small turn w moves the axes y and z of T by w x y and w x z.
+    moved_y, moved_z = -_cross_matrix(y), -_cross_matrix(z)
+    return np.array(
+        [
+            -moved_z[1] / math.sqrt(1.0 - z[1] ** 2),
+            (z[2] * moved_z[0] - z[0] * moved_z[2]) / (z[0] ** 2 + z[2] ** 2),
+            (y[0] * moved_y[1] - y[1] * moved_y[0]) / (y[0] ** 2 + y[1] ** 2),
+        ]
+    )
+
+
+def _cross_matrix(vector: FloatArray) -> FloatArray:
+    """Return the matrix that multiplies from the left as ``vector x`` does."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

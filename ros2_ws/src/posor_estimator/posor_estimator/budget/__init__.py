@@ -1,0 +1,1 @@
+"""The program that tells an error budget: tables, files, a page with charts."""

@@ -1,0 +1,161 @@
+"""The error budget of a POSOR at a pose, of first order (JCGM 100, 5.1 and 5.2).
+
+Every derivative is the measurement model's own: what a shift of a reading does to the pose (``Posor.sensitivity``), and
+what a shift of a parameter does to the readings (``Stack.residual_jacobian``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from posor_estimator.core.budget.outputs import Output, Outputs
+from posor_estimator.core.budget.quantities import physical_quantities
+from posor_estimator.core.scan import Scans
+from posor_estimator.errors import FitError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import pinocchio as pin
+
+    from posor_estimator.core.budget.outputs import PlatePoint
+    from posor_estimator.core.posor import Posor
+    from posor_estimator.core.scan import Scan
+    from posor_estimator.core.types import FloatArray
+
+
+class Kind(StrEnum):
+    """How a contribution acts: differently in every scan, or the same in all scans of one calibration."""
+
+    RANDOM = "random"
+    SYSTEMATIC = "systematic"
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """What one quantity does to the judged quantities.
+
+    Attributes:
+        name: The quantity.
+        kind: Noise of a reading, or what is calibrated.
+        effects: Standard uncertainty of each judged quantity from it alone [m, rad], shape (k,).
+
+    """
+
+    name: str
+    kind: Kind
+    effects: FloatArray
+
+
+@dataclass(frozen=True)
+class ErrorBudget:
+    """Error budget at one pose.
+
+    Attributes:
+        T_R_T: The pose.
+        outputs: The judged quantities.
+        values: What they are there [m, rad], shape (k,).
+        contributions: What has any effect, in the order of ``ranked``.
+        covariance: Of the judged quantities, all contributions and their correlations in it, shape (k, k).
+        unstated: Quantities that the calibration gives no uncertainty for: taken as exact.
+
+    """
+
+    T_R_T: pin.SE3
+    outputs: tuple[Output, ...]
+    values: FloatArray
+    contributions: tuple[Contribution, ...]
+    covariance: FloatArray
+    unstated: tuple[str, ...]
+
+    @property
+    def sigmas(self) -> FloatArray:
+        """Standard uncertainty of each judged quantity by the full covariance, shape (k,)."""
+        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
+
+    def root_sum_square(self, kind: Kind | None = None) -> FloatArray:
+        """Return the root sum square of all contributions, or of those of one kind, shape (k,)."""
+        effects = [part.effects for part in self.contributions if kind is None or part.kind is kind]
+        return np.sqrt(np.sum(np.square(effects), axis=0)) if effects else np.zeros(len(self.outputs))
+
+    def shares(self) -> FloatArray:
+        """Return each contribution's share of the summed variances, shape (contributions, k); zero where all is."""
+        return _shares(np.array([part.effects for part in self.contributions]).reshape(-1, len(self.outputs)))
+
+
+def _shares(effects: FloatArray) -> FloatArray:
+    squares = np.square(effects)
+    total = np.sum(squares, axis=0)
+    return np.asarray(np.divide(squares, total, out=np.zeros_like(squares), where=total > 0.0))
+
+
+def error_budget(
+    posor: Posor,
+    scan: Scan,
+    T_R_T: pin.SE3,
+    points: Sequence[PlatePoint] = (),
+    parameter_covariance: FloatArray | None = None,
+) -> ErrorBudget:
+    """Return the first-order budget at a pose.
+
+    Contributions come in the order of the largest share that each has in any judged quantity: what to improve first.
+
+    Args:
+        posor: The POSOR.
+        scan: What it reads at the pose.
+        T_R_T: The pose.
+        points: Points of the plate whose gap is judged beside the six native coordinates.
+        parameter_covariance: Covariance of the stack's parameters (p, p); None: as the calibration states it,
+            uncorrelated.
+
+    Raises:
+        ScanError: The scan cannot be linearised.
+        FitError: Its readings do not determine all six freedoms at this pose.
+
+    """
+    stack, rotation, translation = posor.stack, T_R_T.rotation.copy(), T_R_T.translation.copy()
+    codes, batch = stack.linearise(Scans.of([scan]))
+    for sensor, code in zip(stack.sensors, codes[0], strict=True):
+        if code != 0:
+            raise sensor.explain(scan, int(code))
+    try:
+        gain = posor.sensitivity(scan, T_R_T)[0]
+    except np.linalg.LinAlgError as error:
+        raise FitError("the readings do not determine all six freedoms", expected="a pose where they do") from error
+    outputs = Outputs(stack, points)
+    by_reading = outputs.by_motion(rotation, translation) @ gain
+    by_parameter = by_reading @ stack.residual_jacobian(scan, rotation, translation)
+    by_parameter += outputs.by_parameters(rotation, translation)
+    if parameter_covariance is None:
+        parameter_covariance = np.diag(np.square(stack.parameter_sigmas))
+
+    noise = by_reading * np.sqrt(batch.variances[0])
+    parts = [
+        Contribution(f"{name}: noise", Kind.RANDOM, np.abs(effect))
+        for name, effect in zip(stack.reading_names, noise.T, strict=True)
+    ]
+    unstated = []
+    for quantity in physical_quantities(posor):
+        where = np.ix_(quantity.parameters, quantity.parameters)
+        own = by_parameter[:, quantity.parameters]
+        if not np.any(own):
+            continue  # no part in this pose, such as a light source that is not lit
+        if not np.any(parameter_covariance[where]):
+            unstated.append(quantity.name)
+            continue
+        effects = np.sqrt(np.einsum("ki,ij,kj->k", own, parameter_covariance[where], own))
+        parts.append(Contribution(quantity.name, Kind.SYSTEMATIC, effects))
+    largest = _shares(np.array([part.effects for part in parts])).max(axis=1)
+    order = sorted(range(len(parts)), key=lambda i: largest[i], reverse=True)
+    return ErrorBudget(
+        T_R_T=T_R_T,
+        outputs=outputs.named,
+        values=outputs.values(rotation, translation),
+        contributions=tuple(parts[i] for i in order if largest[i] > 0.0),
+        covariance=noise @ noise.T + by_parameter @ parameter_covariance @ by_parameter.T,
+        unstated=tuple(unstated),
+    )
