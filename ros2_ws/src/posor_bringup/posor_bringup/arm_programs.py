@@ -50,6 +50,7 @@ def _chain(arm: Arm, every: Mapping[str, Parameter]) -> Program:
     parameters: dict[str, Parameter] = {"urdf": str(arm.urdf), "endpoint_frame": arm.endpoint_frame}
     if arm.beams is not None:
         parameters["beams"] = str(arm.beams)
+    parameters |= arm.chain_parameters
     return Program("chain_node", "posor_estimator", "chain_node", (), f"/{arm.name}", {**parameters, **every})
 
 

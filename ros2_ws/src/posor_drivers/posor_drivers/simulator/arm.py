@@ -94,7 +94,13 @@ class ArmSimulation:
         switches = switches or Switches()
         commanded = commanded_angles(self.scenario, nominal, source)
         self._cycle = true_cycle(
-            self.scenario, self.chain, nominal, commanded, beam_errors=switches.beam_errors, sag=switches.sag
+            self.scenario,
+            self.chain,
+            nominal,
+            commanded,
+            beam_errors=switches.beam_errors,
+            sag=switches.sag,
+            inertia=switches.inertia,
         )
         self.calibrations = {joint: arm.calibration(joint) for joint in self.joints}
         self._electronics = {

@@ -62,7 +62,14 @@ class Cycle:
 
 
 def true_cycle(
-    scenario: Scenario, chain: Chain, arm: NominalArm, commanded: FloatArray, *, beam_errors: bool, sag: bool
+    scenario: Scenario,
+    chain: Chain,
+    arm: NominalArm,
+    commanded: FloatArray,
+    *,
+    beam_errors: bool,
+    sag: bool,
+    inertia: bool = False,
 ) -> Cycle:
     """Return the truth over one cycle.
 
@@ -73,6 +80,7 @@ def true_cycle(
         commanded: Angles [rad], (n, j).
         beam_errors: Whether the measuring beams differ from what is known of them.
         sag: Whether they sag.
+        inertia: Whether they sag otherwise while they accelerate.
 
     """
     files = [scenario.joints[name] for name in arm.joints]
@@ -88,9 +96,10 @@ def true_cycle(
     ]
     bent = bends(arm.targets(angles), spans, compliances, scenario.payload.mass.number, chain.gravity)
     beams = [TrueBeam.of(link, scenario.seed, errors=beam_errors, sag=sag) for link in chain.links]
+    forces = _specific_forces(chain, arm, commanded, scenario.ticks_per_second, inertia=inertia)
     base = Poses.repeated(pin.SE3.Identity(), len(commanded))
     structure = base @ arm.links[0]
-    receiving = beams[0].plates(base, chain.gravity)[1]
+    receiving = beams[0].plates(base, forces[0])[1]
     seen: list[Poses] = []
     for column, (name, file) in enumerate(zip(arm.joints, files, strict=True)):
         turned = structure
@@ -103,7 +112,7 @@ def true_cycle(
         end = Poses.repeated(link, len(commanded)).moved(bent[column].translations, bent[column].rotations)
         structure = turned @ end
         line = turned @ _least_turns(link.translation, end.translations)
-        target, next_receiving = beams[column + 1].plates(line, chain.gravity)
+        target, next_receiving = beams[column + 1].plates(line, forces[column + 1])
         last_receiving = receiving
         seen.append(receiving.inverse() @ target)
         receiving = next_receiving
@@ -117,6 +126,23 @@ def true_cycle(
         arm.endpoint(commanded),
         arm.endpoint(encoder),
     )
+
+
+def _specific_forces(
+    chain: Chain, arm: NominalArm, commanded: FloatArray, rate: int, *, inertia: bool
+) -> list[FloatArray]:
+    """Return gravity less the acceleration of the middle of each link's beam [m/s^2], (n, 3) or (3,), in the base.
+
+    The acceleration is that of the commanded motion, which repeats with the cycle: what backlash adds is left out.
+    """
+    forces: list[FloatArray] = [chain.gravity]
+    for target, link in zip(arm.targets(commanded), chain.links[1:], strict=True):
+        force = chain.gravity
+        if inertia and link.beam is not None:
+            centre = (target @ link.before @ pin.SE3(np.eye(3), 0.5 * link.beam.T_start_end.translation)).translations
+            force = force - rate**2 * (np.roll(centre, -1, axis=0) - 2.0 * centre + np.roll(centre, 1, axis=0))
+        forces.append(force)
+    return forces
 
 
 def _least_turns(before: FloatArray, after: FloatArray) -> Poses:

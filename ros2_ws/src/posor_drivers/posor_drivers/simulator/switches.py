@@ -21,6 +21,7 @@ class Switches:
         calibration_errors: The real POSORs differ from their calibrations, by as much as those say is uncertain.
         beam_errors: The real measuring beams differ from the beams file, likewise.
         sag: The measuring beams sag.
+        inertia: And otherwise while they accelerate.
 
     """
 
@@ -34,6 +35,7 @@ class Switches:
     calibration_errors: bool = True
     beam_errors: bool = True
     sag: bool = True
+    inertia: bool = True
 
     @classmethod
     def only(cls, *names: str) -> Self:

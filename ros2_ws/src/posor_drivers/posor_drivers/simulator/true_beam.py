@@ -59,16 +59,16 @@ class TrueBeam:
         factor = (scale if errors else 1.0) if sag else 0.0
         return cls(link.before, end, link.after, factor * beam.start_gain, factor * beam.end_gain)
 
-    def plates(self, lines: Poses, gravity: FloatArray) -> tuple[Poses, Poses]:
+    def plates(self, lines: Poses, specific_force: FloatArray) -> tuple[Poses, Poses]:
         """Return the target plate at the start and the receiving plate at the end.
 
         Args:
             lines: The beam's line through its gimbals, (n): where the target plate would be without sag.
-            gravity: [m/s^2], (3,), in the frame that the poses are in.
+            specific_force: Gravity less acceleration [m/s^2], (3,) or (n, 3), in the frame that the poses are in.
 
         """
         start = lines @ self.before
-        force = start.turned_back(gravity)
+        force = start.turned_back(specific_force)
         return (
             start @ _small(force @ self.start_gain.T) @ self.before.inverse(),
             start @ Poses.repeated(self.end, len(start)).moved(*np.hsplit(force @ self.end_gain.T, 2)) @ self.after,

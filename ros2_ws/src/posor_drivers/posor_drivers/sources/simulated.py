@@ -54,6 +54,7 @@ class SimulatedParameters(ParameterGroup):
         default=True, description="measuring beams differ from the beams file, by as much as it says is uncertain"
     )
     sag: bool = Field(default=True, description="measuring beams sag")
+    inertia: bool = Field(default=True, description="measuring beams sag otherwise while they accelerate")
 
 
 class SimulatedSource(LiveSource[SimulatedParameters]):

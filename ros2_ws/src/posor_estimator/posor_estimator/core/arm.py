@@ -2,7 +2,7 @@
 
 Versions of the format:
 
-1. First version: ``urdf``, ``endpoint_frame``, ``beams``, ``calibrations``, ``driver``, ``scenario``.
+1. First version: ``urdf``, ``endpoint_frame``, ``beams``, ``joints``, ``chain``, ``driver``, ``scenario``.
 """
 
 from __future__ import annotations
@@ -59,6 +59,12 @@ class DriverFile(FrozenModel):
     parameters: dict[str, Annotated[ParameterValue, BeforeValidator(_parameter_value)]] = Field(default_factory=dict)
 
 
+class ChainFile(FrozenModel):
+    """ROS parameters of the arm's chain_node, beside the files that the arm file names."""
+
+    parameters: dict[str, Annotated[ParameterValue, BeforeValidator(_parameter_value)]] = Field(default_factory=dict)
+
+
 class ArmFile(FrozenModel):
     """An arm file as written; paths are relative to it."""
 
@@ -70,6 +76,7 @@ class ArmFile(FrozenModel):
     endpoint_frame: str = "endpoint"
     beams: str = ""
     joints: dict[str, JointFile]
+    chain: ChainFile = ChainFile()
     driver: DriverFile
     scenario: str = ""
 
@@ -92,6 +99,7 @@ class Arm:
         beams: Path of the beams file; None: straight and exact beams.
         calibrations: Path of each joint's calibration file, in the order of the chain.
         sessions: Session of each joint's calibration.
+        chain_parameters: ROS parameters of chain_node.
         driver: Source and parameters of the drivers.
         scenario: Path of the simulator's scenario; None where there is none.
 
@@ -104,6 +112,7 @@ class Arm:
     beams: Path | None
     calibrations: Mapping[str, Path]
     sessions: Mapping[str, str]
+    chain_parameters: Mapping[str, ParameterValue]
     driver: DriverFile
     scenario: Path | None
 
@@ -151,6 +160,7 @@ def load_arm(path: Path) -> Arm:
         beams=folder / said.beams if said.beams else None,
         calibrations={name: folder / joint.calibration for name, joint in said.joints.items()},
         sessions={name: joint.session for name, joint in said.joints.items()},
+        chain_parameters=said.chain.parameters,
         driver=said.driver,
         scenario=folder / said.scenario if said.scenario else None,
     )

@@ -1,0 +1,50 @@
+"""Measuring beams weigh more when they are lifted fast: in the simulator, and in the chain that corrects for it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from posor_drivers.simulator.arm import ArmSimulation, ArmTruth
+from posor_drivers.simulator.switches import Switches
+from posor_estimator.core.arm import Arm, load_arm
+from posor_estimator.core.beam_motion import BeamMotion
+from posor_estimator.core.chain import MeasuredJoint
+
+FIVE_AXIS = Path(__file__).resolve().parents[2] / "posor_bringup" / "arms" / "five_axis" / "arm.yaml"
+PERIOD_NS = 5_000_000
+TICKS = np.arange(400, 1200)
+
+
+@pytest.fixture(scope="module")
+def arm() -> Arm:
+    return load_arm(FIVE_AXIS)
+
+
+def errors(arm: Arm, truth: ArmTruth, window_s: float) -> np.ndarray:
+    """Return how far the chain is off [m], (n, 3), if every POSOR measures exactly."""
+    chain, motion = arm.chain(), BeamMotion(window_s)
+    found = []
+    for n in range(len(TICKS)):
+        exact = {name: MeasuredJoint(seen[n], np.zeros((6, 6))) for name, seen in truth.T_parent_child.items()}
+        pose = chain.endpoint(exact, motion.accelerations() if window_s else None).T_base_endpoint
+        motion.take(n * PERIOD_NS, chain.beam_centres())
+        found.append(pose.translation - truth.endpoint.translations[n])
+    return np.array(found)
+
+
+def rms(vectors: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.sum(np.square(vectors), axis=1))))
+
+
+def test_at_rest_the_chain_corrects_the_whole_sag(arm: Arm) -> None:
+    truth = ArmSimulation(arm, Switches.only("sag")).truth(TICKS)
+    assert np.abs(errors(arm, truth, 0.0)).max() < 5e-9  # of second order: the sag turns the beam against gravity
+
+
+def test_in_motion_it_does_once_it_knows_the_acceleration(arm: Arm) -> None:
+    truth = ArmSimulation(arm, Switches.only("sag", "inertia")).truth(TICKS)
+    uncorrected, corrected = (rms(errors(arm, truth, window_s)[20:]) for window_s in (0.0, 0.05))
+    assert uncorrected > 2e-6
+    assert corrected < 0.2 * uncorrected
