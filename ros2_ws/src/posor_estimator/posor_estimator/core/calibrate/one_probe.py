@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from posor_estimator.core.calibrate.parameters import the_sensor
 from posor_estimator.core.calibration.quantity import Quantity
+from posor_estimator.core.forward import empty_scans
 from posor_estimator.core.sensors.gap_probes import GapProbesCalibration
 from posor_estimator.core.stack import Stack
 from posor_estimator.errors import FitError
@@ -20,37 +23,36 @@ if TYPE_CHECKING:
 ANYWHERE = [-1e6, 1e6]
 
 
-def gap_probes_of(calibration: Calibration) -> tuple[int, GapProbesCalibration]:
-    """Return the gap probes of a calibration, and which of its sensors they are.
-
-    Raises:
-        FitError: It has none.
-
-    """
-    for index, sensor in enumerate(calibration.sensors):
-        if isinstance(sensor, GapProbesCalibration):
-            return index, sensor
-    raise FitError(
-        f"calibration '{calibration.name}' has no gap probes",
-        expected=f"a sensor of type gap_probes beside {', '.join(type(s).__name__ for s in calibration.sensors)}",
-    )
-
-
+@dataclass(frozen=True)
 class OneProbe:
     """One gap probe, linearised by the sensor's own model with coefficients that may be tried out.
 
     Attributes:
         calibration: As the file has it.
+        index: Its place among the probes.
         key: Where it stands in the file.
+        sensor: The sensor that it is part of.
 
     """
 
-    def __init__(self, calibration: Calibration, probe: int) -> None:
-        """Take one probe out of a calibration."""
-        index, self._sensor = gap_probes_of(calibration)
-        self._probe = probe
-        self.calibration: ProbeCalibration = self._sensor.probes[probe]
-        self.key = f"sensors[{index}].probes[{probe}]"
+    calibration: ProbeCalibration
+    index: int
+    key: str
+    sensor: GapProbesCalibration
+
+    @staticmethod
+    def all_of(calibration: Calibration) -> list[OneProbe]:
+        """Return all gap probes of a calibration.
+
+        Raises:
+            FitError: It has none.
+
+        """
+        at, sensor = the_sensor(calibration, GapProbesCalibration, "gap probes")
+        return [
+            OneProbe(probe, index, f"sensors[{at}].probes[{index}]", sensor)
+            for index, probe in enumerate(sensor.probes)
+        ]
 
     @property
     def name(self) -> str:
@@ -59,7 +61,7 @@ class OneProbe:
 
     def volts(self, scans: Scans) -> FloatArray:
         """Return its voltages with the zero shift added [V], (n,)."""
-        return np.asarray(scans.gap_voltages[:, self._probe] + self.calibration.zero_shift.number)
+        return np.asarray(scans.gap_voltages[:, self.index] + self.calibration.zero_shift.number)
 
     def within(self, scans: Scans) -> BoolArray:
         """Return which voltages lie within the present range, (n,)."""
@@ -69,27 +71,48 @@ class OneProbe:
 
     def gaps(self, scans: Scans, coefficients: FloatArray | None = None) -> FloatArray:
         """Return its gaps [m] at any voltage, (n,); coefficients (order + 1,), None: as calibrated."""
-        return self._linearised(scans, coefficients)[0]
+        return self._linearised(scans, _tried(coefficients))[0]
 
     def slopes(self, scans: Scans, coefficients: FloatArray | None = None) -> FloatArray:
         """Return how much its gap changes for a volt, without sign [m/V], (n,)."""
-        return self._linearised(scans, coefficients)[1]
+        return self._linearised(scans, _tried(coefficients))[1]
 
-    def gap_sigmas(self, scans: Scans) -> FloatArray:
-        """Return the standard uncertainty of its gaps from the present calibration [m], (n,)."""
-        return self._linearised(scans, None)[2]
+    def gaps_without_supply(self, scans: Scans) -> FloatArray:
+        """Return its gaps [m] as they would be if it did not depend on the supply voltage, (n,)."""
+        return self._linearised(scans, {"supply": None})[0]
 
-    def _linearised(self, scans: Scans, coefficients: FloatArray | None) -> tuple[FloatArray, FloatArray, FloatArray]:
-        update = {
+    def polynomial_at(self, volt: float) -> tuple[float, float]:
+        """Return the present polynomial at a voltage, zero shift added, and its standard uncertainty [m]."""
+        scans = empty_scans(np.zeros(1, dtype=np.int64))
+        scans = scans.with_fields({"gap_voltages": np.full((1, len(self.sensor.probes)), volt)})
+        gap, _, sigma = self._linearised(
+            scans, {"zero_shift": Quantity(value=0.0, unit="V"), "supply": None, "temperature": None}
+        )
+        return float(gap[0]), float(sigma[0])
+
+    def _linearised(
+        self, scans: Scans, update: dict[str, Quantity | None]
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return gaps [m], slopes [m/V] and the gaps' standard uncertainty by the calibration [m], (n,) each."""
+        anywhere = {
             "range": Quantity(value=ANYWHERE, unit="V"),
             "noise": Quantity(value=1.0, unit="V"),  # the variance is then the square of the slope
         }
-        if coefficients is not None:
-            update["volts_to_gap"] = Quantity(value=coefficients.tolist(), unit="m/V^k")
-        alone = self._sensor.model_copy(update={"probes": [self.calibration.model_copy(update=update)]})
-        own = scans.with_fields({"gap_voltages": scans.gap_voltages[:, [self._probe]]})
+        probe = self.calibration.model_copy(update=anywhere | update)
+        alone = self.sensor.model_copy(update={"probes": [probe]})
+        own = scans.with_fields({"gap_voltages": scans.gap_voltages[:, [self.index]]})
         codes, batch = Stack([alone.build()]).linearise(own)
         bad = np.flatnonzero(codes[:, 0])
         if bad.size:
-            raise FitError(f"voltage {own.gap_voltages[bad[0], 0]} of scan {own.numbers[bad[0]]}", where=self.name)
+            raise FitError(
+                f"voltage {own.gap_voltages[bad[0], 0]} of scan {own.numbers[bad[0]]}",
+                where=self.name,
+                expected="a finite voltage",
+            )
         return batch.values[:, 0], np.sqrt(batch.variances[:, 0]), np.sqrt(batch.systematic[:, 0, 0])
+
+
+def _tried(coefficients: FloatArray | None) -> dict[str, Quantity | None]:
+    if coefficients is None:
+        return {}
+    return {"volts_to_gap": Quantity(value=coefficients.tolist(), unit="m/V^k")}
