@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from posor_estimator.core.calibrate.checks import check_axis, check_unit
 from posor_estimator.core.calibrate.fit import Fit, Loss, fit
 from posor_estimator.core.calibrate.orientation import ANGLES
 from posor_estimator.core.calibrate.parameters import changed
 from posor_estimator.core.native import native_from_rotation
 from posor_estimator.core.posor import Posor
-from posor_estimator.errors import FitError
+from posor_estimator.errors import FitError, TrackError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,6 +27,11 @@ if TYPE_CHECKING:
     from posor_estimator.core.calibration.model import Calibration
     from posor_estimator.core.scan import Scans
     from posor_estimator.core.types import BoolArray, FloatArray, IntArray
+
+CLEAR_MOTION = 50.0
+"""Standard deviations of noise from which a motion is large enough to compare the reference's with."""
+ERROR_OF_MOTION = 0.03
+"""Share of a motion that a wrong calibration can feign where the reference stands: below it nothing is compared."""
 
 
 @dataclass(frozen=True)
@@ -129,6 +135,7 @@ def fit_attitude(
             where=what,
             expected="some",
         )
+    _check_reference(found[used], reference.angles[used], columns, covariances[used], what)
     covariance = covariances[used][:, columns][:, :, columns] + np.diag(np.square(reference.sigmas[columns]))
     whiten = np.linalg.inv(np.linalg.cholesky(covariance))
 
@@ -163,6 +170,29 @@ def fit_attitude(
     )
     best = outcome.values[:count]
     return AttitudeFit(outcome, best, used, errors(start), errors(best))
+
+
+def _check_reference(
+    found: FloatArray, reference: FloatArray, columns: list[int], covariances: FloatArray, what: str
+) -> None:
+    """Refuse a reference in a wrong unit, of the wrong sense, or with its axes swapped.
+
+    Raises:
+        TrackError: It is; the sentence says which.
+
+    """
+    noise = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2).mean(axis=0))
+    for column in columns:
+        moved = np.ptp(found[:, column])
+        if moved < CLEAR_MOTION * noise[column]:
+            continue
+        where = f"{what}, {ANGLES[column]} of the reference"
+        check_axis(found[:, column], reference, column, ANGLES, where)
+        if np.ptp(reference[:, column]) < ERROR_OF_MOTION * moved:
+            continue
+        if np.corrcoef(found[:, column], reference[:, column])[0, 1] < 0.0:
+            raise TrackError("turns the other way than the POSOR", where=where, expected="the sense of R's axes")
+        check_unit(found[:, column], reference[:, column], where, "metres and radians")
 
 
 def deviation(errors: FloatArray) -> FloatArray:

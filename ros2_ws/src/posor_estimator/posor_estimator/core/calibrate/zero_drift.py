@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from posor_estimator.core.calibrate.attitude_fit import AttitudeFit, Unknown, deviation, fit_attitude
+from posor_estimator.core.calibrate.checks import check_alive
 from posor_estimator.core.calibrate.fit import Loss
 from posor_estimator.core.calibrate.orientation import ANGLES, orientation_at
 from posor_estimator.core.calibrate.parameters import indices, the_sensor
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
 
 NAME = "zero_drift"
 URAD = 1e-6
+STANDING = 1e-5
+"""Change of the reference's angles [rad] below which a reading may stay the same to the last digit."""
 
 
 class ZeroDriftOptions(Options):
@@ -88,6 +91,11 @@ def find_zero_drift(recording: Recording, calibration: Calibration, options: Zer
         Unknown(f"zero shift of {probe.name}", "V", int(index), options.expected_drift)
         for probe, index in zip(probes.probes, where, strict=True)
     ]
+    names = [f"gap probe {probe.name}" for probe in probes.probes]
+    volts = recording.scans.gap_voltages
+    whole = np.isfinite(volts).all(axis=1) & np.isfinite(reference.angles).all(axis=1)
+    places = np.round(reference.angles[whole] / STANDING)
+    check_alive(names, volts[whole], np.zeros_like(volts[whole]), places, recording.source)
     found = fit_attitude(
         calibration,
         recording.scans,
