@@ -10,14 +10,18 @@ import numpy as np
 import yaml
 from posor_drivers.simulator.arm import ArmSimulation
 from posor_estimator.core.arm import load_arm
-from posor_estimator.core.designs import sized_design
+from posor_estimator.core.designs import SizedDesignName, sized_design
 
 if TYPE_CHECKING:
     from posor_drivers.simulator.switches import Switches
 
 SCENARIO = Path(__file__).parent / "scenarios" / "three_joints.yaml"
 JOINTS = ("base", "shoulder", "elbow")
-DIAMETERS = {"base": 0.2032, "shoulder": 0.2032, "elbow": 0.1524}
+DESIGNS: dict[str, tuple[SizedDesignName, float]] = {
+    "base": ("triad_bumpy_ring", 0.2032),
+    "shoulder": ("triad_light_ring", 0.2032),
+    "elbow": ("triad_bumpy_ring", 0.1524),
+}
 PROVENANCE = {"source": "a test", "method": "by hand", "date": "none"}
 
 BEAMS = (
@@ -94,9 +98,8 @@ def write_arm(folder: Path, content: dict[str, Any] | None = None) -> Path:
     """Write the arm with a scenario; return the arm file."""
     (folder / "arm.urdf").write_text(URDF, encoding="utf-8")
     for joint in JOINTS:
-        kind = "triad_light_ring" if joint == "shoulder" else "triad_bumpy_ring"
         frames = (f"{joint}_receiving", f"{joint}_target")
-        calibration = sized_design(kind, DIAMETERS[joint], frames=frames, title=joint)
+        calibration = sized_design(*DESIGNS[joint], frames=frames, title=joint)
         _write(folder / f"{joint}.yaml", calibration.model_dump(mode="json", exclude_none=True))
     _write(folder / "beams.yaml", _beams())
     _write(folder / "scenario.yaml", scenario() if content is None else content)

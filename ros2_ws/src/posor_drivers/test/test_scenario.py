@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -13,6 +12,7 @@ from .arms import SCENARIO, scenario
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
 SECONDS = {"unit": "s"}
 
@@ -25,7 +25,7 @@ def load(folder: Path, content: object) -> Any:
 
 def test_scenario_is_read_as_written() -> None:
     read = load_scenario(SCENARIO)
-    assert (read.seed, read.ticks_per_second, read.cycle_ticks) == (1985, 100, 400)
+    assert (read.seed, read.ticks_per_second, read.cycle_ticks) == (1985, 100, 800)
     assert [type(phase) for phase in read.motion] == [Rest, Spline, Dither, Circle]
     assert read.joints["base"].gear is not None
     assert read.joints["base"].gear.backlash.number == 4e-5
@@ -77,16 +77,16 @@ WRONG = {
     "rate": (change("rate", to=value(99.5, "Hz")), "key rate.value", "rate 99.5 Hz", "a whole number from 1 to 10000"),
     "rate unit": (change("rate", to=value(100, "kHz")), "key rate.unit", "unit 'kHz'", "'Hz'"),
     "duration": (
-        change("duration", to=value(4.005, "s")),
+        change("duration", to=value(8.005, "s")),
         "key duration.value",
-        "duration 4.005 s",
+        "duration 8.005 s",
         "a whole number of ticks of 0.01 s",
     ),
     "phases": (
-        change("motion", 0, "duration", to=value(0.3, "s")),
+        change("motion", 0, "duration", to=value(0.5, "s")),
         "key motion",
-        "the phases take 4.1 s",
-        "4 s, the duration of the scenario",
+        "the phases take 8.1 s",
+        "8 s, the duration of the scenario",
     ),
     "end": (
         change("motion", 1, "through", "value", to=[[0.1, 0.0, 0.0], [0.2, 0.0, 0.0], [0.0, 0.0, 0.25]]),
@@ -119,16 +119,16 @@ WRONG = {
         "2, one for each joint",
     ),
     "times": (
-        change("motion", 1, "at", "value", to=[0.5, 0.4, 1.6]),
+        change("motion", 1, "at", "value", to=[1.0, 0.9, 3.2]),
         "key motion[1].at.value",
-        "at [0.5, 0.4, 1.6] s",
-        "ascending times from more than 0 s to 1.6 s, the duration",
+        "at [1.0, 0.9, 3.2] s",
+        "ascending times from more than 0 s to 3.2 s, the duration",
     ),
     "last time": (
-        change("motion", 1, "at", "value", to=[0.5, 0.9, 1.5]),
+        change("motion", 1, "at", "value", to=[1.0, 2.0, 3.0]),
         "key motion[1].at.value",
-        "at [0.5, 0.9, 1.5] s",
-        "ascending times from more than 0 s to 1.6 s, the duration",
+        "at [1.0, 2.0, 3.0] s",
+        "ascending times from more than 0 s to 3.2 s, the duration",
     ),
     "sines": (
         change("motion", 2, "frequency", "value", to=[3.0, 7.0]),
@@ -149,10 +149,10 @@ WRONG = {
         "a unit vector",
     ),
     "approach": (
-        change("motion", 3, "approach", "value", to=0.75),
+        change("motion", 3, "approach", "value", to=1.75),
         "key motion[3].approach.value",
-        "approach 0.75 s",
-        "less than 0.75 s, half the duration",
+        "approach 1.75 s",
+        "less than 1.75 s, half the duration",
     ),
     "posture": (
         without("motion", 3, "posture"),
@@ -210,10 +210,10 @@ WRONG = {
         "more than 1 s, where it begins",
     ),
     "dirt beyond": (
-        change(*ELECTRONICS, "contamination", 0, "until", "value", to=5.0),
+        change(*ELECTRONICS, "contamination", 0, "until", "value", to=9.0),
         "key electronics.contamination[0].until.value",
-        "until 5 s",
-        "at most 4 s, the duration of the scenario",
+        "until 9 s",
+        "at most 8 s, the duration of the scenario",
     ),
     "dirt unit": (
         change(*ELECTRONICS, "contamination", 1, "size", "unit", to="V"),

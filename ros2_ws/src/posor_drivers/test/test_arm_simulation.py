@@ -1,0 +1,396 @@
+"""The simulated arm as a whole: what is true, what is read, and that one belongs to the other."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from posor_drivers.simulator import electronics
+from posor_drivers.simulator.switches import Switches
+from posor_estimator.core.chain import MeasuredJoint
+from posor_estimator.core.fault import State
+from posor_estimator.core.kernels.memory import theta_of
+from posor_estimator.core.posor import Posor
+from posor_estimator.errors import CalibrationError
+from posor_msgs.msg import RawScan
+
+from .arms import JOINTS, perfect, scenario, simulation, write_arm
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+    from posor_drivers.simulator.arm import ArmSimulation, ArmTruth
+    from posor_drivers.simulator.electronics import SimulatedScans
+
+N = 800
+TICKS = np.arange(N)
+SECOND = 1_000_000_000
+FAR = 172_800_000_000
+"""A tick of today: 54 years at 100 Hz; a whole number of cycles."""
+READINGS = ("gap_voltages", "ring_voltages", "diode_currents")
+
+
+def by_chain(arm: ArmSimulation, truth: ArmTruth, n: int) -> pin.SE3:
+    """Return the endpoint that chain_node would give if its POSORs were without error."""
+    measured = {joint: MeasuredJoint(truth.T_parent_child[joint][n], np.zeros((6, 6))) for joint in arm.joints}
+    return arm.chain.endpoint(measured).T_base_endpoint
+
+
+@pytest.fixture(scope="module")
+def everything(tmp_path_factory: pytest.TempPathFactory) -> ArmSimulation:
+    return simulation(tmp_path_factory.mktemp("everything"))
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory: pytest.TempPathFactory) -> ArmSimulation:
+    return simulation(tmp_path_factory.mktemp("clean"), Switches.only())
+
+
+def test_without_imperfections_encoders_tell_the_endpoint(tmp_path: Path) -> None:
+    arm = simulation(tmp_path, Switches.only(), perfect(scenario()))
+    truth = arm.truth(TICKS)
+    assert np.array_equal(truth.angles, truth.commanded)
+    assert np.array_equal(truth.encoder, truth.commanded)
+    assert np.allclose(truth.by_encoders.translations, truth.endpoint.translations, rtol=0.0, atol=1e-14)
+    assert np.allclose(truth.by_encoders.rotations, truth.endpoint.rotations, rtol=0.0, atol=1e-14)
+    assert np.ptp(truth.target.translations, axis=0).min() > 0.05
+
+
+def test_without_imperfections_posors_and_chain_tell_the_endpoint(tmp_path: Path) -> None:
+    arm = simulation(tmp_path, Switches.only("sag"), perfect(scenario()))  # which the chain corrects
+    truth = arm.truth(TICKS)
+    found = {joint: Posor(arm.calibrations[joint]).locate_all(arm.scans(joint, TICKS).scans) for joint in JOINTS}
+    for joint in JOINTS:
+        assert np.all(found[joint].states == State.OK)
+    for n in range(N):
+        poses = {joint: pin.SE3(found[joint].rotations[n], found[joint].translations[n]) for joint in JOINTS}
+        measured = {joint: MeasuredJoint(pose, np.zeros((6, 6))) for joint, pose in poses.items()}
+        endpoint = arm.chain.endpoint(measured).T_base_endpoint
+        assert np.linalg.norm(endpoint.translation - truth.endpoint.translations[n]) < 1e-9
+        assert np.linalg.norm(pin.log3(endpoint.rotation.T @ truth.endpoint.rotations[n])) < 1e-9
+
+
+def test_chain_sees_through_bending_backlash_runout_and_sag(tmp_path: Path) -> None:
+    arm = simulation(tmp_path, Switches.only("sag"))
+    truth = arm.truth(TICKS)
+    off = np.linalg.norm(truth.by_encoders.translations - truth.endpoint.translations, axis=1)
+    assert 1e-4 < np.sqrt(np.mean(off**2)) < 1e-3
+    for n in range(0, N, 7):
+        assert np.linalg.norm(by_chain(arm, truth, n).translation - truth.endpoint.translations[n]) < 1e-9
+
+
+def test_beam_errors_are_what_the_chain_does_not_know(tmp_path: Path) -> None:
+    arm = simulation(tmp_path, Switches.only("sag", "beam_errors"))
+    truth = arm.truth(TICKS)
+    misses = [np.linalg.norm(by_chain(arm, truth, n).translation - truth.endpoint.translations[n]) for n in range(N)]
+    assert min(misses) > 1e-8
+    assert max(misses) < 5e-6
+
+
+def test_true_motion_stays_within_what_the_sensors_read(everything: ArmSimulation) -> None:
+    for joint in JOINTS:
+        scans = everything.scans(joint, TICKS)
+        assert not np.any(scans.statuses & RawScan.STATUS_SATURATED)
+        found = Posor(everything.calibrations[joint]).locate_all(scans.scans)
+        usable = np.isin(found.states, (State.OK, State.DEGRADED))
+        assert np.mean(usable) > 0.9
+
+
+def test_estimates_err_as_much_as_they_say(everything: ArmSimulation) -> None:
+    truth = everything.truth(TICKS).T_parent_child["base"]
+    found = Posor(everything.calibrations["base"]).locate_all(everything.scans("base", TICKS).scans)
+    covariances = found.covariances_random + found.covariances_systematic
+    errors = np.array(
+        [
+            [*(found.translations[n] - truth.translations[n]), *pin.log3(found.rotations[n] @ truth.rotations[n].T)]
+            for n in TICKS
+        ]
+    )
+    nees = np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[:, :, None])[:, :, 0]) / 6.0
+    assert 0.05 < np.mean(nees) < 4.0  # one draw of the calibration's errors
+
+
+def test_first_scan_sees_the_home_mark_and_says_so(everything: ArmSimulation) -> None:
+    at_home = {joint: everything.scans(joint, TICKS).statuses & RawScan.STATUS_HOME_BUMP > 0 for joint in JOINTS}
+    assert at_home["base"][0]
+    assert at_home["elbow"][0]
+    assert not at_home["shoulder"].any()  # a ring of light sources counts nothing
+    (bump,) = (sensor.bump_angle for sensor in everything.calibrations["base"].sensors if sensor.bump_angle)
+    theta = np.array([theta_of(rotation) for rotation in everything.truth(TICKS).T_parent_child["base"].rotations])
+    assert np.array_equal(at_home["base"], np.abs(theta) < 0.25 * bump)
+    assert not at_home["base"].all()
+
+
+def test_flags_are_those_of_the_message() -> None:
+    for name in ("STATUS_SATURATED", "STATUS_SIMULATED", "STATUS_HOME_BUMP"):
+        assert getattr(electronics, name) == getattr(RawScan, name)
+
+
+def test_scans_carry_tick_stamp_and_the_simulated_flag(everything: ArmSimulation) -> None:
+    scans = everything.scans("base", FAR + TICKS)
+    assert np.array_equal(scans.scans.numbers, FAR + TICKS)
+    assert np.array_equal(scans.scans.stamps_ns, (FAR + TICKS) * (SECOND // 100))
+    assert np.all(scans.statuses & RawScan.STATUS_SIMULATED)
+
+
+@pytest.mark.parametrize("joint", JOINTS)
+def test_scan_depends_on_its_tick_only(everything: ArmSimulation, joint: str) -> None:
+    together = everything.scans(joint, TICKS)
+    for n in (0, 1, 57, 110, 799):
+        alone = everything.scans(joint, TICKS[n : n + 1])
+        for field in fields(together.scans):
+            both = getattr(together.scans, field.name)[n], getattr(alone.scans, field.name)[0]
+            assert np.array_equal(*both, equal_nan=field.name == "temperatures")
+        assert together.statuses[n] == alone.statuses[0]
+        assert together.latencies_ns[n] == alone.latencies_ns[0] == everything.latency_ns(joint, n)
+
+
+def test_noise_differs_between_cycles_but_motion_does_not(everything: ArmSimulation) -> None:
+    once, again = everything.scans("base", TICKS), everything.scans("base", N + TICKS)
+    assert np.array_equal(
+        everything.truth(TICKS).endpoint.translations, everything.truth(N + TICKS).endpoint.translations
+    )
+    assert np.mean(once.scans.ring_voltages == again.scans.ring_voltages) < 0.5  # some fall on the same step
+
+
+OTHER_PROCESS = """
+import sys
+from pathlib import Path
+import numpy as np
+from posor_drivers.simulator.arm import ArmSimulation
+from posor_estimator.core.arm import load_arm
+
+arm = ArmSimulation(load_arm(Path(sys.argv[1])))
+ticks = np.arange(*map(int, sys.argv[3:]))
+arm.scans("elbow", ticks[::-1].copy())  # whatever was asked for before
+truth = arm.truth(ticks)
+out = {"endpoint": truth.endpoint.translations, "encoder": truth.encoder, "angles": truth.angles}
+for joint in arm.joints:
+    simulated = arm.scans(joint, ticks)
+    out |= {f"{joint} {name}": getattr(simulated, name) for name in ("statuses", "sent", "latencies_ns")}
+    for name in ("gap_voltages", "ring_voltages", "diode_currents", "supply_voltages", "lit_sources"):
+        out[f"{joint} {name}"] = getattr(simulated.scans, name)
+np.savez(sys.argv[2], **out)
+"""
+
+
+def test_other_processes_that_start_elsewhere_give_the_same_numbers(tmp_path: Path) -> None:
+    path = write_arm(tmp_path)
+    found = []
+    for name, first in (("one", FAR - 30), ("other", FAR + 50)):
+        file = tmp_path / f"{name}.npz"
+        command = [sys.executable, "-c", OTHER_PROCESS, str(path), str(file), str(first), str(FAR + 130)]
+        subprocess.run(command, check=True)
+        with np.load(file) as arrays:
+            found.append({key: arrays[key] for key in arrays.files})
+    assert len(found[0]) == 3 + 8 * len(JOINTS)
+    for key, values in found[0].items():
+        assert np.array_equal(values[80:], found[1][key])
+
+
+def test_another_seed_gives_other_numbers(tmp_path: Path, everything: ArmSimulation) -> None:
+    content = scenario()
+    content["seed"] = 1986
+    other = simulation(tmp_path, content=content)
+    assert not np.array_equal(other.truth(TICKS).endpoint.translations, everything.truth(TICKS).endpoint.translations)
+    assert not np.array_equal(other.scans("base", TICKS).sent, everything.scans("base", TICKS).sent)
+
+
+MECHANICAL = {"endpoint", "T_parent_child"}
+CHANGES = {
+    "noise": set(READINGS),
+    "quantisation": set(READINGS),
+    "zero_drift": {"gap_voltages", "ring_voltages"},
+    "supply_drift": {"gap_voltages", "ring_voltages", "supply_voltages"},
+    "contamination": {"gap_voltages", "diode_currents"},
+    "dropouts": {"sent"},
+    "latency": {"latencies_ns"},
+    "calibration_errors": set(READINGS),
+    "beam_errors": set(READINGS) | MECHANICAL,
+    "sag": set(READINGS) | MECHANICAL,
+    "inertia": set(),  # of beams that do not sag
+    "sag inertia": set(READINGS) | MECHANICAL,
+}
+
+
+def differing(one: Any, other: Any, names: Iterable[str]) -> set[str]:
+    """Return which of some arrays differ; temperatures are NaN, since nobody measures them."""
+    pairs = {name: (np.asarray(getattr(one, name)), np.asarray(getattr(other, name))) for name in names}
+    return {name for name, pair in pairs.items() if not np.array_equal(*pair, equal_nan=name == "temperatures")}
+
+
+def changed(one: ArmSimulation, other: ArmSimulation, ticks: np.ndarray[Any, Any]) -> set[str]:
+    """Return what differs between two simulations of the arm."""
+    out = set()
+    truths = one.truth(ticks), other.truth(ticks)
+    out |= differing(*truths, ("commanded", "encoder", "angles", "stage"))
+    for name in ("endpoint", "target", "by_encoders"):
+        if differing(getattr(truths[0], name), getattr(truths[1], name), ("rotations", "translations")):
+            out.add(name)
+    for joint in JOINTS:
+        if differing(truths[0].T_parent_child[joint], truths[1].T_parent_child[joint], ("rotations", "translations")):
+            out.add("T_parent_child")
+        scans = one.scans(joint, ticks), other.scans(joint, ticks)
+        out |= differing(scans[0].scans, scans[1].scans, (field.name for field in fields(scans[0].scans)))
+        out |= differing(*scans, ("statuses", "sent", "latencies_ns"))
+    return out
+
+
+def test_every_switch_is_tried() -> None:
+    assert set(" ".join(CHANGES).split()) == {field.name for field in fields(Switches)}
+
+
+@pytest.mark.parametrize("names", CHANGES)
+def test_each_switch_changes_what_it_should_and_nothing_else(tmp_path: Path, clean: ArmSimulation, names: str) -> None:
+    *others, name = names.split()
+    without = simulation(tmp_path, Switches.only(*others)) if others else clean
+    assert changed(simulation(tmp_path, Switches.only(*others, name)), without, FAR + TICKS) == CHANGES[names]
+
+
+def test_contamination_is_on_its_channel_and_at_its_time(tmp_path: Path, clean: ArmSimulation) -> None:
+    dirty = simulation(tmp_path, Switches.only("contamination"))
+    shift = dirty.scans("elbow", TICKS).scans.gap_voltages - clean.scans("elbow", TICKS).scans.gap_voltages
+    expected = np.zeros((N, 3))
+    expected[100:120, 0] = 0.05
+    assert np.allclose(shift, expected, rtol=0.0, atol=1e-12)
+    ratio = dirty.scans("shoulder", TICKS).scans.diode_currents / clean.scans("shoulder", TICKS).scans.diode_currents
+    expected = np.ones((N, 2, 4))
+    expected[600:610, 1, 0] = 0.95
+    assert np.allclose(ratio, expected, rtol=0.0, atol=1e-12)
+
+
+def test_dirt_on_the_redundant_readings_is_found_by_the_estimator(tmp_path: Path) -> None:
+    dirty = simulation(tmp_path, Switches.only("contamination", "noise"))
+    found = Posor(dirty.calibrations["shoulder"]).locate_all(dirty.scans("shoulder", TICKS).scans)
+    assert np.all(found.states[600:610] == State.LOST)
+    assert np.mean(found.states[:600] == State.OK) > 0.98
+
+
+@pytest.mark.parametrize("bits", [12, 16])
+def test_converter_rounds_to_its_steps(tmp_path: Path, clean: ArmSimulation, bits: int) -> None:
+    content = scenario()
+    content["electronics"]["converter"]["bits"] = bits
+    arm = simulation(tmp_path, Switches.only("quantisation"), content)
+    step = 20.0 / 2**bits
+    volts = arm.scans("base", TICKS).scans.gap_voltages
+    codes = (volts + 10.0) / step
+    assert np.allclose(codes, np.round(codes), rtol=0.0, atol=1e-9)
+    off = np.max(np.abs(volts - clean.scans("base", TICKS).scans.gap_voltages))
+    assert 0.4 * step < off <= 0.5 * step + 1e-12
+
+
+@pytest.mark.parametrize("names", [(), ("quantisation",)])
+def test_end_of_the_converter_is_flagged(tmp_path: Path, clean: ArmSimulation, names: tuple[str, ...]) -> None:
+    volts = clean.scans("base", TICKS).scans.ring_voltages
+    high = float(np.quantile(volts, 0.7))
+    content = scenario()
+    content["electronics"]["converter"]["probes"]["value"] = [-10.0, high]
+    arm = simulation(tmp_path, Switches.only(*names), content)
+    scans = arm.scans("base", TICKS)
+    flagged = scans.statuses & RawScan.STATUS_SATURATED > 0
+    step = (high + 10.0) / 2**16
+    clear = np.any(volts > high, axis=1)
+    near = np.any(np.abs(volts - high) < 2.0 * step, axis=1)
+    assert clear.any()
+    assert not clear.all()
+    assert np.array_equal(flagged[~near], clear[~near])
+    assert scans.scans.ring_voltages.max() <= high
+
+
+def test_target_beyond_the_calibrated_range_drives_probes_to_the_end_and_leaves_diodes_dark(tmp_path: Path) -> None:
+    content = scenario()
+    content["joints"]["shoulder"]["bearing"].update(
+        orders=[8], radial={"value": [8e-3], "unit": "m"}, axial={"value": [3e-3], "unit": "m"}
+    )
+    scans = simulation(tmp_path, Switches.only(), content).scans("shoulder", TICKS)
+    driven = np.any(scans.scans.gap_voltages > 9.99, axis=1)
+    dark = np.any(np.all(scans.scans.diode_currents == 0.0, axis=2), axis=1)
+    assert driven.any()
+    assert dark.any()
+    assert np.all(scans.statuses[driven | dark] & RawScan.STATUS_SATURATED)
+    assert np.all(np.isfinite(scans.scans.gap_voltages))
+
+
+def test_dropouts_and_latencies_are_as_frequent_and_as_long_as_said(everything: ArmSimulation) -> None:
+    scans: SimulatedScans = everything.scans("base", np.arange(5000))
+    assert 0.01 < 1.0 - scans.sent.mean() < 0.03
+    seconds = scans.latencies_ns / SECOND
+    assert seconds.min() >= 0.0008
+    assert seconds.max() <= 0.0012
+    assert seconds.std() == pytest.approx(2e-4 / np.sqrt(3.0), rel=0.05)
+
+
+def test_supply_that_is_not_measured_shifts_voltages_all_the_same(tmp_path: Path, clean: ArmSimulation) -> None:
+    content = scenario()
+    content["electronics"]["supply"]["measured"] = False
+    arm = simulation(tmp_path, Switches.only("supply_drift"), content)
+    scans = arm.scans("base", FAR + TICKS).scans
+    assert np.all(np.isnan(scans.supply_voltages))
+    moved = scans.gap_voltages != clean.scans("base", FAR + TICKS).scans.gap_voltages
+    assert np.mean(moved) > 0.99  # the supply passes its mean at times
+
+
+def test_stage_moves_endpoint_and_last_target_plate_alike(everything: ArmSimulation) -> None:
+    position = np.random.default_rng(3).uniform(-5e-4, 5e-4, size=(N, 3))
+    still, moved = everything.truth(TICKS), everything.truth(TICKS, position)
+    shift = moved.endpoint.translations - still.endpoint.translations
+    assert np.allclose(still.endpoint.turned_back(shift), position, rtol=0.0, atol=1e-15)
+    for joint in JOINTS[:-1]:
+        assert np.array_equal(moved.T_parent_child[joint].translations, still.T_parent_child[joint].translations)
+    seen = moved.T_parent_child["elbow"].translations - still.T_parent_child["elbow"].translations
+    assert np.allclose(np.linalg.norm(seen, axis=1), np.linalg.norm(shift, axis=1), rtol=1e-9)
+    for n in range(0, N, 40):
+        by_posors = by_chain(everything, moved, n).translation - by_chain(everything, still, n).translation
+        assert np.allclose(by_posors, shift[n], rtol=0.0, atol=2e-9)
+    assert np.array_equal(moved.target.translations, still.target.translations)
+
+
+def refused(folder: Path, content: dict[str, Any]) -> CalibrationError:
+    with pytest.raises(CalibrationError) as error:
+        simulation(folder, content=content)
+    return error.value
+
+
+def test_scenario_of_other_joints_is_refused(tmp_path: Path) -> None:
+    content = scenario()
+    content["joints"]["wrist"] = {}
+    error = refused(tmp_path, content)
+    assert error.where == f"{tmp_path / 'scenario.yaml'}, key joints"
+    assert (error.what, error.expected) == ("joints base, shoulder, elbow, wrist", "base, shoulder, elbow")
+
+
+def test_ring_that_never_sees_its_home_mark_is_refused(tmp_path: Path) -> None:
+    content = scenario()
+    content["motion"] = [{"kind": "rest", "duration": {"value": 8.0, "unit": "s"}}]
+    content["joints"]["base"]["start"] = {"value": 0.5, "unit": "rad"}
+    error = refused(tmp_path, content)
+    assert error.what == "joint 'base' never passes the home mark of its ring, so that its theta cannot be counted"
+    assert error.expected == "a motion through theta = 0 rad"
+
+
+@pytest.mark.parametrize(
+    ("index", "channel", "what", "expected"),
+    [
+        (
+            0,
+            "gap_9",
+            "joint 'elbow' has no probe 'gap_9'",
+            "one of gap_1, gap_2, gap_3, ring_1, ring_2, ring_3, ring_4",
+        ),
+        (1, "gap_1", "joint 'shoulder' has no diode 'gap_1'", "one of diode_1, diode_2"),
+    ],
+)
+def test_dirt_on_a_channel_that_is_not_there_is_refused(
+    tmp_path: Path, index: int, channel: str, what: str, expected: str
+) -> None:
+    content = scenario()
+    content["electronics"]["contamination"][index]["channel"] = channel
+    error = refused(tmp_path, content)
+    assert error.where == f"{tmp_path / 'scenario.yaml'}, key electronics.contamination[{index}]"
+    assert (error.what, error.expected) == (what, expected)
