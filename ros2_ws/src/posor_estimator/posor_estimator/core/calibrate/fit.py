@@ -45,6 +45,15 @@ class Direction:
     remaining: float
     names: tuple[str, ...]
 
+    def left(self, gain: float = 0.0) -> float:
+        """Return the standard uncertainty along it, over that before, where what was known before counts too, 0 to 1.
+
+        Args:
+            gain: Information that further readings would add: their squared derivatives along the direction.
+
+        """
+        return float(1.0 / np.sqrt(1.0 + self.remaining**-2 + gain))
+
 
 @dataclass(frozen=True)
 class Fit:
