@@ -44,7 +44,9 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
+            "arm = posor_bringup.arm:main",
             "arm_budget = posor_bringup.arm_budget:main",
+            "bringup = posor_bringup.bringup:main",
             "demo = posor_bringup.demo:main",
         ],
     },

@@ -24,6 +24,7 @@ def arm_programs(
     *,
     drivers: bool = True,
     driver_parameters: Mapping[str, Parameter] | None = None,
+    chain_parameters: Mapping[str, Parameter] | None = None,
     parameters: Mapping[str, Parameter] | None = None,
 ) -> list[Program]:
     """Return the programs of an arm, those that listen first: chain_node, then each joint's posor_node and driver_node.
@@ -32,6 +33,7 @@ def arm_programs(
         arm: The arm.
         drivers: Whether to start the drivers; without them the scans come from elsewhere, such as a bag.
         driver_parameters: ROS parameters for every driver, over those of the arm file.
+        chain_parameters: The same for chain_node.
         parameters: ROS parameters for every node, such as ``use_sim_time``.
 
     Raises:
@@ -39,19 +41,19 @@ def arm_programs(
 
     """
     every = dict(parameters or {})
-    programs = [_chain(arm, every)]
+    programs = [_chain(arm, {**every, **(chain_parameters or {})})]
     programs += [_posor(arm, joint, every) for joint in arm.calibrations]
     if drivers:
         programs += [_driver(arm, joint, {**every, **(driver_parameters or {})}) for joint in arm.calibrations]
     return programs
 
 
-def _chain(arm: Arm, every: Mapping[str, Parameter]) -> Program:
+def _chain(arm: Arm, overrides: Mapping[str, Parameter]) -> Program:
     parameters: dict[str, Parameter] = {"urdf": str(arm.urdf), "endpoint_frame": arm.endpoint_frame}
     if arm.beams is not None:
         parameters["beams"] = str(arm.beams)
     parameters |= arm.chain_parameters
-    return Program("chain_node", "posor_estimator", "chain_node", (), f"/{arm.name}", {**parameters, **every})
+    return Program("chain_node", "posor_estimator", "chain_node", (), f"/{arm.name}", {**parameters, **overrides})
 
 
 def _posor(arm: Arm, joint: str, every: Mapping[str, Parameter]) -> Program:

@@ -2,41 +2,27 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
-import yaml
 from posor_estimator.ros.main import WAKE_S, StopSignal, exit_code_of, own_arguments
 from rich.console import Console
 
 from posor_bringup.arm_programs import arm_programs
 from posor_bringup.arms import checked_arm, installed_arms
-from posor_bringup.command_line import LOGS, Parser, prepare
+from posor_bringup.command_line import LOGS, Parser, add_driver_parameters, prepare
 from posor_bringup.supervisor import Supervisor
 
 if TYPE_CHECKING:
+    from argparse import Namespace
     from collections.abc import Sequence
 
-    from posor_bringup.supervisor import Parameter, RunningProgram
+    from posor_bringup.supervisor import RunningProgram
 
 
-def _parameter(text: str) -> tuple[str, Parameter]:
-    """Return name and value of ``name:=value``; the value is YAML, as on a ROS command line."""
-    name, separator, value = text.partition(":=")
-    try:
-        read = yaml.safe_load(value)
-    except yaml.YAMLError:
-        read = None
-    is_list = isinstance(read, list) and all(isinstance(entry, str) for entry in read)
-    if not (name and separator and (is_list or isinstance(read, bool | int | float | str))):
-        raise argparse.ArgumentTypeError(f"'{text}' is no parameter, name:=value")
-    return name, cast("Parameter", read)
-
-
-def parse(arguments: Sequence[str]) -> argparse.Namespace:
+def parse(arguments: Sequence[str]) -> Namespace:
     """Return the options.
 
     Raises:
@@ -51,15 +37,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     )
     parser.add_argument("--no-driver", action="store_true", help="without drivers: the scans come from elsewhere")
     parser.add_argument("--use-sim-time", action="store_true", help="all nodes take the time from /clock")
-    parser.add_argument(
-        "-p",
-        action="append",
-        default=[],
-        type=_parameter,
-        dest="parameters",
-        metavar="NAME:=VALUE",
-        help="a parameter for all drivers, such as simulated.sag:=false; may be repeated",
-    )
+    add_driver_parameters(parser)
     parser.add_argument(
         "--output", type=Path, default=Path("build/bringup"), metavar="FOLDER", help="logs; default: build/bringup"
     )

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import argparse
 import shutil
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
+import yaml
 from posor_estimator.errors import ParameterError
 from posor_estimator.reporting.command_line import Parser
 
@@ -12,10 +14,38 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from posor_bringup.supervisor import Parameter
+
 __all__ = ["LOGS", "Parser", "prepare"]
 
 LOGS = "logs"
 """Folder, in a folder of output, for what the programs of a graph write."""
+
+
+def _parameter(text: str) -> tuple[str, Parameter]:
+    """Return name and value of ``name:=value``; the value is YAML, as on a ROS command line."""
+    name, separator, value = text.partition(":=")
+    try:
+        read = yaml.safe_load(value)
+    except yaml.YAMLError:
+        read = None
+    is_list = isinstance(read, list) and all(isinstance(entry, str) for entry in read)
+    if not (name and separator and (is_list or isinstance(read, bool | int | float | str))):
+        raise argparse.ArgumentTypeError(f"'{text}' is no parameter, name:=value")
+    return name, cast("Parameter", read)
+
+
+def add_driver_parameters(parser: argparse.ArgumentParser) -> None:
+    """Add the option ``-p name:=value``, which may be repeated, as ``parameters``, a list of names and values."""
+    parser.add_argument(
+        "-p",
+        action="append",
+        default=[],
+        type=_parameter,
+        dest="parameters",
+        metavar="NAME:=VALUE",
+        help="a parameter for all drivers, such as simulated.sag:=false; may be repeated",
+    )
 
 
 def prepare(folder: Path, made_here: Sequence[str], program: str) -> Path:

@@ -80,11 +80,6 @@ class Receiver(Node):
             return None
         return {**{item.key: item.value for item in said.values}, "message": said.message}.get(key)
 
-    def counts(self, status: str) -> dict[str, int]:
-        """Return the values that a node said last that are whole numbers, by key."""
-        said = self._statuses.get(status)
-        return {} if said is None else {item.key: int(item.value) for item in said.values if item.value.isdigit()}
-
     def heard(self, status: str) -> int:
         """Return how often a status has come."""
         return self._heard[status]

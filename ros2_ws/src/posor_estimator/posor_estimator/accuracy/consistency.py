@@ -44,6 +44,11 @@ class MonteCarlo:
         return asdict(self)
 
 
+def normalised_squares(errors: FloatArray, covariances: FloatArray) -> FloatArray:
+    """Return ``e' P^-1 e`` of each error e (n, 6) with its covariance P (n, 6, 6), shape (n,)."""
+    return np.asarray(np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[:, :, None])[:, :, 0]))
+
+
 def nees(stack: DesignName, runs: int, seed: int) -> Nees:
     """Return the normalised error of ``runs`` random poses read with noise, whatever their residual."""
     random = np.random.default_rng(seed)
@@ -53,9 +58,7 @@ def nees(stack: DesignName, runs: int, seed: int) -> Nees:
     found = posor.locate_each(scans, thetas_of(rotations))
     known = np.isfinite(found.thetas)  # noise can push a reading at the rim out of its calibrated range
     errors = errors_in_parent(found.rotations[known], found.translations[known], rotations[known], translations[known])
-    squared = np.einsum(
-        "ni,ni->n", errors, np.linalg.solve(found.covariances_random[known], errors[:, :, None])[:, :, 0]
-    )
+    squared = normalised_squares(errors, found.covariances_random[known])
     count = len(errors)
     low, high = (float(chi2.ppf(p, FREEDOMS * count)) / (FREEDOMS * count) for p in (0.025, 0.975))
     return Nees(float(np.mean(squared)) / FREEDOMS, low, high)

@@ -1,0 +1,197 @@
+"""Draws what a run of a simulated arm found: errors against time, path, histograms, NEES, sag, controller."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
+from posor_estimator.accuracy.consistency import FREEDOMS
+from scipy.stats import chi2
+
+from posor_bringup.arm_record import REGION_LIMIT, rms
+from posor_bringup.drawing import BLUE, GREEN, GREY, MICRON, ORANGE, png, tidy
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from matplotlib.axes import Axes
+    from posor_estimator.core.types import FloatArray
+
+    from posor_bringup.arm_coverage import Coverage
+    from posor_bringup.arm_findings import ArmOutcome
+    from posor_bringup.arm_record import ArmRecord
+
+BINS = 40
+NEES_END = 24.0
+"""Of 6 freedoms, 99.9 % lie below; what lies above is left out of the histogram and told."""
+ENLARGED_TO = 0.15
+"""Part of the path's extent to which the largest error is enlarged."""
+POSOR: dict[str, Any] = {"color": BLUE, "lw": 1.3}
+ENCODERS: dict[str, Any] = {"color": ORANGE, "lw": 1.3, "ls": (0, (5, 2))}
+PLAIN_TICKS = FuncFormatter(lambda value, _: f"{value:g}")
+
+
+def draw(outcome: ArmOutcome, title: str) -> bytes:
+    """Return the picture (PNG) of all that there is of a run, each in a panel of its own."""
+    figure = Figure(layout="constrained")
+    figure.suptitle(title, fontsize=15, fontweight="bold")
+    panels = list(_panels(outcome))
+    columns = min(3, len(panels))
+    rows = -(-len(panels) // columns)
+    figure.set_size_inches(5.2 * columns, 4.3 * rows + 0.5)
+    for index, (kind, data) in enumerate(panels):
+        axes = figure.add_subplot(rows, columns, index + 1, projection="3d" if kind is _path else None)
+        kind(axes, *data)
+        if kind is not _path:
+            tidy(axes)
+    return png(figure)
+
+
+def _panels(outcome: ArmOutcome) -> Iterator[tuple[Any, tuple[Any, ...]]]:
+    if outcome.before is not None:
+        yield _errors, (outcome.before,)
+        yield _path, (outcome.before,)
+        yield _histogram, (outcome.before,)
+        if outcome.after is not None:
+            yield _controller, (outcome.before, outcome.after)
+    if outcome.coverage is not None:
+        yield _normalised, (outcome.coverage,)
+        yield _sag, (outcome.coverage,)
+
+
+def _lengths(vectors: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(vectors, axis=1) / MICRON)
+
+
+def _of_time(axes: Axes, record: ArmRecord, label: str) -> None:
+    axes.set_yscale("log")
+    axes.yaxis.set_major_formatter(PLAIN_TICKS)
+    axes.set_xlim(0.0, record.times_s[-1])
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel(label)
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high * 4.0)  # room for the legend
+    axes.legend(loc="upper right", fontsize=9, ncols=1, framealpha=0.9)
+
+
+def _errors(axes: Axes, record: ArmRecord) -> None:
+    axes.set_title("Endpoint's position error along the path", fontsize=11)
+    encoders, posor = record.encoder_errors[:, :3], record.posor_errors[:, :3]
+    axes.plot(
+        record.times_s, _lengths(encoders), label=f"encoders alone, rms {rms(encoders) / MICRON:.0f} µm", **ENCODERS
+    )
+    axes.plot(record.times_s, _lengths(posor), label=f"POSORs, rms {rms(posor) / MICRON:.1f} µm", **POSOR)
+    _of_time(axes, record, "distance from the truth [µm]")
+
+
+def _path(axes: Any, record: ArmRecord) -> None:
+    truth = record.truth.translations
+    known = np.isfinite(truth[:, 0])
+    extent = float(np.max(np.ptp(truth[known], axis=0)))
+    largest = float(np.nanmax(np.linalg.norm(record.encoder_errors[:, :3], axis=1)))
+    scale = _round_down(ENLARGED_TO * extent / largest) if largest > 0.0 else 1.0
+    axes.set_title(f"Path of the endpoint, errors enlarged {scale:g} times", fontsize=11)
+    for error, style, label in (
+        (record.encoder_errors, ENCODERS, "by encoders alone"),
+        (record.posor_errors, POSOR, "by POSORs"),
+    ):
+        axes.plot(*(truth + scale * error[:, :3]).T, label=label, **style)
+    axes.plot(*truth.T, color=GREY, lw=0.9, ls=":", label="truth")
+    axes.plot(*truth[known][:1].T, color=GREY, marker="o", ms=5, ls="none", label="start and end")
+    for name, setter in (("x", axes.set_xlabel), ("y", axes.set_ylabel), ("z", axes.set_zlabel)):
+        setter(f"{name} [m]", fontsize=9)
+    axes.tick_params(labelsize=8)
+    axes.locator_params(nbins=5)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.view_init(elev=28, azim=-130)
+    axes.legend(loc="upper left", fontsize=9, framealpha=0.9)
+
+
+def _round_down(value: float) -> float:
+    """Return the next lower of 1, 2, 5, 10, 20..."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= value))
+
+
+def _histogram(axes: Axes, record: ArmRecord) -> None:
+    axes.set_title("How often which error", fontsize=11)
+    sizes = {
+        "encoders alone": (_lengths(record.encoder_errors[:, :3]), ORANGE),
+        "POSORs": (_lengths(record.posor_errors[:, :3]), BLUE),
+    }
+    known = {name: (size[np.isfinite(size) & (size > 0.0)], color) for name, (size, color) in sizes.items()}
+    every = np.concatenate([size for size, _ in known.values()])
+    bins = np.geomspace(every.min(), every.max() * 1.0001, BINS + 1)
+    for name, (size, color) in known.items():
+        share = np.full(len(size), 100.0 / len(size))
+        axes.hist(size, bins=bins.tolist(), weights=share, color=color, alpha=0.75, label=name)
+        axes.axvline(np.median(size), color=color, lw=1.2, ls=":", label=f"median {np.median(size):.3g} µm")
+    axes.set_xscale("log")
+    axes.xaxis.set_major_formatter(PLAIN_TICKS)
+    axes.set_xlabel("distance from the truth [µm]")
+    axes.set_ylabel("part of the poses [%]")
+    axes.legend(loc="upper center", fontsize=9, framealpha=0.9)
+
+
+def _controller(axes: Axes, before: ArmRecord, after: ArmRecord) -> None:
+    axes.set_title("True endpoint from its target, with a controller", fontsize=11)
+    for record, style, label in (
+        (before, ENCODERS, "encoders alone"),
+        (after, {**POSOR, "color": GREEN}, "POSORs and stage"),
+    ):
+        # Both parts of the scenario's cycle, whenever each began.
+        phase = np.mod(np.array(record.ticks) - before.ticks[0], len(before))
+        order = np.argsort(phase)
+        axes.plot(
+            before.times_s[phase[order]],
+            record.off_target[order] / MICRON,
+            label=f"{label}, rms {rms(record.off_target) / MICRON:.3g} µm",
+            **style,
+        )
+    _of_time(axes, before, "distance from the target [µm]")
+
+
+def _normalised(axes: Axes, coverage: Coverage) -> None:
+    inside = coverage.inside
+    axes.set_title(
+        f"{coverage.arms} arms: {100.0 * inside.value:.1f} ± {100.0 * inside.sigma:.1f} % in their 95 % region",
+        fontsize=11,
+    )
+    shown = coverage.normalised[coverage.normalised < NEES_END]
+    share = np.full(len(shown), BINS / NEES_END / len(coverage.normalised))
+    axes.hist(
+        shown,
+        bins=np.linspace(0.0, NEES_END, BINS + 1).tolist(),
+        weights=share,
+        color=BLUE,
+        alpha=0.6,
+        label="poses drawn",
+    )
+    line = np.linspace(0.0, NEES_END, 400)
+    axes.plot(line, chi2.pdf(line, FREEDOMS), color=GREY, lw=1.6, label=f"chi-square, {FREEDOMS} freedoms")
+    axes.axvline(REGION_LIMIT, color=ORANGE, lw=1.4, ls="--", label=f"end of the 95 % region, {REGION_LIMIT:.2f}")
+    axes.set_xlim(0.0, NEES_END)
+    axes.set_xlabel(f"normalised error squared, mean {coverage.nees.value:.2f}")
+    axes.set_ylabel("density")
+    axes.legend(loc="upper right", fontsize=9, framealpha=0.9)
+
+
+def _sag(axes: Axes, coverage: Coverage) -> None:
+    axes.set_title(f"Sag of the beams: found / predicted {coverage.shift_ratio.value:.3f}", fontsize=11)
+    poses = np.arange(1, coverage.poses + 1)
+    found, predicted = _lengths(coverage.shift_found_m), _lengths(coverage.shift_predicted_m)
+    axes.bar(poses, predicted, width=0.62, color="#cccccc", label="predicted from the beams file")
+    axes.plot(poses, found, color=ORANGE, marker="D", ms=6, ls="none", label="found, sag not corrected")
+    axes.axhline(
+        coverage.rms_m / MICRON,
+        color=BLUE,
+        lw=1.4,
+        label=f"error left when corrected, rms {coverage.rms_m / MICRON:.1f} µm",
+    )
+    axes.set_ylim(0.0, 1.42 * max(found.max(), predicted.max()))
+    axes.set_xticks(poses)
+    axes.set_xlabel("pose of the path")
+    axes.set_ylabel("mean displacement of the endpoint [µm]")
+    axes.legend(loc="upper right", fontsize=9, framealpha=0.9)
