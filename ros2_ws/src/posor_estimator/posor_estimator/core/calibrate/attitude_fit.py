@@ -58,6 +58,7 @@ class AttitudeFit:
 
     Attributes:
         fit: Of the unknowns, and of the angles' zeros if those were not taken for exact.
+        readings: What each residual is of: ``alpha of scan 7``, (n,).
         values: The unknowns, (p,).
         used: Which scans were used, (n,) of truth values.
         before: Error of the angles, POSOR less reference, with the parameters as they were [rad], (n, 3), the one of
@@ -67,6 +68,7 @@ class AttitudeFit:
     """
 
     fit: Fit
+    readings: tuple[str, ...]
     values: FloatArray
     used: BoolArray
     before: FloatArray
@@ -169,7 +171,10 @@ def fit_attitude(
         what=what,
     )
     best = outcome.values[:count]
-    return AttitudeFit(outcome, best, used, errors(start), errors(best))
+    numbers = scans.numbers[used][0 if first_sigma is None else 1 :]
+    readings = [f"{angle} of scan {number}" for number in numbers for angle in angles]
+    readings += [] if first_sigma is None else [f"zero of {angle}" for angle in zeros]
+    return AttitudeFit(outcome, tuple(readings), best, used, errors(start), errors(best))
 
 
 def _check_reference(

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 CORRELATED = 0.9
 """Correlation from which two parameters are said to be hard to tell apart."""
+NAMED_OUTLIERS = 5
+"""So many outliers are named, the others counted."""
 SPREAD_PROBABILITY = 1e-3
 """Of a spread at least so large if the stated uncertainties are right: below it they are not believed."""
 
@@ -61,9 +63,9 @@ def fit_warnings(fit: Fit, scales: FloatArray, count: int, readings: Sequence[st
     """
     said = []
     for direction in weak_directions(np.sqrt(fit.weights)[:, None] * fit.jacobian * scales, fit.names):
-        named = " and ".join(direction.names)
+        together = " and ".join(direction.names)
         said.append(
-            f"The data hardly tell {named}{' apart' if len(direction.names) > 1 else ''}: along this combination "
+            f"The data hardly tell {together}{' apart' if len(direction.names) > 1 else ''}: along this combination "
             f"{direction.remaining:.2g} of the uncertainty before remains."
         )
     correlations = fit.correlations
@@ -75,9 +77,11 @@ def fit_warnings(fit: Fit, scales: FloatArray, count: int, readings: Sequence[st
     ]
     outliers = np.flatnonzero(fit.outliers())
     if outliers.size:
-        where = f" ({', '.join(readings[i] for i in outliers[:5])}{', ...' if outliers.size > 5 else ''})"  # noqa: PLR2004
+        named = [readings[i] for i in outliers[:NAMED_OUTLIERS]] if readings else []
+        more = ", ..." if len(outliers) > len(named) else ""
+        where = f" ({', '.join(named)}{more})" if named else ""
         said.append(
-            f"{outliers.size} of {len(fit.residuals)} readings are outliers{where if readings else ''}, "
+            f"{outliers.size} of {len(fit.residuals)} readings are outliers{where}, "
             f"the worst {np.max(np.abs(fit.residuals)):.1f} sigmas off."
         )
     if fit.freedoms and fit.probability < SPREAD_PROBABILITY:

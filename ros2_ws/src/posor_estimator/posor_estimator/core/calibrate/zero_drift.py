@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from posor_estimator.core.calibrate.attitude_fit import AttitudeFit, Unknown, deviation, fit_attitude
-from posor_estimator.core.calibrate.checks import check_alive
+from posor_estimator.core.calibrate.checks import check_alive, check_enough
 from posor_estimator.core.calibrate.fit import Loss
 from posor_estimator.core.calibrate.orientation import ANGLES, orientation_at
 from posor_estimator.core.calibrate.parameters import indices, the_sensor
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 NAME = "zero_drift"
 URAD = 1e-6
+LEAST_SCANS = 5
 STANDING = 1e-5
 """Change of the reference's angles [rad] below which a reading may stay the same to the last digit."""
 
@@ -95,6 +96,7 @@ def find_zero_drift(recording: Recording, calibration: Calibration, options: Zer
     volts = recording.scans.gap_voltages
     whole = np.isfinite(volts).all(axis=1) & np.isfinite(reference.angles).all(axis=1)
     places = np.round(reference.angles[whole] / STANDING)
+    check_enough(int(whole.sum()), LEAST_SCANS, "scans while the reference was recorded", NAME)
     check_alive(names, volts[whole], np.zeros_like(volts[whole]), places, recording.source)
     found = fit_attitude(
         calibration,
@@ -117,7 +119,7 @@ def _outcome(found: AttitudeFit, scans: Scans, options: ZeroDriftOptions, before
     scales = np.array([*[options.expected_drift] * count, *[1e-3] * (len(fit.names) - count)])
     replacements, entries = _replacements(fit.values[:count], fit.sigmas[:count], options.session, sensor)
     left_out = int(np.count_nonzero(~found.used))
-    warnings = fit_warnings(fit, scales, count)
+    warnings = fit_warnings(fit, scales, count, found.readings)
     if left_out:
         unused = (
             f"{left_out} of {len(found.used)} scans count for nothing: they give no pose, have no reference, or their "
