@@ -58,19 +58,22 @@ UM = 1e-6
 class DiodeMapOptions(Options):
     """Options of the diode map."""
 
-    diode: str = Field("", description="name of the diode; empty: the only one")
-    reference: str = Field("", description="topic of the stage's point, axes along the diode's; empty: the only one")
+    diode: str = Field(default="", description="name of the diode; empty: the only one")
+    reference: str = Field(
+        default="", description="topic of the stage's point, axes along the diode's; empty: the only one"
+    )
     direction: Literal[1, -1] = Field(
-        1, description="1: the reference moves as the light does over the diode; -1: as the diode under the light"
+        default=1,
+        description="1: the reference moves as the light does over the diode; -1: as the diode under the light",
     )
     kind: Literal["chebyshev", "curves"] = Field(
-        "chebyshev", description="smooth surface, or curves along the grid's lines as in 1985"
+        default="chebyshev", description="smooth surface, or curves along the grid's lines as in 1985"
     )
-    set_name: str = Field("", description="set of maps that takes the map; empty: the one in use")
-    orders: tuple[int, int] = Field((1, 9), description="lowest and highest order to choose from")
-    still: float = Field(5e-6, gt=0.0, description="the reference stands still within this [m]")
-    least_dwell: float = Field(0.2, ge=0.0, description="shorter stops are none [s]")
-    settle: float = Field(0.0, ge=0.0, description="left out at the beginning of each stop [s]")
+    set_name: str = Field(default="", description="set of maps that takes the map; empty: the one in use")
+    orders: tuple[int, int] = Field(default=(1, 9), description="lowest and highest order to choose from")
+    still: float = Field(default=5e-6, gt=0.0, description="the reference stands still within this [m]")
+    least_dwell: float = Field(default=0.2, ge=0.0, description="shorter stops are none [s]")
+    settle: float = Field(default=0.0, ge=0.0, description="left out at the beginning of each stop [s]")
 
 
 @dataclass(frozen=True)

@@ -40,28 +40,30 @@ STANDING = 1e-5
 class ZeroDriftOptions(Options):
     """Options of the zero-drift search."""
 
-    reference: str = Field("", description="topic of the reference; empty: the only one of its kind")
+    reference: str = Field(default="", description="topic of the reference; empty: the only one of its kind")
     lever: float = Field(
-        0.0, ge=0.0, description="distance of a reference point from the pivot [m]; 0: the reference is a pose"
+        default=0.0, ge=0.0, description="distance of a reference point from the pivot [m]; 0: the reference is a pose"
     )
     twist_sigma: float = Field(
-        17e-6, gt=0.0, description="how still alpha, which a reference point does not show, was kept [rad]"
+        default=17e-6, gt=0.0, description="how still alpha, which a reference point does not show, was kept [rad]"
     )
     angles: tuple[Literal["alpha", "beta", "theta"], ...] = Field(
-        ("alpha", "beta"), min_length=1, description="which angles have to agree"
+        default=("alpha", "beta"), min_length=1, description="which angles have to agree"
     )
-    session: str = Field("", description="session of the file whose zero shifts are meant; empty: the probes' own")
-    expected_drift: float = Field(0.1, gt=0.0, description="standard uncertainty of the shifts so far [V]")
+    session: str = Field(
+        default="", description="session of the file whose zero shifts are meant; empty: the probes' own"
+    )
+    expected_drift: float = Field(default=0.1, gt=0.0, description="standard uncertainty of the shifts so far [V]")
     first_sigma: float | None = Field(
-        None,
+        default=None,
         ge=0.0,
         description="how well the angles' zero at the first scan is known [rad]; 0: exact, motion is referred to it "
         "as in 1985; none: as well as at any other",
     )
-    longest_gap: float = Field(0.5, gt=0.0, description="references further apart are not joined by a line [s]")
-    loss: Loss = Field("linear", description="of the fit; soft_l1 or huber survive outliers")
+    longest_gap: float = Field(default=0.5, gt=0.0, description="references further apart are not joined by a line [s]")
+    loss: Loss = Field(default="linear", description="of the fit; soft_l1 or huber survive outliers")
     trust_sigmas: bool = Field(
-        True,  # noqa: FBT003  pydantic's way to name a default
+        default=True,
         description="whether the readings scatter as stated; if not, the uncertainty follows the residuals",
     )
 
