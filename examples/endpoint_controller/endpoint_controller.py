@@ -33,6 +33,8 @@ from posor_estimator.ros.node import PosorNode
 from posor_estimator.ros.parameters import NodeParameters
 from posor_estimator.ros.qos import ENDPOINT_COVARIANCE_TOPIC, RELIABLE_QOS
 from pydantic import Field
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray
@@ -113,7 +115,8 @@ class EndpointController(PosorNode[ControllerParameters]):
             self.create_subscription(kind, topic, partial(self._take, topic), RELIABLE_QOS)
             for topic, kind in INPUTS.items()
         ]
-        self._lookout = self.create_timer(self.parameters.max_age / LOOKS, self._look_out)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)  # it goes on when the ROS clock is set back or halts
+        self._lookout = self.create_timer(self.parameters.max_age / LOOKS, self._look_out, clock=steady)
 
     def cleanup(self) -> None:
         """Close the topics."""
