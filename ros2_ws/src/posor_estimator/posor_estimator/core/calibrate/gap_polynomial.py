@@ -7,6 +7,7 @@ conditioned; outside it is in powers of the voltage, as the calibration file has
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
@@ -188,6 +189,24 @@ def _sigmas(probe: OneProbe, data: GapData) -> tuple[FloatArray, bool]:
     return (sigmas, True) if known else (np.full(len(sigmas), _UNKNOWN_SIGMA), False)
 
 
+def aicc(mean_square: float, count: int, order: int) -> float:
+    """Return Akaike's information criterion of a polynomial, corrected for few data.
+
+    Args:
+        mean_square: Of its residuals, in any unit; the criteria of two polynomials compare whatever the unit.
+        count: Of the data.
+        order: Of the polynomial.
+
+    Returns:
+        The criterion; infinite where there are too few data to tell.
+
+    """
+    told = order + 2  # the coefficients, and the scale of the residuals
+    if count <= told + 1:
+        return math.inf
+    return count * math.log(mean_square) + 2.0 * told + 2.0 * told * (told + 1) / (count - told - 1)
+
+
 def _fitted(probe: OneProbe, data: GapData, order: int, sigmas: FloatArray, *, trusted: bool) -> GapPolynomial:
     basis = _Basis(probe, data, order)
     found = basis.fitted(sigmas, "linear", basis.start(), trust_sigmas=trusted)
@@ -197,8 +216,6 @@ def _fitted(probe: OneProbe, data: GapData, order: int, sigmas: FloatArray, *, t
     count, size = len(residuals), order + 1
     root = np.linalg.qr(found.jacobian)[0]
     leverages = np.sum(np.square(root), axis=1)
-    told = size + 1  # the scale of the residuals is estimated too
-    penalty = 2.0 * told + 2.0 * told * (told + 1) / max(count - told - 1, 1)
     coefficients = basis.to_powers @ found.values
     slope = Polynomial(coefficients).deriv()(np.linspace(*basis.span, 257))
     return GapPolynomial(
@@ -208,7 +225,7 @@ def _fitted(probe: OneProbe, data: GapData, order: int, sigmas: FloatArray, *, t
         residuals=residuals,
         residual_deviation=float(np.sqrt(np.sum(np.square(residuals)) / (count - size))),
         cross_validation=float(np.sqrt(np.mean(np.square(residuals / np.maximum(1.0 - leverages, 1e-9))))),
-        aicc=float(count * np.log(np.mean(np.square(found.residuals))) + penalty),
+        aicc=aicc(float(np.mean(np.square(found.residuals))), count, order),
         is_monotonic=bool(np.all(slope > 0.0) or np.all(slope < 0.0)),
         span=basis.span,
     )

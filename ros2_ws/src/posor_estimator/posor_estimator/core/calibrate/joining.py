@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from posor_estimator.core.calibrate.recording import Recording
     from posor_estimator.core.calibrate.track import Dwell, Track
-    from posor_estimator.core.types import FloatArray, IntArray
+    from posor_estimator.core.types import BoolArray, FloatArray, IntArray
 
 NS = 1_000_000_000
 READINGS = ("gap_voltages", "ring_voltages", "diode_currents", "supply_voltages", "temperatures")
@@ -51,6 +51,16 @@ class Stops:
     def __len__(self) -> int:
         """Return the number of dwells."""
         return len(self.counts)
+
+    def chosen(self, which: BoolArray) -> Stops:
+        """Return some of the stops."""
+        return Stops(
+            self.scans.chosen(which),
+            self.counts[which],
+            self.spreads,
+            self.reference[which],
+            self.reference_sigmas[which],
+        )
 
     def sigmas(self, name: str) -> FloatArray:
         """Return the standard uncertainty of the means of a field, from the scatter of the scans; (d, ...)."""

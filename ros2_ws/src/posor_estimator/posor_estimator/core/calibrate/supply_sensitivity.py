@@ -113,11 +113,14 @@ def supply_levels(recording: Recording, options: SupplySensitivityOptions) -> St
 
 
 def fitted(probe: OneProbe, levels: Stops, options: SupplySensitivityOptions) -> Fit:
-    """Return the fit of ``sensitivity`` [m/V] and ``gap`` at the mean supply [m] of one probe."""
+    """Return the fit of ``sensitivity`` [m/V] and ``gap`` at the mean supply [m] of one probe.
+
+    The sensitivity is what is added to the linearised gap for a volt: the gap without it falls by as much.
+    """
     gaps = probe.gaps_without_supply(levels.scans)
     slopes = probe.slopes(levels.scans)
     from_mean = _less_mean(levels.scans.supply_voltages)
-    design = np.column_stack([from_mean, np.ones(len(gaps))])
+    design = np.column_stack([-from_mean, np.ones(len(gaps))])
     sigmas = slopes * levels.sigmas("gap_voltages")[:, probe.index]
     if not np.all(sigmas > 0.0):
         sigmas = slopes * probe.calibration.noise.number / np.sqrt(levels.counts)
