@@ -37,6 +37,7 @@ setup(
             "posor_node = posor_estimator.posor_node:main",
             "chain_node = posor_estimator.chain_node:main",
             "budget = posor_estimator.budget.command:main",
+            "calibrate = posor_estimator.calibrate.command:main",
             "golden = posor_estimator.golden:main",
             "accuracy = posor_estimator.accuracy.report:main",
             "bench_core = posor_estimator.accuracy.bench_core:main",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
@@ -63,7 +64,27 @@ class BundleOptions(Options):
     seed: int = Field(1985, ge=0, description="of the poses that are proposed where the data leave something open")
 
 
-def fit_bundle(recording: Recording, calibration: Calibration, options: BundleOptions) -> Outcome:
+@dataclass(frozen=True)
+class Solved:
+    """A bundle fit: what was fitted to what, and what came out.
+
+    Attributes:
+        stack: The sensors as they were before.
+        unknowns: The parameters; those of the mounting follow them in the fit.
+        data: The scans that count.
+        problem: Residuals and derivatives.
+        fit: The result.
+
+    """
+
+    stack: Stack
+    unknowns: Unknowns
+    data: BundleData
+    problem: BundleProblem
+    fit: Fit
+
+
+def solve(recording: Recording, calibration: Calibration, options: BundleOptions) -> Solved:
     """Fit parameters together; see ``BundleOptions``.
 
     Raises:
@@ -88,6 +109,13 @@ def fit_bundle(recording: Recording, calibration: Calibration, options: BundleOp
     data = bundle_data(recording, applied, topic, how)
     stack = Stack([sensor.build() for sensor in applied.sensors])
     problem, data, found = _fitted(stack, unknowns, data, options.loss, recording.source)
+    return Solved(stack, unknowns, data, problem, found)
+
+
+def fit_bundle(recording: Recording, calibration: Calibration, options: BundleOptions) -> Outcome:
+    """Fit parameters together and say what they are, and what the data leave open; raises what ``solve`` raises."""
+    solved = solve(recording, calibration, options)
+    stack, unknowns, data, problem, found = solved.stack, solved.unknowns, solved.data, solved.problem, solved.fit
     own = len(unknowns)
     replacements, joint = unknowns.result(found.values[:own], found.covariance[:own, :own])
     scaled = np.sqrt(found.weights)[:, None] * found.jacobian * problem.scales

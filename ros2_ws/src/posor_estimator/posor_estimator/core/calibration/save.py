@@ -51,6 +51,20 @@ def save(path: Path, text: str, *, force: bool = False) -> Path | None:
         raise CalibrationError(f"cannot be written: {error.strerror}", where=where) from error
 
 
+def refuse_existing(path: Path, *, force: bool) -> None:
+    """Refuse early what ``save`` would refuse after hours of work.
+
+    Raises:
+        CalibrationError: There is such a file and ``force`` was not given, or no such folder.
+
+    """
+    where = f"calibration file {path}"
+    if path.exists() and not force:
+        raise CalibrationError("is there already", where=where, expected="another name, or --force")
+    if not path.resolve().parent.is_dir():
+        raise CalibrationError("its folder is not there", where=where, expected="a folder that exists")
+
+
 def _move(written: Path, goal: Path, *, force: bool) -> Path | None:
     """Give a complete file its name."""
     if force and goal.exists():

@@ -1,0 +1,1 @@
+"""The command line of calibration: ``calibrate PROCEDURE BAG``, ``list``, ``diff``, ``check``."""
