@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from posor_estimator.core.calibrate.recording import PROBES_ESTIMATED, Recording
+from posor_estimator.core.calibrate.recording import Recording
 from posor_estimator.core.calibrate.track import Track
 from posor_estimator.core.calibrate.zero_drift import PROCEDURE
 from posor_estimator.core.calibration.load import load_calibration
@@ -17,18 +15,18 @@ from posor_estimator.core.designs import design
 from posor_estimator.core.forward import scans_at
 from posor_estimator.core.native import rotation_from_native
 from posor_estimator.core.posor import Posor
-from posor_estimator.core.scan import Scan, Scans
 from posor_estimator.errors import FitError, TrackError
 from scipy.spatial.transform import Rotation
 
+from .slocum1985 import LEVER, recorded
+
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from posor_estimator.core.calibrate.procedure import Outcome
     from posor_estimator.core.calibration.model import Calibration
     from posor_estimator.core.types import FloatArray
 
-DATA = Path(__file__).resolve().parents[5] / "data/slocum1985"
-INCH = 0.0254
-LEVER = 31.43 * INCH
 TOPIC = "/truth"
 STEP_NS = 100_000_000
 SIGMA = 3e-6
@@ -140,29 +138,6 @@ def test_outliers_are_survived(rng: np.random.Generator) -> None:
     assert any(
         "of 80 readings are outliers (alpha of scan 7, beta of scan 7," in sentence for sentence in outcome.warnings
     )
-
-
-def recorded(test: str) -> Recording:
-    """Return a test of 1985 as the bags have it."""
-    with (DATA / f"{test}_input.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
-    scans, statuses = [], []
-    for i, row in enumerate(rows):
-        ratios = np.array([[float(row[f"d{axis}{k}"]) for axis in "xy"] for k in (1, 2)])
-        scans.append(
-            Scan(
-                number=i + 1,
-                stamp_ns=(i + 1) * STEP_NS,
-                gap_voltages=np.array([float(row[f"l{k}_v"]) for k in (1, 2, 3)]),
-                diode_currents=np.column_stack([1.0 + ratios, 1.0 - ratios]) * 5e-5,
-                lit_sources=(0, 1),
-            )
-        )
-        statuses.append(PROBES_ESTIMATED if "l1_v:absent" in row["repaired"] else 0)
-    together = Scans.of(scans)
-    values = np.array([[float(row[f"{axis}_in"]) for axis in "xyz"] for row in rows]) * INCH
-    track = Track(together.stamps_ns, values, np.full(3, 2e-4 * INCH), TOPIC)
-    return Recording(together, {TOPIC: track}, test, statuses=np.array(statuses))
 
 
 @pytest.mark.parametrize("test", ["ymo", "yzmo"])

@@ -61,6 +61,7 @@ class AttitudeFit:
         readings: What each residual is of: ``alpha of scan 7``, (n,).
         values: The unknowns, (p,).
         used: Which scans were used, (n,) of truth values.
+        thetas: Theta of each scan by the POSOR [rad], (n,).
         before: Error of the angles, POSOR less reference, with the parameters as they were [rad], (n, 3), the one of
             the first scan used taken off; NaN where there is none.
         after: The same with the parameters found.
@@ -71,6 +72,7 @@ class AttitudeFit:
     readings: tuple[str, ...]
     values: FloatArray
     used: BoolArray
+    thetas: FloatArray
     before: FloatArray
     after: FloatArray
 
@@ -102,6 +104,7 @@ def fit_attitude(
     angles: Sequence[str],
     *,
     first_sigma: float | None,
+    check: bool,
     loss: Loss,
     trust_sigmas: bool,
     what: str,
@@ -117,12 +120,14 @@ def fit_attitude(
         angles: Which of alpha, beta, theta to compare.
         first_sigma: How well the zero of the angles at the first scan is known [rad]: zero where it counts as exact,
             since all motion is referred to it, as in 1985; None where it is as uncertain as that of any other scan.
+        check: Whether to refuse a reference that moves unlike the angles, in a wrong unit or with its axes swapped.
         loss: Of the fit.
         trust_sigmas: Whether the readings scatter as stated.
         what: What to call the fit in complaints.
 
     Raises:
         FitError: No scan gives a pose whose orientation the reference knows, or the fit fails.
+        TrackError: The check says so.
 
     """
     model = _Angles(calibration, scans)
@@ -137,7 +142,8 @@ def fit_attitude(
             where=what,
             expected="some",
         )
-    _check_reference(found[used], reference.angles[used], columns, covariances[used], what)
+    if check:
+        _check_reference(found[used], reference.angles[used], columns, covariances[used], what)
     covariance = covariances[used][:, columns][:, :, columns] + np.diag(np.square(reference.sigmas[columns]))
     whiten = np.linalg.inv(np.linalg.cholesky(covariance))
 
@@ -174,7 +180,7 @@ def fit_attitude(
     numbers = scans.numbers[used][0 if first_sigma is None else 1 :]
     readings = [f"{angle} of scan {number}" for number in numbers for angle in angles]
     readings += [] if first_sigma is None else [f"zero of {angle}" for angle in zeros]
-    return AttitudeFit(outcome, tuple(readings), best, used, errors(start), errors(best))
+    return AttitudeFit(outcome, tuple(readings), best, used, found[:, 2], errors(start), errors(best))
 
 
 def _check_reference(

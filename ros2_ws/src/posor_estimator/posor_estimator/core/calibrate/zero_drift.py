@@ -108,6 +108,7 @@ def find_zero_drift(recording: Recording, calibration: Calibration, options: Zer
         unknowns,
         options.angles,
         first_sigma=options.first_sigma,
+        check=True,
         loss=options.loss,
         trust_sigmas=options.trust_sigmas,
         what=NAME,
