@@ -47,6 +47,7 @@ setup(
             "arm = posor_bringup.arm:main",
             "arm_budget = posor_bringup.arm_budget:main",
             "bringup = posor_bringup.bringup:main",
+            "budgets = posor_bringup.budgets:main",
             "demo = posor_bringup.demo:main",
             "zero_drift_1985 = posor_bringup.zero_drift_1985:main",
         ],

@@ -93,6 +93,50 @@ def _shares(effects: FloatArray) -> FloatArray:
     return np.asarray(np.divide(squares, total, out=np.zeros_like(squares), where=total > 0.0))
 
 
+@dataclass(frozen=True)
+class Sensitivities:
+    """Derivatives of the judged quantities at one pose.
+
+    Attributes:
+        outputs: The judged quantities.
+        values: What they are there [m, rad], shape (k,).
+        by_reading: With respect to each linearised reading, shape (k, m).
+        by_parameter: With respect to each parameter of the stack, the readings standing still, shape (k, p).
+        noise: Standard deviation of each linearised reading from the electronics' noise [m], shape (m,).
+
+    """
+
+    outputs: tuple[Output, ...]
+    values: FloatArray
+    by_reading: FloatArray
+    by_parameter: FloatArray
+    noise: FloatArray
+
+
+def sensitivities(posor: Posor, scan: Scan, T_R_T: pin.SE3, points: Sequence[PlatePoint] = ()) -> Sensitivities:
+    """Return what readings and parameters do to the judged quantities; arguments and errors as ``error_budget``."""
+    stack, rotation, translation = posor.stack, T_R_T.rotation.copy(), T_R_T.translation.copy()
+    codes, batch = stack.linearise(Scans.of([scan]))
+    for sensor, code in zip(stack.sensors, codes[0], strict=True):
+        if code != 0:
+            raise sensor.explain(scan, int(code))
+    try:
+        gain = posor.sensitivity(scan, T_R_T)[0]
+    except np.linalg.LinAlgError as error:
+        raise FitError("the readings do not determine all six freedoms", expected="a pose where they do") from error
+    outputs = Outputs(stack, points)
+    by_reading = outputs.by_motion(rotation, translation) @ gain
+    by_parameter = by_reading @ stack.residual_jacobian(scan, rotation, translation)
+    by_parameter += outputs.by_parameters(rotation, translation)
+    return Sensitivities(
+        outputs=outputs.named,
+        values=outputs.values(rotation, translation),
+        by_reading=by_reading,
+        by_parameter=by_parameter,
+        noise=np.sqrt(batch.variances[0]),
+    )
+
+
 def error_budget(
     posor: Posor,
     scan: Scan,
@@ -117,31 +161,18 @@ def error_budget(
         FitError: Its readings do not determine all six freedoms at this pose.
 
     """
-    stack, rotation, translation = posor.stack, T_R_T.rotation.copy(), T_R_T.translation.copy()
-    codes, batch = stack.linearise(Scans.of([scan]))
-    for sensor, code in zip(stack.sensors, codes[0], strict=True):
-        if code != 0:
-            raise sensor.explain(scan, int(code))
-    try:
-        gain = posor.sensitivity(scan, T_R_T)[0]
-    except np.linalg.LinAlgError as error:
-        raise FitError("the readings do not determine all six freedoms", expected="a pose where they do") from error
-    outputs = Outputs(stack, points)
-    by_reading = outputs.by_motion(rotation, translation) @ gain
-    by_parameter = by_reading @ stack.residual_jacobian(scan, rotation, translation)
-    by_parameter += outputs.by_parameters(rotation, translation)
+    found = sensitivities(posor, scan, T_R_T, points)
     if parameter_covariance is None:
-        parameter_covariance = np.diag(np.square(stack.parameter_sigmas))
-
-    noise = by_reading * np.sqrt(batch.variances[0])
+        parameter_covariance = np.diag(np.square(posor.stack.parameter_sigmas))
+    noise = found.by_reading * found.noise
     parts = [
         Contribution(f"{name}: noise", Kind.RANDOM, np.abs(effect))
-        for name, effect in zip(stack.reading_names, noise.T, strict=True)
+        for name, effect in zip(posor.stack.reading_names, noise.T, strict=True)
     ]
     unstated = []
     for quantity in physical_quantities(posor):
         where = np.ix_(quantity.parameters, quantity.parameters)
-        own = by_parameter[:, quantity.parameters]
+        own = found.by_parameter[:, quantity.parameters]
         if not np.any(own):
             continue  # no part in this pose, such as a light source that is not lit
         if not np.any(parameter_covariance[where]):
@@ -153,9 +184,9 @@ def error_budget(
     order = sorted(range(len(parts)), key=lambda i: largest[i], reverse=True)
     return ErrorBudget(
         T_R_T=T_R_T,
-        outputs=outputs.named,
-        values=outputs.values(rotation, translation),
+        outputs=found.outputs,
+        values=found.values,
         contributions=tuple(parts[i] for i in order if largest[i] > 0.0),
-        covariance=noise @ noise.T + by_parameter @ parameter_covariance @ by_parameter.T,
+        covariance=noise @ noise.T + found.by_parameter @ parameter_covariance @ found.by_parameter.T,
         unstated=tuple(unstated),
     )
