@@ -87,6 +87,22 @@ class Posor:
         """Forget the last pose and the count; the next scan starts from a closed form."""
         self._memory[:] = 0.0
 
+    @property
+    def counting(self) -> bool:
+        """Whether theta is counted, in bumps from a home mark."""
+        return self._counting
+
+    def go_on_from(self, other: Posor) -> None:
+        """Start the next scan from the last pose of another POSOR of the same kind, with its count of bumps.
+
+        The motion to the next pose says nothing: the two may see one place differently.
+        """
+        repeats = [layout.BUMP, layout.HOME]
+        if np.array_equal(self._settings[repeats], other._settings[repeats]):
+            self._memory[:] = other._memory
+            self._memory[layout.GIVEN] = self._memory[layout.KNOWN]
+            self._epoch_ns = other._epoch_ns
+
     def locate(self, scan: Scan) -> Estimate:
         """Return the pose that one scan gives, starting from the pose of the scan before."""
         scans = Scans.of([scan])
