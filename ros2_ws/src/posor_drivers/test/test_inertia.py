@@ -9,7 +9,7 @@ import pytest
 from posor_drivers.simulator.arm import ArmSimulation, ArmTruth
 from posor_drivers.simulator.switches import Switches
 from posor_estimator.core.arm import Arm, load_arm
-from posor_estimator.core.beam_motion import BeamMotion
+from posor_estimator.core.beam_motion import MovingChain
 from posor_estimator.core.chain import MeasuredJoint
 
 FIVE_AXIS = Path(__file__).resolve().parents[2] / "posor_bringup" / "arms" / "five_axis" / "arm.yaml"
@@ -24,12 +24,11 @@ def arm() -> Arm:
 
 def errors(arm: Arm, truth: ArmTruth, window_s: float) -> np.ndarray:
     """Return how far the chain is off [m], (n, 3), if every POSOR measures exactly."""
-    chain, motion = arm.chain(), BeamMotion(window_s)
+    chain = MovingChain(arm.chain(), window_s)
     found = []
     for n in range(len(TICKS)):
         exact = {name: MeasuredJoint(seen[n], np.zeros((6, 6))) for name, seen in truth.T_parent_child.items()}
-        pose = chain.endpoint(exact, motion.accelerations() if window_s else None).T_base_endpoint
-        motion.take(n * PERIOD_NS, chain.beam_centres())
+        pose = chain.endpoint(n * PERIOD_NS, exact).T_base_endpoint
         found.append(pose.translation - truth.endpoint.translations[n])
     return np.array(found)
 

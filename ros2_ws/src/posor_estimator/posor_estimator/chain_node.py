@@ -22,7 +22,7 @@ from rclpy.clock_type import ClockType
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from posor_estimator.core.beam_motion import BeamMotion
+from posor_estimator.core.beam_motion import MovingChain
 from posor_estimator.core.chain import Chain, Endpoint, load_chain
 from posor_estimator.core.fault import State
 from posor_estimator.core.joining import MOST_OPEN, ScanJoiner
@@ -79,10 +79,10 @@ class ChainNode(PosorNode[ChainParameters]):
     Parameters = ChainParameters
 
     _chain: Chain
+    _moving: MovingChain
     _joiner: ScanJoiner[JointTransform]
     _home: Endpoint | None
     _last: Endpoint | None
-    _motion: BeamMotion | None
 
     def __init__(self, **options: Any) -> None:
         """Create the node; ``options`` go to rclpy."""
@@ -96,10 +96,10 @@ class ChainNode(PosorNode[ChainParameters]):
         """Read the URDF and open the topics."""
         path, beams = Path(self.parameters.urdf), self.parameters.beams
         self._chain = load_chain(path, self.parameters.endpoint_frame, Path(beams) if beams else None)
+        self._moving = MovingChain(self._chain, self.parameters.acceleration_window)
         names = tuple(joint.name for joint in self._chain.joints)
         # Where everything is kept, one joint may be ahead of another by a whole replay.
         self._joiner = ScanJoiner(names, MOST_OPEN if self.parameters.qos_depth else math.inf)
-        self._motion = BeamMotion(self.parameters.acceleration_window) if self.parameters.acceleration_window else None
         self._home = self._last = None
         self._poses = self._scans_refused = self._scans_incomplete = 0
         self._status.report(
@@ -131,7 +131,7 @@ class ChainNode(PosorNode[ChainParameters]):
             self.destroy_lifecycle_publisher(publisher)
         self.destroy_service(self._home_service)
         self.destroy_timer(self._late_timer)
-        del self._chain, self._joiner
+        del self._chain, self._moving, self._joiner
 
     def _report_unmeasured(self) -> None:
         """Say which joints nobody measures, once a second."""
@@ -173,7 +173,8 @@ class ChainNode(PosorNode[ChainParameters]):
             self._scans_refused += 1
             self._say_no("; ".join(unusable))
             return
-        self._last = self._endpoint(scan)
+        measured = {name: measured_joint(message) for name, message in scan.items()}
+        self._last = self._moving.endpoint(stamp_ns(next(iter(scan.values()))), measured)
         endpoint, frame = self._last, self._chain.base_frame
         if self.parameters.reference == "home":
             self._home = self._home or self._last
@@ -183,14 +184,6 @@ class ChainNode(PosorNode[ChainParameters]):
         degraded = [name for name, message in scan.items() if message.state == State.DEGRADED]
         level, text = (Level.WARN, f"degraded: {', '.join(degraded)}") if degraded else (Level.OK, "ok")
         self._status.report(level, text, self._counts())
-
-    def _endpoint(self, scan: dict[str, JointTransform]) -> Endpoint:
-        measured = {name: measured_joint(message) for name, message in scan.items()}
-        if self._motion is None:
-            return self._chain.endpoint(measured)
-        endpoint = self._chain.endpoint(measured, self._motion.accelerations())
-        self._motion.take(stamp_ns(next(iter(scan.values()))), self._chain.beam_centres())
-        return endpoint
 
     def _publish(self, endpoint: Endpoint, frame: str, scan: dict[str, JointTransform]) -> None:
         stamp = next(iter(scan.values())).header.stamp

@@ -11,6 +11,7 @@ from numpy.polynomial import polynomial
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from posor_estimator.core.chain import Chain, Endpoint, MeasuredJoint
     from posor_estimator.core.types import FloatArray
 
 LEAST_SCANS = 5
@@ -46,3 +47,20 @@ class BeamMotion:
         times = np.array([(stamp_ns - last_ns) * 1e-9 for stamp_ns, _ in self._seen])
         curvature = 2.0 * polynomial.polyfit(times, np.array([centres for _, centres in self._seen]), 2)[2]
         return dict(zip(self._names, curvature.reshape(-1, 3), strict=True))
+
+
+class MovingChain:
+    """A chain, scan after scan: each endpoint is found with the accelerations that the scans before it tell of."""
+
+    def __init__(self, chain: Chain, window_s: float) -> None:
+        """Find accelerations over a window [s]; 0: none, as if at rest."""
+        self._chain = chain
+        self._motion = BeamMotion(window_s) if window_s else None
+
+    def endpoint(self, stamp_ns: int, measured: Mapping[str, MeasuredJoint]) -> Endpoint:
+        """Return the endpoint of the scan at a time [ns]; a time that goes back begins anew."""
+        if self._motion is None:
+            return self._chain.endpoint(measured)
+        endpoint = self._chain.endpoint(measured, self._motion.accelerations())
+        self._motion.take(stamp_ns, self._chain.beam_centres())
+        return endpoint
