@@ -63,7 +63,7 @@ def test_full_turns_tell_more_than_small_ones(rng: np.random.Generator) -> None:
     full = run("triad_light_ring", recording)
     assert np.max(full.sigmas[:2]) < 5e-6
     recording, truth = turned(rng, "triad_diodes", np.linspace(-0.08, 0.08, 40))
-    outcome = PROCEDURE.run(recording, design("triad_diodes"), PROCEDURE.options(expected_tilt=1e-4))
+    outcome = PROCEDURE.run(recording, design("triad_diodes"), PROCEDURE.options(expected_tilt=2e-5))
     fit = outcome.fits["target_plane"]
     assert np.min(fit.sigmas[:2]) > 1e-5
     assert np.all(np.abs(fit.values[:2] - truth) < 4.0 * fit.sigmas[:2])
