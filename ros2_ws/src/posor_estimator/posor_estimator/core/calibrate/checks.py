@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,21 +16,25 @@ if TYPE_CHECKING:
     from posor_estimator.core.calibrate.fit import Fit
     from posor_estimator.core.types import BoolArray, FloatArray
 
-UNITS = {
-    25.4: "in inches taken for millimetres, or in millimetres where inches were converted",
-    0.0254: "in metres converted as if it were in inches",
-    1.0 / 0.0254: "in inches",
-    1000.0: "in millimetres",
-    1e6: "in micrometres",
-    1e-3: "in kilometres, as a double conversion from millimetres makes it",
-    180.0 / np.pi: "in degrees",
+WRONG_UNITS = {
+    1000.0: "it is in millimetres",
+    1e6: "it is in micrometres",
+    1.0 / 0.0254: "it is in inches",
+    1e-3 / 0.0254: "it is in inches taken for millimetres",
+    25.4: "it was converted from inches but was in millimetres",
+    0.0254: "it was converted from inches but was in metres",
+    1e-3: "it was converted from millimetres but was in metres",
+    180.0 / math.pi: "it is in degrees",
+    math.pi / 180.0: "it was converted from degrees but was in radians",
 }
-"""Factors by which a reference in a wrong unit is too large, and what it then is (1 / factor: converted twice)."""
+"""What a reference is that moves by such a factor too far."""
 UNIT_WITHIN = 0.1
 """How far from such a factor the ratio may be, relative."""
 PLAUSIBLE = (0.5, 2.0)
 """Of a reference's travel to what the present calibration says of it."""
 STUCK_SIGMAS = 6.0
+ROUNDING = 1e-12
+"""Relative; means of equal numbers differ by so much."""
 STUCK_RUN = 3
 """So many stops at different places with the same reading to the last digit: the channel stands."""
 ALIKE = 0.9
@@ -71,13 +76,14 @@ def check_alive(names: Sequence[str], means: FloatArray, sigmas: FloatArray, mov
         if not np.isfinite(readings).all():
             raise FitError(f"{name} is not finite at stop {int(np.argmin(np.isfinite(readings))) + 1}", where=where)
         noise = np.nan_to_num(np.max(sigmas[:, index]), nan=0.0)
-        if np.ptp(readings) <= STUCK_SIGMAS * noise or np.ptp(readings) == 0.0:
+        rounding = ROUNDING * float(np.max(np.abs(readings)))
+        if np.ptp(readings) <= max(STUCK_SIGMAS * noise, rounding):
             raise FitError(
                 f"{name} stays at {readings[0]:.6g} while the reference moves, it is stuck or does not see the motion",
                 where=where,
                 expected="a reading that changes by more than its noise",
             )
-        same = (np.diff(readings) == 0.0) & places
+        same = (np.abs(np.diff(readings)) <= rounding) & places
         run = np.convolve(same, np.ones(STUCK_RUN - 1, dtype=int), mode="valid") == STUCK_RUN - 1
         if run.any():
             stop = int(np.argmax(run))
@@ -110,13 +116,8 @@ def check_unit(measured: FloatArray, reference: FloatArray, source: str, unit: s
         )
     if PLAUSIBLE[0] <= ratio <= PLAUSIBLE[1]:
         return
-    known = [
-        name
-        for factor, name in UNITS.items()
-        for wanted in (factor, 1.0 / factor)
-        if abs(ratio / wanted - 1.0) < UNIT_WITHIN and (wanted == factor or wanted not in UNITS)
-    ]
-    said = f", as if it were {known[0]}" if known else ""
+    wrong = [what for factor, what in WRONG_UNITS.items() if abs(ratio / factor - 1.0) < UNIT_WITHIN]
+    said = f", as if {wrong[0]}" if wrong else ""
     raise TrackError(
         f"moves {ratio:.4g} times as far as the present calibration says{said}",
         where=source,

@@ -48,6 +48,8 @@ MICRO = 1e6
 LEAST_STOPS = 5
 MUCH_BETTER = 3.0
 """So many times smaller must the residuals be with the angles exchanged for the axes to be called swapped."""
+HARDLY = 0.1
+"""A coordinate whose standard uncertainty is this part of itself is not told."""
 STEP = 1e-6
 """Of differences in pose [m, rad]."""
 
@@ -84,15 +86,9 @@ def run(recording: Recording, calibration: Calibration, options: ProbeSpacingOpt
         [probe.name for probe in probes], volts, stops.sigmas("gap_voltages"), stops.reference, recording.source
     )
     problem = _Problem(calibration, probes, stops, options)
+    problem.check_reference(track.source)
     outliers = problem.stops_that_do_not_fit()
-    names = [f"stop {n + 1}" for n in range(len(stops))]
-    if problem.fits_better_swapped():
-        raise TrackError(
-            "the readings fit the angles with X and Y exchanged; the axes look swapped",
-            where=track.source,
-            expected="the target's orientation in the receiving frame",
-        )
-    warnings = outlier_sentences(outliers, names, NAME)
+    warnings = outlier_sentences(outliers, [f"stop {n + 1}" for n in range(len(stops))], NAME)
     problem = problem.without(outliers)
     found = problem.fitted("linear")
     warnings += misfit_sentences(found, NAME)
@@ -100,13 +96,6 @@ def run(recording: Recording, calibration: Calibration, options: ProbeSpacingOpt
         found = problem.fitted("linear", trust_sigmas=False)
     count = len(problem.names)
     values, before = found.values[:count], problem.before
-    ratio = float(np.median(values / before))
-    if not PLAUSIBLE[0] <= ratio <= PLAUSIBLE[1]:
-        raise FitError(
-            f"the spacing comes out {ratio:.3g} times as large as it is calibrated",
-            where=f"{NAME}, {track.source}",
-            expected="angles of the target in the receiving frame, of the right size and sign",
-        )
     covariance = found.covariance[:count, :count] + options.scale_sigma**2 * np.outer(values, values)
     return Outcome(
         method=f"imposed angles at {len(problem.stops)} stops, height free, zero of each probe free (thesis 7.5.2)",
@@ -188,10 +177,29 @@ class _Problem:
         reference, sigmas = self.stops.reference[:, order], self.stops.reference_sigmas[:, order]
         return replace(self, stops=replace(self.stops, reference=reference, reference_sigmas=sigmas))
 
-    def fits_better_swapped(self) -> bool:
-        """Return whether the readings fit the reference only with X and Y exchanged."""
-        as_is = self.fitted("soft_l1")
-        return as_is.probability < IMPROBABLE and self.swapped().fitted("soft_l1").spread * MUCH_BETTER < as_is.spread
+    def check_reference(self, source: str) -> None:
+        """Refuse angles that tell too little, of another size or sign, or with X and Y exchanged."""
+        found = self.fitted("linear")
+        if found.probability < IMPROBABLE and self.swapped().fitted("linear").spread * MUCH_BETTER < found.spread:
+            raise TrackError(
+                "the readings fit the angles with X and Y exchanged; the axes look swapped",
+                where=source,
+                expected="the target's orientation in the receiving frame",
+            )
+        for name, before, sigma in zip(self.names, self.before, found.sigmas, strict=False):
+            if sigma > HARDLY * abs(before):
+                raise FitError(
+                    f"the angles hardly tell {name}, its standard uncertainty would be {sigma:.2g} m",
+                    where=NAME,
+                    expected="angles about both X and Y, or fewer coordinates",
+                )
+        ratio = float(np.median(found.values[: len(self.names)] / self.before))
+        if not PLAUSIBLE[0] <= ratio <= PLAUSIBLE[1]:
+            raise FitError(
+                f"the spacing comes out {ratio:.3g} times as large as it is calibrated",
+                where=f"{NAME}, {source}",
+                expected="angles of the target in the receiving frame, of the right size and sign",
+            )
 
     def stops_that_do_not_fit(self) -> BoolArray:
         """Return which stops have a reading that does not fit the others, (d,)."""

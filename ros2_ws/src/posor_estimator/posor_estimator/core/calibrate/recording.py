@@ -81,7 +81,7 @@ class Recording:
                     if fit
                     else f"no topic holds {_KINDS[columns]}"
                 )
-                raise TrackError(what, where=self.source, expected=f"one named, of {_listed(fit or self.tracks)}")
+                raise TrackError(what, where=self.source, expected=f"one, of {_listed(fit or self.tracks)}")
             return self.tracks[fit[0]]
         if topic not in self.tracks:
             raise TrackError(

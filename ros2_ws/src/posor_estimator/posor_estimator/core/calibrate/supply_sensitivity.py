@@ -35,7 +35,7 @@ LEAST_LEVELS = 4
 class SupplySensitivityOptions(Options):
     """Options of the supply-voltage sensitivity."""
 
-    still: float = Field(default=0.05, gt=0.0, description="the supply stays while it is this close [V]")
+    still: float = Field(default=0.01, gt=0.0, description="the supply stays while it is this close [V]")
     least: float = Field(default=0.2, gt=0.0, description="shortest stay that counts [s]")
     settle: float = Field(default=0.05, ge=0.0, description="beginning of each stay that is left out [s]")
     span: float = Field(default=0.2, gt=0.0, description="least span of the supply over which a slope is told [V]")
