@@ -128,7 +128,8 @@ def _calibrate(procedure: Procedure[Any], options: argparse.Namespace, console: 
     elif not outcome.replacements and not outcome.parts:
         console.print(f"{procedure.name} replaces nothing in a calibration file: nothing is written.")
     else:
-        said = {name: str(value) for name, value in given_options(procedure.options, options).items()}
+        given = given_options(procedure.options, options)
+        said = {name: " ".join(text) if isinstance(text, list) else text for name, text in given.items()}
         run = Run(procedure.name, said, instruments, dt.datetime.now(tz=dt.UTC))
         result = written(text, source, outcome, recording, run)
         kept = save(options.output, result, force=options.force)

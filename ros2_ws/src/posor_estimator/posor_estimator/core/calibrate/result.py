@@ -8,6 +8,7 @@ from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pydantic import ValidationError
 
 from posor_estimator.core.calibration.edit import edited, parsed
 from posor_estimator.core.calibration.fit_record import (
@@ -20,6 +21,7 @@ from posor_estimator.core.calibration.fit_record import (
 from posor_estimator.core.calibration.load import calibration_of
 from posor_estimator.core.calibration.model import VERSION
 from posor_estimator.core.calibration.quantity import Quantity
+from posor_estimator.core.calibration.sentences import first_complaint
 from posor_estimator.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -63,7 +65,7 @@ def written(text: str, source: str, outcome: Outcome, recording: Recording, run:
     changes: dict[str, Any] = {"version": VERSION}
     for new in outcome.replacements:
         unit = quantity_at(calibration, new.key).unit
-        changes[new.key] = {"value": _plain(new.value), "sigma": _plain(new.sigma), "unit": unit}
+        changes[new.key] = _checked(new.key, {"value": _plain(new.value), "sigma": _plain(new.sigma), "unit": unit})
     for part in outcome.parts:
         changes[part.key] = _plain(part.content)
     record = _record(calibration, outcome, recording, run)
@@ -91,6 +93,15 @@ def quantity_at(calibration: Calibration, key: str) -> Quantity:
     if not isinstance(part, Quantity):
         raise CalibrationError("is no quantity", where=f"calibration '{calibration.name}', {key}")
     return part
+
+
+def _checked(key: str, quantity: dict[str, Any]) -> dict[str, Any]:
+    try:
+        Quantity.model_validate(quantity)
+    except ValidationError as error:
+        complaint = first_complaint(error)
+        raise CalibrationError(complaint.what, where=key, expected=complaint.expected) from None
+    return quantity
 
 
 def _record(calibration: Calibration, outcome: Outcome, recording: Recording, run: Run) -> FitRecord:

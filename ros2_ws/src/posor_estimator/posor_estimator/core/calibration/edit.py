@@ -15,7 +15,7 @@ from posor_estimator.errors import CalibrationError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-_STEP = re.compile(r"(?:^|\.)([^.\[\]]+)|\[(\d+)\]")
+_STEP = re.compile(r"(?:^|(?<=.)\.)([^.\[\]]+)|\[(\d+)\]")
 _WIDTH = 120
 
 
@@ -61,12 +61,14 @@ def edited(text: str, source: str, changes: Mapping[str, Any]) -> str:
     """
     root, content = read_yaml(text, source)
     plain: Any = _unshared(content)
-    splices = []
+    splices: list[tuple[int, int, int, _Splice]] = []
     for key, new in changes.items():
         steps = parsed(key)
-        splices.append(_splice(text, source, root, steps, new))
+        splice = _splice(text, source, root, steps, new)
+        # From the end on; where several are added at one place, the inner ones come before the outer ones.
+        splices.append((splice.begin, -len(steps), len(splices), splice))
         _put(plain, steps, new)
-    for splice in sorted(splices, key=lambda splice: splice.begin, reverse=True):
+    for *_, splice in sorted(splices, reverse=True):
         text = text[: splice.begin] + splice.text + text[splice.end :]
     try:
         changed = read_yaml(text, source)[1]

@@ -82,9 +82,10 @@ class CovarianceRecord(FrozenModel):
         if len(set(self.entries)) != len(self.entries):
             raise EntryError("entries repeat", key=("entries",), expected="each once")
         matrix = self.matrix
-        scale = np.sqrt(np.diag(matrix))
-        if not np.all(scale > 0.0):
+        variances = np.diag(matrix)
+        if not np.all(variances > 0.0):
             raise EntryError("a variance is not positive", key=("rows",), expected="more than zero on the diagonal")
+        scale = np.sqrt(variances)
         values = np.linalg.eigvalsh(matrix / np.outer(scale, scale))
         if values[0] < -_ROUNDING * values[-1]:
             raise EntryError("it is no covariance", key=("rows",), expected="a positive semi-definite matrix")
