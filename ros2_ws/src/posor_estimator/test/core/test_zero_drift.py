@@ -56,7 +56,7 @@ def campaign(random: np.random.Generator, count: int = 40) -> Campaign:
     scans = scans_at(truth, rotations, translations, stamps, noise=random)
     said = Rotation.from_rotvec(SIGMA * random.normal(size=(count, 3))) * Rotation.from_matrix(rotations)
     poses = np.column_stack([translations, said.as_quat()])
-    track = Track(stamps, poses, np.array([1e-6] * 3 + [SIGMA] * 4), TOPIC)
+    track = Track(stamps, poses, np.array([1e-6] * 3 + [0.5 * SIGMA] * 4), TOPIC)
     return Campaign(calibration, Recording(scans, {TOPIC: track}, "simulated"), shifts)
 
 

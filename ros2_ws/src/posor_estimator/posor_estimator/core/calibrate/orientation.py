@@ -79,4 +79,5 @@ def orientation_at(
     if known.any():
         angles[known] = [native_from_rotation(rotation) for rotation in poses_of(values[known])[0]]
         angles[known, 2] = np.unwrap(angles[known, 2])
-    return Orientation(angles, track.sigmas[3:6])
+    # A small turn changes the components of the quaternion by half its angle, whichever these are.
+    return Orientation(angles, np.full(3, 2.0 * np.sqrt(np.mean(np.square(track.sigmas[3:])))))
