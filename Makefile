@@ -1,14 +1,17 @@
 # POSOR for ROS 2. Every target sets the workspace up first; a set-up that is up to date costs a fraction of a second.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test accuracy budgets bench-core data lint lock clean
+.PHONY: help setup demo arm test accuracy budgets bench-core data lint lock clean
 
 BAG ?= ymo
 CAL ?= printed
+ARM ?= five_axis
+CONTROLLER ?= examples/endpoint_controller/endpoint_controller.py
 TESTS ?=
 
 help:
 	@echo "make demo [BAG=ymo|yzmo|zmo] [CAL=printed|section84]   replay a 1985 test through the nodes and compare"
+	@echo "make arm [ARM=five_axis|path] [CONTROLLER=path]        run a simulated arm, close a loop on it, report its errors"
 	@echo "make test [TESTS='path ...']                           lint, type check and all tests (or only those of TESTS)"
 	@echo "make accuracy                                          closure, consistency and fault detection of the estimator"
 	@echo "make budgets                                           error budgets of the thesis, cell by cell from the model"
@@ -26,6 +29,9 @@ setup:
 
 demo:
 	@./run posor_bringup demo --bag $(BAG) --calibration $(CAL)
+
+arm:
+	@./run posor_bringup arm --arm $(ARM) $(if $(CONTROLLER),--controller $(CONTROLLER))
 
 test: lint
 	@.venv/bin/python -E tools/run_tests.py $(TESTS)

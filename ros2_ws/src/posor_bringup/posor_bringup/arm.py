@@ -113,7 +113,13 @@ def _arm(argv: Sequence[str]) -> Findings:
         )
     simulation = ArmSimulation(arm, _switches(dict(options.parameters)))
     if options.controller is not None and simulation.scenario.stage is None:
-        raise ParameterError("--controller, but the scenario has no stage", where=str(arm.scenario), expected="a stage")
+        raise ParameterError(
+            "the scenario has no stage, which a controller could move",
+            where=str(arm.scenario),
+            expected="no --controller",
+        )
+    if options.controller is not None and not options.controller.is_file():
+        raise ParameterError(f"there is no file {options.controller}", where="arm", expected="a Python program")
     folder = prepare(options.output, MADE_HERE, "arm")
     outcome = ArmOutcome()
     if not options.coverage_only:
@@ -173,9 +179,12 @@ def _drawn(arm: Arm, arms: int, console: Console) -> Coverage:
     """Draw many arms, and show how far that is."""
     stop = StopSignal()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    title = f"{arm.name}: drawing {arms} arms, {POSES} poses of each"
+    if not console.is_terminal:
+        console.print(title)
     try:
-        with Progress(*columns, console=console) as progress:
-            task = progress.add_task(f"{arm.name}: drawing arms, {POSES} poses each", total=arms)
+        with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+            task = progress.add_task(title, total=arms)
 
             def on_drawn(more: int) -> None:
                 if stop.requested:

@@ -95,13 +95,15 @@ def accounts(records: Sequence[ArmRecord], simulation: ArmSimulation, counted: C
         for tick, reasons in zip(record.ticks, record.reasons, strict=True):
             for who, why in reasons.items():
                 cause = why
-                if why == NO_SCAN:
+                if who == TRUTH:
+                    cause = MISSED
+                    late[simulation.joints[-1]] += 1
+                elif why == NO_SCAN:
                     dropped = who in dropouts.at(tick)
                     cause = DROPOUT if dropped else MISSED
                     late[who] += not dropped
                 causes[cause if who == CHAIN else f"{who} {cause}"] += 1
-            late[simulation.joints[-1]] += TRUTH in reasons
-            silent += NO_SCAN in reasons.values()
+            silent += any(why == NO_SCAN for who, why in reasons.items() if who != TRUTH)
     unaccounted = sum(max(0, count - counted.missed[joint]) for joint, count in late.items())
     unaccounted += max(0, causes[GIVEN_UP] + silent - counted.incomplete)
     return Accounts(

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter
 from posor_estimator.accuracy.consistency import FREEDOMS
 from scipy.stats import chi2
@@ -35,17 +36,23 @@ PLAIN_TICKS = FuncFormatter(lambda value, _: f"{value:g}")
 
 def draw(outcome: ArmOutcome, title: str) -> bytes:
     """Return the picture (PNG) of all that there is of a run, each in a panel of its own."""
-    figure = Figure(layout="constrained")
+    figure = Figure(layout=ConstrainedLayoutEngine(wspace=0.04, hspace=0.04))
     figure.suptitle(title, fontsize=15, fontweight="bold")
     panels = list(_panels(outcome))
     columns = min(3, len(panels))
     rows = -(-len(panels) // columns)
     figure.set_size_inches(5.2 * columns, 4.3 * rows + 0.5)
+    grid = figure.add_gridspec(rows, columns)
     for index, (kind, data) in enumerate(panels):
-        axes = figure.add_subplot(rows, columns, index + 1, projection="3d" if kind is _path else None)
-        kind(axes, *data)
-        if kind is not _path:
-            tidy(axes)
+        place = grid[divmod(index, columns)]
+        if kind is _path:
+            halves = place.subgridspec(2, 1)
+            top = figure.add_subplot(halves[0])
+            _path(top, figure.add_subplot(halves[1], sharex=top), *data)
+        else:
+            kind(figure.add_subplot(place), *data)
+    for axes in figure.axes:
+        tidy(axes)
     return png(figure)
 
 
@@ -86,27 +93,26 @@ def _errors(axes: Axes, record: ArmRecord) -> None:
     _of_time(axes, record, "distance from the truth [µm]")
 
 
-def _path(axes: Any, record: ArmRecord) -> None:
+def _path(top: Axes, side: Axes, record: ArmRecord) -> None:
     truth = record.truth.translations
     known = np.isfinite(truth[:, 0])
     extent = float(np.max(np.ptp(truth[known], axis=0)))
     largest = float(np.nanmax(np.linalg.norm(record.encoder_errors[:, :3], axis=1)))
     scale = _round_down(ENLARGED_TO * extent / largest) if largest > 0.0 else 1.0
-    axes.set_title(f"Path of the endpoint, errors enlarged {scale:g} times", fontsize=11)
-    for error, style, label in (
-        (record.encoder_errors, ENCODERS, "by encoders alone"),
-        (record.posor_errors, POSOR, "by POSORs"),
-    ):
-        axes.plot(*(truth + scale * error[:, :3]).T, label=label, **style)
-    axes.plot(*truth.T, color=GREY, lw=0.9, ls=":", label="truth")
-    axes.plot(*truth[known][:1].T, color=GREY, marker="o", ms=5, ls="none", label="start and end")
-    for name, setter in (("x", axes.set_xlabel), ("y", axes.set_ylabel), ("z", axes.set_zlabel)):
-        setter(f"{name} [m]", fontsize=9)
-    axes.tick_params(labelsize=8)
-    axes.locator_params(nbins=5)
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.view_init(elev=28, azim=-130)
-    axes.legend(loc="upper left", fontsize=9, framealpha=0.9)
+    top.set_title(f"Path of the endpoint, errors enlarged {scale:g} times", fontsize=11)
+    for axes, axis, label in ((top, 1, "y [m]"), (side, 2, "z [m]")):
+        for error, style, name in (
+            (record.encoder_errors, ENCODERS, "by encoders alone"),
+            (record.posor_errors, POSOR, "by POSORs"),
+        ):
+            shown = truth + scale * error[:, :3]
+            axes.plot(shown[:, 0], shown[:, axis], label=name, **style)
+        axes.plot(truth[:, 0], truth[:, axis], color=GREY, lw=1.0, ls=":", label="truth")
+        axes.plot(truth[known][0, 0], truth[known][0, axis], color=GREY, marker="o", ms=5, ls="none", label="start")
+        axes.set_ylabel(label)
+        axes.margins(0.08)
+    side.set_xlabel("x [m]")
+    top.legend(loc="upper right", fontsize=9, framealpha=0.9)
 
 
 def _round_down(value: float) -> float:
@@ -132,7 +138,7 @@ def _histogram(axes: Axes, record: ArmRecord) -> None:
     axes.xaxis.set_major_formatter(PLAIN_TICKS)
     axes.set_xlabel("distance from the truth [µm]")
     axes.set_ylabel("part of the poses [%]")
-    axes.legend(loc="upper center", fontsize=9, framealpha=0.9)
+    axes.legend(loc="center", bbox_to_anchor=(0.6, 0.6), fontsize=9, framealpha=0.9)
 
 
 def _controller(axes: Axes, before: ArmRecord, after: ArmRecord) -> None:

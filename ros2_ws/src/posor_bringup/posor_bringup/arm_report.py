@@ -73,8 +73,8 @@ def _notes(outcome: ArmOutcome) -> Iterator[str]:
         yield (
             "Many arms: each has parameters of POSORs and beams of its own, drawn with the files' standard "
             "uncertainties, its own runout and its own noise; raw scans go through the estimator and the chain, which "
-            "know the files only. Drifts, dirt, dropouts and latency are off, since no file states an uncertainty for them, and "
-            "each pose is one at rest."
+            "know the files only. Drifts, dirt, dropouts and latency are off, since no file states an uncertainty for "
+            "them, and each pose is one at rest."
         )
         yield (
             "Sag: the same scans through a chain that takes the beams for straight. The displacement found is the mean "
@@ -83,7 +83,8 @@ def _notes(outcome: ArmOutcome) -> Iterator[str]:
     if outcome.after is not None:
         yield (
             "Controller: a stage of three axes between the last joint and the endpoint, commanded from the POSOR "
-            "endpoint. The distance is that of the true endpoint, which the controller does not know, to its target."
+            "endpoint. The distance is that of the true endpoint, which the controller does not know, to its target. "
+            "Its peaks are where a joint turns round: backlash is taken up at once, the stage follows some ticks later."
         )
 
 

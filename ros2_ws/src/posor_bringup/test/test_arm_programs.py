@@ -51,7 +51,12 @@ def test_every_installed_arm_fits_together() -> None:
 
 def test_five_axis_arm() -> None:
     arm = checked_arm("five_axis")
-    programs = arm_programs(arm, driver_parameters={"simulated.sag": False}, parameters={"use_sim_time": True})
+    programs = arm_programs(
+        arm,
+        driver_parameters={"simulated.sag": False},
+        chain_parameters={"max_wait": 2.0},
+        parameters={"use_sim_time": True},
+    )
     assert [program.name for program in programs] == [
         "chain_node",
         *(f"{joint}/posor_node" for joint in JOINTS),
@@ -64,6 +69,8 @@ def test_five_axis_arm() -> None:
         "urdf": str(folder / "five_axis.urdf"),
         "endpoint_frame": "endpoint",
         "beams": str(folder / "beams.yaml"),
+        **arm.chain_parameters,
+        "max_wait": 2.0,
         "use_sim_time": True,
     }
     assert elbow.namespace == "/five_axis/elbow"
