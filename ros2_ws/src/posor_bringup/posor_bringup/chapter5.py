@@ -66,6 +66,11 @@ class Chapter5:
     """The model and its derivatives, in the units of the thesis: inch and radian.
 
     Judged quantities are ``alpha``, ``beta``, ``theta`` and the distances of ``POINTS``.
+
+    Attributes:
+        posor: The model; its readings have noise, 10 microinch of a gap, its parameters no uncertainty.
+        pose: Where the derivatives are taken.
+
     """
 
     def __init__(self, slopes: Slopes, *, c: float = 3.0, leg_y: float = LEG_Y) -> None:
@@ -77,21 +82,21 @@ class Chapter5:
             leg_y: From spot 2 to spot 1 along Y [inch].
 
         """
-        self._posor = Posor(_calibration(c, leg_y))
+        self.posor = Posor(_calibration(c, leg_y))
         leans = -math.atan(slopes.across / (2.0 * LEVER)), math.atan(slopes.along / c)
-        self._pose = pose_of_native((0.0, 0.0, PROBE_RANGE * INCH, *leans, 0.0))
-        self._scan = scan_at(self._posor, self._pose)
-        self._readings = self._posor.stack.reading_names
-        self._parameters = self._posor.stack.parameter_names
+        self.pose = pose_of_native((0.0, 0.0, PROBE_RANGE * INCH, *leans, 0.0))
+        self._scan = scan_at(self.posor, self.pose)
+        self._readings = self.posor.stack.reading_names
+        self._parameters = self.posor.stack.parameter_names
 
     @cached_property
     def _found(self) -> Sensitivities:
         points = [PlatePoint(x * INCH, y * INCH) for x, y in POINTS.values()]
-        return sensitivities(self._posor, self._scan, self._pose, points)
+        return sensitivities(self.posor, self._scan, self.pose, points)
 
     @cached_property
     def _shifts(self) -> FloatArray:
-        return self._posor.stack.residual_jacobian(self._scan, self._pose.rotation, self._pose.translation)
+        return self.posor.stack.residual_jacobian(self._scan, self.pose.rotation, self.pose.translation)
 
     @property
     def gaps(self) -> FloatArray:
@@ -130,12 +135,12 @@ class Chapter5:
         return float(second[self._readings.index(reading)]) / 2.0 / INCH
 
     def _read(self, turned: Mapping[str, Axis], angle: float) -> FloatArray:
-        values = self._posor.stack.parameter_values
+        values = self.posor.stack.parameter_values
         for name, about in turned.items():
             at = self._parameters.index(name)
             values[at : at + 3] = pin.utils.rotate(about, angle) @ values[at : at + 3]
-        stack = self._posor.stack.with_parameter_values(values)
-        readings: FloatArray = readings_at(stack, self._pose.rotation[None], self._pose.translation[None])[0]
+        stack = self.posor.stack.with_parameter_values(values)
+        readings: FloatArray = readings_at(stack, self.pose.rotation[None], self.pose.translation[None])[0]
         return readings
 
     def _place(self, judged: str) -> tuple[int, float]:

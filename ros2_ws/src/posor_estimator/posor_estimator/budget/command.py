@@ -47,6 +47,12 @@ def _numbers(names: Sequence[str]) -> Callable[[str], tuple[float, ...]]:
     return read
 
 
+def _seed(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"'{text}' is no seed, a whole number of at least 0")
+    return int(text)
+
+
 def _draws(text: str) -> int:
     if not text.isdecimal() or int(text) < 2 * BATCH:
         raise argparse.ArgumentTypeError(f"'{text}' is no number of draws, at least {2 * BATCH}")
@@ -80,7 +86,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--output", type=Path, metavar="FOLDER", help="default: build/budget/<name of the calibration>")
     parser.add_argument("--draws", type=_draws, default=10 * BATCH, help="most draws of the Monte Carlo run")
-    parser.add_argument("--seed", type=int, default=SEED, help=f"of the draws (default: {SEED})")
+    parser.add_argument("--seed", type=_seed, default=SEED, help=f"of the draws (default: {SEED})")
     return parser.parse_args(arguments)
 
 
@@ -135,9 +141,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; the exit code is 0 when the budget could be made."""
     try:
         options = parse(arguments)
-        with Progress(console=Console(stderr=True), transient=True) as progress:
-            told = told_budget(options, progress)
         folder = _folder(options)
+        console = Console(stderr=True)
+        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+            told = told_budget(options, progress)
         write_csv(folder / MADE_HERE[0], told)
         write_json(folder / MADE_HERE[1], told)
         (folder / MADE_HERE[2]).write_text(page(told), encoding="utf-8")

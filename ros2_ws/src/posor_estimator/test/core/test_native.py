@@ -1,11 +1,17 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from posor_estimator.core.native import native_from_rotation, rotation_from_native
+from posor_estimator.core.native import native_from_rotation, native_jacobian, rotation_from_native
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from posor_estimator.core.types import FloatArray
 
 LEAN = 0.06  # rad, more than a POSOR's gaps allow
 
@@ -57,3 +63,16 @@ def test_a_turn_about_one_axis_is_one_coordinate(axis: str, index: int) -> None:
 def test_rounding_beyond_a_right_angle_is_no_error() -> None:
     rotation = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0 - 1e-15], [0.0, 1.0, 0.0]])
     assert native_from_rotation(rotation)[0] == math.pi / 2.0
+
+
+def test_derivatives_by_a_small_turn(
+    rng: np.random.Generator, central_difference: Callable[[Callable[[FloatArray], float], int], FloatArray]
+) -> None:
+    for alpha, beta, theta in rng.uniform(-1.0, 1.0, (20, 3)) * (LEAN, LEAN, math.pi):
+        rotation = rotation_from_native(alpha, beta, theta)
+
+        def turned(turn: FloatArray, at: int, rotation: FloatArray = rotation) -> float:
+            return native_from_rotation(pin.exp3(turn) @ rotation)[at]
+
+        found = [central_difference(lambda turn, at=at: turned(turn, at), 3) for at in range(3)]  # type: ignore[misc]
+        np.testing.assert_allclose(native_jacobian(rotation), found, rtol=0.0, atol=1e-9)

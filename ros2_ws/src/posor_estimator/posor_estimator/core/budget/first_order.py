@@ -14,6 +14,9 @@ import numpy as np
 
 from posor_estimator.core.budget.outputs import Output, Outputs
 from posor_estimator.core.budget.quantities import physical_quantities
+from posor_estimator.core.kernels.locate import SINGULAR
+from posor_estimator.core.kernels.solve import ILL_CONDITIONED, gauss_newton
+from posor_estimator.core.plain_rows import PlainRows
 from posor_estimator.core.scan import Scans
 from posor_estimator.errors import FitError
 
@@ -25,6 +28,8 @@ if TYPE_CHECKING:
     from posor_estimator.core.budget.outputs import PlatePoint
     from posor_estimator.core.posor import Posor
     from posor_estimator.core.scan import Scan
+    from posor_estimator.core.sensors.base import Batch
+    from posor_estimator.core.stack import Stack
     from posor_estimator.core.types import FloatArray
 
 
@@ -120,12 +125,9 @@ def sensitivities(posor: Posor, scan: Scan, T_R_T: pin.SE3, points: Sequence[Pla
     for sensor, code in zip(stack.sensors, codes[0], strict=True):
         if code != 0:
             raise sensor.explain(scan, int(code))
-    try:
-        gain = posor.sensitivity(scan, T_R_T)[0]
-    except np.linalg.LinAlgError as error:
-        raise FitError("the readings do not determine all six freedoms", expected="a pose where they do") from error
+    _require_determined(stack, batch, rotation, translation)
     outputs = Outputs(stack, points)
-    by_reading = outputs.by_motion(rotation, translation) @ gain
+    by_reading = outputs.by_motion(rotation, translation) @ posor.sensitivity(scan, T_R_T)[0]
     by_parameter = by_reading @ stack.residual_jacobian(scan, rotation, translation)
     by_parameter += outputs.by_parameters(rotation, translation)
     return Sensitivities(
@@ -135,6 +137,27 @@ def sensitivities(posor: Posor, scan: Scan, T_R_T: pin.SE3, points: Sequence[Pla
         by_parameter=by_parameter,
         noise=np.sqrt(batch.variances[0]),
     )
+
+
+def _require_determined(stack: Stack, batch: Batch, rotation: FloatArray, translation: FloatArray) -> None:
+    """Refuse readings that do not determine all six freedoms, by the estimator's own measure."""
+    chosen = batch.chosen[0]
+    rows = stack.pool.rows[chosen].copy()
+    PlainRows(stack).expand(rows, rotation, translation)
+    outcome = gauss_newton(
+        stack.pool.kinds[chosen],
+        rows,
+        batch.values[0],
+        1.0 / batch.variances[0],
+        rotation.copy(),
+        translation.copy(),
+        np.empty((stack.readings, 6)),
+        np.empty(stack.readings),
+        np.empty(6),
+        SINGULAR,
+    )
+    if outcome == ILL_CONDITIONED:
+        raise FitError("the readings do not determine all six freedoms at this pose", expected="a pose where they do")
 
 
 def error_budget(
