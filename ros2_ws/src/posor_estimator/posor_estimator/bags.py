@@ -110,9 +110,16 @@ def _scans(messages: Sequence[Any], where: str) -> Scans:
     """Return the scans of messages, all with the same readings, in the order of their stamps."""
     scans = [scan_from_message(message) for message in messages]
     for scan in scans:
-        what = _misfit(scan, scans[0])
-        if what:
-            raise BagError(f"scan {scan.number} {what}", where=where, expected=_shape_in_words(scans[0]))
+        if scan.diode_currents.size and scan.diode_currents.shape[1] != _CONTACTS:
+            raise BagError(
+                f"scan {scan.number} has {scan.diode_currents.size} diode currents",
+                where=where,
+                expected="4 for each diode",
+            )
+        if _shape_in_words(scan) != _shape_in_words(scans[0]):
+            raise BagError(
+                f"scan {scan.number} has {_shape_in_words(scan)}", where=where, expected=_shape_in_words(scans[0])
+            )
     stamps = np.array([scan.stamp_ns for scan in scans])
     if stamps[0] == 0:
         raise BagError(f"scan {scans[0].number} has no stamp", where=where, expected="the middle of its exposure")
@@ -125,15 +132,6 @@ def _scans(messages: Sequence[Any], where: str) -> Scans:
             expected="stamps that increase",
         )
     return Scans.of(scans)
-
-
-def _misfit(scan: Scan, first: Scan) -> str:
-    """Return in what a scan differs from the first in shape, empty where in nothing."""
-    if scan.diode_currents.size and scan.diode_currents.shape[1] != _CONTACTS:
-        return f"has {scan.diode_currents.size} diode currents"
-    if any(np.shape(getattr(scan, name)) != np.shape(getattr(first, name)) for name in _READINGS):
-        return f"has {_shape_in_words(scan)}"
-    return ""
 
 
 def _shape_in_words(scan: Scan) -> str:

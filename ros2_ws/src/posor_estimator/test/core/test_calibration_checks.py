@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 MOVED = np.linspace(0.0, 1e-3, 20)[:, None]
 
 
-def refusal(check: Callable[[], None], kind: type[PosorError]) -> str:
+def refusal(check: Callable[[], object], kind: type[PosorError]) -> str:
     with pytest.raises(kind) as caught:
         check()
     return str(caught.value)

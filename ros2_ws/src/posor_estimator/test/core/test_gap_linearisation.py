@@ -78,7 +78,7 @@ def test_curve_of_the_order_that_cross_validation_chose_is_as_good_as_stated() -
             found, _ = coefficients(outcome, probe)
             orders.append(len(found) - 1)
             span = np.array(next(n.value for n in outcome.replacements if n.key.endswith(f"[{probe}].range")))
-            volts = np.linspace(*span, 9)
+            volts = np.linspace(span[0], span[1], 9)
             powers = volts[:, None] ** np.arange(len(found))
             # The zero is kept as it was: its uncertainty is the old one's, and here it is the truth.
             covariance = joint.matrix.copy()
@@ -247,7 +247,7 @@ def test_coefficients_of_1985_come_back_from_readings_of_1985(rig_calibrations: 
     path = held(heights[:, None], 15)
     moved = np.column_stack([np.zeros((len(path), 2)), path])
     simulated = recording(rig, np.tile(np.eye(3), (len(path), 1, 1)), moved, path, rng, reference_sigma=25e-9)
-    seen = np.isfinite(simulated.scans.gap_voltages).all(axis=1)
+    seen = np.asarray(np.isfinite(simulated.scans.gap_voltages).all(axis=1))
     simulated = replace(simulated, scans=simulated.scans.chosen(seen))
     outcome = run(simulated, rig, GapLinearisationOptions(order=4))
     for probe in range(3):
@@ -284,7 +284,7 @@ def test_criterion_finds_the_order_of_1985s_curves_lower_than_nine() -> None:
     chosen = []
     for deviations in residuals_of_1985().values():
         squares = deviations**2 * (15 - orders - 1) / 15
-        criteria = [aicc(square, 15, order) for square, order in zip(squares, orders, strict=True)]
+        criteria = [aicc(float(square), 15, int(order)) for square, order in zip(squares, orders, strict=True)]
         chosen.append(int(orders[np.argmin(criteria)]))
     assert set(chosen) == {5, 6, 7, 8}
     assert np.median(chosen) == 6

@@ -52,6 +52,16 @@ def test_track_that_cannot_be_interpolated_is_refused(
     assert str(caught.value) == f"bag, topic /reference: {sentence}"
 
 
+def test_quantity_that_the_reference_lacks_is_not_interpolated_and_is_no_dwell() -> None:
+    reference = track([100, 200, 300, 400], [[0.0, 1.0], [np.nan, 1.0], [0.0, 1.0], [0.0, 1.0]])
+    found = reference.at(np.array([150, 200, 350]), 1000)
+    np.testing.assert_array_equal(found, [[np.nan, 1.0], [np.nan, 1.0], [0.0, 1.0]])
+    with pytest.raises(TrackError, match=r"^bag, topic /reference: the value at 200 ns is not whole; expected every"):
+        dwells(reference, still=0.1, least_ns=100)
+    with pytest.raises(TrackError, match=r"^bag, topic /reference: the value at 200 ns is not finite; expected"):
+        track([100, 200], [[0.0, 1.0], [np.nan, np.nan]])
+
+
 def test_track_without_values_is_refused() -> None:
     with pytest.raises(TrackError, match=r"^bag: holds no values\.$"):
         Track(np.empty(0, dtype=np.int64), np.empty((0, 1)), np.zeros(1), "bag")
