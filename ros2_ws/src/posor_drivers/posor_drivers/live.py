@@ -44,9 +44,7 @@ def live(source: LiveSource[Any], wait: RosWait, misses: Misses) -> Iterator[Due
 
 def _newest_due(source: LiveSource[Any], tick: int, now_ns: int) -> int:
     """Return the newest tick that is due, from one on that is."""
-    if source.due_ns(tick + 1) > now_ns:
-        return tick
-    newest = max(tick + 1, source.newest(now_ns))
+    newest = max(tick, source.newest(now_ns))
     while source.due_ns(newest) > now_ns:
         newest -= 1
     return newest

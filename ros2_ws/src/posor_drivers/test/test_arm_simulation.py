@@ -11,6 +11,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from posor_drivers.simulator import electronics
+from posor_drivers.simulator.bending import Compliance, bends
+from posor_drivers.simulator.nominal import NominalArm
 from posor_drivers.simulator.switches import Switches
 from posor_estimator.core.chain import MeasuredJoint
 from posor_estimator.core.fault import State
@@ -60,6 +62,28 @@ def test_without_imperfections_encoders_tell_the_endpoint(tmp_path: Path) -> Non
     assert np.allclose(truth.by_encoders.translations, truth.endpoint.translations, rtol=0.0, atol=1e-14)
     assert np.allclose(truth.by_encoders.rotations, truth.endpoint.rotations, rtol=0.0, atol=1e-14)
     assert np.ptp(truth.target.translations, axis=0).min() > 0.05
+
+
+def test_measuring_beam_follows_the_line_from_joint_to_joint(tmp_path: Path) -> None:
+    content = perfect(scenario())
+    for joint, said in scenario()["joints"].items():
+        content["joints"][joint]["structure"] = said["structure"]
+    arm = simulation(tmp_path, Switches.only(), content)
+    seen = {joint: poses[0] for joint, poses in arm.truth(TICKS[:1]).T_parent_child.items()}
+    # Every joint at zero: the arm lies along X and bends down, which is about the axes of shoulder and elbow.
+    nominal, files = NominalArm(arm.chain), arm.scenario.joints
+    spans = [link.translation for link in nominal.links[1:]]
+    lengths = [float(np.linalg.norm(span)) for span in spans]
+    links = [Compliance.of(files[joint].structure, length) for joint, length in zip(JOINTS, lengths, strict=True)]
+    bent = bends(nominal.targets(np.zeros((1, 3))), spans, links, 3.0, arm.chain.gravity)
+    _, upper, fore = ((bend.rotations[0, 2], np.linalg.norm(bend.translations[0])) for bend in bent)
+    assert upper[1] > 5e-5
+    # The elbow's receiving plate turns with the chord of the upper arm, its target plate with the end of the upper arm
+    # and the chord of the forearm, which is not quite at right angles to the axis.
+    turn = upper[0] - upper[1] / lengths[1] + fore[1] * spans[2][0] / lengths[2] ** 2
+    assert theta_of(seen["elbow"].rotation) == pytest.approx(turn, rel=1e-4)
+    for pose in seen.values():  # and lies at the joint, however far that has moved
+        assert np.allclose(pose.translation, [0.0, 0.0, 0.000735], rtol=0.0, atol=1e-6)
 
 
 def test_without_imperfections_posors_and_chain_tell_the_endpoint(tmp_path: Path) -> None:

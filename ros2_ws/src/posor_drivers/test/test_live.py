@@ -132,7 +132,7 @@ class Waiter:
         self.came = Event()
         self.reached: bool | None = None
         self._begun = Event()
-        self.thread = Thread(target=self._run, args=(wait, time_ns))
+        self.thread = Thread(target=self._run, args=(wait, time_ns), daemon=True)
         self.thread.start()
         assert self._begun.wait(30.0)
 
