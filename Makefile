@@ -49,6 +49,7 @@ data: setup
 	@.venv/bin/python -E tools/in_workspace.py data/slocum1985/make_calibrations.py
 	@.venv/bin/python -E tools/in_workspace.py data/arms/make_arm_calibrations.py
 	@.venv/bin/python -E tools/in_workspace.py bags/make_bags.py
+	@.venv/bin/python -E tools/in_workspace.py bags/make_arm_bag.py
 
 lint: setup
 	@.venv/bin/python -I -m ruff check

@@ -7,12 +7,10 @@ the recorder's own writer; the same bytes on every run.
 
 from __future__ import annotations
 
-import shutil
 import sys
-import tempfile
 from pathlib import Path
 
-from posor_drivers.bag_writer import BagWriter
+from posor_drivers.bag_writer import replacement
 from posor_drivers.offered_qos import kept_in_bag
 from posor_drivers.sources.table import TableParameters, TableSource
 from posor_estimator.errors import PosorError
@@ -31,7 +29,7 @@ def make_bag(table: Path, bag: Path) -> None:
     types = MessageTypes()
     source = TableSource(TableParameters(path=str(table)), types)
     names = {}
-    with BagWriter(bag) as writer:
+    with replacement(bag) as writer:
         for topic in source.open():
             scans = topic.name == RAW_TOPIC
             names[topic.name] = f"{JOINT}/{RAW_TOPIC}" if scans else topic.name
@@ -44,16 +42,9 @@ def make_bag(table: Path, bag: Path) -> None:
 
 def main(folder: Path) -> None:
     """Make all bags in ``folder``."""
-    folder.mkdir(parents=True, exist_ok=True)
     for test in TESTS:
-        bag = folder / test
-        with tempfile.TemporaryDirectory(dir=folder, prefix=".making-") as making:
-            made = Path(making) / test
-            make_bag(TABLES / f"{test}_input.csv", made)
-            if bag.exists():
-                shutil.rmtree(bag)
-            made.rename(bag)
-        print(f"made {bag}")
+        make_bag(TABLES / f"{test}_input.csv", folder / test)
+        print(f"made {folder / test}")
 
 
 if __name__ == "__main__":

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
+import tempfile
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Self
 
 from posor_estimator.errors import BagError
@@ -11,7 +14,6 @@ from rosbags.rosbag2.errors import WriterError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-    from pathlib import Path
     from types import TracebackType
 
     from posor_estimator.ros.message_types import Definition
@@ -94,3 +96,21 @@ class BagWriter:
     ) -> None:
         """Close the bag, so that what was written can be read even after an error."""
         self.close()
+
+
+@contextmanager
+def replacement(bag: Path) -> Iterator[BagWriter]:
+    """Write a bag that takes the place of any of that name, but only once it is whole.
+
+    Raises:
+        BagError: The storage fails.
+
+    """
+    bag.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=bag.parent, prefix=".making-") as making:
+        made = Path(making) / bag.name
+        with BagWriter(made) as writer:
+            yield writer
+        if bag.exists():
+            shutil.rmtree(bag)
+        made.rename(bag)

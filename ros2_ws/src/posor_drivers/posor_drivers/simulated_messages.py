@@ -73,7 +73,7 @@ class SimulatedMessages:
     def joint_truth(self, joint: str, stamp_ns: int, truth: ArmTruth, n: int) -> SourceMessage:
         """Return a joint's true ``T_parent_child``."""
         pose = truth.T_parent_child[joint][n]
-        return self._pose(self.topics.joint(joint), stamp_ns, self._receiving[joint], pose)
+        return self.pose(self.topics.joint(joint), stamp_ns, self._receiving[joint], pose)
 
     def arm_truth(self, stamp_ns: int, truth: ArmTruth, n: int) -> list[SourceMessage]:
         """Return what is told of the whole arm: where its endpoint is, where it should be, and the encoders."""
@@ -87,8 +87,8 @@ class SimulatedMessages:
             effort=none,
         )
         return [
-            self._pose(self.topics.endpoint, stamp_ns, self._base, truth.endpoint[n]),
-            self._pose(self.topics.target, stamp_ns, self._base, truth.target[n]),
+            self.pose(self.topics.endpoint, stamp_ns, self._base, truth.endpoint[n]),
+            self.pose(self.topics.target, stamp_ns, self._base, truth.target[n]),
             self._sent(self.topics.encoders, stamp_ns, encoders),
         ]
 
@@ -102,7 +102,8 @@ class SimulatedMessages:
         )
         return self._sent(self.topics.stage, stamp_ns, message)
 
-    def _pose(self, topic: Topic, stamp_ns: int, frame: str, pose: pin.SE3) -> SourceMessage:
+    def pose(self, topic: Topic, stamp_ns: int, frame: str, pose: pin.SE3) -> SourceMessage:
+        """Return a pose in a frame (geometry_msgs/PoseStamped), on any topic."""
         x, y, z, *q = pin.SE3ToXYZQUAT(pose).tolist()
         message = self._types.new(
             POSE_STAMPED,

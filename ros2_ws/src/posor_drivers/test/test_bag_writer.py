@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 import yaml
-from posor_drivers.bag_writer import BagWriter
+from posor_drivers.bag_writer import BagWriter, replacement
 from posor_drivers.offered_qos import kept_in_bag, request_for
 from posor_estimator.errors import BagError
 from posor_estimator.ros.message_types import MessageTypes
@@ -36,6 +36,28 @@ def test_same_calls_give_the_same_bytes(tmp_path: Path) -> None:
         write(tmp_path / name / "bag")
     for file in ("bag.mcap", "metadata.yaml"):
         assert (tmp_path / "a/bag" / file).read_bytes() == (tmp_path / "b/bag" / file).read_bytes()
+
+
+def replace(path: Path, scans: int, *, fail: bool = False) -> None:
+    definition = MessageTypes().definition(scan(1, 100).type_name)
+    with replacement(path) as writer:
+        writer.add_topic("/joint1/raw", scan(1, 100).type_name, definition, [kept_in_bag(RELIABLE_QOS)])
+        for number in range(1, scans + 1):
+            writer.write("/joint1/raw", 100 * number, scan(number, 100 * number).data)
+        if fail:
+            raise BagError("the simulator has no such scan")
+
+
+def test_a_bag_is_replaced_once_the_new_one_is_whole(tmp_path: Path) -> None:
+    bag = tmp_path / "new" / "bag"
+    for scans in (3, 1):
+        replace(bag, scans)
+        assert [number for _, number, _ in read_bag(bag)] == [100 * n for n in range(1, scans + 1)]
+        assert list(bag.parent.iterdir()) == [bag]
+    with pytest.raises(BagError, match="no such scan"):
+        replace(bag, 2, fail=True)
+    assert len(read_bag(bag)) == 1
+    assert list(bag.parent.iterdir()) == [bag]
 
 
 def test_messages_are_kept_with_their_times(tmp_path: Path) -> None:

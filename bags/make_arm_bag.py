@@ -1,0 +1,101 @@
+"""Make the bag of the simulated five-axis arm: one cycle of its scenario, and the endpoint that its POSORs see.
+
+``make data`` runs it, in the workspace's environment; with an argument it makes the bag in that folder. Scans and truth
+come from the simulator, as the drivers publish them; ``endpoint/pose`` from the core, as the nodes compute it. The same
+bytes on every run.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from posor_bringup.arm_offline import endpoints
+from posor_bringup.arms import checked_arm
+from posor_drivers.bag_writer import replacement
+from posor_drivers.offered_qos import kept_in_bag
+from posor_drivers.simulated_messages import SimulatedMessages
+from posor_drivers.simulator.arm import ArmSimulation
+from posor_drivers.simulator.ticks import stamp_of
+from posor_drivers.sources.base import SourceMessage, Topic
+from posor_estimator.errors import PosorError
+from posor_estimator.ros.message_types import POSE_STAMPED, RAW_SCAN, MessageTypes
+from posor_estimator.ros.parameters import NodeParameters
+from posor_estimator.ros.qos import ENDPOINT_TOPIC, RAW_TOPIC, RELIABLE_QOS, sensor_qos
+from posor_msgs.msg import RawScan
+from rclpy.serialization import deserialize_message
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from posor_estimator.core.arm import Arm
+
+HERE = Path(__file__).resolve().parent
+ARM = "five_axis"
+START_S = 1_767_225_600
+"""2026-01-01 00:00:00 UTC, where a cycle of the scenario begins."""
+
+
+class ArmBag:
+    """One cycle of an arm's scenario, as messages."""
+
+    def __init__(self, arm: Arm, types: MessageTypes) -> None:
+        """Simulate it."""
+        self._simulation = ArmSimulation(arm)
+        self._make = SimulatedMessages(types, self._simulation)
+        self._rate = self._simulation.scenario.ticks_per_second
+        first = START_S * self._rate
+        self._ticks = np.arange(first, first + self._simulation.scenario.cycle_ticks)
+        self._scans = {joint: self._raw(joint) for joint in self._simulation.joints}
+        self._measured_topic = Topic(f"/{arm.name}/{ENDPOINT_TOPIC}", POSE_STAMPED)
+        scans = {
+            joint: [deserialize_message(message.data, RawScan) for message in messages.values()]
+            for joint, messages in self._scans.items()
+        }
+        self._endpoints = dict(endpoints(arm, scans))
+
+    def _raw(self, joint: str) -> dict[int, SourceMessage]:
+        """Return the scans of a joint that are sent, by their stamps."""
+        scans = self._simulation.scans(joint, self._ticks)
+        name = f"/{self._simulation.arm.name}/{joint}/{RAW_TOPIC}"
+        raw = (self._make.raw(joint, scans, n) for n in np.flatnonzero(scans.sent).tolist())
+        return {message.time_ns: SourceMessage(name, message.time_ns, message.data) for message in raw}
+
+    def topics(self) -> list[Topic]:
+        """Return what it holds."""
+        make = self._make.topics
+        raw = [Topic(f"/{self._simulation.arm.name}/{joint}/{RAW_TOPIC}", RAW_SCAN) for joint in self._scans]
+        return [*raw, self._measured_topic, make.endpoint, make.target, make.encoders]
+
+    def messages(self) -> Iterator[SourceMessage]:
+        """Yield all messages in the order of their stamps."""
+        truth = self._simulation.truth(self._ticks)
+        for n, tick in enumerate(self._ticks.tolist()):
+            time_ns = stamp_of(tick, self._rate)
+            yield from (messages[time_ns] for messages in self._scans.values() if time_ns in messages)
+            if time_ns in self._endpoints:
+                pose = self._endpoints[time_ns].T_base_endpoint
+                yield self._make.pose(self._measured_topic, time_ns, self._simulation.chain.base_frame, pose)
+            yield from self._make.arm_truth(time_ns, truth, n)
+
+
+def main(folder: Path) -> None:
+    """Make the bag in ``folder``."""
+    types = MessageTypes()
+    bag = ArmBag(checked_arm(ARM), types)
+    with replacement(folder / ARM) as writer:
+        for topic in bag.topics():
+            qos = sensor_qos(NodeParameters()) if topic.type_name == RAW_SCAN else RELIABLE_QOS
+            writer.add_topic(topic.name, topic.type_name, types.definition(topic.type_name), [kept_in_bag(qos)])
+        for message in bag.messages():
+            writer.write(message.topic, message.time_ns, message.data)
+    print(f"made {folder / ARM}")
+
+
+if __name__ == "__main__":
+    try:
+        main(Path(sys.argv[1]) if len(sys.argv) > 1 else HERE)
+    except PosorError as complaint:
+        sys.exit(str(complaint))

@@ -1,0 +1,153 @@
+"""The bag of the simulated five-axis arm: what its script makes, and what the nodes make of it, bit for bit."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from contextlib import ExitStack
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from posor_bringup.arm_offline import endpoints
+from posor_bringup.arm_programs import arm_programs
+from posor_bringup.arms import checked_arm
+from posor_estimator.core.arm import DriverFile
+from posor_estimator.ros.messages import pose_message, stamp_ns
+from posor_estimator.testing.graph import Graph
+from posor_estimator.testing.program import Program
+from posor_estimator.testing.stamped import status_with
+from posor_msgs.msg import RawScan
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+
+from tests.graphs import bits, recorded
+
+if TYPE_CHECKING:
+    from posor_bringup.supervisor import Parameter
+    from posor_estimator.core.types import FloatArray
+
+BAGS = Path(__file__).resolve().parents[1] / "bags"
+BAG = BAGS / "five_axis"
+JOINTS = ("base_swivel", "shoulder", "elbow", "wrist_roll", "wrist_yaw")
+RAW = {joint: f"/five_axis/{joint}/raw" for joint in JOINTS}
+POSE = "/five_axis/endpoint/pose"
+TYPES = {
+    **dict.fromkeys(RAW.values(), RawScan),
+    POSE: PoseStamped,
+    "/five_axis/truth/endpoint": PoseStamped,
+    "/five_axis/target/endpoint": PoseStamped,
+    "/five_axis/encoders": JointState,
+}
+TICKS, RATE, START_NS = 2000, 200, 1_767_225_600_000_000_000
+LOSSLESS: dict[str, Parameter] = {"qos_reliability": "reliable", "qos_depth": 0}
+WITHIN = 1e-12
+"""What another machine's arithmetic may differ by, in metres, radians and quaternions."""
+
+
+@cache
+def messages(bag: Path) -> dict[str, list[Any]]:
+    return {topic: [deserialize_message(data, TYPES[topic]) for data in all_] for topic, all_ in recorded(bag).items()}
+
+
+def leaves(message: Any) -> list[Any]:
+    """Return a message's numbers and texts, in order."""
+    if hasattr(message, "get_fields_and_field_types"):
+        return [leaf for name in message.get_fields_and_field_types() for leaf in leaves(getattr(message, name))]
+    return [message] if isinstance(message, int | float | str) else list(message)
+
+
+def parts(messages_: list[Any]) -> tuple[list[str], FloatArray]:
+    """Return all texts and all numbers of messages."""
+    every = [leaf for message in messages_ for leaf in leaves(message)]
+    return [leaf for leaf in every if isinstance(leaf, str)], np.array([x for x in every if not isinstance(x, str)])
+
+
+def test_the_script_makes_the_committed_bag_and_the_same_bytes_each_time(tmp_path: Path) -> None:
+    for run in ("one", "other"):
+        subprocess.run([sys.executable, str(BAGS / "make_arm_bag.py"), str(tmp_path / run)], check=True)
+    for name in ("five_axis.mcap", "metadata.yaml"):
+        one, other = (tmp_path / run / "five_axis" / name for run in ("one", "other"))
+        assert one.read_bytes() == other.read_bytes()
+    made, committed = messages(tmp_path / "one" / "five_axis"), messages(BAG)
+    assert {topic: len(all_) for topic, all_ in made.items()} == {topic: len(all_) for topic, all_ in committed.items()}
+    for topic, all_ in made.items():
+        (texts, numbers), (known_texts, known_numbers) = parts(all_), parts(committed[topic])
+        assert texts == known_texts
+        np.testing.assert_allclose(numbers, known_numbers, rtol=WITHIN, atol=WITHIN, err_msg=topic)
+
+
+def test_the_bag_holds_one_cycle_of_the_scenario() -> None:
+    assert sum(path.stat().st_size for path in BAG.iterdir()) < 4_000_000
+    held = messages(BAG)
+    assert set(held) == set(TYPES)
+    stamps = [START_NS + n * 1_000_000_000 // RATE for n in range(TICKS)]
+    for topic in ("/five_axis/truth/endpoint", "/five_axis/target/endpoint", "/five_axis/encoders"):
+        assert [stamp_ns(message) for message in held[topic]] == stamps
+    for topic in RAW.values():
+        sent = [stamp_ns(scan) for scan in held[topic]]
+        assert set(sent) <= set(stamps)
+        assert len(sent) > 0.99 * TICKS
+        assert all(scan.scan == stamp_ns(scan) * RATE // 1_000_000_000 for scan in held[topic])
+        assert all(scan.status & RawScan.STATUS_SIMULATED for scan in held[topic])
+    assert sum(len(held[topic]) for topic in RAW.values()) < TICKS * len(
+        JOINTS
+    )  # some are dropped, as the scenario says
+    assert 0.98 * TICKS < len(held[POSE]) < TICKS
+    truths = {stamp_ns(message): message.pose.position for message in held["/five_axis/truth/endpoint"]}
+    errors = [
+        [getattr(pose.pose.position, axis) - getattr(truths[stamp_ns(pose)], axis) for axis in "xyz"]
+        for pose in held[POSE]
+    ]
+    assert 1e-6 < np.sqrt(np.mean(np.sum(np.square(errors), axis=1))) < 2e-5
+
+
+@pytest.mark.usefixtures("ros_domain")
+@pytest.mark.timeout(300)
+def test_the_bag_replays_bit_for_bit() -> None:
+    arm = checked_arm("five_axis")
+    parameters: dict[str, Parameter] = {
+        "bag.path": str(BAG),
+        "bag.topic": "/{arm}/{joint}/raw",
+        "rate": 0.0,
+        "wait_for_subscribers": 2,
+    }
+    arm = replace(arm, driver=DriverFile(source="bag", parameters=parameters))
+    arm = replace(arm, chain_parameters={**arm.chain_parameters, "max_wait": 60.0})
+    listeners = arm_programs(arm, drivers=False, parameters=LOSSLESS)
+    drivers = [program for program in arm_programs(arm, parameters=LOSSLESS) if program not in listeners]
+    assert len(drivers) == len(JOINTS)
+    raw = recorded(BAG)
+    with ExitStack() as stack, Graph() as graph:
+        running = [stack.enter_context(Program(program.command())) for program in listeners]
+        graph.watch_diagnostics()
+        poses = graph.collect(PoseStamped, POSE)
+        with_covariance = graph.collect(PoseWithCovarianceStamped, f"{POSE}_with_covariance")
+        for topic in ("endpoint/pose", "endpoint/pose_with_covariance"):
+            status_with(graph, "/five_axis/chain_node: listeners", topic, "1")
+        for joint in JOINTS:
+            status_with(graph, f"/five_axis/{joint}/posor_node: listeners", "transform", "1")
+        # The drivers wait for this test too, which listens once all else does.
+        replaying = [stack.enter_context(Program(program.command())) for program in drivers]
+        scans = {topic: graph.collect(RawScan, topic, raw=True) for topic in RAW.values()}
+        expected = dict(endpoints(checked_arm("five_axis"), {j: messages(BAG)[topic] for j, topic in RAW.items()}))
+        graph.wait_until(lambda: all(len(scans[topic]) == len(raw[topic]) for topic in scans), "all scans")
+        graph.wait_until(lambda: len(poses) == len(with_covariance) == len(expected), "all poses")
+        assert [program.wait() for program in replaying] == [0] * len(JOINTS)
+        assert [program.end() for program in running] == [0] * len(running)
+    for topic, received in scans.items():
+        assert received == raw[topic]
+    assert [stamp_ns(pose) for pose in poses] == list(expected)
+    for pose, full, endpoint in zip(poses, with_covariance, expected.values(), strict=True):
+        assert bits(pose.pose) == bits(full.pose.pose) == bits(pose_message(endpoint.T_base_endpoint))
+        assert bits(full.pose.covariance) == endpoint.covariance.tobytes()
+        assert bits(pose.header) == bits(full.header)
+    known = messages(BAG)[POSE]
+    assert [stamp_ns(pose) for pose in known] == list(expected)
+    off = np.abs([np.subtract(leaves(one.pose), leaves(other.pose)) for one, other in zip(poses, known, strict=True)])
+    print(f"largest difference to the recorded poses: {off.max():.1e}")
+    assert off.max() < WITHIN
