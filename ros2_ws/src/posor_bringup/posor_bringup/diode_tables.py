@@ -67,6 +67,7 @@ def kind_of(perturbation: str) -> str:
     return re.sub(r"[\d_]", "", perturbation.removeprefix("sigma_"))
 
 
+@cache
 def spot_shifts(perturbation: str, group: str = OFFSET) -> tuple[float, float]:
     """Return what a unit of a perturbation, or of its square, does to X and Y of its diode's spot, in inch and radian.
 
@@ -102,6 +103,7 @@ def _shift(spot: str, k: int, kind: str, group: str) -> float:
     return float(spot.startswith(f"spot {'xy'[which]}"))
 
 
+@cache
 def theta_factors() -> tuple[float, float]:
     """Return what an inch of a spot's X, and of its Y, does to theta [rad].
 

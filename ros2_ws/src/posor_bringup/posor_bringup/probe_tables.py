@@ -51,6 +51,7 @@ def _level() -> Chapter5:
     return Chapter5(Slopes())
 
 
+@cache
 def factor(row: str, judged: str) -> float:
     """Return the model's factor for a row of table 5.2, in inch and radian."""
     model = _worst()
@@ -74,6 +75,7 @@ _LEVERS: Mapping[str, tuple[str, float]] = {
 """Which coordinate of which tip each lever is, and its sign."""
 
 
+@cache
 def _reasons_of_factors() -> dict[tuple[str, str], Reason]:
     model = _worst()
     shared = [model.by_reading(AT_ORIGIN, probe) for probe in PROBES[1:]]
