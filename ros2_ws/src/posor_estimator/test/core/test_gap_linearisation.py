@@ -60,7 +60,7 @@ def test_polynomials_are_recovered_and_keep_the_zero() -> None:
 def test_truth_lies_in_the_95_percent_intervals_of_95_percent_of_campaigns() -> None:
     inside = trials = 0
     for seed in range(60):
-        outcome = linearised(taken(seed, scans_each=4), order=4, least=0.05, settle=0.0)
+        outcome = linearised(taken(seed, scans_each=4), order=4, highest_order=4, least=0.05, settle=0.0)
         for probe in range(3):
             found, sigmas = coefficients(outcome, probe)
             inside += int(np.sum(np.abs(found - TRUE)[1:] < 1.96 * sigmas[1:]))
@@ -105,6 +105,21 @@ def test_table_shows_residuals_against_order(criterion: str) -> None:
         assert row[-1] in {4, 5, 6}
     checked = np.array(outcome.tables[1].rows[0][1:10], dtype=float)
     assert np.all(checked > np.array(table.rows[0][1:10], dtype=float))
+
+
+def test_uncertainty_that_the_estimator_overstates_is_told() -> None:
+    outcome = linearised(taken(), order=6)
+    table = next(table for table in outcome.tables if table.title == "standard uncertainty of the curves")
+    assert len(table.rows) == 9
+    for row in table.rows:
+        jointly, counted = float(row[2]), float(row[3])
+        assert 0.12 < jointly < 0.2  # of which the zero that was kept is 0.13 um
+        assert counted > 0.99 * jointly
+    told = [warning for warning in outcome.warnings if "the coefficients vary together" in warning]
+    assert [warning.split(":")[0] for warning in told] == [f"gap probe gap_{probe}" for probe in (1, 2, 3)]
+    # A straight line about the middle of its range has coefficients of its own.
+    line = linearised(taken(), order=1, highest_order=1)
+    assert not any("the coefficients vary together" in warning for warning in line.warnings)
 
 
 def test_noise_and_range_come_from_the_stops() -> None:

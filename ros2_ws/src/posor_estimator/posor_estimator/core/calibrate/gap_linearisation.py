@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -14,6 +14,7 @@ from posor_estimator.core.calibrate.gap_reference import GapReferenceOptions, ga
 from posor_estimator.core.calibrate.one_probe import OneProbe
 from posor_estimator.core.calibrate.procedure import Figure, Outcome, Procedure, Table
 from posor_estimator.core.calibrate.replacement import JointCovariance, Replacement
+from posor_estimator.core.calibration.quantity import Quantity
 
 if TYPE_CHECKING:
     from posor_estimator.core.calibrate.gap_polynomial import GapData
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray
 
 MICRO = 1e6
+MUCH = 2.0
+"""So many times may the estimator overstate a curve's uncertainty before it is said."""
 NAME = "gap_linearisation"
 
 
@@ -85,6 +88,7 @@ def run(recording: Recording, calibration: Calibration, options: GapLinearisatio
             _order_table("standard deviation of the residuals against order", probes, "residual_deviation"),
             _order_table("leave-one-out cross-validation against order", probes, "cross_validation"),
             *(_coefficient_table(one) for one in probes),
+            _uncertainty_table(probes),
         ),
         warnings=tuple(sentence for one in probes for sentence in one.warnings),
         figures=tuple(_figure(one) for one in probes),
@@ -98,7 +102,7 @@ def linearised(probe: OneProbe, data: GapData, options: GapLinearisationOptions)
         FitError: Too few stops, or too many that do not fit.
 
     """
-    outliers = outliers_of(probe, data, options.highest_order)
+    outliers = outliers_of(probe, data)
     names = [f"stop {n + 1}" for n in range(len(outliers))]
     warnings = outlier_sentences(outliers, names, probe.name)
     data = data.without(outliers)
@@ -113,9 +117,31 @@ def linearised(probe: OneProbe, data: GapData, options: GapLinearisationOptions)
     if chosen.span[0] > low or chosen.span[1] < high:
         said = f"the stops span {chosen.span[0]:.4g} to {chosen.span[1]:.4g} V, which becomes its range"
         warnings += (f"{probe.name}: {said}; it was {low:.4g} to {high:.4g} V.",)
-    return LinearisedProbe(
+    found = LinearisedProbe(
         probe, data, polynomials, chosen, coefficients, covariance, warnings + misfit_sentences(chosen.fit, probe.name)
     )
+    jointly, counted = uncertainty_over_range(found)[1:]
+    if np.any(counted > MUCH * jointly):
+        said = "the coefficients vary together, which the estimator does not know of: it counts up to"
+        times = f"{np.max(counted / jointly):.2g} times the uncertainty that the curve has"
+        found = replace(found, warnings=(*found.warnings, f"{probe.name}: {said} {times}."))
+    return found
+
+
+def uncertainty_over_range(one: LinearisedProbe) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return voltages over the range, and the curve's standard uncertainty there: joint, and as if independent.
+
+    Returns:
+        Voltages [V]; standard uncertainty of the gap [m] by the full covariance; that by the coefficients' own standard
+        uncertainties alone, which is what the estimator counts; (9,) each.
+
+    """
+    volts = np.linspace(*one.chosen.span, 9)
+    powers = volts[:, None] ** np.arange(len(one.coefficients))
+    jointly = np.sqrt(np.einsum("ni,ij,nj->n", powers, one.covariance, powers))
+    sigmas = np.sqrt(np.diag(one.covariance)).tolist()
+    counted = one.probe.polynomial_at(volts, Quantity(value=one.coefficients.tolist(), sigma=sigmas, unit="m/V^k"))[1]
+    return volts, jointly, counted
 
 
 def _with_zero(
@@ -127,7 +153,7 @@ def _with_zero(
     zero_sigma = 0.0
     if options.zero == "kept":
         volt = float(np.clip(0.0, *chosen.span))
-        zero, zero_sigma = probe.polynomial_at(volt)
+        zero, zero_sigma = (float(one[0]) for one in probe.polynomial_at(np.array([volt])))
         refer = np.eye(len(coefficients))
         refer[0] -= volt ** np.arange(len(coefficients))
         scaled, covariance = refer @ coefficients, refer @ covariance @ refer.T
@@ -174,6 +200,21 @@ def _coefficient_table(one: LinearisedProbe) -> Table:
         for k, (value, sigma) in enumerate(zip(one.coefficients, sigmas, strict=True))
     )
     return Table(f"{one.probe.name}, volts to gap", ("coefficient", "value", "sigma", "unit"), ("",) * 4, rows)
+
+
+def _uncertainty_table(probes: list[LinearisedProbe]) -> Table:
+    rows = []
+    for one in probes:
+        volts, jointly, counted = uncertainty_over_range(one)
+        for at in (0, len(volts) // 2, len(volts) - 1):
+            uncertainties = MICRO * float(jointly[at]), MICRO * float(counted[at])
+            rows.append((one.probe.calibration.name, float(volts[at]), *uncertainties))
+    return Table(
+        "standard uncertainty of the curves",
+        ("probe", "voltage", "uncertainty", "as if coefficients were independent"),
+        ("", "V", "µm", "µm"),
+        tuple(rows),
+    )
 
 
 def _figure(one: LinearisedProbe) -> Figure:

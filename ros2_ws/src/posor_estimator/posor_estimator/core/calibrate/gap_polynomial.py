@@ -29,6 +29,8 @@ Criterion: TypeAlias = Literal["cross_validation", "aicc"]
 SPARE = 3
 """Readings that a polynomial must leave over, so that its residuals say something."""
 LEAST_STOPS = 6
+SMOOTH = 9
+"""Order beyond which what a polynomial follows is no smooth curve; that of 1985."""
 _UNKNOWN_SIGMA = 1e-9
 """Stands for an uncertainty that nobody stated [m]; the residuals then set the scale."""
 
@@ -121,10 +123,10 @@ def best(polynomials: list[GapPolynomial], criterion: Criterion, where: str) -> 
     return min(fit_ones, key=lambda polynomial: getattr(polynomial, criterion))
 
 
-def outliers_of(probe: OneProbe, data: GapData, most: int) -> BoolArray:
+def outliers_of(probe: OneProbe, data: GapData) -> BoolArray:
     """Return which stops do not fit a smooth curve through the others, (d,): found by a robust fit of high order."""
     check_enough(len(data.reference), LEAST_STOPS, "stops that can be used", probe.name)
-    order = max(1, min(most, len(data.reference) // 3))
+    order = min(SMOOTH, len(data.reference) // 3)
     sigmas, _ = _sigmas(probe, data)
     basis = _Basis(probe, data, order)
     found = basis.fitted(sigmas, "soft_l1", basis.start())

@@ -81,14 +81,23 @@ class OneProbe:
         """Return its gaps [m] as they would be if it did not depend on the supply voltage, (n,)."""
         return self._linearised(scans, {"supply": None})[0]
 
-    def polynomial_at(self, volt: float) -> tuple[float, float]:
-        """Return the present polynomial at a voltage, zero shift added, and its standard uncertainty [m]."""
-        scans = empty_scans(np.zeros(1, dtype=np.int64))
-        scans = scans.with_fields({"gap_voltages": np.full((1, len(self.sensor.probes)), volt)})
-        gap, _, sigma = self._linearised(
-            scans, {"zero_shift": Quantity(value=0.0, unit="V"), "supply": None, "temperature": None}
-        )
-        return float(gap[0]), float(sigma[0])
+    def polynomial_at(self, volts: FloatArray, tried: Quantity | None = None) -> tuple[FloatArray, FloatArray]:
+        """Return a polynomial and its standard uncertainty as the estimator counts it [m], (n,) each.
+
+        Args:
+            volts: With the zero shift added [V], (n,).
+            tried: Coefficients; None: as calibrated.
+
+        """
+        scans = empty_scans(np.zeros(len(volts), dtype=np.int64))
+        scans = scans.with_fields({"gap_voltages": np.tile(volts[:, None], (1, len(self.sensor.probes)))})
+        alone: dict[str, Quantity | None] = {
+            "zero_shift": Quantity(value=0.0, unit="V"),
+            "supply": None,
+            "temperature": None,
+        }
+        gaps, _, sigmas = self._linearised(scans, alone | ({} if tried is None else {"volts_to_gap": tried}))
+        return gaps, sigmas
 
     def _linearised(
         self, scans: Scans, update: dict[str, Quantity | None]
