@@ -101,5 +101,6 @@ def test_stage_stays_where_it_is_when_time_goes_back() -> None:
     there = moving.position_at(NOW + NS // 10)
     moving.restart()
     assert np.array_equal(moving.position_at(NOW - 500 * NS), there)
+    assert np.array_equal(moving.position_at(NOW - 450 * NS), there)
     moving.command(np.zeros(3), "endpoint", NOW - 400 * NS, NOW - 400 * NS)
     assert np.array_equal(moving.position_at(NOW - 300 * NS), np.zeros(3))
