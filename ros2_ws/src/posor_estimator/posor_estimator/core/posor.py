@@ -49,7 +49,8 @@ class Posor:
 
         Args:
             calibration: The POSOR's calibration, with its session already applied.
-            false_alarm: Probability that the chi-square test of the redundant readings rejects a sound scan.
+            false_alarm: Probability that the chi-square test of the redundant readings rejects a sound scan;
+                zero: it rejects none.
 
         """
         self.calibration = calibration

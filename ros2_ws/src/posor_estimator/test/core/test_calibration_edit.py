@@ -326,7 +326,8 @@ def test_a_file_of_version_1_keeps_its_hash_and_may_not_tell_of_fits(
     content = yaml.safe_load(rig_calibrations["printed"].read_text(encoding="utf-8"))
     path = tmp_path / "rig.yaml"
     hashes = []
-    for changes in ({}, {"fits": []}, {"version": 2}):
+    several: list[dict[str, Any]] = [{}, {"fits": []}, {"version": 2}]
+    for changes in several:
         path.write_text(yaml.safe_dump({**content, **changes}, sort_keys=False), encoding="utf-8")
         hashes.append(load_calibration(path).content_hash)
     assert hashes[0] == load_calibration(rig_calibrations["printed"]).content_hash == hashes[1] != hashes[2]

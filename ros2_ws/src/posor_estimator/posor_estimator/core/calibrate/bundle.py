@@ -46,22 +46,34 @@ class BundleOptions(Options):
     """Options of the bundle fit."""
 
     parameters: tuple[str, ...] = Field(
-        ("*",), min_length=1, description="keys of what may change, such as sensors[0].probes[*].tip; * for anything"
+        default=("*",),
+        min_length=1,
+        description="keys of what may change, such as sensors[0].probes[*].tip; * for anything",
     )
-    session: str = Field("", description="session of the calibration file that holds in the recording; empty: none")
-    reference: str = Field("", description="topic of the pose reference; empty: the only one, or none if there is none")
+    session: str = Field(
+        default="", description="session of the calibration file that holds in the recording; empty: none"
+    )
+    reference: str = Field(
+        default="", description="topic of the pose reference; empty: the only one, or none if there is none"
+    )
     mounting_m: float = Field(
-        0.0, ge=0.0, description="how well the places of the reference's frames on the plates are known [m]; 0: exactly"
+        default=0.0,
+        ge=0.0,
+        description="how well the places of the reference's frames on the plates are known [m]; 0: exactly",
     )
-    mounting_rad: float = Field(0.0, ge=0.0, description="the same for their orientations [rad]")
-    loss: Loss = Field("huber", description="of the fit; linear where no outliers are to be survived")
-    least_stop: Seconds = Field(0.0, description="use stops of the reference at least this long [s]; 0: every scan")
-    still: float = Field(2e-6, gt=0.0, description="largest deviation of the reference within a stop [m]")
-    settle: Seconds = Field(0.0, description="left out at the beginning of each stop [s]")
-    longest_gap: float = Field(0.5, gt=0.0, description="references further apart are not joined by a line [s]")
-    at_most: int = Field(500, ge=LEAST, description="poses beyond this number are thinned out evenly")
-    covariance: bool = Field(True, description="write the whole covariance into the file")  # noqa: FBT003  pydantic
-    seed: int = Field(1985, ge=0, description="of the poses that are proposed where the data leave something open")
+    mounting_rad: float = Field(default=0.0, ge=0.0, description="the same for their orientations [rad]")
+    loss: Loss = Field(default="huber", description="of the fit; linear where no outliers are to be survived")
+    least_stop: Seconds = Field(
+        default=0.0, description="use stops of the reference at least this long [s]; 0: every scan"
+    )
+    still: float = Field(default=2e-6, gt=0.0, description="largest deviation of the reference within a stop [m]")
+    settle: Seconds = Field(default=0.0, description="left out at the beginning of each stop [s]")
+    longest_gap: float = Field(default=0.5, gt=0.0, description="references further apart are not joined by a line [s]")
+    at_most: int = Field(default=500, ge=LEAST, description="poses beyond this number are thinned out evenly")
+    covariance: bool = Field(default=True, description="write the whole covariance into the file")
+    seed: int = Field(
+        default=1985, ge=0, description="of the poses that are proposed where the data leave something open"
+    )
 
 
 @dataclass(frozen=True)

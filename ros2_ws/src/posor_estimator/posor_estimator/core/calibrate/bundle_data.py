@@ -100,10 +100,11 @@ def bundle_data(recording: Recording, calibration: Calibration, topic: str | Non
         TrackError: The reference does not serve.
 
     """
-    posor = Posor(calibration)
+    # No scan is too contradictory, and no motion too fast, to be fitted: the fit itself has to judge that.
+    posor = Posor(calibration.model_copy(update={"motion": None}), false_alarm=0.0)
     if topic is None:
         estimates = posor.locate_all(recording.scans)
-        found = np.flatnonzero(estimates.states != int(State.LOST))
+        found = np.flatnonzero(np.isin(estimates.states, [int(State.OK), int(State.DEGRADED)]))
         poses = [pin.SE3(estimates.rotations[i], estimates.translations[i]) for i in found]
         counts = np.ones(len(found))
         left_out = len(recording.scans) - len(found)

@@ -1,0 +1,388 @@
+"""The bundle fit: what it finds of a simulated POSOR, how sure it is, and what it says of data that do not serve."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from posor_estimator.accuracy.poses import readable, readable_poses
+from posor_estimator.core.calibrate.bundle import BundleOptions, fit_bundle, solve
+from posor_estimator.core.calibrate.entries import entries_of
+from posor_estimator.core.calibrate.explain import explained
+from posor_estimator.core.calibrate.recording import Recording
+from posor_estimator.core.calibrate.track import Track
+from posor_estimator.core.calibrate.unknowns import Unknowns
+from posor_estimator.core.calibration.load import load_calibration
+from posor_estimator.core.calibration.quantity import Quantity
+from posor_estimator.core.designs import design
+from posor_estimator.core.forward import scans_at
+from posor_estimator.core.native import native_from_rotation, rotation_from_native
+from posor_estimator.core.posor import Posor
+from posor_estimator.core.stack import Stack
+from posor_estimator.errors import CalibrationError, FitError, TrackError
+from scipy.stats import kstest
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from posor_estimator.core.calibration.model import Calibration
+    from posor_estimator.core.designs import DesignName
+    from posor_estimator.core.types import FloatArray
+
+NAMES: tuple[DesignName, ...] = ("triad_diodes", "triad_light_ring", "triad_bumpy_ring")
+ALONG, ABOUT = 2e-7, 2e-6
+"""Standard uncertainty of the simulated reference [m, rad]."""
+PROBES = "sensors[0].probes[*].*"
+
+
+def track_of(poses: list[pin.SE3], stamps: Any, sigmas: tuple[float, float] = (ALONG, ABOUT)) -> Track:
+    values = np.array([[*pose.translation, *pin.Quaternion(pose.rotation).coeffs()] for pose in poses])
+    signs = np.where(np.sum(values[:, 3:] * values[0, 3:], axis=1) < 0.0, -1.0, 1.0)
+    values[:, 3:] *= signs[:, None]
+    return Track(stamps, values, np.array([*[sigmas[0]] * 3, *[0.5 * sigmas[1]] * 4]), "bench, topic /reference")
+
+
+class Campaign:
+    """Scans of a POSOR whose parameters were drawn from what its calibration says of them."""
+
+    def __init__(self, name: DesignName, count: int, seed: int, *, drawn: float = 1.0, turning: bool = False) -> None:
+        random = np.random.default_rng(seed)
+        self.calibration = design(name)
+        posor = Posor(self.calibration)
+        self.unknowns = Unknowns(self.calibration)
+        self.truth = self.unknowns.start + drawn * self.unknowns.sigmas * random.normal(size=len(self.unknowns))
+        stack = posor.stack.with_parameter_values(self.unknowns.values(self.truth))
+        rotations, translations = readable_poses(posor, name, count, random)
+        if turning:  # from the home mark on, so that bumps can be counted
+            natives = [native_from_rotation(rotation)[:2] for rotation in rotations]
+            thetas = np.linspace(0.0, 0.01 * count, count)
+            rotations = np.array([rotation_from_native(*lean, t) for lean, t in zip(natives, thetas, strict=True)])
+        stamps = np.arange(1, count + 1, dtype=np.int64) * 10_000_000
+        scans = scans_at(stack, rotations, translations, stamps, noise=random)
+        scans = scans.with_fields({"at_home": (np.arange(count) == 0).astype(np.int64) * turning})
+        kept = np.flatnonzero(readable(scans))
+        self.scans = scans.chosen(kept)
+        self.poses = [pin.SE3(rotations[i], translations[i]) for i in kept]
+        self.measured = [
+            pose * pin.exp6(np.concatenate([random.normal(size=3) * ALONG, random.normal(size=3) * ABOUT]))
+            for pose in self.poses
+        ]
+        self.random = random
+
+    def recording(self, poses: list[pin.SE3] | None = None, **changes: Any) -> Recording:
+        tracks = {"/reference": track_of(poses or self.measured, self.scans.stamps_ns)}
+        return Recording(self.scans, **{"tracks": tracks, "source": "bench", **changes})
+
+    def pulls(self, fit: Any) -> FloatArray:
+        where = {name: i for i, name in enumerate(self.unknowns.names)}
+        shared = [(i, where[name]) for i, name in enumerate(fit.names) if name in where]
+        return np.array([(fit.values[i] - self.truth[j]) / fit.sigmas[i] for i, j in shared])
+
+
+# Which number of the file each parameter is.
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_parameter_is_found_in_the_file(name: DesignName) -> None:
+    calibration = design(name)
+    stack = Stack([sensor.build() for sensor in calibration.sensors])
+    entries = entries_of(calibration)
+    assert len(entries) == stack.parameters
+    for value, sigma, entry in zip(stack.parameter_values, stack.parameter_sigmas, entries, strict=True):
+        if entry is None:
+            assert (value, sigma) == (0.0, 0.0)
+        else:
+            assert (entry.quantity.array[entry.index], entry.quantity.sigmas[entry.index]) == (value, sigma)
+    named = {entry.name for entry in entries if entry is not None}
+    assert "sensors[0].probes[2].tip[1]" in named
+    assert "sensors[0].target_plane.tilt[0]" in named
+    assert not any(".noise" in name or ".range" in name for name in named)
+
+
+def test_what_a_session_replaces_is_found_there(rig_calibrations: dict[str, Path]) -> None:
+    calibration = load_calibration(rig_calibrations["section84"])
+    keys = {entry.key for entry in entries_of(calibration, "ymo") if entry is not None}
+    assert "sessions.ymo.zero_shifts" in keys
+    assert "sensors[0].probes[0].zero_shift" not in keys
+    with pytest.raises(CalibrationError, match="session 'none' is unknown"):
+        entries_of(calibration, "none")
+
+
+# What may change.
+
+
+def test_directions_keep_their_length_and_their_derivatives_are_right(rng: np.random.Generator) -> None:
+    unknowns = Unknowns(design("triad_diodes"))
+    moved = unknowns.start + 5.0 * unknowns.sigmas * rng.normal(size=len(unknowns))
+    stack = Stack([sensor.build() for sensor in design("triad_diodes").sensors])
+    values = unknowns.values(moved)
+    for sensor in stack.with_parameter_values(values).sensors:
+        for name in ("axes", "x_axes", "y_axes", "source_directions"):
+            if name in sensor._slices:
+                np.testing.assert_allclose(np.linalg.norm(sensor._array(name), axis=1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(unknowns.values(unknowns.start), stack.parameter_values, atol=1e-15)
+    step = 1e-4 * unknowns.sigmas
+    by_steps = [
+        (unknowns.values(moved + shift) - unknowns.values(moved - shift)) / (2.0 * step[i])
+        for i, shift in enumerate(np.diag(step))
+    ]
+    np.testing.assert_allclose(unknowns.basis(moved), np.array(by_steps).T, atol=1e-6)
+    assert any(name == "sensors[0].probes[0].axis turn 1" for name in unknowns.names)
+
+
+def test_only_what_is_asked_for_and_uncertain_may_change() -> None:
+    calibration = design("triad_diodes")
+    some = Unknowns(calibration, "", ("sensors[0].probes[*].tip", "sensors[0].target_plane.tilt"))
+    assert {name.partition("[0].")[2].split("[")[0] for name in some.names} == {"probes", "target_plane.tilt"}
+    assert np.all(some.sigmas > 0.0)
+    with pytest.raises(FitError, match=r"^calibration 'triad_diodes': '\*\.nose' fits no quantity that has an uncerta"):
+        Unknowns(calibration, "", ("*.nose",))
+
+
+# What is found.
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("with_reference", [True, False])
+def test_derivatives_agree_with_differences(name: DesignName, with_reference: bool) -> None:  # noqa: FBT001  a case
+    campaign = Campaign(name, 12, 5, turning=name == "triad_bumpy_ring")
+    recording = campaign.recording() if with_reference else campaign.recording(tracks={})
+    options = BundleOptions(loss="linear", mounting_m=1e-5 * with_reference, mounting_rad=1e-4 * with_reference)
+    problem = solve(recording, campaign.calibration, options).problem
+    at = problem.start
+    analytic = problem.jacobian(at) * problem.scales
+    # The basis of what is left of a scan may turn or change its sign, its cost may not: compare J'r and the squares.
+    gradient, squares = analytic.T @ problem.residuals(at), np.sum(np.square(problem.residuals(at)))
+    for i in range(0, len(at), 7):
+        shift = np.zeros(len(at))
+        shift[i] = 0.05 * problem.scales[i]
+        up, down = (np.sum(np.square(problem.residuals(at + sign * shift))) for sign in (1.0, -1.0))
+        bend = up + down - 2.0 * squares
+        assert (up - down) / 0.2 == pytest.approx(gradient[i], abs=0.01 * (abs(gradient[i]) + abs(bend) + 1e-3))
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("with_reference", [True, False])
+def test_what_was_drawn_is_found_within_its_stated_uncertainty(
+    name: DesignName,
+    with_reference: bool,  # noqa: FBT001  a case
+) -> None:
+    pulls, spreads = [], []
+    for seed in range(6):
+        campaign = Campaign(name, 40, seed, turning=name == "triad_bumpy_ring" and not with_reference)
+        recording = campaign.recording() if with_reference else campaign.recording(tracks={})
+        solved = solve(recording, campaign.calibration, BundleOptions(loss="linear"))
+        pulls.append(campaign.pulls(solved.fit))
+        spreads.append(solved.fit.spread)
+    # Parameters of one campaign are correlated, so the band is wider than for as many independent ones.
+    assert np.mean(np.abs(np.concatenate(pulls)) < 1.96) == pytest.approx(0.95, abs=0.04)
+    assert np.mean(np.square(spreads)) == pytest.approx(1.0, abs=0.1 if with_reference else 0.35)
+    if with_reference:
+        remaining = solved.fit.sigmas / solved.problem.scales
+        assert np.count_nonzero(remaining < 0.5) > 10
+
+
+def test_the_calibrated_posor_sees_fresh_poses_better() -> None:
+    campaign = Campaign("triad_diodes", 150, 11)
+    solved = solve(campaign.recording(), campaign.calibration, BundleOptions())
+    random = np.random.default_rng(12)
+    before = Posor(campaign.calibration)
+    after = before.stack.with_parameter_values(
+        campaign.unknowns.values(
+            np.array(
+                [
+                    dict(zip(solved.fit.names, solved.fit.values, strict=True)).get(n, s)
+                    for n, s in zip(campaign.unknowns.names, campaign.unknowns.start, strict=True)
+                ]
+            )
+        )
+    )
+    true = before.stack.with_parameter_values(campaign.unknowns.values(campaign.truth))
+    rotations, translations = readable_poses(before, "triad_diodes", 40, random)
+    scans = scans_at(true, rotations, translations, np.arange(40, dtype=np.int64))
+    scans = scans.chosen(np.flatnonzero(readable(scans)))
+    errors = []
+    for stack in (before.stack, after):
+        posor = Posor(campaign.calibration)
+        posor.stack = stack
+        found = posor.locate_each(scans)
+        kept = found.states == 0
+        off = found.translations[kept] - translations[: len(scans)][kept] if len(scans) == 40 else None
+        assert off is not None
+        errors.append(np.sqrt(np.mean(np.square(off))))
+    assert errors[1] < 0.3 * errors[0]
+
+
+def test_a_frame_that_sits_askew_is_found_as_the_mounting_of_the_reference() -> None:
+    campaign = Campaign("triad_diodes", 120, 21)
+    turn, hold = pin.exp6(np.array([30e-6, -20e-6, 10e-6, 1e-4, -2e-4, 1e-4])), pin.exp6(np.full(6, 2e-5))
+    askew = [turn.inverse() * pose * hold.inverse() for pose in campaign.measured]
+    exact = solve(campaign.recording(askew), campaign.calibration, BundleOptions(loss="linear"))
+    options = BundleOptions(loss="linear", mounting_m=5e-5, mounting_rad=2e-4)
+    free = solve(campaign.recording(askew), campaign.calibration, options)
+    assert free.fit.probability > 0.001
+    assert free.fit.spread < exact.fit.spread or np.max(np.abs(campaign.pulls(exact.fit))) > 6.0
+    assert np.mean(np.abs(campaign.pulls(free.fit)) < 1.96) > 0.85
+    about = free.fit.value("mounting of the reference on the receiving plate, about z")
+    assert abs(about - 1e-4) < 4.0 * free.fit.sigma("mounting of the reference on the receiving plate, about z")
+
+
+def test_five_percent_of_outliers_are_survived_and_named() -> None:
+    campaign = Campaign("triad_diodes", 200, 31)
+    sound = solve(campaign.recording(), campaign.calibration, BundleOptions())
+    volts = campaign.scans.gap_voltages.copy()
+    wrong = campaign.random.choice(volts.size, volts.size // 20, replace=False)
+    volts.flat[wrong] += campaign.random.choice([-1.0, 1.0], len(wrong)) * 40e-3
+    campaign.scans = campaign.scans.with_fields({"gap_voltages": volts})
+    outcome = fit_bundle(campaign.recording(), campaign.calibration, BundleOptions(loss="cauchy"))
+    found = outcome.fits["bundle"]
+    off = np.abs(found.values - sound.fit.values) / sound.fit.sigmas
+    assert np.max(off) < 2.0
+    assert np.mean(np.abs(campaign.pulls(found)) < 1.96) > 0.85
+    rows = np.flatnonzero(found.outliers())
+    assert len(rows) >= 0.9 * len(wrong)
+    said = next(warning for warning in outcome.warnings if "outliers" in warning)
+    assert "gap probe" in said or "gap " in said
+    plain = solve(campaign.recording(), campaign.calibration, BundleOptions(loss="linear"))
+    assert np.max(np.abs(plain.fit.values - sound.fit.values) / sound.fit.sigmas) > 3.0
+
+
+def test_the_outcome_is_ready_for_the_file_and_tells_what_stays_open() -> None:
+    campaign = Campaign("triad_diodes", 40, 41)
+    outcome = fit_bundle(campaign.recording(), campaign.calibration, BundleOptions(parameters=(PROBES,)))
+    assert {new.key.rpartition(".")[2] for new in outcome.replacements} <= {"tip", "axis", "volts_to_gap", "zero_shift"}
+    probe: Any = campaign.calibration.sensors[0].probes[1]  # type: ignore[attr-defined]
+    for new in outcome.replacements:
+        Quantity(value=new.value, sigma=new.sigma, unit="any")
+        if new.key.endswith("axis"):
+            assert np.linalg.norm(new.value) == pytest.approx(1.0, abs=1e-12)
+        if new.key == "sensors[0].probes[1].volts_to_gap":
+            assert np.shape(new.value) == probe.volts_to_gap.array.shape
+    [joint] = outcome.covariances
+    assert len(joint.entries) == len(joint.matrix)
+    where = joint.entries.index("sensors[0].probes[1].zero_shift")
+    stated = next(new.sigma for new in outcome.replacements if new.key == "sensors[0].probes[1].zero_shift")
+    assert np.sqrt(joint.matrix[where, where]) == pytest.approx(stated)
+    tables = {table.title: table for table in outcome.tables}
+    weak = tables["combinations that the data tell badly"].rows
+    # An offset of the gap and a shift of its voltage are nearly the same thing.
+    assert any("volts_to_gap[0]" in str(row[0]) and "zero_shift" in str(row[0]) for row in weak) or len(weak) > 3
+    assert all(0.0 <= float(row[1]) <= 1.0 for row in weak)
+
+
+def test_poses_that_were_not_visited_are_proposed() -> None:
+    """All poses level and at one gap: the curvature of the probes needs other gaps, and that is what is proposed."""
+    campaign = Campaign("triad_diodes", 8, 51)
+    posor = Posor(campaign.calibration)
+    true = posor.stack.with_parameter_values(campaign.unknowns.values(campaign.truth))
+    rotations = np.tile(np.eye(3), (40, 1, 1))
+    translations = np.tile([0.0, 0.0, 0.735e-3], (40, 1)) + campaign.random.normal(scale=2e-6, size=(40, 3))
+    stamps = np.arange(1, 41, dtype=np.int64) * 10_000_000
+    campaign.scans = scans_at(true, rotations, translations, stamps, noise=campaign.random)
+    poses = [pin.SE3(rotations[i], translations[i]) for i in range(40)]
+    options = BundleOptions(parameters=("sensors[0].probes[*].volts_to_gap", "sensors[0].probes[*].zero_shift"))
+    outcome = fit_bundle(campaign.recording(poses), campaign.calibration, options)
+    [advice] = [table for table in outcome.tables if table.title == "poses that would tell more"]
+    assert advice.rows
+    for row in advice.rows:
+        assert float(row[-1]) < 0.9 * float(row[-2])
+        assert abs(float(row[3]) - 0.735e-3) > 20e-6 or max(abs(float(row[4])), abs(float(row[5]))) > 3e-4
+
+
+# Data that do not serve.
+
+
+def test_a_reference_in_the_wrong_unit_is_named() -> None:
+    campaign = Campaign("triad_diodes", 40, 61)
+    inches = [pin.SE3(pose.rotation, pose.translation / 0.0254) for pose in campaign.measured]
+    with pytest.raises(TrackError, match=r"moves 39\.\d+ times as far as .* in inches; expected values in m"):
+        solve(campaign.recording(inches), campaign.calibration, BundleOptions())
+
+
+def test_swapped_axes_are_named() -> None:
+    campaign = Campaign("triad_diodes", 60, 62)
+    swapped = [pin.SE3(pose.rotation, pose.translation[[0, 2, 1]]) for pose in campaign.measured]
+    with pytest.raises(TrackError, match="axes look swapped"):
+        solve(campaign.recording(swapped), campaign.calibration, BundleOptions())
+
+
+def test_too_few_poses_are_refused() -> None:
+    campaign = Campaign("triad_diodes", 20, 63)
+    campaign.scans = campaign.scans.part(0, 5)
+    campaign.measured = campaign.measured[:5]
+    with pytest.raises(FitError, match=r"^bench: 5 poses; expected at least 8\.$"):
+        solve(campaign.recording(), campaign.calibration, BundleOptions())
+
+
+def test_scans_of_another_posor_are_refused() -> None:
+    campaign = Campaign("triad_diodes", 20, 64)
+    campaign.scans = campaign.scans.with_fields({"gap_voltages": np.full_like(campaign.scans.gap_voltages, 9.0)})
+    for tracks in ({}, {"/reference": track_of(campaign.measured, campaign.scans.stamps_ns)}):
+        with pytest.raises(FitError, match=r"^bench: no scan is left to fit"):
+            solve(campaign.recording(tracks=tracks), campaign.calibration, BundleOptions())
+
+
+def test_a_calibration_that_no_fit_can_follow_is_refused(rig_calibrations: dict[str, Path]) -> None:
+    campaign = Campaign("triad_diodes", 20, 65)
+    with pytest.raises(FitError, match=r"expected tilt_angle this_scan\.$"):
+        solve(campaign.recording(), load_calibration(rig_calibrations["printed"]), BundleOptions())
+
+
+def test_scans_at_the_edge_of_the_range_are_left_out_and_said() -> None:
+    campaign = Campaign("triad_diodes", 60, 66, drawn=0.0)
+    probe: Any = campaign.calibration.sensors[0].probes[0]  # type: ignore[attr-defined]
+    low = probe.range.array[0]
+    volts = campaign.scans.gap_voltages.copy()
+    volts[7, 0] = low - probe.zero_shift.number + 1e-7
+    campaign.scans = campaign.scans.with_fields({"gap_voltages": volts})
+    outcome = fit_bundle(campaign.recording(), campaign.calibration, BundleOptions(loss="cauchy"))
+    assert any("1 scans count for nothing" in warning for warning in outcome.warnings) or any(
+        "outliers" in warning for warning in outcome.warnings
+    )
+
+
+# Whether a calibration still holds.
+
+
+def with_shift(calibration: Calibration, shift: float) -> Calibration:
+    """Return the calibration with the zero shift of one probe changed."""
+    gap: Any = calibration.sensors[0]
+    probe = gap.probes[1]
+    moved = Quantity(value=probe.zero_shift.number + shift, sigma=probe.zero_shift.sigma, unit="V")
+    probes = [*gap.probes[:1], probe.model_copy(update={"zero_shift": moved}), *gap.probes[2:]]
+    sensors = [gap.model_copy(update={"probes": probes}), *calibration.sensors[1:]]
+    return calibration.model_copy(update={"sensors": sensors})
+
+
+def test_drifts_of_a_calibration_that_holds_are_standard_normal() -> None:
+    drifts, alarms = [], 0
+    for seed in range(12):
+        campaign = Campaign("triad_diodes", 40, 100 + seed)
+        found = explained(campaign.recording(), campaign.calibration, BundleOptions())
+        drifts.extend(list(found.drifts.values())[::5])
+        alarms += not found.explains
+        assert found.noise_ratio > 1.5  # what is left is the calibration's own uncertainty
+        assert f"'triad_diodes' {'explains' if found.explains else 'does not explain'} bench" in found.verdict
+    assert alarms == 0
+    assert kstest(drifts, "norm").pvalue > 1e-3
+
+
+def test_a_parameter_that_has_drifted_is_named() -> None:
+    campaign = Campaign("triad_diodes", 60, 71, drawn=0.3)
+    found = explained(campaign.recording(), with_shift(campaign.calibration, 0.1), BundleOptions())
+    assert not found.explains
+    assert "does not explain" in found.verdict
+    assert "sensors[0].probes[1]" in str(found.table.rows[0][0])
+    assert found.drifts["sensors[0].probes[1].zero_shift"] < -found.limit
+
+
+def test_a_recording_without_a_reference_still_tells_of_a_contradiction() -> None:
+    campaign = Campaign("triad_diodes", 120, 72, drawn=0.3)
+    assert explained(campaign.recording(tracks={}), campaign.calibration, BundleOptions()).explains
+    currents = campaign.scans.diode_currents.copy()
+    currents[:, 1, 1] *= 1.005  # dirt on one contact
+    campaign.scans = replace(campaign.scans, diode_currents=currents)
+    assert not explained(campaign.recording(tracks={}), campaign.calibration, BundleOptions()).explains
