@@ -6,6 +6,7 @@ import csv
 import json
 import math
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -19,7 +20,6 @@ from posor_estimator.errors import DataFileError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from posor_bringup.budget_cells import BudgetTable
 
@@ -164,6 +164,20 @@ def test_the_linearisation_of_table_7_9_is_the_ninth_order_of_table_7_7() -> Non
     fits = fits_of_linearisation()
     assert sorted(fits) == ["sigma_X1", "sigma_X2", "sigma_Y1", "sigma_Y2"]
     assert fits == {name: (value, value) for name, (value, _) in fits.items()}
+
+
+def test_the_document_lists_every_cell_that_differs() -> None:
+    text = (Path(__file__).resolve().parents[4] / "docs" / "budgets.md").read_text(encoding="utf-8")
+    listed = text.partition("### Every cell that differs")[2].splitlines()
+    expected = []
+    for number in FILES:
+        for row in made(number).rows:
+            for column in made(number).columns:
+                cell = made(number).cell(row, column)
+                if cell.agreement is Agreement.EXPLAINED and cell.reason is not None:
+                    numbers = f"{cell.computed:.4g} | {cell.printed.text} | {cell.reason.gives:.4g}"
+                    expected.append(f"| {number} | {row} | {column} | {numbers} | {cell.reason.text} |")
+    assert [line for line in listed if line.startswith(("| 5.", "| 7."))] == expected
 
 
 def test_an_unknown_perturbation_is_refused() -> None:
