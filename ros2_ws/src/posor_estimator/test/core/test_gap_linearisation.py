@@ -59,7 +59,7 @@ def test_polynomials_are_recovered_and_keep_the_zero() -> None:
 
 def test_truth_lies_in_the_95_percent_intervals_of_95_percent_of_campaigns() -> None:
     inside = trials = 0
-    for seed in range(60):
+    for seed in range(40):
         outcome = linearised(taken(seed, scans_each=4), order=4, highest_order=4, least=0.05, settle=0.0)
         for probe in range(3):
             found, sigmas = coefficients(outcome, probe)
@@ -72,7 +72,7 @@ def test_truth_lies_in_the_95_percent_intervals_of_95_percent_of_campaigns() -> 
 def test_curve_of_the_order_that_cross_validation_chose_is_as_good_as_stated() -> None:
     inside = trials = 0
     orders = []
-    for seed in range(30):
+    for seed in range(20):
         outcome = linearised(taken(seed, scans_each=4), least=0.05, settle=0.0, highest_order=7)
         for probe, joint in enumerate(outcome.covariances):
             found, _ = coefficients(outcome, probe)
@@ -88,8 +88,8 @@ def test_curve_of_the_order_that_cross_validation_chose_is_as_good_as_stated() -
             inside += int(np.sum(off <= 1.96 * sigmas + 1e-12))
             trials += len(volts)
     assert inside / trials > 0.9
-    assert np.median(orders) == 4
     assert min(orders) == 4
+    assert orders.count(4) > 0.85 * len(orders)
 
 
 @pytest.mark.parametrize("criterion", ["cross_validation", "aicc"])
@@ -102,7 +102,7 @@ def test_table_shows_residuals_against_order(criterion: str) -> None:
         residuals = np.array(row[1:10], dtype=float)
         assert np.all(residuals[:3] > 3.0 * residuals[3])  # orders 1 to 3 do not do
         np.testing.assert_allclose(residuals[3:], residuals[3], rtol=0.2)  # and nothing is gained beyond 4
-        assert row[-1] in {4, 5, 6}
+        assert row[-1] in ({4} if criterion == "cross_validation" else {4, 5, 6})
     checked = np.array(outcome.tables[1].rows[0][1:10], dtype=float)
     assert np.all(checked > np.array(table.rows[0][1:10], dtype=float))
 

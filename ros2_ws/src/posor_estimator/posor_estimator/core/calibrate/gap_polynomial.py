@@ -70,7 +70,7 @@ class GapPolynomial:
         fit: In terms of Chebyshev polynomials over ``span``.
         residuals: Polynomial less reference [m], (d,).
         residual_deviation: Their standard deviation, with the degrees of freedom left [m].
-        cross_validation: Root mean square of what each stop deviates from the polynomial through the others [m].
+        left_out: What the polynomial through the other stops deviates from each stop [m], (d,).
         aicc: Akaike's information criterion, corrected for few data (Hurvich and Tsai 1989); less is better.
         is_monotonic: Whether there is one gap for each voltage over the span.
         span: Lowest and highest voltage, zero shift added [V].
@@ -82,7 +82,7 @@ class GapPolynomial:
     fit: Fit
     residuals: FloatArray
     residual_deviation: float
-    cross_validation: float
+    left_out: FloatArray
     aicc: float
     is_monotonic: bool
     span: tuple[float, float]
@@ -91,6 +91,11 @@ class GapPolynomial:
     def order(self) -> int:
         """The highest power."""
         return len(self.coefficients) - 1
+
+    @property
+    def cross_validation(self) -> float:
+        """Root mean square of what stops deviate from the polynomial through the others [m]."""
+        return float(np.sqrt(np.mean(np.square(self.left_out))))
 
 
 def fitted_orders(probe: OneProbe, data: GapData, most: int) -> list[GapPolynomial]:
@@ -111,6 +116,10 @@ def fitted_orders(probe: OneProbe, data: GapData, most: int) -> list[GapPolynomi
 def best(polynomials: list[GapPolynomial], criterion: Criterion, where: str) -> GapPolynomial:
     """Return the polynomial that the criterion prefers among those with one gap for each voltage.
 
+    By cross-validation that is the lowest order that no other beats by more than one standard error of the difference
+    (Breiman, Friedman, Olshen and Stone 1984, 3.4.3, here stop by stop): an order more that gains nothing only makes
+    the coefficients vague.
+
     Raises:
         FitError: None has one gap for each voltage.
 
@@ -120,7 +129,16 @@ def best(polynomials: list[GapPolynomial], criterion: Criterion, where: str) -> 
         raise FitError(
             "no polynomial has one gap for each voltage", where=where, expected="a probe whose voltage rises"
         )
-    return min(fit_ones, key=lambda polynomial: getattr(polynomial, criterion))
+    least = min(fit_ones, key=lambda polynomial: getattr(polynomial, criterion))
+    if criterion == "aicc":
+        return least
+    return next(polynomial for polynomial in fit_ones if not _beaten(polynomial, least))
+
+
+def _beaten(polynomial: GapPolynomial, by: GapPolynomial) -> bool:
+    """Return whether another polynomial foretells left-out stops better by more than chance would have it."""
+    worse = np.square(polynomial.left_out) - np.square(by.left_out)
+    return bool(np.mean(worse) > np.std(worse, ddof=1) / np.sqrt(len(worse)))
 
 
 def outliers_of(probe: OneProbe, data: GapData) -> BoolArray:
@@ -226,7 +244,7 @@ def _fitted(probe: OneProbe, data: GapData, order: int, sigmas: FloatArray, *, t
         fit=found,
         residuals=residuals,
         residual_deviation=float(np.sqrt(np.sum(np.square(residuals)) / (count - size))),
-        cross_validation=float(np.sqrt(np.mean(np.square(residuals / np.maximum(1.0 - leverages, 1e-9))))),
+        left_out=residuals / np.maximum(1.0 - leverages, 1e-9),
         aicc=aicc(float(np.mean(np.square(found.residuals))), count, order),
         is_monotonic=bool(np.all(slope > 0.0) or np.all(slope < 0.0)),
         span=basis.span,
