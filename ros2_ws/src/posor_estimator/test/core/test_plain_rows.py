@@ -9,6 +9,10 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import pytest
 from posor_estimator.accuracy.poses import TICK_NS, readable_poses
+from posor_estimator.core.budget.first_order import error_budget
+from posor_estimator.core.budget.monte_carlo import monte_carlo
+from posor_estimator.core.budget.outputs import PlatePoint
+from posor_estimator.core.budget.poses import middle_pose, scan_at
 from posor_estimator.core.calibration.model import TiltAngle
 from posor_estimator.core.designs import BUMPS, design
 from posor_estimator.core.fault import Fault, State
@@ -18,6 +22,7 @@ from posor_estimator.core.native import rotation_from_native
 from posor_estimator.core.posor import Posor
 from posor_estimator.core.scan import Scan, Scans
 from posor_estimator.core.sensors.base import Batch, Linearised, PlainSensor, RowSensor, SensorCalibration
+from posor_estimator.errors import ParameterError
 
 if TYPE_CHECKING:
     from posor_estimator.core.calibration.model import Calibration
@@ -204,3 +209,18 @@ def test_blind_phases_with_noise() -> None:
     assert np.count_nonzero(~usable) <= 3
     spread = np.sqrt(found.covariances_random[usable, 5, 5])
     assert (np.abs(found.thetas[usable] - thetas[usable]) < 5.0 * spread).all()
+
+
+def test_the_error_budget_of_a_plain_sensor_is_that_of_its_rows_and_cannot_be_drawn() -> None:
+    rows, plain = twins(design("triad_diodes"), (1,))
+    pose = middle_pose(rows)
+    scan = scan_at(rows, pose)
+    points = [PlatePoint(0.01, -0.02)]
+    expected, found = error_budget(rows, scan, pose, points), error_budget(plain, scan, pose, points)
+    np.testing.assert_allclose(found.covariance, expected.covariance, rtol=1e-6, atol=1e-9 * expected.covariance.max())
+    np.testing.assert_allclose(found.root_sum_square(), found.sigmas, rtol=1e-9)
+    assert any(part.name.startswith("twin: all[") for part in found.contributions)
+    with pytest.raises(ParameterError, match="the noise of PlainTwin cannot be drawn; expected sensors whose model"):
+        monte_carlo(plain, scan, pose, seed=1)
+    with pytest.raises(ParameterError, match="PlainTwin cannot be run forward; expected sensors whose model"):
+        scan_at(plain, pose)
