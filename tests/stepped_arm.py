@@ -8,12 +8,11 @@ from __future__ import annotations
 import itertools
 import time
 from contextlib import ExitStack
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Self
 
-import numpy as np
 from geometry_msgs.msg import PoseStamped, Vector3Stamped
+from posor_bringup.arm_accounts import Dropouts
 from posor_bringup.arm_programs import arm_programs
 from posor_bringup.arms import checked_arm
 from posor_drivers.simulator.arm import ArmSimulation
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
     from posor_estimator.testing.graph import Graph
 
 PARAMETERS: dict[str, Parameter] = {"use_sim_time": True, "qos_reliability": "reliable", "qos_depth": 0}
-CHAIN_PARAMETERS = {"max_wait": 60.0}
+CHAIN_PARAMETERS: dict[str, Parameter] = {"max_wait": 60.0}
 TOPICS = {
     "truth/endpoint": PoseStamped,
     "target/endpoint": PoseStamped,
@@ -63,9 +62,11 @@ class SteppedArm:
         self.name = f"/{self._arm.name}"
         self.commanded = False
         self._graph = graph
-        self._simulation = ArmSimulation(self._arm)
-        self._rate = self._simulation.scenario.ticks_per_second
-        self._transforms = {joint: f"{joint}/transform" for joint in self._simulation.joints}
+        simulation = ArmSimulation(self._arm)
+        self._dropouts = Dropouts(simulation)
+        self._rate = simulation.scenario.ticks_per_second
+        self._transforms = {joint: f"{joint}/transform" for joint in simulation.joints}
+        self._without_pose = False
         kinds = {**TOPICS, **dict.fromkeys(self._transforms.values(), JointTransform)}
         self.newest: dict[str, Any] = {topic: kind() for topic, kind in kinds.items()}
         for topic, kind in kinds.items():
@@ -78,11 +79,11 @@ class SteppedArm:
 
     def __enter__(self) -> Self:
         """Start the nodes and wait until they listen to one another."""
-        for program in arm_programs(self._arm, parameters=PARAMETERS):
-            more = CHAIN_PARAMETERS if program.name == "chain_node" else {}
-            command = replace(program, parameters={**program.parameters, **more}).command()
-            self._running[program.name] = self._stack.enter_context(Program(command))
+        for program in arm_programs(self._arm, chain_parameters=CHAIN_PARAMETERS, parameters=PARAMETERS):
+            self._running[program.name] = self._stack.enter_context(Program(program.command()))
         self._graph.watch_diagnostics()
+        for name in self._running:
+            self._graph.wait_for_status(f"{self.name}/{name}: lifecycle", "active")
         self._clock = self._graph.publisher(Clock, "/clock", subscriptions=len(self._running))
         status_with(self._graph, f"{self.name}/chain_node: listeners", "endpoint/pose", "1")
         for joint in self._transforms:
@@ -98,6 +99,7 @@ class SteppedArm:
         """Kill the node that measures a joint, without notice."""
         self._running[f"{joint}/posor_node"].process.kill()
         del self._transforms[joint]
+        self._without_pose = True
 
     def begin(self, tick: int) -> int:
         """Set the clock, forward or back, and return the first tick from there that all take part in.
@@ -133,9 +135,9 @@ class SteppedArm:
 
     def _condition(self, tick: int) -> Callable[[], bool]:
         """Return a function that tells whether all that belongs to a tick has come."""
-        stamp, at = stamp_of(tick, self._rate), np.array([tick])
-        measured = [topic for joint, topic in self._transforms.items() if self._simulation.scans(joint, at).sent[0]]
-        whole = len(measured) == len(self._simulation.joints)
+        stamp, dropped = stamp_of(tick, self._rate), self._dropouts.at(tick)
+        measured = [topic for joint, topic in self._transforms.items() if joint not in dropped]
+        whole = not dropped and not self._without_pose
         after = ("endpoint/pose", "stage/command") if self.commanded else ("endpoint/pose",)
 
         def come(*topics: str) -> bool:

@@ -117,10 +117,8 @@ def test_the_bag_replays_bit_for_bit() -> None:
         "wait_for_subscribers": 2,
     }
     arm = replace(arm, driver=DriverFile(source="bag", parameters=parameters))
-    arm = replace(arm, chain_parameters={**arm.chain_parameters, "max_wait": 60.0})
-    listeners = arm_programs(arm, drivers=False, parameters=LOSSLESS)
-    drivers = [program for program in arm_programs(arm, parameters=LOSSLESS) if program not in listeners]
-    assert len(drivers) == len(JOINTS)
+    programs = arm_programs(arm, chain_parameters={"max_wait": 60.0}, parameters=LOSSLESS)
+    listeners, drivers = programs[: -len(JOINTS)], programs[-len(JOINTS) :]
     raw = recorded(BAG)
     with ExitStack() as stack, Graph() as graph:
         running = [stack.enter_context(Program(program.command())) for program in listeners]
