@@ -63,7 +63,7 @@ def show_comparison(comparison: Comparison, console: Console, *, every: bool) ->
         drawn = Shown(title=f"Numbers that differ, in {of}", title_justify="left")
         for column in ("number", "unit", "first", "sigma", "second", "sigma", "difference / sigma"):
             text = column in {"number", "unit"}
-            drawn.add_column(column, justify="left" if text else "right", overflow="fold")
+            drawn.add_column(column, justify="left" if text else "right", overflow="fold", no_wrap=column == "number")
         shown = comparison.differences if every else comparison.differences[:MOST]
         for d in shown:
             cells = (d.name, d.unit, d.first, d.first_sigma, d.second, d.second_sigma)

@@ -12,17 +12,15 @@ from posor_estimator.accuracy.poses import readable, readable_poses
 from posor_estimator.core.calibrate.bundle import BundleOptions, fit_bundle, solve
 from posor_estimator.core.calibrate.entries import entries_of
 from posor_estimator.core.calibrate.explain import explained
-from posor_estimator.core.calibrate.recording import Recording
-from posor_estimator.core.calibrate.track import Track
 from posor_estimator.core.calibrate.unknowns import Unknowns
 from posor_estimator.core.calibration.load import load_calibration
 from posor_estimator.core.calibration.quantity import Quantity
 from posor_estimator.core.designs import design
 from posor_estimator.core.forward import scans_at
-from posor_estimator.core.native import native_from_rotation, rotation_from_native
 from posor_estimator.core.posor import Posor
 from posor_estimator.core.stack import Stack
 from posor_estimator.errors import CalibrationError, FitError, TrackError
+from posor_estimator.testing.drawn_posor import DrawnPosor, pose_track
 from scipy.stats import kstest
 
 if TYPE_CHECKING:
@@ -30,56 +28,9 @@ if TYPE_CHECKING:
 
     from posor_estimator.core.calibration.model import Calibration
     from posor_estimator.core.designs import DesignName
-    from posor_estimator.core.types import FloatArray
 
 NAMES: tuple[DesignName, ...] = ("triad_diodes", "triad_light_ring", "triad_bumpy_ring")
-ALONG, ABOUT = 2e-7, 2e-6
-"""Standard uncertainty of the simulated reference [m, rad]."""
 PROBES = "sensors[0].probes[*].*"
-
-
-def track_of(poses: list[pin.SE3], stamps: Any, sigmas: tuple[float, float] = (ALONG, ABOUT)) -> Track:
-    values = np.array([[*pose.translation, *pin.Quaternion(pose.rotation).coeffs()] for pose in poses])
-    signs = np.where(np.sum(values[:, 3:] * values[0, 3:], axis=1) < 0.0, -1.0, 1.0)
-    values[:, 3:] *= signs[:, None]
-    return Track(stamps, values, np.array([*[sigmas[0]] * 3, *[0.5 * sigmas[1]] * 4]), "bench, topic /reference")
-
-
-class Campaign:
-    """Scans of a POSOR whose parameters were drawn from what its calibration says of them."""
-
-    def __init__(self, name: DesignName, count: int, seed: int, *, drawn: float = 1.0, turning: bool = False) -> None:
-        random = np.random.default_rng(seed)
-        self.calibration = design(name)
-        posor = Posor(self.calibration)
-        self.unknowns = Unknowns(self.calibration)
-        self.truth = self.unknowns.start + drawn * self.unknowns.sigmas * random.normal(size=len(self.unknowns))
-        stack = posor.stack.with_parameter_values(self.unknowns.values(self.truth))
-        rotations, translations = readable_poses(posor, name, count, random)
-        if turning:  # from the home mark on, so that bumps can be counted
-            natives = [native_from_rotation(rotation)[:2] for rotation in rotations]
-            thetas = np.linspace(0.0, 0.01 * count, count)
-            rotations = np.array([rotation_from_native(*lean, t) for lean, t in zip(natives, thetas, strict=True)])
-        stamps = np.arange(1, count + 1, dtype=np.int64) * 10_000_000
-        scans = scans_at(stack, rotations, translations, stamps, noise=random)
-        scans = scans.with_fields({"at_home": (np.arange(count) == 0).astype(np.int64) * turning})
-        kept = np.flatnonzero(readable(scans))
-        self.scans = scans.chosen(kept)
-        self.poses = [pin.SE3(rotations[i], translations[i]) for i in kept]
-        self.measured = [
-            pose * pin.exp6(np.concatenate([random.normal(size=3) * ALONG, random.normal(size=3) * ABOUT]))
-            for pose in self.poses
-        ]
-        self.random = random
-
-    def recording(self, poses: list[pin.SE3] | None = None, **changes: Any) -> Recording:
-        tracks = {"/reference": track_of(poses or self.measured, self.scans.stamps_ns)}
-        return Recording(self.scans, **{"tracks": tracks, "source": "bench", **changes})
-
-    def pulls(self, fit: Any) -> FloatArray:
-        where = {name: i for i, name in enumerate(self.unknowns.names)}
-        shared = [(i, where[name]) for i, name in enumerate(fit.names) if name in where]
-        return np.array([(fit.values[i] - self.truth[j]) / fit.sigmas[i] for i, j in shared])
 
 
 # Which number of the file each parameter is.
@@ -148,7 +99,7 @@ def test_only_what_is_asked_for_and_uncertain_may_change() -> None:
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("with_reference", [True, False])
 def test_derivatives_agree_with_differences(name: DesignName, with_reference: bool) -> None:  # noqa: FBT001  a case
-    campaign = Campaign(name, 12, 5, turning=name == "triad_bumpy_ring")
+    campaign = DrawnPosor(name, 12, 5, turning=name == "triad_bumpy_ring")
     recording = campaign.recording() if with_reference else campaign.recording(tracks={})
     options = BundleOptions(loss="linear", mounting_m=1e-5 * with_reference, mounting_rad=1e-4 * with_reference)
     problem = solve(recording, campaign.calibration, options).problem
@@ -171,8 +122,8 @@ def test_what_was_drawn_is_found_within_its_stated_uncertainty(
     with_reference: bool,  # noqa: FBT001  a case
 ) -> None:
     pulls, spreads = [], []
-    for seed in range(6):
-        campaign = Campaign(name, 40, seed, turning=name == "triad_bumpy_ring" and not with_reference)
+    for seed in range(5):
+        campaign = DrawnPosor(name, 40, seed, turning=name == "triad_bumpy_ring" and not with_reference)
         recording = campaign.recording() if with_reference else campaign.recording(tracks={})
         solved = solve(recording, campaign.calibration, BundleOptions(loss="linear"))
         pulls.append(campaign.pulls(solved.fit))
@@ -185,8 +136,24 @@ def test_what_was_drawn_is_found_within_its_stated_uncertainty(
         assert np.count_nonzero(remaining < 0.5) > 10
 
 
+def test_what_is_not_fitted_is_in_the_uncertainty_of_what_is() -> None:
+    pulls = []
+    for seed in range(20):
+        campaign = DrawnPosor("triad_diodes", 40, 200 + seed)
+        options = BundleOptions(loss="linear", parameters=("sensors[0].probes[*].zero_shift", "*.tilt", "*.origin"))
+        pulls.append(campaign.pulls(solve(campaign.recording(), campaign.calibration, options).fit))
+    assert np.mean(np.abs(np.concatenate(pulls)) < 1.96) == pytest.approx(0.95, abs=0.06)
+    alone = solve(campaign.recording(), campaign.calibration, options)
+    taken_for_exact = np.linalg.inv(
+        (alone.fit.jacobian * alone.problem.scales).T @ (alone.fit.jacobian * alone.problem.scales)
+        + np.eye(len(alone.fit.names))
+    )
+    assert np.all(alone.fit.sigmas >= np.sqrt(np.diag(taken_for_exact)) * alone.problem.scales * (1.0 - 1e-9))
+    assert np.max(alone.fit.sigmas / (np.sqrt(np.diag(taken_for_exact)) * alone.problem.scales)) > 2.0
+
+
 def test_the_calibrated_posor_sees_fresh_poses_better() -> None:
-    campaign = Campaign("triad_diodes", 150, 11)
+    campaign = DrawnPosor("triad_diodes", 150, 11)
     solved = solve(campaign.recording(), campaign.calibration, BundleOptions())
     random = np.random.default_rng(12)
     before = Posor(campaign.calibration)
@@ -217,7 +184,7 @@ def test_the_calibrated_posor_sees_fresh_poses_better() -> None:
 
 
 def test_a_frame_that_sits_askew_is_found_as_the_mounting_of_the_reference() -> None:
-    campaign = Campaign("triad_diodes", 120, 21)
+    campaign = DrawnPosor("triad_diodes", 120, 21)
     turn, hold = pin.exp6(np.array([30e-6, -20e-6, 10e-6, 1e-4, -2e-4, 1e-4])), pin.exp6(np.full(6, 2e-5))
     askew = [turn.inverse() * pose * hold.inverse() for pose in campaign.measured]
     exact = solve(campaign.recording(askew), campaign.calibration, BundleOptions(loss="linear"))
@@ -231,7 +198,7 @@ def test_a_frame_that_sits_askew_is_found_as_the_mounting_of_the_reference() -> 
 
 
 def test_five_percent_of_outliers_are_survived_and_named() -> None:
-    campaign = Campaign("triad_diodes", 200, 31)
+    campaign = DrawnPosor("triad_diodes", 200, 31)
     sound = solve(campaign.recording(), campaign.calibration, BundleOptions())
     volts = campaign.scans.gap_voltages.copy()
     wrong = campaign.random.choice(volts.size, volts.size // 20, replace=False)
@@ -251,7 +218,7 @@ def test_five_percent_of_outliers_are_survived_and_named() -> None:
 
 
 def test_the_outcome_is_ready_for_the_file_and_tells_what_stays_open() -> None:
-    campaign = Campaign("triad_diodes", 40, 41)
+    campaign = DrawnPosor("triad_diodes", 40, 41)
     outcome = fit_bundle(campaign.recording(), campaign.calibration, BundleOptions(parameters=(PROBES,)))
     assert {new.key.rpartition(".")[2] for new in outcome.replacements} <= {"tip", "axis", "volts_to_gap", "zero_shift"}
     probe: Any = campaign.calibration.sensors[0].probes[1]  # type: ignore[attr-defined]
@@ -275,7 +242,7 @@ def test_the_outcome_is_ready_for_the_file_and_tells_what_stays_open() -> None:
 
 def test_poses_that_were_not_visited_are_proposed() -> None:
     """All poses level and at one gap: the curvature of the probes needs other gaps, and that is what is proposed."""
-    campaign = Campaign("triad_diodes", 8, 51)
+    campaign = DrawnPosor("triad_diodes", 8, 51)
     posor = Posor(campaign.calibration)
     true = posor.stack.with_parameter_values(campaign.unknowns.values(campaign.truth))
     rotations = np.tile(np.eye(3), (40, 1, 1))
@@ -296,21 +263,21 @@ def test_poses_that_were_not_visited_are_proposed() -> None:
 
 
 def test_a_reference_in_the_wrong_unit_is_named() -> None:
-    campaign = Campaign("triad_diodes", 40, 61)
+    campaign = DrawnPosor("triad_diodes", 40, 61)
     inches = [pin.SE3(pose.rotation, pose.translation / 0.0254) for pose in campaign.measured]
     with pytest.raises(TrackError, match=r"moves 39\.\d+ times as far as .* in inches; expected values in m"):
         solve(campaign.recording(inches), campaign.calibration, BundleOptions())
 
 
 def test_swapped_axes_are_named() -> None:
-    campaign = Campaign("triad_diodes", 60, 62)
+    campaign = DrawnPosor("triad_diodes", 60, 62)
     swapped = [pin.SE3(pose.rotation, pose.translation[[0, 2, 1]]) for pose in campaign.measured]
     with pytest.raises(TrackError, match="axes look swapped"):
         solve(campaign.recording(swapped), campaign.calibration, BundleOptions())
 
 
 def test_too_few_poses_are_refused() -> None:
-    campaign = Campaign("triad_diodes", 20, 63)
+    campaign = DrawnPosor("triad_diodes", 20, 63)
     campaign.scans = campaign.scans.part(0, 5)
     campaign.measured = campaign.measured[:5]
     with pytest.raises(FitError, match=r"^bench: 5 poses; expected at least 8\.$"):
@@ -318,21 +285,21 @@ def test_too_few_poses_are_refused() -> None:
 
 
 def test_scans_of_another_posor_are_refused() -> None:
-    campaign = Campaign("triad_diodes", 20, 64)
+    campaign = DrawnPosor("triad_diodes", 20, 64)
     campaign.scans = campaign.scans.with_fields({"gap_voltages": np.full_like(campaign.scans.gap_voltages, 9.0)})
-    for tracks in ({}, {"/reference": track_of(campaign.measured, campaign.scans.stamps_ns)}):
+    for tracks in ({}, {"/reference": pose_track(campaign.measured, campaign.scans.stamps_ns)}):
         with pytest.raises(FitError, match=r"^bench: no scan is left to fit"):
             solve(campaign.recording(tracks=tracks), campaign.calibration, BundleOptions())
 
 
 def test_a_calibration_that_no_fit_can_follow_is_refused(rig_calibrations: dict[str, Path]) -> None:
-    campaign = Campaign("triad_diodes", 20, 65)
+    campaign = DrawnPosor("triad_diodes", 20, 65)
     with pytest.raises(FitError, match=r"expected tilt_angle this_scan\.$"):
         solve(campaign.recording(), load_calibration(rig_calibrations["printed"]), BundleOptions())
 
 
 def test_scans_at_the_edge_of_the_range_are_left_out_and_said() -> None:
-    campaign = Campaign("triad_diodes", 60, 66, drawn=0.0)
+    campaign = DrawnPosor("triad_diodes", 60, 66, drawn=0.0)
     probe: Any = campaign.calibration.sensors[0].probes[0]  # type: ignore[attr-defined]
     low = probe.range.array[0]
     volts = campaign.scans.gap_voltages.copy()
@@ -359,8 +326,8 @@ def with_shift(calibration: Calibration, shift: float) -> Calibration:
 
 def test_drifts_of_a_calibration_that_holds_are_standard_normal() -> None:
     drifts, alarms = [], 0
-    for seed in range(12):
-        campaign = Campaign("triad_diodes", 40, 100 + seed)
+    for seed in range(8):
+        campaign = DrawnPosor("triad_diodes", 40, 100 + seed)
         found = explained(campaign.recording(), campaign.calibration, BundleOptions())
         drifts.extend(list(found.drifts.values())[::5])
         alarms += not found.explains
@@ -371,7 +338,7 @@ def test_drifts_of_a_calibration_that_holds_are_standard_normal() -> None:
 
 
 def test_a_parameter_that_has_drifted_is_named() -> None:
-    campaign = Campaign("triad_diodes", 60, 71, drawn=0.3)
+    campaign = DrawnPosor("triad_diodes", 60, 71, drawn=0.3)
     found = explained(campaign.recording(), with_shift(campaign.calibration, 0.1), BundleOptions())
     assert not found.explains
     assert "does not explain" in found.verdict
@@ -380,7 +347,7 @@ def test_a_parameter_that_has_drifted_is_named() -> None:
 
 
 def test_a_recording_without_a_reference_still_tells_of_a_contradiction() -> None:
-    campaign = Campaign("triad_diodes", 120, 72, drawn=0.3)
+    campaign = DrawnPosor("triad_diodes", 120, 72, drawn=0.3)
     assert explained(campaign.recording(tracks={}), campaign.calibration, BundleOptions()).explains
     currents = campaign.scans.diode_currents.copy()
     currents[:, 1, 1] *= 1.005  # dirt on one contact

@@ -14,8 +14,10 @@ from posor_estimator.core.calibrate.checks import check_enough
 from posor_estimator.core.calibrate.fit import BLIND, Direction, Fit, Loss, fit, weak_directions
 from posor_estimator.core.calibrate.identify import telling_poses
 from posor_estimator.core.calibrate.procedure import Options, Outcome, Procedure, Table
+from posor_estimator.core.calibrate.recording import DIODES_ESTIMATED, PROBES_ESTIMATED, SATURATED
 from posor_estimator.core.calibrate.recording import POSE as POSE_TRACK
 from posor_estimator.core.calibrate.reporting import parameter_table
+from posor_estimator.core.calibrate.unfitted import with_unfitted
 from posor_estimator.core.calibrate.unknowns import Unknowns
 from posor_estimator.core.calibration.model import Calibration, TiltAngle
 from posor_estimator.core.stack import Stack
@@ -86,6 +88,7 @@ class Solved:
         data: The scans that count.
         problem: Residuals and derivatives.
         fit: The result.
+        uncertain: How many parameters of the calibration are uncertain, fitted or not.
 
     """
 
@@ -94,6 +97,7 @@ class Solved:
     data: BundleData
     problem: BundleProblem
     fit: Fit
+    uncertain: int
 
 
 def solve(recording: Recording, calibration: Calibration, options: BundleOptions) -> Solved:
@@ -111,6 +115,7 @@ def solve(recording: Recording, calibration: Calibration, options: BundleOptions
             where=NAME,
             expected="tilt_angle this_scan",
         )
+    recording = recording.without(PROBES_ESTIMATED | DIODES_ESTIMATED | SATURATED)
     applied = calibration.for_session(options.session)
     held = _not_measured(recording.scans)
     unknowns = Unknowns(calibration, options.session, options.parameters, held)
@@ -121,7 +126,8 @@ def solve(recording: Recording, calibration: Calibration, options: BundleOptions
     data = bundle_data(recording, applied, topic, how)
     stack = Stack([sensor.build() for sensor in applied.sensors])
     problem, data, found = _fitted(stack, unknowns, data, options.loss, recording.source)
-    return Solved(stack, unknowns, data, problem, found)
+    every = Unknowns(calibration, options.session, held=held)
+    return Solved(stack, unknowns, data, problem, with_unfitted(found, problem, every, stack, data), len(every))
 
 
 def fit_bundle(recording: Recording, calibration: Calibration, options: BundleOptions) -> Outcome:
@@ -144,7 +150,11 @@ def fit_bundle(recording: Recording, calibration: Calibration, options: BundleOp
             *((_weak_table(weak),) if weak else ()),
             *((advice,) if advice.rows else ()),
         ),
-        warnings=(*_warnings(found, problem, data, stack.reading_names), *_unseen_sentence(unseen)),
+        warnings=(
+            *_unfitted_sentence(solved.uncertain - own),
+            *_warnings(found, problem, data, stack.reading_names),
+            *_unseen_sentence(unseen),
+        ),
     )
 
 
@@ -204,6 +214,13 @@ def _untold(scaled: FloatArray, names: Sequence[str]) -> tuple[tuple[Direction, 
         shares[which] = direction.shares
         whole.append(Direction(shares, direction.remaining, direction.names))
     return tuple(whole), tuple(name for name, told in zip(names, seen, strict=True) if not told)
+
+
+def _unfitted_sentence(count: int) -> tuple[str, ...]:
+    if not count:
+        return ()
+    said = f"{count} parameters that are uncertain were not fitted: their uncertainty is in the result's"
+    return (f"{said}, and what they are off by is in the residuals.",)
 
 
 def _unseen_sentence(unseen: tuple[str, ...]) -> tuple[str, ...]:

@@ -1,0 +1,218 @@
+"""calibrate as its user runs it: a bag and a calibration file in, a calibration file out; list, diff and check."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+import yaml
+from posor_estimator.bags import bag_sha256
+from posor_estimator.calibrate.command import main
+from posor_estimator.core.calibrate.compare import compare
+from posor_estimator.core.calibrate.procedure import procedures
+from posor_estimator.core.calibration.load import load_calibration
+from posor_estimator.testing.drawn_posor import ABOUT, ALONG, DrawnPosor
+from posor_estimator.testing.program import installed
+
+from tests.recorded_bags import entries, write_bag
+
+ROOT = Path(__file__).resolve().parent.parent
+CONFIG = ROOT / "ros2_ws" / "src" / "posor_bringup" / "config"
+KEYS = ("sensors[0].probes[*].zero_shift", "sensors[0].probes[*].volts_to_gap", "sensors[0].target_plane.tilt")
+REFERENCE = ("--uncertainty", f"/reference={ALONG},{ABOUT}", "--instrument", "/reference=CMM 4")
+
+
+class Bench:
+    """A bag of a drawn POSOR, and the file that it is calibrated from."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.drawn = DrawnPosor("triad_diodes", 60, 7)
+        self.bag = write_bag(folder / "bag", entries(self.drawn.recording()))
+        self.file = folder / "design.yaml"
+        content = self.drawn.calibration.model_dump(mode="json", exclude_none=True)
+        text = yaml.safe_dump(content, sort_keys=False)
+        self.file.write_text(f"# the designer's own file\n{text}", encoding="utf-8")
+
+    def fit(self, output: Path, *options: str) -> Done:
+        arguments = ("--calibration", str(self.file), "--output", str(output), "--parameters", *KEYS, *REFERENCE)
+        return calibrate("bundle", str(self.bag), *arguments, *options)
+
+
+class Done(NamedTuple):
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+def calibrate(*arguments: str) -> Done:
+    """Run the program's main function: a process for each would cost minutes."""
+    with redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as err:
+        try:
+            code = main(arguments)
+        except SystemExit as end:  # --help
+            code = int(end.code or 0)
+    return Done(code, out.getvalue(), err.getvalue())
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
+    return Bench(tmp_path_factory.mktemp("calibrate"))
+
+
+@pytest.fixture(scope="module")
+def fitted(bench: Bench) -> Path:
+    """The result of a bundle fit."""
+    output = bench.folder / "fitted.yaml"
+    done = bench.fit(output, "--loss", "linear")
+    assert (done.returncode, done.stderr.strip()) == (0, ""), done.stderr
+    return output
+
+
+def test_list_names_every_procedure() -> None:
+    command = [*installed("posor_estimator", "calibrate"), "list"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert {"bundle", "gap_linearisation", "zero_drift"} <= procedures().keys()
+    for name in procedures():
+        assert re.search(rf"\b{name}\b", done.stdout), name
+
+
+@pytest.mark.parametrize("name", [*procedures()])
+def test_every_procedure_tells_its_options_with_text_and_default(name: str) -> None:
+    done = calibrate(name, "--help")
+    assert done.returncode == 0
+    text = " ".join(done.stdout.split())
+    for field, declared in procedures()[name].options.model_fields.items():
+        assert f"--{field.replace('_', '-')}" in text
+        assert declared.description, field
+        assert " ".join(declared.description.split())[:30] in re.sub(r"- (?=\w)", "-", text), field
+
+
+def test_a_fit_becomes_a_file_that_says_where_it_is_from(bench: Bench, fitted: Path) -> None:
+    text = fitted.read_text(encoding="utf-8")
+    assert text.startswith("# the designer's own file\n")
+    calibration = load_calibration(fitted)
+    [record] = calibration.fits
+    assert (record.procedure, calibration.version) == ("bundle", 2)
+    assert (record.recording.name, record.recording.sha256) == ("bag", bag_sha256(bench.bag))
+    assert record.former == load_calibration(bench.file).content_hash
+    assert record.options == {"parameters": " ".join(KEYS), "loss": "linear"}
+    [instrument] = record.instruments
+    assert (instrument.topic, instrument.name) == ("/reference", "CMM 4")
+    assert instrument.sigmas == pytest.approx([ALONG] * 3 + [ABOUT] * 3)
+    [covariance] = record.covariances
+    assert len(covariance.entries) == len(covariance.matrix) > 10
+    # The residuals show what was not fitted; the result's uncertainty has it.
+    assert record.residuals["bundle"].spread > 1.5
+    assert any("were not fitted" in warning for warning in record.warnings)
+    assert str(bench.folder) not in text
+
+
+def test_nothing_is_overwritten_without_force_and_the_old_file_is_kept(bench: Bench, fitted: Path) -> None:
+    before = fitted.read_text(encoding="utf-8")
+    done = bench.fit(fitted)
+    assert done.returncode == 1
+    assert done.stderr == f"calibration file {fitted}: is there already; expected another name, or --force.\n"
+    assert fitted.read_text(encoding="utf-8") == before
+    copy = bench.folder / "copy.yaml"
+    copy.write_text(before, encoding="utf-8")
+    assert bench.fit(copy, "--force", "--loss", "huber").returncode == 0
+    assert (bench.folder / "copy.yaml.1").read_text(encoding="utf-8") == before
+    assert load_calibration(copy).fits[0].options["loss"] == "huber"
+
+
+def test_without_an_output_the_result_is_only_shown(bench: Bench) -> None:
+    there = set(bench.folder.iterdir())
+    done = calibrate("bundle", str(bench.bag), "--calibration", str(bench.file), "--parameters", KEYS[0])
+    assert done.returncode == 0
+    assert "sensors[0].probes[0].zero_shift" in done.stdout
+    assert "The reference is taken as exact" in done.stdout
+    assert "nothing is written" in done.stdout
+    assert set(bench.folder.iterdir()) == there
+
+
+def test_diff_shows_what_changed_in_sigmas(bench: Bench, fitted: Path) -> None:
+    done = calibrate("diff", str(bench.file), str(fitted), "--all")
+    assert done.returncode == 0
+    assert "sigmas of the first, from which the second was fitted" in done.stdout
+    assert "sensors[0].probes[2].volts_to_gap[0]" in "".join(done.stdout.split())
+    assert re.search(r"\d+ of \d+ numbers differ", done.stdout)
+    same = calibrate("diff", str(fitted), str(fitted))
+    assert same.stdout.strip().startswith("0 of ")
+
+
+def test_check_tells_whether_a_calibration_still_holds(bench: Bench) -> None:
+    done = calibrate("check", str(bench.file), str(bench.bag), *REFERENCE)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "explains" in done.stdout
+    assert "no parameter has drifted" in " ".join(done.stdout.split())
+    bumped = bench.folder / "bumped.yaml"
+    content = yaml.safe_load(bench.file.read_text(encoding="utf-8"))
+    content["sensors"][0]["probes"][1]["zero_shift"]["value"] += 0.1
+    bumped.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    done = calibrate("check", str(bumped), str(bench.bag), *REFERENCE)
+    assert done.returncode == 3, done.stdout + done.stderr
+    text = " ".join(done.stdout.split())
+    assert "does not explain" in text
+    assert "sensors[0].probes[1].zero_shift" in text
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "sentence"),
+    [
+        (("--loss", "square"), 2, "option --loss: 'square'; expected 'linear', 'huber', 'soft_l1' or 'cauchy'."),
+        (("--at-most", "3"), 2, "option --at-most: '3'; expected at least 8."),
+        (("--settle", "-1"), 2, "option --settle: '-1'; expected at least 0.0."),
+        (
+            ("--uncertainty", "/reference=1e-7"),
+            2,
+            "option --uncertainty: 1 numbers for /reference; expected 2 numbers, m,rad, or 6.",
+        ),
+        (
+            ("--uncertainty", "/reference=1e-7,-1"),
+            2,
+            "option --uncertainty: '/reference=1e-7,-1'; expected standard uncertainties of zero or more, parted by",
+        ),
+        (("--instrument", "CMM"), 2, "option --instrument: 'CMM'; expected TOPIC=..., such as /cmm/pose=...."),
+        (
+            ("--instrument", "/laser=CMM"),
+            2,
+            "option --instrument: there is no reference /laser; expected /reference.",
+        ),
+        (("--parameters", "*.nose"), 1, "calibration 'triad_diodes': '*.nose' fits no quantity"),
+        (("--surprise",), 2, "calibrate: unrecognized arguments: --surprise; expected options as"),
+    ],
+)
+def test_a_wrong_option_is_one_sentence(bench: Bench, options: tuple[str, ...], code: int, sentence: str) -> None:
+    done = calibrate("bundle", str(bench.bag), "--calibration", str(bench.file), *options)
+    assert done.returncode == code
+    assert done.stderr.strip().split("\n")[-1].startswith(sentence), done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_reference_that_is_not_in_the_bag_is_named(bench: Bench) -> None:
+    done = calibrate(
+        "bundle", str(bench.bag), "--calibration", str(bench.file), "--reference", "/laser", "--output", "never.yaml"
+    )
+    assert done.returncode == 1
+    assert "/laser" in done.stderr
+    assert not Path("never.yaml").exists()
+
+
+def test_the_real_recording_of_1985_is_calibrated_into_its_session(tmp_path: Path) -> None:
+    output = tmp_path / "rig.yaml"
+    source = CONFIG / "slocum1985_section84.yaml"
+    options = ("--lever", "0.798322", "--session", "ymo", "--first-sigma", "0", "--output", str(output))
+    done = calibrate("zero_drift", str(ROOT / "bags" / "ymo"), "--calibration", str(source), *options)
+    assert done.returncode == 0, done.stderr
+    before, after = load_calibration(source), load_calibration(output)
+    assert after.fits[0].replaced == ["sessions.ymo.zero_shifts"]
+    compared = compare(before, after)
+    assert {d.name for d in compared.differences} == {f"sessions.ymo.zero_shifts[{k}]" for k in range(3)}
+    assert compared.others == ()
