@@ -75,6 +75,12 @@ def fit_warnings(fit: Fit, scales: FloatArray, count: int, readings: Sequence[st
         for j in range(i)
         if abs(correlations[i, j]) > CORRELATED
     ]
+    return (*said, *residual_warnings(fit, readings))
+
+
+def residual_warnings(fit: Fit, readings: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return sentences on outliers, and on uncertainties that do not hold; ``readings`` as of ``fit_warnings``."""
+    said = []
     outliers = np.flatnonzero(fit.outliers())
     if outliers.size:
         named = [readings[i] for i in outliers[:NAMED_OUTLIERS]] if readings else []
