@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 MADE_HERE = ("report.html", "report.png")
 """What a report's folder holds beside the logs."""
-BUDGET_DRAWS = 2000
+BUDGET_DRAWS = 500
 LEAST_ARMS = 2
 """Fewer have no spread."""
 

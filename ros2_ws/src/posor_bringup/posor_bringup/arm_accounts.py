@@ -103,7 +103,8 @@ def accounts(records: Sequence[ArmRecord], simulation: ArmSimulation, counted: C
                     cause = DROPOUT if dropped else MISSED
                     late[who] += not dropped
                 causes[cause if who == CHAIN else f"{who} {cause}"] += 1
-            silent += any(why == NO_SCAN for who, why in reasons.items() if who != TRUTH)
+            without_scan = sum(why == NO_SCAN for who, why in reasons.items() if who != TRUTH)
+            silent += 0 < without_scan < len(simulation.joints)  # the chain knows only of ticks that some joint sent
     unaccounted = sum(max(0, count - counted.missed[joint]) for joint, count in late.items())
     unaccounted += max(0, causes[GIVEN_UP] + silent - counted.incomplete)
     return Accounts(

@@ -98,7 +98,7 @@ def _path(top: Axes, side: Axes, record: ArmRecord) -> None:
     known = np.isfinite(truth[:, 0])
     extent = float(np.max(np.ptp(truth[known], axis=0)))
     largest = float(np.nanmax(np.linalg.norm(record.encoder_errors[:, :3], axis=1)))
-    scale = _round_down(ENLARGED_TO * extent / largest) if largest > 0.0 else 1.0
+    scale = _round_down(ENLARGED_TO * extent / largest) if extent > 0.0 and largest > 0.0 else 1.0
     top.set_title(f"Path of the endpoint, errors enlarged {scale:g} times", fontsize=11)
     for axes, axis, label in ((top, 1, "y [m]"), (side, 2, "z [m]")):
         for error, style, name in (

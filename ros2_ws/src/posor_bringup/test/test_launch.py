@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import ast
+import importlib
+import inspect
 import py_compile
 from pathlib import Path
 
 from ament_index_python.packages import get_package_prefix
+from posor_bringup.arm_programs import arm_programs
+from posor_bringup.arms import checked_arm
 from posor_bringup.expectations import BAGS, CALIBRATIONS
 from posor_bringup.installed import share
 
 LAUNCH = share() / "launch" / "replay_1985.launch.py"
+ARM = share() / "launch" / "arm.launch.py"
 
 
 def test_the_launch_file_compiles(tmp_path: Path) -> None:
@@ -37,3 +42,31 @@ def test_the_launch_file_offers_every_test_and_calibration() -> None:
     ]
     assert list(BAGS) in lists
     assert list(CALIBRATIONS) in lists
+
+
+def test_the_arms_launch_file_compiles(tmp_path: Path) -> None:
+    assert py_compile.compile(str(ARM), cfile=str(tmp_path / "compiled.pyc"), doraise=True)
+
+
+def test_the_arms_launch_file_uses_what_there_is() -> None:
+    tree = ast.parse(ARM.read_text(encoding="utf-8"))
+    imported = [
+        (node.module, alias.name)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("posor_")
+        for alias in node.names
+    ]
+    assert sorted(name for _, name in imported) == ["arm_programs", "checked_arm"]
+    for module, name in imported:
+        assert hasattr(importlib.import_module(module), name)
+    used = {
+        node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "program"
+    }
+    assert used == {"package", "executable", "namespace", "parameters"}
+    called = [
+        node for node in ast.walk(tree) if isinstance(node, ast.Call) and ast.unparse(node.func) == "arm_programs"
+    ]
+    keywords = {keyword.arg for keyword in called[0].keywords}
+    assert keywords <= set(inspect.signature(arm_programs).parameters)
+    for program in arm_programs(checked_arm("five_axis")):
+        assert all(getattr(program, attribute) for attribute in used)
