@@ -15,7 +15,9 @@ from posor_estimator.bags import bag_sha256
 from posor_estimator.calibrate.command import main
 from posor_estimator.core.calibrate.compare import compare
 from posor_estimator.core.calibrate.procedure import procedures
+from posor_estimator.core.calibration.fit_record import FitRecord
 from posor_estimator.core.calibration.load import load_calibration
+from posor_estimator.core.calibration.model import Calibration
 from posor_estimator.testing.drawn_posor import ABOUT, ALONG, DrawnPosor
 from posor_estimator.testing.program import installed
 
@@ -216,3 +218,14 @@ def test_the_real_recording_of_1985_is_calibrated_into_its_session(tmp_path: Pat
     compared = compare(before, after)
     assert {d.name for d in compared.differences} == {f"sessions.ymo.zero_shifts[{k}]" for k in range(3)}
     assert compared.others == ()
+
+
+def test_the_fits_that_the_documentation_shows_are_fits() -> None:
+    text = (ROOT / "docs" / "calibration_file.md").read_text(encoding="utf-8")
+    [block] = re.findall(r"^```yaml\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+    [shown] = yaml.safe_load(block)["fits"]
+    record = FitRecord.model_validate(shown)
+    assert set(shown) == set(FitRecord.model_fields)
+    assert record.covariances[0].matrix.shape == (3, 3)
+    for key in Calibration.model_fields:
+        assert f"`{key}`" in text
