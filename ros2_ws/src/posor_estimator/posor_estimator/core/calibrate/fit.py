@@ -221,7 +221,7 @@ def _settled(
     def rho(squares: FloatArray) -> FloatArray:
         return np.hstack([_rho(squares[:count], loss), _rho(squares[count:], "linear")])
 
-    options: Any = {"loss": rho, "f_scale": ROBUST_SCALE, "xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-12}
+    options: Any = {"loss": rho, "f_scale": ROBUST_SCALE, "xtol": 1e-14, "ftol": 1e-12, "gtol": 1e-12}
     try:
         found = least_squares(residuals, np.zeros(size), jacobian, max_nfev=EVALUATIONS, **options)
     except ValueError as error:
