@@ -100,7 +100,7 @@ def _path(top: Axes, side: Axes, record: ArmRecord) -> None:
     largest = float(np.nanmax(np.linalg.norm(record.encoder_errors[:, :3], axis=1)))
     scale = _round_down(ENLARGED_TO * extent / largest) if extent > 0.0 and largest > 0.0 else 1.0
     top.set_title(f"Path of the endpoint, errors enlarged {scale:g} times", fontsize=11)
-    for axes, axis, label in ((top, 1, "y [m]"), (side, 2, "z [m]")):
+    for axes, axis, label in ((top, 1, "from above\ny [m]"), (side, 2, "from the side\nz [m]")):
         for error, style, name in (
             (record.encoder_errors, ENCODERS, "by encoders alone"),
             (record.posor_errors, POSOR, "by POSORs"),
@@ -112,7 +112,7 @@ def _path(top: Axes, side: Axes, record: ArmRecord) -> None:
         axes.set_ylabel(label)
         axes.margins(0.08)
     side.set_xlabel("x [m]")
-    top.legend(loc="upper right", fontsize=9, framealpha=0.9)
+    top.legend(loc="lower left", fontsize=9, framealpha=0.9)
 
 
 def _round_down(value: float) -> float:
