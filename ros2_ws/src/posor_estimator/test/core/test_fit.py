@@ -19,10 +19,11 @@ SCALES = np.array([1.0, 1.0, 1e-2])
 AT = np.linspace(-3.0, 3.0, 40)
 DESIGN = np.column_stack([np.ones_like(AT), AT, AT**2])
 SIGMA = 0.02
+START = np.zeros(3)
 
 
-def line(readings: FloatArray, **options: Any) -> Fit:
-    return fit(lambda p: (DESIGN @ p - readings) / SIGMA, np.zeros(3), NAMES, UNITS, SCALES, **options)
+def line(readings: FloatArray, *, start: FloatArray = START, scales: FloatArray = SCALES, **options: Any) -> Fit:
+    return fit(lambda p: (DESIGN @ p - readings) / SIGMA, start, NAMES, UNITS, scales, **options)
 
 
 def noisy(seed: int, sigma: float = SIGMA) -> FloatArray:
@@ -65,15 +66,7 @@ def test_stated_uncertainties_cover_the_truth(loss: Any, prior: bool) -> None:  
     for _ in range(runs):
         known = TRUTH + SCALES * 1e-2 * random.normal(size=3)
         readings = DESIGN @ TRUTH + random.normal(scale=SIGMA, size=len(AT))
-        found = fit(
-            lambda p, y=readings: (DESIGN @ p - y) / SIGMA,
-            known,
-            NAMES,
-            UNITS,
-            SCALES * 1e-2,
-            loss=loss,
-            prior=prior,
-        )
+        found = line(readings, start=known, scales=SCALES * 1e-2, loss=loss, prior=prior)
         inside += np.abs(found.values - TRUTH) < 1.96 * found.sigmas
     np.testing.assert_allclose(inside / runs, 0.95, atol=0.03)
 
