@@ -154,7 +154,7 @@ def test_bad_data(rng: np.random.Generator) -> None:
         run(replace(made, recording=Recording(few, {TOPIC: short}, "simulated")))
     with pytest.raises(TrackError, match=r"axis y moves with the readings, axis x does not; the axes look swapped"):
         run(with_track(made, lambda values: values[:, [1, 0, 2]]))
-    with pytest.raises(TrackError, match=r"25\.\d* times as far .* in inches taken for millimetres"):
+    with pytest.raises(TrackError, match=r"25\.\d* times as far as the present calibration says"):
         run(with_track(made, lambda values: 25.4 * values), still=1e-4)
     with pytest.raises(TrackError, match="falls where the readings rise"):
         run(made, direction=-1)
