@@ -29,7 +29,7 @@ from posor_estimator.core.joining import MOST_OPEN, ScanJoiner
 from posor_estimator.ros.diagnostics import Level
 from posor_estimator.ros.listeners import Listeners
 from posor_estimator.ros.main import run
-from posor_estimator.ros.messages import measured_joint, pose_message, stamp_ns, why_unusable
+from posor_estimator.ros.messages import measured_joint, pose_from_message, pose_message, stamp_ns, why_unusable
 from posor_estimator.ros.node import PosorNode
 from posor_estimator.ros.parameters import NodeParameters
 from posor_estimator.ros.qos import (
@@ -198,7 +198,10 @@ class ChainNode(PosorNode[ChainParameters]):
         joints = JointState()
         joints.header.stamp = stamp
         joints.name = [joint.name for joint in self._chain.joints]
-        joints.position = [float(scan[name].native[5]) for name in joints.name]
+        joints.position = [
+            self._chain.joint_angle(name, pose_from_message(scan[name].pose), float(scan[name].native[5]))
+            for name in joints.name
+        ]
         self._joint_publisher.publish(joints)
 
     def _say_no(self, reason: str) -> None:

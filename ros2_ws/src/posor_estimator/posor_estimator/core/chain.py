@@ -7,6 +7,7 @@ now stands, its covariance what the beams file says of it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ import pinocchio as pin
 
 from posor_estimator.core.beams_file import STANDARD_GRAVITY, load_beams
 from posor_estimator.core.measuring_beam import MeasuringBeam
+from posor_estimator.core.native import native_from_rotation
 from posor_estimator.core.robot_model import FreeJoint, RobotModel
 from posor_estimator.errors import ChainError
 
@@ -154,8 +156,25 @@ class Chain:
 
     def nominal_joint(self, name: str, angle: float) -> pin.SE3:
         """Return T_parent_child of a POSOR without error motions: its origin, turned by an angle [rad] about its Z."""
-        joint = next(joint for joint in self.joints if joint.name == name)
-        return joint.T_parent_joint * pin.SE3(pin.utils.rotate("z", angle), np.zeros(3))
+        return self._joint(name).T_parent_joint * pin.SE3(pin.utils.rotate("z", angle), np.zeros(3))
+
+    def joint_angle(self, name: str, T_parent_child: pin.SE3, theta: float) -> float:
+        """Return how far a POSOR's joint is turned about its nominal axis, the Z axis of its origin [rad].
+
+        Zero where the target plate stands as the URDF's origin has it; the opposite of ``nominal_joint``.
+
+        Args:
+            name: Of the joint.
+            T_parent_child: Its measured transform.
+            theta: The large rotation of the same (``core.native``), which may have been counted over turns [rad].
+
+        """
+        rotation = T_parent_child.rotation
+        seen = native_from_rotation(self._joint(name).T_parent_joint.rotation.T @ rotation)[2]
+        return theta + math.remainder(seen - native_from_rotation(rotation)[2], 2.0 * math.pi)
+
+    def _joint(self, name: str) -> FreeJoint:
+        return next(joint for joint in self.joints if joint.name == name)
 
     def nominal_endpoint(self, angles: Mapping[str, float]) -> pin.SE3:
         """Return where the endpoint would be if nothing bent, sagged or ran out: what encoders alone can tell.

@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from posor_estimator.core.chain import Chain, Endpoint, MeasuredJoint
+from posor_estimator.core.native import native_from_rotation
 from posor_estimator.errors import ChainError
 from scipy.spatial.transform import Rotation
 
@@ -225,6 +226,19 @@ def test_relative_to_itself_is_the_identity(
     endpoint = chain.endpoint(measured(transforms, covariances))
     back = endpoint.relative_to(endpoint).T_base_endpoint
     np.testing.assert_allclose(back.homogeneous, np.eye(4), rtol=0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize("turns", [0, 3, -2])
+def test_a_joints_angle_is_counted_from_the_urdfs_origin_about_its_axis(chain: Chain, turns: int) -> None:
+    for name in JOINTS:
+        for angle in (-3.0, -0.4, 0.0, 1.3, 3.1):
+            pose = chain.nominal_joint(name, angle)
+            theta = native_from_rotation(pose.rotation)[2]
+            found = chain.joint_angle(name, pose, theta + 2.0 * math.pi * turns)
+            assert math.remainder(found - angle, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-14)
+            assert found - theta - 2.0 * math.pi * turns == pytest.approx(0.0, abs=0.5)
+            if name != "elbow":  # the URDF turns the others' plates by nothing: their angle is theta, to the last bit
+                assert found == theta + 2.0 * math.pi * turns
 
 
 def refusal(urdf: str, endpoint_frame: str = "tip") -> str:
