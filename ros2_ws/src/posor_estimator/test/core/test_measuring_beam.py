@@ -118,6 +118,22 @@ def test_a_level_beam_sags_down_as_on_its_gimbals() -> None:
     np.testing.assert_allclose(found[:3], expected, rtol=0.0, atol=1e-8)
 
 
+def test_a_beam_may_begin_in_axes_of_its_own() -> None:
+    """The same arm, but the upper arm's start is turned against the target plate: the same endpoint and covariance."""
+    start = pin.utils.rpyToMatrix(0.4, -0.9, 1.7)
+    xyz = " ".join(map(str, start.T @ [0.8, 0.1, 0.0]))
+    rpy = " ".join(map(str, pin.rpy.matrixToRpy(start.T @ pin.utils.rotate("x", 0.3))))
+    turned = ARM.replace(
+        '<joint name="upper_arm" type="fixed"><parent link="t1"/>',
+        '<link name="clamp"/><joint name="clamping" type="fixed"><parent link="t1"/><child link="clamp"/>'
+        '<origin rpy="0.4 -0.9 1.7"/></joint><joint name="upper_arm" type="fixed"><parent link="clamp"/>',
+    ).replace('<origin xyz="0.8 0.1 0" rpy="0.3 0 0"/>', f'<origin xyz="{xyz}" rpy="{rpy}"/>')
+    said = beams(beam("upper_arm", sag=True, sag_sigma=0.2))
+    plain, other = (Chain(urdf, "tip", said).endpoint(still()) for urdf in (ARM, turned))
+    np.testing.assert_allclose(other.T_base_endpoint.homogeneous, plain.T_base_endpoint.homogeneous, atol=1e-14)
+    np.testing.assert_allclose(other.covariance, plain.covariance, atol=1e-9 * np.abs(plain.covariance).max())
+
+
 def test_a_hanging_beam_does_not_sag() -> None:
     chain = Chain(ARM, "tip", beams(beam("upper_arm", sag=True)))
     down = math.atan2(-1.0, 0.0) - math.atan2(0.1, 0.8)
