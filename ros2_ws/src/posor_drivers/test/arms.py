@@ -7,16 +7,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pytest
 import yaml
 from posor_drivers.simulator.arm import ArmSimulation
 from posor_estimator.core.arm import load_arm
 from posor_estimator.core.designs import SizedDesignName, sized_design
+from posor_estimator.errors import CalibrationError
 
 if TYPE_CHECKING:
     from posor_drivers.simulator.switches import Switches
 
 SCENARIO = Path(__file__).parent / "scenarios" / "three_joints.yaml"
 JOINTS = ("base", "shoulder", "elbow")
+N = 800
+TICKS = np.arange(N)
+SECOND = 1_000_000_000
+FAR = 172_800_000_000
+"""A tick of today: 54 years at 100 Hz; a whole number of cycles."""
 DESIGNS: dict[str, tuple[SizedDesignName, float]] = {
     "base": ("triad_bumpy_ring", 0.2032),
     "shoulder": ("triad_light_ring", 0.2032),
@@ -125,3 +132,10 @@ def _write(path: Path, content: object) -> None:
 def simulation(folder: Path, switches: Switches | None = None, content: dict[str, Any] | None = None) -> ArmSimulation:
     """Write the arm and simulate it."""
     return ArmSimulation(load_arm(write_arm(folder, content)), switches)
+
+
+def refused(folder: Path, content: dict[str, Any]) -> CalibrationError:
+    """Return why a scenario is refused."""
+    with pytest.raises(CalibrationError) as error:
+        simulation(folder, content=content)
+    return error.value

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from posor_drivers.simulator import electronics
 from posor_drivers.simulator.bending import Compliance, bends
 from posor_drivers.simulator.nominal import NominalArm
 from posor_drivers.simulator.switches import Switches
@@ -18,23 +17,16 @@ from posor_estimator.core.chain import MeasuredJoint
 from posor_estimator.core.fault import State
 from posor_estimator.core.kernels.memory import theta_of
 from posor_estimator.core.posor import Posor
-from posor_estimator.errors import CalibrationError
 from posor_msgs.msg import RawScan
 
-from .arms import JOINTS, perfect, scenario, simulation, write_arm
+from .arms import FAR, JOINTS, SECOND, TICKS, N, perfect, refused, scenario, simulation, write_arm
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
     from posor_drivers.simulator.arm import ArmSimulation, ArmTruth
-    from posor_drivers.simulator.electronics import SimulatedScans
 
-N = 800
-TICKS = np.arange(N)
-SECOND = 1_000_000_000
-FAR = 172_800_000_000
-"""A tick of today: 54 years at 100 Hz; a whole number of cycles."""
 READINGS = ("gap_voltages", "ring_voltages", "diode_currents")
 
 
@@ -42,16 +34,6 @@ def by_chain(arm: ArmSimulation, truth: ArmTruth, n: int) -> pin.SE3:
     """Return the endpoint that chain_node would give if its POSORs were without error."""
     measured = {joint: MeasuredJoint(truth.T_parent_child[joint][n], np.zeros((6, 6))) for joint in arm.joints}
     return arm.chain.endpoint(measured).T_base_endpoint
-
-
-@pytest.fixture(scope="module")
-def everything(tmp_path_factory: pytest.TempPathFactory) -> ArmSimulation:
-    return simulation(tmp_path_factory.mktemp("everything"))
-
-
-@pytest.fixture(scope="module")
-def clean(tmp_path_factory: pytest.TempPathFactory) -> ArmSimulation:
-    return simulation(tmp_path_factory.mktemp("clean"), Switches.only())
 
 
 def test_without_imperfections_encoders_tell_the_endpoint(tmp_path: Path) -> None:
@@ -149,11 +131,6 @@ def test_first_scan_sees_the_home_mark_and_says_so(everything: ArmSimulation) ->
     theta = np.array([theta_of(rotation) for rotation in everything.truth(TICKS).T_parent_child["base"].rotations])
     assert np.array_equal(at_home["base"], np.abs(theta) < 0.25 * bump)
     assert not at_home["base"].all()
-
-
-def test_flags_are_those_of_the_message() -> None:
-    for name in ("STATUS_SATURATED", "STATUS_SIMULATED", "STATUS_HOME_BUMP"):
-        assert getattr(electronics, name) == getattr(RawScan, name)
 
 
 def test_scans_carry_tick_stamp_and_the_simulated_flag(everything: ArmSimulation) -> None:
@@ -277,89 +254,6 @@ def test_each_switch_changes_what_it_should_and_nothing_else(tmp_path: Path, cle
     assert changed(simulation(tmp_path, Switches.only(*others, name)), without, FAR + TICKS) == CHANGES[names]
 
 
-def test_contamination_is_on_its_channel_and_at_its_time(tmp_path: Path, clean: ArmSimulation) -> None:
-    dirty = simulation(tmp_path, Switches.only("contamination"))
-    shift = dirty.scans("elbow", TICKS).scans.gap_voltages - clean.scans("elbow", TICKS).scans.gap_voltages
-    expected = np.zeros((N, 3))
-    expected[100:120, 0] = 0.05
-    assert np.allclose(shift, expected, rtol=0.0, atol=1e-12)
-    ratio = dirty.scans("shoulder", TICKS).scans.diode_currents / clean.scans("shoulder", TICKS).scans.diode_currents
-    expected = np.ones((N, 2, 4))
-    expected[600:610, 1, 0] = 0.95
-    assert np.allclose(ratio, expected, rtol=0.0, atol=1e-12)
-
-
-def test_dirt_on_the_redundant_readings_is_found_by_the_estimator(tmp_path: Path) -> None:
-    dirty = simulation(tmp_path, Switches.only("contamination", "noise"))
-    found = Posor(dirty.calibrations["shoulder"]).locate_all(dirty.scans("shoulder", TICKS).scans)
-    assert np.all(found.states[600:610] == State.LOST)
-    assert np.mean(found.states[:600] == State.OK) > 0.98
-
-
-@pytest.mark.parametrize("bits", [12, 16])
-def test_converter_rounds_to_its_steps(tmp_path: Path, clean: ArmSimulation, bits: int) -> None:
-    content = scenario()
-    content["electronics"]["converter"]["bits"] = bits
-    arm = simulation(tmp_path, Switches.only("quantisation"), content)
-    step = 20.0 / 2**bits
-    volts = arm.scans("base", TICKS).scans.gap_voltages
-    codes = (volts + 10.0) / step
-    assert np.allclose(codes, np.round(codes), rtol=0.0, atol=1e-9)
-    off = np.max(np.abs(volts - clean.scans("base", TICKS).scans.gap_voltages))
-    assert 0.4 * step < off <= 0.5 * step + 1e-12
-
-
-@pytest.mark.parametrize("names", [(), ("quantisation",)])
-def test_end_of_the_converter_is_flagged(tmp_path: Path, clean: ArmSimulation, names: tuple[str, ...]) -> None:
-    volts = clean.scans("base", TICKS).scans.ring_voltages
-    high = float(np.quantile(volts, 0.7))
-    content = scenario()
-    content["electronics"]["converter"]["probes"]["value"] = [-10.0, high]
-    arm = simulation(tmp_path, Switches.only(*names), content)
-    scans = arm.scans("base", TICKS)
-    flagged = scans.statuses & RawScan.STATUS_SATURATED > 0
-    step = (high + 10.0) / 2**16
-    clear = np.any(volts > high, axis=1)
-    near = np.any(np.abs(volts - high) < 2.0 * step, axis=1)
-    assert clear.any()
-    assert not clear.all()
-    assert np.array_equal(flagged[~near], clear[~near])
-    assert scans.scans.ring_voltages.max() <= high
-
-
-def test_target_beyond_the_calibrated_range_drives_probes_to_the_end_and_leaves_diodes_dark(tmp_path: Path) -> None:
-    content = scenario()
-    content["joints"]["shoulder"]["bearing"].update(
-        orders=[8], radial={"value": [8e-3], "unit": "m"}, axial={"value": [3e-3], "unit": "m"}
-    )
-    scans = simulation(tmp_path, Switches.only(), content).scans("shoulder", TICKS)
-    driven = np.any(scans.scans.gap_voltages > 9.99, axis=1)
-    dark = np.any(np.all(scans.scans.diode_currents == 0.0, axis=2), axis=1)
-    assert driven.any()
-    assert dark.any()
-    assert np.all(scans.statuses[driven | dark] & RawScan.STATUS_SATURATED)
-    assert np.all(np.isfinite(scans.scans.gap_voltages))
-
-
-def test_dropouts_and_latencies_are_as_frequent_and_as_long_as_said(everything: ArmSimulation) -> None:
-    scans: SimulatedScans = everything.scans("base", np.arange(5000))
-    assert 0.01 < 1.0 - scans.sent.mean() < 0.03
-    seconds = scans.latencies_ns / SECOND
-    assert seconds.min() >= 0.0008
-    assert seconds.max() <= 0.0012
-    assert seconds.std() == pytest.approx(2e-4 / np.sqrt(3.0), rel=0.05)
-
-
-def test_supply_that_is_not_measured_shifts_voltages_all_the_same(tmp_path: Path, clean: ArmSimulation) -> None:
-    content = scenario()
-    content["electronics"]["supply"]["measured"] = False
-    arm = simulation(tmp_path, Switches.only("supply_drift"), content)
-    scans = arm.scans("base", FAR + TICKS).scans
-    assert np.all(np.isnan(scans.supply_voltages))
-    moved = scans.gap_voltages != clean.scans("base", FAR + TICKS).scans.gap_voltages
-    assert np.mean(moved) > 0.99  # the supply passes its mean at times
-
-
 def test_stage_moves_endpoint_and_last_target_plate_alike(everything: ArmSimulation) -> None:
     position = np.random.default_rng(3).uniform(-5e-4, 5e-4, size=(N, 3))
     still, moved = everything.truth(TICKS), everything.truth(TICKS, position)
@@ -373,12 +267,6 @@ def test_stage_moves_endpoint_and_last_target_plate_alike(everything: ArmSimulat
         by_posors = by_chain(everything, moved, n).translation - by_chain(everything, still, n).translation
         assert np.allclose(by_posors, shift[n], rtol=0.0, atol=2e-9)
     assert np.array_equal(moved.target.translations, still.target.translations)
-
-
-def refused(folder: Path, content: dict[str, Any]) -> CalibrationError:
-    with pytest.raises(CalibrationError) as error:
-        simulation(folder, content=content)
-    return error.value
 
 
 def test_scenario_of_other_joints_is_refused(tmp_path: Path) -> None:
@@ -396,25 +284,3 @@ def test_ring_that_never_sees_its_home_mark_is_refused(tmp_path: Path) -> None:
     error = refused(tmp_path, content)
     assert error.what == "joint 'base' never passes the home mark of its ring, so that its theta cannot be counted"
     assert error.expected == "a motion through theta = 0 rad"
-
-
-@pytest.mark.parametrize(
-    ("index", "channel", "what", "expected"),
-    [
-        (
-            0,
-            "gap_9",
-            "joint 'elbow' has no probe 'gap_9'",
-            "one of gap_1, gap_2, gap_3, ring_1, ring_2, ring_3, ring_4",
-        ),
-        (1, "gap_1", "joint 'shoulder' has no diode 'gap_1'", "one of diode_1, diode_2"),
-    ],
-)
-def test_dirt_on_a_channel_that_is_not_there_is_refused(
-    tmp_path: Path, index: int, channel: str, what: str, expected: str
-) -> None:
-    content = scenario()
-    content["electronics"]["contamination"][index]["channel"] = channel
-    error = refused(tmp_path, content)
-    assert error.where == f"{tmp_path / 'scenario.yaml'}, key electronics.contamination[{index}]"
-    assert (error.what, error.expected) == (what, expected)
