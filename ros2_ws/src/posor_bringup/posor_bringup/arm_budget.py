@@ -5,10 +5,9 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 from posor_estimator.accuracy.report import writable, write_json
 from posor_estimator.core.arm import load_arm
@@ -22,6 +21,7 @@ from posor_estimator.core.endpoint_budget import (
     thesis_covariance,
 )
 from posor_estimator.errors import ChainError, ParameterError, PosorError
+from posor_estimator.reporting.command_line import Parser
 from rich.console import Console
 from rich.table import Table
 
@@ -37,6 +37,7 @@ from posor_bringup.thesis_robot import (
 )
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Mapping, Sequence
 
     from posor_estimator.core.arm import Arm
@@ -53,13 +54,6 @@ TITLES = {
     NOISE: "sensor models, exact beams: noise",
     WHOLE: "noise, calibration and beams",
 }
-
-
-class _Parser(argparse.ArgumentParser):
-    """Reports a wrong command line the way every other error is reported."""
-
-    def error(self, message: str) -> NoReturn:
-        raise ParameterError(message, where="arm_budget", expected="options as 'arm_budget --help' lists them")
 
 
 def figures(spread: Spread | PrintedEndpoint) -> dict[str, float]:
@@ -165,7 +159,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         ParameterError: An option is unknown or its value wrong.
 
     """
-    parser = _Parser(prog="arm_budget", description="Error budget of an arm's endpoint.")
+    parser = Parser(prog="arm_budget", description="Error budget of an arm's endpoint.")
     default = share() / "arms" / "five_axis" / "arm.yaml"
     parser.add_argument("--arm", type=Path, default=default, metavar="ARM.yaml", help="default: the five-axis arm")
     parser.add_argument("--output", type=Path, metavar="FILE.json", help="file for the figures")

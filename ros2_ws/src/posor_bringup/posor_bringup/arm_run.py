@@ -37,7 +37,7 @@ WARM_UP = 40
 """Ticks before the scenario begins, in which all that listen find all that publish."""
 GRACE_S = 10.0
 """Wall time that a tick gets for what must come; then the clock goes on, and the accounts tell what was missing."""
-COMMAND_GRACE_S = 0.1
+COMMAND_GRACE_S = 1.0
 """Wall time that a controller gets to answer a pose; it may have a reason not to."""
 REPEAT_S = 0.2
 """Wall time after which the clock is sent again: it is sent with best effort."""

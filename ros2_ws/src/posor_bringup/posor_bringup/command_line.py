@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from posor_bringup.supervisor import Parameter
 
-__all__ = ["LOGS", "Parser", "prepare"]
+__all__ = ["LOGS", "Parser", "add_driver_parameters", "parameters_in", "prepare"]
 
 LOGS = "logs"
 """Folder, in a folder of output, for what the programs of a graph write."""
@@ -46,6 +46,19 @@ def add_driver_parameters(parser: argparse.ArgumentParser) -> None:
         metavar="NAME:=VALUE",
         help="a parameter for all drivers, such as simulated.sag:=false; may be repeated",
     )
+
+
+def parameters_in(text: str) -> dict[str, Parameter]:
+    """Return the parameters ``name:=value name:=value ...`` of a launch argument.
+
+    Raises:
+        ParameterError: A part of the text is no parameter.
+
+    """
+    try:
+        return dict(_parameter(part) for part in text.split())
+    except argparse.ArgumentTypeError as error:
+        raise ParameterError(str(error), where="launch argument 'driver_parameters'") from None
 
 
 def prepare(folder: Path, made_here: Sequence[str], program: str) -> Path:

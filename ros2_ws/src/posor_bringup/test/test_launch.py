@@ -8,11 +8,14 @@ import inspect
 import py_compile
 from pathlib import Path
 
+import pytest
 from ament_index_python.packages import get_package_prefix
 from posor_bringup.arm_programs import arm_programs
 from posor_bringup.arms import checked_arm
+from posor_bringup.command_line import parameters_in
 from posor_bringup.expectations import BAGS, CALIBRATIONS
 from posor_bringup.installed import share
+from posor_estimator.errors import ParameterError
 
 LAUNCH = share() / "launch" / "replay_1985.launch.py"
 ARM = share() / "launch" / "arm.launch.py"
@@ -56,7 +59,7 @@ def test_the_arms_launch_file_uses_what_there_is() -> None:
         if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("posor_")
         for alias in node.names
     ]
-    assert sorted(name for _, name in imported) == ["arm_programs", "checked_arm"]
+    assert sorted(name for _, name in imported) == ["arm_programs", "checked_arm", "parameters_in"]
     for module, name in imported:
         assert hasattr(importlib.import_module(module), name)
     used = {
@@ -70,3 +73,16 @@ def test_the_arms_launch_file_uses_what_there_is() -> None:
     assert keywords <= set(inspect.signature(arm_programs).parameters)
     for program in arm_programs(checked_arm("five_axis")):
         assert all(getattr(program, attribute) for attribute in used)
+
+
+def test_drivers_of_a_launched_arm_take_parameters() -> None:
+    given = parameters_in("simulated.sag:=false  simulated.cycles:=2")
+    assert given == {"simulated.sag": False, "simulated.cycles": 2}
+    drivers = [p for p in arm_programs(checked_arm("five_axis"), driver_parameters=given) if p.ends]
+    assert [driver.parameters["simulated.sag"] for driver in drivers] == [False] * 5
+    assert parameters_in("") == {}
+    with pytest.raises(ParameterError) as caught:
+        parameters_in("simulated.sag=false")
+    assert str(caught.value) == (
+        "launch argument 'driver_parameters': 'simulated.sag=false' is no parameter, name:=value."
+    )
