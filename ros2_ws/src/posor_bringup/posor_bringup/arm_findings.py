@@ -27,8 +27,6 @@ SAG_WITHIN = 0.02
 BUDGET_WITHIN = 0.02
 SURE = 3.0
 """Where few arms are drawn, the limit of a figure is this many of its standard uncertainties, if that is more."""
-PRINTED_EXTENDED = {"alpha_x_urad": 4.43, "alpha_y_urad": 4.20, "alpha_z_urad": 5.77, "displacement_uin": 269.0}
-"""Endpoint of the thesis' five-axis robot, extended: thesis 9.3.1, the angles with one more digit than printed."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +163,8 @@ def _coverage(coverage: Coverage) -> Iterator[Finding]:
 
 def _budget(budget: Mapping[str, Any]) -> Iterator[Finding]:
     for configuration, made in budget.items():
-        printed = PRINTED_EXTENDED if configuration == "extended" and "printed" in made else {}
+        printed = made.get("printed", {})
+        judged = configuration == "extended"  # how the thesis reckoned the bent arm's components stays open
         for key, what in (
             ("alpha_x_urad", "about X"),
             ("alpha_y_urad", "about Y"),
@@ -178,9 +177,11 @@ def _budget(budget: Mapping[str, Any]) -> Iterator[Finding]:
                 f"budget, {configuration}: {what}",
                 f"{made[key]:.2f} {unit}",
                 "" if stated is None else f"{stated:g} {unit}",
-                "" if stated is None else f"within {100.0 * BUDGET_WITHIN:.0f} %",
-                "" if stated is None else "thesis 9.3.1",
-                Verdict.SHOWN if stated is None else Verdict.of(holds=abs(made[key] / stated - 1.0) <= BUDGET_WITHIN),
+                f"within {100.0 * BUDGET_WITHIN:.0f} %" if stated and judged else "",
+                "thesis 9.3.1" if stated else "",
+                Verdict.of(holds=abs(made[key] / stated - 1.0) <= BUDGET_WITHIN)
+                if stated and judged
+                else Verdict.SHOWN,
                 "one standard uncertainty",
             )
 
