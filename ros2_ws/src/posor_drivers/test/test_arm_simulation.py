@@ -30,6 +30,12 @@ if TYPE_CHECKING:
 READINGS = ("gap_voltages", "ring_voltages", "diode_currents")
 
 
+@pytest.fixture(scope="module")
+def everything(tmp_path_factory: pytest.TempPathFactory) -> ArmSimulation:
+    """The arm with all its imperfections."""
+    return simulation(tmp_path_factory.mktemp("everything"))
+
+
 def by_chain(arm: ArmSimulation, truth: ArmTruth, n: int) -> pin.SE3:
     """Return the endpoint that chain_node would give if its POSORs were without error."""
     measured = {joint: MeasuredJoint(truth.T_parent_child[joint][n], np.zeros((6, 6))) for joint in arm.joints}
@@ -248,7 +254,8 @@ def test_every_switch_is_tried() -> None:
 
 
 @pytest.mark.parametrize("names", CHANGES)
-def test_each_switch_changes_what_it_should_and_nothing_else(tmp_path: Path, clean: ArmSimulation, names: str) -> None:
+def test_each_switch_changes_what_it_should_and_nothing_else(tmp_path: Path, names: str) -> None:
+    clean = simulation(tmp_path, Switches.only())
     *others, name = names.split()
     without = simulation(tmp_path, Switches.only(*others)) if others else clean
     assert changed(simulation(tmp_path, Switches.only(*others, name)), without, FAR + TICKS) == CHANGES[names]

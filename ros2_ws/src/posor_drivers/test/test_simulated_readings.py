@@ -21,6 +21,12 @@ if TYPE_CHECKING:
     from posor_drivers.simulator.electronics import SimulatedScans
 
 
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory: pytest.TempPathFactory) -> ArmSimulation:
+    """The arm without any imperfection that a switch turns off."""
+    return simulation(tmp_path_factory.mktemp("clean"), Switches.only())
+
+
 def test_flags_are_those_of_the_message() -> None:
     for name in ("STATUS_SATURATED", "STATUS_SIMULATED", "STATUS_HOME_BUMP"):
         assert getattr(electronics, name) == getattr(RawScan, name)
@@ -90,7 +96,8 @@ def test_target_beyond_the_calibrated_range_drives_probes_to_the_end_and_leaves_
     assert np.all(np.isfinite(scans.scans.gap_voltages))
 
 
-def test_dropouts_and_latencies_are_as_frequent_and_as_long_as_said(everything: ArmSimulation) -> None:
+def test_dropouts_and_latencies_are_as_frequent_and_as_long_as_said(tmp_path: Path) -> None:
+    everything = simulation(tmp_path)
     scans: SimulatedScans = everything.scans("base", np.arange(5000))
     assert 0.01 < 1.0 - scans.sent.mean() < 0.03
     seconds = scans.latencies_ns / SECOND
