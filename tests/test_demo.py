@@ -123,7 +123,8 @@ def test_a_node_that_refuses_is_reported_with_its_own_sentence(
     process = start(demo, tmp_path / "report")
     _, err = process.communicate()
     assert process.returncode == 1
-    assert err == f"posor_node: ended with exit code 1: {calibration}, line 3, key version: version 7; expected 1 or 2.\n"
+    sentence = "line 3, key version: version 7; expected 1 or 2."
+    assert err == f"posor_node: ended with exit code 1: {calibration}, {sentence}\n"
 
 
 def test_a_node_that_dies_is_reported(demo: list[subprocess.Popen[str]], tmp_path: Path) -> None:
