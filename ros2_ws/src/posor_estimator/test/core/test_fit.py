@@ -142,3 +142,35 @@ def test_weak_directions_are_named_the_worst_first_and_a_telling_pose_is_found()
     candidates = [np.array([[1.0, 1.0, 0.0]]), np.array([[1.0, -1.0, 0.0]]), np.array([[1.0, 0.0, 9.0]])]
     assert telling(weak, candidates) == [1, 2, 0]
     assert weak_directions(jacobian[:1], ("a", "b", "c"))[0].remaining == np.inf
+
+
+@pytest.mark.parametrize("found_along", [True, False])
+def test_what_is_taken_for_known_is_in_the_uncertainty(found_along: bool) -> None:  # noqa: FBT001  a case
+    """A scale common to all readings, known to 1 %, and an offset of the second half."""
+    random = np.random.default_rng(7)
+    runs, inside, together = 1000, np.zeros(3), np.zeros((3, 2))
+    for _ in range(runs):
+        deviates = random.normal(size=2)
+        effects = np.column_stack([0.01 * DESIGN @ TRUTH, 3.0 * SIGMA * (np.median(AT) < AT)])
+        readings = DESIGN @ TRUTH + effects @ deviates + random.normal(scale=SIGMA, size=len(AT))
+        taken = effects / SIGMA
+        found = line(readings, taken=taken if found_along else None)
+        found = found if found_along else found.considering(taken)
+        inside += np.abs(found.values - TRUTH) < 1.96 * found.sigmas
+        together += np.outer(found.values - TRUTH, -deviates) / runs
+    np.testing.assert_allclose(inside / runs, 0.95, atol=0.03)
+    # What was taken for known keeps its value: its error is the deviate, reversed.
+    np.testing.assert_allclose(together / found.sigmas[:, None], found.across / found.sigmas[:, None], atol=0.1)
+
+
+def test_a_prior_may_be_a_covariance() -> None:
+    readings, known = noisy(2), np.array([2.01, -0.48, 2e-3])
+    sigmas = np.array([5e-3, 2e-3, 1e-4])
+    covariance = np.outer(sigmas, sigmas) * np.array([[1.0, 0.9, 0.0], [0.9, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    found = fit(lambda p: (DESIGN @ p - readings) / SIGMA, known, NAMES, UNITS, sigmas, prior=covariance)
+    information = DESIGN.T @ DESIGN / SIGMA**2 + np.linalg.inv(covariance)
+    expected = np.linalg.solve(information, DESIGN.T @ readings / SIGMA**2 + np.linalg.solve(covariance, known))
+    np.testing.assert_allclose(found.values, expected, rtol=1e-8)
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(information), rtol=1e-6, atol=1e-14)
+    with pytest.raises(FitError, match=r"^bench: the prior is no covariance"):
+        fit(lambda p: (DESIGN @ p - readings) / SIGMA, known, NAMES, UNITS, sigmas, prior=-covariance, what="bench")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
@@ -26,6 +26,8 @@ UNTOLD = 0.5
 """A direction whose standard uncertainty stays above this part of what was known before is not told by the data."""
 NAMED = 0.3
 """Parameters with at least this share in a direction are named."""
+FAINT = 1e-3
+"""Effect of what is taken for known on all residuals together, in their standard deviations, that is left out."""
 EVALUATIONS = 200
 """Of the residuals, after which a fit that has not settled is given up."""
 
@@ -69,6 +71,7 @@ class Fit:
         jacobian: d(normalised residual)/d(parameter), (n, p).
         freedoms: Residuals less parameters; where the prior counts, as many as residuals.
         spread: Root of chi-square over the freedoms: 1 if the stated uncertainties of the readings are right.
+        across: Covariance of the estimates with the standard normal deviates of what was taken for known, (p, q).
 
     """
 
@@ -81,6 +84,7 @@ class Fit:
     jacobian: FloatArray
     freedoms: int
     spread: float
+    across: FloatArray
 
     @property
     def sigmas(self) -> FloatArray:
@@ -106,6 +110,31 @@ class Fit:
         """Return one parameter's standard uncertainty."""
         return float(self.sigmas[self.names.index(name)])
 
+    def considering(self, taken: FloatArray) -> Fit:
+        """Return the fit, in which no prior counts, with the share of what it took for known and did not find along.
+
+        For readings so noisy that what is found along, such as a scale of theirs, would be found from their noise.
+
+        Args:
+            taken: As ``fit`` has it, (n, q) ("consider" parameters: Schmidt 1966).
+
+        """
+        weighted = self.jacobian.T * self.weights
+        gain = np.asarray(np.linalg.solve(weighted @ self.jacobian, weighted @ taken), dtype=float)
+        return replace(self, covariance=self.covariance + gain @ gain.T, across=-gain)
+
+    def part(self, count: int) -> Fit:
+        """Return the fit of the first parameters, the others being no more than help."""
+        return replace(
+            self,
+            names=self.names[:count],
+            units=self.units[:count],
+            values=self.values[:count],
+            covariance=self.covariance[:count, :count],
+            jacobian=self.jacobian[:, :count],
+            across=self.across[:count],
+        )
+
     def outliers(self, probability: float = 1e-3) -> BoolArray:
         """Return which residuals are larger than any of so many should be, (n,) of truth values.
 
@@ -129,7 +158,8 @@ def fit(
     scales: FloatArray,
     *,
     jacobian: Callable[[FloatArray], FloatArray] | None = None,
-    prior: bool = False,
+    prior: bool | FloatArray = False,
+    taken: FloatArray | None = None,
     loss: Loss = "linear",
     trust_sigmas: bool = True,
     what: str = "the fit",
@@ -144,7 +174,11 @@ def fit(
         scales: Typical size of each parameter's correction, positive, (p,): what was known before.
         jacobian: Given parameters (p,), d(residual)/d(parameter), (n, p); None: by differences.
         prior: Whether what was known before counts: each parameter is a reading of itself, at its start, with its scale
-            as the standard uncertainty. These readings are not among the fit's residuals, and the loss is not theirs.
+            as the standard uncertainty, or with this covariance of all of them (p, p). These readings are not among the
+            fit's residuals, and the loss is not theirs.
+        taken: What the residuals take for known though it is not quite: d(residual)/d(standard normal deviate of it),
+            (n, q). It is found along with the parameters, begins at zero, and its uncertainty is in theirs (JCGM 102,
+            6.2); the residuals are what it leaves.
         loss: Robust where outliers are to be survived.
         trust_sigmas: Whether the stated uncertainties of the readings hold (JCGM 100, 4.3); if not, the covariance is
             scaled by what the residuals show (4.2).
@@ -159,38 +193,46 @@ def fit(
     if not names:
         raise FitError("there is no parameter to fit", where=what, expected="at least one")
     count, size = len(residuals(start)), len(names)
-    if count < (1 if prior else size):
+    before = _whitening(prior, scales, what)
+    if count < (1 if len(before) else size):
         raise FitError(f"{count} readings for {size} parameters", where=what, expected="as many at least")
 
     def scaled_jacobian(x: FloatArray) -> FloatArray:
         values = start + scales * x
         return derivatives(residuals, values, scales) if jacobian is None else jacobian(values) * scales
 
-    known = np.eye(size) if prior else np.zeros((0, size))
+    aside, turned = _few(np.zeros((count, 0)) if taken is None else taken)
+    known = np.zeros((len(before) + aside.shape[1], size + aside.shape[1]))
+    known[: len(before), :size] = before
+    known[len(before) :, size:] = np.eye(aside.shape[1])
+
+    def whole(x: FloatArray) -> FloatArray:
+        return np.asarray(residuals(start + scales * x[:size]) + aside @ x[size:])
+
     x = _settled(
-        lambda x: np.concatenate([residuals(start + scales * x), known @ x]),
-        lambda x: np.vstack([scaled_jacobian(x), known]),
+        lambda x: np.concatenate([whole(x), known @ x]),
+        lambda x: np.vstack([np.hstack([scaled_jacobian(x[:size]), aside]), known]),
         count,
-        size,
+        size + aside.shape[1],
         loss,
         what,
     )
-    values = start + scales * x
-    normalised = residuals(values)
-    scaled = scaled_jacobian(x)
-    _refuse_blind(np.vstack([scaled, known]), names, what)
+    normalised = whole(x)
+    scaled = scaled_jacobian(x[:size])
+    _refuse_blind(np.vstack([scaled, before]), names, what)
+    every = np.hstack([scaled, aside])
     squared = np.square(normalised / ROBUST_SCALE)
     _, weights, bends = _rho(squared, loss)
-    inverse = np.linalg.inv(scaled.T @ (weights[:, None] * scaled) + known.T @ known)
+    inverse = np.linalg.inv(every.T @ (weights[:, None] * every) + known.T @ known)
     if loss != "linear":
         # With outliers the residuals are not as stated: the sandwich (Huber 1981, 7.6) of their influences, these
         # enlarged for the parameters that were fitted to them.
         slopes = np.maximum(weights + 2.0 * squared * bends, 0.0)
-        inverse = np.linalg.inv(scaled.T @ (slopes[:, None] * scaled) + known.T @ known)
-        fitted = np.trace(inverse @ (scaled.T @ (slopes[:, None] * scaled)))
+        inverse = np.linalg.inv(every.T @ (slopes[:, None] * every) + known.T @ known)
+        fitted = np.trace(inverse @ (every.T @ (slopes[:, None] * every)))
         influences = np.square(weights * normalised) * count / max(count - fitted, 1.0)
-        inverse = inverse @ (scaled.T @ (influences[:, None] * scaled) + known.T @ known) @ inverse
-    freedoms = count if prior else count - size
+        inverse = inverse @ (every.T @ (influences[:, None] * every) + known.T @ known) @ inverse
+    freedoms = count if len(before) else count - size
     squares = float(np.sum(weights * np.square(normalised)) + np.sum(np.square(known @ x)))
     spread = np.sqrt(squares / freedoms) if freedoms else 1.0
     if loss == "linear" and not trust_sigmas:
@@ -198,14 +240,33 @@ def fit(
     return Fit(
         names=names,
         units=units,
-        values=values,
-        covariance=np.outer(scales, scales) * inverse,
+        values=start + scales * x[:size],
+        covariance=np.outer(scales, scales) * inverse[:size, :size],
         residuals=normalised,
         weights=weights,
         jacobian=scaled / scales,
         freedoms=freedoms,
         spread=float(spread),
+        across=scales[:, None] * inverse[:size, size:] @ turned,
     )
+
+
+def _whitening(prior: bool | FloatArray, scales: FloatArray, what: str) -> FloatArray:  # noqa: FBT001  as in fit
+    """Return what makes readings of variance 1 of scaled corrections, by what was known of them, (p or 0, p)."""
+    if isinstance(prior, bool):
+        return np.eye(len(scales)) if prior else np.zeros((0, len(scales)))
+    try:
+        root = np.linalg.cholesky(prior / np.outer(scales, scales))
+    except np.linalg.LinAlgError:
+        raise FitError("the prior is no covariance", where=what, expected="a positive definite matrix") from None
+    return np.asarray(np.linalg.inv(root))
+
+
+def _few(taken: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the same effects (n, r) of as few deviates as matter, and these in terms of those given, (r, q)."""
+    left, sizes, right = np.linalg.svd(taken, full_matrices=False)
+    kept = sizes > FAINT
+    return left[:, kept] * sizes[kept], right[kept]
 
 
 def _settled(

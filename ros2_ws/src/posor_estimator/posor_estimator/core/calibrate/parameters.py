@@ -39,10 +39,14 @@ def _type_of(kind: type[SensorCalibration]) -> str:
 
 def indices(calibration: Calibration, sensor: int, names: Sequence[str]) -> IntArray:
     """Return where parameters of one sensor, such as ``zero_shifts[1]``, stand in the stack's vector, shape (k,)."""
-    sensors = [part.build() for part in calibration.sensors[: sensor + 1]]
-    first = sum(one.parameter_values.size for one in sensors[:-1])
-    known = sensors[-1].parameter_names
+    known = calibration.sensors[sensor].build().parameter_names
+    first = first_index(calibration, sensor)
     return np.array([first + known.index(name) for name in names], dtype=np.int64)
+
+
+def first_index(calibration: Calibration, sensor: int) -> int:
+    """Return where the parameters of one sensor begin in the stack's vector."""
+    return sum(part.build().parameter_values.size for part in calibration.sensors[:sensor])
 
 
 def changed(values: FloatArray, where: IntArray, new: FloatArray) -> FloatArray:

@@ -19,7 +19,7 @@ from posor_estimator.core.calibration.fit_record import (
     Residuals,
 )
 from posor_estimator.core.calibration.load import calibration_of
-from posor_estimator.core.calibration.model import VERSION
+from posor_estimator.core.calibration.model import VERSION, calibration_from
 from posor_estimator.core.calibration.quantity import Quantity
 from posor_estimator.core.calibration.sentences import first_complaint
 from posor_estimator.errors import CalibrationError
@@ -61,7 +61,35 @@ def written(text: str, source: str, outcome: Outcome, recording: Recording, run:
         CalibrationError: A key is not one of the file's, or the new values cannot be: the sentence says which.
 
     """
-    calibration = calibration_of(text, source)
+    changes = _changes(calibration_of(text, source), outcome, recording, run)
+    result = edited(text, source, changes)
+    calibration_of(result, f"{source} with the result of {run.procedure}")
+    return result
+
+
+def applied(calibration: Calibration, outcome: Outcome, recording: Recording, run: Run) -> Calibration:
+    """Return a calibration with what a procedure found: what ``written`` makes of its file, without a file.
+
+    Raises:
+        CalibrationError: As ``written``.
+
+    """
+    content: Any = calibration.model_dump(mode="json", exclude_defaults=True)
+    for key, new in _changes(calibration, outcome, recording, run).items():
+        *path, last = parsed(key)
+        part = content
+        for step in path:
+            part = part[step]
+        part[last] = new
+    try:
+        return calibration_from(content)
+    except ValidationError as error:
+        complaint = first_complaint(error)
+        raise CalibrationError(complaint.what, where=run.procedure, expected=complaint.expected) from None
+
+
+def _changes(calibration: Calibration, outcome: Outcome, recording: Recording, run: Run) -> dict[str, Any]:
+    """Return what becomes of the file: new content by key."""
     changes: dict[str, Any] = {"version": VERSION}
     for new in outcome.replacements:
         unit = quantity_at(calibration, new.key).unit
@@ -71,9 +99,7 @@ def written(text: str, source: str, outcome: Outcome, recording: Recording, run:
     record = _record(calibration, outcome, recording, run)
     fits = [*calibration.fits, record]
     changes["fits"] = [fit.model_dump(mode="json", exclude_defaults=True) for fit in fits]
-    result = edited(text, source, changes)
-    calibration_of(result, f"{source} with the result of {run.procedure}")
-    return result
+    return changes
 
 
 def quantity_at(calibration: Calibration, key: str) -> Quantity:
