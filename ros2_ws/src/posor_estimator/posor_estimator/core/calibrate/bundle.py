@@ -174,7 +174,7 @@ def _fitted(
                 problem.units,
                 problem.scales,
                 jacobian=problem.jacobian,
-                prior=True,
+                prior=problem.prior,
                 loss=loss,
                 what=NAME,
             )

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
+from scipy.linalg import block_diag
 
 from posor_estimator.core.kernels.rows import evaluate_row
 from posor_estimator.core.kernels.solve import LENGTH, TOLERANCE
@@ -66,6 +67,7 @@ class BundleProblem:
         units: Their units.
         start: Where they begin, (q,).
         scales: Their standard uncertainty before the fit, (q,).
+        prior: Their covariance before the fit, (q, q).
         per_scan: How many residuals each scan has; with a reference, one for each reading.
 
     """
@@ -100,6 +102,7 @@ class BundleProblem:
         self.units = (*unknowns.units, *("rad" if i % POSE > 2 else "m" for i in self._mounted))  # noqa: PLR2004
         self.start = np.concatenate([unknowns.start, np.zeros(len(self._mounted))])
         self.scales = np.concatenate([unknowns.sigmas, mounting[self._mounted]])
+        self.prior = block_diag(unknowns.covariance, np.diag(np.square(mounting[self._mounted])))
         self.per_scan = stack.readings - (POSE if reference is None else 0)
         if self.per_scan < 1:
             raise FitError(

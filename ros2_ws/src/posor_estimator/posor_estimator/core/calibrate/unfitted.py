@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posor_estimator.core.calibrate.bundle_problem import BundleProblem
+from posor_estimator.core.calibrate.stated import root_of
 
 if TYPE_CHECKING:
     from posor_estimator.core.calibrate.bundle_data import BundleData
@@ -20,7 +21,8 @@ def with_unfitted(fit: Fit, problem: BundleProblem, every: Unknowns, stack: Stac
     """Return a bundle fit whose covariance has the share of what was not fitted.
 
     The fit took the other parameters for exact. An error of one of them moves the result by the fit's gain times what
-    it does to the residuals (JCGM 102, 6.2; "consider" parameters: Schmidt 1966).
+    it does to the residuals (JCGM 102, 6.2; "consider" parameters: Schmidt 1966). They are not found along with the
+    rest and then dropped: with them as the file has them, it is these values that make the instrument read right.
 
     Args:
         fit: The fit of some of the unknowns.
@@ -40,8 +42,9 @@ def with_unfitted(fit: Fit, problem: BundleProblem, every: Unknowns, stack: Stac
             at[index] = fit.values[where[name]]
     others = [index for index, name in enumerate(whole.names) if name not in where]
     ours = [whole.names.index(name) for name in fit.names]
-    derivatives = np.sqrt(fit.weights)[:, None] * whole.jacobian(at) * whole.scales
-    fitted = derivatives[:, ours]
-    gain = np.linalg.solve(fitted.T @ fitted + np.eye(len(ours)), fitted.T @ derivatives[:, others])
+    derivatives = np.sqrt(fit.weights)[:, None] * whole.jacobian(at)
+    fitted, beside = derivatives[:, ours] * problem.scales, derivatives[:, others]
+    known = np.linalg.inv(problem.prior / np.outer(problem.scales, problem.scales))
+    gain = np.linalg.solve(fitted.T @ fitted + known, fitted.T @ beside @ root_of(whole.prior[np.ix_(others, others)]))
     pushed = problem.scales[:, None] * gain
     return replace(fit, covariance=fit.covariance + pushed @ pushed.T)

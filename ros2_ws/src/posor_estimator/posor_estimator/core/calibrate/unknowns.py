@@ -11,6 +11,7 @@ import numpy as np
 
 from posor_estimator.core.calibrate.entries import Entry, entries_of
 from posor_estimator.core.calibrate.replacement import JointCovariance, Replacement
+from posor_estimator.core.calibrate.stated import Taken
 from posor_estimator.core.stack import Stack
 from posor_estimator.errors import FitError
 
@@ -56,11 +57,17 @@ class Unknowns:
         units: Unit of each, (q,).
         start: Where they are now, (q,).
         sigmas: Standard uncertainty of each as the calibration states it, (q,).
+        covariance: How they vary together, as the calibration and the records of its fits state it, (q, q).
 
     """
 
     def __init__(
-        self, calibration: Calibration, session: str = "", patterns: Sequence[str] = ("*",), held: Sequence[str] = ()
+        self,
+        calibration: Calibration,
+        session: str = "",
+        patterns: Sequence[str] = ("*",),
+        held: Sequence[str] = (),
+        first: str = "",
     ) -> None:
         """Find the unknowns.
 
@@ -69,6 +76,7 @@ class Unknowns:
             session: The session that holds; what it replaces is found there.
             patterns: Keys of quantities that may change, ``*`` for anything: ``sensors[0].probes[*].tip``.
             held: Keys of quantities that stay as they are all the same.
+            first: Keys of unknowns that come before the others.
 
         Raises:
             FitError: A pattern fits no quantity with an uncertainty.
@@ -97,7 +105,7 @@ class Unknowns:
                     where=f"calibration '{calibration.name}'",
                     expected=", ".join(keys[:12]) + (" ..." if len(keys) > 12 else ""),  # noqa: PLR2004  a line full
                 )
-        self._blocks.sort(key=lambda block: int(block.ids[0]))
+        self._blocks.sort(key=lambda block: (not _fits(first, block.entries[0].key), int(block.ids[0])))
         self.names = tuple(name for block in self._blocks for name in block.names)
         self.units = tuple(
             "rad" if b.is_direction else _unit(e) for b in self._blocks for e in b.entries[: len(b.names)]
@@ -106,10 +114,26 @@ class Unknowns:
         self.start = np.concatenate(
             [np.zeros(2)[: len(b.names)] if b.is_direction else self._values[b.ids] for b in self._blocks]
         )
+        self._taken = Taken(calibration, np.zeros(0, dtype=np.int64), session)
+        own = np.linalg.pinv(self.basis(self.start)) @ self._taken.root
+        sizes = np.linalg.norm(own, axis=1)
+        self.covariance = own @ own.T * np.outer(self.sigmas / sizes, self.sigmas / sizes)
 
     def __len__(self) -> int:
         """Return the number of unknowns."""
         return len(self.names)
+
+    def beside(self, covariance: FloatArray, count: int) -> JointCovariance:
+        """Return how the first unknowns, that were found, vary together and with the others, that stay as they were.
+
+        Args:
+            covariance: Of all unknowns after the fit, (q, q).
+            count: How many were found; each is a number by itself.
+
+        """
+        basis = self.basis(self.start)
+        across = covariance[:count, count:] @ basis[:, count:].T
+        return self._taken.beside(self.names[:count], covariance[:count, :count], across)
 
     def values(self, unknowns: FloatArray) -> FloatArray:
         """Return the stack's parameter vector for unknowns (q,), (p,)."""
