@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from posor_estimator.core.calibrate.probe_spacing import ProbeSpacingOptions, run
 from posor_estimator.errors import FitError, TrackError
-from posor_estimator.testing.campaign import posor, tilted, with_tips
+from posor_estimator.testing.campaign import exact, posor, tilted, with_tips
 from scipy.spatial.transform import Rotation
 from scipy.stats import binomtest
 
@@ -27,7 +27,7 @@ def taken(seed: int = 0, angles: FloatArray = ANGLES, sigma: float = 3e-6) -> Re
 
 
 def found(taken: Recording, **options: Any) -> Outcome:
-    return run(taken, posor(), ProbeSpacingOptions(**options))
+    return run(taken, exact(posor()), ProbeSpacingOptions(**options))
 
 
 def turned(before: Recording, turn: Any) -> Recording:
@@ -46,19 +46,22 @@ def test_truth_lies_in_the_95_percent_intervals_of_95_percent_of_campaigns() -> 
 
 
 def test_only_the_fitted_coordinates_of_the_tips_change() -> None:
-    outcome = found(taken())
+    outcome = run(taken(), posor(), ProbeSpacingOptions())
     new = {one.key: one for one in outcome.replacements}
     assert list(new) == [f"sensors[0].probes[{probe}].tip" for probe in range(3)]
     for probe, (value, truth) in enumerate(zip(new.values(), TIPS, strict=True)):
         axis = int(np.argmax(np.abs(truth)))
         sigmas: Any = value.sigma
-        assert abs(np.array(value.value)[axis] - TRUE[probe]) < 4.0 * sigmas[axis] < 1e-4
+        assert abs(np.array(value.value)[axis] - TRUE[probe]) < 4.0 * sigmas[axis] < 2e-4
         assert [sigma for a, sigma in enumerate(sigmas) if a != axis] == [20e-6, 1e-6]
-    assert outcome.covariances[0].entries == (
+    # What was taken for known, such as how far the probes sit off their axes, varies with it and stands behind it.
+    assert outcome.covariances[0].entries[:3] == (
         "sensors[0].probes[0].tip[0]",
         "sensors[0].probes[1].tip[1]",
         "sensors[0].probes[2].tip[1]",
     )
+    assert "sensors[0].probes[1].tip[0]" in outcome.covariances[0].entries
+    assert np.all(outcome.fits["probe_spacing"].sigmas[:3] > 1.5 * found(taken()).fits["probe_spacing"].sigmas[:3])
 
 
 def test_scale_of_the_angles_counts_for_all_spacings_alike() -> None:

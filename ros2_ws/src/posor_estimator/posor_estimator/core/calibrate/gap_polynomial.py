@@ -163,6 +163,7 @@ class _Basis:
             powers = Chebyshev.basis(k, domain=self.span).convert(kind=Polynomial).coef
             self.to_powers[: len(powers), k] = powers
         self._constant = probe.gaps(data.scans, np.zeros(order + 1))
+        self._effects = probe.effects(data.scans)
         self.design = np.column_stack([probe.gaps(data.scans, column) - self._constant for column in self.to_powers.T])
 
     def start(self) -> FloatArray:
@@ -192,6 +193,7 @@ class _Basis:
             ["m"] * size,
             np.full(size, float(np.ptp(self._data.reference))),
             jacobian=lambda values: self.design / sigmas[:, None],  # noqa: ARG005  the same at all values
+            taken=self._effects / sigmas[:, None] if trust_sigmas else None,
             loss=loss,
             trust_sigmas=trust_sigmas,
             what=f"{self._probe.name}, order {size - 1}",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -81,6 +81,19 @@ class OneProbe:
         """Return its gaps [m] as they would be if it did not depend on the supply voltage, (n,)."""
         return self._linearised(scans, {"supply": None})[0]
 
+    def effects(self, scans: Scans) -> FloatArray:
+        """Return what a standard deviation of each number of supply and temperature does to its gaps [m], (n, q)."""
+        columns = []
+        for part in ("supply", "temperature"):
+            now = getattr(self.calibration, part)
+            for name in type(now).model_fields if now is not None else ():
+                known: Quantity = getattr(now, name)
+                if known.sigma:
+                    moved = Quantity(value=known.number + known.sigmas.item(), unit=known.unit)
+                    tried = self._linearised(scans, {part: now.model_copy(update={name: moved})})[0]
+                    columns.append(tried - self.gaps(scans))
+        return np.column_stack(columns) if columns else np.zeros((len(scans), 0))
+
     def polynomial_at(self, volts: FloatArray, tried: Quantity | None = None) -> tuple[FloatArray, FloatArray]:
         """Return a polynomial and its standard uncertainty as the estimator counts it [m], (n,) each.
 
@@ -99,9 +112,7 @@ class OneProbe:
         gaps, _, sigmas = self._linearised(scans, alone | ({} if tried is None else {"volts_to_gap": tried}))
         return gaps, sigmas
 
-    def _linearised(
-        self, scans: Scans, update: dict[str, Quantity | None]
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _linearised(self, scans: Scans, update: dict[str, Any]) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return gaps [m], slopes [m/V] and the gaps' standard uncertainty by the calibration [m], (n,) each."""
         anywhere = {
             "range": Quantity(value=ANYWHERE, unit="V"),
@@ -121,7 +132,7 @@ class OneProbe:
         return batch.values[:, 0], np.sqrt(batch.variances[:, 0]), np.sqrt(batch.systematic[:, 0, 0])
 
 
-def _tried(coefficients: FloatArray | None) -> dict[str, Quantity | None]:
+def _tried(coefficients: FloatArray | None) -> dict[str, Any]:
     if coefficients is None:
         return {}
     return {"volts_to_gap": Quantity(value=coefficients.tolist(), unit="m/V^k")}

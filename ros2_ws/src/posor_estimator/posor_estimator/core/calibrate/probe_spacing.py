@@ -1,7 +1,8 @@
 """Where the gap probes sit, from angles imposed on the target: spacings a, b and c (thesis 7.5.2).
 
 The reference gives the angles; how high the target stands at each stop need not be known well, nor what each probe
-reads at zero. Three probes at (-c, 0), (0, a), (0, -b) then tell a and b by the angle about X, c by that about Y.
+reads at zero. What else the calibration says of the probes is taken as it is, with its uncertainty. Three probes at
+(-c, 0), (0, a), (0, -b) then tell a and b by the angle about X, c by that about Y.
 """
 
 from __future__ import annotations
@@ -25,11 +26,12 @@ from posor_estimator.core.calibrate.checks import (
 from posor_estimator.core.calibrate.fit import Loss, fit
 from posor_estimator.core.calibrate.joining import StopOptions, stops_of
 from posor_estimator.core.calibrate.one_probe import OneProbe
-from posor_estimator.core.calibrate.parameters import changed, indices, the_sensor
+from posor_estimator.core.calibrate.parameters import changed, first_index, indices, the_sensor
 from posor_estimator.core.calibrate.procedure import Figure, Outcome, Procedure
 from posor_estimator.core.calibrate.recording import POSE, PROBES_ESTIMATED, SATURATED, poses_of
 from posor_estimator.core.calibrate.replacement import JointCovariance, Replacement
 from posor_estimator.core.calibrate.reporting import correlation_table, parameter_table
+from posor_estimator.core.calibrate.stated import Taken
 from posor_estimator.core.forward import readings_at
 from posor_estimator.core.sensors.gap_probes import GapProbesCalibration
 from posor_estimator.core.stack import Stack
@@ -40,7 +42,7 @@ if TYPE_CHECKING:
     from posor_estimator.core.calibrate.joining import Stops
     from posor_estimator.core.calibrate.recording import Recording
     from posor_estimator.core.calibration.model import Calibration
-    from posor_estimator.core.types import BoolArray, FloatArray
+    from posor_estimator.core.types import BoolArray, FloatArray, IntArray
 
 NAME = "probe_spacing"
 AXES = ("x", "y", "z")
@@ -96,12 +98,16 @@ def run(recording: Recording, calibration: Calibration, options: ProbeSpacingOpt
         found = problem.fitted("linear", trust_sigmas=False)
     count = len(problem.names)
     values, before = found.values[:count], problem.before
-    covariance = found.covariance[:count, :count] + options.scale_sigma**2 * np.outer(values, values)
+    scale = options.scale_sigma**2 * np.outer(values, values)
+    covariance = found.covariance[:count, :count] + scale
+    joint = problem.taken().joint(tuple(problem.entries), found)
+    matrix = joint.matrix.copy()
+    matrix[:count, :count] += scale
     return Outcome(
         method=f"imposed angles at {len(problem.stops)} stops, height free, zero of each probe free (thesis 7.5.2)",
         fits={NAME: found},
         replacements=tuple(_replacement(problem, probe, values, covariance) for probe in problem.probes_moved()),
-        covariances=(JointCovariance(tuple(problem.entries), covariance),),
+        covariances=(JointCovariance(joint.entries, matrix),),
         tables=(
             parameter_table("where the probes sit", found, before, count),
             correlation_table(found, count),
@@ -208,8 +214,7 @@ class _Problem:
 
     def fitted(self, loss: Loss, start: FloatArray | None = None, *, trust_sigmas: bool = True) -> Fit:
         """Fit the coordinates, and what each probe but the first reads too much [m]."""
-        sensor_index, _ = the_sensor(self.calibration, GapProbesCalibration, NAME)
-        where = indices(self.calibration, sensor_index, [f"tips[{probe},{axis}]" for probe, axis in self._places()])
+        where = self._where()
         stack = Stack([sensor.build() for sensor in self.calibration.sensors])
         rows = [stack.reading_names.index(f"gap {probe.calibration.name}") for probe in self.probes]
         rotations, translations = poses_of(self.stops.reference)
@@ -235,10 +240,32 @@ class _Problem:
             names,
             ["m"] * len(names),
             scales,
+            taken=self.taken().effects(self._derivatives(stack, roots, rotations, translations)),
             loss=loss,
             trust_sigmas=trust_sigmas,
             what=NAME,
         )
+
+    def taken(self) -> Taken:
+        """Return what is taken for known: all but the coordinates to be fitted."""
+        return Taken(self.calibration, self._where())
+
+    def _where(self) -> IntArray:
+        """Return where the coordinates stand in the stack's parameter vector, (k,)."""
+        sensor, _ = the_sensor(self.calibration, GapProbesCalibration, NAME)
+        return indices(self.calibration, sensor, [f"tips[{probe},{axis}]" for probe, axis in self._places()])
+
+    def _derivatives(
+        self, stack: Stack, roots: list[FloatArray], rotations: FloatArray, translations: FloatArray
+    ) -> FloatArray:
+        """Return d(residual)/d(parameter of the stack), (n, p); only the gap probes have a part in it."""
+        at, _ = the_sensor(self.calibration, GapProbesCalibration, NAME)
+        sensor, first = stack.sensors[at], first_index(self.calibration, at)
+        out = np.zeros((len(roots), len(self.probes), stack.parameters))
+        for n, root in enumerate(roots):
+            block = sensor.residual_jacobian(self.stops.scans[n], rotations[n], translations[n])
+            out[n, :, first : first + block.shape[1]] = solve_triangular(root, block, lower=True)
+        return out.reshape(-1, stack.parameters)
 
     def _roots(
         self, stack: Stack, rows: list[int], rotations: FloatArray, translations: FloatArray

@@ -14,10 +14,13 @@ from posor_estimator.core.calibrate.checks import check_enough, misfit_sentences
 from posor_estimator.core.calibrate.fit import Loss, fit
 from posor_estimator.core.calibrate.joining import NS, stops
 from posor_estimator.core.calibrate.one_probe import OneProbe
+from posor_estimator.core.calibrate.parameters import first_index, indices, the_sensor
 from posor_estimator.core.calibrate.procedure import Figure, Options, Outcome, Procedure, Table
 from posor_estimator.core.calibrate.recording import PROBES_ESTIMATED, SATURATED
 from posor_estimator.core.calibrate.replacement import Part
+from posor_estimator.core.calibrate.stated import Taken
 from posor_estimator.core.calibrate.track import Track, dwells
+from posor_estimator.core.sensors.gap_probes import GapProbesCalibration
 from posor_estimator.errors import FitError
 
 if TYPE_CHECKING:
@@ -60,7 +63,13 @@ def run(recording: Recording, calibration: Calibration, options: SupplySensitivi
     levels = supply_levels(recording, options)
     supplies = levels.scans.supply_voltages
     probes = OneProbe.all_of(calibration)
-    fits = {probe.name: fitted(probe, levels, options) for probe in probes}
+    at, _ = the_sensor(calibration, GapProbesCalibration, NAME)
+    own = indices(calibration, at, [f"supply[{probe.index},{i}]" for probe in probes for i in range(2)])
+    taken = Taken(calibration, own)
+    fits = {
+        probe.name: fitted(probe, levels, options, taken.effects(_derivatives(calibration, at, probe, levels)))
+        for probe in probes
+    }
     warnings: tuple[str, ...] = ()
     for name, found in fits.items():
         names = [f"level {n + 1}" for n in range(len(levels))]
@@ -74,6 +83,7 @@ def run(recording: Recording, calibration: Calibration, options: SupplySensitivi
             Part(f"{probe.key}.supply", _part(probe, fits[probe.name], float(supplies.mean()), options))
             for probe in probes
         ),
+        covariances=tuple(taken.joint((f"{probe.key}.supply.sensitivity",), fits[probe.name]) for probe in probes),
         tables=(_table(probes, fits, options),),
         warnings=warnings,
         figures=tuple(
@@ -112,10 +122,21 @@ def supply_levels(recording: Recording, options: SupplySensitivityOptions) -> St
     return found
 
 
-def fitted(probe: OneProbe, levels: Stops, options: SupplySensitivityOptions) -> Fit:
+def _derivatives(calibration: Calibration, at: int, probe: OneProbe, levels: Stops) -> FloatArray:
+    """Return d(gap of one probe)/d(parameter of the stack) at the levels, (d, p), wherever the target rests."""
+    sensor, first = calibration.sensors[at].build(), first_index(calibration, at)
+    out = np.zeros((len(levels), first_index(calibration, len(calibration.sensors))))
+    for n in range(len(levels)):
+        block = sensor.residual_jacobian(levels.scans[n], np.eye(3), np.zeros(3))
+        out[n, first : first + block.shape[1]] = block[probe.index]
+    return out
+
+
+def fitted(probe: OneProbe, levels: Stops, options: SupplySensitivityOptions, by_taken: FloatArray) -> Fit:
     """Return the fit of ``sensitivity`` [m/V] and ``gap`` at the mean supply [m] of one probe.
 
     The sensitivity is what is added to the linearised gap for a volt: the gap without it falls by as much.
+    ``by_taken``: what a standard deviation of what is taken for known does to the gaps [m], (d, q).
     """
     gaps = probe.gaps_without_supply(levels.scans)
     slopes = probe.slopes(levels.scans)
@@ -136,6 +157,7 @@ def fitted(probe: OneProbe, levels: Stops, options: SupplySensitivityOptions) ->
             ("m/V", "m"),
             scales,
             jacobian=lambda values: design / sigmas[:, None],  # noqa: ARG005  the same at all values
+            taken=by_taken / sigmas[:, None],
             loss=options.loss,
             trust_sigmas=trust_sigmas,
             what=f"{NAME} of {probe.name}",
