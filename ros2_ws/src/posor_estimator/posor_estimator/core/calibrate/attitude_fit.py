@@ -2,7 +2,7 @@
 
 The estimator itself is the model: at each set of parameters the scans are located again and their angles compared with
 the reference's. Constant differences between the two mean nothing, since each has a zero of its own; what must agree
-is how the angles change.
+is how the angles change. All else that the calibration says is taken as it is, with its uncertainty.
 """
 
 from __future__ import annotations
@@ -11,12 +11,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pinocchio as pin
 
 from posor_estimator.core.calibrate.checks import check_axis, check_unit
 from posor_estimator.core.calibrate.fit import Fit, Loss, fit
 from posor_estimator.core.calibrate.orientation import ANGLES
 from posor_estimator.core.calibrate.parameters import changed
-from posor_estimator.core.native import native_from_rotation
+from posor_estimator.core.calibrate.stated import Taken
+from posor_estimator.core.native import native_from_rotation, native_jacobian
 from posor_estimator.core.posor import Posor
 from posor_estimator.errors import FitError, TrackError
 
@@ -65,6 +67,7 @@ class AttitudeFit:
         before: Error of the angles, POSOR less reference, with the parameters as they were [rad], (n, 3), the one of
             the first scan used taken off; NaN where there is none.
         after: The same with the parameters found.
+        taken: What of the calibration was taken for known.
 
     """
 
@@ -75,6 +78,7 @@ class AttitudeFit:
     thetas: FloatArray
     before: FloatArray
     after: FloatArray
+    taken: Taken
 
 
 class _Angles:
@@ -94,9 +98,20 @@ class _Angles:
         angles[:, 2] = found.thetas
         return angles, found.covariances_random[:, 3:, 3:]
 
+    def derivatives(self, used: BoolArray) -> FloatArray:
+        """Return d(alpha, beta, theta)/d(parameter) at the scans that are used, zero at the others, (n, 3, p)."""
+        found = self.posor.locate_all(self._scans)
+        out = np.zeros((len(self._scans), 3, self.posor.stack.parameters))
+        for n in np.flatnonzero(used).tolist():
+            scan, T_R_T = self._scans[n], pin.SE3(found.rotations[n], found.translations[n])
+            by_reading = native_jacobian(T_R_T.rotation) @ self.posor.sensitivity(scan, T_R_T)[0][3:]
+            out[n] = by_reading @ self.posor.stack.residual_jacobian(scan, T_R_T.rotation, T_R_T.translation)
+        return out
+
 
 def fit_attitude(
     calibration: Calibration,
+    session: str,
     scans: Scans,
     sound: BoolArray,
     reference: Orientation,
@@ -112,7 +127,8 @@ def fit_attitude(
     """Find the parameters with which the angles change as the reference's do.
 
     Args:
-        calibration: As it is.
+        calibration: As it is, its session not yet applied.
+        session: The session that holds; empty: none.
         scans: In the order of time.
         sound: Which of them count, (n,) of truth values; the others only lead from one to the next.
         reference: Orientation at the time of each scan.
@@ -130,7 +146,7 @@ def fit_attitude(
         TrackError: The check says so.
 
     """
-    model = _Angles(calibration, scans)
+    model = _Angles(calibration.for_session(session), scans)
     where = np.array([unknown.index for unknown in unknowns])
     columns = [ANGLES.index(angle) for angle in angles]
     start = model.start[where]
@@ -166,6 +182,14 @@ def fit_attitude(
         prior = zero[: len(zeros)] / first_sigma if zeros else np.empty(0)
         return np.concatenate([white[1:].ravel(), prior])
 
+    taken = Taken(calibration, where, session)
+    by_parameter = model.derivatives(used)
+    by_parameter = (by_parameter - by_parameter[int(np.argmax(used))])[used][:, columns]
+    effects = taken.effects(np.einsum("nij,njp->nip", whiten, by_parameter))
+    if first_sigma is not None:  # the first scan speaks of the zero only, whose own reading, if any, stands last
+        effects = np.concatenate([*effects[1:], np.zeros((len(zeros), effects.shape[2]))])
+    else:
+        effects = np.concatenate(list(effects))
     outcome = fit(
         residuals,
         np.concatenate([start, np.zeros(len(zeros))]),
@@ -175,12 +199,12 @@ def fit_attitude(
         loss=loss,
         trust_sigmas=trust_sigmas,
         what=what,
-    )
+    ).considering(effects)
     best = outcome.values[:count]
     numbers = scans.numbers[used][0 if first_sigma is None else 1 :]
     readings = [f"{angle} of scan {number}" for number in numbers for angle in angles]
     readings += [] if first_sigma is None else [f"zero of {angle}" for angle in zeros]
-    return AttitudeFit(outcome, tuple(readings), best, used, found[:, 2], errors(start), errors(best))
+    return AttitudeFit(outcome, tuple(readings), best, used, found[:, 2], errors(start), errors(best), taken)
 
 
 def _check_reference(

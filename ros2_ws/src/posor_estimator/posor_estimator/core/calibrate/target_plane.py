@@ -23,7 +23,7 @@ from posor_estimator.core.calibrate.orientation import Orientation, orientation_
 from posor_estimator.core.calibrate.parameters import indices, the_sensor
 from posor_estimator.core.calibrate.procedure import Figure, Options, Outcome, Procedure
 from posor_estimator.core.calibrate.recording import PROBES_ESTIMATED, SATURATED
-from posor_estimator.core.calibrate.replacement import JointCovariance, Replacement
+from posor_estimator.core.calibrate.replacement import Replacement
 from posor_estimator.core.calibrate.reporting import correlation_table, fit_warnings, parameter_table
 from posor_estimator.core.sensors.gap_probes import GapProbesCalibration
 
@@ -73,7 +73,8 @@ def find_target_plane(recording: Recording, calibration: Calibration, options: T
     check_enough(int(sound.sum()), LEAST_SCANS, "scans", f"{NAME}, {recording.source}")
     where = indices(applied, sensor, ["plane_tilt[0]", "plane_tilt[1]"])
     found = fit_attitude(
-        applied,
+        calibration,
+        options.session,
         recording.scans,
         sound,
         _reference(recording, options),
@@ -93,7 +94,7 @@ def find_target_plane(recording: Recording, calibration: Calibration, options: T
         f"{'is measured' if options.reference or options.lever else 'keeps its direction'} (thesis 8.3.1)",
         fits={NAME: fit},
         replacements=(Replacement(key, fit.values[:2].tolist(), fit.sigmas[:2].tolist()),),
-        covariances=(JointCovariance((f"{key}[0]", f"{key}[1]"), fit.covariance[:2, :2]),),
+        covariances=(found.taken.joint((f"{key}[0]", f"{key}[1]"), fit),),
         tables=(
             parameter_table("tilt of the target plane", fit, part.target_plane.tilt.array, 2),
             correlation_table(fit, len(fit.names)),

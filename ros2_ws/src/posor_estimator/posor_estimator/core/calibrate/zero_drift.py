@@ -20,7 +20,7 @@ from posor_estimator.core.calibrate.orientation import ANGLES, orientation_at
 from posor_estimator.core.calibrate.parameters import indices, the_sensor
 from posor_estimator.core.calibrate.procedure import Figure, Options, Outcome, Procedure, Table
 from posor_estimator.core.calibrate.recording import PROBES_ESTIMATED, SATURATED
-from posor_estimator.core.calibrate.replacement import JointCovariance, Replacement
+from posor_estimator.core.calibrate.replacement import Replacement
 from posor_estimator.core.calibrate.reporting import correlation_table, fit_warnings, parameter_table, row
 from posor_estimator.core.sensors.gap_probes import GapProbesCalibration
 
@@ -77,8 +77,8 @@ def find_zero_drift(recording: Recording, calibration: Calibration, options: Zer
         CalibrationError: There is no such session.
 
     """
-    calibration = calibration.for_session(options.session)
-    sensor, probes = the_sensor(calibration, GapProbesCalibration, NAME)
+    applied = calibration.for_session(options.session)
+    sensor, probes = the_sensor(applied, GapProbesCalibration, NAME)
     reference = orientation_at(
         recording,
         recording.scans.stamps_ns,
@@ -88,7 +88,7 @@ def find_zero_drift(recording: Recording, calibration: Calibration, options: Zer
         longest_gap_s=options.longest_gap,
     )
     count = len(probes.probes)
-    where = indices(calibration, sensor, [f"zero_shifts[{k}]" for k in range(count)])
+    where = indices(applied, sensor, [f"zero_shifts[{k}]" for k in range(count)])
     before = np.array([probe.zero_shift.number for probe in probes.probes])
     unknowns = [
         Unknown(f"zero shift of {probe.name}", "V", int(index), options.expected_drift)
@@ -102,6 +102,7 @@ def find_zero_drift(recording: Recording, calibration: Calibration, options: Zer
     check_alive(names, volts[whole], np.zeros_like(volts[whole]), places, recording.source)
     found = fit_attitude(
         calibration,
+        options.session,
         recording.scans,
         ~recording.having(PROBES_ESTIMATED | SATURATED),
         reference,
@@ -134,7 +135,7 @@ def _outcome(found: AttitudeFit, scans: Scans, options: ZeroDriftOptions, before
         f"{np.count_nonzero(found.used)} scans (thesis 8.3.1)",
         fits={NAME: fit},
         replacements=replacements,
-        covariances=(JointCovariance(entries, fit.covariance[:count, :count]),),
+        covariances=(found.taken.joint(entries, fit),),
         tables=(
             parameter_table("zero shifts", fit, before, count),
             correlation_table(fit, count),
