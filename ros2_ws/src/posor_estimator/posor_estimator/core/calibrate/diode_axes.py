@@ -5,21 +5,23 @@ the fields are apart and how they are turned. The first diode is where it was, i
 what the stage's zero and its own heading are is found along with the rest. Source: thesis 7.4.4, equations 7.2 to 7.4,
 where two positions of the light gave the offset; here any number of stops, by least squares.
 
-The maps of the diodes and the squareness of the stage are taken as they are.
+The squareness of the stage is taken as it is; so are the maps of the diodes, and all else that the calibration says,
+with their uncertainty.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from pydantic import Field
 
 from posor_estimator.core.calibrate.fit import Fit, Loss, fit
-from posor_estimator.core.calibrate.parameters import the_sensor
+from posor_estimator.core.calibrate.parameters import indices, the_sensor
 from posor_estimator.core.calibrate.procedure import Outcome, Procedure, Table
 from posor_estimator.core.calibrate.recording import POINT
-from posor_estimator.core.calibrate.replacement import JointCovariance, Replacement
+from posor_estimator.core.calibrate.replacement import Replacement
 from posor_estimator.core.calibrate.reporting import correlation_table, fit_warnings, parameter_table
 from posor_estimator.core.calibrate.seen_spots import (
     SeenSpots,
@@ -29,6 +31,7 @@ from posor_estimator.core.calibrate.seen_spots import (
     seen_spots,
     turned_axis,
 )
+from posor_estimator.core.calibrate.stated import Taken
 from posor_estimator.core.sensors.diodes import DiodesCalibration
 from posor_estimator.errors import FitError
 
@@ -94,15 +97,19 @@ class _Model:
             "y_axes": turned_axis(y_axis, normal, turn_y),
         }
 
-    def _predict(self, diode: OneDiode, unknowns: FloatArray) -> FloatArray:
+    def poses(self, diode: OneDiode, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return rotations (m, 3, 3) and translations [m] (m, 3) at the stops that a diode sees the source at."""
         x, y, heading = unknowns[:3]
         turn = np.array([[np.cos(heading), -np.sin(heading), 0], [np.sin(heading), np.cos(heading), 0], [0, 0, 1]])
         moved = self._moved[diode.seen] @ turn.T + np.array([x, y, 0.0])
+        return np.tile(np.eye(3), (len(moved), 1, 1)), moved
+
+    def _predict(self, diode: OneDiode, unknowns: FloatArray) -> FloatArray:
         new: dict[str, float] = {}
         if np.any(unknowns):
             for name, vector in self.parameters(diode, unknowns).items():
                 new.update(components(name, vector))
-        return diode.predict(new, np.tile(np.eye(3), (len(moved), 1, 1)), moved)
+        return diode.predict(new, *self.poses(diode, unknowns))
 
     def residuals(self, unknowns: FloatArray) -> FloatArray:
         return self.spots.residuals(lambda diode: self._predict(diode, unknowns))
@@ -131,22 +138,65 @@ def find_diode_axes(recording: Recording, calibration: Calibration, options: Dio
         along = options.direction * spots.stops.reference[diode.seen]
         moved = np.column_stack([along @ axes.x_axis.array, along @ axes.y_axis.array, along[:, 2]])
         check_motion(diode, moved, track.source)
+    numbers = _numbers(model, part)
+    taken = Taken(calibration, indices(calibration, sensor, [number.parameter for number in numbers]))
+    derivatives = spots.derivatives(lambda diode: model.poses(diode, model.start), calibration, sensor)
     found = fit(
         model.residuals,
         model.start,
         model.names,
         model.units,
         model.scales,
+        taken=taken.effects(derivatives),
         loss=options.loss,
         what=NAME,
     )
-    return _outcome(found, model, part, sensor)
+    return _outcome(found, model, part, sensor, taken, numbers)
 
 
-def _outcome(found: Fit, model: _Model, part: DiodesCalibration, sensor: int) -> Outcome:
+@dataclass(frozen=True)
+class _Number:
+    """A number of the file that is found.
+
+    Attributes:
+        entry: Its key from the diode on.
+        diode: Which diode it is of.
+        parameter: Its name among the sensor's parameters.
+        unknown: Which unknown moves it.
+        slope: By how much.
+
+    """
+
+    entry: str
+    diode: int
+    parameter: str
+    unknown: int
+    slope: float
+
+
+def _numbers(model: _Model, part: DiodesCalibration) -> list[_Number]:
+    """Return the numbers that are found: origins across, and what a turn moves of the axes."""
+    found = []
+    for at, diode in enumerate(model.spots.diodes):
+        own, k = part.diodes[diode.index], diode.index
+        if at > 0:
+            found += [_Number(f"origin[{i}]", k, f"origins[{k},{i}]", 4 * at + i, 1.0) for i in range(2)]
+        normal = np.cross(own.x_axis.array, own.y_axis.array)
+        turns = {"y": 3} if at == 0 else {"x": 4 * at + 2, "y": 4 * at + 3}
+        for axis, unknown in turns.items():
+            moved = np.cross(normal, getattr(own, f"{axis}_axis").array)
+            found += [
+                _Number(f"{axis}_axis[{i}]", k, f"{axis}_axes[{k},{i}]", unknown, float(moved[i]))
+                for i in range(3)
+                if abs(moved[i]) > 0.5  # noqa: PLR2004  the component across the axis
+            ]
+    return found
+
+
+def _outcome(
+    found: Fit, model: _Model, part: DiodesCalibration, sensor: int, taken: Taken, numbers: list[_Number]
+) -> Outcome:
     replacements: list[Replacement] = []
-    entries: list[str] = []
-    where: list[int] = []
     for at, diode in enumerate(model.spots.diodes):
         key, own = f"sensors[{sensor}].diodes[{diode.index}]", part.diodes[diode.index]
         new = model.parameters(diode, found.values)
@@ -161,9 +211,11 @@ def _outcome(found: Fit, model: _Model, part: DiodesCalibration, sensor: int) ->
         if at > 0:
             sigma = [*found.sigmas[4 * at : 4 * at + 2].tolist(), float(own.origin.sigmas[2])]
             replacements.append(Replacement(f"{key}.origin", new["origins"].tolist(), sigma))
-            entries += [f"{key}.origin[0]", f"{key}.origin[1]"]
-            where += [4 * at, 4 * at + 1]
     before = model.start.copy()
+    basis = np.zeros((len(numbers), len(found.names)))
+    for row, number in enumerate(numbers):
+        basis[row, number.unknown] = number.slope
+    entries = tuple(f"sensors[{sensor}].diodes[{number.diode}].{number.entry}" for number in numbers)
     first = model.spots.diodes[0]
     rows = tuple(
         (
@@ -180,7 +232,7 @@ def _outcome(found: Fit, model: _Model, part: DiodesCalibration, sensor: int) ->
         "(thesis 7.4.4, equations 7.2 to 7.4, by least squares)",
         fits={NAME: found},
         replacements=tuple(replacements),
-        covariances=(JointCovariance(tuple(entries), found.covariance[np.ix_(where, where)]),),
+        covariances=(taken.joint(entries, found, basis),),
         tables=(
             Table("offset of the diodes", ("offset", "found", "sigma"), ("", "m", "m"), rows),
             parameter_table("diodes, and the stage", found, before, len(before)),

@@ -17,12 +17,13 @@ import numpy as np
 from pydantic import Field
 
 from posor_estimator.core.calibrate.fit import Fit, Loss, fit
-from posor_estimator.core.calibrate.parameters import the_sensor
+from posor_estimator.core.calibrate.parameters import indices, the_sensor
 from posor_estimator.core.calibrate.procedure import Outcome, Procedure
 from posor_estimator.core.calibrate.recording import POINT, POSE, Recording, poses_of
-from posor_estimator.core.calibrate.replacement import JointCovariance, Replacement
+from posor_estimator.core.calibrate.replacement import Replacement
 from posor_estimator.core.calibrate.reporting import correlation_table, fit_warnings, parameter_table
 from posor_estimator.core.calibrate.seen_spots import SeenSpots, StopOptions, components, seen_spots
+from posor_estimator.core.calibrate.stated import Taken
 from posor_estimator.core.native import native_from_rotation, rotation_from_native
 from posor_estimator.core.sensors.diodes import DiodesCalibration
 from posor_estimator.errors import FitError
@@ -105,12 +106,16 @@ class _Model:
         leaning = was + abs(was[2]) * np.array([unknowns[at], unknowns[at + 1], 0.0])
         return np.asarray(leaning / np.linalg.norm(leaning))
 
-    def _seen(self, diode: OneDiode, unknowns: FloatArray) -> FloatArray:
+    def poses(self, diode: OneDiode, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return rotations (m, 3, 3) and translations [m] (m, 3) at the stops that a diode sees a source at."""
         along = np.array([[1.0, 0.0, unknowns[self.count]], [0.0, 1.0, unknowns[self.count + 1]], [0.0, 0.0, 1.0]])
+        return self._rotations[diode.seen], self._moved[diode.seen] @ along.T
+
+    def _seen(self, diode: OneDiode, unknowns: FloatArray) -> FloatArray:
         new: dict[str, float] = {}
         for source in np.unique(diode.sources):
             new.update(components(f"source_directions#{source}", self.direction(int(source), unknowns)))
-        return diode.predict(new, self._rotations[diode.seen], self._moved[diode.seen] @ along.T)
+        return diode.predict(new, *self.poses(diode, unknowns))
 
     def _predict(self, diode: OneDiode, unknowns: FloatArray) -> FloatArray:
         zeros = unknowns[self.count + 2 :].reshape(-1, 2)
@@ -157,11 +162,24 @@ def find_light_sources(recording: Recording, calibration: Calibration, options: 
             where=NAME,
             expected="stops at 180 degrees too, or stage_sigma: how square the stage moves",
         )
-    found = fit(model.residuals, model.start, model.names, model.units, model.scales, loss=options.loss, what=NAME)
-    return _outcome(found, model, part, sensor)
+    leans = [f"source_directions[{source},{i}]" for source in model.sources for i in range(2)]
+    taken = Taken(calibration, indices(calibration, sensor, leans))
+    derivatives = spots.derivatives(lambda diode: model.poses(diode, model.start), calibration, sensor)
+    prior = np.zeros((0 if options.stage_sigma is None else 2, derivatives.shape[1]))
+    found = fit(
+        model.residuals,
+        model.start,
+        model.names,
+        model.units,
+        model.scales,
+        taken=taken.effects(np.vstack([derivatives, prior])),
+        loss=options.loss,
+        what=NAME,
+    )
+    return _outcome(found, model, part, sensor, taken)
 
 
-def _outcome(found: Fit, model: _Model, part: DiodesCalibration, sensor: int) -> Outcome:
+def _outcome(found: Fit, model: _Model, part: DiodesCalibration, sensor: int, taken: Taken) -> Outcome:
     keys = [f"sensors[{sensor}].light_sources[{source}].direction" for source in model.sources]
     replacements = []
     for index, (key, source) in enumerate(zip(keys, model.sources, strict=True)):
@@ -178,7 +196,7 @@ def _outcome(found: Fit, model: _Model, part: DiodesCalibration, sensor: int) ->
         "(thesis equations 7.5 to 7.8, by least squares)",
         fits={NAME: found},
         replacements=tuple(replacements),
-        covariances=(JointCovariance(entries, found.covariance[: model.count, : model.count]),),
+        covariances=(taken.joint(entries, found),),
         tables=(
             parameter_table("leans, of rays against what they were", found, np.zeros(shown), shown),
             correlation_table(found, shown),

@@ -52,6 +52,8 @@ class OneDiode:
         self.variances: FloatArray = batch.variances[self.seen]
         self._chosen = batch.chosen[self.seen]
         self._start = self._sensor.parameter_values
+        self._scans = own.chosen(np.flatnonzero(self.seen))
+        self._whole = calibration
 
     def predict(self, new: Mapping[str, float], rotations: FloatArray, translations: FloatArray) -> FloatArray:
         """Return where the spots would be [m], (m, 2).
@@ -68,6 +70,27 @@ class OneDiode:
         pool = self._sensor.with_parameter_values(values).pool
         out = np.empty((len(rotations), 2))
         evaluate_all(pool.kinds, pool.rows, self._chosen, rotations, translations, out)
+        return out
+
+    def derivatives(self, rotations: FloatArray, translations: FloatArray) -> FloatArray:
+        """Return d(spot - predicted spot)/d(parameter of the sensor with all its diodes), (m, 2, p).
+
+        Args:
+            rotations: R_R_T at the scans that the diode sees a source in, (m, 3, 3).
+            translations: Origin of T in R there [m], (m, 3).
+
+        """
+        names = self._whole.build().parameter_names
+        places = {name: i for i, name in enumerate(names)}
+        of_diode = ("origins", "x_axes", "y_axes", "maps")
+        own = [
+            name.replace("[0,", f"[{self.index},") if name.startswith(of_diode) else name
+            for name in self._sensor.parameter_names
+        ]
+        where = np.array([places[name] for name in own])
+        out = np.zeros((len(rotations), 2, len(names)))
+        for n, (rotation, translation) in enumerate(zip(rotations, translations, strict=True)):
+            out[n][:, where] = self._sensor.residual_jacobian(self._scans[n], rotation, translation)
         return out
 
     def value(self, name: str) -> float:

@@ -11,6 +11,7 @@ from pydantic import Field
 from posor_estimator.core.calibrate.checks import check_axis, check_enough, check_unit
 from posor_estimator.core.calibrate.joining import Stops, stops
 from posor_estimator.core.calibrate.one_diode import OneDiode, diodes_that_see
+from posor_estimator.core.calibrate.parameters import first_index
 from posor_estimator.core.calibrate.procedure import Options
 from posor_estimator.core.calibrate.recording import DIODES_ESTIMATED, SATURATED
 from posor_estimator.core.calibrate.track import dwells
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from posor_estimator.core.calibrate.recording import Recording
+    from posor_estimator.core.calibration.model import Calibration
     from posor_estimator.core.sensors.diodes import DiodesCalibration
     from posor_estimator.core.types import FloatArray
 
@@ -61,6 +63,27 @@ class SeenSpots:
         return np.concatenate(
             [((diode.spots - predicted(diode)) / self.sigmas(diode)).ravel() for diode in self.diodes]
         )
+
+    def derivatives(
+        self, at: Callable[[OneDiode], tuple[FloatArray, FloatArray]], calibration: Calibration, sensor: int
+    ) -> FloatArray:
+        """Return d(residual)/d(parameter of the stack), (n, p).
+
+        Args:
+            at: Rotations (m, 3, 3) and translations [m] (m, 3) of T in R at the stops that a diode sees a source at.
+            calibration: Of the POSOR.
+            sensor: Which of its sensors the diodes are.
+
+        """
+        first = first_index(calibration, sensor)
+        total = first_index(calibration, len(calibration.sensors))
+        parts = []
+        for diode in self.diodes:
+            block = diode.derivatives(*at(diode)) / self.sigmas(diode)[:, :, None]
+            part = np.zeros((block.shape[0] * 2, total))
+            part[:, first : first + block.shape[2]] = block.reshape(-1, block.shape[2])
+            parts.append(part)
+        return np.concatenate(parts)
 
     def names(self) -> list[str]:
         """Return what to call each residual."""
