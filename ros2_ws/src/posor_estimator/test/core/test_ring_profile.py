@@ -16,6 +16,7 @@ from posor_estimator.core.forward import scans_at
 from posor_estimator.core.native import rotation_from_native
 from posor_estimator.core.posor import Posor
 from posor_estimator.errors import FitError, TrackError
+from posor_estimator.testing.campaign import exact
 
 if TYPE_CHECKING:
     from posor_estimator.core.calibrate.procedure import Outcome
@@ -76,7 +77,7 @@ def campaign(random: np.random.Generator, turns: float = 1.5, count: int = 320) 
     said = thetas + THETA_SIGMA * random.normal(size=count)
     track = Track(stamps, said[:, None], np.array([THETA_SIGMA]), THETA)
     recording = Recording(scans.with_fields({"at_home": home}), {THETA: track}, "simulated")
-    return Campaign(design("triad_bumpy_ring"), recording, truth)
+    return Campaign(exact(design("triad_bumpy_ring")), recording, truth)
 
 
 def run(made: Campaign, **options: Any) -> Outcome:

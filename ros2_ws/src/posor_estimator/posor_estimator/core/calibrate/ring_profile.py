@@ -28,7 +28,7 @@ from posor_estimator.core.calibrate.fit import UNTOLD, Fit, Loss, fit
 from posor_estimator.core.calibrate.parameters import the_sensor
 from posor_estimator.core.calibrate.procedure import Figure, Options, Outcome, Procedure, Table
 from posor_estimator.core.calibrate.recording import PROBES_ESTIMATED, SATURATED, SCALAR
-from posor_estimator.core.calibrate.replacement import Part
+from posor_estimator.core.calibrate.replacement import JointCovariance, Part
 from posor_estimator.core.calibrate.reporting import residual_warnings
 from posor_estimator.core.calibrate.unknowns import Unknowns
 from posor_estimator.core.calibration.quantity import Quantity
@@ -108,7 +108,8 @@ def find_ring_profile(recording: Recording, calibration: Calibration, options: R
     turns = _turns(recording.without(PROBES_ESTIMATED | SATURATED), wide, part, options)
     stack = Stack([one.build() for one in wide.sensors])
     key = f"sensors[{sensor}].ring"
-    unknowns = Unknowns(wide, "", (f"{key}.mean_radius", f"{key}.cos", f"{key}.sin"))
+    unknowns = Unknowns(wide, first=f"{key}.*")
+    own = sum(name.startswith(f"{key}.") for name in unknowns.names)
     problem = BundleProblem(
         stack, unknowns, turns.scans, np.ones(len(turns.scans)), turns.poses, _reference(turns, recording, options)
     )
@@ -120,7 +121,7 @@ def find_ring_profile(recording: Recording, calibration: Calibration, options: R
             problem.units,
             problem.scales,
             jacobian=problem.jacobian,
-            prior=True,
+            prior=problem.prior,
             loss=options.loss,
             what=NAME,
         )
@@ -128,7 +129,8 @@ def find_ring_profile(recording: Recording, calibration: Calibration, options: R
         raise FitError(
             f"{int(error.which.sum())} scans leave the calibrated range of the probes", where=NAME, expected="none"
         ) from None
-    return _outcome(found, part, orders, key, turns, problem.scales, options)
+    joint = unknowns.beside(found.covariance, own)
+    return _outcome(found.part(own), part, orders, key, turns, problem.scales[:own], options, joint)
 
 
 def _widened(part: BumpyRingCalibration, orders: list[int], options: RingProfileOptions) -> BumpyRingCalibration:
@@ -242,6 +244,7 @@ def _outcome(
     turns: _Turns,
     scales: FloatArray,
     options: RingProfileOptions,
+    joint: JointCovariance,
 ) -> Outcome:
     remaining = dict(zip(found.names, (found.sigmas / scales).tolist(), strict=True))
     untold = [k for k in orders if max(remaining[f"cos {k}"], remaining[f"sin {k}"]) > UNTOLD]
@@ -271,6 +274,7 @@ def _outcome(
         f"theta {'by a reference' if options.theta else 'counted from the home mark'}",
         fits={NAME: found},
         parts=(Part(key, ring),),
+        covariances=(joint,),
         tables=(_table(found, part, orders, remaining),),
         warnings=(*warnings, *residual_warnings(found)),
         figures=(_figure(found, part, orders),),
