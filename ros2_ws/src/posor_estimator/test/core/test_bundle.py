@@ -122,7 +122,8 @@ def test_what_was_drawn_is_found_within_its_stated_uncertainty(
     with_reference: bool,  # noqa: FBT001  a case
 ) -> None:
     pulls, spreads = [], []
-    for seed in range(5):
+    # A ring of lights has several times as many parameters as the others, and takes its time.
+    for seed in range(3 if name == "triad_light_ring" else 5):
         campaign = DrawnPosor(name, 40, seed, turning=name == "triad_bumpy_ring" and not with_reference)
         recording = campaign.recording() if with_reference else campaign.recording(tracks={})
         solved = solve(recording, campaign.calibration, BundleOptions(loss="linear"))
