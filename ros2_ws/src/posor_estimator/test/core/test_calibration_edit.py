@@ -18,6 +18,7 @@ from posor_estimator.core.calibration.edit import edited, parsed
 from posor_estimator.core.calibration.fit_record import Instrument
 from posor_estimator.core.calibration.load import calibration_of, load_calibration
 from posor_estimator.core.calibration.save import refuse_existing, save
+from posor_estimator.core.calibration.strict_yaml import read_yaml
 from posor_estimator.core.forward import empty_scans
 from posor_estimator.errors import CalibrationError
 
@@ -334,3 +335,9 @@ def test_a_file_of_version_1_keeps_its_hash_and_may_not_tell_of_fits(
     path.write_text(yaml.safe_dump({**content, "fits": [record()]}, sort_keys=False), encoding="utf-8")
     with pytest.raises(CalibrationError, match=r"key fits: fits in a file of version 1; expected version 2\.$"):
         load_calibration(path)
+
+
+@pytest.mark.parametrize("text", ["3e-06", "1e5", "010", "1:30", "yes", "1.5", ".5", "null"])
+def test_a_text_that_looks_like_a_number_stays_a_text(text: str) -> None:
+    changed = edited("options: {wobble: none}\n", "bench", {"options.wobble": text})
+    assert read_yaml(changed, "bench")[1] == {"options": {"wobble": text}}

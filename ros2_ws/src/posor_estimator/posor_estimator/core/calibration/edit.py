@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from posor_estimator.core.calibration.places import place
-from posor_estimator.core.calibration.strict_yaml import read_yaml
+from posor_estimator.core.calibration.strict_yaml import StrictDumper, read_yaml
 from posor_estimator.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -162,6 +162,8 @@ def _written(content: Any, indent: int, *, flow: bool) -> str:
     """Return content as YAML, its lines after the first indented."""
     style = True if flow else None
     width = max(_WIDTH - indent, _WIDTH // 2)
-    text = yaml.safe_dump(content, default_flow_style=style, sort_keys=False, allow_unicode=True, width=width)
+    text = yaml.dump(
+        content, Dumper=StrictDumper, default_flow_style=style, sort_keys=False, allow_unicode=True, width=width
+    )
     lines = text.removesuffix("...\n").rstrip("\n").split("\n")
     return ("\n" + " " * indent).join(lines)

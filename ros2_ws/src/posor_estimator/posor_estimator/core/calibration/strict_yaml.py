@@ -67,19 +67,31 @@ _Loader.yaml_implicit_resolvers = {
     first: [(tag, pattern) for tag, pattern in resolvers if tag not in (_INTEGER, _FLOAT)]
     for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
-_Loader.add_implicit_resolver(_INTEGER, re.compile(r"[-+]?(?:0|[1-9][0-9]*)$"), list("-+0123456789"))
-_Loader.add_implicit_resolver(
-    _FLOAT,
-    re.compile(
-        r"""[-+]?(?:(?:0|[1-9][0-9]*)\.[0-9]*(?:[eE][-+]?[0-9]+)?
-        |\.[0-9]+(?:[eE][-+]?[0-9]+)?
-        |(?:0|[1-9][0-9]*)[eE][-+]?[0-9]+
-        |\.(?:inf|Inf|INF))$
-        |\.(?:nan|NaN|NAN)$""",
-        re.VERBOSE,
+_NUMBERS = (
+    (_INTEGER, re.compile(r"[-+]?(?:0|[1-9][0-9]*)$"), list("-+0123456789")),
+    (
+        _FLOAT,
+        re.compile(
+            r"""[-+]?(?:(?:0|[1-9][0-9]*)\.[0-9]*(?:[eE][-+]?[0-9]+)?
+            |\.[0-9]+(?:[eE][-+]?[0-9]+)?
+            |(?:0|[1-9][0-9]*)[eE][-+]?[0-9]+
+            |\.(?:inf|Inf|INF))$
+            |\.(?:nan|NaN|NAN)$""",
+            re.VERBOSE,
+        ),
+        list("-+.0123456789"),
     ),
-    list("-+.0123456789"),
 )
+for _tag, _pattern, _first in _NUMBERS:
+    _Loader.add_implicit_resolver(_tag, _pattern, _first)
+
+
+class StrictDumper(yaml.SafeDumper):
+    """The safe dumper, which quotes a text that either kind of YAML would take for a number, such as ``3e-06``."""
+
+
+for _tag, _pattern, _first in _NUMBERS:
+    StrictDumper.add_implicit_resolver(_tag, _pattern, _first)
 
 
 def read_yaml(text: str, source: str) -> tuple[yaml.Node | None, object]:
