@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import datetime as dt
 import sys
-from dataclasses import replace
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,9 +30,9 @@ from posor_estimator.reporting.command_line import Parser
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from posor_estimator.core.calibrate.procedure import Procedure
+    from posor_estimator.core.calibrate.procedure import Outcome, Procedure
     from posor_estimator.core.calibrate.recording import Recording
 
 POSE_TRACK = 7
@@ -97,59 +98,115 @@ def _run(options: argparse.Namespace, console: Console) -> int:
         return 0
     if options.action == "check":
         return _check(options, console)
-    return _calibrate(procedures()[options.action], options, console)
+    with _progress() as say:
+        calibrated = calibrate(options, say)
+    tell(calibrated, options, console)
+    return 0
 
 
 def _check(options: argparse.Namespace, console: Console) -> int:
     settings: Any = options_of(BundleOptions, options)
     calibration = load_calibration(options.calibration)
-    with _progress() as progress:
-        recording, _ = _recording(options, progress)
-        progress.add_task("fitting")
+    with _progress() as say:
+        recording, _ = _recording(options, say)
+        say("fitting")
         found = explained(recording, calibration, settings)
     show_explained(found, console, every=options.all)
     return 0 if found.explains else NOT_EXPLAINED
 
 
-def _calibrate(procedure: Procedure[Any], options: argparse.Namespace, console: Console) -> int:
+@dataclass(frozen=True)
+class Calibrated:
+    """What a procedure found, and from what.
+
+    Attributes:
+        procedure: The procedure.
+        options: Its options, by name, as they were given.
+        outcome: What it found.
+        recording: From what.
+        instruments: What the references were measured with.
+        text: The calibration file that it began from.
+
+    """
+
+    procedure: Procedure[Any]
+    options: Mapping[str, str]
+    outcome: Outcome
+    recording: Recording
+    instruments: Sequence[Instrument]
+    text: str
+
+
+def calibrate(options: argparse.Namespace, say: Callable[[str], object]) -> Calibrated:
+    """Run the procedure that a parsed command line asks for.
+
+    Args:
+        options: As ``parser`` reads them.
+        say: Told what is being done.
+
+    Raises:
+        PosorError: The options, the files or the recording do not serve.
+
+    """
+    procedure = procedures()[options.action]
     settings = options_of(procedure.options, options)
     if options.output is not None:
         refuse_existing(options.output, force=options.force)
-    source = str(options.calibration)
     text = read_text(options.calibration, KIND)
-    calibration = calibration_of(text, source)
-    with _progress() as progress:
-        recording, instruments = _recording(options, progress)
-        progress.add_task(f"{procedure.name}: fitting")
-        outcome = procedure.run(recording, calibration, settings)
+    calibration = calibration_of(text, str(options.calibration))
+    recording, instruments = _recording(options, say)
+    say(f"{procedure.name}: fitting")
+    given = given_options(procedure.options, options)
+    said = {name: " ".join(value) if isinstance(value, list) else value for name, value in given.items()}
+    outcome = procedure.run(recording, calibration, settings)
+    return Calibrated(procedure, said, outcome, recording, instruments, text)
+
+
+def tell(found: Calibrated, options: argparse.Namespace, console: Console) -> None:
+    """Print what was found, and write the new calibration file if the command line names one.
+
+    Raises:
+        CalibrationError: The file cannot be written.
+
+    """
+    outcome = found.outcome
     show_outcome(outcome, console, every=options.all)
     if options.output is None:
         console.print("No --output: nothing is written.")
     elif not outcome.replacements and not outcome.parts:
-        console.print(f"{procedure.name} replaces nothing in a calibration file: nothing is written.")
+        console.print(f"{found.procedure.name} replaces nothing in a calibration file: nothing is written.")
     else:
-        given = given_options(procedure.options, options)
-        said = {name: " ".join(text) if isinstance(text, list) else text for name, text in given.items()}
-        run = Run(procedure.name, said, instruments, dt.datetime.now(tz=dt.UTC))
-        result = written(text, source, outcome, recording, run)
+        run = Run(found.procedure.name, found.options, found.instruments, dt.datetime.now(tz=dt.UTC))
+        result = written(found.text, str(options.calibration), outcome, found.recording, run)
         kept = save(options.output, result, force=options.force)
         console.print(f"written to {options.output}" + (f"; the old file is now {kept}" if kept else ""))
         console.print(f"content hash {calibration_of(result, str(options.output)).content_hash}")
-    return 0
 
 
-def _progress() -> Progress:
+@contextmanager
+def _progress() -> Iterator[Callable[[str], object]]:
+    """Show what is being done from the first time that it is said."""
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    return Progress(*columns, console=Console(stderr=True), transient=True)
+    progress = Progress(*columns, console=Console(stderr=True), transient=True)
+
+    def say(what: str) -> None:
+        progress.start()
+        progress.add_task(what)
+
+    try:
+        yield say
+    finally:
+        if progress.live.is_started:
+            progress.stop()
 
 
-def _recording(options: argparse.Namespace, progress: Progress) -> tuple[Recording, list[Instrument]]:
+def _recording(options: argparse.Namespace, say: Callable[[str], object]) -> tuple[Recording, list[Instrument]]:
     """Read the bag; return it with the uncertainties that were given, and what its references were measured with."""
     uncertainties = {topic: _numbers(topic, text) for topic, text in _by_topic("--uncertainty", options.uncertainty)}
     names = dict(_by_topic("--instrument", options.instrument))
     wanted = getattr(options, destination("reference"), None)
     topics = sorted({wanted, *uncertainties, *names}) if wanted else []
-    progress.add_task(f"reading {options.bag}")
+    say(f"reading {options.bag}")
     found = load_recording(options.bag, topic=options.topic, references=[Reference(topic) for topic in topics])
     for option, given in (("--uncertainty", uncertainties), ("--instrument", names)):
         for topic in given:
