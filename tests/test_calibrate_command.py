@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import pytest
 import yaml
+from posor_drivers.recording_bag import entries, write_bag
 from posor_estimator.bags import bag_sha256
 from posor_estimator.calibrate.command import main
 from posor_estimator.core.calibrate.compare import compare
@@ -20,8 +21,6 @@ from posor_estimator.core.calibration.load import load_calibration
 from posor_estimator.core.calibration.model import Calibration
 from posor_estimator.testing.drawn_posor import ABOUT, ALONG, DrawnPosor
 from posor_estimator.testing.program import installed
-
-from tests.recorded_bags import entries, write_bag
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFIG = ROOT / "ros2_ws" / "src" / "posor_bringup" / "config"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from posor_drivers.recording_bag import NS, RAW, Entry, entries, point, raw, scalar, transform, write_bag
 from posor_estimator.bags import Reference, bag_sha256, load_recording
 from posor_estimator.core.calibrate import gap_linearisation
 from posor_estimator.core.calibrate.gap_linearisation import GapLinearisationOptions
@@ -18,8 +19,6 @@ from posor_estimator.errors import BagError, PosorError, TrackError
 from posor_estimator.testing.campaign import lifted, posor
 from posor_msgs.msg import RawScan
 from scipy.spatial.transform import Rotation
-
-from tests.recorded_bags import NS, RAW, Entry, entries, point, raw, scalar, transform, write_bag
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
