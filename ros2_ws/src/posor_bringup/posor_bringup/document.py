@@ -5,7 +5,7 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING
 
-from posor_estimator.reporting.document import Picture, Section, cells, document, notes_list, table, terms_list
+from posor_estimator.reporting.document import Picture, Section, cells, document, image, notes_list, table, terms_list
 
 from posor_bringup.findings import Verdict
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from posor_bringup.findings import Finding, Findings
 
-__all__ = ["Picture", "Section", "cells", "document", "findings_table", "notes_list", "table", "terms_list"]
+__all__ = ["Picture", "Section", "cells", "document", "findings_table", "image", "notes_list", "table", "terms_list"]
 
 _CLASSES: Mapping[Verdict, str] = {Verdict.HOLDS: "holds", Verdict.FAILS: "fails", Verdict.SHOWN: "shown"}
 

@@ -56,7 +56,6 @@ def document(title: str, verdict: str, *, holds: bool, picture: Picture, section
         sections: What follows, in this order.
 
     """
-    data = base64.b64encode(picture.png).decode("ascii")
     body = "\n".join(f"<h2>{escape(section.heading)}</h2>\n{section.html}" for section in sections)
     return f"""<!DOCTYPE html>
 <html lang="en">
@@ -69,11 +68,17 @@ def document(title: str, verdict: str, *, holds: bool, picture: Picture, section
 <body>
 <h1>{escape(title).replace(chr(10), "<br>")}</h1>
 <p class="verdict {"holds" if holds else "fails"}">{escape(verdict)}</p>
-<img src="data:image/png;base64,{data}" alt="{escape(picture.instead)}">
+{image(picture)}
 {body}
 </body>
 </html>
 """
+
+
+def image(picture: Picture) -> str:
+    """Return a picture as HTML, its data in it."""
+    data = base64.b64encode(picture.png).decode("ascii")
+    return f'<img src="data:image/png;base64,{data}" alt="{escape(picture.instead)}">'
 
 
 def notes_list(notes: Iterable[str]) -> str:
