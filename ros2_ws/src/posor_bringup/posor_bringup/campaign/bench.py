@@ -13,12 +13,12 @@ from posor_estimator.core.forward import empty_scans, scans_at
 from posor_estimator.core.kernels.rows import evaluate_all
 from posor_estimator.core.native import native_from_rotation, rotation_from_native
 from posor_estimator.core.scan import NO_SOURCE
-from posor_estimator.core.sensors.diodes import Diodes
 from posor_estimator.core.stack import Stack
 from scipy.spatial.transform import Rotation
 
 if TYPE_CHECKING:
     from posor_estimator.core.scan import Scans
+    from posor_estimator.core.sensors.diodes import Diodes
     from posor_estimator.core.types import FloatArray, IntArray
 
 PERIOD_NS = 20_000_000

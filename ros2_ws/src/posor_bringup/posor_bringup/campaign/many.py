@@ -80,7 +80,10 @@ def one_campaign(name: PosorName, seed: int) -> One:
         tuple(judged(plant, calibration)),
         float(np.mean(fresh.normalised[known] <= REGION_LIMIT)),
         float(np.mean(fresh.normalised[known])),
-        *(tuple(np.sqrt(np.nanmean(np.square(v), axis=0)).tolist()) for v in (fresh.errors, fresh.sigmas, fresh.before)),
+        *(
+            tuple(np.sqrt(np.nanmean(np.square(values), axis=0)).tolist())
+            for values in (fresh.errors, fresh.sigmas, fresh.before)
+        ),
     )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
 from posor_drivers.simulator.randomness import Stream
 from posor_estimator.core.calibrate.entries import entries_of
 from posor_estimator.core.calibrate.unknowns import Unknowns
@@ -17,6 +16,7 @@ from posor_estimator.core.posor import Posor
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    import numpy as np
     from posor_estimator.core.stack import Stack
     from posor_estimator.core.types import FloatArray
 
@@ -50,8 +50,8 @@ AS_BUILT: Mapping[str, Mapping[str, Any]] = {
 """Standard uncertainty of what the shop leaves, before any calibration, by group and quantity; the rest is as designed.
 
 Gap probes: mounted by hand, linearised to the maker's tolerance; their zero counts from where they are linearised, so
-that it has no uncertainty on that day. Probes of a ring come linearised. The temperature is kept. Assumed, as the designs
-are.
+that it has no uncertainty on that day. Probes of a ring come linearised. The temperature is kept. Assumed, as the
+designs are.
 """
 DRIFT = 0.05
 """Standard deviation of the gap probes' zero drift from the day of their linearisation to the next [V]."""

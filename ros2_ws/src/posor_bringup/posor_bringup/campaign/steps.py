@@ -1,8 +1,8 @@
 """The steps of a campaign: for each procedure what is moved, what measures it, and how the procedure is asked.
 
-Each step is an afternoon's work on a bench that exists: a stage with an interferometer, an autocollimator, a supply that
-can be turned, a cross table with a light, a measuring machine. The reference's uncertainty is stated, and drawn: one
-error at each stop, or at each reading where the target is in motion.
+Each step is an afternoon's work on a bench that exists: a stage with an interferometer, an autocollimator, a supply
+that can be turned, a cross table with a light, a measuring machine. The reference's uncertainty is stated, and drawn:
+one error at each stop, or at each reading where the target is in motion.
 """
 
 from __future__ import annotations
