@@ -56,18 +56,18 @@ def arguments_of(step: Step, bag: Path, known: Path, output: Path) -> list[str]:
     return arguments
 
 
-def make_bags(plant: Plant, folder: Path, on_made: Callable[[str], object] = lambda _: None) -> dict[str, Path]:
+def make_bags(plant: Plant, folder: Path, on_made: Callable[[], None] = lambda: None) -> dict[str, Path]:
     """Record all steps of a campaign; return the bags by the steps' names."""
     folder.mkdir(parents=True)
     bags = {}
     for step in steps_of(plant.name):
         bags[step.name] = write_bag(folder / step.name, entries(step.record(plant)))
-        on_made(step.name)
+        on_made()
     return bags
 
 
 def calibrate_bags(
-    plant: Plant, bags: dict[str, Path], folder: Path, on_step: Callable[[str], object] = lambda _: None
+    plant: Plant, bags: dict[str, Path], folder: Path, on_step: Callable[[], None] = lambda: None
 ) -> list[Bagged]:
     """Run every procedure of a campaign on its bag, each beginning from the file that the one before has written.
 
@@ -90,5 +90,5 @@ def calibrate_bags(
             tell(found, options, Console(file=log, width=WIDTH))
         known = output
         done.append(Bagged(step, tuple(arguments), found.outcome, load_calibration(output)))
-        on_step(step.name)
+        on_step()
     return done

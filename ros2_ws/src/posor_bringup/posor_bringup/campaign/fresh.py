@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
     from posor_bringup.campaign.plant import Plant
 
-FREEDOMS = ("x", "y", "gap", "alpha", "beta", "theta")
+FREEDOMS = {"x": "m", "y": "m", "gap": "m", "alpha": "rad", "beta": "rad", "theta": "rad"}
+"""The six native coordinates and their units, in order."""
 
 
 @dataclass(frozen=True)
