@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 from scipy.stats import chi2, norm
 
@@ -223,31 +224,30 @@ def fit(
     every = np.hstack([scaled, aside])
     squared = np.square(normalised / ROBUST_SCALE)
     _, weights, bends = _rho(squared, loss)
-    inverse = np.linalg.inv(every.T @ (weights[:, None] * every) + known.T @ known)
+    slopes = weights if loss == "linear" else np.maximum(weights + 2.0 * squared * bends, 0.0)
+    inverse = _inverse_square(np.vstack([np.sqrt(slopes)[:, None] * every, known]))
     if loss != "linear":
         # With outliers the residuals are not as stated: the sandwich (Huber 1981, 7.6) of their influences, these
         # enlarged for the parameters that were fitted to them.
-        slopes = np.maximum(weights + 2.0 * squared * bends, 0.0)
-        inverse = np.linalg.inv(every.T @ (slopes[:, None] * every) + known.T @ known)
         fitted = np.trace(inverse @ (every.T @ (slopes[:, None] * every)))
-        influences = np.square(weights * normalised) * count / max(count - fitted, 1.0)
-        inverse = inverse @ (every.T @ (influences[:, None] * every) + known.T @ known) @ inverse
+        influences = np.abs(weights * normalised) * np.sqrt(count / max(count - fitted, 1.0))
+        moved = np.vstack([influences[:, None] * every, known]) @ inverse
+        inverse = moved.T @ moved
     freedoms = count if len(before) else count - size
     squares = float(np.sum(weights * np.square(normalised)) + np.sum(np.square(known @ x)))
     spread = np.sqrt(squares / freedoms) if freedoms else 1.0
-    if loss == "linear" and not trust_sigmas:
-        inverse = inverse * spread**2
+    grown = float(spread) if loss == "linear" and not trust_sigmas else 1.0
     return Fit(
         names=names,
         units=units,
         values=start + scales * x[:size],
-        covariance=np.outer(scales, scales) * inverse[:size, :size],
+        covariance=np.outer(scales, scales) * inverse[:size, :size] * grown**2,
         residuals=normalised,
         weights=weights,
         jacobian=scaled / scales,
         freedoms=freedoms,
         spread=float(spread),
-        across=scales[:, None] * inverse[:size, size:] @ turned,
+        across=grown * scales[:, None] * inverse[:size, size:] @ turned,
     )
 
 
@@ -260,6 +260,13 @@ def _whitening(prior: bool | FloatArray, scales: FloatArray, what: str) -> Float
     except np.linalg.LinAlgError:
         raise FitError("the prior is no covariance", where=what, expected="a positive definite matrix") from None
     return np.asarray(np.linalg.inv(root))
+
+
+def _inverse_square(root: FloatArray) -> FloatArray:
+    """Return the inverse of root' root, (p, p), positive definite however nearly blind it is; root (n, p)."""
+    triangle = np.linalg.qr(root, mode="r")
+    inverse = solve_triangular(triangle, np.eye(len(triangle)))
+    return np.asarray(inverse @ inverse.T)
 
 
 def _few(taken: FloatArray) -> tuple[FloatArray, FloatArray]:
