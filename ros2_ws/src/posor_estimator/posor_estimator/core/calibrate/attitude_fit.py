@@ -120,6 +120,7 @@ def fit_attitude(
     *,
     first_sigma: float | None,
     check: bool,
+    along: bool,
     loss: Loss,
     trust_sigmas: bool,
     what: str,
@@ -137,6 +138,7 @@ def fit_attitude(
         first_sigma: How well the zero of the angles at the first scan is known [rad]: zero where it counts as exact,
             since all motion is referred to it, as in 1985; None where it is as uncertain as that of any other scan.
         check: Whether to refuse a reference that moves unlike the angles, in a wrong unit or with its axes swapped.
+        along: Whether what is taken for known is found along, which takes a motion far larger than its noise.
         loss: Of the fit.
         trust_sigmas: Whether the readings scatter as stated.
         what: What to call the fit in complaints.
@@ -196,10 +198,12 @@ def fit_attitude(
         [*(unknown.name for unknown in unknowns), *(f"zero of {angle}" for angle in zeros)],
         [*(unknown.unit for unknown in unknowns), *("rad" for _ in zeros)],
         np.array([*(unknown.scale for unknown in unknowns), *(1e-3 for _ in zeros)]),
+        taken=effects if along else None,
         loss=loss,
         trust_sigmas=trust_sigmas,
         what=what,
-    ).considering(effects)
+    )
+    outcome = outcome if along else outcome.considering(effects)
     best = outcome.values[:count]
     numbers = scans.numbers[used][0 if first_sigma is None else 1 :]
     readings = [f"{angle} of scan {number}" for number in numbers for angle in angles]

@@ -82,6 +82,7 @@ def find_target_plane(recording: Recording, calibration: Calibration, options: T
         ANGLES,
         first_sigma=None,
         check=False,  # a wrong tilt feigns just such a motion
+        along=False,  # no more than noise moves, and a scale of the readings found from that would be wrong
         loss=options.loss,
         trust_sigmas=options.trust_sigmas,
         what=NAME,

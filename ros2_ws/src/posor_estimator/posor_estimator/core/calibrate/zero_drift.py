@@ -110,6 +110,7 @@ def find_zero_drift(recording: Recording, calibration: Calibration, options: Zer
         options.angles,
         first_sigma=options.first_sigma,
         check=True,
+        along=True,
         loss=options.loss,
         trust_sigmas=options.trust_sigmas,
         what=NAME,
