@@ -13,7 +13,7 @@ from posor_estimator.core.calibrate.procedure import Outcome
 from posor_estimator.core.calibrate.recording import Recording
 from posor_estimator.core.calibrate.replacement import JointCovariance, Replacement
 from posor_estimator.core.calibrate.result import Run, applied, written
-from posor_estimator.core.calibrate.stated import root_of, stated_covariance
+from posor_estimator.core.calibrate.stated import Taken, root_of, stated_covariance
 from posor_estimator.core.calibration.load import calibration_of
 from posor_estimator.core.designs import design
 from posor_estimator.core.forward import empty_scans
@@ -75,3 +75,11 @@ def test_changes_in_memory_are_those_of_the_file() -> None:
     found = outcome(FIRST, 2e-4, (FIRST, f"{TILT}[0]"), 0.8, 20e-6)
     in_memory = applied(calibration, found, NOTHING, RUN)
     assert in_memory.content_hash == calibration_of(written(text, "file", found, NOTHING, RUN), "file").content_hash
+
+
+def test_more_correlation_than_there_can_be_is_not_written() -> None:
+    taken = Taken(design("triad_diodes"), np.zeros(0, dtype=np.int64))
+    across = np.zeros((1, taken.root.shape[1]))
+    across[0, 3] = 1.5
+    joint = taken.beside((FIRST,), np.eye(1), across)
+    assert np.min(np.linalg.eigvalsh(joint.matrix / np.outer(*[np.sqrt(np.diag(joint.matrix))] * 2))) > -1e-9

@@ -103,18 +103,20 @@ class Taken:
 
         """
         basis = np.eye(len(entries), len(fit.names)) if basis is None else basis
-        return self.beside(entries, basis @ fit.covariance @ basis.T, basis @ fit.across @ self.root.T)
+        return self.beside(entries, basis @ fit.covariance @ basis.T, basis @ fit.across)
 
     def beside(self, entries: tuple[str, ...], own: FloatArray, across: FloatArray) -> JointCovariance:
-        """Return the same from the covariance of what was found (k, k), and with the stack's parameters (k, p)."""
+        """Return the same from the covariance of what was found (k, k), and with the standard deviates (k, r)."""
+        # A robust fit's covariance is derived from no distribution: it may claim more correlation than there can be.
+        most = float(np.linalg.norm(np.linalg.solve(np.linalg.cholesky(own), across), 2)) if across.size else 0.0
+        pushed = across @ self.root.T / max(1.0, most * (1.0 + ROUNDING))
         taken = self.root @ self.root.T
         sigmas = np.sqrt(np.diag(taken))
         scale = np.outer(np.sqrt(np.diag(own)), np.where(sigmas > 0.0, sigmas, np.inf))
-        likeness = np.max(np.abs(across / scale), axis=0, initial=0.0)
+        likeness = np.max(np.abs(pushed / scale), axis=0, initial=0.0)
         near = [(i, entry.name) for i, entry in enumerate(self._entries) if entry and likeness[i] > TOGETHER]
         where = [i for i, _ in near]
-        corner = taken[np.ix_(where, where)]
         return JointCovariance(
             (*entries, *(name for _, name in near)),
-            np.block([[own, across[:, where]], [across[:, where].T, corner]]),
+            np.block([[own, pushed[:, where]], [pushed[:, where].T, taken[np.ix_(where, where)]]]),
         )

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray, IntArray
 
 _UNIT_WITHIN = 1e-6
+_UNKNOWN = 1e-9
+"""Of a variance: what is left open at least."""
 _DIRECTION = 3
 
 
@@ -116,8 +118,10 @@ class Unknowns:
         )
         self._taken = Taken(calibration, np.zeros(0, dtype=np.int64), session)
         own = np.linalg.pinv(self.basis(self.start)) @ self._taken.root
-        sizes = np.linalg.norm(own, axis=1)
-        self.covariance = own @ own.T * np.outer(self.sigmas / sizes, self.sigmas / sizes)
+        own /= np.linalg.norm(own, axis=1, keepdims=True)
+        # No combination is known exactly, whatever the digits of a file make of strong correlations.
+        correlations = (own @ own.T + _UNKNOWN * np.eye(len(own))) / (1.0 + _UNKNOWN)
+        self.covariance = correlations * np.outer(self.sigmas, self.sigmas)
 
     def __len__(self) -> int:
         """Return the number of unknowns."""
@@ -132,7 +136,7 @@ class Unknowns:
 
         """
         basis = self.basis(self.start)
-        across = covariance[:count, count:] @ basis[:, count:].T
+        across = covariance[:count, count:] @ basis[:, count:].T @ np.linalg.pinv(self._taken.root).T
         return self._taken.beside(self.names[:count], covariance[:count, :count], across)
 
     def values(self, unknowns: FloatArray) -> FloatArray:
