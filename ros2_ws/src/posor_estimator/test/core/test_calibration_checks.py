@@ -69,6 +69,27 @@ def test_same_reading_at_the_same_place_is_not_stuck() -> None:
     check_alive(("gap_1",), 1000.0 * moved, np.full((20, 1), 1e-4), moved, "bag")
 
 
+def converted(readings: FloatArray) -> FloatArray:
+    return np.round(readings / 3e-4) * 3e-4
+
+
+def test_same_reading_of_a_converter_where_the_motion_turns_round_is_not_stuck(rng: np.random.Generator) -> None:
+    phase = np.linspace(0.0, 2.0 * np.pi, 400)
+    moved = 1e-3 * np.column_stack([np.sin(phase), np.sin(2.0 * phase + 0.4)])
+    readings = converted(1000.0 * moved @ [[1.0, 0.4], [0.5, 0.0]] + 1e-5 * rng.normal(size=(400, 2)))
+    assert np.convolve(np.diff(readings[:, 1]) == 0.0, np.ones(3)).max() > 2
+    check_alive(("gap_1", "gap_2"), readings, np.zeros_like(readings), moved, "bag")
+    readings[300:310, 0] = readings[300, 0]
+    sentence = refusal(lambda: check_alive(("gap_1",), readings, np.zeros_like(readings), moved, "bag"), FitError)
+    assert "gap_1 is stuck at" in sentence
+    assert "from stop 301 on" in sentence
+
+
+def test_slow_motion_through_a_converter_is_not_stuck() -> None:
+    moved = np.linspace(0.0, 1e-3, 9000)[:, None]
+    check_alive(("gap_1",), converted(1000.0 * moved), np.zeros((9000, 1)), moved, "bag")
+
+
 def test_channel_without_numbers_is_refused() -> None:
     means = 1000.0 * MOVED
     means[3] = np.nan

@@ -36,7 +36,13 @@ STUCK_SIGMAS = 6.0
 ROUNDING = 1e-12
 """Relative; means of equal numbers differ by so much."""
 STUCK_RUN = 3
-"""So many stops at different places with the same reading to the last digit: the channel stands."""
+"""So many stops at different places with the same reading to the last digit: the channel may stand."""
+STUCK_STEPS = 3.0
+"""Of the converter: by so much the reading should have changed meanwhile, for the channel to stand indeed."""
+SINGULAR = 1e-10
+"""Of the largest singular value: motions that the stops do not tell apart."""
+SAME_STEP = 1e-9
+"""Relative to the readings: multiples of a converter's step differ from whole ones by less."""
 ALIKE = 0.9
 """Rank correlation from which two motions are taken for the same."""
 UNLIKE = 0.5
@@ -59,11 +65,14 @@ def check_enough(count: int, least: int, what: str, where: str) -> None:
 def check_alive(names: Sequence[str], means: FloatArray, sigmas: FloatArray, moved: FloatArray, where: str) -> None:
     """Refuse channels that stand while the reference moves.
 
+    Readings of a converter are equal to the last digit also where the motion turns round, or hardly moves a channel:
+    a channel stands only where the motion should have moved it, as far as its other readings tell.
+
     Args:
         names: Of the channels.
         means: Their readings at the stops, (d, c).
         sigmas: Standard uncertainties of those, (d, c); NaN where unknown.
-        moved: Reference at the stops, (d, k).
+        moved: What the readings follow more or less in proportion, the reference or other channels, (d, k).
         where: What to call the recording.
 
     Raises:
@@ -84,14 +93,51 @@ def check_alive(names: Sequence[str], means: FloatArray, sigmas: FloatArray, mov
                 expected="a reading that changes by more than its noise",
             )
         same = (np.abs(np.diff(readings)) <= rounding) & places
-        run = np.convolve(same, np.ones(STUCK_RUN - 1, dtype=int), mode="valid") == STUCK_RUN - 1
-        if run.any():
-            stop = int(np.argmax(run))
-            raise FitError(
-                f"{name} is stuck at {readings[stop]:.6g} from stop {stop + 1} on while the reference moves",
-                where=where,
-                expected="a reading that changes",
-            )
+        runs = _runs(same)
+        allowed = STUCK_STEPS * _converter_step(readings, rounding) if runs else 0.0
+        for first, change in zip((first for first, _ in runs), _expected_changes(readings, moved, runs), strict=True):
+            if change > allowed:
+                raise FitError(
+                    f"{name} is stuck at {readings[first]:.6g} from stop {first + 1} on while the reference moves",
+                    where=where,
+                    expected="a reading that changes",
+                )
+
+
+def _runs(same: BoolArray) -> list[tuple[int, int]]:
+    """Return first and last stop of each run of equal readings that is long enough; same (d - 1,)."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]])))
+    return [(int(a), int(b)) for a, b in ends.reshape(-1, 2) if b - a >= STUCK_RUN - 1]
+
+
+def _expected_changes(readings: FloatArray, moved: FloatArray, runs: Sequence[tuple[int, int]]) -> list[float]:
+    """Return by how much a channel should have changed within each run, by its readings at all stops outside."""
+    spread = np.ptp(moved, axis=0)
+    places = (moved - moved.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
+    known = np.column_stack([np.ones(len(readings)), places])
+    square, product = known.T @ known, known.T @ readings
+    changes = []
+    for first, last in runs:
+        run = slice(first, last + 1)
+        if len(readings) - (last + 1 - first) <= known.shape[1]:
+            changes.append(math.inf)
+            continue
+        outside = square - known[run].T @ known[run], product - known[run].T @ readings[run]
+        slopes = np.linalg.lstsq(*outside, rcond=SINGULAR)[0]
+        changes.append(float(np.ptp(known[run] @ slopes)))
+    return changes
+
+
+def _converter_step(readings: FloatArray, rounding: float) -> float:
+    """Return what all readings are whole multiples of, from any one of them; next to nothing if there is no such."""
+    steps = np.diff(np.unique(readings))
+    least, step = SAME_STEP * float(np.max(np.abs(readings))), 0.0
+    for other in steps[steps > rounding]:
+        one = float(other)
+        while one > least:
+            rest = math.fmod(step, one)
+            step, one = one, min(rest, one - rest)
+    return step
 
 
 def check_unit(measured: FloatArray, reference: FloatArray, source: str, unit: str) -> None:

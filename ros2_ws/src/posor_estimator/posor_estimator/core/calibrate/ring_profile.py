@@ -163,9 +163,10 @@ def _turns(
     whole = np.isfinite(volts).all(axis=1) & np.isfinite(scans.gap_voltages).all(axis=1)
     scans = scans.chosen(np.flatnonzero(whole))
     check_enough(len(scans), 2 * PER_BUMP * part.ring.bumps, "scans", where)
-    names = [f"ring probe {probe.name}" for probe in part.probes]
-    moved = np.arange(len(scans), dtype=float)[:, None]
-    check_alive(names, scans.ring_voltages, np.zeros_like(scans.ring_voltages), moved, where)
+    for index, probe in enumerate(part.probes):
+        others = np.delete(scans.ring_voltages, index, axis=1)
+        own = scans.ring_voltages[:, [index]]
+        check_alive((f"ring probe {probe.name}",), own, np.zeros_like(own), others, where)
     said = None
     if options.theta:
         track = recording.track(options.theta, SCALAR)
