@@ -1,17 +1,20 @@
 # POSOR for ROS 2. Every target sets the workspace up first; a set-up that is up to date costs a fraction of a second.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo arm test accuracy budgets bench-core data lint lock clean
+.PHONY: help setup demo arm calibrate-demo test accuracy budgets bench-core data lint lock clean
 
 BAG ?= ymo
 CAL ?= printed
 ARM ?= five_axis
 CONTROLLER ?= examples/endpoint_controller/endpoint_controller.py
+CAMPAIGNS ?= 6
+POSOR ?= both
 TESTS ?=
 
 help:
 	@echo "make demo [BAG=ymo|yzmo|zmo] [CAL=printed|section84]   replay a 1985 test through the nodes and compare"
 	@echo "make arm [ARM=five_axis|path] [CONTROLLER=path]        run a simulated arm, close a loop on it, report its errors"
+	@echo "make calibrate-demo [CAMPAIGNS=6] [POSOR=both]         calibrate simulated POSORs from bags, judge it by the truth"
 	@echo "make test [TESTS='path ...']                           lint, type check and all tests (or only those of TESTS)"
 	@echo "make accuracy                                          closure, consistency and fault detection of the estimator"
 	@echo "make budgets                                           error budgets of the thesis, cell by cell from the model"
@@ -32,6 +35,9 @@ demo:
 
 arm:
 	@./run posor_bringup arm --arm $(ARM) $(if $(CONTROLLER),--controller $(CONTROLLER))
+
+calibrate-demo:
+	@./run posor_bringup calibrate_demo --campaigns $(CAMPAIGNS) --posor $(POSOR)
 
 test: lint
 	@.venv/bin/python -E tools/run_tests.py $(TESTS)

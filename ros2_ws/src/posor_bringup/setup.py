@@ -48,6 +48,7 @@ setup(
             "arm_budget = posor_bringup.arm_budget:main",
             "bringup = posor_bringup.bringup:main",
             "budgets = posor_bringup.budgets:main",
+            "calibrate_demo = posor_bringup.calibrate_demo:main",
             "demo = posor_bringup.demo:main",
             "zero_drift_1985 = posor_bringup.zero_drift_1985:main",
         ],
