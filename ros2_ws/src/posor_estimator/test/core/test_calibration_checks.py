@@ -76,13 +76,14 @@ def converted(readings: FloatArray) -> FloatArray:
 def test_same_reading_of_a_converter_where_the_motion_turns_round_is_not_stuck(rng: np.random.Generator) -> None:
     phase = np.linspace(0.0, 2.0 * np.pi, 400)
     moved = 1e-3 * np.column_stack([np.sin(phase), np.sin(2.0 * phase + 0.4)])
-    readings = converted(1000.0 * moved @ [[1.0, 0.4], [0.5, 0.0]] + 1e-5 * rng.normal(size=(400, 2)))
+    volts = 1000.0 * moved @ [[1.0, 0.4], [0.5, 0.0]] + 1e-5 * rng.normal(size=(400, 2))
+    readings = converted(volts + 0.15 * volts**2)
     assert np.convolve(np.diff(readings[:, 1]) == 0.0, np.ones(3)).max() > 2
     check_alive(("gap_1", "gap_2"), readings, np.zeros_like(readings), moved, "bag")
-    readings[300:310, 0] = readings[300, 0]
+    readings[340:370, 0] = readings[340, 0]
     sentence = refusal(lambda: check_alive(("gap_1",), readings, np.zeros_like(readings), moved, "bag"), FitError)
     assert "gap_1 is stuck at" in sentence
-    assert "from stop 301 on" in sentence
+    assert "from stop 341 on" in sentence
 
 
 def test_slow_motion_through_a_converter_is_not_stuck() -> None:

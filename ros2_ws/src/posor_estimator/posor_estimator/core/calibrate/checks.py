@@ -37,12 +37,12 @@ ROUNDING = 1e-12
 """Relative; means of equal numbers differ by so much."""
 STUCK_RUN = 3
 """So many stops at different places with the same reading to the last digit: the channel may stand."""
-STUCK_STEPS = 3.0
-"""Of the converter: by so much the reading should have changed meanwhile, for the channel to stand indeed."""
+STUCK_STEPS, STUCK_SHARE = 3.0, 0.1
+"""Steps of the converter, and share of the channel's travel: by so much the reading should have changed meanwhile."""
 SINGULAR = 1e-10
 """Of the largest singular value: motions that the stops do not tell apart."""
-SAME_STEP = 1e-9
-"""Relative to the readings: multiples of a converter's step differ from whole ones by less."""
+SAME_STEP, SMALLEST_STEP = 1e-9, 1e-6
+"""Relative to the readings: multiples of a converter's step are whole within the first, the step exceeds the second."""
 ALIKE = 0.9
 """Rank correlation from which two motions are taken for the same."""
 UNLIKE = 0.5
@@ -66,7 +66,7 @@ def check_alive(names: Sequence[str], means: FloatArray, sigmas: FloatArray, mov
     """Refuse channels that stand while the reference moves.
 
     Readings of a converter are equal to the last digit also where the motion turns round, or hardly moves a channel:
-    a channel stands only where the motion should have moved it, as far as its other readings tell.
+    such a channel stands only where the motion should have moved it, roughly as it did at all other stops.
 
     Args:
         names: Of the channels.
@@ -94,7 +94,8 @@ def check_alive(names: Sequence[str], means: FloatArray, sigmas: FloatArray, mov
             )
         same = (np.abs(np.diff(readings)) <= rounding) & places
         runs = _runs(same)
-        allowed = STUCK_STEPS * _converter_step(readings, rounding) if runs else 0.0
+        step = _converter_step(readings, rounding) if runs else 0.0
+        allowed = max(STUCK_STEPS * step, STUCK_SHARE * float(np.ptp(readings))) if step else 0.0
         for first, change in zip((first for first, _ in runs), _expected_changes(readings, moved, runs), strict=True):
             if change > allowed:
                 raise FitError(
@@ -129,7 +130,7 @@ def _expected_changes(readings: FloatArray, moved: FloatArray, runs: Sequence[tu
 
 
 def _converter_step(readings: FloatArray, rounding: float) -> float:
-    """Return what all readings are whole multiples of, from any one of them; next to nothing if there is no such."""
+    """Return what all readings are whole multiples of, counted from any one of them; zero if there is no such step."""
     steps = np.diff(np.unique(readings))
     least, step = SAME_STEP * float(np.max(np.abs(readings))), 0.0
     for other in steps[steps > rounding]:
@@ -137,7 +138,7 @@ def _converter_step(readings: FloatArray, rounding: float) -> float:
         while one > least:
             rest = math.fmod(step, one)
             step, one = one, min(rest, one - rest)
-    return step
+    return step if step > SMALLEST_STEP * float(np.max(np.abs(readings))) else 0.0
 
 
 def check_unit(measured: FloatArray, reference: FloatArray, source: str, unit: str) -> None:
