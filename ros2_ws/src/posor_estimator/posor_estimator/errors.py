@@ -52,6 +52,10 @@ class BagError(PosorError):
     """A rosbag2 bag cannot be read or written."""
 
 
+class TopicError(PosorError):
+    """A topic is not what a node takes it for, or a message on it cannot be read."""
+
+
 class ChainError(PosorError):
     """The kinematic chain (URDF, frames) does not fit the POSORs that should measure it."""
 

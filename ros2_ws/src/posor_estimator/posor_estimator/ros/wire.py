@@ -1,0 +1,254 @@
+"""Topics between nodes: over DDS to other processes, straight from hand to hand within one.
+
+An `Outlet` publishes the bytes of messages, an `Inlet` receives them. Where both ends of a topic live in one process
+(in one rclpy context), the outlet calls the inlet with the very bytes that it publishes, in its own thread, and the
+inlet makes no DDS subscription; it makes one as soon as no outlet of its topic is left. A node need not know which it
+is: it gets the same bytes either way, and an inactive publisher hands on nothing.
+
+Within a process nothing is ever lost on the way or out of order, whatever the quality of service, and the publisher
+goes on when the listener is done. Publishers in other processes are not heard where the same topic has an outlet here.
+
+What a listener raises is its own failure, as in a callback of rclpy: its node asks for the end of the program with that
+exception (`PosorNode.request_exit`) and hears nothing more; the publisher and the other listeners go on.
+"""
+
+from __future__ import annotations
+
+from threading import RLock
+from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
+
+from rclpy.event_handler import PublisherEventCallbacks
+
+from posor_estimator.errors import TopicError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rclpy.context import Context
+    from rclpy.duration import Duration
+    from rclpy.qos import QoSProfile
+
+    from posor_estimator.ros.node import PosorNode
+
+
+class Outlet:
+    """A lifecycle publisher of serialised messages."""
+
+    def __init__(
+        self,
+        node: PosorNode[Any],
+        message_type: type[Any],
+        topic: str,
+        qos: QoSProfile,
+        *,
+        on_count: Callable[[int], None] | None = None,
+    ) -> None:
+        """Make the publisher.
+
+        Args:
+            node: Whose topic it is.
+            message_type: Class of its messages.
+            topic: Its name, as the node knows it.
+            qos: For the publisher.
+            on_count: Told the number of listeners whenever it changes, in any thread.
+
+        Raises:
+            TopicError: An inlet or outlet of this process knows the topic by another type.
+
+        """
+        self.topic_name: str = node.resolve_topic_name(topic)
+        self.message_type = message_type
+        self._node = node
+        self._on_count = on_count
+        self._subscriptions = 0
+        self._inlets: tuple[Inlet, ...] = ()
+        self._exchange = _exchange_of(node.context)
+        self._exchange.check(self)
+        events = None if on_count is None else PublisherEventCallbacks(matched=self._matched)
+        self._publisher = node.create_lifecycle_publisher(message_type, topic, qos, event_callbacks=events)
+        self._handle = self._publisher.handle
+        self._exchange.add_outlet(self)
+
+    @property
+    def is_activated(self) -> bool:
+        """Whether the node is active: else nothing is published."""
+        return bool(self._publisher.is_activated)
+
+    @property
+    def count(self) -> int:
+        """How many listeners the topic has: subscriptions over DDS and inlets of this process."""
+        return int(self._publisher.get_subscription_count()) + len(self._inlets)
+
+    def publish(self, data: bytes) -> None:
+        """Hand a serialised message to the inlets of this process, then send it to all others.
+
+        Raises:
+            RuntimeError: Everything is kept and a subscription has yet to take what was sent before: this message was
+                handed on, but not sent; ``send`` sends it.
+
+        """
+        self.hand_on(data)
+        self.send(data)
+
+    def hand_on(self, data: bytes) -> None:
+        """Hand a serialised message to the inlets of this process only."""
+        if self._inlets and self._publisher.is_activated:
+            for inlet in self._inlets:
+                inlet.take(data)
+
+    def send(self, data: bytes) -> None:
+        """Send a serialised message over DDS only; see ``publish``."""
+        if self._publisher.is_activated:
+            with self._handle:
+                self._handle.publish_raw(data)
+
+    def wait_for_all_acked(self, timeout: Duration) -> bool:
+        """Wait until every reliable subscription over DDS has all messages; return whether they have."""
+        return bool(self._publisher.wait_for_all_acked(timeout))
+
+    def destroy(self) -> None:
+        """Close the topic; inlets of this process then listen to other processes."""
+        self._exchange.remove_outlet(self)
+        self._node.destroy_lifecycle_publisher(self._publisher)
+
+    def connect(self, inlets: tuple[Inlet, ...]) -> None:
+        """Take these for the inlets from now on."""
+        if inlets != self._inlets:
+            self._inlets = inlets
+            self._tell()
+
+    def _matched(self, event: Any) -> None:
+        self._subscriptions = event.current_count
+        self._tell()
+
+    def _tell(self) -> None:
+        if self._on_count is not None:
+            self._on_count(self._subscriptions + len(self._inlets))
+
+
+class Inlet:
+    """A subscription that receives serialised messages, be they from this process or from another."""
+
+    def __init__(
+        self,
+        node: PosorNode[Any],
+        message_type: type[Any],
+        topic: str,
+        qos: QoSProfile,
+        callback: Callable[[bytes], None],
+    ) -> None:
+        """Subscribe.
+
+        Args:
+            node: Who listens.
+            message_type: Class of the messages.
+            topic: Name of the topic, as the node knows it.
+            qos: For the subscription, where there is need of one.
+            callback: Called with each message: by the executor, or in the thread of a publisher of this process.
+
+        Raises:
+            TopicError: An inlet or outlet of this process knows the topic by another type.
+
+        """
+        self.topic_name: str = node.resolve_topic_name(topic)
+        self.message_type = message_type
+        self._node = node
+        self._topic = topic
+        self._qos = qos
+        self._callback = callback
+        self._subscription: Any = None
+        self._failed = False
+        self._exchange = _exchange_of(node.context)
+        self._exchange.check(self)
+        self._exchange.add_inlet(self)
+
+    def take(self, data: bytes) -> None:
+        """Receive a message from an outlet of this process."""
+        if self._failed:
+            return
+        try:
+            self._callback(data)
+        except Exception as error:  # noqa: BLE001  it ends the program, from the main thread
+            self._failed = True
+            self._node.request_exit(error)
+
+    def listen(self, *, over_dds: bool) -> None:
+        """Open the DDS subscription, or close it."""
+        if over_dds and self._subscription is None:
+            self._subscription = self._node.create_subscription(
+                self.message_type, self._topic, self._callback, self._qos, raw=True
+            )
+        elif not over_dds and self._subscription is not None:
+            self._node.destroy_subscription(self._subscription)
+            self._subscription = None
+
+    def destroy(self) -> None:
+        """Hear nothing any more."""
+        self._exchange.remove_inlet(self)
+        self.listen(over_dds=False)
+
+
+class _Exchange:
+    """Knows the outlets and inlets of one context, and connects them whenever one comes or goes."""
+
+    def __init__(self) -> None:
+        self._outlets: dict[str, tuple[Outlet, ...]] = {}
+        self._inlets: dict[str, tuple[Inlet, ...]] = {}
+        self._lock = RLock()
+
+    def check(self, end: Outlet | Inlet) -> None:
+        """Refuse an end whose topic is known by another type."""
+        with self._lock:
+            known = (*self._outlets.get(end.topic_name, ()), *self._inlets.get(end.topic_name, ()))
+        if known and known[0].message_type is not end.message_type:
+            raise TopicError(
+                f"is of type {_type_name(end.message_type)} here",
+                where=f"topic {end.topic_name}",
+                expected=f"{_type_name(known[0].message_type)}, as another node of this process has it",
+            )
+
+    def add_outlet(self, outlet: Outlet) -> None:
+        with self._lock:
+            self._outlets[outlet.topic_name] = (*self._outlets.get(outlet.topic_name, ()), outlet)
+            self._connect(outlet.topic_name)
+
+    def remove_outlet(self, outlet: Outlet) -> None:
+        with self._lock:
+            left = tuple(other for other in self._outlets.get(outlet.topic_name, ()) if other is not outlet)
+            self._outlets[outlet.topic_name] = left
+            self._connect(outlet.topic_name)
+            outlet.connect(())
+
+    def add_inlet(self, inlet: Inlet) -> None:
+        with self._lock:
+            self._inlets[inlet.topic_name] = (*self._inlets.get(inlet.topic_name, ()), inlet)
+            self._connect(inlet.topic_name)
+
+    def remove_inlet(self, inlet: Inlet) -> None:
+        with self._lock:
+            left = tuple(other for other in self._inlets.get(inlet.topic_name, ()) if other is not inlet)
+            self._inlets[inlet.topic_name] = left
+            self._connect(inlet.topic_name)
+
+    def _connect(self, topic: str) -> None:
+        outlets, inlets = self._outlets.get(topic, ()), self._inlets.get(topic, ())
+        for inlet in inlets:
+            inlet.listen(over_dds=not outlets)
+        for outlet in outlets:
+            outlet.connect(inlets)
+
+
+_exchanges: WeakKeyDictionary[Context, _Exchange] = WeakKeyDictionary()
+_exchanges_lock = RLock()
+
+
+def _exchange_of(context: Context) -> _Exchange:
+    with _exchanges_lock:
+        return _exchanges.setdefault(context, _Exchange())
+
+
+def _type_name(message_type: type[Any]) -> str:
+    """Return the ROS name of a message class, for instance ``posor_msgs/msg/RawScan``."""
+    package, kind, *_ = message_type.__module__.split(".")
+    return f"{package}/{kind}/{message_type.__name__}"

@@ -1,0 +1,193 @@
+"""Topics within one process and between processes: nodes of two contexts stand for two processes, DDS between them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import rclpy
+from posor_estimator.errors import TopicError
+from posor_estimator.ros.node import PosorNode
+from posor_estimator.ros.parameters import NodeParameters
+from posor_estimator.ros.qos import KEEP_ALL_QOS
+from posor_estimator.ros.wire import Inlet, Outlet
+from posor_estimator.testing.graph import Graph
+from posor_estimator.testing.program import wait_until
+from posor_msgs.msg import JointTransform, RawScan
+from rclpy.context import Context
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.serialization import serialize_message
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+pytestmark = pytest.mark.usefixtures("ros_domain")
+
+MESSAGES = [bytes(serialize_message(RawScan(scan=number, samples=1))) for number in range(3)]
+
+
+class PlainNode(PosorNode[NodeParameters]):
+    """A node that does nothing by itself."""
+
+    NAME = "plain"
+    Parameters = NodeParameters
+
+
+class Process:
+    """The nodes and the executor of one context."""
+
+    def __init__(self) -> None:
+        self.context = Context()
+        rclpy.init(context=self.context)
+        self.executor = EventsExecutor(context=self.context)
+        self.nodes: list[PlainNode] = []
+
+    def node(self, namespace: str) -> PlainNode:
+        node = PlainNode(context=self.context, namespace=namespace)
+        node.start()
+        self.nodes.append(node)
+        self.executor.add_node(node)
+        return node
+
+    def turn(self) -> None:
+        self.executor.spin_once(timeout_sec=0.01)
+
+    def end(self) -> None:
+        for node in self.nodes:
+            self.executor.remove_node(node)
+            node.stop()
+        self.executor.shutdown()
+        self.context.try_shutdown()
+
+
+@pytest.fixture
+def process() -> Iterator[Process]:
+    process = Process()
+    yield process
+    process.end()
+
+
+def outlet_of(node: PlainNode, topic: str = "/joint/raw", **options: Any) -> Outlet:
+    """Return an outlet of an active node, itself active."""
+    outlet = Outlet(node, RawScan, topic, KEEP_ALL_QOS, **options)
+    outlet._publisher.on_activate(None)
+    return outlet
+
+
+@pytest.mark.parametrize("first", ["inlet", "outlet"])
+def test_within_a_process_the_very_bytes_are_handed_on_whoever_comes_first(process: Process, first: str) -> None:
+    sender, listener, taken = process.node("/joint"), process.node("/posor"), []
+    if first == "outlet":
+        outlet = outlet_of(sender, "raw")
+    Inlet(listener, RawScan, "/joint/raw", KEEP_ALL_QOS, taken.append)
+    if first == "inlet":
+        outlet = outlet_of(sender, "raw")
+    assert outlet.topic_name == "/joint/raw"
+    assert outlet.count == 1
+    for data in MESSAGES:
+        outlet.publish(data)
+    assert [a is b for a, b in zip(taken, MESSAGES, strict=True)] == [True] * 3
+    assert not [s for s in listener.subscriptions if s.topic_name == "/joint/raw"]
+
+
+def test_other_processes_get_the_same_messages(process: Process) -> None:
+    outlet = outlet_of(process.node("/joint"))
+    with Graph() as graph:
+        received = graph.collect(RawScan, "/joint/raw", raw=True)
+        graph.wait_until(lambda: outlet.count == 1, "the subscription")
+        taken: list[bytes] = []
+        inlet = Inlet(process.node("/posor"), RawScan, "/joint/raw", KEEP_ALL_QOS, taken.append)
+        assert outlet.count == 2
+        outlet.publish(MESSAGES[0])
+        outlet.hand_on(MESSAGES[1])
+        outlet.send(MESSAGES[2])
+        graph.wait_until(lambda: len(received) == 2, "what was sent")
+        inlet.destroy()
+        assert outlet.count == 1
+        outlet.publish(MESSAGES[1])
+        graph.wait_until(lambda: len(received) == 3, "what was sent last")
+    assert received == [MESSAGES[0], MESSAGES[2], MESSAGES[1]]
+    assert taken == MESSAGES[:2]
+
+
+def test_an_inlet_hears_other_processes_while_its_own_has_no_outlet(process: Process) -> None:
+    listener, taken = process.node("/posor"), []
+    inlet = Inlet(listener, RawScan, "/joint/raw", KEEP_ALL_QOS, taken.append)
+    with Graph() as graph:
+        abroad = graph.node.create_publisher(RawScan, "/joint/raw", KEEP_ALL_QOS)
+
+        def subscriptions(count: int) -> None:
+            graph.wait_until(lambda: abroad.get_subscription_count() == count, "the subscriptions", process.turn)
+
+        subscriptions(1)
+        abroad.publish(MESSAGES[0])
+        graph.wait_until(lambda: taken == MESSAGES[:1], "a message over DDS", process.turn)
+        outlet = outlet_of(process.node("/joint"))
+        subscriptions(0)
+        outlet.publish(MESSAGES[1])
+        assert taken == MESSAGES[:2]
+        outlet.destroy()
+        subscriptions(1)
+        abroad.publish(MESSAGES[2])
+        graph.wait_until(lambda: taken == MESSAGES, "a message over DDS again", process.turn)
+        inlet.destroy()
+        subscriptions(0)
+
+
+def test_an_inactive_publisher_hands_on_nothing(process: Process) -> None:
+    taken: list[bytes] = []
+    outlet = outlet_of(process.node("/joint"))
+    Inlet(process.node("/posor"), RawScan, "/joint/raw", KEEP_ALL_QOS, taken.append)
+    with Graph() as graph:
+        received = graph.collect(RawScan, "/joint/raw", raw=True)
+        graph.wait_until(lambda: outlet.count == 2, "the subscription")
+        outlet._publisher.on_deactivate(None)
+        assert not outlet.is_activated
+        outlet.publish(MESSAGES[0])
+        outlet._publisher.on_activate(None)
+        outlet.publish(MESSAGES[1])
+        graph.wait_until(lambda: bool(received), "the message of the active publisher")
+    assert taken == received == [MESSAGES[1]]
+
+
+def test_who_listens_is_told_as_they_come_and_go(process: Process) -> None:
+    counts: list[int] = []
+    outlet = outlet_of(process.node("/joint"), on_count=counts.append)
+    inlet = Inlet(process.node("/posor"), RawScan, "/joint/raw", KEEP_ALL_QOS, print)
+    with Graph() as graph:
+        graph.collect(RawScan, "/joint/raw")
+        graph.wait_until(lambda: counts == [1, 2], "two listeners", process.turn)
+        inlet.destroy()
+        assert counts == [1, 2, 1]
+        assert outlet.count == 1
+    wait_until(lambda: len(counts) == 4, "the listener's end", process.turn)
+    assert counts == [1, 2, 1, 0]
+
+
+def test_the_ends_of_a_topic_must_agree_on_its_type(process: Process) -> None:
+    node = process.node("/joint")
+    outlet_of(node, "raw")
+    with pytest.raises(TopicError) as caught:
+        Inlet(node, JointTransform, "raw", KEEP_ALL_QOS, print)
+    assert str(caught.value) == (
+        "topic /joint/raw: is of type posor_msgs/msg/JointTransform here; "
+        "expected posor_msgs/msg/RawScan, as another node of this process has it."
+    )
+
+
+def test_what_a_listener_raises_ends_its_program_and_not_the_publisher(process: Process) -> None:
+    sender, broken, sound = (process.node(f"/{name}") for name in ("sender", "broken", "sound"))
+    taken: list[bytes] = []
+
+    def fail(data: bytes) -> None:
+        raise TopicError(f"{len(data)} bytes are too many", where="topic /joint/raw")
+
+    Inlet(broken, RawScan, "/joint/raw", KEEP_ALL_QOS, fail)
+    Inlet(sound, RawScan, "/joint/raw", KEEP_ALL_QOS, taken.append)
+    outlet = outlet_of(sender)
+    for data in MESSAGES:
+        outlet.publish(data)
+    assert taken == MESSAGES
+    assert [node.exit_requested for node in (sender, broken, sound)] == [False, True, False]
+    with pytest.raises(TopicError, match="bytes are too many"):
+        broken.raise_failure()
