@@ -200,12 +200,16 @@ class _Exchange:
     def check(self, end: Outlet | Inlet) -> None:
         """Refuse an end whose topic is known by another type."""
         with self._lock:
-            known = (*self._outlets.get(end.topic_name, ()), *self._inlets.get(end.topic_name, ()))
-        if known and known[0].message_type is not end.message_type:
+            ends: tuple[tuple[Outlet | Inlet, ...], ...] = (
+                self._outlets.get(end.topic_name, ()),
+                self._inlets.get(end.topic_name, ()),
+            )
+        known = [other.message_type for others in ends for other in others]
+        if known and known[0] is not end.message_type:
             raise TopicError(
                 f"is of type {_type_name(end.message_type)} here",
                 where=f"topic {end.topic_name}",
-                expected=f"{_type_name(known[0].message_type)}, as another node of this process has it",
+                expected=f"{_type_name(known[0])}, as another node of this process has it",
             )
 
     def add_outlet(self, outlet: Outlet) -> None:

@@ -76,7 +76,8 @@ def outlet_of(node: PlainNode, topic: str = "/joint/raw", **options: Any) -> Out
 
 @pytest.mark.parametrize("first", ["inlet", "outlet"])
 def test_within_a_process_the_very_bytes_are_handed_on_whoever_comes_first(process: Process, first: str) -> None:
-    sender, listener, taken = process.node("/joint"), process.node("/posor"), []
+    sender, listener = process.node("/joint"), process.node("/posor")
+    taken: list[bytes] = []
     if first == "outlet":
         outlet = outlet_of(sender, "raw")
     Inlet(listener, RawScan, "/joint/raw", KEEP_ALL_QOS, taken.append)
@@ -111,7 +112,8 @@ def test_other_processes_get_the_same_messages(process: Process) -> None:
 
 
 def test_an_inlet_hears_other_processes_while_its_own_has_no_outlet(process: Process) -> None:
-    listener, taken = process.node("/posor"), []
+    listener = process.node("/posor")
+    taken: list[bytes] = []
     inlet = Inlet(listener, RawScan, "/joint/raw", KEEP_ALL_QOS, taken.append)
     with Graph() as graph:
         abroad = graph.node.create_publisher(RawScan, "/joint/raw", KEEP_ALL_QOS)
