@@ -30,6 +30,7 @@ setup(
         ],
         "posor_drivers.sources": [
             "bag = posor_drivers.sources.bag:BagSource",
+            "looped = posor_drivers.sources.looped:LoopedSource",
             "simulated = posor_drivers.sources.simulated:SimulatedSource",
             "table = posor_drivers.sources.table:TableSource",
         ],
