@@ -13,6 +13,8 @@ from posor_estimator.errors import ParameterError, PosorError
 from posor_estimator.ros.declaration import DeclaredParameters, take_overrides
 from posor_estimator.ros.diagnostics import Diagnostics, Level
 from posor_estimator.ros.parameters import ParametersT, help_text
+from posor_estimator.ros.timing import STATUS as TIMING
+from posor_estimator.ros.timing import Timing
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,6 +32,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         NAME: Default node name.
         Parameters: Model of the node's parameters.
         diagnostics: Where the node reports its health.
+        timing: Where the node notes the stamp of what it has published, for the figures of its diagnostics.
         exit_requested: Whether the node wants its program to end.
 
     """
@@ -73,6 +76,8 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         self.diagnostics = Diagnostics(self, self.parameters.hardware_id)
         self._lifecycle = self.diagnostics.add("lifecycle")
         self._lifecycle.report(Level.WARN, "unconfigured")
+        self.timing = Timing(self.diagnostics.add(TIMING), self.get_clock(), lambda: self.parameters.limits)
+        self.diagnostics.before_each(self.timing.report)
 
     def _forgive_impossible_transitions(self) -> None:
         """Answer a request for a transition that does not exist here with "no"; rclpy lets it kill the program."""
@@ -161,6 +166,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Activate the publishers, then run the hook; if it refuses, the publishers are silent again."""
+        self.timing.restart()
         result = self._transition("active", lambda: super(PosorNode, self).on_activate(state), self.activate)
         if result != TransitionCallbackReturn.SUCCESS:
             super().on_deactivate(state)

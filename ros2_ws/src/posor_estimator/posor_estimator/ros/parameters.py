@@ -8,6 +8,7 @@ sentences that refuse a wrong value, and the text of ``--help``. A field that is
 from __future__ import annotations
 
 import difflib
+import math
 from array import array
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args, get_origin
@@ -34,6 +35,21 @@ class ParameterGroup(BaseModel):
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
 
+_Limit = Annotated[float, Field(gt=0.0, allow_inf_nan=True), ChangeableAtRunTime()]
+
+
+class LimitParameters(ParameterGroup):
+    """Beyond which figures of a node's timing the diagnostics warn."""
+
+    latency: _Limit = Field(
+        default=math.inf, description="warn where a scan was published later than this after its stamp [s]; .inf: never"
+    )
+    jitter: _Limit = Field(
+        default=math.inf,
+        description="warn where the time between two publications was off its mean by more than this [s]; .inf: never",
+    )
+
+
 class NodeParameters(ParameterGroup):
     """Parameters that every node has."""
 
@@ -49,6 +65,7 @@ class NodeParameters(ParameterGroup):
     qos_depth: Annotated[int, Field(ge=0, le=100_000)] = Field(
         default=10, description="history depth of the sensor topics in messages; 0: keep all, for replays without loss"
     )
+    limits: LimitParameters = LimitParameters()
 
 
 ParametersT = TypeVar("ParametersT", bound=NodeParameters)
