@@ -12,10 +12,12 @@ from scipy.stats import chi2
 from posor_estimator.core.calibration.model import Calibration, TiltAngle
 from posor_estimator.core.estimate import Estimate, Estimates
 from posor_estimator.core.fault import Fault, State
+from posor_estimator.core.forward import scans_at
 from posor_estimator.core.kernels import locate as kernel
 from posor_estimator.core.kernels import memory as layout
 from posor_estimator.core.kernels.rows import evaluate_row
 from posor_estimator.core.kernels.solve import CONVERGED, gauss_newton
+from posor_estimator.core.lane import Lane
 from posor_estimator.core.native import native_from_rotation
 from posor_estimator.core.plain_rows import PlainRows
 from posor_estimator.core.scan import Scan, Scans
@@ -109,6 +111,17 @@ class Posor:
         scans = Scans.of([scan])
         codes, estimates = self._locate(scans)
         return estimates.one(0, self._reason(scan, codes[0], int(estimates.faults[0]), float(estimates.residuals[0])))
+
+    def lane(self, like: Scan | None = None) -> Lane:
+        """Return the way for one scan at a time without making anything anew.
+
+        Args:
+            like: A scan with as many readings as will come; None: as many as the sensors with rows ask for.
+
+        """
+        if like is not None:
+            return Lane(self, Scans.of([like]))
+        return Lane(self, scans_at(self.stack, np.eye(3)[None], np.zeros((1, 3)), np.zeros(1, dtype=np.int64)))
 
     def locate_all(self, scans: Scans) -> Estimates:
         """Return the poses that many scans give, one after the other: the same as ``locate`` of each."""
