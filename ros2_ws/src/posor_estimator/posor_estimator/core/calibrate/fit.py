@@ -29,6 +29,8 @@ NAMED = 0.3
 """Parameters with at least this share in a direction are named."""
 FAINT = 1e-3
 """Effect of what is taken for known on all residuals together, in their standard deviations, that is left out."""
+SETTLED = 1e-10
+"""Relative change of the cost below which a fit has settled: of a thousand residuals, by 3e-4 standard deviations."""
 EVALUATIONS = 200
 """Of the residuals, after which a fit that has not settled is given up."""
 
@@ -289,7 +291,7 @@ def _settled(
     def rho(squares: FloatArray) -> FloatArray:
         return np.hstack([_rho(squares[:count], loss), _rho(squares[count:], "linear")])
 
-    options: Any = {"loss": rho, "f_scale": ROBUST_SCALE, "xtol": 1e-14, "ftol": 1e-12, "gtol": 1e-12}
+    options: Any = {"loss": rho, "f_scale": ROBUST_SCALE, "xtol": 1e-14, "ftol": SETTLED, "gtol": 1e-12}
     try:
         found = least_squares(residuals, np.zeros(size), jacobian, max_nfev=EVALUATIONS, **options)
     except ValueError as error:
