@@ -18,11 +18,12 @@ from posor_estimator.core.calibration.edit import edited, parsed
 from posor_estimator.core.calibration.fit_record import Instrument
 from posor_estimator.core.calibration.load import calibration_of, load_calibration
 from posor_estimator.core.calibration.save import refuse_existing, save
-from posor_estimator.core.calibration.strict_yaml import read_yaml
+from posor_estimator.core.calibration.strict_yaml import FastLoader, StrictLoader, read_yaml
 from posor_estimator.core.forward import empty_scans
 from posor_estimator.errors import CalibrationError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
 TEXT = """\
@@ -43,6 +44,22 @@ last: |
   some
   text
 """
+
+
+def nodes(node: Any) -> Iterator[tuple[Any, ...]]:
+    """Return tag and place of a node and of all below it."""
+    yield node.tag, node.start_mark.index, node.start_mark.line, node.end_mark.index, node.end_mark.line
+    for child in node.value if isinstance(node, yaml.CollectionNode) else ():
+        for part in child if isinstance(child, tuple) else (child,):
+            yield from nodes(part)
+
+
+@pytest.mark.parametrize("text", [TEXT, "a: 010\nb: 2e-5\nc: 1:30\nd: é µ\ne: 'quoted'\nf: &x [1, {g: .5}]\nh: *x\n"])
+def test_both_readers_find_the_same_in_the_same_places(text: str) -> None:
+    fast, slow = FastLoader(text), StrictLoader(text)
+    found, expected = fast.get_single_node(), slow.get_single_node()
+    assert list(nodes(found)) == list(nodes(expected))
+    assert fast.construct_document(found) == slow.construct_document(expected)
 
 
 def test_key_paths_are_read_as_they_are_printed() -> None:

@@ -10,6 +10,7 @@ import re
 from typing import Any
 
 import yaml
+from yaml.composer import Composer
 
 from posor_estimator.errors import CalibrationError
 
@@ -18,12 +19,10 @@ _INTEGER = "tag:yaml.org,2002:int"
 _FLOAT = "tag:yaml.org,2002:float"
 
 
-class _Loader(yaml.SafeLoader):
-    """The safe loader, stricter."""
+class _Strict(Composer):
+    """What makes a safe loader stricter."""
 
-    def __init__(self, text: str) -> None:
-        super().__init__(text)
-        self._open: list[str | None] = []
+    _open: list[str | None]
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         """Compose a node; refuse an alias of a node that is not yet complete, and nodes without end."""
@@ -63,10 +62,32 @@ class _Loader(yaml.SafeLoader):
             raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark) from error
 
 
-_Loader.yaml_implicit_resolvers = {
-    first: [(tag, pattern) for tag, pattern in resolvers if tag not in (_INTEGER, _FLOAT)]
-    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
-}
+class StrictLoader(_Strict, yaml.SafeLoader):
+    """The safe loader, stricter."""
+
+    def __init__(self, text: str) -> None:
+        yaml.SafeLoader.__init__(self, text)
+        self._open = []
+
+
+_Libyaml = yaml.CSafeLoader if yaml.__with_libyaml__ else yaml.SafeLoader
+
+
+class FastLoader(_Strict, _Libyaml):
+    """The same by libyaml, where it is there, many times as fast."""
+
+    def __init__(self, text: str) -> None:
+        _Libyaml.__init__(self, text)
+        Composer.__init__(self)  # libyaml's loader composes by itself, and is not asked to
+        self._open = []
+
+
+_LOADERS = (FastLoader, StrictLoader)
+for _kind in _LOADERS:
+    _kind.yaml_implicit_resolvers = {
+        first: [(tag, pattern) for tag, pattern in resolvers if tag not in (_INTEGER, _FLOAT)]
+        for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
 _NUMBERS = (
     (_INTEGER, re.compile(r"[-+]?(?:0|[1-9][0-9]*)$"), list("-+0123456789")),
     (
@@ -83,7 +104,8 @@ _NUMBERS = (
     ),
 )
 for _tag, _pattern, _first in _NUMBERS:
-    _Loader.add_implicit_resolver(_tag, _pattern, _first)
+    for _kind in _LOADERS:
+        _kind.add_implicit_resolver(_tag, _pattern, _first)
 
 
 class StrictDumper(yaml.SafeDumper):
@@ -106,9 +128,11 @@ def read_yaml(text: str, source: str) -> tuple[yaml.Node | None, object]:
 
     """
     try:
-        loader = _Loader(text)
-        root = loader.get_single_node()
-        return root, None if root is None else loader.construct_document(root)
+        return _read(text, FastLoader)
+    except yaml.YAMLError:
+        pass  # what is wrong is said as PyYAML's own reader says it
+    try:
+        return _read(text, StrictLoader)
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
         problem = f"it holds the control character 0x{ord(text[error.position]):02X}"
@@ -117,3 +141,9 @@ def read_yaml(text: str, source: str) -> tuple[yaml.Node | None, object]:
         place = f"{source}, line {error.problem_mark.line + 1}" if error.problem_mark else source
         problem = ", ".join(part for part in (error.context, error.problem) if part)
         raise CalibrationError(f"is not YAML: {problem}", where=place) from error
+
+
+def _read(text: str, kind: type[FastLoader | StrictLoader]) -> tuple[yaml.Node | None, object]:
+    loader = kind(text)
+    root = loader.get_single_node()
+    return root, None if root is None else loader.construct_document(root)
