@@ -28,6 +28,7 @@ setup(
             "driver_node = posor_drivers.driver_node:main",
             "record = posor_drivers.record:main",
         ],
+        "posor_estimator.nodes": ["driver_node = posor_drivers.driver_node:DriverNode"],
         "posor_drivers.sources": [
             "bag = posor_drivers.sources.bag:BagSource",
             "looped = posor_drivers.sources.looped:LoopedSource",

@@ -36,11 +36,16 @@ setup(
         "console_scripts": [
             "posor_node = posor_estimator.posor_node:main",
             "chain_node = posor_estimator.chain_node:main",
+            "compose = posor_estimator.ros.compose:main",
             "budget = posor_estimator.budget.command:main",
             "calibrate = posor_estimator.calibrate.command:main",
             "golden = posor_estimator.golden:main",
             "accuracy = posor_estimator.accuracy.report:main",
             "bench_core = posor_estimator.accuracy.bench_core:main",
+        ],
+        "posor_estimator.nodes": [
+            "chain_node = posor_estimator.chain_node:ChainNode",
+            "posor_node = posor_estimator.posor_node:PosorEstimatorNode",
         ],
         "posor_estimator.sensors": [
             "gap_probes = posor_estimator.core.sensors.gap_probes:GapProbesCalibration",

@@ -56,6 +56,14 @@ class TopicError(PosorError):
     """A topic is not what a node takes it for, or a message on it cannot be read."""
 
 
+class NodeError(PosorError):
+    """One of several nodes of a process has failed; its sentence, and which node it is."""
+
+    def __init__(self, error: PosorError, node: str) -> None:
+        super().__init__(str(error).rstrip("."), where="" if node in str(error) else f"node {node}")
+        self.exit_code = error.exit_code
+
+
 class ChainError(PosorError):
     """The kinematic chain (URDF, frames) does not fit the POSORs that should measure it."""
 

@@ -1,22 +1,22 @@
-"""The main program of a node: initialise, spin until a signal or until the node is done, end cleanly."""
+"""The main program of one node or of several: initialise, spin until a signal or until they are done, end cleanly."""
 
 from __future__ import annotations
 
 import signal
 import sys
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import rclpy
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args, try_shutdown
 
-from posor_estimator.errors import ParameterError, PosorError
+from posor_estimator.errors import NodeError, ParameterError, PosorError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
-    from types import FrameType
+    from types import FrameType, TracebackType
 
     from rclpy.node import Node
 
@@ -90,16 +90,88 @@ def _not_understood(error: RuntimeError) -> ParameterError:
     return ParameterError(f"cannot be understood, {reason}", where="ROS arguments")
 
 
+@contextmanager
+def executor_of(nodes: Sequence[Node]) -> Iterator[EventsExecutor]:
+    """Yield an executor of the nodes; it forgets those that it still has in the end."""
+    executor = EventsExecutor()
+    for node in nodes:
+        executor.add_node(node)
+    try:
+        yield executor
+    finally:
+        for node in executor.get_nodes():
+            executor.remove_node(node)
+        executor.shutdown()
+
+
 def spin(node: Node, done: Callable[[], bool]) -> None:
     """Execute the node's callbacks until ``done()``; it is asked after each event, at least every ``WAKE_S``."""
-    executor = EventsExecutor()
-    executor.add_node(node)
-    try:
+    with executor_of([node]) as executor:
         while not done():
             executor.spin_once(timeout_sec=WAKE_S)
-    finally:
-        executor.remove_node(node)
-        executor.shutdown()
+
+
+class Nodes:
+    """The nodes of this process; leaving the ``with`` block stops them, the last one first."""
+
+    def __init__(self) -> None:
+        """Have none yet."""
+        self._nodes: list[PosorNode[Any]] = []
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Stop all nodes."""
+        while self._nodes:
+            self._nodes.pop().stop()
+
+    def add(self, node: PosorNode[Any]) -> None:
+        """Take a node into the process."""
+        self._nodes.append(node)
+
+    def run(self, stop: Callable[[], bool]) -> None:
+        """Start the nodes in the order in which they were added, and execute them until ``stop()``.
+
+        A node that is done, such as a driver at the end of its record, is stopped; the others go on. When all are done,
+        so is this.
+
+        Raises:
+            NodeError: One of several nodes cannot start, or has failed; names it.
+            PosorError: The only one cannot start, or has failed.
+
+        """
+        several = len(self._nodes) > 1
+        with executor_of(self._nodes) as executor:
+            for node in self._nodes:
+                with _named(node, several=several):
+                    node.start()
+            while self._nodes and not stop():
+                executor.spin_once(timeout_sec=WAKE_S)
+                for node in [node for node in self._nodes if node.exit_requested]:
+                    executor.remove_node(node)
+                    self._nodes.remove(node)
+                    node.stop()
+                    with _named(node, several=several):
+                        node.raise_failure()
+
+
+@contextmanager
+def _named(node: PosorNode[Any], *, several: bool) -> Iterator[None]:
+    """Say which of several nodes an error is of."""
+    name = node.get_fully_qualified_name()
+    try:
+        yield
+    except PosorError as error:
+        if several:
+            raise NodeError(error, name) from error
+        raise
+    except Exception as error:
+        error.add_note(f"in node {name}")
+        raise
 
 
 def exit_code_of(program: Callable[[], None]) -> int:
@@ -136,10 +208,6 @@ def _run(node_class: type[PosorNode[Any]], arguments: Sequence[str]) -> None:
             raise ParameterError(
                 f"argument '{own[0]}' is unknown", where=node_class.NAME, expected="--ros-args -p name:=value"
             )
-        node = node_class()
-        try:
-            node.start()
-            spin(node, lambda: stop.requested or node.exit_requested)
-        finally:
-            node.stop()
-        node.raise_failure()
+        with Nodes() as nodes:
+            nodes.add(node_class())
+            nodes.run(lambda: stop.requested)
