@@ -22,7 +22,7 @@ UNIT_WITHIN = 1e-6
 
 CovarianceKind = Literal["random", "systematic", "total"]
 
-_KINDS: dict[CovarianceKind, int] = {
+COVARIANCE_KINDS: dict[CovarianceKind, int] = {
     "random": JointTransform.COVARIANCE_RANDOM,
     "systematic": JointTransform.COVARIANCE_SYSTEMATIC,
     "total": JointTransform.COVARIANCE_TOTAL,
@@ -89,7 +89,7 @@ def transform_message(
     message.scan = raw.scan
     message.pose = lost_pose_message() if estimate.T_R_T is None else pose_message(estimate.T_R_T)
     message.covariance = chosen_covariance(estimate, kind).ravel()
-    message.covariance_kind = _KINDS[kind]
+    message.covariance_kind = COVARIANCE_KINDS[kind]
     message.native = estimate.native
     message.residual = estimate.residual
     message.redundancy = estimate.redundancy
