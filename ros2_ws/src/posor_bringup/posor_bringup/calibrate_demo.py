@@ -8,34 +8,36 @@ uncertainties hold. Exit code 0 only if everything does.
 from __future__ import annotations
 
 import json
+import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
 from posor_estimator.errors import ParameterError, PosorError
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from posor_bringup.campaign.bagged import calibrate_bags, make_bags
 from posor_bringup.campaign.figures import draw
 from posor_bringup.campaign.many import coverage_of, many_campaigns
-from posor_bringup.campaign.page import HEADINGS, as_json, holds, page
+from posor_bringup.campaign.page import HEADINGS, INSTEAD, as_json, holds, page
 from posor_bringup.campaign.plant import POSORS, Plant, PosorName
 from posor_bringup.campaign.steps import steps_of
 from posor_bringup.campaign.told import Told
 from posor_bringup.command_line import Parser, prepare
 from posor_bringup.findings import Findings
 from posor_bringup.findings_table import print_findings
+from posor_bringup.stages import Stages
+from posor_bringup.watch import InterruptedRunError
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
 SEED = 1985
 CAMPAIGNS = 6
-LEAST = 2
-"""Campaigns from which a scatter can be told."""
-MADE_HERE = ("report.html", *(f"report_{name}.png" for name in POSORS), *POSORS)
+LEAST = 4
+"""Campaigns from which a scatter can be told at all."""
+MADE_HERE = ("report.html", *(f"{name}_{picture}.png" for name in POSORS for picture in INSTEAD), *POSORS)
 WIDTH = 150
 
 
@@ -72,7 +74,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     return options
 
 
-def run(options: argparse.Namespace, progress: Progress) -> list[Told]:
+def run(options: argparse.Namespace, stages: Stages) -> list[Told]:
     """Run the campaigns of all POSORs asked for.
 
     Raises:
@@ -82,24 +84,20 @@ def run(options: argparse.Namespace, progress: Progress) -> list[Told]:
     told = []
     folder = prepare(options.output, MADE_HERE, "calibrate_demo")
     for name in POSORS if options.posor == "both" else (options.posor,):
-        steps = len(steps_of(name))
+        count = len(steps_of(name))
         plant = Plant.drawn(name, options.seed)
         (folder / name).mkdir()
-        bags = make_bags(plant, folder / name / "bags", _bar(progress, f"{name}: recording bags", steps))
-        bagged = calibrate_bags(plant, bags, folder / name, _bar(progress, f"{name}: calibrating", steps))
+        with stages.stage(f"{name}: recording bags", count) as on_made:
+            bags = make_bags(plant, folder / name / "bags", on_made)
+        with stages.stage(f"{name}: calibrating", count) as on_step:
+            bagged = calibrate_bags(plant, bags, folder / name, on_step)
         coverage = None
         if options.campaigns:
             seeds = range(options.seed + 1, options.seed + 1 + options.campaigns)
-            bar = _bar(progress, f"{name}: {options.campaigns} more campaigns", options.campaigns)
-            coverage = coverage_of(name, many_campaigns(name, seeds, on_done=bar))
+            with stages.stage(f"{name}: more campaigns", options.campaigns) as on_done:
+                coverage = coverage_of(name, many_campaigns(name, seeds, on_done=on_done))
         told.append(Told.of(plant, bagged, coverage))
     return told
-
-
-def _bar(progress: Progress, what: str, total: int) -> Callable[[], None]:
-    """Show a bar; return what advances it by one."""
-    task = progress.add_task(what, total=total)
-    return lambda: progress.advance(task)
 
 
 def write(options: argparse.Namespace, told: Sequence[Told]) -> None:
@@ -109,15 +107,16 @@ def write(options: argparse.Namespace, told: Sequence[Told]) -> None:
         ParameterError: They cannot be written.
 
     """
-    pictures = [draw(one, f"{one.plant.name}, calibrated in a simulated campaign, seed {options.seed}") for one in told]
+    pictures = [draw(one) for one in told]
     command = f"--posor {options.posor} --campaigns {options.campaigns} --seed {options.seed}"
     provenance = {"command": f"./run posor_bringup calibrate_demo {command}"} | {
         f"{one.plant.name}, result": f"{one.bagged[-1].step.name}.yaml, content hash {one.calibration.content_hash}"
         for one in told
     }
     try:
-        for one, picture in zip(told, pictures, strict=True):
-            (options.output / f"report_{one.plant.name}.png").write_bytes(picture)
+        for one, shown in zip(told, pictures, strict=True):
+            for what, picture in shown.items():
+                (options.output / f"{one.plant.name}_{what}.png").write_bytes(picture)
         (options.output / "report.html").write_text(page(told, pictures, provenance), encoding="utf-8")
         figures = options.output.with_name(f"{options.output.name}.json")
         figures.write_text(json.dumps(as_json(told), indent=2) + "\n", encoding="utf-8")
@@ -127,16 +126,24 @@ def write(options: argparse.Namespace, told: Sequence[Told]) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program."""
+    former = signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends the workers too
     try:
-        options = parse(arguments)
-        console = Console(highlight=False) if sys.stdout.isatty() else Console(highlight=False, width=WIDTH)
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-        with Progress(*columns, console=console) as progress:
-            told = run(options, progress)
-        write(options, told)
-    except PosorError as error:
-        print(error, file=sys.stderr)
-        return error.exit_code
+        return _demo(parse(arguments))
+    except KeyboardInterrupt:
+        error: PosorError = InterruptedRunError("interrupted", where="calibrate_demo")
+    except PosorError as complaint:
+        error = complaint
+    finally:
+        signal.signal(signal.SIGTERM, former)
+    print(error, file=sys.stderr)
+    return error.exit_code
+
+
+def _demo(options: argparse.Namespace) -> int:
+    console = Console(highlight=False) if sys.stdout.isatty() else Console(highlight=False, width=WIDTH)
+    with Stages(console) as stages:
+        told = run(options, stages)
+    write(options, told)
     every = Findings(tuple(finding for one in told for finding in one.findings.findings))
     print_findings(every, console, "Calibration campaigns: what was found", HEADINGS)
     console.print(f"report: {options.output / 'report.html'}", soft_wrap=True, markup=False)

@@ -1,4 +1,4 @@
-"""The picture of a calibration campaign: residuals, truth against estimate, budget, fresh poses, coverage."""
+"""The pictures of a calibration campaign: residuals, error budget, and all of it judged by the truth."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from scipy.stats import chi2, norm
 from posor_bringup.campaign.fresh import FREEDOMS
 from posor_bringup.campaign.judged import WITHIN_95
 from posor_bringup.campaign.many import CLAIM
-from posor_bringup.campaign.told import NOISE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,38 +20,66 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from posor_estimator.core.calibrate.procedure import Figure
 
+    from posor_bringup.campaign.many import Coverage
     from posor_bringup.campaign.told import Told
 
 STYLES = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (LIGHT_BLUE, "D"))
-BARS = 5
+WIDE = (15.0, 8.6)
+"""Of a picture [inch]."""
+SMALL = 9
+BARS = 6
 """Quantities drawn for each freedom, those that matter most."""
 SHORT = 30
 """Letters of a quantity's name that are drawn."""
 
 
-def draw(told: Told, title: str) -> bytes:
-    """Return the picture (PNG)."""
-    figure = Drawing(figsize=(16.0, 22.0), layout="constrained")
-    figure.suptitle(title, fontsize=15)
-    axes = figure.subplots(5, 3)
+def draw(told: Told) -> dict[str, bytes]:
+    """Return the pictures (PNG) by what they show: ``residuals``, ``budget``, ``truth``."""
+    name = f"{told.plant.name}, simulated campaign of seed {told.plant.seed}"
+    return {"residuals": _residuals(told, name), "budget": _budgets(told, name), "truth": _truth(told, name)}
+
+
+def _residuals(told: Told, name: str) -> bytes:
+    figure = Drawing(figsize=WIDE, layout="constrained")
+    figure.suptitle(f"{name}: residuals")
+    axes = figure.subplots(2, 3)
     by_step = {bag.step.procedure: bag.outcome for bag in told.bagged}
-    linearised = by_step["gap_linearisation"].figures
-    _points(axes[0, 0], "Gap probes: residuals of the linearisation", _joined(linearised))
+    _points(axes[0, 0], "Gap probes: residuals of the linearisation", _joined(by_step["gap_linearisation"].figures))
     across = "diode_map" if "diode_map" in by_step else "ring_profile"
     shown = [figure for bag in told.bagged if bag.step.procedure == across for figure in bag.outcome.figures]
     titles = {"diode_map": "Diodes: residuals of the maps", "ring_profile": "Bumpy ring: change of the profile"}
     _points(axes[0, 1], titles[across], _joined(shown), line=across == "ring_profile")
-    _histogram(axes[0, 2], told)
-    _points(axes[1, 0], "Zero drift: error of alpha", by_step["zero_drift"].figures[0])
-    _points(axes[1, 1], "Target plane: alpha that is none", by_step["target_plane"].figures[0])
-    _pulls(axes[1, 2], told)
-    for n, one in enumerate(axes[2:4].ravel()):
+    _points(axes[0, 2], "Probe spacing: residuals", by_step["probe_spacing"].figures[0])
+    _points(axes[1, 0], "Target plane: alpha that is none", by_step["target_plane"].figures[0])
+    _points(axes[1, 1], "Zero drift: error of alpha", by_step["zero_drift"].figures[0])
+    _histogram(axes[1, 2], told)
+    return _finished(figure)
+
+
+def _budgets(told: Told, name: str) -> bytes:
+    figure = Drawing(figsize=WIDE, layout="constrained")
+    figure.suptitle(f"{name}: budget in the middle of the range; dashed: calibration; noise: of one scan")
+    for n, one in enumerate(figure.subplots(2, 3).ravel()):
         _budget(one, told, n)
-    _errors(axes[4, 0], told)
-    _quantiles(axes[4, 1], told)
-    _coverage(axes[4, 2], told)
-    for one in axes.ravel():
-        tidy(one)
+    return _finished(figure)
+
+
+def _truth(told: Told, name: str) -> bytes:
+    figure = Drawing(figsize=WIDE, layout="constrained")
+    figure.suptitle(f"{name}: judged by the truth")
+    many = ["coverage"] if told.coverage else []
+    axes = figure.subplot_mosaic([["pulls", "errors", *many], ["pulls", "quantiles", *many]])
+    _pulls(axes["pulls"], told)
+    _errors(axes["errors"], told)
+    _quantiles(axes["quantiles"], told)
+    if told.coverage:
+        _coverage(axes["coverage"], told.coverage)
+    return _finished(figure)
+
+
+def _finished(figure: Drawing) -> bytes:
+    for axes in figure.axes:
+        tidy(axes)
     return png(figure)
 
 
@@ -63,7 +90,7 @@ def _joined(figures: Sequence[Figure]) -> Figure:
         return first
     series = {}
     for n, figure in enumerate(figures):
-        head = figure.title.split(":")[0] if ":" in figure.title else str(n + 1)
+        head = figure.title.split(":")[0].split()[-1] if ":" in figure.title else str(n + 1)
         alone = len(figure.series) == 1
         series.update({head if alone else f"{head} {name}": points for name, points in figure.series.items()})
     return replace(first, series=series)
@@ -77,9 +104,14 @@ def _points(axes: Axes, title: str, figure: Figure, *, line: bool = False) -> No
             axes.plot(x, y, ls="", marker=marker, ms=3.5, alpha=0.75, color=colour, label=name or None)
     axes.axhline(0.0, color=GREY, lw=0.8)
     axes.locator_params(axis="x", nbins=7)
-    axes.set(title=title, xlabel=figure.x_label, ylabel=figure.y_label)
-    if any(figure.series):
-        axes.legend(fontsize=8, ncols=2)
+    axes.set(title=title, xlabel=_written(figure.x_label), ylabel=_written(figure.y_label))
+    if len(figure.series) > 1:
+        axes.margins(y=0.22)  # the legend's place
+        axes.legend(fontsize=SMALL, ncols=4, loc="upper center", columnspacing=1.0, handletextpad=0.3)
+
+
+def _written(label: str) -> str:
+    return label.replace("[u", "[µ")
 
 
 def _histogram(axes: Axes, told: Told) -> None:
@@ -90,8 +122,9 @@ def _histogram(axes: Axes, told: Told) -> None:
     seen = np.sqrt(np.mean(np.square(found.residuals)))
     axes.plot(fine, norm.pdf(fine), color=GREY, label="standard normal")
     axes.plot(fine, norm.pdf(fine, scale=seen), color=ORANGE, ls="--", label=f"normal, deviation {seen:.2f}")
-    axes.set(title=f"Bundle: {len(found.residuals)} residuals", xlabel="residual / standard uncertainty")
-    axes.legend(fontsize=8)
+    title = f"Bundle: {len(found.residuals)} residuals"
+    axes.set(title=title, xlabel="residual / standard uncertainty", ylim=(0.0, 0.6))
+    axes.legend(fontsize=SMALL, loc="upper left")
 
 
 def _pulls(axes: Axes, told: Told) -> None:
@@ -101,7 +134,7 @@ def _pulls(axes: Axes, told: Told) -> None:
         axes.plot(number.pull, families.index(number.family), "o", ms=4, alpha=0.7, color=colour)
     axes.axvspan(-WITHIN_95, WITHIN_95, color="#eeeeee", zorder=0)
     axes.axvline(0.0, color=GREY, lw=0.8)
-    axes.set_yticks(range(len(families)), families, fontsize=7.5)
+    axes.set_yticks(range(len(families)), families, fontsize=SMALL)
     axes.invert_yaxis()
     reach = max(3.5, 1.1 * max(abs(number.pull) for number in told.numbers))
     axes.set(title="Estimate less truth, each number", xlabel="stated standard uncertainties", xlim=(-reach, reach))
@@ -110,37 +143,40 @@ def _pulls(axes: Axes, told: Told) -> None:
 def _budget(axes: Axes, told: Told, freedom: int) -> None:
     largest = sorted(told.gains, key=lambda one: told.gains[one][freedom], reverse=True)[:BARS]
     names = [one if len(one) <= SHORT else f"{one[: SHORT - 1]}…" for one in largest]
-    colours = [ORANGE if one == NOISE else BLUE for one in largest]
-    axes.barh(range(len(largest)), [1e6 * told.gains[one][freedom] for one in largest], color=colours)
-    axes.set_yticks(range(len(largest)), names, fontsize=7.5)
-    total = 1e6 * told.budget.sigmas[freedom]
-    axes.axvline(total, color=GREY, ls="--", lw=1.2)
+    axes.barh(range(len(largest)), [1e6 * told.gains[one][freedom] for one in largest], color=BLUE)
+    axes.set_yticks(range(len(largest)), names, fontsize=SMALL)
+    common, total = 1e6 * told.common[freedom], 1e6 * told.budget.sigmas[freedom]
+    noise = np.sqrt(max(total**2 - common**2, 0.0))
+    axes.axvline(common, color=GREY, ls="--", lw=1.2)
     axes.invert_yaxis()
     name, unit = list(FREEDOMS.items())[freedom]
-    unit = f"µ{unit}"
     axes.set(
-        title=f"Budget of {name}: {total:.3g} {unit} (dashed)",
-        xlabel=f"taken away by knowing it exactly [{unit}]",
+        title=f"{name}: calibration {common:.2g}, noise {noise:.2g} µ{unit}",
+        xlabel=f"taken away by knowing it exactly [µ{unit}]",
     )
 
 
 def _errors(axes: Axes, told: Told) -> None:
     fresh, at = told.fresh, np.arange(len(FREEDOMS))
     for shift, values, colour, name in (
-        (-0.27, fresh.before, GREY, "as built"),
-        (0.0, fresh.errors, BLUE, "calibrated"),
-        (0.27, fresh.sigmas, LIGHT_BLUE, "budget"),
+        (-0.32, fresh.before, GREY, "as built"),
+        (-0.16, fresh.errors, BLUE, "calibrated"),
+        (0.0, fresh.sigmas, LIGHT_BLUE, "budget"),
+        (0.16, fresh.still_errors, ORANGE, "calibrated, without noise"),
+        (0.32, fresh.still_sigmas, GREEN, "calibration's part of the budget"),
     ):
-        axes.bar(at + shift, 1e6 * np.sqrt(np.nanmean(np.square(values), axis=0)), 0.25, color=colour, label=name)
+        axes.bar(at + shift, 1e6 * np.sqrt(np.nanmean(np.square(values), axis=0)), 0.15, color=colour, label=name)
     axes.set_yscale("log")
     axes.set_xticks(at, list(FREEDOMS))
-    count = int(np.isfinite(fresh.normalised).sum())
+    count = int(fresh.known.sum())
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high * 100.0)  # the legend's place
     axes.set(title=f"Errors at {count} fresh poses", ylabel="root mean square [µm, µrad]")
-    axes.legend(fontsize=8)
+    axes.legend(fontsize=SMALL, ncols=2, loc="upper center", columnspacing=1.0)
 
 
 def _quantiles(axes: Axes, told: Told) -> None:
-    values = np.sort(told.fresh.normalised[np.isfinite(told.fresh.normalised)])
+    values = np.sort(told.fresh.normalised[told.fresh.known])
     expected = chi2.ppf((np.arange(len(values)) + 0.5) / len(values), 6)
     limit = chi2.ppf(0.95, 6)
     axes.plot(expected, values, "o", ms=4, color=BLUE, label="fresh poses of this campaign")
@@ -150,23 +186,18 @@ def _quantiles(axes: Axes, told: Told) -> None:
     axes.set(
         title="Error squared over the budget, all six freedoms", xlabel="quantile of chi-square, 6", ylabel="found"
     )
-    axes.legend(fontsize=8)
+    axes.legend(fontsize=SMALL)
 
 
-def _coverage(axes: Axes, told: Told) -> None:
-    coverage = told.coverage
-    if coverage is None:
-        axes.text(0.5, 0.5, "no further campaigns were run", ha="center", transform=axes.transAxes)
-        axes.set_axis_off()
-        return
+def _coverage(axes: Axes, coverage: Coverage) -> None:
     families = coverage.families
     at = np.arange(len(families))
     parts = np.array([100.0 * family.inside.value for family in families])
     errors = np.array([200.0 * family.inside.sigma for family in families])
-    axes.errorbar(parts, at, xerr=errors, fmt="o", ms=4, color=BLUE, capsize=2, lw=1.0)
+    axes.errorbar(parts, at, xerr=errors, fmt="o", ms=4, color=BLUE, capsize=2, lw=1.0, clip_on=False)
     axes.axvspan(100.0 * CLAIM[0], 100.0 * CLAIM[1], color="#eeeeee", zorder=0)
     axes.axvline(95.0, color=GREY, lw=0.8)
-    axes.set_yticks(at, [family.name for family in families], fontsize=7.5)
+    axes.set_yticks(at, [family.name for family in families], fontsize=SMALL)
     axes.invert_yaxis()
     axes.set(
         title=f"{coverage.campaigns} campaigns: truth within the 95 % interval",

@@ -16,7 +16,7 @@ from scipy.stats import binom, binomtest, chi2, t
 from posor_bringup.arm_coverage import Figure
 from posor_bringup.campaign.campaign import run_campaign
 from posor_bringup.campaign.fresh import fresh_poses
-from posor_bringup.campaign.judged import judged
+from posor_bringup.campaign.judged import WITHIN_95, judged
 from posor_bringup.campaign.plant import Plant
 
 if TYPE_CHECKING:
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 FRESH = 20
 """Poses of each campaign at which the calibrated POSOR is checked."""
 REGION_LIMIT = float(chi2.ppf(0.95, 6))
+ROOT_MEAN_SQUARES = ("errors", "sigmas", "before", "still_errors", "still_sigmas")
+"""What is told of the fresh poses by its root mean square for each freedom."""
 CLAIM = (0.92, 0.98)
 """Where the part of the campaigns whose interval holds the truth is to be."""
 
@@ -46,6 +48,9 @@ class One:
         errors: Root mean square of the errors of the calibrated POSOR, (6,).
         sigmas: The same of its budget, (6,).
         before: The same of the POSOR as built, (6,).
+        still_inside: Part of the errors without noise that are within 95 % by the calibration's part of the budget.
+        still_errors: Their root mean square, (6,).
+        still_sigmas: The same of that part of the budget, (6,).
 
     """
 
@@ -58,6 +63,9 @@ class One:
     errors: tuple[float, ...] = ()
     sigmas: tuple[float, ...] = ()
     before: tuple[float, ...] = ()
+    still_inside: float = 0.0
+    still_errors: tuple[float, ...] = ()
+    still_sigmas: tuple[float, ...] = ()
 
 
 def one_campaign(name: PosorName, seed: int) -> One:
@@ -72,18 +80,19 @@ def one_campaign(name: PosorName, seed: int) -> One:
     except PosorError as error:
         return One(seed, str(error))
     fresh = fresh_poses(plant, calibration, FRESH)
-    known = np.isfinite(fresh.normalised)
+    known = fresh.known
     return One(
-        seed,
-        "",
-        tuple(claims),
-        tuple(judged(plant, calibration)),
-        float(np.mean(fresh.normalised[known] <= REGION_LIMIT)),
-        float(np.mean(fresh.normalised[known])),
-        *(
-            tuple(np.sqrt(np.nanmean(np.square(values), axis=0)).tolist())
-            for values in (fresh.errors, fresh.sigmas, fresh.before)
-        ),
+        seed=seed,
+        refused="",
+        claims=tuple(claims),
+        found=tuple(judged(plant, calibration)),
+        inside=float(np.mean(fresh.normalised[known] <= REGION_LIMIT)),
+        normalised=float(np.mean(fresh.normalised[known])),
+        still_inside=float(np.mean(np.abs(fresh.still_errors[known]) < WITHIN_95 * fresh.still_sigmas[known])),
+        **{
+            what: tuple(np.sqrt(np.nanmean(np.square(getattr(fresh, what)), axis=0)).tolist())
+            for what in ROOT_MEAN_SQUARES
+        },
     )
 
 
@@ -158,9 +167,12 @@ class Coverage:
         least_probable: Probability, times the number of numbers, of the most improbable part (Bonferroni).
         fresh_inside: Part of fresh poses within the budget's 95 % region.
         fresh_normalised: Mean normalised error squared, 6 where the budget is right.
+        still_inside: Part of the errors without noise within 95 % by the calibration's part of the budget.
         errors: Root mean square of the errors at fresh poses over all campaigns, (6,).
         sigmas: The same of the budgets.
         before: The same of the POSORs as built.
+        still_errors: The same of the errors without noise.
+        still_sigmas: The same of the calibration's part of the budgets.
 
     """
 
@@ -176,9 +188,12 @@ class Coverage:
     least_probable: float
     fresh_inside: Figure
     fresh_normalised: Figure
+    still_inside: Figure
     errors: tuple[float, ...]
     sigmas: tuple[float, ...]
     before: tuple[float, ...]
+    still_errors: tuple[float, ...]
+    still_sigmas: tuple[float, ...]
 
 
 def spare(figure: Figure, campaigns: int, each: int) -> float:
@@ -217,9 +232,10 @@ def coverage_of(name: PosorName, ones: Sequence[One]) -> Coverage:
         least_probable=min(1.0, improbable * len(by_number)),
         fresh_inside=Figure.of(np.array([one.inside for one in sound])),
         fresh_normalised=Figure.of(np.array([one.normalised for one in sound])),
+        still_inside=Figure.of(np.array([one.still_inside for one in sound])),
         **{
             what: tuple(np.sqrt(np.mean(np.square([getattr(one, what) for one in sound]), axis=0)).tolist())
-            for what in ("errors", "sigmas", "before")
+            for what in ROOT_MEAN_SQUARES
         },
     )
 

@@ -28,8 +28,21 @@ if TYPE_CHECKING:
     from posor_bringup.campaign.many import Coverage, Family
     from posor_bringup.campaign.told import Told
 
+ROOTS: Mapping[str, str] = {
+    "errors": "errors",
+    "budget": "sigmas",
+    "errors_as_built": "before",
+    "errors_without_noise": "still_errors",
+    "budget_of_calibration": "still_sigmas",
+}
+"""By what they are called in the figures for other programs: attributes of ``Fresh`` and ``Coverage``."""
 HEADINGS: Mapping[str, str] = {"computed": "found", "stated": "expected", "limit": "must be", "source": "source"}
-INSTEAD = "Residuals, estimates against the truth, budget, errors at fresh poses, coverage"
+INSTEAD: Mapping[str, str] = {
+    "residuals": "residuals of the fits",
+    "budget": "error budget in the middle of the range",
+    "truth": "numbers, errors at fresh poses and coverage against the truth",
+}
+"""What to say of each picture where it cannot be shown."""
 NOTES = (
     (
         "Simulated: each POSOR is drawn from what is known of it as built, so the truth behind every number is known. "
@@ -43,6 +56,10 @@ NOTES = (
     (
         "Uncertainties are standard uncertainties, k = 1 (JCGM 100); intervals of 95 % are 1.96 of them. What a "
         "procedure takes for known is in its uncertainty; how the numbers vary together stands in the file's records."
+    ),
+    (
+        "Errors without noise are those of scans as the electronics would give them without noise and converter: what "
+        "they are off by, the calibration is to blame for."
     ),
     (
         "Budget bars: what knowing one quantity exactly would take away from the freedom's standard uncertainty, as "
@@ -65,32 +82,31 @@ def holds(all_told: Sequence[Told]) -> bool:
     return all(told.findings.holds for told in all_told)
 
 
-def page(all_told: Sequence[Told], pictures: Sequence[bytes], provenance: Mapping[str, str]) -> str:
-    """Return the page; it refers to nothing outside itself."""
+def page(all_told: Sequence[Told], pictures: Sequence[Mapping[str, bytes]], provenance: Mapping[str, str]) -> str:
+    """Return the page, with the pictures of each POSOR that ``draw`` made; it refers to nothing outside itself."""
     every = Findings(tuple(finding for told in all_told for finding in told.findings.findings))
     sections = [Section("Findings", findings_table(every, HEADINGS))]
-    for n, (told, picture) in enumerate(zip(all_told, pictures, strict=True)):
-        sections += _sections(told, b"" if n == 0 else picture)
+    for told, shown in zip(all_told, pictures, strict=True):
+        sections += _sections(told, shown)
     sections += [Section("Notes", notes_list(NOTES)), Section("Provenance", terms_list(provenance))]
     return document(
         f"Calibration of {' and '.join(told.plant.name for told in all_told)}, simulated campaigns",
         "Everything holds." if holds(all_told) else "Not everything holds.",
         holds=holds(all_told),
-        picture=Picture(pictures[0], f"{all_told[0].plant.name}: {INSTEAD}"),
+        picture=None,
         sections=tuple(sections),
     )
 
 
-def _sections(told: Told, picture: bytes) -> list[Section]:
+def _sections(told: Told, pictures: Mapping[str, bytes]) -> list[Section]:
     name = told.plant.name
-    shown = [Section(name, image(Picture(picture, f"{name}: {INSTEAD}")))] if picture else []
-    many = [] if told.coverage is None else [Section(f"{name}: coverage", _coverage_table(told.coverage))]
+    shown = {what: image(Picture(png, f"{name}: {INSTEAD[what]}")) for what, png in pictures.items()}
+    many = "" if told.coverage is None else _coverage_table(told.coverage)
     return [
-        *shown,
+        Section(f"{name}: judged by the truth", shown["truth"] + many),
         Section(f"{name}: parameters", _parameter_table(told)),
-        Section(f"{name}: fits", _fit_table(told)),
-        Section(f"{name}: error budget and fresh poses", _budget_table(told)),
-        *many,
+        Section(f"{name}: fits and their residuals", shown["residuals"] + _fit_table(told)),
+        Section(f"{name}: error budget and fresh poses", shown["budget"] + _budget_table(told)),
     ]
 
 
@@ -156,19 +172,16 @@ def _budget_table(told: Told) -> str:
     header = ("standard uncertainty, root mean square", *(f"{freedom} [µ{unit}]" for freedom, unit in FREEDOMS.items()))
     lines = (
         ("budget in the middle of the range: noise", budget.root_sum_square(Kind.RANDOM)[:6]),
-        ("budget in the middle: calibration, with its correlations", _systematic(told)),
+        ("budget in the middle: calibration, with its correlations", told.common),
         ("budget in the middle: total", budget.sigmas[:6]),
         ("budget at the fresh poses", np.sqrt(np.nanmean(np.square(fresh.sigmas), axis=0))),
         ("errors at the fresh poses", np.sqrt(np.nanmean(np.square(fresh.errors), axis=0))),
+        ("the calibration's part of it", np.sqrt(np.nanmean(np.square(fresh.still_sigmas), axis=0))),
+        ("errors there of scans without noise", np.sqrt(np.nanmean(np.square(fresh.still_errors), axis=0))),
         ("errors of the POSOR as built", np.sqrt(np.nanmean(np.square(fresh.before), axis=0))),
     )
     rows = [cells([what, *(f"{1e6 * value:.3g}" for value in values)]) for what, values in lines]
     return table(header, rows)
-
-
-def _systematic(told: Told) -> Any:
-    noise = told.budget.root_sum_square(Kind.RANDOM)[:6]
-    return np.sqrt(np.maximum(np.square(told.budget.sigmas[:6]) - np.square(noise), 0.0))
 
 
 def _coverage_table(coverage: Coverage) -> str:
@@ -196,10 +209,9 @@ def as_json(all_told: Sequence[Told]) -> dict[str, Any]:
 def _posor_json(told: Told) -> dict[str, Any]:
     fresh = told.fresh
     rms = {
-        what: dict(zip(FREEDOMS, np.sqrt(np.nanmean(np.square(values), axis=0)).tolist(), strict=True))
-        for what, values in (("errors", fresh.errors), ("budget", fresh.sigmas), ("errors_as_built", fresh.before))
+        called: dict(zip(FREEDOMS, np.sqrt(np.nanmean(np.square(getattr(fresh, what)), axis=0)).tolist(), strict=True))
+        for called, what in ROOTS.items()
     }
-    known = np.isfinite(fresh.normalised)
     return {
         "seed": told.plant.seed,
         "content_hash": told.calibration.content_hash,
@@ -210,14 +222,15 @@ def _posor_json(told: Told) -> dict[str, Any]:
                 "truth": number.truth,
                 "estimate": number.estimate,
                 "sigma": number.sigma,
+                "within_95": number.inside,
                 "procedure": number.procedure,
             }
             for number in told.numbers
         },
         "fresh_poses": {
-            "count": int(known.sum()),
+            "count": int(fresh.known.sum()),
             "root_mean_square": rms,
-            "normalised_error_squared": float(np.mean(fresh.normalised[known])),
+            "normalised_error_squared": float(np.mean(fresh.normalised[fresh.known])),
         },
         "campaigns": None if told.coverage is None else _coverage_json(told.coverage),
     }
@@ -254,7 +267,8 @@ def _coverage_json(coverage: Coverage) -> dict[str, Any]:
             "value": coverage.fresh_normalised.value,
             "sigma": coverage.fresh_normalised.sigma,
         },
+        "fresh_without_noise_within_95": {"value": coverage.still_inside.value, "sigma": coverage.still_inside.sigma},
         "fresh_root_mean_square": {
-            what: dict(zip(FREEDOMS, getattr(coverage, what), strict=True)) for what in ("errors", "sigmas", "before")
+            called: dict(zip(FREEDOMS, getattr(coverage, what), strict=True)) for called, what in ROOTS.items()
         },
     }

@@ -45,14 +45,14 @@ class Picture:
     instead: str
 
 
-def document(title: str, verdict: str, *, holds: bool, picture: Picture, sections: Sequence[Section]) -> str:
+def document(title: str, verdict: str, *, holds: bool, picture: Picture | None, sections: Sequence[Section]) -> str:
     """Return the page; it refers to nothing outside itself.
 
     Args:
         title: Heading; its first line is also the window's title.
         verdict: One sentence on the whole run.
         holds: Whether that is good news.
-        picture: The curves.
+        picture: The curves; None where they stand in the sections.
         sections: What follows, in this order.
 
     """
@@ -68,7 +68,7 @@ def document(title: str, verdict: str, *, holds: bool, picture: Picture, section
 <body>
 <h1>{escape(title).replace(chr(10), "<br>")}</h1>
 <p class="verdict {"holds" if holds else "fails"}">{escape(verdict)}</p>
-{image(picture)}
+{image(picture) if picture else ""}
 {body}
 </body>
 </html>
