@@ -1,13 +1,13 @@
 """The kinematic chain: POSORs as floating joints, measuring beams between them, the endpoint on the last one.
 
-Pinocchio does the forward kinematics and gives the Jacobian that carries the covariance of each joint and of each beam
-to the endpoint. A beam that is not exact is a floating joint too: its six numbers are its sag under gravity as the arm
-now stands, its covariance what the beams file says of it.
+Pinocchio reads the URDF and says what lies on the way from the base to the endpoint. A beam that is not exact is a
+floating joint of its model too: its transform has the sag under gravity as the arm now stands, its covariance is what
+the beams file says of it. The walk along the arm is compiled (``core.kernels.chain``) and checked against pinocchio's
+forward kinematics and Jacobian.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -15,8 +15,10 @@ import numpy as np
 import pinocchio as pin
 
 from posor_estimator.core.beams_file import STANDARD_GRAVITY, load_beams
+from posor_estimator.core.chain_lane import ChainLane, Endpoints
+from posor_estimator.core.chain_layout import ChainLayout
+from posor_estimator.core.kernels.chain import joint_angle
 from posor_estimator.core.measuring_beam import MeasuringBeam
-from posor_estimator.core.native import native_from_rotation
 from posor_estimator.core.robot_model import FreeJoint, RobotModel
 from posor_estimator.errors import ChainError
 
@@ -25,7 +27,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from posor_estimator.core.beams_file import BeamsFile
-    from posor_estimator.core.types import FloatArray
+    from posor_estimator.core.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -58,9 +60,10 @@ class Endpoint:
 
     def relative_to(self, home: Endpoint) -> Endpoint:
         """Return this endpoint in the axes of the endpoint at home; home counts as exact."""
-        back = home.T_base_endpoint.inverse()
-        turn = np.kron(np.eye(2), back.rotation)
-        return Endpoint(back * self.T_base_endpoint, turn @ self.covariance @ turn.T)
+        here = Endpoints.room(1, 0)
+        here.poses[0], here.covariances[0] = pin.SE3ToXYZQUAT(self.T_base_endpoint), self.covariance
+        poses, covariances = here.relative_to(pin.SE3ToXYZQUAT(home.T_base_endpoint))
+        return Endpoint(pin.XYZQUATToSE3(poses[0]), covariances[0])
 
 
 @dataclass(frozen=True)
@@ -120,7 +123,6 @@ class Chain:
         """
         said = [] if beams is None else beams.beams
         self._robot = RobotModel(urdf, endpoint_frame, (beam.joint for beam in said), source)
-        self._data = self._robot.model.createData()
         self.base_frame = self._robot.base_frame
         self.joints = self._robot.joints
         freed = self._robot.freed
@@ -131,6 +133,8 @@ class Chain:
         gravity = np.array([0.0, 0.0, -STANDARD_GRAVITY]) if beams is None else beams.gravity.array
         self.gravity: FloatArray = gravity
         self.links = self._links(source)
+        self._layout = ChainLayout.of(self._robot, self.beams, gravity)
+        self._lane = self.lane()
 
     def _links(self, source: str) -> tuple[FixedLink, ...]:
         beams = {joint.index: (beam, joint) for beam, joint in self._beam_joints}
@@ -169,9 +173,8 @@ class Chain:
             theta: The large rotation of the same (``core.native``), which may have been counted over turns [rad].
 
         """
-        rotation = T_parent_child.rotation
-        seen = native_from_rotation(self._joint(name).T_parent_joint.rotation.T @ rotation)[2]
-        return theta + math.remainder(seen - native_from_rotation(rotation)[2], 2.0 * math.pi)
+        origin = np.array(self._joint(name).T_parent_joint.rotation)
+        return float(joint_angle(pin.SE3ToXYZQUAT(T_parent_child), origin, theta, np.empty((3, 3))))
 
     def _joint(self, name: str) -> FreeJoint:
         return next(joint for joint in self.joints if joint.name == name)
@@ -198,56 +201,48 @@ class Chain:
             measured: One measurement for each floating joint, by joint name. Joints are taken as independent.
             accelerations: Acceleration of beams [m/s^2], (3,), axes of the base, by name; without: they are at rest.
 
+        Raises:
+            ChainError: A joint is missing, or its numbers are none.
+
         """
-        model = self._robot.model
-        q = pin.neutral(model)
-        covariance = np.zeros((model.nv, model.nv))
-        for joint in self.joints:
-            reading = measured[joint.name]
-            motion = joint.T_parent_joint.inverse() * reading.T_parent_child
-            self._set(q, covariance, joint, motion, reading.covariance, reading.T_parent_child)
-        if self._beam_joints:
-            pin.forwardKinematics(model, self._data, q)
-            for beam, joint in self._beam_joints:
-                force = self._start_rotation(joint).T @ (self.gravity - (accelerations or {}).get(beam.name, 0.0))
-                under = beam.T_under(force)
-                motion = joint.T_parent_joint.inverse() * under
-                self._set(q, covariance, joint, motion, beam.covariance_under(force), under)
-        jacobian = pin.computeFrameJacobian(
-            model, self._data, q, self._robot.endpoint, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        )
-        pose = pin.updateFramePlacement(model, self._data, self._robot.endpoint)
-        return Endpoint(pin.SE3(pose), jacobian @ covariance @ jacobian.T)
+        lane, lane.accelerations[:] = self._lane, 0.0
+        for beam, row in zip(self.beams, lane.accelerations, strict=True):
+            row[:] = (accelerations or {}).get(beam.name, 0.0)
+        return run_lane(lane, measured)
 
-    def beam_centres(self) -> dict[str, FloatArray]:
-        """Return the middle of each beam in the base frame [m], (3,), as ``endpoint`` last found it."""
-        return {
-            beam.name: self._data.oMi[self._robot.model.parents[joint.index]].act(
-                joint.T_before_parent.act(0.5 * beam.T_start_end.translation)
-            )
-            for beam, joint in self._beam_joints
-        }
+    def lane(self, acceleration_window: float = 0.0) -> ChainLane:
+        """Return a lane of this arm, for endpoints at servo rate or of many scans.
 
-    def _start_rotation(self, joint: FreeJoint) -> FloatArray:
-        """Return the axes of a beam's start in the base frame."""
-        before = self._data.oMi[self._robot.model.parents[joint.index]]
-        return np.asarray(before.rotation @ joint.T_before_parent.rotation)
+        Args:
+            acceleration_window: Time over which the beams' accelerations are found [s], see ``BeamMotion``; zero: the
+                beams are as if at rest.
 
-    def _set(
+        """
+        return ChainLane(self._layout, tuple(joint.name for joint in self.joints), acceleration_window)
+
+    def endpoints(
         self,
-        q: FloatArray,
-        covariance: FloatArray,
-        joint: FreeJoint,
-        motion: pin.SE3,
-        in_parent: FloatArray,
-        T_parent_child: pin.SE3,
-    ) -> None:
-        """Write one joint's numbers and its covariance, given in the axes of its parent, into those of the model."""
-        model = self._robot.model.joints[joint.index]
-        q[model.idx_q : model.idx_q + 7] = pin.SE3ToXYZQUAT(motion)
-        to_local = np.kron(np.eye(2), T_parent_child.rotation.T)
-        block = slice(model.idx_v, model.idx_v + 6)
-        covariance[block, block] = to_local @ in_parent @ to_local.T
+        poses: FloatArray,
+        covariances: FloatArray,
+        stamps_ns: IntArray | None = None,
+        *,
+        acceleration_window: float = 0.0,
+    ) -> Endpoints:
+        """Return the endpoints of many scans that follow one another, see ``ChainLane.endpoints``."""
+        return self.lane(acceleration_window).endpoints(poses, covariances, stamps_ns)
+
+
+def run_lane(lane: ChainLane, measured: Mapping[str, MeasuredJoint], stamp_ns: int = 0) -> Endpoint:
+    """Return the endpoint that a lane finds from one measurement for each of its joints, by name.
+
+    Raises:
+        ChainError: A joint is missing, or its numbers are none.
+
+    """
+    lane.take(measured)
+    if not lane.run(stamp_ns):
+        raise ChainError(lane.reason(), where="the chain", expected="finite numbers and unit quaternions")
+    return Endpoint(pin.XYZQUATToSE3(lane.pose), lane.covariance.copy())
 
 
 def load_chain(urdf: Path, endpoint_frame: str, beams: Path | None = None) -> Chain:

@@ -91,11 +91,15 @@ class MeasuringBeam:
         """Return the covariance of ``T_under``, as the attribute ``covariance``, that of the sag included."""
         if self.sag_sigma == 0.0:
             return self.covariance
-        start, end = self.start_gain @ force, self.end_gain @ force
-        sag = end - start
-        sag[:3] -= np.cross(start[3:], self.T_start_end.translation)
-        sag *= self.sag_sigma
+        sag = self.sag_sigma * (self.sag_gain @ force)
         return self.covariance + np.outer(sag, sag)
+
+    @property
+    def sag_gain(self) -> FloatArray:
+        """(6, 3): translation [m] and rotation vector [rad] of the end, seen from the plate at the start, as above."""
+        gain = self.end_gain - self.start_gain
+        gain[:3] += pin.skew(self.T_start_end.translation) @ self.start_gain[3:]
+        return gain
 
 
 def _moved(T_start_plate: pin.SE3, motion: FloatArray) -> pin.SE3:
