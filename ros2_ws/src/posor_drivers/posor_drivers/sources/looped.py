@@ -6,21 +6,19 @@ number are the tick's, all else is as recorded. All is read and prepared beforeh
 
 from __future__ import annotations
 
-import struct
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from posor_estimator.errors import BagError
+from posor_estimator.errors import BagError, TopicError
 from posor_estimator.ros.bag_reader import check_filled, checked_type, counted_messages, opened_bag, scan_topic
+from posor_estimator.ros.cdr_scan import ScanTemplate
 from posor_estimator.ros.message_types import RAW_SCAN
 from posor_estimator.ros.parameters import ParameterGroup
 from posor_estimator.ros.qos import RAW_TOPIC
-from posor_msgs.msg import RawScan
 from pydantic import Field
-from rclpy.serialization import deserialize_message
 
-from posor_drivers.simulator.ticks import NS, first_tick_after, stamp_of
+from posor_drivers.simulator.ticks import first_tick_after, stamp_of
 from posor_drivers.sources.base import LiveSource, SourceMessage, Topic
 
 if TYPE_CHECKING:
@@ -33,8 +31,6 @@ if TYPE_CHECKING:
 MOST_SCANS = 100_000
 """They are all held in memory."""
 FASTEST_HZ = 10_000
-_STAMP = struct.Struct("<iI")
-_NUMBER = struct.Struct("<Q")
 
 
 class LoopedParameters(ParameterGroup):
@@ -61,7 +57,7 @@ class LoopedSource(LiveSource[LoopedParameters]):
 
     Parameters = LoopedParameters
 
-    _scans: list[_Template]
+    _scans: list[ScanTemplate]
 
     @property
     def record(self) -> str:
@@ -82,7 +78,7 @@ class LoopedSource(LiveSource[LoopedParameters]):
             check_filled(reader.connections, name, where)
             count = self._count(reader, name)
             records = islice(enumerate(counted_messages(reader, (name,), where), start=1), count)
-            self._scans = [_Template(data, f"{where}, message {n} of {name}") for n, (_, _, data) in records]
+            self._scans = [_template(data, f"{where}, message {n} of {name}") for n, (_, _, data) in records]
         return [Topic(RAW_TOPIC, RAW_SCAN)]
 
     def _count(self, reader: Reader, name: str) -> int | None:
@@ -102,6 +98,11 @@ class LoopedSource(LiveSource[LoopedParameters]):
                 expected=f"at most {MOST_SCANS}, or parameter 'looped.scans' to say how many of them to play",
             )
         return wanted or None
+
+    @property
+    def rate(self) -> int:
+        """Scans per second."""
+        return self.parameters.rate
 
     def inputs(self) -> Sequence[Input]:
         """Listen to nothing."""
@@ -130,24 +131,8 @@ class LoopedSource(LiveSource[LoopedParameters]):
         return at if at <= last else 2 * last - at
 
 
-class _Template:
-    """A serialised scan in which stamp and number are yet to be filled in."""
-
-    def __init__(self, data: bytes, where: str) -> None:
-        frame_end = 16 + int.from_bytes(data[12:16], "little")
-        number = 4 + -(-(frame_end - 4) // 8) * 8
-        self._head, self._middle, self._tail = data[:4], data[12:number], data[number + 8 :]
-        if not self._is_sound():
-            raise BagError(f"its {len(data)} bytes cannot be decoded", where=where, expected=RAW_SCAN)
-
-    def _is_sound(self) -> bool:
-        try:
-            scan = deserialize_message(self.at(NS + 2, 3), RawScan)
-        except RuntimeError:
-            return False
-        return bool((scan.header.stamp.sec, scan.header.stamp.nanosec, scan.scan) == (1, 2, 3))
-
-    def at(self, stamp_ns: int, number: int) -> bytes:
-        """Return the scan of a time [ns]."""
-        stamp = _STAMP.pack(*divmod(stamp_ns, NS))
-        return self._head + stamp + self._middle + _NUMBER.pack(number) + self._tail
+def _template(data: bytes, where: str) -> ScanTemplate:
+    try:
+        return ScanTemplate(data)
+    except TopicError as error:
+        raise BagError(error.what, where=where, expected=error.expected) from None
