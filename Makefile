@@ -1,7 +1,7 @@
 # POSOR for ROS 2. Every target sets the workspace up first; a set-up that is up to date costs a fraction of a second.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo arm calibrate-demo test accuracy budgets bench-core data lint lock clean
+.PHONY: help setup demo arm calibrate-demo test accuracy budgets bench bench-core data lint lock clean
 
 BAG ?= ymo
 CAL ?= printed
@@ -10,6 +10,7 @@ CONTROLLER ?= examples/endpoint_controller/endpoint_controller.py
 CAMPAIGNS ?= 6
 POSOR ?= both
 TESTS ?=
+BENCH ?=
 
 help:
 	@echo "make demo [BAG=ymo|yzmo|zmo] [CAL=printed|section84]   replay a 1985 test through the nodes and compare"
@@ -18,6 +19,7 @@ help:
 	@echo "make test [TESTS='path ...']                           lint, type check and all tests (or only those of TESTS)"
 	@echo "make accuracy                                          closure, consistency and fault detection of the estimator"
 	@echo "make budgets                                           error budgets of the thesis, cell by cell from the model"
+	@echo "make bench [BENCH='--quick ...']                       latency, losses and cost of the graph, beside their floor"
 	@echo "make bench-core                                        speed of the estimator's core"
 	@echo "make data                                              make bags and calibrations again from tables and designs"
 	@echo "make lint                                              ruff and mypy only"
@@ -47,6 +49,9 @@ accuracy:
 
 budgets:
 	@./run posor_bringup budgets --output build/budgets.json
+
+bench: setup
+	@.venv/bin/python -E tools/in_workspace.py -m tests.benchmarks.bench $(BENCH)
 
 bench-core:
 	@./run posor_estimator bench_core --output build/bench_core.json

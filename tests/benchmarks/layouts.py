@@ -1,0 +1,82 @@
+"""Which nodes run in which process: the layouts that are compared, for the graph itself and for its floor.
+
+Every process is one `compose` with a file of its own, also where it holds a single node: layouts differ in nothing but
+what shares a process.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Literal
+
+import yaml
+from posor_bringup.arm_programs import arm_programs
+from posor_bringup.supervisor import Program
+
+from tests.benchmarks.floor import FloorChain, FloorPosor
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from posor_estimator.core.arm import Arm
+
+Kind = Literal["graph", "floor"]
+Layout = Literal["composed", "drivers_apart", "separate"]
+LAYOUTS: Mapping[Layout, str] = {
+    "composed": "all nodes in one process",
+    "drivers_apart": "two processes: drivers; all other nodes",
+    "separate": "one process for each node",
+}
+FALSE_ALARM = 1e-9
+"""For the chi-square test: scans that come again and again would fail by their noise again and again, and be lost."""
+
+
+def processes(arm: Arm, kind: Kind, layout: Layout, rate: int, folder: Path) -> list[Program]:
+    """Write the composition files and return the programs, those that listen first.
+
+    Args:
+        arm: From ``made_arm``.
+        kind: The graph or its floor.
+        layout: What shares a process.
+        rate: Scans per second.
+        folder: For the files.
+
+    """
+    nodes = [_node(program, arm, kind) for program in arm_programs(arm, driver_parameters={"looped.rate": rate})]
+    programs = []
+    for name, members in _groups(nodes, layout).items():
+        content = {"format": "posor_composition", "version": 1, "nodes": [_entry(node) for node in members]}
+        path = folder / f"{name.replace('/', '.')}.yaml"
+        path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+        programs.append(Program(name, "posor_estimator", "compose", (str(path),)))
+    return programs
+
+
+def _groups(nodes: Sequence[Program], layout: Layout) -> dict[str, list[Program]]:
+    """Return which nodes share a process, by its name."""
+    if layout == "separate":
+        return {node.name: [node] for node in nodes}
+    drivers = [node for node in nodes if node.package == "posor_drivers"]
+    if layout == "drivers_apart":
+        return {"posors_and_chain": [node for node in nodes if node not in drivers], "drivers": drivers}
+    return {"all": list(nodes)}
+
+
+def _node(program: Program, arm: Arm, kind: Kind) -> Program:
+    """Return what stands for a node of the arm: itself, or on the floor what does nothing in its place."""
+    joint = program.name.partition("/")[0]
+    if program.executable == "posor_node":
+        if kind == "graph":
+            return replace(program, parameters={**program.parameters, "false_alarm": FALSE_ALARM})
+        frames = arm.calibration(joint).frames
+        return replace(program, executable=FloorPosor.NAME, parameters={"parent": frames.parent, "child": frames.child})
+    if program.executable == "chain_node" and kind == "floor":
+        chain = arm.chain()
+        joints = [joint.name for joint in chain.joints]
+        return replace(program, executable=FloorChain.NAME, parameters={"joints": joints, "frame": chain.base_frame})
+    return program
+
+
+def _entry(node: Program) -> dict[str, Any]:
+    return {"node": node.executable, "namespace": node.namespace, "parameters": dict(node.parameters)}

@@ -1,0 +1,145 @@
+"""The parts of the benchmark; each gives its keys of the JSON file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from tests.benchmarks.accounts import NothingReceived, figures
+from tests.benchmarks.growth import line, series
+from tests.benchmarks.layouts import LAYOUTS, Layout
+from tests.benchmarks.made_arm import made_arm, record
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from posor_estimator.core.arm import Arm
+
+    from tests.benchmarks.accounts import Run
+    from tests.benchmarks.layouts import Kind
+    from tests.benchmarks.measuring import Bench
+
+LADDER = (500, 1000, 1500, 2000, 2500, 3000, 3500, 4000, 5000, 6000, 8000, 10_000)
+"""Rates among which the highest that holds is looked for [Hz]."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to measure.
+
+    Attributes:
+        joints: Of the main graph.
+        rate: Of the main graph [Hz].
+        layout: Of the main graph.
+        seconds: Measured time of the main graph, and as much of its floor.
+        rounds: How often the two take turns, so that what else the machine does hits both.
+        point_s: Measured time of every other run.
+        growth_joints: Numbers of joints, at ``growth_rate`` [Hz].
+        growth_rates: Rates [Hz], with the joints of the main graph.
+
+    """
+
+    joints: int
+    rate: int
+    layout: Layout
+    seconds: float
+    rounds: int
+    point_s: float
+    growth_joints: Sequence[int]
+    growth_rate: int
+    growth_rates: Sequence[int]
+
+    @property
+    def name(self) -> str:
+        """Of the main graph, as the keys have it."""
+        return f"{self.joints}x{self.rate}"
+
+
+class Arms:
+    """Makes arms as they are needed, and one bag for all of them."""
+
+    def __init__(self, folder: Path, most_joints: int) -> None:
+        self._folder = folder
+        self.bag = folder / "scans"
+        self._made: dict[int, Arm] = {}
+        record(self[most_joints], self.bag)
+
+    def __getitem__(self, joints: int) -> Arm:
+        """Return the arm of so many joints."""
+        if joints not in self._made:
+            self._made[joints] = made_arm(self._folder / f"arm_{joints}", joints, self.bag)
+        return self._made[joints]
+
+
+class Sections:
+    """Runs what a plan says, one part after the other."""
+
+    def __init__(self, plan: Plan, bench: Bench, arms: Arms, say: Callable[[str], None]) -> None:
+        self._plan = plan
+        self._bench = bench
+        self._arms = arms
+        self._say = say
+
+    def _run(self, kind: Kind, layout: Layout, joints: int, rate: int, seconds: float) -> Run:
+        self._say(f"{kind}, {joints} joints at {rate} Hz, {LAYOUTS[layout]}: {seconds:g} s")
+        return self._bench.run(self._arms[joints], kind, layout, rate, seconds)
+
+    def graph(self) -> dict[str, Any]:
+        """Measure the main graph and its floor in turns."""
+        plan = self._plan
+        runs: dict[Kind, list[Run]] = {"graph": [], "floor": []}
+        for _ in range(plan.rounds):
+            for kind, done in runs.items():
+                done.append(self._run(kind, plan.layout, plan.joints, plan.rate, plan.seconds / plan.rounds))
+        graph, floor = figures(runs["graph"]), figures(runs["floor"])
+        return {
+            f"graph_{plan.name}": graph,
+            f"floor_{plan.name}": floor,
+            **{f"ratio_{share}": graph[f"{share}_us"] / floor[f"{share}_us"] for share in ("p50", "p99")},
+        }
+
+    def layouts(self) -> dict[str, Any]:
+        """Measure the main graph in every layout."""
+        plan = self._plan
+        runs = {layout: self._run("graph", layout, plan.joints, plan.rate, plan.point_s) for layout in LAYOUTS}
+        return {"layouts": {layout: figures([run]) for layout, run in runs.items()}}
+
+    def growth(self) -> dict[str, Any]:
+        """Measure the cost by joints and by rate."""
+        plan = self._plan
+        points = [self._point(joints, rate) for joints, rate in sorted(self._growth_points())]
+        fits = {
+            "joints": line(series(points, "joints", plan.growth_rate), "joints"),
+            "rate": line(series(points, "rate", plan.joints), "rate"),
+        }
+        return {"growth": points, "growth_lines": {by: fit and fit.told() for by, fit in fits.items()}}
+
+    def _growth_points(self) -> set[tuple[int, int]]:
+        plan = self._plan
+        by_joints = {(joints, plan.growth_rate) for joints in plan.growth_joints}
+        return by_joints | {(plan.joints, rate) for rate in plan.growth_rates}
+
+    def _point(self, joints: int, rate: int) -> dict[str, Any]:
+        told = figures([self._run("graph", "composed", joints, rate, self._plan.point_s)])
+        return {"joints": joints, "rate": rate, "layout": "composed", **told}
+
+    def highest(self) -> dict[str, Any]:
+        """Look for the highest rate at which nothing is lost: half of the ladder's remaining steps each time."""
+        joints, tried = self._plan.joints, {}
+        lowest, highest = -1, len(LADDER)
+        while highest - lowest > 1:
+            middle = (lowest + highest) // 2
+            rate = LADDER[middle]
+            tried[str(rate)] = lost = self._lost(joints, rate)
+            if lost:
+                highest = middle
+            else:
+                lowest = middle
+        return {"highest_rate_hz": LADDER[lowest] if lowest >= 0 else None, "highest_rate_lost": tried}
+
+    def _lost(self, joints: int, rate: int) -> int:
+        try:
+            return self._run("graph", self._plan.layout, joints, rate, self._plan.point_s).lost
+        except NothingReceived as error:
+            return error.expected_poses

@@ -1,0 +1,107 @@
+"""The figures as tables, for the terminal and for a page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from rich.table import Table
+
+from tests.benchmarks.layouts import LAYOUTS
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+WHOLE = 1000.0
+"""From here on digits after the point say nothing."""
+QUIET = 0.5
+"""Load average up to which a machine counts as idle."""
+GRAPH = "graph_"
+"""How the key of the main graph begins."""
+LATENCY = ("", "p50, us", "p99, us", "p99.9, us", "max, us", "lost", "cores", "MB")
+SINGLE = {
+    "ratio_p50": "p50, graph to floor",
+    "ratio_p99": "p99, graph to floor",
+    "highest_rate_hz": "highest rate without loss, Hz",
+    "kernel_us": "estimator, many scans in one call, us a scan",
+    "scan_us": "estimator, scan by scan, us a scan",
+    "offline_scans_per_s": "reprocessing, scans/s per core",
+    "plain_loop_scans_per_s": "plain message loop, scans/s",
+    "offline_memory_mb": "reprocessing, memory, MB",
+}
+"""Single figures by their keys, and what to call them."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A table: title, header and rows; the first column is text, all others are figures."""
+
+    title: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+    def rich(self) -> Table:
+        """Return it for the terminal."""
+        table = Table(title=self.title, title_justify="left")
+        for column, name in enumerate(self.header):
+            table.add_column(name, justify="right" if column else "left")
+        for row in self.rows:
+            table.add_row(*row)
+        return table
+
+    def markdown(self) -> str:
+        """Return it for a page, without the title."""
+        marks = ["---", *["---:"] * (len(self.header) - 1)]
+        return "".join(f"| {' | '.join(row)} |\n" for row in (self.header, marks, *self.rows))
+
+
+def machine_lines(machine: Mapping[str, Any]) -> list[str]:
+    """Return on what was measured, in sentences."""
+    system = f"Linux {machine['kernel']}, Python {machine['python']}, {machine['rmw']}"
+    kernels = "compiled" if machine["compiled"] else "not compiled"
+    lines = [f"{machine['cores']} cores ({machine['processor']}), {system}, kernels {kernels}."]
+    if machine["load"] > QUIET:
+        lines.append(f"The machine was not idle, load average {machine['load']:.2f}: it can do better than this.")
+    return lines
+
+
+def tables(results: Mapping[str, Any]) -> dict[str, Shown]:
+    """Return tables of all that was measured, by the part of the benchmark that did it."""
+    made = {}
+    name = next((key.removeprefix(GRAPH) for key in results if key.startswith(GRAPH)), "")
+    if name:
+        rows = [("graph", results[f"graph_{name}"]), ("floor: nothing computed", results[f"floor_{name}"])]
+        made["graph"] = _latencies(f"{name} Hz: from a scan's stamp to the endpoint's pose in another process", rows)
+    if "layouts" in results:
+        rows = [(LAYOUTS[layout], row) for layout, row in results["layouts"].items()]
+        made["layouts"] = _latencies("What shares a process", rows)
+    if "growth" in results:
+        rows = [(f"{point['joints']} x {point['rate']} Hz", point) for point in results["growth"]]
+        made["growth"] = _latencies("Growth: all nodes in one process", rows)
+    single = [(text, results[key]) for key, text in SINGLE.items() if results.get(key) is not None]
+    if single:
+        rounded = [(text, f"{value:,.0f}" if value >= WHOLE else f"{value:.2f}") for text, value in single]
+        made["single"] = Shown("Single figures", ("", "figure"), rounded)
+    return made
+
+
+def _latencies(title: str, runs: Sequence[tuple[str, Mapping[str, Any]]]) -> Shown:
+    rows = [
+        (
+            name,
+            *(f"{run[key]:.0f}" for key in ("p50_us", "p99_us", "p999_us", "max_us")),
+            _lost(run),
+            f"{run['cpu_cores']:.2f}",
+            f"{run['memory_mb']:.0f}",
+        )
+        for name, run in runs
+    ]
+    return Shown(title, LATENCY, rows)
+
+
+def _lost(run: Mapping[str, Any]) -> str:
+    """Return how many ticks were lost, and what the nodes themselves say of why."""
+    said = {"ticks missed": run["ticks_missed"], "incomplete": run["incomplete"], "refused": run["refused"]}
+    said |= {"not received": run["not_received"]}
+    why = ", ".join(f"{count} {name}" for name, count in said.items() if count)
+    return f"{run['lost']} of {run['expected']}" + (f" ({why})" if why and run["lost"] else "")
