@@ -220,7 +220,7 @@ def test_scans_that_do_not_belong_together_are_refused(
                 transform("/machine", 300, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)),
                 transform("/machine", 400, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0), child="other"),
             ],
-            "transforms between posor_receiving to other, posor_receiving to posor_target; expected two frames only.",
+            "transforms between receiving to other, receiving to target; expected two frames only.",
         ),
     ],
 )

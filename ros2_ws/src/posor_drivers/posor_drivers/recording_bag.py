@@ -29,7 +29,7 @@ Entry = tuple[str, str, int, Any]
 """Topic, type, log time [ns], message."""
 
 
-def header(stamp_ns: int, frame_id: str = "posor_receiving") -> Any:
+def header(stamp_ns: int, frame_id: str = "receiving") -> Any:
     """Return a header."""
     sec, nanosec = divmod(stamp_ns, NS)
     stamp = TYPES.new("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
@@ -69,7 +69,7 @@ def point(topic: str, stamp_ns: int, values: Iterable[float], *, delay_ns: int =
     return topic, POINT_STAMPED, stamp_ns + delay_ns, TYPES.new(POINT_STAMPED, header=header(stamp_ns), point=content)
 
 
-def transform(topic: str, stamp_ns: int, values: Iterable[float], child: str = "posor_target") -> Entry:
+def transform(topic: str, stamp_ns: int, values: Iterable[float], child: str = "target") -> Entry:
     """Return a pose: x, y, z [m] and the unit quaternion x, y, z, w."""
     x, y, z, qx, qy, qz, qw = values
     moved = TYPES.new("geometry_msgs/msg/Vector3", x=x, y=y, z=z)

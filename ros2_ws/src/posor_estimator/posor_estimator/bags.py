@@ -83,6 +83,7 @@ def load_recording(path: Path, *, topic: str = "", references: Sequence[Referenc
         source=where,
         sha256=bag_sha256(path),
         statuses=np.array([message.status for message in messages], dtype=np.int64),
+        frame=messages[0].header.frame_id,
     )
 
 

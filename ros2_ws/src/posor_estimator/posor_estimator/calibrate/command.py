@@ -25,7 +25,7 @@ from posor_estimator.core.calibrate.result import Run, written
 from posor_estimator.core.calibration.fit_record import Instrument
 from posor_estimator.core.calibration.load import KIND, calibration_of, load_calibration, read_text
 from posor_estimator.core.calibration.save import refuse_existing, save
-from posor_estimator.errors import ParameterError, PosorError
+from posor_estimator.errors import BagError, ParameterError, PosorError
 from posor_estimator.reporting.command_line import Parser
 
 if TYPE_CHECKING:
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
     from posor_estimator.core.calibrate.procedure import Outcome, Procedure
     from posor_estimator.core.calibrate.recording import Recording
+    from posor_estimator.core.calibration.model import Calibration
 
 POSE_TRACK = 7
 NOT_EXPLAINED = 3
@@ -109,6 +110,7 @@ def _check(options: argparse.Namespace, console: Console) -> int:
     calibration = load_calibration(options.calibration)
     with _progress() as say:
         recording, _ = _recording(options, say)
+        _check_frame(recording, calibration)
         say("fitting")
         found = explained(recording, calibration, settings)
     show_explained(found, console, every=options.all)
@@ -155,6 +157,7 @@ def calibrate(options: argparse.Namespace, say: Callable[[str], object]) -> Cali
     text = read_text(options.calibration, KIND)
     calibration = calibration_of(text, str(options.calibration))
     recording, instruments = _recording(options, say)
+    _check_frame(recording, calibration)
     say(f"{procedure.name}: fitting")
     given = given_options(procedure.options, options)
     said = {name: " ".join(value) if isinstance(value, list) else value for name, value in given.items()}
@@ -222,6 +225,21 @@ def _recording(options: argparse.Namespace, say: Callable[[str], object]) -> tup
         for topic in (topics or tracks)
     ]
     return replace(found, tracks=tracks), instruments
+
+
+def _check_frame(recording: Recording, calibration: Calibration) -> None:
+    """Refuse scans of another joint than the calibration is of.
+
+    Raises:
+        BagError: They are of another receiving plate.
+
+    """
+    if recording.frame and recording.frame != calibration.frames.parent:
+        raise BagError(
+            f"the scans are of the receiving plate '{recording.frame}'",
+            where=recording.source,
+            expected=f"'{calibration.frames.parent}', that of calibration '{calibration.name}': see the option --topic",
+        )
 
 
 def _by_topic(option: str, given: Sequence[str]) -> list[tuple[str, str]]:

@@ -13,10 +13,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from posor_estimator.core.calibrate.checks import check_axis, check_unit
+from posor_estimator.core.calibrate.channels import KINDS, check_channels
+from posor_estimator.core.calibrate.checks import check_axis, check_spread, check_unit
+from posor_estimator.core.calibrate.clock import check_clock
 from posor_estimator.core.calibrate.fit import Fit, Loss, fit
 from posor_estimator.core.calibrate.orientation import ANGLES
 from posor_estimator.core.calibrate.parameters import changed
+from posor_estimator.core.calibrate.reporting import honest
 from posor_estimator.core.calibrate.stated import Taken
 from posor_estimator.core.native import native_from_rotation, native_jacobian
 from posor_estimator.core.posor import Posor
@@ -144,10 +147,11 @@ def fit_attitude(
         what: What to call the fit in complaints.
 
     Raises:
-        FitError: No scan gives a pose whose orientation the reference knows, or the fit fails.
+        FitError: No scan gives a pose whose orientation the reference knows, a channel is stuck, or the fit fails.
         TrackError: The check says so.
 
     """
+    check_channels(scans.chosen(sound), KINDS, what)
     model = _Angles(calibration.for_session(session), scans)
     where = np.array([unknown.index for unknown in unknowns])
     columns = [ANGLES.index(angle) for angle in angles]
@@ -161,13 +165,25 @@ def fit_attitude(
             expected="some",
         )
     if check:
-        _check_reference(found[used], reference.angles[used], columns, covariances[used], what)
+        stamps = scans.stamps_ns[used]
+        _check_reference(stamps, found[used], reference.angles[used], columns, covariances[used], what)
     covariance = covariances[used][:, columns][:, :, columns] + np.diag(np.square(reference.sigmas[columns]))
     whiten = np.linalg.inv(np.linalg.cholesky(covariance))
 
     def errors(values: FloatArray) -> FloatArray:
         every = np.full(found.shape, np.nan)
         every[used] = (model.at(where, values)[0] - reference.angles)[used]
+        lost = used & np.isnan(every[:, columns]).any(axis=1)
+        if lost.any():
+            raise FitError(
+                f"scan {scans.numbers[int(np.argmax(lost))]} gives no pose any more as the parameters move, to "
+                + ", ".join(
+                    f"{unknown.name} {value:.3g} {unknown.unit}"
+                    for unknown, value in zip(unknowns, values, strict=True)
+                ),
+                where=what,
+                expected="readings and a reference that fit the calibration, or a loss that survives outliers",
+            )
         return np.asarray(every - every[int(np.argmax(used))])
 
     count = len(unknowns)
@@ -208,27 +224,47 @@ def fit_attitude(
     numbers = scans.numbers[used][0 if first_sigma is None else 1 :]
     readings = [f"{angle} of scan {number}" for number in numbers for angle in angles]
     readings += [] if first_sigma is None else [f"zero of {angle}" for angle in zeros]
+    if trust_sigmas:
+        check_spread(outcome, readings, what)
+        outcome = honest(outcome) if loss == "linear" else outcome
     return AttitudeFit(outcome, tuple(readings), best, used, found[:, 2], errors(start), errors(best), taken)
 
 
 def _check_reference(
-    found: FloatArray, reference: FloatArray, columns: list[int], covariances: FloatArray, what: str
+    stamps_ns: IntArray,
+    found: FloatArray,
+    reference: FloatArray,
+    columns: list[int],
+    covariances: FloatArray,
+    what: str,
 ) -> None:
-    """Refuse a reference in a wrong unit, of the wrong sense, or with its axes swapped.
+    """Refuse a reference that stands, in a wrong unit, of the wrong sense, of another clock, or with its axes swapped.
 
     Raises:
         TrackError: It is; the sentence says which.
 
     """
     noise = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2).mean(axis=0))
+    travels = np.ptp(found, axis=0)
     for column in columns:
-        moved = np.ptp(found[:, column])
-        if moved < CLEAR_MOTION * noise[column]:
-            continue
+        moved, said = travels[column], float(np.ptp(reference[:, column]))
         where = f"{what}, {ANGLES[column]} of the reference"
-        check_axis(found[:, column], reference, column, ANGLES, where)
-        if np.ptp(reference[:, column]) < ERROR_OF_MOTION * moved:
+        if moved < CLEAR_MOTION * noise[column]:
+            if said > max(CLEAR_MOTION * noise[column], moved / ERROR_OF_MOTION):
+                raise TrackError(
+                    f"goes over {said:.3g} rad while the POSOR stands", where=where, expected="scans of the same joint"
+                )
             continue
+        check_axis(found[:, column], reference, column, ANGLES, where)
+        if said < ERROR_OF_MOTION * moved:
+            if moved > ERROR_OF_MOTION * np.max(travels):
+                raise TrackError(
+                    f"stands within {said:.3g} rad while the POSOR's goes over {moved:.3g} rad",
+                    where=where,
+                    expected="a reference that watches this joint, in metres and radians",
+                )
+            continue
+        check_clock(stamps_ns, found[:, column], reference[:, column], where)
         if np.corrcoef(found[:, column], reference[:, column])[0, 1] < 0.0:
             raise TrackError("turns the other way than the POSOR", where=where, expected="the sense of R's axes")
         check_unit(found[:, column], reference[:, column], where, "metres and radians")

@@ -20,7 +20,7 @@ import numpy as np
 import pinocchio as pin
 from pydantic import Field
 
-from posor_estimator.core.calibrate.checks import check_enough
+from posor_estimator.core.calibrate.checks import check_axis, check_enough, check_spread, check_unit
 from posor_estimator.core.calibrate.fit import Loss, fit
 from posor_estimator.core.calibrate.procedure import Options, Outcome, Procedure, Table
 from posor_estimator.core.calibrate.recording import POSE, PROBES_ESTIMATED, SATURATED, poses_of
@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 
 NAME = "beam_transform"
 LEAST_POSES = 6
+CLEAR_MOTION, CLEAR = 1e-3, 50.0
+"""Motion along an axis [m], and over the reference's uncertainty, from which it is compared with the chain's."""
 SIX = ("x", "y", "z", "about x", "about y", "about z")
 Sigma = Annotated[float, Field(gt=0.0)]
 NO_TURN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -95,7 +97,18 @@ class _Chain:
                 )
             ]
         )
+        self._check_reference(reference.source, reference.sigmas[:3])
         self._whiten = self._whitening(own, _tangent(second.sigmas), _tangent(reference.sigmas))
+
+    def _check_reference(self, source: str, sigmas: FloatArray) -> None:
+        """Refuse a reference that moves along other axes, or by another factor, than the chain as drawn."""
+        base, beam, end = self.nominal
+        chains = [base * a * beam * b * end for a, b in zip(self._first, self._second, strict=True)]
+        drawn, seen = (np.array([pose.translation for pose in poses]) for poses in (chains, self._reference))
+        for axis, name in enumerate(SIX[:3]):
+            if np.ptp(drawn[:, axis]) > max(CLEAR_MOTION, CLEAR * float(sigmas[axis])):
+                check_axis(drawn[:, axis], seen, axis, SIX[:3], source)
+                check_unit(drawn[:, axis], seen[:, axis], f"{source}, {name}", "m")
 
     def _whitening(self, first: FloatArray, second: FloatArray, reference: FloatArray) -> FloatArray:
         """Return what makes the misfits (n, 6) independent, of variance 1, (n, 6, 6)."""
@@ -163,6 +176,7 @@ def find_beam_transform(recording: Recording, calibration: Calibration, options:
         loss=options.loss,
         what=NAME,
     )
+    check_spread(found, chain.names(), NAME)
     return Outcome(
         method=f"hand-eye fit of base, beam and end to {int(chain.used.sum())} poses of two POSORs and a reference",
         fits={NAME: found},

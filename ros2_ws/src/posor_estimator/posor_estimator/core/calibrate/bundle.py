@@ -10,7 +10,7 @@ from pydantic import Field
 
 from posor_estimator.core.calibrate.bundle_data import BundleData, Joining, bundle_data
 from posor_estimator.core.calibrate.bundle_problem import BundleProblem, OutOfRangeError
-from posor_estimator.core.calibrate.checks import check_enough
+from posor_estimator.core.calibrate.checks import check_enough, check_spread
 from posor_estimator.core.calibrate.fit import BLIND, Direction, Fit, Loss, fit, weak_directions
 from posor_estimator.core.calibrate.identify import telling_poses
 from posor_estimator.core.calibrate.procedure import Options, Outcome, Procedure, Table
@@ -134,6 +134,8 @@ def fit_bundle(recording: Recording, calibration: Calibration, options: BundleOp
     """Fit parameters together and say what they are, and what the data leave open; raises what ``solve`` raises."""
     solved = solve(recording, calibration, options)
     stack, unknowns, data, problem, found = solved.stack, solved.unknowns, solved.data, solved.problem, solved.fit
+    if data.reference is None or data.reference.sigmas.any():
+        check_spread(found, _reading_names(data, stack), f"{NAME}, {recording.source}")
     own = len(unknowns)
     replacements, joint = unknowns.result(found.values[:own], found.covariance[:own, :own])
     scaled = np.sqrt(found.weights)[:, None] * found.jacobian * problem.scales
@@ -256,10 +258,18 @@ def _weak_table(weak: tuple[Direction, ...]) -> Table:
     return Table("combinations that the data tell badly", columns, ("", "of the uncertainty before"), rows)
 
 
+def _reading_names(data: BundleData, stack: Stack) -> list[str]:
+    """Return what to call each residual; nothing where they are of combinations of readings."""
+    if data.reference is None:
+        return []
+    return [f"{name} of scan {number}" for number in data.scans.numbers for name in stack.reading_names]
+
+
 def _warnings(found: Fit, problem: BundleProblem, data: BundleData, readings: tuple[str, ...]) -> tuple[str, ...]:
     said = []
     if data.reference is not None and not data.reference.sigmas.any():
         said.append("The reference is taken as exact, since no uncertainty was given for it.")
+    said += data.warnings
     if data.left_out:
         said.append(f"{data.left_out} scans count for nothing: no pose, no reference, out of range, or thinned out.")
     far = np.abs(found.values - problem.start) / problem.scales

@@ -9,11 +9,13 @@ import numpy as np
 import pinocchio as pin
 
 from posor_estimator.core.calibrate.bundle_problem import PoseReference
+from posor_estimator.core.calibrate.channels import KINDS, check_channels
 from posor_estimator.core.calibrate.checks import check_axis, check_unit
 from posor_estimator.core.calibrate.joining import stops, while_known
 from posor_estimator.core.calibrate.recording import POSE
 from posor_estimator.core.calibrate.track import dwells
 from posor_estimator.core.fault import State
+from posor_estimator.core.native import native_from_rotation
 from posor_estimator.core.posor import Posor
 from posor_estimator.errors import FitError
 
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray, IntArray
 
 NS = 1e9
+AXES = ("x", "y", "z", "alpha", "beta")
 TRAVEL = 20.0
 """A motion along an axis is compared with the reference where it is so many times what the calibration leaves open."""
 
@@ -39,6 +42,7 @@ class BundleData:
         poses: Roughly, (n,).
         reference: What the reference says of the poses; None: there is none.
         left_out: How many scans gave no pose, or had no reference.
+        warnings: Sentences on readings that were left out of stops.
 
     """
 
@@ -47,6 +51,7 @@ class BundleData:
     poses: list[pin.SE3]
     reference: PoseReference | None
     left_out: int
+    warnings: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         """Return the number of scans."""
@@ -60,7 +65,7 @@ class BundleData:
             reference = PoseReference(kept, reference.sigmas[which], reference.mounting_sigmas)
         left_out = self.left_out + len(self) - len(which)
         poses = [self.poses[i] for i in which]
-        return BundleData(self.scans.chosen(which), self.counts[which], poses, reference, left_out)
+        return BundleData(self.scans.chosen(which), self.counts[which], poses, reference, left_out, self.warnings)
 
 
 @dataclass(frozen=True)
@@ -100,6 +105,7 @@ def bundle_data(recording: Recording, calibration: Calibration, topic: str | Non
         TrackError: The reference does not serve.
 
     """
+    check_channels(recording.scans, KINDS, recording.source)
     # No scan is too contradictory, and no motion too fast, to be fitted: the fit itself has to judge that.
     posor = Posor(calibration.model_copy(update={"motion": None}), false_alarm=0.0)
     if topic is None:
@@ -114,14 +120,14 @@ def bundle_data(recording: Recording, calibration: Calibration, topic: str | Non
         found_stops = dwells(track, how.still, int(how.least_stop_s * NS), settle_ns=int(how.settle_s * NS))
         joined = stops(recording.scans, track, found_stops, what=recording.source)
         scans, counts = joined.scans, joined.counts.astype(float)
-        values, sigmas = joined.reference, joined.reference_sigmas
+        values, sigmas, warnings = joined.reference, joined.reference_sigmas, joined.warnings
     else:
         scans, values = while_known(recording.scans, track, int(how.longest_gap_s * NS))
-        counts, sigmas = np.ones(len(scans)), np.tile(track.sigmas, (len(scans), 1))
+        counts, sigmas, warnings = np.ones(len(scans)), np.tile(track.sigmas, (len(scans), 1)), ()
     poses = [pin.SE3(_rotation(value[3:]), value[:3]) for value in values]
     reference = PoseReference(poses, _tangent_sigmas(poses, sigmas), how.mounting_sigmas)
     left_out = 0 if how.least_stop_s > 0.0 else len(recording.scans) - len(scans)
-    data = BundleData(scans, counts, poses, reference, left_out)
+    data = BundleData(scans, counts, poses, reference, left_out, warnings)
     codes = posor.stack.linearise(data.scans)[0]
     data = _thinned(data.chosen(np.flatnonzero(~codes.any(axis=1))), how, recording.source)
     _check_motion(posor, data, track)
@@ -164,10 +170,18 @@ def _check_motion(posor: Posor, data: BundleData, track: Track) -> None:
     least = 4
     if np.count_nonzero(told) < least:
         return
-    measured = estimates.translations[told]
-    reference = np.array([pose.translation for pose in data.poses])[told]
-    unsure = np.sqrt(np.median(np.diagonal(estimates.covariances_systematic[told], axis1=1, axis2=2), axis=0))[:3]
-    for axis, name in enumerate("xyz"):
-        if np.ptp(measured[:, axis]) > TRAVEL * unsure[axis]:
-            check_axis(measured[:, axis], reference, axis, "xyz", track.source)
-            check_unit(measured[:, axis], reference[:, axis], f"{track.source}, {name}", "m")
+    unsure = np.sqrt(np.median(np.diagonal(estimates.covariances_systematic[told], axis1=1, axis2=2), axis=0))
+    found = [pin.SE3(r, t) for r, t in zip(estimates.rotations[told], estimates.translations[told], strict=True)]
+    said = [pose for pose, is_told in zip(data.poses, told, strict=True) if is_told]
+    measured, reference = (np.array([_shifts_and_leans(pose) for pose in poses]) for poses in (found, said))
+    for names, unit in ((AXES[:3], "m"), (AXES[3:], "rad")):
+        columns = [AXES.index(name) for name in names]
+        for axis, name in zip(columns, names, strict=True):
+            if np.ptp(measured[:, axis]) > TRAVEL * unsure[axis]:
+                check_axis(measured[:, axis], reference[:, columns], axis - columns[0], names, track.source)
+                check_unit(measured[:, axis], reference[:, axis], f"{track.source}, {name}", unit)
+
+
+def _shifts_and_leans(pose: pin.SE3) -> list[float]:
+    """Return x, y, z [m], alpha and beta [rad]; theta is what the search of the pose begins from."""
+    return [*pose.translation.tolist(), *native_from_rotation(pose.rotation)[:2]]

@@ -49,6 +49,8 @@ UNLIKE = 0.5
 MOST_OUTLIERS = 0.1
 """Share of outliers beyond which the data are refused rather than fitted without them."""
 IMPROBABLE = 1e-3
+MOST_SPREAD = 10.0
+"""Residuals over the stated uncertainties beyond which data and model have nothing to do with one another."""
 
 
 def check_enough(count: int, least: int, what: str, where: str) -> None:
@@ -224,6 +226,28 @@ def outlier_sentences(outliers: BoolArray, names: Sequence[str], where: str) -> 
         )
     said = ", ".join(name for name, out in zip(names, outliers, strict=True) if out)
     return (f"{where}: left out {said}, which do not fit the others.",) if count else ()
+
+
+def check_spread(fit: Fit, readings: Sequence[str], where: str) -> None:
+    """Refuse a fit whose residuals are far beyond the stated uncertainties.
+
+    Args:
+        fit: The fit.
+        readings: What to call each residual, (n,); none: the worst is not named.
+        where: What to call the fit.
+
+    Raises:
+        FitError: They are.
+
+    """
+    if fit.spread > MOST_SPREAD and fit.probability < IMPROBABLE:
+        worst = int(np.argmax(np.abs(fit.residuals)))
+        named = f", the worst is that of {readings[worst]}" if readings else ""
+        raise FitError(
+            f"the residuals are {fit.spread:.3g} times as large as the stated uncertainties explain{named}",
+            where=where,
+            expected=f"at most {MOST_SPREAD:g} times; a larger uncertainty of the reference, if that is what it has",
+        )
 
 
 def misfit_sentences(fit: Fit, where: str) -> tuple[str, ...]:

@@ -17,12 +17,13 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from pydantic import Field
 
+from posor_estimator.core.calibrate.checks import check_spread
 from posor_estimator.core.calibrate.fit import Fit, Loss, fit
 from posor_estimator.core.calibrate.parameters import indices, the_sensor
 from posor_estimator.core.calibrate.procedure import Outcome, Procedure, Table
 from posor_estimator.core.calibrate.recording import POINT
 from posor_estimator.core.calibrate.replacement import Replacement
-from posor_estimator.core.calibrate.reporting import correlation_table, fit_warnings, parameter_table
+from posor_estimator.core.calibrate.reporting import correlation_table, fit_warnings, honest, parameter_table
 from posor_estimator.core.calibrate.seen_spots import (
     SeenSpots,
     StopOptions,
@@ -151,6 +152,8 @@ def find_diode_axes(recording: Recording, calibration: Calibration, options: Dio
         loss=options.loss,
         what=NAME,
     )
+    check_spread(found, model.spots.names(), f"{NAME}, {recording.source}")
+    found = found if options.loss != "linear" else honest(found)
     return _outcome(found, model, part, sensor, taken, numbers)
 
 
@@ -238,7 +241,7 @@ def _outcome(
             parameter_table("diodes, and the stage", found, before, len(before)),
             correlation_table(found, len(before)),
         ),
-        warnings=fit_warnings(found, model.scales, len(before), model.spots.names()),
+        warnings=model.spots.stops.warnings + fit_warnings(found, model.scales, len(before), model.spots.names()),
     )
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from pydantic import Field
 
+from posor_estimator.core.calibrate.channels import check_channels
 from posor_estimator.core.calibrate.checks import (
     check_alive,
     check_axis,
@@ -106,7 +107,8 @@ def map_diode(recording: Recording, calibration: Calibration, options: DiodeMapO
     track = recording.track(options.reference, POINT)
     found = dwells(track, options.still, round(options.least_dwell * 1e9), settle_ns=round(options.settle * 1e9))
     check_enough(len(found), LEAST_STOPS, "stops of the reference", f"{NAME}, {track.source}")
-    at_stops = stops(recording.scans, track, found)
+    check_channels(recording.scans, ("diode_currents",), recording.source)
+    at_stops = stops(recording.scans, track, found, what=recording.source, judged=("diode_currents",))
     grid = _grid(at_stops, part, index, options, track.source)
     lowest, highest = options.orders
     orders = range(lowest, highest + 1)
@@ -115,7 +117,7 @@ def map_diode(recording: Recording, calibration: Calibration, options: DiodeMapO
         make, grid.positions, orders, f"residual against order, diode {part.diodes[index].name}"
     )
     names = [f"stop at ({x / 1e-3:.3f}, {y / 1e-3:.3f}) mm" for x, y in grid.positions]
-    fits, kept, warnings = [], [], []
+    fits, kept, warnings = [], [], [*at_stops.warnings]
     for axis, name in enumerate("xy"):
         fit, outliers = linear_fit(make(order, axis), grid.positions[:, axis], grid.sigmas[:, axis], name, what=NAME)
         warnings += [*outlier_sentences(outliers, names, NAME), *misfit_sentences(fit, NAME)]

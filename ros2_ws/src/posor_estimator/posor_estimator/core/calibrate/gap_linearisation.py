@@ -90,7 +90,7 @@ def run(recording: Recording, calibration: Calibration, options: GapLinearisatio
             *(_coefficient_table(one) for one in probes),
             _uncertainty_table(probes),
         ),
-        warnings=tuple(sentence for one in probes for sentence in one.warnings),
+        warnings=(*stops.warnings, *(sentence for one in probes for sentence in one.warnings)),
         figures=tuple(_figure(one) for one in probes),
     )
 

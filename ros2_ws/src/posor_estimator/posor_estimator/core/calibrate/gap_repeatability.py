@@ -95,7 +95,7 @@ def run(recording: Recording, calibration: Calibration, options: GapRepeatabilit
         fits={one.probe.name: one.fit for one in probes},
         replacements=tuple(new for one in probes for new in _replacements(one, duration, options)),
         tables=(_table(probes, duration),),
-        warnings=(),
+        warnings=stops.warnings,
         figures=tuple(
             Figure(
                 f"{one.probe.name}: repeatability",

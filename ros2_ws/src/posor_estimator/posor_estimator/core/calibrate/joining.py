@@ -8,7 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydantic import Field
 
+from posor_estimator.core.calibrate.channels import KINDS
+from posor_estimator.core.calibrate.checks import MOST_OUTLIERS
 from posor_estimator.core.calibrate.procedure import Options
+from posor_estimator.core.calibrate.recording import POSE
+from posor_estimator.core.calibrate.sound_readings import sound_parts
 from posor_estimator.core.calibrate.track import dwells
 from posor_estimator.core.scan import Scans
 from posor_estimator.errors import TrackError
@@ -23,8 +27,8 @@ if TYPE_CHECKING:
 NS = 1_000_000_000
 READINGS = ("gap_voltages", "ring_voltages", "diode_currents", "supply_voltages", "temperatures")
 """Fields of ``Scans`` that are averaged."""
-LEAST_SCANS = 2
-"""Scans within a dwell from which its spread can be told."""
+ARM = 0.1
+"""Length by which turns of a pose are compared with its shifts [m]."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +43,7 @@ class Stops:
         reference: Mean of the reference, (d, k).
         reference_sigmas: Its standard uncertainty: the instrument's own, and the scatter of the mean (JCGM 100, 4.2.3),
             (d, k).
+        warnings: Sentences on what was left out.
 
     """
 
@@ -47,6 +52,7 @@ class Stops:
     spreads: Mapping[str, FloatArray]
     reference: FloatArray
     reference_sigmas: FloatArray
+    warnings: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         """Return the number of dwells."""
@@ -60,6 +66,7 @@ class Stops:
             self.spreads,
             self.reference[which],
             self.reference_sigmas[which],
+            self.warnings,
         )
 
     def sigmas(self, name: str) -> FloatArray:
@@ -68,17 +75,21 @@ class Stops:
         return np.asarray(spread / np.sqrt(self.counts.reshape(-1, *(1,) * spread.ndim)))
 
 
-def stops(scans: Scans, track: Track, still: Sequence[Dwell], *, what: str = "") -> Stops:
-    """Return the means of the scans within dwells; a dwell without scans is left out.
+def stops(
+    scans: Scans, track: Track, still: Sequence[Dwell], *, what: str = "", judged: Sequence[str] = KINDS
+) -> Stops:
+    """Return the means of the scans within dwells; a dwell without scans is left out, and so are gross errors.
 
     Args:
         scans: Stamps increasing.
         track: Where the dwells were found.
         still: When the reference stood still.
         what: What to call the scans in complaints.
+        judged: Kinds of readings that matter, of which those that do not belong to their dwell are left out.
 
     Raises:
         TrackError: No dwell holds a scan, or the lit source changes within a dwell.
+        FitError: More than a tenth of what a channel read does not belong to the dwells.
 
     """
     bounds = [
@@ -99,31 +110,59 @@ def stops(scans: Scans, track: Track, still: Sequence[Dwell], *, what: str = "")
             )
     counts = np.array([len(part) for _, part in used], dtype=np.int64)
     samples = np.array([dwell.samples for dwell, _ in used], dtype=float)
-    scatter = np.array([dwell.spread for dwell, _ in used]) / np.sqrt(samples)[:, None]
+    spreads, values = (np.array([getattr(dwell, name) for dwell, _ in used]) for name in ("spread", "value"))
+    parts, odd = sound_parts([part for _, part in used], _motion(spreads, values), judged, what or track.source)
     return Stops(
-        scans=_means([part for _, part in used]),
+        scans=_means(parts),
         counts=counts,
-        spreads={name: _pooled([getattr(part, name) for _, part in used]) for name in READINGS},
-        reference=np.array([dwell.value for dwell, _ in used]),
-        reference_sigmas=np.hypot(scatter, track.sigmas),
+        spreads={name: _pooled([getattr(part, name) for part in parts]) for name in READINGS},
+        reference=values,
+        reference_sigmas=np.hypot(spreads / np.sqrt(samples)[:, None], track.sigmas),
+        warnings=(*_uncovered(scans, track), *odd),
     )
+
+
+def _motion(spreads: FloatArray, values: FloatArray) -> FloatArray:
+    """Return how far the reference moved within each dwell over how far it went in all, (d,)."""
+    lengths = np.array([1.0] * 3 + [ARM] * 4) if values.shape[1] == POSE else np.ones(values.shape[1])
+    travel = float(np.linalg.norm(lengths * np.ptp(values, axis=0)))
+    return np.asarray(np.linalg.norm(lengths * spreads, axis=1) / travel if travel else np.zeros(len(spreads)))
+
+
+def _uncovered(scans: Scans, track: Track) -> tuple[str, ...]:
+    """Return the sentence that says that the reference was recorded for part of the time only, none where it was not.
+
+    Stops that the scans alone cover count for nothing.
+    """
+    first, last = int(track.stamps_ns[0]), int(track.stamps_ns[-1])
+    outside = int(np.count_nonzero((scans.stamps_ns < first) | (scans.stamps_ns > last)))
+    if outside <= MOST_OUTLIERS * len(scans):
+        return ()
+    end = (last - int(scans.stamps_ns[0])) / NS
+    what = f"{outside} of {len(scans)} scans were taken before its first or after its last value"
+    return (f"{track.source}: {what}, which is {end:.3g} s after the first scan: they count for nothing.",)
 
 
 def _means(parts: Sequence[Scans]) -> Scans:
     """Return one scan for each part: the mean of its readings; what is no number is taken from its first scan."""
     firsts = Scans.of([part[0] for part in parts])
-    means = {name: np.array([getattr(part, name).mean(axis=0) for part in parts]) for name in READINGS}
+    means = {name: np.array([_mean(getattr(part, name)) for part in parts]) for name in READINGS}
     middles = np.array([int(part.stamps_ns[0] + part.stamps_ns[-1]) // 2 for part in parts], dtype=np.int64)
     return firsts.with_fields(means).with_fields({"stamps_ns": middles})
 
 
+def _mean(part: FloatArray) -> FloatArray:
+    """Return the mean of what is known of readings (n, ...); NaN where nothing is."""
+    known = np.isfinite(part)
+    count = known.sum(axis=0)
+    return np.asarray(np.where(count > 0, np.where(known, part, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan))
+
+
 def _pooled(parts: Sequence[FloatArray]) -> FloatArray:
     """Return the standard deviation within parts (n, ...), pooled over them by their degrees of freedom."""
-    fit = [part for part in parts if len(part) >= LEAST_SCANS]
-    if not fit:
-        return np.full(parts[0].shape[1:], np.nan)
-    squares = np.sum([np.sum(np.square(part - part.mean(axis=0)), axis=0) for part in fit], axis=0)
-    return np.asarray(np.sqrt(squares / sum(len(part) - 1 for part in fit)))
+    squares = np.sum([np.nansum(np.square(part - _mean(part)), axis=0) for part in parts], axis=0)
+    freedoms = np.sum([np.maximum(np.isfinite(part).sum(axis=0) - 1, 0) for part in parts], axis=0)
+    return np.asarray(np.where(freedoms > 0, np.sqrt(squares / np.maximum(freedoms, 1)), np.nan))
 
 
 def while_known(scans: Scans, track: Track, longest_gap_ns: int) -> tuple[Scans, FloatArray]:
@@ -165,11 +204,14 @@ class StopOptions(Options):
     )
 
 
-def stops_of(recording: Recording, track: Track, options: StopOptions) -> Stops:
-    """Return the stops of a recording as the options ask for them.
+def stops_of(
+    recording: Recording, track: Track, options: StopOptions, judged: Sequence[str] = ("gap_voltages",)
+) -> Stops:
+    """Return the stops of a recording as the options ask for them; ``judged`` as of ``stops``.
 
     Raises:
         TrackError: There is none.
+        FitError: The readings do not belong to the stops.
 
     """
     if options.least == 0.0:
@@ -189,4 +231,4 @@ def stops_of(recording: Recording, track: Track, options: StopOptions) -> Stops:
             where=track.source,
             expected="stops at which the readings can be averaged, or options still and least that fit its stops",
         )
-    return stops(recording.scans, track, found, what=recording.source)
+    return stops(recording.scans, track, found, what=recording.source, judged=judged)

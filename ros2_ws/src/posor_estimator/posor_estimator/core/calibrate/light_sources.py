@@ -16,17 +16,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydantic import Field
 
+from posor_estimator.core.calibrate.checks import check_spread
 from posor_estimator.core.calibrate.fit import Fit, Loss, fit
 from posor_estimator.core.calibrate.parameters import indices, the_sensor
 from posor_estimator.core.calibrate.procedure import Outcome, Procedure
 from posor_estimator.core.calibrate.recording import POINT, POSE, Recording, poses_of
 from posor_estimator.core.calibrate.replacement import Replacement
-from posor_estimator.core.calibrate.reporting import correlation_table, fit_warnings, parameter_table
+from posor_estimator.core.calibrate.reporting import correlation_table, fit_warnings, honest, parameter_table
 from posor_estimator.core.calibrate.seen_spots import SeenSpots, StopOptions, components, seen_spots
 from posor_estimator.core.calibrate.stated import Taken
 from posor_estimator.core.native import native_from_rotation, rotation_from_native
 from posor_estimator.core.sensors.diodes import DiodesCalibration
-from posor_estimator.errors import FitError
+from posor_estimator.errors import FitError, TrackError
 
 if TYPE_CHECKING:
     from posor_estimator.core.calibrate.one_diode import OneDiode
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
 NAME = "light_sources"
 SAME_TURN = 0.02
 """Turns of the target closer than this [rad] are one seat of it."""
+LONGEST_TRAVEL = 2.0
+"""Of the width over which the diodes and light sources are spread."""
 LEAST_TRAVEL = 20.0
 """Standard uncertainties of a spot that a lean of ``expected_lean`` has to move it by over the travel of the stage."""
 
@@ -128,6 +131,10 @@ class _Model:
             return spots
         return np.concatenate([spots, unknowns[self.count : self.count + 2] / self._prior])
 
+    def readings(self) -> list[str]:
+        """Return what to call each residual."""
+        return [*self.spots.names(), "stage along X", "stage along Y"]
+
     def turned(self) -> bool:
         """Return whether some ray was seen at two turns."""
         theta = np.array([native_from_rotation(rotation)[2] for rotation in self._rotations])
@@ -148,6 +155,7 @@ def find_light_sources(recording: Recording, calibration: Calibration, options: 
     spots = seen_spots(recording, part, options, options.reference, POSE if is_pose else POINT, NAME)
     model = _Model(spots, part, options)
     travel = float(np.ptp(spots.stops.reference[:, 2]))
+    _check_travel(travel, part, f"{NAME}, {recording.source}")
     resolved = max(float(spots.sigmas(diode).min()) for diode in spots.diodes)
     if travel * options.expected_lean < LEAST_TRAVEL * resolved:
         raise FitError(
@@ -176,7 +184,26 @@ def find_light_sources(recording: Recording, calibration: Calibration, options: 
         loss=options.loss,
         what=NAME,
     )
+    check_spread(found, model.readings(), f"{NAME}, {recording.source}")
+    found = found if options.loss != "linear" else honest(found)
     return _outcome(found, model, part, sensor, taken)
+
+
+def _check_travel(travel: float, part: DiodesCalibration, where: str) -> None:
+    """Refuse a travel [m] that no bench for such a POSOR has: nothing in the spots themselves tells its unit.
+
+    Raises:
+        TrackError: It is that long.
+
+    """
+    places = np.array([one.origin.array[:2] for one in (*part.diodes, *part.light_sources)])
+    width = float(np.max(np.linalg.norm(places[:, None] - places, axis=2)))
+    if travel > LONGEST_TRAVEL * width:
+        raise TrackError(
+            f"the stage travels {travel:.3g} m along Z, between diodes and light sources that lie within {width:.3g} m",
+            where=where,
+            expected=f"metres, at most {LONGEST_TRAVEL * width:.3g}",
+        )
 
 
 def _outcome(found: Fit, model: _Model, part: DiodesCalibration, sensor: int, taken: Taken) -> Outcome:
@@ -190,9 +217,10 @@ def _outcome(found: Fit, model: _Model, part: DiodesCalibration, sensor: int, ta
         replacements.append(Replacement(key, model.direction(source, found.values).tolist(), sigmas))
     entries = tuple(f"{key}[{i}]" for key in keys for i in range(2))
     shown = model.count + 2
+    travel = float(np.ptp(model.spots.stops.reference[:, 2]))
     thetas = "two turns of the target" if model.turned() else "one position of the target"
     return Outcome(
-        method=f"spots of {len(model.sources)} sources at {len(model.spots.stops)} stops along Z, at {thetas} "
+        method=f"spots of {len(model.sources)} sources at {len(model.spots.stops)} stops along {travel:.3g} m of Z, at {thetas} "
         "(thesis equations 7.5 to 7.8, by least squares)",
         fits={NAME: found},
         replacements=tuple(replacements),
@@ -201,9 +229,7 @@ def _outcome(found: Fit, model: _Model, part: DiodesCalibration, sensor: int, ta
             parameter_table("leans, of rays against what they were", found, np.zeros(shown), shown),
             correlation_table(found, shown),
         ),
-        warnings=fit_warnings(
-            found, model.scales, model.count, [*model.spots.names(), "stage along X", "stage along Y"]
-        ),
+        warnings=model.spots.stops.warnings + fit_warnings(found, model.scales, model.count, model.readings()),
     )
 
 

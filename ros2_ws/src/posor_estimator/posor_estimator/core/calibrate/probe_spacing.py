@@ -90,7 +90,7 @@ def run(recording: Recording, calibration: Calibration, options: ProbeSpacingOpt
     problem = _Problem(calibration, probes, stops, options)
     problem.check_reference(track.source)
     outliers = problem.stops_that_do_not_fit()
-    warnings = outlier_sentences(outliers, [f"stop {n + 1}" for n in range(len(stops))], NAME)
+    warnings = stops.warnings + outlier_sentences(outliers, [f"stop {n + 1}" for n in range(len(stops))], NAME)
     problem = problem.without(outliers)
     found = problem.fitted("linear")
     warnings += misfit_sentences(found, NAME)

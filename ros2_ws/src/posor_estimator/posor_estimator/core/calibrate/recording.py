@@ -40,6 +40,7 @@ class Recording:
         source: What to call it in complaints and in the result: path of the bag.
         sha256: Of the bag's files, 64 hexadecimal digits; empty when it does not come from files.
         statuses: Status bits of each scan, (n,), as ``posor_msgs/RawScan`` has them; None: none is set.
+        frame: Of the receiving plate that the scans are of; empty: not said.
 
     """
 
@@ -48,6 +49,7 @@ class Recording:
     source: str
     sha256: str = ""
     statuses: IntArray | None = None
+    frame: str = ""
 
     def having(self, flags: int) -> BoolArray:
         """Return which scans have any of these status bits set, (n,) of truth values."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -49,6 +50,13 @@ def correlation_table(fit: Fit, count: int) -> Table:
     correlations = fit.correlations
     rows = tuple(row(fit.names[i], correlations[i, :count]) for i in range(count))
     return Table("correlations", ("", *fit.names[:count]), ("",) * (count + 1), rows)
+
+
+def honest(fit: Fit) -> Fit:
+    """Return a fit without prior; its uncertainty is enlarged where the residuals exceed the stated uncertainties."""
+    if not fit.freedoms or fit.probability >= SPREAD_PROBABILITY:
+        return fit
+    return replace(fit, covariance=fit.covariance * fit.spread**2, across=fit.across * fit.spread)
 
 
 def fit_warnings(fit: Fit, scales: FloatArray, count: int, readings: Sequence[str] = ()) -> tuple[str, ...]:

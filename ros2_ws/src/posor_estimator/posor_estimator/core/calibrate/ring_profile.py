@@ -23,7 +23,7 @@ import pinocchio as pin
 from pydantic import Field
 
 from posor_estimator.core.calibrate.bundle_problem import BundleProblem, OutOfRangeError, PoseReference
-from posor_estimator.core.calibrate.checks import check_alive, check_enough
+from posor_estimator.core.calibrate.checks import check_alive, check_enough, check_spread
 from posor_estimator.core.calibrate.fit import UNTOLD, Fit, Loss, fit
 from posor_estimator.core.calibrate.parameters import the_sensor
 from posor_estimator.core.calibrate.procedure import Figure, Options, Outcome, Procedure, Table
@@ -36,7 +36,7 @@ from posor_estimator.core.fault import Fault, State
 from posor_estimator.core.posor import Posor
 from posor_estimator.core.sensors.bumpy_ring import BumpyRingCalibration
 from posor_estimator.core.stack import Stack
-from posor_estimator.errors import FitError
+from posor_estimator.errors import FitError, TrackError
 
 if TYPE_CHECKING:
     from posor_estimator.core.calibrate.recording import Recording
@@ -50,6 +50,8 @@ UNKNOWN = 1e-2
 """Standard uncertainty of what is not known of a pose [m, rad]: far more than the present profile leaves open."""
 PER_BUMP = 4
 """Scans to a bump, below which the profile's shape is not seen."""
+TOGETHER = 0.8
+"""Mean of exp(i bumps angle) of angles by which a reference may be ahead of the ring: 1 where all are the same."""
 UM = 1e-6
 
 
@@ -129,6 +131,9 @@ def find_ring_profile(recording: Recording, calibration: Calibration, options: R
         raise FitError(
             f"{int(error.which.sum())} scans leave the calibrated range of the probes", where=NAME, expected="none"
         ) from None
+    numbers = turns.scans.numbers
+    readings = [f"{name} of scan {number}" for number in numbers for name in stack.reading_names]
+    check_spread(found, readings if len(readings) == len(found.residuals) else (), f"{NAME}, {recording.source}")
     joint = unknowns.beside(found.covariance, own)
     return _outcome(found.part(own), part, orders, key, turns, problem.scales[:own], options, joint)
 
@@ -178,10 +183,29 @@ def _turns(
     if turned < 2.0 * np.pi * (1.0 - 1.0 / part.ring.bumps):
         raise FitError(f"{turned / (2.0 * np.pi):.2f} of a turn", where=where, expected="a full turn, better several")
     which = np.flatnonzero(kept)
+    if said is not None:
+        _check_turning(said[which] - thetas[which], part, recording.track(options.theta, SCALAR).source)
     if len(which) > options.at_most:
         which = which[np.round(np.linspace(0, len(which) - 1, options.at_most)).astype(np.int64)]
     poses = [pin.SE3(estimates.rotations[i], estimates.translations[i]) for i in which]
     return _Turns(scans.chosen(which), poses, thetas[which], None if said is None else said[which])
+
+
+def _check_turning(ahead: FloatArray, part: BumpyRingCalibration, source: str) -> None:
+    """Refuse a reference of theta that is ahead of the ring [rad] by now this, now that part of a bump, (n,).
+
+    Raises:
+        TrackError: It turns unlike the ring: in another unit or sense, or it is of another joint.
+
+    """
+    together = float(np.abs(np.mean(np.exp(1j * part.ring.bumps * ahead))))
+    if together < TOGETHER:
+        raise TrackError(
+            f"turns unlike the ring: its theta has no fixed place within the bumps, which are "
+            f"{part.bump_angle:.3g} rad long",
+            where=source,
+            expected="theta of this joint [rad], positive about Z, stamped by the clock of the scans",
+        )
 
 
 def _located(scans: Scans, calibration: Calibration, said: FloatArray | None, bump: float, where: str) -> Estimates:

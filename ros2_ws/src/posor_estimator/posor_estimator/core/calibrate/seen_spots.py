@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydantic import Field
 
+from posor_estimator.core.calibrate.channels import check_channels
 from posor_estimator.core.calibrate.checks import check_axis, check_enough, check_unit
 from posor_estimator.core.calibrate.joining import Stops, stops
 from posor_estimator.core.calibrate.one_diode import OneDiode, diodes_that_see
@@ -109,7 +110,8 @@ def seen_spots(
     track = recording.track(topic, columns)
     found = dwells(track, options.still, round(options.least_dwell * 1e9), settle_ns=round(options.settle * 1e9))
     check_enough(len(found), LEAST_STOPS, "stops of the reference", f"{what}, {track.source}")
-    at_stops = stops(recording.scans, track, found)
+    check_channels(recording.scans, ("diode_currents",), recording.source)
+    at_stops = stops(recording.scans, track, found, what=recording.source, judged=("diode_currents",))
     return SeenSpots(at_stops, diodes_that_see(part, at_stops.scans, what))
 
 

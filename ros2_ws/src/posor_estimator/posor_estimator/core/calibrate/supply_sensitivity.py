@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import Field
 
+from posor_estimator.core.calibrate.channels import check_channels
 from posor_estimator.core.calibrate.checks import check_enough, misfit_sentences, outlier_sentences
 from posor_estimator.core.calibrate.fit import Loss, fit
 from posor_estimator.core.calibrate.joining import NS, stops
@@ -70,7 +71,7 @@ def run(recording: Recording, calibration: Calibration, options: SupplySensitivi
         probe.name: fitted(probe, levels, options, taken.effects(_derivatives(calibration, at, probe, levels)))
         for probe in probes
     }
-    warnings: tuple[str, ...] = ()
+    warnings = levels.warnings
     for name, found in fits.items():
         names = [f"level {n + 1}" for n in range(len(levels))]
         warnings += outlier_sentences(found.outliers(), names, name) if options.loss != "linear" else ()
@@ -110,10 +111,11 @@ def supply_levels(recording: Recording, options: SupplySensitivityOptions) -> St
     if not known.any():
         raise FitError("the supply voltage was not measured", where=recording.source, expected="scans that hold it")
     scans = scans.chosen(known)
+    check_channels(scans, ("gap_voltages",), recording.source)
     track = Track(scans.stamps_ns, scans.supply_voltages[:, None], np.zeros(1), f"{recording.source}, supply voltage")
     stays = dwells(track, options.still, round(options.least * NS), settle_ns=round(options.settle * NS))
     check_enough(len(stays), LEAST_LEVELS, "levels of the supply voltage", recording.source)
-    found = stops(scans, track, stays)
+    found = stops(scans, track, stays, what=recording.source, judged=("gap_voltages",))
     spanned = float(np.ptp(found.scans.supply_voltages))
     if spanned < options.span:
         raise FitError(
