@@ -63,7 +63,7 @@ class Endpoints:
     @property
     def sound(self) -> BoolArray:
         """Which scans have an endpoint, (n,)."""
-        return ~self.faults.any(axis=1)
+        return np.all(self.faults == 0, axis=1)
 
     def relative_to(self, home: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return poses (n, 7) and covariances (n, 6, 6) in the axes of the endpoint at home, (7,), which is exact."""
@@ -101,13 +101,13 @@ class ChainLane:
         self._motion = BeamMotion(window_s, len(layout.beams))
         self._stamp_ns: IntArray = np.zeros(1, dtype=np.int64)
         room = np.zeros((1, len(joints), 7)), np.zeros((1, len(joints), 6, 6)), np.full((1, len(joints)), np.nan)
-        self.poses, self.covariances, self.thetas = (array[0] for array in room)
+        self.poses, self.covariances, self.thetas = room[0][0], room[1][0], room[2][0]
         self.accelerations: FloatArray = np.zeros((len(layout.beams), 3))
         found = Endpoints.room(1, len(joints))
         self.pose, self.covariance = found.poses[0], found.covariances[0]
         self.angles, self.faults = found.angles[0], found.faults[0]
         self._relative = np.full((1, 7), np.nan), np.full((1, 6, 6), np.nan)
-        self.relative_pose, self.relative_covariance = (array[0] for array in self._relative)
+        self.relative_pose, self.relative_covariance = self._relative[0][0], self._relative[1][0]
         self._found = found
         self._one = self._stamp_ns, *room, found
         self._prepared = self._arguments(0, *self._one)
@@ -177,12 +177,13 @@ class ChainLane:
             if array.shape != shape:
                 raise ChainError(f"{name} of shape {array.shape}", where="the chain", expected=f"{shape}")
         found = Endpoints.room(count, joints)
-        scans = (
-            np.ascontiguousarray(stamps_ns, dtype=np.int64),
-            *(np.ascontiguousarray(array, dtype=np.float64) for array in (poses, covariances, thetas)),
+        # Arrays of another make, such as read-only ones, would have the kernel compiled anew.
+        stamps_ns = np.require(stamps_ns, np.int64, ["C", "A", "W"])
+        poses, covariances, thetas = (
+            np.require(array, np.float64, ["C", "A", "W"]) for array in (poses, covariances, thetas)
         )
         done = 0
-        while (done := kernel.endpoints(*self._arguments(done, *scans, found))) < count:
+        while (done := kernel.endpoints(*self._arguments(done, stamps_ns, poses, covariances, thetas, found))) < count:
             self._make_room()
         return found
 
@@ -195,10 +196,6 @@ class ChainLane:
         return "; ".join(
             f"{name} {WHY[fault]}" for name, fault in zip(self.joints, self.faults.tolist(), strict=True) if fault
         )
-
-    def forget(self) -> None:
-        """Begin the beams' motion anew."""
-        self._motion.forget()
 
     def _make_room(self) -> None:
         self._motion.make_room()

@@ -2,13 +2,48 @@
 
 from __future__ import annotations
 
-from typing import Generic, TypeAlias, TypeVar
+from dataclasses import dataclass
+from functools import reduce
+from heapq import heappop, heappush
+from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
+
+import numpy as np
+
+from posor_estimator.errors import ChainError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from posor_estimator.core.types import BoolArray, IntArray
 
 Item = TypeVar("Item")
 Key: TypeAlias = tuple[int, int]
 
 MOST_OPEN = 64
 """Scans that may be incomplete at the same time unless told otherwise; beyond that the oldest is given up."""
+
+
+_BEFORE_ALL = -(2**63)
+
+
+class _Member:
+    """The round that a member is in, its last stamp, and how many items it has sent since it fell a round behind."""
+
+    __slots__ = ("behind", "last", "round")
+
+    def __init__(self) -> None:
+        self.round = self.behind = 0
+        self.last = _BEFORE_ALL
+
+
+class _Scan(Generic[Item]):
+    """The items of a set, and when the first of them arrived."""
+
+    __slots__ = ("arrived", "items")
+
+    def __init__(self, arrived: float) -> None:
+        self.arrived = arrived
+        self.items: dict[str, Item] = {}
 
 
 class ScanJoiner(Generic[Item]):
@@ -25,14 +60,11 @@ class ScanJoiner(Generic[Item]):
 
     def __init__(self, members: tuple[str, ...], most_open: float = MOST_OPEN) -> None:
         """Join items of these members, with at most so many scans incomplete at the same time."""
-        self._members = members
+        self._members = {member: _Member() for member in members}
         self._most_open = most_open
         self._round = 0
-        self._rounds = dict.fromkeys(members, 0)
-        self._behind = dict.fromkeys(members, 0)
-        self._last: dict[str, int] = {}
-        self._open: dict[Key, dict[str, Item]] = {}
-        self._arrived: dict[Key, float] = {}
+        self._open: dict[Key, _Scan[Item]] = {}
+        self._keys: list[Key] = []
         self._closed: Key = (0, -1)
         self._given_up: dict[int, tuple[str, ...]] = {}
 
@@ -48,51 +80,110 @@ class ScanJoiner(Generic[Item]):
             arrived: Time of a clock that never goes back, for ``give_up_before``.
 
         """
-        key = (self._round_of(member, stamp), stamp)
+        own = self._members[member]
+        if own.round != self._round or stamp < own.last:
+            self._change_round(own, stamp)
+        own.last = stamp
+        key = (own.round, stamp)
         if key <= self._closed:
             return None
-        scan = self._open.setdefault(key, {})
-        scan[member] = item
-        self._arrived.setdefault(key, arrived)
-        if len(scan) < len(self._members):
-            if len(self._open) > self._most_open:
-                self._give_up(min(self._open))
-            return None
-        del self._open[key], self._arrived[key]
-        for older in sorted(other for other in self._open if other < key):
-            self._give_up(older)
-        self._closed = key
-        return scan
+        scan = self._open.get(key)
+        if scan is None:
+            scan = self._open[key] = _Scan(arrived)
+            heappush(self._keys, key)
+        items = scan.items
+        items[member] = item
+        if len(items) == len(self._members):
+            del self._open[key]
+            self._give_up_to(key)
+            return items
+        if len(self._open) > self._most_open:
+            self._give_up_to(self._keys[0])
+        return None
 
-    def _round_of(self, member: str, stamp: int) -> int:
-        """Return the round that an item belongs to."""
-        on = stamp - self._last.get(member, stamp - 1)
-        self._last[member] = stamp
-        if self._rounds[member] == self._round:
-            if on < 0:
-                self._round += 1
-                self._rounds[member] = self._round
-        else:
-            self._behind[member] += 1
-            if on <= 0 or self._behind[member] > MOST_OPEN:
-                self._rounds[member] = self._round
-                self._behind[member] = 0
-        return self._rounds[member]
+    def _change_round(self, own: _Member, stamp: int) -> None:
+        """Begin a new round, or follow the others into theirs, if a member's stamp says so."""
+        if own.round == self._round:
+            self._round += 1
+            own.round = self._round
+            return
+        own.behind += 1
+        if stamp <= own.last or own.behind > MOST_OPEN:
+            own.round = self._round
+            own.behind = 0
 
     def give_up_before(self, arrived: float) -> None:
         """Give up every set whose first item arrived before a time, and the sets older than those."""
-        late = [key for key, first in self._arrived.items() if first < arrived]
+        late = [key for key, scan in self._open.items() if scan.arrived < arrived]
         if late:
-            for key in sorted(key for key in self._open if key <= max(late)):
-                self._give_up(key)
+            self._give_up_to(max(late))
 
     def take_given_up(self) -> dict[int, tuple[str, ...]]:
         """Return stamps given up since the last call, with the members that were missing."""
         given_up, self._given_up = self._given_up, {}
         return given_up
 
-    def _give_up(self, key: Key) -> None:
-        present = self._open.pop(key)
-        del self._arrived[key]
-        self._closed = max(self._closed, key)
-        self._given_up[key[1]] = tuple(member for member in self._members if member not in present)
+    def _give_up_to(self, key: Key) -> None:
+        """Close all sets up to one; those that are still open are given up."""
+        keys = self._keys
+        while keys and keys[0] <= key:
+            scan = self._open.pop(older := heappop(keys), None)
+            if scan is not None:
+                self._given_up[older[1]] = tuple(member for member in self._members if member not in scan.items)
+        self._closed = key
+
+
+@dataclass(frozen=True)
+class Joined:
+    """What belongs together of the stamps of j members, see ``join_all``.
+
+    Attributes:
+        stamps: Those that all members have, (n,).
+        index: Where each member has them, (n, j).
+        given_up: Stamps before the last of these that some member has not, (m,).
+        missing: Who has them not, (m, j).
+        still_open: Where in each member's stamps those after the last complete one begin, (j,).
+
+    """
+
+    stamps: IntArray
+    index: IntArray
+    given_up: IntArray
+    missing: BoolArray
+    still_open: IntArray
+
+
+def join_all(stamps: Sequence[IntArray]) -> Joined:
+    """Join the stamps of all members at once, as a ``ScanJoiner`` with no bound on open sets would one after the other.
+
+    Args:
+        stamps: Of each member, (k,), increasing. Where they go back it depends on the order in which items of all
+            members arrive what belongs together: that is for a ``ScanJoiner``.
+
+    Raises:
+        ChainError: Stamps do not increase.
+
+    """
+    for member, own in enumerate(stamps):
+        stuck = np.flatnonzero(own[1:] <= own[:-1])
+        if stuck.size:
+            n = int(stuck[0])
+            raise ChainError(
+                f"stamp {own[n + 1]} after {own[n]}", where=f"member {member}", expected="stamps that increase"
+            )
+    if all(np.array_equal(stamps[0], own) for own in stamps[1:]):
+        complete, every = stamps[0], stamps[0][:0]
+    else:
+        complete = reduce(lambda one, other: np.intersect1d(one, other, assume_unique=True), stamps)
+        every = reduce(np.union1d, stamps)
+    last = complete[-1] if complete.size else np.iinfo(np.int64).min
+    before = every[every < last]
+    lacking = np.column_stack([~np.isin(before, own, assume_unique=True) for own in stamps])
+    some = lacking.any(axis=1)
+    return Joined(
+        complete,
+        np.column_stack([np.searchsorted(own, complete) for own in stamps]),
+        before[some],
+        lacking[some],
+        np.array([np.searchsorted(own, last, side="right") for own in stamps]),
+    )

@@ -3,7 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.polynomial import polynomial
-from posor_estimator.core.beam_motion import LEAST_SCANS, ROOM, BeamMotion
+from posor_estimator.core.beam_motion import ROOM, BeamMotion
+from posor_estimator.core.kernels import chain_motion as kernel
+from posor_estimator.core.kernels.chain_motion import LEAST_SCANS
 
 PERIOD_NS = 5_000_000
 ACCELERATION = np.array([1.5, -2.0, 0.25])
@@ -16,8 +18,23 @@ def centre(n: int) -> np.ndarray:
     return 0.7 + VELOCITY * t + 0.5 * ACCELERATION * t**2
 
 
+class Motion(BeamMotion):
+    """Does with one scan after the other what the chain's loop does."""
+
+    def take(self, stamp_ns: int, centres: np.ndarray) -> None:
+        kernel.begin_anew(stamp_ns, self.kept, self.seen_ns)
+        if not kernel.has_room(self.kept, self.seen_ns, self.seen):
+            self.make_room()
+        kernel.take(stamp_ns, centres, self.kept, self.seen_ns, self.seen)
+
+    def accelerations(self) -> np.ndarray:
+        found = np.empty(self.seen.shape[1:])
+        kernel.accelerations(self.kept, self.seen_ns, self.seen, found)
+        return found
+
+
 def test_a_parabola_gives_its_acceleration() -> None:
-    motion = BeamMotion(0.05, 2)
+    motion = Motion(0.05, 2)
     for n in range(30):
         if n != 20:  # a scan that gave no pose
             motion.take(n * PERIOD_NS, np.array([centre(n), -centre(n)]))
@@ -30,7 +47,7 @@ def test_the_parabola_is_that_of_least_squares(scans: int, rng: np.random.Genera
     stamps = np.cumsum(rng.integers(1, PERIOD_NS, 3 * scans))
     span = int(stamps[-1] - stamps[-scans])
     centres = rng.normal(size=(len(stamps), 1, 3))
-    motion = BeamMotion(span * 1e-9, 1)
+    motion = Motion(span * 1e-9, 1)
     for stamp, at in zip(stamps, centres, strict=True):
         motion.take(int(stamp), at)
     seconds = (stamps[-scans:] - stamps[-scans]) / span
@@ -39,7 +56,7 @@ def test_the_parabola_is_that_of_least_squares(scans: int, rng: np.random.Genera
 
 
 def test_too_few_scans_say_nothing() -> None:
-    motion = BeamMotion(0.05, 1)
+    motion = Motion(0.05, 1)
     for n in range(LEAST_SCANS - 1):
         motion.take(n * PERIOD_NS, centre(n)[None])
     np.testing.assert_array_equal(motion.accelerations(), NONE)
@@ -48,7 +65,7 @@ def test_too_few_scans_say_nothing() -> None:
 
 
 def test_what_is_older_than_the_window_is_forgotten() -> None:
-    motion = BeamMotion(0.02, 1)
+    motion = Motion(0.02, 1)
     for n in range(LEAST_SCANS):
         motion.take(n * PERIOD_NS, centre(n)[None])
     motion.take(1_000_000_000, centre(200)[None])
@@ -56,7 +73,7 @@ def test_what_is_older_than_the_window_is_forgotten() -> None:
 
 
 def test_stamps_that_go_back_begin_anew() -> None:
-    motion = BeamMotion(0.05, 1)
+    motion = Motion(0.05, 1)
     for n in range(10, 20):
         motion.take(n * PERIOD_NS, centre(n)[None])
     motion.take(0, centre(0)[None])

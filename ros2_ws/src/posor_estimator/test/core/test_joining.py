@@ -1,13 +1,11 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
-from posor_estimator.core.joining import MOST_OPEN, ScanJoiner
-
-if TYPE_CHECKING:
-    import numpy as np
+from posor_estimator.core.joining import MOST_OPEN, ScanJoiner, join_all
+from posor_estimator.errors import ChainError
 
 JOINTS = ("shoulder", "elbow", "wrist")
 
@@ -216,3 +214,42 @@ def test_a_scan_that_waits_too_long_is_given_up_with_all_older_ones(joiner: Scan
     assert joiner.add("wrist", 3, "wrist", 20.0) == {"wrist": "wrist", "shoulder": "shoulder", "elbow": "elbow"}
     joiner.give_up_before(1e9)
     assert joiner.take_given_up() == {}
+
+
+def live_decisions(
+    stamps: list[list[int]], rng: np.random.Generator
+) -> tuple[list[dict[str, int]], dict[int, tuple[str, ...]]]:
+    """Return what a ScanJoiner hands out and gives up of these stamps; items are places."""
+    joiner: ScanJoiner[int] = ScanJoiner(JOINTS, math.inf)
+    order = rng.permutation(np.repeat(np.arange(len(JOINTS)), [len(own) for own in stamps]))
+    places = [0] * len(JOINTS)
+    handed_out = []
+    for joint in order.tolist():
+        scan = joiner.add(JOINTS[joint], stamps[joint][places[joint]], places[joint], 0.0)
+        places[joint] += 1
+        if scan is not None:
+            handed_out.append(scan)
+    return handed_out, joiner.take_given_up()
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.1, 0.9, 1.0])
+def test_all_at_once_joins_what_one_after_the_other_does(loss: float, rng: np.random.Generator) -> None:
+    for _ in range(20):
+        stamps = [[stamp for stamp in range(60) if rng.random() >= loss] for _ in JOINTS]
+        handed_out, given_up = live_decisions(stamps, rng)
+        arrays = [np.array(own, dtype=np.int64) for own in stamps]
+        joined = join_all(arrays)
+        assert [dict(zip(JOINTS, row, strict=True)) for row in joined.index.tolist()] == handed_out
+        for column, own in enumerate(arrays):
+            np.testing.assert_array_equal(own[joined.index[:, column]], joined.stamps)
+            assert all(own[joined.still_open[column] :] > joined.stamps.max(initial=-1))
+            assert all(own[: joined.still_open[column]] <= joined.stamps.max(initial=-1))
+        missing = [tuple(name for name, is_ in zip(JOINTS, row, strict=True) if is_) for row in joined.missing]
+        assert dict(zip(joined.given_up.tolist(), missing, strict=True)) == given_up
+
+
+@pytest.mark.parametrize("stamps", [[5, 7, 7], [5, 7, 6]])
+def test_stamps_that_do_not_increase_cannot_be_joined_all_at_once(stamps: list[int]) -> None:
+    with pytest.raises(ChainError) as caught:
+        join_all([np.arange(9), np.array(stamps)])
+    assert str(caught.value) == f"member 1: stamp {stamps[2]} after 7; expected stamps that increase."

@@ -204,7 +204,8 @@ def endpoints(
     step = np.zeros(6)
     centres = np.zeros(acceleration.shape)
     moving = kept[WINDOW] > 0
-    for n in range(begin, stamps_ns.shape[0]):
+    count: int = stamps_ns.shape[0]
+    for n in range(begin, count):
         sound = True
         for j in range(faults.shape[1]):
             faults[n, j] = fault_of(poses[n, j], covariances[n, j])
@@ -238,7 +239,7 @@ def endpoints(
             take(stamps_ns[n], centres, kept, seen_ns, seen)
         for j in range(faults.shape[1]):
             angles[n, j] = joint_angle(poses[n, j], origins[j], thetas[n, j], work)
-    return stamps_ns.shape[0]
+    return count
 
 
 @compiled

@@ -1,0 +1,346 @@
+"""Endpoints of one scan and of many by the compiled walk: against pinocchio, against one another, and bad input."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from posor_estimator.core.arm import load_arm
+from posor_estimator.core.beam_motion import ROOM
+from posor_estimator.core.chain import Chain, Endpoint, MeasuredJoint
+from posor_estimator.core.kernels.chain_motion import LEAST_SCANS
+from posor_estimator.core.native import native_from_rotation
+from posor_estimator.errors import ChainError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from posor_estimator.core.chain_lane import Endpoints
+    from posor_estimator.core.types import FloatArray, IntArray
+
+ARMS = Path(__file__).resolve().parents[3] / "posor_bringup" / "arms"
+JOINTS = 6
+SCANS = 40
+PERIOD_NS = 500_000
+WINDOW_S = 0.01
+"""Of the scans here, 20 periods."""
+
+
+@pytest.fixture(scope="module")
+def chain() -> Chain:
+    """Six joints, six beams of which five sag, none exact."""
+    return load_arm(ARMS / "six_axis" / "arm.yaml").chain()
+
+
+@pytest.fixture(scope="module")
+def straight() -> Chain:
+    """The same arm with beams that are straight and exact."""
+    folder = ARMS / "six_axis"
+    return Chain((folder / "six_axis.urdf").read_text(encoding="utf-8"), "endpoint")
+
+
+@pytest.fixture
+def poses(random_rotation: Callable[[], FloatArray], rng: np.random.Generator) -> FloatArray:
+    return np.array(
+        [
+            [pin.SE3ToXYZQUAT(pin.SE3(random_rotation(), rng.uniform(-0.01, 0.01, 3))) for _ in range(JOINTS)]
+            for _ in range(SCANS)
+        ]
+    )
+
+
+@pytest.fixture
+def covariances(rng: np.random.Generator) -> FloatArray:
+    root = rng.normal(size=(SCANS, JOINTS, 6, 6)) * 1e-6
+    return np.asarray(root @ np.swapaxes(root, -1, -2))
+
+
+def swinging(chain: Chain, scans: int, amplitude: float = 0.3) -> tuple[FloatArray, IntArray]:
+    """Return poses of joints that swing at 3 Hz and more, and the stamps."""
+    stamps = np.arange(1, scans + 1) * PERIOD_NS
+    angles = amplitude * np.sin(stamps[:, None] * 1e-9 * 2.0 * math.pi * np.linspace(3.0, 5.0, JOINTS))
+    names = [joint.name for joint in chain.joints]
+    return (
+        np.array(
+            [[pin.SE3ToXYZQUAT(chain.nominal_joint(n, a)) for n, a in zip(names, row, strict=True)] for row in angles]
+        ),
+        stamps,
+    )
+
+
+def pinocchio_endpoint(
+    chain: Chain, poses: FloatArray, covariances: FloatArray, accelerations: FloatArray | None = None
+) -> Endpoint:
+    """Return the endpoint by pinocchio's model of the arm: forward kinematics, and the Jacobian of the endpoint.
+
+    First with beams that do not sag, which tells how they lie; then with the sag of ``MeasuringBeam``.
+    """
+    robot = chain._robot
+    model, data = robot.model, robot.model.createData()
+    q, covariance = pin.neutral(model), np.zeros((model.nv, model.nv))
+
+    def put(index: int, motion: pin.SE3, turn: FloatArray, own: FloatArray) -> None:
+        joint = model.joints[index]
+        q[joint.idx_q : joint.idx_q + 7] = pin.SE3ToXYZQUAT(motion)
+        local = np.kron(np.eye(2), turn.T)
+        block = slice(joint.idx_v, joint.idx_v + 6)
+        covariance[block, block] = local @ own @ local.T
+
+    for joint, pose, own in zip(robot.joints, poses, covariances, strict=True):
+        measured = pin.XYZQUATToSE3(pose)
+        put(joint.index, joint.T_parent_joint.inverse() * measured, measured.rotation, own)
+    pin.forwardKinematics(model, data, q)
+    starts = [data.oMi[model.parents[joint.index]].rotation @ joint.T_before_parent.rotation for joint in robot.freed]
+    for number, (beam, joint, start) in enumerate(zip(chain.beams, robot.freed, starts, strict=True)):
+        force = start.T @ (chain.gravity - (0.0 if accelerations is None else accelerations[number]))
+        under = beam.T_under(force)
+        put(joint.index, joint.T_parent_joint.inverse() * under, under.rotation, beam.covariance_under(force))
+    jacobian = pin.computeFrameJacobian(model, data, q, robot.endpoint, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+    pose = pin.updateFramePlacement(model, data, robot.endpoint)
+    return Endpoint(pin.SE3(pose), jacobian @ covariance @ jacobian.T)
+
+
+def assert_bits(one: object, other: object) -> None:
+    np.testing.assert_array_equal(np.asarray(one).view(np.uint64), np.asarray(other).view(np.uint64))
+
+
+def one_by_one(
+    chain: Chain, poses: FloatArray, covariances: FloatArray, stamps: IntArray, window_s: float = 0.0
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    lane = chain.lane(window_s)
+    found = []
+    for pose, covariance, stamp in zip(poses, covariances, stamps, strict=True):
+        lane.poses[:], lane.covariances[:] = pose, covariance
+        lane.run(int(stamp))
+        found.append((lane.pose.copy(), lane.covariance.copy(), lane.angles.copy()))
+    first, second, third = (np.array(each) for each in zip(*found, strict=True))
+    return first, second, third
+
+
+@pytest.mark.parametrize("which", ["chain", "straight"])
+def test_the_walk_is_pinocchios_kinematics_and_jacobian(
+    which: str, request: pytest.FixtureRequest, poses: FloatArray, covariances: FloatArray
+) -> None:
+    arm: Chain = request.getfixturevalue(which)
+    found = arm.endpoints(poses, covariances)
+    for n in range(SCANS):
+        expected = pinocchio_endpoint(arm, poses[n], covariances[n])
+        T = expected.T_base_endpoint
+        np.testing.assert_allclose(found.poses[n], pin.SE3ToXYZQUAT(T), rtol=0.0, atol=3e-15)
+        scale = np.sqrt(np.diag(expected.covariance))
+        np.testing.assert_allclose(
+            found.covariances[n] / np.outer(scale, scale),
+            expected.covariance / np.outer(scale, scale),
+            rtol=0.0,
+            atol=1e-12,
+        )
+        np.testing.assert_array_equal(found.covariances[n], found.covariances[n].T)
+
+
+def test_the_sag_is_there_and_so_is_its_uncertainty(
+    chain: Chain, straight: Chain, poses: FloatArray, covariances: FloatArray
+) -> None:
+    sound, stiff = (arm.endpoints(poses, covariances) for arm in (chain, straight))
+    assert np.abs(sound.poses[:, :3] - stiff.poses[:, :3]).max() > 1e-5
+    assert np.all(np.linalg.det(sound.covariances) > np.linalg.det(stiff.covariances))
+
+
+def test_a_link_between_two_joints_can_be_the_endpoint(poses: FloatArray, covariances: FloatArray) -> None:
+    """The joints beyond it are looked at, but have no part in it."""
+    folder = ARMS / "six_axis"
+    text = (folder / "six_axis.urdf").read_text(encoding="utf-8")
+    link = Chain(text, "endpoint").joints[3].parent
+    arm = Chain(text, link)
+    found = arm.endpoints(poses, covariances)
+    expected = pinocchio_endpoint(arm, poses[0], covariances[0])
+    np.testing.assert_allclose(found.poses[0], pin.SE3ToXYZQUAT(expected.T_base_endpoint), rtol=0.0, atol=3e-15)
+    others = poses.copy()
+    others[:, 3:] = poses[::-1, 3:]
+    assert_bits(arm.endpoints(others, covariances).covariances, found.covariances)
+
+
+@pytest.mark.parametrize("window_s", [0.0, WINDOW_S])
+def test_many_scans_give_the_numbers_of_one_after_the_other(
+    chain: Chain, covariances: FloatArray, window_s: float
+) -> None:
+    poses, stamps = swinging(chain, SCANS)
+    found = chain.endpoints(poses, covariances, stamps, acceleration_window=window_s)
+    alone = one_by_one(chain, poses, covariances, stamps, window_s)
+    for together, single in zip((found.poses, found.covariances, found.angles), alone, strict=True):
+        assert_bits(together, single)
+    assert found.sound.all()
+
+
+def test_a_chunk_goes_on_from_the_motion_of_the_chunk_before(chain: Chain) -> None:
+    """Over chunks of all sizes, shorter than the least number of scans too, and with a loop in the stamps."""
+    poses, stamps = swinging(chain, SCANS)
+    poses, stamps = np.tile(poses, (2, 1, 1)), np.tile(stamps, 2)
+    covariances = np.zeros((2 * SCANS, JOINTS, 6, 6))
+    whole = chain.endpoints(poses, covariances, stamps, acceleration_window=WINDOW_S)
+    lane = chain.lane(WINDOW_S)
+    chunks: list[Endpoints] = []
+    begin = 0
+    for size in (1, 2, LEAST_SCANS, 13, 30, 2 * SCANS):
+        end = min(begin + size, 2 * SCANS)
+        chunks.append(lane.endpoints(poses[begin:end], covariances[begin:end], stamps[begin:end]))
+        begin = end
+    assert_bits(np.concatenate([chunk.poses for chunk in chunks]), whole.poses)
+    assert_bits(whole.poses[:SCANS], whole.poses[SCANS:])  # the second round knows nothing of the first
+
+
+def test_a_window_of_more_scans_than_there_is_room_for_at_first(chain: Chain) -> None:
+    scans = 2 * ROOM + LEAST_SCANS
+    poses, stamps = swinging(chain, scans)
+    covariances = np.zeros((scans, JOINTS, 6, 6))
+    window_s = 1.5 * ROOM * PERIOD_NS * 1e-9
+    assert_bits(
+        chain.endpoints(poses, covariances, stamps, acceleration_window=window_s).poses,
+        one_by_one(chain, poses, covariances, stamps, window_s)[0],
+    )
+
+
+def test_beams_weigh_more_by_the_acceleration_that_their_centres_tell_of(chain: Chain) -> None:
+    poses, stamps = swinging(chain, SCANS)
+    covariances = np.zeros((SCANS, JOINTS, 6, 6))
+    lane = chain.lane(WINDOW_S)
+    for n in range(SCANS):
+        lane.poses[:] = poses[n]
+        assert lane.run(int(stamps[n]))
+        expected = pinocchio_endpoint(chain, poses[n], covariances[n], lane.accelerations)
+        np.testing.assert_allclose(lane.pose, pin.SE3ToXYZQUAT(expected.T_base_endpoint), rtol=0.0, atol=3e-15)
+        assert lane.accelerations.any() == (n >= LEAST_SCANS)
+    assert np.abs(lane.accelerations).max() > 1.0
+    still = chain.endpoints(poses, covariances).poses
+    assert np.abs(lane.pose - still[-1])[:3].max() > 1e-7
+
+
+def test_angles_are_counted_with_theta(chain: Chain, poses: FloatArray, covariances: FloatArray) -> None:
+    rotations = [[pin.XYZQUATToSE3(pose).rotation for pose in scan] for scan in poses]
+    own = np.array([[native_from_rotation(rotation)[2] for rotation in scan] for scan in rotations])
+    uncounted = chain.lane().endpoints(poses, covariances).angles
+    counted = chain.lane().endpoints(poses, covariances, thetas=own + 6.0 * math.pi).angles
+    for column, joint in enumerate(chain.joints):
+        seen = [native_from_rotation(joint.T_parent_joint.rotation.T @ scan[column])[2] for scan in rotations]
+        np.testing.assert_allclose(uncounted[:, column], seen, rtol=0.0, atol=1e-13)
+        turns = (counted[:, column] - 6.0 * math.pi - uncounted[:, column]) / (2.0 * math.pi)
+        np.testing.assert_allclose(turns, np.round(turns), rtol=0.0, atol=1e-13)
+
+
+def test_home_turns_the_pose_and_its_covariance(chain: Chain, poses: FloatArray, covariances: FloatArray) -> None:
+    found = chain.endpoints(poses, covariances)
+    home = found.poses[0].copy()
+    relative, own = found.relative_to(home)
+    back = pin.XYZQUATToSE3(home).inverse()
+    turn = np.kron(np.eye(2), back.rotation)
+    lane = chain.lane()
+    for n in range(SCANS):
+        expected = pin.SE3ToXYZQUAT(back * pin.XYZQUATToSE3(found.poses[n]))
+        np.testing.assert_allclose(relative[n], expected, rtol=0.0, atol=3e-15)
+        scale = np.abs(own[n]).max()
+        np.testing.assert_allclose(own[n], turn @ found.covariances[n] @ turn.T, rtol=0.0, atol=1e-14 * scale)
+        lane.poses[:], lane.covariances[:] = poses[n], covariances[n]
+        lane.run()
+        lane.find_relative_to(home)
+        assert_bits(lane.relative_pose, relative[n])
+        assert_bits(lane.relative_covariance, own[n])
+    np.testing.assert_allclose(relative[0], [0, 0, 0, 0, 0, 0, 1], rtol=0.0, atol=1e-15)
+
+
+def test_a_quaternion_that_is_a_little_too_long_turns_all_the_same(chain: Chain, poses: FloatArray) -> None:
+    """A message from a sender of single precision: the arm must not grow by it."""
+    covariances = np.zeros((SCANS, JOINTS, 6, 6))
+    longer = poses.copy()
+    longer[..., 3:] *= 1.0 + 0.9e-6
+    np.testing.assert_allclose(
+        chain.endpoints(longer, covariances).poses, chain.endpoints(poses, covariances).poses, rtol=0.0, atol=3e-15
+    )
+
+
+WRONG = {
+    "shoulder has a pose that is not finite": ("poses", (1, 0), math.nan),
+    "shoulder has a pose that is not finite ": ("poses", (1, 6), math.inf),
+    "elbow has an orientation that is no unit quaternion": ("poses", (2, slice(3, 7)), 0.6),
+    "tool_roll has a covariance that is not finite": ("covariances", (5, 4, 2), math.nan),
+}
+
+
+@pytest.mark.parametrize("sentence", WRONG)
+def test_a_joint_without_sound_numbers_gives_no_endpoint_and_is_named(chain: Chain, sentence: str) -> None:
+    which, where, value = WRONG[sentence]
+    poses, stamps = swinging(chain, SCANS)
+    covariances = np.zeros((SCANS, JOINTS, 6, 6))
+    bad = SCANS // 2
+    without = [np.delete(each, bad, axis=0) for each in (poses, covariances, stamps)]
+    {"poses": poses, "covariances": covariances}[which][bad][where] = value
+    found = chain.endpoints(poses, covariances, stamps, acceleration_window=WINDOW_S)
+    assert np.flatnonzero(~found.sound).tolist() == [bad]
+    assert np.isnan(found.poses[bad]).all()
+    assert np.isnan(found.covariances[bad]).all()
+    assert np.isnan(found.angles[bad]).all()
+    # The others are as if it had never been, those after it in motion too.
+    assert_bits(
+        np.delete(found.poses, bad, axis=0),
+        chain.endpoints(without[0], without[1], without[2], acceleration_window=WINDOW_S).poses,
+    )
+    lane = chain.lane()
+    lane.poses[:], lane.covariances[:] = poses[bad], covariances[bad]
+    assert not lane.run()
+    assert np.isnan(lane.pose).all()
+    assert lane.reason() == sentence.strip()
+    lane.poses[:], lane.covariances[:] = poses[0], covariances[0]
+    assert lane.run()
+    assert lane.reason() == ""
+
+
+def test_numbers_that_are_none_are_refused_by_name(chain: Chain) -> None:
+    sound = {joint.name: MeasuredJoint(pin.SE3.Identity(), np.zeros((6, 6))) for joint in chain.joints}
+    with pytest.raises(ChainError) as caught:
+        chain.endpoint({**sound, "elbow": MeasuredJoint(pin.SE3.Identity(), np.full((6, 6), np.nan))})
+    assert str(caught.value) == (
+        "the chain: elbow has a covariance that is not finite; expected finite numbers and unit quaternions."
+    )
+    del sound["elbow"]
+    with pytest.raises(ChainError, match="joint 'elbow' has no measurement; expected one of each of base_turn, "):
+        chain.endpoint(sound)
+
+
+@pytest.mark.parametrize(
+    ("name", "shape"),
+    [("poses", (3, 5, 7)), ("covariances", (3, 6, 36)), ("stamps_ns", (2,)), ("thetas", (3, 5))],
+)
+def test_arrays_of_the_wrong_shape_are_refused(chain: Chain, name: str, shape: tuple[int, ...]) -> None:
+    arrays = {
+        "poses": np.zeros((3, JOINTS, 7)),
+        "covariances": np.zeros((3, JOINTS, 6, 6)),
+        "stamps_ns": np.zeros(3, dtype=np.int64),
+        "thetas": np.zeros((3, JOINTS)),
+    }
+    expected = arrays[name].shape
+    arrays[name] = np.zeros(shape)
+    with pytest.raises(ChainError) as caught:
+        chain.lane().endpoints(
+            arrays["poses"], arrays["covariances"], arrays["stamps_ns"].astype(int), arrays["thetas"]
+        )
+    assert str(caught.value) == f"the chain: {name} of shape {shape}; expected {expected}."
+
+
+def test_a_moving_arm_needs_stamps(chain: Chain) -> None:
+    with pytest.raises(ChainError, match="the endpoints of an arm in motion need stamps; expected 3 of them"):
+        chain.lane(WINDOW_S).endpoints(np.zeros((3, JOINTS, 7)), np.zeros((3, JOINTS, 6, 6)))
+
+
+def test_no_scans_give_no_endpoints(chain: Chain) -> None:
+    found = chain.lane(WINDOW_S).endpoints(np.zeros((0, 6, 7)), np.zeros((0, 6, 6, 6)), np.zeros(0, dtype=np.int64))
+    assert len(found.poses) == len(found.sound) == 0
+
+
+def test_arrays_that_may_not_be_written_are_read(chain: Chain, poses: FloatArray, covariances: FloatArray) -> None:
+    """As those that stand upon the bytes of a bag."""
+    expected = chain.endpoints(poses, covariances).poses
+    for array in (poses, covariances):
+        array.flags.writeable = False
+    assert_bits(chain.endpoints(poses, covariances).poses, expected)
