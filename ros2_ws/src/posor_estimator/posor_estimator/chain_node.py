@@ -12,6 +12,7 @@ import math
 import time
 from functools import partial
 from pathlib import Path
+from threading import RLock
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
@@ -19,17 +20,21 @@ from posor_msgs.msg import JointTransform
 from pydantic import Field
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from posor_estimator.core.beam_motion import MovingChain
-from posor_estimator.core.chain import Chain, Endpoint, load_chain
+from posor_estimator.core.chain import load_chain
 from posor_estimator.core.fault import State
 from posor_estimator.core.joining import MOST_OPEN, ScanJoiner
+from posor_estimator.errors import TopicError
+from posor_estimator.ros.cdr import STAMP
+from posor_estimator.ros.cdr_endpoint import EndpointWriter
+from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM, Reading, TransformReader
 from posor_estimator.ros.diagnostics import Level
 from posor_estimator.ros.listeners import Listeners
 from posor_estimator.ros.main import run
-from posor_estimator.ros.messages import measured_joint, pose_from_message, pose_message, stamp_ns, why_unusable
+from posor_estimator.ros.messages import why_unusable
 from posor_estimator.ros.node import PosorNode
 from posor_estimator.ros.parameters import NodeParameters
 from posor_estimator.ros.qos import (
@@ -40,9 +45,12 @@ from posor_estimator.ros.qos import (
     result_qos,
     sensor_qos,
 )
+from posor_estimator.ros.wire import Inlet
 
 if TYPE_CHECKING:
+    from posor_estimator.core.chain_lane import ChainLane
     from posor_estimator.core.robot_model import FreeJoint
+    from posor_estimator.core.types import FloatArray
 
 LOOKS_FOR_LATE = 4
 """How many times in ``max_wait`` the node looks for transforms that are late."""
@@ -73,48 +81,62 @@ class ChainParameters(NodeParameters):
 
 
 class ChainNode(PosorNode[ChainParameters]):
-    """Computes the endpoint of an arm from the transforms of its joints."""
+    """Computes the endpoint of an arm from the transforms of its joints.
+
+    Transforms may come in other threads than timer and service calls: what they share is only used under a lock.
+    """
 
     NAME = "chain_node"
     Parameters = ChainParameters
 
-    _chain: Chain
-    _moving: MovingChain
-    _joiner: ScanJoiner[JointTransform]
-    _home: Endpoint | None
-    _last: Endpoint | None
+    _lane: ChainLane
+    _joiner: ScanJoiner[Reading]
+    _readers: dict[str, TransformReader]
+    _home: FloatArray | None
+    _last: FloatArray | None
+    _told: object
 
     def __init__(self, **options: Any) -> None:
         """Create the node; ``options`` go to rclpy."""
         super().__init__(**options)
+        self._lock = RLock()
         self._status = self.diagnostics.add("endpoint")
         self._listeners = Listeners(self)
-        self._transform_subscriptions: list[Any] = []
-        self.diagnostics.before_each(self._report_unmeasured)
+        self._inlets: list[Inlet] = []
+        self._poses = self._scans_refused = self._scans_incomplete = 0
+        self._told = None
+        self.diagnostics.before_each(self._refresh)
 
     def configure(self) -> None:
         """Read the URDF and open the topics."""
         path, beams = Path(self.parameters.urdf), self.parameters.beams
-        self._chain = load_chain(path, self.parameters.endpoint_frame, Path(beams) if beams else None)
-        self._moving = MovingChain(self._chain, self.parameters.acceleration_window)
-        names = tuple(joint.name for joint in self._chain.joints)
+        chain = load_chain(path, self.parameters.endpoint_frame, Path(beams) if beams else None)
+        self._lane = chain.lane(self.parameters.acceleration_window)
+        names = self._lane.joints
         # Where everything is kept, one joint may be ahead of another by a whole replay.
         self._joiner = ScanJoiner(names, MOST_OPEN if self.parameters.qos_depth else math.inf)
-        self._home = self._last = None
+        self._readers = {}
+        self._room = [
+            (pose.data.cast("B"), covariance.data.cast("B"))
+            for pose, covariance in zip(self._lane.poses, self._lane.covariances, strict=True)
+        ]
+        self._thetas = self._lane.thetas.data.cast("B").cast("d")
+        self._home = self._last = self._told = None
         self._poses = self._scans_refused = self._scans_incomplete = 0
         self._status.report(
             Level.STALE, "no complete scan yet", {"joints": ", ".join(names), "urdf": str(path), "beams": beams}
         )
+        relative = self.parameters.reference == "home"
+        frame = f"{self.parameters.endpoint_frame}_home" if relative else chain.base_frame
+        self._writer = EndpointWriter(self._lane, frame, relative=relative)
         results = result_qos(self.parameters)
-        self._pose_publisher = self._listeners.publisher(PoseStamped, ENDPOINT_TOPIC, results)
-        self._covariance_publisher = self._listeners.publisher(
-            PoseWithCovarianceStamped, ENDPOINT_COVARIANCE_TOPIC, results
-        )
-        self._joint_publisher = self._listeners.publisher(JointState, JOINT_STATES_TOPIC, results)
+        self._pose = self._listeners.outlet(PoseStamped, ENDPOINT_TOPIC, results)
+        self._full_pose = self._listeners.outlet(PoseWithCovarianceStamped, ENDPOINT_COVARIANCE_TOPIC, results)
+        self._joint_states = self._listeners.outlet(JointState, JOINT_STATES_TOPIC, results)
         qos = sensor_qos(self.parameters)
-        self._transform_subscriptions = [
-            self.create_subscription(JointTransform, f"{joint.name}/{TRANSFORM_TOPIC}", partial(self._take, joint), qos)
-            for joint in self._chain.joints
+        self._inlets = [
+            Inlet(self, JointTransform, f"{joint.name}/{TRANSFORM_TOPIC}", qos, partial(self._take, joint))
+            for joint in chain.joints
         ]
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._late_timer = self.create_timer(
@@ -124,89 +146,115 @@ class ChainNode(PosorNode[ChainParameters]):
 
     def cleanup(self) -> None:
         """Close the topics and forget the chain."""
-        for subscription in self._transform_subscriptions:
-            self.destroy_subscription(subscription)
-        self._transform_subscriptions = []
-        for publisher in (self._pose_publisher, self._covariance_publisher, self._joint_publisher):
-            self.destroy_lifecycle_publisher(publisher)
+        for inlet in self._inlets:
+            inlet.destroy()
+        self._inlets = []
         self.destroy_service(self._home_service)
         self.destroy_timer(self._late_timer)
-        del self._chain, self._moving, self._joiner
+        with self._lock:
+            for outlet in (self._pose, self._full_pose, self._joint_states):
+                outlet.destroy()
+            del self._lane, self._joiner, self._writer
 
-    def _report_unmeasured(self) -> None:
-        """Say which joints nobody measures, once a second."""
-        topics = [subscription.topic_name for subscription in self._transform_subscriptions]
-        silent = [topic for topic in topics if not self.count_publishers(topic)]
-        if silent:
-            self._say_no(f"nobody publishes {', '.join(silent)}")
+    def _refresh(self) -> None:
+        """Bring the counts up to date, and say which joints nobody measures, once a second."""
+        silent = [inlet.topic_name for inlet in self._inlets if not self.count_publishers(inlet.topic_name)]
+        with self._lock:
+            if self._inlets:
+                self._status.update(self._counts())
+            if silent:
+                self._say_no(f"nobody publishes {', '.join(silent)}")
 
-    def _take(self, joint: FreeJoint, message: JointTransform) -> None:
-        if not self._pose_publisher.is_activated:
-            return
-        named = (message.header.frame_id, message.child_frame_id)
-        if named != (joint.parent, joint.child):
+    def _take(self, joint: FreeJoint, data: bytes) -> None:
+        """Take one joint's transform."""
+        with self._lock:
+            if not self._pose.is_activated:
+                return
+            reader = self._readers.get(joint.name)
+            reading = reader.read(data) if reader is not None else None
+            reading = self._another_kind(joint, data) if reading is None else reading
+            if reading is None:
+                return
+            scan = self._joiner.add(joint.name, reading.stamp_ns, reading, time.monotonic())
+            self._report_given_up()
+            if scan is not None:
+                self._fuse(scan)
+
+    def _another_kind(self, joint: FreeJoint, data: bytes) -> Reading | None:
+        """Read a transform whose names are not those of the one before; None where it is not this joint's."""
+        try:
+            data = JOINT_TRANSFORM.normal(data)
+            reader = TransformReader(data)
+        except TopicError as error:
+            self._scans_refused += 1
+            self._say_no(f"{joint.name}: {error}")
+            return None
+        parent, child = reader.frames
+        if reader.frames != (joint.parent, joint.child):
             self._scans_refused += 1
             self._say_no(
-                f"{joint.name}: transforms from '{named[0]}' to '{named[1]}' arrive; "
+                f"{joint.name}: transforms from '{parent}' to '{child}' arrive; "
                 f"expected '{joint.parent}' to '{joint.child}', as in the URDF"
             )
-            return
-        scan = self._joiner.add(joint.name, stamp_ns(message), message, time.monotonic())
-        self._report_given_up()
-        if scan is not None:
-            self._fuse(scan)
+            return None
+        self._readers[joint.name] = reader
+        return reader.read(data)
 
     def _give_up_late(self) -> None:
         """Give up scans that have waited long enough for a late joint."""
-        self._joiner.give_up_before(time.monotonic() - self.parameters.max_wait)
-        self._report_given_up()
+        with self._lock:
+            self._joiner.give_up_before(time.monotonic() - self.parameters.max_wait)
+            self._report_given_up()
 
     def _report_given_up(self) -> None:
         for missing in self._joiner.take_given_up().values():
             self._scans_incomplete += 1
-            self._say_no(f"{', '.join(missing)}: transform missing from a scan that the other joints sent")
+            if self._told != (told := ("missing", missing)):
+                self._say_no(f"{', '.join(missing)}: transform missing from a scan that the other joints sent", told)
 
-    def _fuse(self, scan: dict[str, JointTransform]) -> None:
+    def _fuse(self, scan: dict[str, Reading]) -> None:
         """Publish the endpoint of one complete scan, unless a joint's pose may not be used."""
-        unusable = [f"{name} {why}" for name, message in scan.items() if (why := why_unusable(message))]
-        if unusable:
-            self._scans_refused += 1
-            self._say_no("; ".join(unusable))
+        lane, worst = self._lane, 0
+        for number, name in enumerate(lane.joints):
+            reading = scan[name]
+            pose, covariance = self._room[number]
+            pose[:], covariance[:] = reading.data[reading.pose], reading.data[reading.covariance]
+            self._thetas[number] = reading.theta
+            worst = max(worst, reading.state)
+        if worst > State.DEGRADED or not lane.run(reading.stamp_ns):
+            self._refuse(scan)
             return
-        measured = {name: measured_joint(message) for name, message in scan.items()}
-        self._last = self._moving.endpoint(stamp_ns(next(iter(scan.values()))), measured)
-        endpoint, frame = self._last, self._chain.base_frame
         if self.parameters.reference == "home":
-            self._home = self._home or self._last
-            endpoint, frame = self._last.relative_to(self._home), f"{self.parameters.endpoint_frame}_home"
-        self._publish(endpoint, frame, scan)
+            self._last = lane.pose.copy()
+            self._home = self._last if self._home is None else self._home
+            lane.find_relative_to(self._home)
+        stamp, writer = reading.data[STAMP], self._writer
+        self._pose.publish(writer.pose.write(stamp))
+        self._full_pose.publish(writer.pose_with_covariance.write(stamp))
+        self._joint_states.publish(writer.joint_states.write(stamp))
+        self.timing.note(reading.stamp_ns)
         self._poses += 1
-        degraded = [name for name, message in scan.items() if message.state == State.DEGRADED]
-        level, text = (Level.WARN, f"degraded: {', '.join(degraded)}") if degraded else (Level.OK, "ok")
-        self._status.report(level, text, self._counts())
+        degraded = tuple(name for name in lane.joints if scan[name].state == State.DEGRADED) if worst else ()
+        if self._told != (told := ("sound", degraded)):
+            level, text = (Level.WARN, f"degraded: {', '.join(degraded)}") if degraded else (Level.OK, "ok")
+            self._status.report(level, text, self._counts())
+            self._told = told
 
-    def _publish(self, endpoint: Endpoint, frame: str, scan: dict[str, JointTransform]) -> None:
-        stamp = next(iter(scan.values())).header.stamp
-        pose = PoseStamped()
-        pose.header.stamp, pose.header.frame_id = stamp, frame
-        pose.pose = pose_message(endpoint.T_base_endpoint)
-        self._pose_publisher.publish(pose)
-        with_covariance = PoseWithCovarianceStamped(header=pose.header)
-        with_covariance.pose.pose = pose.pose
-        with_covariance.pose.covariance = endpoint.covariance.ravel()
-        self._covariance_publisher.publish(with_covariance)
-        joints = JointState()
-        joints.header.stamp = stamp
-        joints.name = [joint.name for joint in self._chain.joints]
-        joints.position = [
-            self._chain.joint_angle(name, pose_from_message(scan[name].pose), float(scan[name].native[5]))
-            for name in joints.name
-        ]
-        self._joint_publisher.publish(joints)
+    def _refuse(self, scan: dict[str, Reading]) -> None:
+        """Say why a complete scan gives no pose, where that is news."""
+        self._scans_refused += 1
+        readings = [(name, scan[name]) for name in self._lane.joints]
+        verdicts = tuple((reading.state, reading.faults) for _, reading in readings)
+        if self._told != (told := ("unusable", verdicts, self._lane.faults.tolist())):
+            said = [
+                (name, why_unusable(deserialize_message(reading.data, JointTransform))) for name, reading in readings
+            ]
+            self._say_no("; ".join(f"{name} {why}" for name, why in said if why), told)
 
-    def _say_no(self, reason: str) -> None:
-        """Report why there is no pose."""
+    def _say_no(self, reason: str, told: object = None) -> None:
+        """Report why there is no pose; ``told`` stands for the reason, so that it need not be put into words again."""
         self._status.report(Level.ERROR, f"no pose: {reason}", self._counts())
+        self._told = told
 
     def _counts(self) -> dict[str, int]:
         return {"poses": self._poses, "scans_refused": self._scans_refused, "scans_incomplete": self._scans_incomplete}

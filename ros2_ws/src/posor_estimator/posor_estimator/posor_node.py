@@ -10,9 +10,9 @@ that the present place is home, ``~/home`` counts theta from its home mark. What
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from threading import RLock
 from typing import TYPE_CHECKING, Annotated, Any
 
 from posor_msgs.msg import JointTransform, RawScan
@@ -21,18 +21,22 @@ from std_srvs.srv import Trigger
 
 from posor_estimator.core.calibrate.digital_zero import LEAST, digital_zero
 from posor_estimator.core.calibration.load import load_calibration
-from posor_estimator.core.estimate import Estimate
 from posor_estimator.core.fault import Fault, State
 from posor_estimator.core.posor import Posor
-from posor_estimator.core.scan import Scan, Scans
-from posor_estimator.errors import CalibrationError, ParameterError, PosorError
+from posor_estimator.core.scan import Scans
+from posor_estimator.errors import CalibrationError, ParameterError, PosorError, TopicError
+from posor_estimator.ros.byte_lane import ByteLane
+from posor_estimator.ros.cdr import STAMP
+from posor_estimator.ros.cdr_scan import RAW_SCAN, scan_of
+from posor_estimator.ros.cdr_transform import Lost, Results, TransformWriter
 from posor_estimator.ros.diagnostics import Level
 from posor_estimator.ros.listeners import Listeners
 from posor_estimator.ros.main import run
-from posor_estimator.ros.messages import CovarianceKind, scan_from_message, stamp_ns, transform_message
+from posor_estimator.ros.messages import CovarianceKind  # noqa: TC001  read by pydantic
 from posor_estimator.ros.node import PosorNode
 from posor_estimator.ros.parameters import NodeParameters
 from posor_estimator.ros.qos import RAW_TOPIC, TRANSFORM_TOPIC, sensor_qos
+from posor_estimator.ros.wire import Inlet
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -74,33 +78,47 @@ class PosorParameters(NodeParameters):
 HOME = ("gap", "alpha", "beta")
 
 
+HEALTH = {State.OK: Level.OK, State.DEGRADED: Level.WARN}
+"""What the diagnostics make of a state; of any other, an error."""
+
+
 class PosorEstimatorNode(PosorNode[PosorParameters]):
-    """Estimates the pose of one POSOR's target plate from each raw scan."""
+    """Estimates the pose of one POSOR's target plate from each raw scan.
+
+    Scans may come in another thread than service calls: what both use is only used under a lock.
+    """
 
     NAME = "posor_node"
     Parameters = PosorParameters
 
     _calibration: Calibration
     _posor: Posor
-    _recent: deque[Scan]
-    _count_from_next: bool
+    _lane: ByteLane | None
+    _recent: deque[bytes]
+    _told: tuple[int, int] | None
+    _last: tuple[Results, int, Callable[[], str]] | None
 
     def __init__(self, **options: Any) -> None:
         """Create the node; ``options`` go to rclpy."""
         super().__init__(**options)
+        self._lock = RLock()
         self._status = self.diagnostics.add("estimate")
         self._listeners = Listeners(self)
+        self._last = None
+        self.diagnostics.before_each(self._refresh)
 
     def configure(self) -> None:
         """Read the calibration file, say which one it is, and open the topics."""
-        self._scans = self._lost = 0
-        self._recent = deque(maxlen=self.parameters.zero_scans)
+        self._scans = self._scans_lost = self._messages_refused = 0
+        self._recent = deque(maxlen=self.parameters.zero_scans if self.parameters.home_pose else 0)
+        self._recent_lit: tuple[int, ...] = ()
         self._count_from_next = False
+        self._told = self._last = None
         self._take_calibration(*self._read())
         self._status.report(Level.STALE, "no scan yet")
         qos = sensor_qos(self.parameters)
-        self._publisher = self._listeners.publisher(JointTransform, TRANSFORM_TOPIC, qos)
-        self._subscription = self.create_subscription(RawScan, RAW_TOPIC, self._locate, qos)
+        self._outlet = self._listeners.outlet(JointTransform, TRANSFORM_TOPIC, qos)
+        self._inlet = Inlet(self, RawScan, RAW_TOPIC, qos, self._take)
         self._services = [
             self.create_service(Trigger, f"~/{name}", partial(self._serve, action))
             for name, action in (("reload", self._reload), ("home", self._count_from_home), ("zero", self._zero))
@@ -111,9 +129,11 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         """Close topics and services and forget the calibration."""
         for service in self._services:
             self.destroy_service(service)
-        self.destroy_subscription(self._subscription)
-        self.destroy_lifecycle_publisher(self._publisher)
-        del self._posor, self._calibration
+        self._inlet.destroy()
+        with self._lock:
+            self._outlet.destroy()
+            self._lane = self._last = None
+            del self._posor, self._calibration
 
     def _read(self) -> tuple[Calibration, Calibration]:
         """Return what the calibration file says now, whole and with the session applied."""
@@ -122,8 +142,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
 
     def _take_calibration(self, whole: Calibration, applied: Calibration) -> None:
         """Put a calibration that was read into force, and say which one it is."""
-        self._posor = Posor(applied, false_alarm=self.parameters.false_alarm)
-        self._calibration = applied
+        self._use(applied)
         path = self.parameters.calibration
         self._status.update(
             {
@@ -135,6 +154,18 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             }
         )
         self.get_logger().info(f"calibration '{whole.name}' from {path}, hash {whole.content_hash}")
+
+    def _use(self, calibration: Calibration) -> None:
+        """Estimate by a calibration from the next scan on, which goes on from the last pose if there is one."""
+        posor = Posor(calibration, false_alarm=self.parameters.false_alarm)
+        frames = calibration.frames
+        lost = Lost()
+        writer = TransformWriter(frames.parent, frames.child, self.parameters.covariance, lost)
+        with self._lock:
+            if self._last is not None:
+                posor.go_on_from(self._posor)
+            self._posor, self._calibration, self._lane = posor, calibration, None
+            self._lost, self._lost_writer = lost, writer
 
     def _serve(
         self, action: Callable[[], str], _request: Trigger.Request, response: Trigger.Response
@@ -158,9 +189,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
                 where=f"calibration file {self.parameters.calibration}",
                 expected=f"{frames.parent} and {frames.child} as before, or a restart of the node",
             )
-        former = self._posor
         self._take_calibration(whole, applied)
-        self._posor.go_on_from(former)
         return f"calibration '{whole.name}', hash {whole.content_hash}"
 
     def _count_from_home(self) -> str:
@@ -174,71 +203,115 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         return "theta is counted from the next scan, which is taken to be within half a bump of the home mark"
 
     def _zero(self) -> str:
-        if len(self._recent) < self.parameters.zero_scans:
+        with self._lock:
+            recent = list(self._recent)
+        if len(recent) < self.parameters.zero_scans:
             raise ParameterError(
-                f"{len(self._recent)} sound scans so far", where="zero", expected=f"{self.parameters.zero_scans}"
+                f"{len(recent)} sound scans so far", where="zero", expected=f"{self.parameters.zero_scans}"
             )
         gap, alpha, beta = self.parameters.home_pose
-        zero = digital_zero(self._calibration, Scans.of(list(self._recent)), (gap, alpha, beta))
-        former = self._posor
-        self._posor = Posor(zero.calibration, false_alarm=self.parameters.false_alarm)
-        self._posor.go_on_from(former)
-        self._calibration = zero.calibration
+        zero = digital_zero(self._calibration, Scans.of([scan_of(data) for data in recent]), (gap, alpha, beta))
+        self._use(zero.calibration)
         said = f"zero_shifts: {{value: {_listed(zero.shifts.array)}, sigma: {_listed(zero.shifts.sigmas)}, unit: V}}"
         self._status.update({"zero": said})
         text = f"{said}, changed by {_listed(zero.changes)} V; in force until the calibration is read again"
         self.get_logger().info(text)
         return text
 
-    def _locate(self, raw: RawScan) -> None:
-        if not self._publisher.is_activated:
+    def _take(self, data: bytes) -> None:
+        """Answer a raw scan."""
+        with self._lock:
+            if not self._outlet.is_activated:
+                return
+            lane = self._lane
+            if lane is not None and lane.reader.read(data):
+                self._locate(lane, data)
+            else:
+                self._take_another_kind(data)
+
+    def _locate(self, lane: ByteLane, data: bytes) -> None:
+        """Publish the transform of a scan of this POSOR, which its lane has read."""
+        reader, results = lane.reader, lane.lane
+        if reader.stamp_ns == 0:
+            reason = "the stamp is zero; expected the time of exposure."
+            self._lose(data, reader.number, reader.status, reason)
             return
-        estimate = self._unfit(raw)
-        if estimate is None:
-            scan = replace(scan_from_message(raw), at_home=True) if self._count_from_next else scan_from_message(raw)
+        if self._count_from_next:
+            results.scans.at_home[0] = 1
             self._count_from_next = False
-            estimate = self._posor.locate(scan)
-            self._remember(scan, estimate)
-        frames = self._calibration.frames
-        message = transform_message(raw, estimate, frames.parent, frames.child, self.parameters.covariance)
-        self._publisher.publish(message)
-        self._report(estimate)
+        lost = results.run() == State.LOST
+        self._outlet.publish(lane.write(data))
+        self.timing.note(reader.stamp_ns)
+        self._remember(data, reader.lit, lost=lost)
+        self._report(results, reader.number, lane.reason, lost=lost)
 
-    def _unfit(self, raw: RawScan) -> Estimate | None:
-        """Return a LOST estimate where the scan is not one of this POSOR's, or has no time."""
-        parent = self._calibration.frames.parent
-        where = f"scan {raw.scan}"
-        if stamp_ns(raw) == 0:
-            return Estimate.lost(
-                raw.scan, Fault.BAD_READING, f"{where}: the stamp is zero; expected the time of exposure."
-            )
-        if raw.header.frame_id != parent:
-            reason = f"{where}: comes from frame '{raw.header.frame_id}'; expected '{parent}', as in the calibration."
-            return Estimate.lost(raw.scan, Fault.BAD_READING, reason)
-        return None
-
-    def _remember(self, scan: Scan, estimate: Estimate) -> None:
-        """Keep a sound scan for a digital zero; one without a pose, or of another kind, breaks the row."""
-        if estimate.state is State.LOST or (self._recent and scan.lit_sources != self._recent[-1].lit_sources):
+    def _take_another_kind(self, data: bytes) -> None:
+        """Answer a raw scan that is not like those before: make another lane for it, or say what is wrong with it."""
+        try:
+            data = RAW_SCAN.normal(data)
+            values = RAW_SCAN.values(data)
+        except TopicError as error:
+            self._messages_refused += 1
+            self._told = None
+            self._status.report(Level.ERROR, f"no estimate: {error}", {"messages_refused": self._messages_refused})
+            return
+        frame, parent = values["header.frame_id"], self._calibration.frames.parent
+        if frame != parent:
+            reason = f"comes from frame '{frame}'; expected '{parent}', as in the calibration."
+            self._lose(data, values["scan"], values["status"], reason)
+            return
+        if self._lane is not None:
             self._recent.clear()
-        if estimate.state is not State.LOST:
-            self._recent.append(scan)
+        self._lane = ByteLane(self._posor, data, self.parameters.covariance)
+        self._lane.reader.read(data)
+        self._locate(self._lane, data)
 
-    def _report(self, estimate: Estimate) -> None:
+    def _lose(self, data: bytes, number: int, status: int, reason: str) -> None:
+        """Publish that a scan is lost which is not one of this POSOR's, or has no time."""
+        self._outlet.publish(self._lost_writer.write(data[STAMP], number, status))
+        self._report(self._lost, number, lambda: f"scan {number}: {reason}", lost=True)
+
+    def _remember(self, data: bytes, lit: tuple[int, ...], *, lost: bool) -> None:
+        """Keep a sound scan for a digital zero; one without a pose, or of another kind, breaks the row."""
+        if lost or lit != self._recent_lit:
+            self._recent.clear()
+            self._recent_lit = lit
+        if not lost:
+            self._recent.append(data)
+
+    def _report(self, results: Results, number: int, reason: Callable[[], str], *, lost: bool) -> None:
+        """Count a scan, and say how it went where that is news."""
         self._scans += 1
-        self._lost += estimate.state is State.LOST
-        level = {State.OK: Level.OK, State.DEGRADED: Level.WARN}.get(estimate.state, Level.ERROR)
-        faults = estimate.faults.name if estimate.faults else "none"
-        values: dict[str, str | int | float] = {
+        self._scans_lost += lost
+        self._last = results, number, reason
+        verdict = results.state, results.faults
+        if verdict != self._told:
+            self._told = verdict
+            state, faults = State(results.state), Fault(results.faults)
+            said = faults.name if faults else "none"
+            self._status.report(
+                HEALTH.get(state, Level.ERROR), f"{state.name.lower()}: {said}", {"faults": str(said), **self._values()}
+            )
+
+    def _refresh(self) -> None:
+        """Bring the values up to date, once a second."""
+        with self._lock:
+            if self._last is not None:
+                self._status.update(self._values())
+
+    def _values(self) -> dict[str, str | int | float]:
+        """Return what is to be said of the last scan, beside its verdict."""
+        if self._last is None:
+            return {}
+        results, number, reason = self._last
+        return {
             "scans": self._scans,
-            "scans_lost": self._lost,
-            "last_scan": estimate.scan,
-            "faults": str(faults),
-            "reason": estimate.reason,
-            "residual": estimate.residual,
-            "redundancy": estimate.redundancy,
+            "scans_lost": self._scans_lost,
+            "last_scan": number,
+            "reason": reason(),
+            "residual": results.residual,
+            "redundancy": results.redundancy,
         }
-        self._status.report(level, f"{estimate.state.name.lower()}: {faults}", values)
 
 
 def _listed(numbers: Iterable[float]) -> str:

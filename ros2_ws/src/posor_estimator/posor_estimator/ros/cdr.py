@@ -13,7 +13,6 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from enum import Enum
-from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from rclpy.serialization import deserialize_message
@@ -94,14 +93,14 @@ class Span(NamedTuple):
     """
 
     offset: int
-    count: int
+    length: int
     size: int
     """Of one element [bytes]."""
 
     @property
     def part(self) -> slice:
         """The bytes of all elements."""
-        return slice(self.offset, self.offset + self.count * self.size)
+        return slice(self.offset, self.offset + self.length * self.size)
 
 
 @dataclass(frozen=True)
@@ -146,9 +145,9 @@ class Layout:
             if path.endswith("#"):
                 begin, text = self.lengths[path[:-1]], "I"
             elif self.schema.by_path[path].code == "s":
-                begin, text = self.lengths[path], f"{4 + self.spans[path].count + 1}s"
+                begin, text = self.lengths[path], f"{4 + self.spans[path].length + 1}s"
             else:
-                begin, text = self.spans[path].offset, f"{self.spans[path].count}{self.schema.by_path[path].code}"
+                begin, text = self.spans[path].offset, f"{self.spans[path].length}{self.schema.by_path[path].code}"
             form += f"{begin - at}x{text}"
             at = begin + struct.calcsize("<" + text)
         return struct.Struct(f"{form}{self.size - at}x")
@@ -170,7 +169,6 @@ class Schema:
         self.by_path = {field.path: field for field in self.fields}
 
     @staticmethod
-    @cache
     def of(message_type: type[Any]) -> Schema:
         """Return the schema of a message class.
 
@@ -178,7 +176,9 @@ class Schema:
             TypeError: It has a field that is not supported: a wide string, or a sequence of messages.
 
         """
-        return Schema(message_type)
+        if message_type not in _schemas:
+            _schemas[message_type] = Schema(message_type)
+        return _schemas[message_type]
 
     @property
     def name(self) -> str:
@@ -212,7 +212,7 @@ class Schema:
             if field.code == "s":
                 values[path] = data[span.part].decode("utf-8", "replace")
                 continue
-            numbers = struct.unpack_from(f"<{span.count}{field.code}", data, span.offset)
+            numbers = struct.unpack_from(f"<{span.length}{field.code}", data, span.offset)
             values[path] = numbers[0] if field.kind is Kind.ONE else list(numbers)
         return values
 
@@ -246,6 +246,9 @@ class Schema:
             reason = " ".join(str(error).split()).rstrip(".")
             raise TopicError(f"a message of {len(data)} bytes cannot be read, {reason}", where=self.name) from None
         return self.serialize(message)
+
+
+_schemas: dict[type[Any], Schema] = {}
 
 
 def _flattened(message_type: type[Any], prefix: str) -> Iterator[Field]:

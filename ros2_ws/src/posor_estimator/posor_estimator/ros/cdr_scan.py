@@ -74,8 +74,8 @@ class ScanReader:
         said = self._unpack(example)
         self._frame, self._lengths = said[3], said[6:13]
         self._size = layout.size
-        self._numbers, self._stamps_ns = memoryview(scans.numbers), memoryview(scans.stamps_ns)
-        self._at_home = memoryview(scans.at_home)
+        self._numbers, self._stamps_ns = scans.numbers.data, scans.stamps_ns.data
+        self._at_home = scans.at_home.data
         self._lit_sources = scans.lit_sources
         into: dict[str, NDArray[np.float64]] = {
             "gap_voltages": scans.gap_voltages,
@@ -84,9 +84,7 @@ class ScanReader:
             "supply_voltage": scans.supply_voltages,
             "temperature": scans.temperatures,
         }
-        self._copies = tuple(
-            (memoryview(array).cast("B"), layout[path].part) for path, array in into.items() if array.size
-        )
+        self._copies = tuple((array.data.cast("B"), layout[path].part) for path, array in into.items() if array.size)
         self.stamp_ns = self.number = self.status = 0
         self.lit: tuple[int, ...] = ()
 

@@ -43,7 +43,7 @@ class MessageWriter:
         room = np.zeros(len(data) + ALIGNED - BODY, dtype=np.uint8)
         self._store = room[ALIGNED - BODY :]
         self._store[:] = np.frombuffer(data, dtype=np.uint8)
-        self.bytes = memoryview(self._store)
+        self.bytes = self._store.data
         self._copies = tuple(self._copy(path, array) for path, array in (arrays or {}).items() if array.size)
 
     def view(self, path: str, count: int) -> FloatArray:
@@ -66,4 +66,4 @@ class MessageWriter:
 
     def _copy(self, path: str, array: FloatArray) -> tuple[slice, memoryview]:
         begin = self.layout[path].offset
-        return slice(begin, begin + array.nbytes), memoryview(array).cast("B")
+        return slice(begin, begin + array.nbytes), array.data.cast("B")
