@@ -6,7 +6,7 @@ and the offending value are also kept as attributes, so that a caller can act on
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from posor_estimator.core.fault import Fault
@@ -33,6 +33,16 @@ class PosorError(Exception):
             sentence += f"; expected {expected}"
         super().__init__(sentence + ".")
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Go to another process whole: what is raised there is raised here."""
+        return _received, (type(self), str(self), self.__dict__)
+
+
+def _received(kind: type[PosorError], sentence: str, attributes: dict[str, Any]) -> PosorError:
+    error = kind.__new__(kind, sentence)
+    error.__dict__.update(attributes)
+    return error
+
 
 class ParameterError(PosorError):
     """A node parameter or command-line option is wrong."""
@@ -50,6 +60,10 @@ class DataFileError(PosorError):
 
 class BagError(PosorError):
     """A rosbag2 bag cannot be read or written."""
+
+
+class OutputError(PosorError):
+    """Results cannot be written where they should go."""
 
 
 class TopicError(PosorError):

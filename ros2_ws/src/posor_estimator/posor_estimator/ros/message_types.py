@@ -20,8 +20,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 RAW_SCAN = "posor_msgs/msg/RawScan"
+JOINT_TRANSFORM = "posor_msgs/msg/JointTransform"
 POINT_STAMPED = "geometry_msgs/msg/PointStamped"
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
+POSE_WITH_COVARIANCE_STAMPED = "geometry_msgs/msg/PoseWithCovarianceStamped"
 VECTOR_STAMPED = "geometry_msgs/msg/Vector3Stamped"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 

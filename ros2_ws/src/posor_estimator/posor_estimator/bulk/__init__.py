@@ -1,0 +1,1 @@
+"""Bags in bulk: many messages at a time, as arrays."""

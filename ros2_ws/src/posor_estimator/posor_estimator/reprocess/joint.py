@@ -1,0 +1,149 @@
+"""One joint of an arm: the transforms that a posor_node would have published for its recorded scans."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+from posor_msgs.msg import JointTransform, RawScan
+
+from posor_estimator.bulk.layout import Rows, TableLayout
+from posor_estimator.core.fault import Fault, State
+from posor_estimator.core.posor import Posor
+from posor_estimator.core.scan import Scans
+from posor_estimator.reprocess.poses import write_poses
+from posor_estimator.reprocess.transforms import Transforms, stamps_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from posor_estimator.bulk.pieces import Piece
+    from posor_estimator.core.calibration.model import Calibration
+    from posor_estimator.core.estimate import Estimates
+    from posor_estimator.core.types import BoolArray, FloatArray
+    from posor_estimator.ros.messages import CovarianceKind
+
+CONTACTS = 4
+
+
+class JointReprocessor:
+    """Estimates the poses of one joint, piece after piece of its recorded scans.
+
+    Attributes:
+        layout: Of the transforms.
+        scans: How many scans there have been.
+        lost: How many of them gave no pose.
+        faults: How many of the lost ones have each fault.
+
+    """
+
+    def __init__(self, calibration: Calibration, kind: CovarianceKind, false_alarm: float) -> None:
+        """Begin afresh.
+
+        Args:
+            calibration: Of the joint's POSOR, its session applied.
+            kind: Which part of the uncertainty the transforms tell.
+            false_alarm: See ``Posor``.
+
+        """
+        self._posor = Posor(calibration, false_alarm=false_alarm)
+        self._parent = calibration.frames.parent
+        self._kind = kind
+        self.layout = _layout(self._parent, calibration.frames.child, kind)
+        self.scans = self.lost = 0
+        self.faults: Counter[str] = Counter()
+
+    def transforms(self, pieces: Iterable[Piece]) -> Transforms:
+        """Return the transforms of a block's scans; every number is NaN where a scan gives no pose."""
+        parts = [Transforms.of(piece.times_ns, piece.places, self._rows(piece)) for piece in pieces]
+        return Transforms.joined(parts) if parts else Transforms.none(self.layout)
+
+    def _rows(self, piece: Piece) -> Rows:
+        raw = piece.rows
+        out = self.layout.new(len(raw))
+        for name in ("header.stamp.sec", "header.stamp.nanosec", "scan"):
+            out[name] = raw[name]
+        out["scan_status"] = raw["status"]
+        fit = _has_time(raw)
+        if piece.layout.strings["header.frame_id"] != self._parent:
+            fit[:] = False
+        if fit.all():
+            self._locate(raw, out)
+        else:
+            located, unfit = out[fit], out[~fit]
+            if len(located):
+                self._locate(raw[fit], located)
+            unfit["faults"] = int(Fault.BAD_READING)
+            self._lose(unfit)
+            out[fit], out[~fit] = located, unfit
+        self.scans += len(out)
+        lost = out["state"] == int(State.LOST)
+        if lost.any():
+            self.lost += int(np.count_nonzero(lost))
+            faults = out["faults"][lost]
+            found = {fault.name: int(np.count_nonzero(faults & fault.value)) for fault in Fault if fault.name}
+            self.faults.update({name: count for name, count in found.items() if count})
+        return out
+
+    def _locate(self, raw: Rows, out: Rows) -> None:
+        """Write what scans give into transforms."""
+        found = self._posor.locate_all(scans_of(raw))
+        poses, natives = np.empty((len(out), 7)), np.empty((len(out), 6))
+        write_poses(found.rotations, found.translations, found.thetas, poses, natives)
+        self.layout.span(out, "pose.position.x", 7)[:] = poses
+        out["covariance"] = _covariances(found, self._kind).reshape(-1, 36)
+        out["native"] = natives
+        out["residual"] = found.residuals
+        out["redundancy"] = found.redundancy
+        out["state"] = found.states
+        out["faults"] = found.faults
+        lost = found.states == int(State.LOST)
+        if lost.any():
+            these = out[lost]
+            self._lose(these)
+            out[lost] = these
+
+    def _lose(self, out: Rows) -> None:
+        """Make transforms say that there is no pose."""
+        self.layout.span(out, "pose.position.x", 7)[:] = np.nan
+        out["covariance"] = out["native"] = np.nan
+        out["residual"] = np.nan
+        out["redundancy"] = 0
+        out["state"] = int(State.LOST)
+
+
+def scans_of(raw: Rows) -> Scans:
+    """Return rows of raw scans as the core sees them."""
+    count, currents = len(raw), raw["diode_currents"]
+    width = CONTACTS if currents.shape[1] % CONTACTS == 0 else 1
+    return Scans(
+        numbers=np.ascontiguousarray(raw["scan"]),
+        stamps_ns=stamps_of(raw),
+        gap_voltages=np.ascontiguousarray(raw["gap_voltages"]),
+        ring_voltages=np.ascontiguousarray(raw["ring_voltages"]),
+        diode_currents=np.ascontiguousarray(currents).reshape(count, currents.shape[1] // width, width),
+        lit_sources=raw["lit_sources"].astype(np.int64),
+        supply_voltages=np.ascontiguousarray(raw["supply_voltage"]),
+        temperatures=np.ascontiguousarray(raw["temperature"]),
+        at_home=((raw["status"] & RawScan.STATUS_HOME_BUMP) != 0).astype(np.int64),
+    )
+
+
+def _has_time(raw: Rows) -> BoolArray:
+    return np.asarray((raw["header.stamp.sec"] != 0) | (raw["header.stamp.nanosec"] != 0))
+
+
+def _covariances(found: Estimates, kind: CovarianceKind) -> FloatArray:
+    if kind == "random":
+        return found.covariances_random
+    if kind == "systematic":
+        return found.covariances_systematic
+    return found.covariances_random + found.covariances_systematic
+
+
+def _layout(parent: str, child: str, kind: CovarianceKind) -> TableLayout:
+    message = JointTransform(child_frame_id=child)
+    message.header.frame_id = parent
+    message.covariance_kind = getattr(JointTransform, f"COVARIANCE_{kind.upper()}")
+    return TableLayout.like(message)

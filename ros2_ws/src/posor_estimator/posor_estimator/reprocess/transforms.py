@@ -1,0 +1,70 @@
+"""Transforms of one joint as arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from posor_estimator.bulk.layout import Rows, TableLayout
+    from posor_estimator.core.types import BoolArray, IntArray
+
+NS = 1_000_000_000
+
+
+def stamps_of(rows: Rows) -> IntArray:
+    """Return the stamps of messages with a header [ns], shape (n,)."""
+    return np.asarray(rows["header.stamp.sec"].astype(np.int64) * NS + rows["header.stamp.nanosec"])
+
+
+@dataclass(frozen=True)
+class Transforms:
+    """Transforms of one joint, n of them, in the order in which their scans were logged.
+
+    Attributes:
+        times_ns: Log times, shape (n,).
+        places: Their order among those of all joints in a block, shape (n,).
+        rows: The transforms, shape (n,).
+        stamps_ns: Their stamps, shape (n,).
+
+    """
+
+    times_ns: IntArray
+    places: IntArray
+    rows: Rows
+    stamps_ns: IntArray
+
+    @staticmethod
+    def of(times_ns: IntArray, places: IntArray, rows: Rows) -> Transforms:
+        """Return transforms with their stamps."""
+        return Transforms(times_ns, places, rows, stamps_of(rows))
+
+    @staticmethod
+    def none(layout: TableLayout) -> Transforms:
+        """Return no transforms."""
+        nothing = np.empty(0, dtype=np.int64)
+        return Transforms.of(nothing, nothing, layout.new(0))
+
+    @staticmethod
+    def joined(parts: Sequence[Transforms]) -> Transforms:
+        """Return transforms one after the other; there must be at least one part."""
+        if len(parts) == 1:
+            return parts[0]
+        return Transforms(
+            np.concatenate([part.times_ns for part in parts]),
+            np.concatenate([part.places for part in parts]),
+            np.concatenate([part.rows for part in parts], dtype=parts[0].rows.dtype),  # else it drops the gaps
+            np.concatenate([part.stamps_ns for part in parts]),
+        )
+
+    def chosen(self, which: BoolArray | IntArray | slice) -> Transforms:
+        """Return some of them."""
+        return Transforms(self.times_ns[which], self.places[which], self.rows[which], self.stamps_ns[which])
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self.stamps_ns)
