@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 POSE = 6
 _TURNS = 10
+UNKNOWN = 1e-2
+"""Standard uncertainty of a reference that says nothing of a pose's direction [m, rad], far from what readings tell."""
 _EXACT = 1e-10
 """A reference cannot be more certain than this [m, rad]: an atom's size."""
 _LEVER = np.array([1.0, 1.0, 1.0, 1.0 / LENGTH, 1.0 / LENGTH, 1.0 / LENGTH])
@@ -69,6 +71,7 @@ class BundleProblem:
         scales: Their standard uncertainty before the fit, (q,).
         prior: Their covariance before the fit, (q, q).
         per_scan: How many residuals each scan has; with a reference, one for each reading.
+        idle: How many residuals say nothing: one for each direction of a pose that the reference does not tell.
 
     """
 
@@ -110,6 +113,7 @@ class BundleProblem:
                 where="bundle",
                 expected="a reference of the poses, or a POSOR with redundant readings",
             )
+        self.idle = 0 if reference is None else int(np.count_nonzero(reference.sigmas >= UNKNOWN))
         # Of the prior of each pose: square root of its information in the scaled tangent, (n, 6, 6).
         self._prior = np.zeros((len(scans), POSE, POSE))
         if reference is not None:

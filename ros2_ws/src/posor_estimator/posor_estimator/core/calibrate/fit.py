@@ -72,7 +72,7 @@ class Fit:
         residuals: Normalised: each over its own standard uncertainty, (n,).
         weights: Weight of each residual under the loss, 1 for full weight, (n,).
         jacobian: d(normalised residual)/d(parameter), (n, p).
-        freedoms: Residuals less parameters; where the prior counts, as many as residuals.
+        freedoms: Residuals that are readings, less parameters; where the prior counts, as many as such residuals.
         spread: Root of chi-square over the freedoms: 1 if the stated uncertainties of the readings are right.
         across: Covariance of the estimates with the standard normal deviates of what was taken for known, (p, q).
 
@@ -163,6 +163,7 @@ def fit(
     jacobian: Callable[[FloatArray], FloatArray] | None = None,
     prior: bool | FloatArray = False,
     taken: FloatArray | None = None,
+    idle: int = 0,
     loss: Loss = "linear",
     trust_sigmas: bool = True,
     what: str = "the fit",
@@ -182,6 +183,7 @@ def fit(
         taken: What the residuals take for known though it is not quite: d(residual)/d(standard normal deviate of it),
             (n, q). It is found along with the parameters, begins at zero, and its uncertainty is in theirs (JCGM 102,
             6.2); the residuals are what it leaves.
+        idle: How many of the residuals are no readings, and zero whatever the data: they count for no freedom.
         loss: Robust where outliers are to be survived.
         trust_sigmas: Whether the stated uncertainties of the readings hold (JCGM 100, 4.3); if not, the covariance is
             scaled by what the residuals show (4.2).
@@ -232,10 +234,10 @@ def fit(
         # With outliers the residuals are not as stated: the sandwich (Huber 1981, 7.6) of their influences, these
         # enlarged for the parameters that were fitted to them.
         fitted = np.trace(inverse @ (every.T @ (slopes[:, None] * every)))
-        influences = np.abs(weights * normalised) * np.sqrt(count / max(count - fitted, 1.0))
+        influences = np.abs(weights * normalised) * np.sqrt((count - idle) / max(count - idle - fitted, 1.0))
         moved = np.vstack([influences[:, None] * every, known]) @ inverse
         inverse = moved.T @ moved
-    freedoms = count if len(before) else count - size
+    freedoms = count - idle if len(before) else count - idle - size
     squares = float(np.sum(weights * np.square(normalised)) + np.sum(np.square(known @ x)))
     spread = np.sqrt(squares / freedoms) if freedoms else 1.0
     grown = float(spread) if loss == "linear" and not trust_sigmas else 1.0
