@@ -102,7 +102,7 @@ class Told:
     @property
     def findings(self) -> Findings:
         """What was found, and whether it holds."""
-        many = [] if self.coverage is None else _of_many(self.coverage)
+        many = [] if self.coverage is None else findings_of_many(self.coverage)
         return Findings((*_of_one(self), *many))
 
 
@@ -204,7 +204,8 @@ def _each(values: FloatArray | Sequence[float], digits: int) -> str:
     return ", ".join(f"{freedom} {value:.{digits}f}" for freedom, value in zip(FREEDOMS, values, strict=True))
 
 
-def _of_many(coverage: Coverage) -> list[Finding]:
+def findings_of_many(coverage: Coverage) -> list[Finding]:
+    """Return what many campaigns say, and whether it holds."""
     name, low, high = coverage.name, *CLAIM
     pooled, poses = coverage.pooled, coverage.fresh_inside
     still, count = coverage.still_inside, coverage.campaigns
