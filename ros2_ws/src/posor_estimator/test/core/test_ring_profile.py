@@ -111,6 +111,7 @@ def test_references_tell_the_others(rng: np.random.Generator) -> None:
     names = tuple(f"{name} {k}" for k in ORDERS for name in ("cos", "sin"))
     assert np.max(np.abs(normalised(made, outcome, names))) < 4.0
     assert outcome.fits["ring_profile"].sigma("sin 36") < 0.02e-6
+    assert outcome.fits["ring_profile"].spread == pytest.approx(1.0, abs=0.08)
     assert not any("cannot be separated" in sentence for sentence in outcome.warnings)
 
 

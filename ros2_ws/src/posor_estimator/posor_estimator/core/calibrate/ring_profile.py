@@ -22,7 +22,7 @@ import numpy as np
 import pinocchio as pin
 from pydantic import Field
 
-from posor_estimator.core.calibrate.bundle_problem import BundleProblem, OutOfRangeError, PoseReference
+from posor_estimator.core.calibrate.bundle_problem import UNKNOWN, BundleProblem, OutOfRangeError, PoseReference
 from posor_estimator.core.calibrate.checks import check_alive, check_enough, check_spread
 from posor_estimator.core.calibrate.fit import UNTOLD, Fit, Loss, fit
 from posor_estimator.core.calibrate.parameters import the_sensor
@@ -46,8 +46,6 @@ if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray
 
 NAME = "ring_profile"
-UNKNOWN = 1e-2
-"""Standard uncertainty of what is not known of a pose [m, rad]: far more than the present profile leaves open."""
 PER_BUMP = 4
 """Scans to a bump, below which the profile's shape is not seen."""
 TOGETHER = 0.8
@@ -124,6 +122,7 @@ def find_ring_profile(recording: Recording, calibration: Calibration, options: R
             problem.scales,
             jacobian=problem.jacobian,
             prior=problem.prior,
+            idle=problem.idle,
             loss=options.loss,
             what=NAME,
         )
