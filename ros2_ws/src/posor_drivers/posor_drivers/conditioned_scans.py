@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from posor_estimator.errors import BagError, ParameterError, PosorError
@@ -14,7 +14,7 @@ from rclpy.serialization import deserialize_message
 
 from posor_drivers.conditioning import LEAST_SAMPLES, Average, average
 from posor_drivers.scan_groups import Group, ScanGroups, is_dark, stamp_of
-from posor_drivers.timeline import Due
+from posor_drivers.timeline import Due, Pause
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 CONTACTS = 4
 MOST_SAMPLES = 65_535
 """What the message can hold."""
+
+DueT = TypeVar("DueT", bound=Due | Pause)
+"""What a recorded source gives, and what a live one gives."""
 
 READINGS = (
     ("gap_voltages", "gap_voltage_spreads", 1),
@@ -71,7 +74,7 @@ class ConditioningParameters(ParameterGroup):
         return self.method == "none" and not self.subtract_dark
 
 
-def conditioned(dues: Iterator[Due], parameters: ConditioningParameters) -> Iterator[Due]:
+def conditioned(dues: Iterator[DueT], parameters: ConditioningParameters) -> Iterator[DueT | Due]:
     """Return what is to be published, several scans made one; everything else is passed on, in its place.
 
     A scan goes out with the last of those that it is made of, or with the one that shows that no more will come. One
@@ -85,19 +88,20 @@ def conditioned(dues: Iterator[Due], parameters: ConditioningParameters) -> Iter
     return dues if parameters.is_idle else _conditioned(dues, parameters)
 
 
-def _conditioned(dues: Iterator[Due], parameters: ConditioningParameters) -> Iterator[Due]:
+def _conditioned(dues: Iterator[DueT], parameters: ConditioningParameters) -> Iterator[DueT | Due]:
     groups = ScanGroups(parameters.samples, subtract_dark=parameters.subtract_dark)
     after_s, all_dark, count = 0.0, True, 0
     failure = None
     try:
         for due in dues:
-            if due.topic != RAW_TOPIC:
+            if isinstance(due, Pause) or due.topic != RAW_TOPIC:
                 yield due
                 continue
             scan, after_s = _decoded(due.content), due.after_s
             count, all_dark = count + 1, all_dark and is_dark(scan)
             for group in groups.take(scan):
-                yield Due(RAW_TOPIC, merged(group, parameters), after_s)
+                made = merged(group, parameters)
+                yield Due(RAW_TOPIC, made, after_s, stamp_of(made) if due.stamp_ns else 0)
     except PosorError as error:
         failure = error
     for group in groups.rest():

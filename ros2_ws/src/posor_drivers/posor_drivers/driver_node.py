@@ -8,6 +8,7 @@ means of several scans: whether a scan is any good is for the POSOR node to judg
 from __future__ import annotations
 
 import time
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from posor_estimator.ros.diagnostics import Level
@@ -16,24 +17,32 @@ from posor_estimator.ros.message_types import MessageTypes, message_class
 from posor_estimator.ros.node import PosorNode
 from posor_estimator.ros.parameters import help_text
 from posor_estimator.ros.qos import RAW_TOPIC, RELIABLE_QOS, sensor_qos
+from posor_estimator.ros.wire import Outlet
 from rclpy.duration import Duration
+from rclpy.serialization import serialize_message
 
 from posor_drivers.conditioned_scans import conditioned
-from posor_drivers.driver_parameters import DriverParameters, ReplayDriverParameters, parameters_for
+from posor_drivers.driver_parameters import (
+    DriverParameters,
+    LiveDriverParameters,
+    ReplayDriverParameters,
+    parameters_for,
+)
 from posor_drivers.live import Misses, live
+from posor_drivers.live_run import LiveRun
+from posor_drivers.pace import Pace
 from posor_drivers.replayer import Replayer, ReplayState
-from posor_drivers.ros_wait import RosWait
 from posor_drivers.source_inputs import SourceInputs
 from posor_drivers.sources.base import LiveSource, RecordedSource
 from posor_drivers.sources.registry import source_class, source_entries
-from posor_drivers.timeline import Due, timeline
+from posor_drivers.timeline import timeline
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from posor_estimator.ros.diagnostics import Status
-
+    from posor_drivers.ros_time import RosTime
     from posor_drivers.sources.base import Source
+    from posor_drivers.timeline import Due, Pause
 
 DELIVERY_S = 10.0
 """How long to wait, after the last message, for slow reliable subscribers before the program ends."""
@@ -49,18 +58,16 @@ class DriverNode(PosorNode[DriverParameters]):
     Parameters = ReplayDriverParameters
 
     _source: Source[Any]
-    _wait: RosWait
 
     def __init__(self, **options: Any) -> None:
         """Create the node; ``options`` go to rclpy."""
         super().__init__(**options)
         self._types = MessageTypes()
-        self._outputs: dict[str, Any] = {}
+        self._outputs: dict[str, Outlet] = {}
         self._counts: dict[str, int] = {}
         self._rated = (time.monotonic(), 0)
-        self._replayer: Replayer | None = None
-        self._misses, self._misses_told = Misses(), 0
-        self._pace: Status | None = None
+        self._run: Replayer | LiveRun | None = None
+        self._pace: Pace | None = None
         self._inputs = SourceInputs(self)
         self._status = self.diagnostics.add("source")
         self.diagnostics.before_each(self._refresh)
@@ -87,29 +94,34 @@ class DriverNode(PosorNode[DriverParameters]):
         self._classes = {topic.name: message_class(topic.type_name) for topic in topics}
         self._outputs = {topic.name: self._output(topic.name) for topic in topics}
         if isinstance(self._source, LiveSource):
-            self._pace = self._pace or self.diagnostics.add("pace")
+            self._pace = self._pace or Pace(self.diagnostics.add("pace"), self.get_logger())
             self._inputs.open(self._source.inputs())
         self._status.report(Level.OK, "ready", {"source": name, "record": self._source.record})
 
-    def _output(self, topic: str) -> Any:
-        return self.create_lifecycle_publisher(
-            self._classes[topic],
-            topic,
-            sensor_qos(self.parameters) if topic == RAW_TOPIC else RELIABLE_QOS,
-        )
+    def _output(self, topic: str) -> Outlet:
+        qos = sensor_qos(self.parameters) if topic == RAW_TOPIC else RELIABLE_QOS
+        return Outlet(self, self._classes[topic], topic, qos)
 
     def activate(self) -> None:
         """Begin the replay, or the scans of a live source."""
         self._counts = dict.fromkeys(self._outputs, 0)
         self._rated = (time.monotonic(), 0)
-        self._misses, self._misses_told = Misses(), 0
-        self._wait = RosWait(self.get_clock())
-        self._replayer = Replayer(self._dues, self._publish, self._has_listeners, self._on_state, self._wait.end)
-        self._replayer.start()
+        self._run = self._new_run()
+        self._run.start()
+
+    def _new_run(self) -> Replayer | LiveRun:
+        source, parameters = self._source, self.parameters
+        if isinstance(source, LiveSource) and isinstance(parameters, LiveDriverParameters) and self._pace is not None:
+            dues = partial(self._live, source, self._pace.restarted())
+            listened = self._has_listeners
+            run = LiveRun(self, source.rate, parameters.spin_us, dues, self._publish, listened, self._on_state)
+            self._pace.follow(run)
+            return run
+        return Replayer(self._recorded, self._publish, self._has_listeners, self._on_state)
 
     def deactivate(self) -> None:
         """End it."""
-        if self._replayer is not None and self._replayer.stop():
+        if self._run is not None and self._run.stop():
             self._status.report(Level.OK, "stopped")
 
     def cleanup(self) -> None:
@@ -117,23 +129,26 @@ class DriverNode(PosorNode[DriverParameters]):
         self._inputs.close()
         self._source.close()
         for output in self._outputs.values():
-            self.destroy_lifecycle_publisher(output)
+            output.destroy()
         self._outputs = {}
 
-    def _dues(self) -> Iterator[Due]:
+    def _recorded(self) -> Iterator[Due]:
         parameters, source = self.parameters, self._source
-        if isinstance(parameters, ReplayDriverParameters) and isinstance(source, RecordedSource):
-            dues = timeline(source, self._classes, parameters, self._wait.now_ns)
-        elif isinstance(source, LiveSource):
-            dues = live(source, self._wait, self._misses)
-        return conditioned(dues, parameters.conditioning)
+        if not (isinstance(parameters, ReplayDriverParameters) and isinstance(source, RecordedSource)):
+            message = f"source '{parameters.source}' is neither live nor recorded"
+            raise TypeError(message)
+        now_ns = self.get_clock().now().nanoseconds
+        return conditioned(timeline(source, self._classes, parameters, now_ns), parameters.conditioning)
+
+    def _live(self, source: LiveSource[Any], misses: Misses, time: RosTime) -> Iterator[Due | Pause]:
+        return conditioned(live(source, time, misses), self.parameters.conditioning)
 
     def _has_listeners(self) -> bool:
         missing = []
         for name, output in self._outputs.items():
             scans = name == RAW_TOPIC
             wanted = self.parameters.wait_for_subscribers if scans else self.parameters.wait_for_other_subscribers
-            if (count := output.get_subscription_count()) < wanted:
+            if (count := output.count) < wanted:
                 missing.append(f"{output.topic_name} ({count} of {wanted})")
         if missing:
             self._status.report(Level.OK, "waiting for subscriptions to " + ", ".join(missing))
@@ -141,22 +156,29 @@ class DriverNode(PosorNode[DriverParameters]):
 
     def _publish(self, due: Due) -> None:
         """Publish one message; where everything is kept, a full history means that a subscriber makes us wait."""
+        topic, data = due.topic, due.content
+        if not isinstance(data, bytes):
+            data = serialize_message(data)
+        output = self._outputs[topic]
+        output.hand_on(data)
         while not self._stopping:
             try:
-                self._outputs[due.topic].publish(due.content)
+                output.send(data)
             except RuntimeError:
                 if self.parameters.qos_depth:
                     raise
             else:
-                self._counts[due.topic] += 1
+                self._counts[topic] += 1
+                if topic == RAW_TOPIC:
+                    self.timing.note(due.stamp_ns)
                 return
 
     @property
     def _stopping(self) -> bool:
-        return self._replayer is not None and self._replayer.stopping
+        return self._run is not None and self._run.stopping
 
     def _on_state(self, state: ReplayState, error: Exception | None) -> None:
-        """Report what the replay does, and end the program with it. Runs in the replay's thread."""
+        """Report what the replay does, and end the program with it. Not in the executor's thread."""
         if state is ReplayState.RUNNING:
             self._status.report(Level.OK, "running")
         elif state in (ReplayState.ENDED, ReplayState.FAILED):
@@ -187,10 +209,10 @@ class DriverNode(PosorNode[DriverParameters]):
         messages = sum(self._counts.values())
         self._status.update({"scans_published": count, "messages_published": messages, "scans_per_second": rate})
         if self._pace is not None:
-            count = self._misses.count
-            level, message = (Level.WARN, "late") if count > self._misses_told else (Level.OK, "in time")
-            self._pace.report(level, message, {"ticks_missed": count})
-            self._misses_told = count
+            self._pace.report()
+        if isinstance(self._run, LiveRun) and self._run.clock_has_changed and self._run.stop():
+            self._run = self._new_run()
+            self._run.start()
 
 
 def main() -> int:

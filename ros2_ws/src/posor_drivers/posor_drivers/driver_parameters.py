@@ -33,6 +33,14 @@ class DriverParameters(NodeParameters):
     conditioning: ConditioningParameters = ConditioningParameters()
 
 
+class LiveDriverParameters(DriverParameters):
+    """What a driver has whose source is live."""
+
+    spin_us: Annotated[int, Field(ge=0, le=1000)] = Field(
+        default=50, description="look at the clock instead of sleeping for this long before each tick [us]; 0: never"
+    )
+
+
 class ReplayDriverParameters(DriverParameters, ReplayParameters):
     """What a driver has whose source is recorded: the pace of the replay. A live source has its own."""
 
@@ -58,4 +66,4 @@ def parameters_for(overrides: Mapping[str, object]) -> type[DriverParameters]:
                 where=f"parameter '{pace}'",
                 expected="a recorded source, or none of the parameters of a replay",
             )
-    return create_model("DriverParameters", __base__=DriverParameters, **{name: group})
+    return create_model("DriverParameters", __base__=LiveDriverParameters, **{name: group})

@@ -38,7 +38,6 @@ class Replayer:
         publish: Callable[[Due], None],
         may_start: Callable[[], bool],
         on_state: Callable[[ReplayState, Exception | None], None],
-        wake: Callable[[], None] = lambda: None,
     ) -> None:
         """Prepare a replay.
 
@@ -47,14 +46,12 @@ class Replayer:
             publish: Publishes one message.
             may_start: Whether enough listeners are there; asked until it is so.
             on_state: Told of each new state, in the replay's thread; with the error when it failed.
-            wake: Called to stop: makes a timeline end that waits by itself.
 
         """
         self._dues = dues
         self._publish = publish
         self._may_start = may_start
         self._report = on_state
-        self._wake = wake
         self._state = ReplayState.WAITING
         self._stop = Event()
         self._thread = Thread(target=self._run, name="replay")
@@ -71,7 +68,6 @@ class Replayer:
     def stop(self) -> bool:
         """Stop after the message in hand and wait for the thread; return whether there was anything left to do."""
         self._stop.set()
-        self._wake()
         self._thread.join()
         return self._state not in (ReplayState.ENDED, ReplayState.FAILED)
 
@@ -91,8 +87,6 @@ class Replayer:
                 if self._stop.wait(max(0.0, begin + due.after_s - time.monotonic())):
                     return
                 self._publish(due)
-            if self._stop.is_set():
-                return
         except Exception as error:  # noqa: BLE001  it ends the program, from the main thread
             self._enter(ReplayState.FAILED, error)
         else:

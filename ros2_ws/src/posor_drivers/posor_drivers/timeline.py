@@ -47,7 +47,7 @@ class ReplayParameters(NodeParameters):
         return self
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Due:
     """What to publish on a topic, and when."""
 
@@ -55,7 +55,16 @@ class Due:
     content: Any
     """Recorded bytes, or a message where its stamp had to change."""
     after_s: float
-    """Since the beginning of the replay [s]; 0 where it is as fast as possible."""
+    """Since the beginning of the replay [s]; 0 where it is as fast as possible, and for a live source."""
+    stamp_ns: int = 0
+    """Stamp of the scan that it belongs to [ns]; 0 where that is not of the present."""
+
+
+@dataclass(slots=True)
+class Pause:
+    """Nothing to publish before a ROS time [ns]."""
+
+    until_ns: int
 
 
 def timeline(

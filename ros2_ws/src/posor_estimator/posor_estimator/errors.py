@@ -78,6 +78,10 @@ class NodeError(PosorError):
         self.exit_code = error.exit_code
 
 
+class SystemRefusal(PosorError):
+    """The operating system refuses what a process asks for: a priority, processors, memory."""
+
+
 class ChainError(PosorError):
     """The kinematic chain (URDF, frames) does not fit the POSORs that should measure it."""
 

@@ -92,8 +92,14 @@ class RecordedSource(Source[ParametersT]):
 class LiveSource(Source[ParametersT]):
     """A source whose scans happen at ticks of the ROS clock, and which has none before.
 
-    Ticks are whole numbers; each has a time at which its scan is due to be published.
+    Ticks are whole numbers; each has a time at which its scan is due to be published. All methods but ``inputs`` are
+    called in one thread, which drivers of the same rate share: a source that takes its time makes the others late.
     """
+
+    @property
+    @abstractmethod
+    def rate(self) -> float:
+        """Ticks per second, once the source is open."""
 
     @abstractmethod
     def inputs(self) -> Sequence[Input]:

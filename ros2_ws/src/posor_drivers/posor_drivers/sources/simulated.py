@@ -110,14 +110,15 @@ class SimulatedSource(LiveSource[SimulatedParameters]):
             self._stage.command(np.array([vector.x, vector.y, vector.z]), header.frame_id, stamp_ns, now_ns)
 
     @property
-    def _rate(self) -> int:
+    def rate(self) -> int:
+        """The scenario's rate [Hz]."""
         return self._simulation.scenario.ticks_per_second
 
     def begin(self, now_ns: int) -> tuple[int, int | None]:
         """Begin with the next tick; end with a cycle, so that the drivers of an arm end alike."""
         if self._stage is not None:
             self._stage.restart()
-        first = first_tick_after(now_ns, self._rate)
+        first = first_tick_after(now_ns, self.rate)
         if not self.parameters.cycles:
             return first, None
         length = self._simulation.scenario.cycle_ticks
@@ -126,20 +127,20 @@ class SimulatedSource(LiveSource[SimulatedParameters]):
 
     def newest(self, now_ns: int) -> int:
         """Return the newest tick that has happened."""
-        return first_tick_after(now_ns, self._rate) - 1
+        return first_tick_after(now_ns, self.rate) - 1
 
     def due_ns(self, tick: int) -> int:
         """Return when the scan of a tick is published."""
         known, due_ns = self._latest
         if tick != known:
             latency_ns = self._simulation.latency_ns(self.parameters.joint, tick)
-            due_ns = stamp_of(tick, self._rate) + latency_ns
+            due_ns = stamp_of(tick, self.rate) + latency_ns
             self._latest = (tick, due_ns)
         return due_ns
 
     def messages(self, tick: int) -> Iterator[SourceMessage]:
         """Yield scan and truth of a tick."""
-        joint, ticks, stamp_ns = self.parameters.joint, np.array([tick]), stamp_of(tick, self._rate)
+        joint, ticks, stamp_ns = self.parameters.joint, np.array([tick]), stamp_of(tick, self.rate)
         position = None if self._stage is None else self._stage.position_at(stamp_ns)
         truth = self._simulation.truth(ticks, None if position is None else position[None, :])
         scans = self._simulation.scans(joint, ticks, truth)

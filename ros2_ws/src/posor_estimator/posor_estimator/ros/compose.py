@@ -19,6 +19,7 @@ compose FILE: Runs the nodes of a composition file in one process.
 
   format: posor_composition
   version: 1
+  realtime: {{priority: 0, cpus: [], lock_memory: false, required: false}}
   nodes:
     - node: chain_node              # one of {nodes}
       namespace: /arm               # default: /
@@ -47,7 +48,7 @@ def _compose(arguments: Sequence[str]) -> None:
                 f"{len(own)} arguments", where="compose", expected="one, the path of a composition file"
             )
         composition = load_composition(Path(own[0]))
-        with Nodes() as nodes:
+        with Nodes(composition.realtime) as nodes:
             for entry in composition.nodes:
                 nodes.add(entry.create())
             nodes.run(lambda: stop.requested)

@@ -2,7 +2,7 @@
 
 Versions of the format:
 
-1. First version: ``nodes``, each with ``node``, ``name``, ``namespace``, ``parameters``, ``remappings``.
+1. First version: ``realtime``; ``nodes``, each with ``node``, ``name``, ``namespace``, ``parameters``, ``remappings``.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from posor_estimator.core.calibration.entry import EntryError, shown
 from posor_estimator.core.calibration.load import load_document
 from posor_estimator.core.calibration.part import FrozenModel
+from posor_estimator.ros.parameters import RealtimeParameters
 from posor_estimator.ros.registry import node_class, node_entries
 
 if TYPE_CHECKING:
@@ -119,6 +120,7 @@ class Composition(FrozenModel):
 
     format: Literal["posor_composition"]
     version: Literal[1]
+    realtime: RealtimeParameters = RealtimeParameters()
     nodes: Annotated[list[NodeEntry], Field(min_length=1)]
 
     @model_validator(mode="after")

@@ -13,6 +13,10 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args, try_shutdown
 
 from posor_estimator.errors import NodeError, ParameterError, PosorError
+from posor_estimator.ros.parameters import RealtimeParameters
+from posor_estimator.ros.process import STATUS as PROCESS
+from posor_estimator.ros.process import ProcessHealth, settle
+from posor_estimator.ros.realtime import ask_for
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -91,7 +95,7 @@ def _not_understood(error: RuntimeError) -> ParameterError:
 
 
 @contextmanager
-def executor_of(nodes: Sequence[Node]) -> Iterator[EventsExecutor]:
+def executor_of(nodes: Sequence[Node]) -> Iterator[Any]:
     """Yield an executor of the nodes; it forgets those that it still has in the end."""
     executor = EventsExecutor()
     for node in nodes:
@@ -114,9 +118,16 @@ def spin(node: Node, done: Callable[[], bool]) -> None:
 class Nodes:
     """The nodes of this process; leaving the ``with`` block stops them, the last one first."""
 
-    def __init__(self) -> None:
-        """Have none yet."""
+    def __init__(self, realtime: RealtimeParameters | None = None) -> None:
+        """Have none yet.
+
+        Args:
+            realtime: What the process asks of the system; None: what its only node's parameters say.
+
+        """
+        self._realtime = realtime
         self._nodes: list[PosorNode[Any]] = []
+        self._health: ProcessHealth | None = None
 
     def __enter__(self) -> Self:
         """Return itself."""
@@ -128,10 +139,23 @@ class Nodes:
         """Stop all nodes."""
         while self._nodes:
             self._nodes.pop().stop()
+        if self._health is not None:
+            self._health.close()
 
     def add(self, node: PosorNode[Any]) -> None:
-        """Take a node into the process."""
+        """Take a node into the process.
+
+        Raises:
+            ParameterError: It asks for itself what is the process's to ask.
+
+        """
         self._nodes.append(node)
+        if self._realtime is not None and node.parameters.realtime != RealtimeParameters():
+            raise ParameterError(
+                "parameters 'realtime.*' are of the whole process",
+                where=f"node {node.get_fully_qualified_name()}",
+                expected="them under the key 'realtime' of the composition file",
+            )
 
     def run(self, stop: Callable[[], bool]) -> None:
         """Start the nodes in the order in which they were added, and execute them until ``stop()``.
@@ -142,21 +166,33 @@ class Nodes:
         Raises:
             NodeError: One of several nodes cannot start, or has failed; names it.
             PosorError: The only one cannot start, or has failed.
+            SystemRefusal: The system refuses what is required of it.
 
         """
         several = len(self._nodes) > 1
+        self._watch_process()
         with executor_of(self._nodes) as executor:
             for node in self._nodes:
                 with _named(node, several=several):
                     node.start()
+            settle()
             while self._nodes and not stop():
                 executor.spin_once(timeout_sec=WAKE_S)
                 for node in [node for node in self._nodes if node.exit_requested]:
                     executor.remove_node(node)
                     self._nodes.remove(node)
-                    node.stop()
                     with _named(node, several=several):
+                        node.stop()
                         node.raise_failure()
+
+    def _watch_process(self) -> None:
+        """Ask the system for what is wanted, and have the first node tell what became of it."""
+        first = self._nodes[0]
+        refusals = ask_for(first.parameters.realtime if self._realtime is None else self._realtime)
+        for refusal in refusals:
+            first.get_logger().warning(str(refusal))
+        self._health = ProcessHealth(first.diagnostics.add(PROCESS), refusals, lambda: first.parameters.limits)
+        first.diagnostics.before_each(self._health.report)
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args, get_origin
 
 import annotated_types
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 from pydantic_core import PydanticUndefined
 
 from posor_estimator.errors import ParameterError
@@ -48,6 +48,38 @@ class LimitParameters(ParameterGroup):
         default=math.inf,
         description="warn where the time between two publications was off its mean by more than this [s]; .inf: never",
     )
+    pause: _Limit = Field(
+        default=math.inf,
+        description="warn where the garbage collector held the process up for longer than this [s]; .inf: never",
+    )
+
+
+class RealtimeParameters(ParameterGroup):
+    """What the whole process asks of the operating system, for all of its threads."""
+
+    priority: Annotated[int, Field(ge=0, le=99)] = Field(
+        default=0, description="real-time priority (SCHED_FIFO) of the process; 0: none, share as everybody does"
+    )
+    cpus: tuple[int, ...] = Field(
+        default=(), description="processors that the process may run on, counted from 0; empty: all"
+    )
+    lock_memory: bool = Field(default=False, description="keep all memory of the process from being swapped out")
+    required: bool = Field(
+        default=False, description="do not start if the system refuses any of this; false: warn in the diagnostics"
+    )
+
+    @field_validator("cpus", mode="before")
+    @classmethod
+    def _tuple(cls, cpus: object) -> object:
+        return tuple(cpus) if isinstance(cpus, list) else cpus
+
+    @field_validator("cpus")
+    @classmethod
+    def _not_negative(cls, cpus: tuple[int, ...]) -> tuple[int, ...]:
+        if any(cpu < 0 for cpu in cpus):
+            message = f"{list(cpus)} is wrong; expected numbers of processors, at least 0"
+            raise ValueError(message)
+        return cpus
 
 
 class NodeParameters(ParameterGroup):
@@ -66,6 +98,7 @@ class NodeParameters(ParameterGroup):
         default=10, description="history depth of the sensor topics in messages; 0: keep all, for replays without loss"
     )
     limits: LimitParameters = LimitParameters()
+    realtime: RealtimeParameters = RealtimeParameters()
 
 
 ParametersT = TypeVar("ParametersT", bound=NodeParameters)

@@ -1,0 +1,155 @@
+"""Drives live drivers in turn: one thread of the process for all that have the same rate."""
+
+from __future__ import annotations
+
+from threading import Lock, Thread
+from typing import TYPE_CHECKING
+
+from posor_estimator.ros.moments import Moments
+
+from posor_drivers.ros_time import RosTime, SimulatedTime, WallTime, is_simulated, wake_exactly
+from posor_drivers.timeline import Pause
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Hashable, Iterator
+
+    from rclpy.clock import Clock
+
+    from posor_drivers.timeline import Due
+
+
+class Beat:
+    """One driver's part in a ticker.
+
+    Attributes:
+        due_ns: When it is to go on [ns].
+        late: When its ticks were due, and when it came to them.
+        time: The ROS time that it follows.
+
+    """
+
+    def __init__(
+        self,
+        time: RosTime,
+        dues: Iterator[Due | Pause],
+        publish: Callable[[Due], None],
+        on_end: Callable[[Exception | None], None],
+    ) -> None:
+        """Go on with the first tick.
+
+        Args:
+            time: The ROS time that ``dues`` follows.
+            dues: What to publish, with pauses until the next is due.
+            publish: Publishes one message.
+            on_end: Told in the ticker's thread that there is no more, with the error if that is why.
+
+        """
+        self.due_ns = 0
+        self.late = Moments() if isinstance(time, WallTime) else Moments(lambda: time.now_ns)
+        self.time = time
+        self._epoch = time.epoch
+        self._dues = dues
+        self._publish = publish
+        self._on_end = on_end
+        self._lock = Lock()
+        self._ended = False
+
+    def go_on(self, now_ns: int) -> bool:
+        """Publish what is due, if anything is; return whether more is to come."""
+        with self._lock:
+            if self._ended:
+                return False
+            if now_ns < self.due_ns and self._epoch == self.time.epoch:
+                return True
+            self._epoch = self.time.epoch
+            if now_ns >= self.due_ns > 1:
+                self.late.note(self.due_ns)
+            try:
+                for due in self._dues:
+                    if isinstance(due, Pause):
+                        self.due_ns = due.until_ns
+                        return True
+                    self._publish(due)
+            except Exception as error:  # noqa: BLE001  it ends the program, from the main thread
+                failure: Exception | None = error
+            else:
+                failure = None
+            self._ended = True
+        self._on_end(failure)
+        return False
+
+    def end(self) -> bool:
+        """Go on no more, and wait for what it is about to do; return whether there was anything left to do."""
+        with self._lock:
+            was_left, self._ended = not self._ended, True
+        return was_left
+
+
+class Ticker:
+    """A thread that lets each of its drivers go on when that is due, in the order in which they came."""
+
+    def __init__(self, key: Hashable, time: RosTime) -> None:
+        """Wait for the first."""
+        self.time = time
+        self._key = key
+        self._beats: tuple[Beat, ...] = ()
+        self._thread = Thread(target=self._run, name="ticks", daemon=True)
+
+    @classmethod
+    def joined(cls, clock: Clock, rate: float, spin_ns: int, beat: Callable[[RosTime], Beat]) -> tuple[Ticker, Beat]:
+        """Let a driver take part in this process's ticker of its rate from now on; return both.
+
+        Args:
+            clock: The driver's clock; each simulated one has a ticker of its own.
+            rate: Ticks per second; only drivers of the same rate share a thread.
+            spin_ns: See ``WallTime``; where drivers share a thread, the longest.
+            beat: Makes the driver's part.
+
+        """
+        simulated = is_simulated(clock)
+        key = (rate, clock if simulated else None)
+        with _lock:
+            if key not in _tickers:
+                _tickers[key] = cls(key, SimulatedTime(clock) if simulated else WallTime(spin_ns))
+            ticker = _tickers[key]
+            if isinstance(ticker.time, WallTime):
+                ticker.time.spin_ns = max(spin_ns, ticker.time.spin_ns)
+            made = beat(ticker.time)
+            ticker.add(made)
+        return ticker, made
+
+    def add(self, beat: Beat) -> None:
+        """Let a driver take part from now on; called by ``joined``."""
+        self._beats = (*self._beats, beat)
+        if len(self._beats) == 1:
+            self._thread.start()
+        self.time.wake()
+
+    def remove(self, beat: Beat) -> None:
+        """Let a driver take part no more; the thread ends with the last one, and has then ended."""
+        if self._is_over_without(beat):
+            self.time.wake()
+            self._thread.join()
+
+    def _is_over_without(self, beat: Beat) -> bool:
+        with _lock:
+            self._beats = tuple(other for other in self._beats if other is not beat)
+            if self._beats or _tickers.get(self._key) is not self:
+                return False
+            del _tickers[self._key]
+            return True
+
+    def _run(self) -> None:
+        wake_exactly()
+        time = self.time
+        while beats := self._beats:
+            time.wait(min([beat.due_ns for beat in beats]))
+            now_ns = time.now_ns
+            for beat in beats:
+                if not beat.go_on(now_ns):
+                    self._is_over_without(beat)
+        time.close()
+
+
+_tickers: dict[Hashable, Ticker] = {}
+_lock = Lock()
