@@ -84,6 +84,7 @@ def test_bags_through_the_command_line_give_what_recordings_in_memory_give(
         assert np.allclose([n.sigma for n in numbers], [n.sigma for n in expected], rtol=1e-6)
         assert (tmp_path / f"{one.step.name}.txt").read_text(encoding="utf-8").strip()
     record = done[0].calibration.fits[0]
+    assert record.method == "polynomials through 25 stops, order 4 as asked (thesis 7.5.1)"
     assert record.instruments[0].name == "interferometer"
     assert record.instruments[0].sigmas == [INTERFEROMETER]
     assert len(record.recording.sha256) == 64

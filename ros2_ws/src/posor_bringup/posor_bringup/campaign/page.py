@@ -118,13 +118,20 @@ def _parameter_table(told: Told) -> str:
         off = f'<td class="{"holds" if number.inside else "fails"}">{number.pull:+.2f}</td>'
         rows.append(
             [
-                *cells([number.name, before, unsure, f"{number.estimate:.8g}", f"{number.sigma:.2g}", number.unit]),
-                *cells([f"{number.truth:.8g}"]),
+                *cells([number.name, before, unsure, _shown(number.estimate, number.sigma), f"{number.sigma:.2g}"]),
+                *cells([number.unit, _shown(number.truth, number.sigma)]),
                 off,
                 *cells([number.procedure]),
             ]
         )
-    return table(header, rows)
+    told_by = "<p>Method, date, bag and instrument of each procedure stand below, with its fits.</p>"
+    return told_by + table(header, rows)
+
+
+def _shown(value: float, sigma: float) -> str:
+    """Return a number to the second digit of its standard uncertainty."""
+    digits = int(np.floor(np.log10(max(abs(value), sigma))) - np.floor(np.log10(sigma))) + 2
+    return f"{value:.{digits}g}"
 
 
 def _fit_table(told: Told) -> str:

@@ -75,7 +75,7 @@ def run(recording: Recording, calibration: Calibration, options: GapLinearisatio
         for probe in OneProbe.all_of(calibration)
     ]
     return Outcome(
-        method=f"polynomials through {len(stops)} stops, order by {options.criterion} (thesis 7.5.1)",
+        method=f"polynomials through {len(stops)} stops, {_order(options)} (thesis 7.5.1)",
         fits={one.probe.name: one.chosen.fit for one in probes},
         replacements=tuple(new for one in probes for new in _replacements(one, stops, options)),
         covariances=tuple(
@@ -93,6 +93,10 @@ def run(recording: Recording, calibration: Calibration, options: GapLinearisatio
         warnings=(*stops.warnings, *(sentence for one in probes for sentence in one.warnings)),
         figures=tuple(_figure(one) for one in probes),
     )
+
+
+def _order(options: GapLinearisationOptions) -> str:
+    return f"order {options.order} as asked" if options.order else f"order by {options.criterion}"
 
 
 def linearised(probe: OneProbe, data: GapData, options: GapLinearisationOptions) -> LinearisedProbe:
