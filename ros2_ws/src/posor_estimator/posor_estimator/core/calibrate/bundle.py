@@ -111,8 +111,9 @@ def solve(recording: Recording, calibration: Calibration, options: BundleOptions
     """
     if calibration.tilt_angle is not TiltAngle.THIS_SCAN:
         raise FitError(
-            f"calibration '{calibration.name}' turns tilts by the angle of the scan before, which no fit can follow",
-            where=NAME,
+            "its tilts turn by theta of the scan before (tilt_angle previous_scan), which bundle and check cannot "
+            "follow, since they take each scan by itself; zero_drift and target_plane can",
+            where=f"calibration '{calibration.name}'",
             expected="tilt_angle this_scan",
         )
     recording = recording.without(PROBES_ESTIMATED | DIODES_ESTIMATED | SATURATED)

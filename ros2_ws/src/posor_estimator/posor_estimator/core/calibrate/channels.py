@@ -18,7 +18,7 @@ KINDS = ("gap_voltages", "ring_voltages", "diode_currents")
 CONTACTS = "ABCD"
 LONG = 20
 """Scans with the same reading to the last digit, after each other: noise does not do that."""
-LIVELY = 0.5
+LIVELY = 0.2
 """Share of scans from which on a neighbour's reading changes: then there is noise that the converter sees."""
 
 

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
 LONGEST_LAG, LARGEST_LAG, LAGS = 0.2, 5.0, 201
 """Share of a recording, and time [s], up to which a clock may be off to be told; so many lags are tried."""
+SMALLEST_MISFIT = 1e-6
+"""Of the reference's travel: a smaller misfit may come from rounding."""
 MUCH_BETTER = 3.0
 """So many times smaller is the misfit at the right lag of a reference that is off."""
 
@@ -42,7 +44,8 @@ def check_clock(stamps_ns: IntArray, measured: FloatArray, reference: FloatArray
         shifted = np.interp(seconds[inside] + lag, seconds, reference)
         misfits.append(float(np.sqrt(np.linalg.lstsq(known, shifted, rcond=None)[1].sum())))
     best = int(np.argmin(misfits[1:]))
-    if misfits[1 + best] * MUCH_BETTER < misfits[0]:
+    noticed = SMALLEST_MISFIT * float(np.ptp(reference)) * float(np.sqrt(inside.sum()))
+    if misfits[0] > noticed and misfits[1 + best] * MUCH_BETTER < misfits[0]:
         raise TrackError(
             f"moves as the readings do about {abs(lags[best]):.2g} s {'later' if lags[best] > 0.0 else 'earlier'}",
             where=source,

@@ -220,8 +220,8 @@ def _outcome(found: Fit, model: _Model, part: DiodesCalibration, sensor: int, ta
     travel = float(np.ptp(model.spots.stops.reference[:, 2]))
     thetas = "two turns of the target" if model.turned() else "one position of the target"
     return Outcome(
-        method=f"spots of {len(model.sources)} sources at {len(model.spots.stops)} stops along {travel:.3g} m of Z, at {thetas} "
-        "(thesis equations 7.5 to 7.8, by least squares)",
+        method=f"spots of {len(model.sources)} sources at {len(model.spots.stops)} stops along {travel:.3g} m of Z, "
+        f"at {thetas} (thesis equations 7.5 to 7.8, by least squares)",
         fits={NAME: found},
         replacements=tuple(replacements),
         covariances=(taken.joint(entries, found),),
