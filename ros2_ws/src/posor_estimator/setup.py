@@ -41,6 +41,7 @@ setup(
             "calibrate = posor_estimator.calibrate.command:main",
             "golden = posor_estimator.golden:main",
             "accuracy = posor_estimator.accuracy.report:main",
+            "reprocess = posor_estimator.reprocess.command:main",
             "bench_core = posor_estimator.accuracy.bench_core:main",
         ],
         "posor_estimator.nodes": [
