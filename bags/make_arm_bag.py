@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pinocchio as pin
 from posor_bringup.arm_offline import endpoints
 from posor_bringup.arms import checked_arm
 from posor_drivers.bag_writer import replacement
@@ -54,7 +55,7 @@ class ArmBag:
             joint: [deserialize_message(message.data, RawScan) for message in messages.values()]
             for joint, messages in self._scans.items()
         }
-        self._endpoints = dict(endpoints(arm, scans))
+        self._endpoints = {time_ns: pin.XYZQUATToSE3(pose) for time_ns, pose, _ in endpoints(arm, scans)}
 
     def _raw(self, joint: str) -> dict[int, SourceMessage]:
         """Return the scans of a joint that are sent, by their stamps."""
@@ -76,7 +77,7 @@ class ArmBag:
             time_ns = stamp_of(tick, self._rate)
             yield from (messages[time_ns] for messages in self._scans.values() if time_ns in messages)
             if time_ns in self._endpoints:
-                pose = self._endpoints[time_ns].T_base_endpoint
+                pose = self._endpoints[time_ns]
                 yield self._make.pose(self._measured_topic, time_ns, self._simulation.chain.base_frame, pose)
             yield from self._make.arm_truth(time_ns, truth, n)
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import Point, Pose, Quaternion
 from posor_bringup.collector import Collector
 from posor_bringup.installed import JOINT, bag_path, calibration_path, urdf_path
 from posor_bringup.replay import Replay, ReplayPlan
@@ -16,7 +17,7 @@ from posor_estimator.core.chain import Chain
 from posor_estimator.core.posor import Posor
 from posor_estimator.ros.domain import leased_domain
 from posor_estimator.ros.main import ros
-from posor_estimator.ros.messages import is_usable, measured_joint, pose_message, scan_from_message, transform_message
+from posor_estimator.ros.messages import is_usable, scan_from_message, transform_message
 from posor_msgs.msg import JointTransform, RawScan
 from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from geometry_msgs.msg import Pose
     from posor_bringup.expectations import Bag, CalibrationName
 
 
@@ -80,13 +80,17 @@ def located(plan: ReplayPlan, raw: Sequence[bytes]) -> list[JointTransform]:
 
 def placed(plan: ReplayPlan, transforms: Sequence[JointTransform]) -> list[Pose]:
     """Return the endpoint's poses that the core gives for the usable ones of ``transforms``."""
-    chain = Chain(plan.urdf.read_text(encoding="utf-8"), "endpoint")
-    joint = chain.joints[0].name
-    return [
-        pose_message(chain.endpoint({joint: measured_joint(transform)}).T_base_endpoint)
-        for transform in transforms
-        if is_usable(transform)
-    ]
+    lane = Chain(plan.urdf.read_text(encoding="utf-8"), "endpoint").lane()
+    poses = []
+    for transform in filter(is_usable, transforms):
+        at, turn = transform.pose.position, transform.pose.orientation
+        lane.poses[0] = at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w
+        lane.run()
+        x, y, z, *quaternion = lane.pose.tolist()
+        pose = Pose(position=Point(x=x, y=y, z=z))
+        pose.orientation = Quaternion(**dict(zip("xyzw", quaternion, strict=True)))
+        poses.append(pose)
+    return poses
 
 
 def bits(message: Any) -> object:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
 from posor_estimator.chain_node import ChainParameters
-from posor_estimator.core.beam_motion import MovingChain
 from posor_estimator.core.posor import Posor
-from posor_estimator.ros.messages import is_usable, measured_joint, scan_from_message, stamp_ns, transform_message
+from posor_estimator.ros.messages import is_usable, scan_from_message, stamp_ns, transform_message
 from posor_estimator.ros.parameters import validate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from posor_estimator.core.arm import Arm
-    from posor_estimator.core.chain import Endpoint
+    from posor_estimator.core.types import FloatArray
     from posor_msgs.msg import JointTransform, RawScan
 
 
@@ -33,8 +33,8 @@ def transforms(arm: Arm, joint: str, scans: Sequence[RawScan]) -> list[JointTran
     ]
 
 
-def endpoints(arm: Arm, scans: Mapping[str, Sequence[RawScan]]) -> Iterator[tuple[int, Endpoint]]:
-    """Yield time [ns] and endpoint of every scan for which a chain_node has a pose, in order.
+def endpoints(arm: Arm, scans: Mapping[str, Sequence[RawScan]]) -> Iterator[tuple[int, FloatArray, FloatArray]]:
+    """Yield time [ns], pose (7,) and covariance (6, 6) of every scan for which a chain_node has an endpoint, in order.
 
     Args:
         arm: The arm.
@@ -48,7 +48,7 @@ def endpoints(arm: Arm, scans: Mapping[str, Sequence[RawScan]]) -> Iterator[tupl
     """
     chain = arm.chain()
     told = validate(ChainParameters, {"urdf": str(arm.urdf), **arm.chain_parameters}, node="chain_node")
-    moving = MovingChain(chain, told.acceleration_window)
+    lane = chain.lane(told.acceleration_window)
     located = {
         joint.name: {stamp_ns(message): message for message in transforms(arm, joint.name, scans[joint.name])}
         for joint in chain.joints
@@ -56,5 +56,9 @@ def endpoints(arm: Arm, scans: Mapping[str, Sequence[RawScan]]) -> Iterator[tupl
     for time_ns in sorted(set.intersection(*(set(messages) for messages in located.values()))):
         scan = {name: messages[time_ns] for name, messages in located.items()}
         if all(map(is_usable, scan.values())):
-            measured = {name: measured_joint(message) for name, message in scan.items()}
-            yield time_ns, moving.endpoint(time_ns, measured)
+            for number, name in enumerate(lane.joints):
+                at, turn = scan[name].pose.position, scan[name].pose.orientation
+                lane.poses[number] = at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w
+                lane.covariances[number] = np.reshape(scan[name].covariance, (6, 6))
+            lane.run(time_ns)
+            yield time_ns, lane.pose.copy(), lane.covariance.copy()

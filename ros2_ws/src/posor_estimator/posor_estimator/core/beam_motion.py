@@ -9,9 +9,6 @@ import numpy as np
 from posor_estimator.core.kernels import chain_motion as kernel
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from posor_estimator.core.chain import Chain, Endpoint, MeasuredJoint
     from posor_estimator.core.types import FloatArray, IntArray
 
 ROOM = 256
@@ -48,17 +45,3 @@ class BeamMotion:
         """Make room for twice as many scans; the arrays are others then."""
         self.seen_ns = np.concatenate([self.seen_ns, np.zeros_like(self.seen_ns)])
         self.seen = np.concatenate([self.seen, np.zeros_like(self.seen)])
-
-
-class MovingChain:
-    """A chain, scan after scan: each endpoint is found with the accelerations that the scans before it tell of."""
-
-    def __init__(self, chain: Chain, window_s: float) -> None:
-        """Find accelerations over a window [s]; 0: none, as if at rest."""
-        self._lane = chain.lane(window_s)
-
-    def endpoint(self, stamp_ns: int, measured: Mapping[str, MeasuredJoint]) -> Endpoint:
-        """Return the endpoint of the scan at a time [ns]; a time that goes back begins anew."""
-        from posor_estimator.core.chain import run_lane  # noqa: PLC0415  the chain needs this module
-
-        return run_lane(self._lane, measured, stamp_ns)

@@ -17,7 +17,6 @@ import pinocchio as pin
 from posor_estimator.core.beams_file import STANDARD_GRAVITY, load_beams
 from posor_estimator.core.chain_lane import ChainLane, Endpoints
 from posor_estimator.core.chain_layout import ChainLayout
-from posor_estimator.core.kernels.chain import joint_angle
 from posor_estimator.core.measuring_beam import MeasuringBeam
 from posor_estimator.core.robot_model import FreeJoint, RobotModel
 from posor_estimator.errors import ChainError
@@ -57,13 +56,6 @@ class Endpoint:
 
     T_base_endpoint: pin.SE3
     covariance: FloatArray
-
-    def relative_to(self, home: Endpoint) -> Endpoint:
-        """Return this endpoint in the axes of the endpoint at home; home counts as exact."""
-        here = Endpoints.room(1, 0)
-        here.poses[0], here.covariances[0] = pin.SE3ToXYZQUAT(self.T_base_endpoint), self.covariance
-        poses, covariances = here.relative_to(pin.SE3ToXYZQUAT(home.T_base_endpoint))
-        return Endpoint(pin.XYZQUATToSE3(poses[0]), covariances[0])
 
 
 @dataclass(frozen=True)
@@ -159,22 +151,11 @@ class Chain:
         return tuple(links)
 
     def nominal_joint(self, name: str, angle: float) -> pin.SE3:
-        """Return T_parent_child of a POSOR without error motions: its origin, turned by an angle [rad] about its Z."""
-        return self._joint(name).T_parent_joint * pin.SE3(pin.utils.rotate("z", angle), np.zeros(3))
+        """Return T_parent_child of a POSOR without error motions: its origin, turned by an angle [rad] about its Z.
 
-    def joint_angle(self, name: str, T_parent_child: pin.SE3, theta: float) -> float:
-        """Return how far a POSOR's joint is turned about its nominal axis, the Z axis of its origin [rad].
-
-        Zero where the target plate stands as the URDF's origin has it; the opposite of ``nominal_joint``.
-
-        Args:
-            name: Of the joint.
-            T_parent_child: Its measured transform.
-            theta: The large rotation of the same (``core.native``), which may have been counted over turns [rad].
-
+        A ``ChainLane`` tells the angle of a measured one.
         """
-        origin = np.array(self._joint(name).T_parent_joint.rotation)
-        return float(joint_angle(pin.SE3ToXYZQUAT(T_parent_child), origin, theta, np.empty((3, 3))))
+        return self._joint(name).T_parent_joint * pin.SE3(pin.utils.rotate("z", angle), np.zeros(3))
 
     def _joint(self, name: str) -> FreeJoint:
         return next(joint for joint in self.joints if joint.name == name)
@@ -208,7 +189,10 @@ class Chain:
         lane, lane.accelerations[:] = self._lane, 0.0
         for beam, row in zip(self.beams, lane.accelerations, strict=True):
             row[:] = (accelerations or {}).get(beam.name, 0.0)
-        return run_lane(lane, measured)
+        lane.take(measured)
+        if not lane.run():
+            raise ChainError(lane.reason(), where="the chain", expected="finite numbers and unit quaternions")
+        return Endpoint(pin.XYZQUATToSE3(lane.pose), lane.covariance.copy())
 
     def lane(self, acceleration_window: float = 0.0) -> ChainLane:
         """Return a lane of this arm, for endpoints at servo rate or of many scans.
@@ -230,19 +214,6 @@ class Chain:
     ) -> Endpoints:
         """Return the endpoints of many scans that follow one another, see ``ChainLane.endpoints``."""
         return self.lane(acceleration_window).endpoints(poses, covariances, stamps_ns)
-
-
-def run_lane(lane: ChainLane, measured: Mapping[str, MeasuredJoint], stamp_ns: int = 0) -> Endpoint:
-    """Return the endpoint that a lane finds from one measurement for each of its joints, by name.
-
-    Raises:
-        ChainError: A joint is missing, or its numbers are none.
-
-    """
-    lane.take(measured)
-    if not lane.run(stamp_ns):
-        raise ChainError(lane.reason(), where="the chain", expected="finite numbers and unit quaternions")
-    return Endpoint(pin.XYZQUATToSE3(lane.pose), lane.covariance.copy())
 
 
 def load_chain(urdf: Path, endpoint_frame: str, beams: Path | None = None) -> Chain:

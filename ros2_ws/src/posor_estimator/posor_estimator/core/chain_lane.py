@@ -63,7 +63,8 @@ class Endpoints:
     @property
     def sound(self) -> BoolArray:
         """Which scans have an endpoint, (n,)."""
-        return np.all(self.faults == 0, axis=1)
+        sound: BoolArray = np.all(self.faults == 0, axis=1)
+        return sound
 
     def relative_to(self, home: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return poses (n, 7) and covariances (n, 6, 6) in the axes of the endpoint at home, (7,), which is exact."""
@@ -102,6 +103,7 @@ class ChainLane:
         self._stamp_ns: IntArray = np.zeros(1, dtype=np.int64)
         room = np.zeros((1, len(joints), 7)), np.zeros((1, len(joints), 6, 6)), np.full((1, len(joints)), np.nan)
         self.poses, self.covariances, self.thetas = room[0][0], room[1][0], room[2][0]
+        self.poses[:, 6] = 1.0
         self.accelerations: FloatArray = np.zeros((len(layout.beams), 3))
         found = Endpoints.room(1, len(joints))
         self.pose, self.covariance = found.poses[0], found.covariances[0]

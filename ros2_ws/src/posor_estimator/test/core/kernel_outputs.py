@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from posor_estimator.core import compiled
-from posor_estimator.core.kernels import cholesky, gap, ring, solve, spot, vector
+from posor_estimator.core.kernels import chain, chain_motion, cholesky, gap, ring, solve, spot, vector
 from posor_estimator.core.kernels.rows import GAP, RING, SPOT_X, SPOT_Y
 
 if TYPE_CHECKING:
@@ -94,12 +94,60 @@ def whole_scan(rng: np.random.Generator) -> list[float]:
     return [outcome, *rotation.ravel(), *translation, *jacobian.ravel(), *residuals, *moved]
 
 
+def arm(rng: np.random.Generator) -> list[float]:
+    """Return the endpoints of a moving arm of two joints, and a beam that sags on either side of the second."""
+    scans, sources = 12, np.array([0, -1, 1, -2])
+    rotations = np.array([random_pose(rng)[0] for _ in range(7)])
+    frames = np.concatenate([rotations[:5], rng.uniform(-1.0, 1.0, (5, 1, 3))], axis=1)
+    beams = np.concatenate(
+        [rotations[5:], rng.uniform(-1.0, 1.0, (2, 1, 3)), rng.uniform(-1e-4, 1e-4, (2, chain.BEAM_ROWS - 4, 3))],
+        axis=1,
+    )
+    quaternions = rng.normal(size=(scans, 2, 4))
+    quaternions /= np.linalg.norm(quaternions, axis=2, keepdims=True)
+    poses = np.concatenate([rng.uniform(-1e-3, 1e-3, (scans, 2, 3)), quaternions], axis=2)
+    poses[scans // 2, 1, 4] = math.nan
+    roots = rng.normal(size=(scans + 1, 2, 6, 6)) * 1e-6
+    covariances = roots @ np.swapaxes(roots, 2, 3)
+    stamps = np.cumsum(rng.integers(1, 1000, scans))
+    kept = np.zeros(chain_motion.KEPT, dtype=np.int64)
+    kept[chain_motion.WINDOW] = 3000
+    found, found_covariances = np.empty((scans, 7)), np.empty((scans, 6, 6))
+    angles, faults = np.empty((scans, 2)), np.empty((scans, 2), dtype=np.int64)
+    chain.endpoints(
+        sources,
+        frames,
+        beams,
+        covariances[-1],
+        rotations[:2],
+        np.array([0.1, 0.2, -9.8]),
+        kept,
+        np.zeros(scans, dtype=np.int64),
+        np.zeros((scans, 2, 3)),
+        np.zeros((2, 3)),
+        0,
+        stamps,
+        poses,
+        covariances[:-1],
+        rng.uniform(-9.0, 9.0, (scans, 2)),
+        found,
+        found_covariances,
+        angles,
+        faults,
+    )
+    relative, relative_covariances = np.empty((scans, 7)), np.empty((scans, 6, 6))
+    chain.relative_to(found[0], found, found_covariances, relative, relative_covariances)
+    outputs = found, found_covariances, angles, faults, relative, relative_covariances
+    return [number for each in outputs for number in each.ravel().tolist()]
+
+
 def main(file: Path) -> None:
     """Save the outputs, and whether the kernels were compiled."""
     rng = np.random.default_rng(1985)
     rows = [one_by_one(rng) for _ in range(CASES)]
     scans = [whole_scan(rng) for _ in range(CASES)]
-    np.savez(file, compiling=compiled.COMPILING, rows=np.array(rows), scans=np.array(scans))
+    arms = [arm(rng) for _ in range(CASES)]
+    np.savez(file, compiling=compiled.COMPILING, rows=np.array(rows), scans=np.array(scans), arms=np.array(arms))
 
 
 if __name__ == "__main__":

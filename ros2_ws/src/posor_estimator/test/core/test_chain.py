@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from posor_estimator.core.chain import Chain, Endpoint, MeasuredJoint
+from posor_estimator.core.chain_lane import Endpoints
 from posor_estimator.core.native import native_from_rotation
 from posor_estimator.errors import ChainError
 from scipy.spatial.transform import Rotation
@@ -191,12 +192,20 @@ def test_a_lean_of_the_joint_moves_the_tip_by_the_lever() -> None:
     np.testing.assert_allclose(endpoint.covariance, expected, rtol=1e-12, atol=1e-27)
 
 
+def relative_to(home: Endpoint, now: Endpoint) -> Endpoint:
+    """Return an endpoint in the axes of another, as a chain's endpoints are put there."""
+    here = Endpoints.room(1, 0)
+    here.poses[0], here.covariances[0] = pin.SE3ToXYZQUAT(now.T_base_endpoint), now.covariance
+    poses, covariances = here.relative_to(pin.SE3ToXYZQUAT(home.T_base_endpoint))
+    return Endpoint(pin.XYZQUATToSE3(poses[0]), covariances[0])
+
+
 def test_relative_to_home_is_in_the_axes_of_the_endpoint_at_home() -> None:
     home = Endpoint(pin.SE3(pin.utils.rotate("z", math.pi / 2.0), np.array([1.0, 2.0, 3.0])), np.eye(6))
     covariance = np.diag([1.0, 4.0, 9.0, 16.0, 25.0, 36.0])
     covariance[0, 4] = covariance[4, 0] = 3.0  # x with about Y
     now = Endpoint(pin.SE3(pin.utils.rotate("z", math.pi / 2.0), np.array([1.0, 2.1, 3.0])), covariance)
-    relative = now.relative_to(home)
+    relative = relative_to(home, now)
     # What base calls Y the endpoint at home calls X; what base calls X it calls -Y.
     np.testing.assert_allclose(relative.T_base_endpoint.translation, [0.1, 0.0, 0.0], rtol=0.0, atol=1e-15)
     np.testing.assert_allclose(relative.T_base_endpoint.rotation, np.eye(3), rtol=0.0, atol=1e-15)
@@ -212,7 +221,7 @@ def test_relative_covariance_is_that_along_the_axes_at_home() -> None:
     covariance = np.diag([1.0, 4.0, 9.0, 1.0, 4.0, 9.0])
     for first in (0, 3):
         covariance[first, first + 1] = covariance[first + 1, first] = 1.5
-    relative = Endpoint(home.T_base_endpoint, covariance).relative_to(home)
+    relative = relative_to(home, Endpoint(home.T_base_endpoint, covariance))
     along = np.array([math.cos(heading), math.sin(heading)])
     for first in (0, 3):
         block = covariance[first : first + 2, first : first + 2]
@@ -224,17 +233,21 @@ def test_relative_to_itself_is_the_identity(
     chain: Chain, transforms: list[pin.SE3], covariances: list[FloatArray]
 ) -> None:
     endpoint = chain.endpoint(measured(transforms, covariances))
-    back = endpoint.relative_to(endpoint).T_base_endpoint
+    back = relative_to(endpoint, endpoint).T_base_endpoint
     np.testing.assert_allclose(back.homogeneous, np.eye(4), rtol=0.0, atol=1e-15)
 
 
 @pytest.mark.parametrize("turns", [0, 3, -2])
 def test_a_joints_angle_is_counted_from_the_urdfs_origin_about_its_axis(chain: Chain, turns: int) -> None:
-    for name in JOINTS:
+    lane = chain.lane()
+    for number, name in enumerate(JOINTS):
         for angle in (-3.0, -0.4, 0.0, 1.3, 3.1):
             pose = chain.nominal_joint(name, angle)
             theta = native_from_rotation(pose.rotation)[2]
-            found = chain.joint_angle(name, pose, theta + 2.0 * math.pi * turns)
+            lane.poses[number] = pin.SE3ToXYZQUAT(pose)
+            lane.thetas[number] = theta + 2.0 * math.pi * turns
+            assert lane.run()
+            found = lane.angles[number]
             assert math.remainder(found - angle, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-14)
             assert found - theta - 2.0 * math.pi * turns == pytest.approx(0.0, abs=0.5)
             if name != "elbow":  # the URDF turns the others' plates by nothing: their angle is theta, to the last bit

@@ -274,7 +274,8 @@ def test_a_joint_without_sound_numbers_gives_no_endpoint_and_is_named(chain: Cha
     poses, stamps = swinging(chain, SCANS)
     covariances = np.zeros((SCANS, JOINTS, 6, 6))
     bad = SCANS // 2
-    without = [np.delete(each, bad, axis=0) for each in (poses, covariances, stamps)]
+    others = np.arange(SCANS) != bad
+    without = chain.endpoints(poses[others], covariances[others], stamps[others], acceleration_window=WINDOW_S)
     {"poses": poses, "covariances": covariances}[which][bad][where] = value
     found = chain.endpoints(poses, covariances, stamps, acceleration_window=WINDOW_S)
     assert np.flatnonzero(~found.sound).tolist() == [bad]
@@ -282,10 +283,7 @@ def test_a_joint_without_sound_numbers_gives_no_endpoint_and_is_named(chain: Cha
     assert np.isnan(found.covariances[bad]).all()
     assert np.isnan(found.angles[bad]).all()
     # The others are as if it had never been, those after it in motion too.
-    assert_bits(
-        np.delete(found.poses, bad, axis=0),
-        chain.endpoints(without[0], without[1], without[2], acceleration_window=WINDOW_S).poses,
-    )
+    assert_bits(found.poses[others], without.poses)
     lane = chain.lane()
     lane.poses[:], lane.covariances[:] = poses[bad], covariances[bad]
     assert not lane.run()
@@ -313,17 +311,18 @@ def test_numbers_that_are_none_are_refused_by_name(chain: Chain) -> None:
     [("poses", (3, 5, 7)), ("covariances", (3, 6, 36)), ("stamps_ns", (2,)), ("thetas", (3, 5))],
 )
 def test_arrays_of_the_wrong_shape_are_refused(chain: Chain, name: str, shape: tuple[int, ...]) -> None:
-    arrays = {
-        "poses": np.zeros((3, JOINTS, 7)),
-        "covariances": np.zeros((3, JOINTS, 6, 6)),
-        "stamps_ns": np.zeros(3, dtype=np.int64),
-        "thetas": np.zeros((3, JOINTS)),
+    shapes: dict[str, tuple[int, ...]] = {
+        "poses": (3, JOINTS, 7),
+        "covariances": (3, JOINTS, 6, 6),
+        "stamps_ns": (3,),
+        "thetas": (3, JOINTS),
     }
-    expected = arrays[name].shape
-    arrays[name] = np.zeros(shape)
+    expected = shapes[name]
+    shapes[name] = shape
+    stamps = np.zeros(shapes["stamps_ns"], dtype=np.int64)
     with pytest.raises(ChainError) as caught:
         chain.lane().endpoints(
-            arrays["poses"], arrays["covariances"], arrays["stamps_ns"].astype(int), arrays["thetas"]
+            np.zeros(shapes["poses"]), np.zeros(shapes["covariances"]), stamps, np.zeros(shapes["thetas"])
         )
     assert str(caught.value) == f"the chain: {name} of shape {shape}; expected {expected}."
 

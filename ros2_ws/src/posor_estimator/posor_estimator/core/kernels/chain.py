@@ -77,7 +77,7 @@ def walk(
         covariances: Of the same, (j, 6, 6), ROS order, axes of the receiving plate.
         acceleration: Of the beams [m/s^2], (b, 3), axes of the base.
         work: Scratch, (13, 3).
-        step: Scratch, (6,), all zero.
+        step: Scratch, (6,), its first half zero.
         centres: Centres of the beams on the way to write [m], (b, 3), axes of the base.
         pose: Of the endpoint in the base to write, (7,).
         covariance: Of the endpoint to write, (6, 6), ROS order, axes of the base.
