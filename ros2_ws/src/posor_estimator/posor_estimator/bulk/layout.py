@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from posor_estimator.bulk.scanning import fits, gather
-from posor_estimator.ros.cdr import Kind, Schema
+from posor_estimator.ros.cdr import Schema
+from posor_estimator.ros.cdr_fields import Kind
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
     from posor_estimator.core.types import BoolArray, FloatArray, IntArray
 
 ByteArray: TypeAlias = NDArray[np.uint8]
-Rows: TypeAlias = NDArray[np.void]
 
 LEAD = 4
 """Bytes before a message in its row: its body, which begins four bytes later, is then aligned in memory too."""
@@ -63,7 +63,7 @@ class TableLayout:
                 strings[path] = data[span.part].decode("utf-8", "replace")
                 continue
             names.append(path)
-            formats.append((f"<{field.code}", () if field.kind is Kind.ONE else (span.count,)))
+            formats.append((f"<{field.code}", () if field.kind is Kind.ONE else (span.length,)))
             offsets.append(LEAD + span.offset)
         stride = -(-(LEAD + layout.size) // 8) * 8
         form: Any = {"names": names, "formats": formats, "offsets": offsets, "itemsize": stride}
@@ -82,26 +82,55 @@ class TableLayout:
         fits(data, starts, lengths, self.template, self.fixed, out)
         return out
 
-    def read(self, data: ByteArray, starts: IntArray) -> Rows:
-        """Return messages of this layout, by where they begin in ``data``, as rows, shape (n,)."""
+    def read(self, data: ByteArray, starts: IntArray) -> Table:
+        """Return messages of this layout, by where they begin in ``data``."""
         table = np.empty((len(starts), self.dtype.itemsize), dtype=np.uint8)
         gather(data, starts, table[:, LEAD : LEAD + len(self.template)])
-        return table.view(self.dtype)[:, 0]
+        return Table(self, table)
 
-    def new(self, count: int) -> Rows:
-        """Return rows that are all like the template, shape (n,)."""
+    def new(self, count: int) -> Table:
+        """Return messages that are all like the template."""
         row = np.zeros(self.dtype.itemsize, dtype=np.uint8)
         row[LEAD : LEAD + len(self.template)] = self.template
-        return np.tile(row, (count, 1)).view(self.dtype)[:, 0]
+        return Table(self, np.tile(row, (count, 1)))
 
-    def span(self, rows: Rows, first: str, count: int) -> FloatArray:
-        """Return successive float64 numbers of rows as one array, (n, count); writing to it writes to the rows."""
-        fields: Any = self.dtype.fields
-        offset = fields[first][1]
-        form: Any = {"names": ["of"], "formats": [("<f8", (count,))], "offsets": [offset], "itemsize": rows.itemsize}
-        return np.asarray(rows.view(np.dtype(form))["of"])
 
-    def bytes_of(self, rows: Rows) -> ByteArray:
-        """Return the messages that rows are, shape (n, s)."""
-        table = np.ascontiguousarray(rows).view(np.uint8).reshape(len(rows), self.dtype.itemsize)
-        return table[:, LEAD : LEAD + len(self.template)]
+@dataclass(frozen=True)
+class Table:
+    """Messages that are laid out alike, n of them.
+
+    Attributes:
+        layout: How.
+        rows: A row for each, shape (n, bytes): the message, with some bytes before and after it.
+
+    """
+
+    layout: TableLayout
+    rows: ByteArray
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self.rows)
+
+    def __getitem__(self, path: str) -> Any:
+        """Return the numbers of a field, shape (n,) or (n, k); writing to them writes to the messages."""
+        return self.rows.view(self.layout.dtype)[path][:, 0]
+
+    def __setitem__(self, path: str, numbers: Any) -> None:
+        """Write the numbers of a field."""
+        self[path][...] = numbers
+
+    def span(self, first: str, count: int) -> FloatArray:
+        """Return successive float64 numbers as one array, (n, count); writing to it writes to the messages."""
+        fields: Any = self.layout.dtype.fields
+        begin = fields[first][1]
+        return self.rows[:, begin : begin + 8 * count].view(np.float64)
+
+    @property
+    def messages(self) -> ByteArray:
+        """The bytes of the messages, shape (n, s)."""
+        return self.rows[:, LEAD : LEAD + len(self.layout.template)]
+
+    def chosen(self, which: BoolArray | IntArray | slice) -> Table:
+        """Return some of the messages."""
+        return Table(self.layout, self.rows[which])

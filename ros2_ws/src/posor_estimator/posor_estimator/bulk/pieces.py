@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from posor_estimator.bulk.layout import Rows, TableLayout
+from posor_estimator.bulk.layout import Table, TableLayout
 from posor_estimator.errors import BagError, TopicError
 
 if TYPE_CHECKING:
@@ -23,17 +23,15 @@ class Piece:
     """Successive messages of a topic that are laid out alike.
 
     Attributes:
-        layout: How.
         times_ns: Log times, shape (n,).
         places: Which messages of the block they are, shape (n,); later ones have larger numbers.
-        rows: The messages, shape (n,).
+        table: The messages.
 
     """
 
-    layout: TableLayout
     times_ns: IntArray
     places: IntArray
-    rows: Rows
+    table: Table
 
 
 class TopicReader:
@@ -60,8 +58,8 @@ class TopicReader:
         while begin < count:
             end = begin + self._alike(mine, begin)
             if end > begin and self._layout is not None:
-                rows = self._layout.read(mine.data, mine.starts[begin:end])
-                yield Piece(self._layout, mine.times_ns[begin:end], places[begin:end], rows)
+                table = self._layout.read(mine.data, mine.starts[begin:end])
+                yield Piece(mine.times_ns[begin:end], places[begin:end], table)
             else:
                 end = begin + 1
                 yield self._alone(mine, begin, places[begin:end])
@@ -84,5 +82,5 @@ class TopicReader:
         except TopicError as error:
             when = f"{self._where}, topic {self._topic}, logged at {block.times_ns[n]} ns"
             raise BagError(str(error).rstrip("."), where=when, expected="a message that is whole") from error
-        rows = self._layout.read(np.frombuffer(data, dtype=np.uint8), np.zeros(1, dtype=np.int64))
-        return Piece(self._layout, block.times_ns[n : n + 1], place, rows)
+        table = self._layout.read(np.frombuffer(data, dtype=np.uint8), np.zeros(1, dtype=np.int64))
+        return Piece(block.times_ns[n : n + 1], place, table)

@@ -42,7 +42,6 @@ class BagOutput:
     def __init__(
         self,
         folder: Path,
-        layouts: Mapping[str, TableLayout],
         topics: Mapping[str, str],
         endpoint: EndpointTopics | None,
         offered: Sequence[Qos],
@@ -51,7 +50,6 @@ class BagOutput:
 
         Args:
             folder: Where; not yet there.
-            layouts: Of each joint's transforms.
             topics: Of each joint's transforms.
             endpoint: What is said of the endpoint; None: nothing.
             offered: Quality of service of the raw scans; the transforms have the same.
@@ -67,7 +65,6 @@ class BagOutput:
                 topic, kind, msgdef=text, rihs01=type_hash, offered_qos_profiles=list(profiles)
             )
 
-        self._layouts = layouts
         self._transforms = {name: connection(topic, JOINT_TRANSFORM, offered) for name, topic in topics.items()}
         self._endpoint = endpoint
         reliable = [profile._replace(reliability=QosReliability.RELIABLE) for profile in offered]
@@ -75,10 +72,7 @@ class BagOutput:
 
     def write(self, transforms: Mapping[str, Transforms], endpoints: Endpoints | None) -> None:
         """Write what a block has given."""
-        parts = [
-            Part(self._transforms[name], each.times_ns, self._layouts[name].bytes_of(each.rows))
-            for name, each in transforms.items()
-        ]
+        parts = [Part(self._transforms[name], each.times_ns, each.table.messages) for name, each in transforms.items()]
         if endpoints is not None and self._endpoint is not None:
             for connection, messages in zip(self._results, self._endpoint.messages(endpoints), strict=True):
                 parts.append(Part(connection, endpoints.times_ns, messages))
@@ -137,15 +131,11 @@ class EndpointTopics:
         pose, with_covariance, joint_states = (
             layout.new(len(endpoints)) for layout in (self._pose, self._with_covariance, self._joint_states)
         )
-        for rows in (pose, with_covariance, joint_states):
-            rows["header.stamp.sec"] = endpoints.stamps_ns // NS
-            rows["header.stamp.nanosec"] = endpoints.stamps_ns % NS
-        self._pose.span(pose, "pose.position.x", 7)[:] = endpoints.poses
-        self._with_covariance.span(with_covariance, "pose.pose.position.x", 7)[:] = endpoints.poses
+        for table in (pose, with_covariance, joint_states):
+            table["header.stamp.sec"] = endpoints.stamps_ns // NS
+            table["header.stamp.nanosec"] = endpoints.stamps_ns % NS
+        pose.span("pose.position.x", 7)[:] = endpoints.poses
+        with_covariance.span("pose.pose.position.x", 7)[:] = endpoints.poses
         with_covariance["pose.covariance"] = endpoints.covariances.reshape(-1, 36)
         joint_states["position"] = endpoints.angles
-        return [
-            self._pose.bytes_of(pose),
-            self._with_covariance.bytes_of(with_covariance),
-            self._joint_states.bytes_of(joint_states),
-        ]
+        return [pose.messages, with_covariance.messages, joint_states.messages]

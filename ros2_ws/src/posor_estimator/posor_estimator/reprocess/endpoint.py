@@ -16,7 +16,7 @@ from posor_estimator.ros.messages import UNIT_WITHIN
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from posor_estimator.bulk.layout import Rows, TableLayout
+    from posor_estimator.bulk.layout import Table, TableLayout
     from posor_estimator.chain_node import ChainParameters
     from posor_estimator.core.chain import Chain
     from posor_estimator.core.types import BoolArray, FloatArray, IntArray
@@ -86,7 +86,6 @@ class EndpointReprocessor:
                     where=f"URDF {parameters.urdf}",
                     expected=f"'{joint.parent}' to '{joint.child}'",
                 )
-        self._layouts = [layouts[name] for name in self.joints]
         self._lane = chain.lane(parameters.acceleration_window)
         at_home = parameters.reference == "home"
         self._relative = at_home
@@ -105,15 +104,15 @@ class EndpointReprocessor:
         """
         complete = self.joiner.join([block[name] for name in self.joints])
         usable = np.ones(len(complete[0]), dtype=np.bool_)
-        for name, layout, each in zip(self.joints, self._layouts, complete, strict=True):
-            fit = _usable(layout, each.rows)
+        for name, each in zip(self.joints, complete, strict=True):
+            fit = _usable(each.table)
             self.refused[name] += int(np.count_nonzero(~fit))
             usable &= fit
         self.unusable += int(np.count_nonzero(~usable))
         if not usable.all():
             complete = [each.chosen(usable) for each in complete]
         self.poses += len(complete[0])
-        states = np.array([each.rows["state"] for each in complete])
+        states = np.array([each.table["state"] for each in complete])
         self.degraded += int(np.count_nonzero(np.any(states == int(State.DEGRADED), axis=0)))
         return self._found(complete)
 
@@ -126,10 +125,10 @@ class EndpointReprocessor:
             np.empty((count, joints, 36)),
             np.empty((count, joints)),
         )
-        for j, (layout, each) in enumerate(zip(self._layouts, complete, strict=True)):
-            poses[:, j] = layout.span(each.rows, "pose.position.x", 7)
-            covariances[:, j] = each.rows["covariance"]
-            thetas[:, j] = each.rows["native"][:, 5]
+        for j, each in enumerate(complete):
+            poses[:, j] = each.table.span("pose.position.x", 7)
+            covariances[:, j] = each.table["covariance"]
+            thetas[:, j] = each.table["native"][:, 5]
         found = self._lane.endpoints(poses, covariances.reshape(count, joints, 6, 6), stamps, thetas)
         of_endpoint = found.poses, found.covariances
         if self._relative and count:
@@ -141,12 +140,12 @@ class EndpointReprocessor:
         return Endpoints(times, stamps, *of_endpoint, found.angles)
 
 
-def _usable(layout: TableLayout, rows: Rows) -> BoolArray:
+def _usable(transforms: Table) -> BoolArray:
     """Return which transforms carry a pose that may be used, as ``ros.messages.why_unusable`` says of one."""
-    state = rows["state"]
+    state = transforms["state"]
     known = (state == int(State.OK)) | (state == int(State.DEGRADED))
-    poses = layout.span(rows, "pose.position.x", 7)
+    poses = transforms.span("pose.position.x", 7)
     with np.errstate(invalid="ignore"):
         unit = np.abs(np.linalg.norm(poses[:, 3:], axis=1) - 1.0) <= UNIT_WITHIN
-    finite = np.isfinite(poses).all(axis=1) & np.isfinite(rows["covariance"]).all(axis=1)
+    finite = np.isfinite(poses).all(axis=1) & np.isfinite(transforms["covariance"]).all(axis=1)
     return np.asarray(known & unit & finite)

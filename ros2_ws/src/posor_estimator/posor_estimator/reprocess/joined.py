@@ -7,15 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from posor_estimator.core.joining import ScanJoiner
+from posor_estimator.core.joining import ScanJoiner, join_all
 from posor_estimator.reprocess.transforms import Transforms
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from posor_estimator.core.types import BoolArray
 
 MOST_OPEN = 65_536
-"""Stamps that may wait for a joint at the same time; beyond that the oldest are given up, so that memory is bounded."""
+"""Transforms of a joint that may wait for the other joints; beyond that the oldest are given up: memory is bounded."""
 
 
 class BlockJoiner:
@@ -64,7 +65,7 @@ class BlockJoiner:
             self._live.give_up_before(np.inf)
             self._take_given_up()
         elif self._open is not None:
-            self._give_up(self._open)
+            self._give_up(np.iinfo(np.int64).max)
 
     def _go_on(self, block: Sequence[Transforms]) -> bool:
         """Return whether the stamps of every joint go on from the last complete one."""
@@ -72,35 +73,36 @@ class BlockJoiner:
         return all(not len(each) or each.stamps_ns[0] > stamp for each, stamp in zip(block, last, strict=True))
 
     def _joined(self, known: list[Transforms]) -> list[Transforms]:
-        known = [each.chosen(each.stamps_ns > self._closed) if self._closed >= 0 else each for each in known]
-        stamps = [each.stamps_ns for each in known]
-        if all(np.array_equal(stamps[0], other) for other in stamps[1:]):
-            complete = known
-        else:
-            common = reduce(lambda one, other: np.intersect1d(one, other, assume_unique=True), stamps)
-            complete = [each.chosen(np.searchsorted(each.stamps_ns, common)) for each in known]
-        if len(complete[0]):
+        if self._closed >= 0 and any(len(each) and each.stamps_ns[0] <= self._closed for each in known):
+            known = [each.chosen(each.stamps_ns > self._closed) for each in known]
+        joined = join_all([each.stamps_ns for each in known])
+        complete = [
+            each if len(index) == len(each) else each.chosen(index)
+            for each, index in zip(known, joined.index.T, strict=True)
+        ]
+        self._open = [each.chosen(slice(begin, None)) for each, begin in zip(known, joined.still_open, strict=True)]
+        self._count(joined.missing)
+        if len(joined.stamps):
             self._last = [each.chosen(slice(-1, None)) for each in complete]
-            self._closed = int(complete[0].stamps_ns[-1])
-            before = [each.chosen(each.stamps_ns <= self._closed) for each in known]
-            if any(len(each) != len(complete[0]) for each in before):
-                self._give_up(before)
-        self._open = [each.chosen(each.stamps_ns > self._closed) for each in known]
-        waiting = reduce(np.union1d, [each.stamps_ns for each in self._open])
-        if len(waiting) > MOST_OPEN:
-            self._closed = int(waiting[-MOST_OPEN - 1])
-            self._give_up([each.chosen(each.stamps_ns <= self._closed) for each in self._open])
-            self._open = [each.chosen(each.stamps_ns > self._closed) for each in self._open]
+            self._closed = int(joined.stamps[-1])
+        if max(len(each) for each in self._open) > MOST_OPEN:
+            self._give_up(np.sort(np.concatenate([each.stamps_ns[:-MOST_OPEN] for each in self._open]))[-1])
         return complete
 
-    def _give_up(self, known: Sequence[Transforms]) -> None:
-        """Count the stamps that not every joint has."""
-        stamps = [each.stamps_ns for each in known]
+    def _give_up(self, last: int) -> None:
+        """Give up the open stamps up to one."""
+        opened = self._open or []
+        stamps = [each.stamps_ns[each.stamps_ns <= last] for each in opened]
         every = reduce(np.union1d, stamps)
-        lacking = [~np.isin(every, own, assume_unique=True) for own in stamps]
-        self.incomplete += int(np.count_nonzero(np.any(lacking, axis=0)))
-        for name, where in zip(self._names, lacking, strict=True):
-            self.missing[name] += int(np.count_nonzero(where))
+        self._count(np.column_stack([~np.isin(every, own, assume_unique=True) for own in stamps]))
+        self._open = [each.chosen(each.stamps_ns > last) for each in opened]
+        self._closed = max(self._closed, int(last))
+
+    def _count(self, missing: BoolArray) -> None:
+        """Count stamps that were given up, by who was missing, (n, joints)."""
+        self.incomplete += len(missing)
+        for name, count in zip(self._names, np.count_nonzero(missing, axis=0).tolist(), strict=True):
+            self.missing[name] += count
 
     def _live_joiner(self, block: Sequence[Transforms]) -> ScanJoiner[Transforms]:
         """Return the live joiner as it would stand now: with the last complete stamp, and all that is open."""
@@ -125,7 +127,7 @@ class BlockJoiner:
             scan = live.add(self._names[joints[n]], int(item.stamps_ns[0]), item, 0.0)
             if scan is not None:
                 complete.append([scan[name] for name in self._names])
-        self._take_given_up()
+            self._take_given_up()  # at once: in the next round the same stamps come again
         if not complete:
             return [each.chosen(slice(0)) for each in block]
         return [Transforms.joined(of_joint) for of_joint in zip(*complete, strict=True)]

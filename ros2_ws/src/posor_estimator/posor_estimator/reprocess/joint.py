@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from posor_msgs.msg import JointTransform, RawScan
 
-from posor_estimator.bulk.layout import Rows, TableLayout
+from posor_estimator.bulk.layout import Table, TableLayout
 from posor_estimator.core.fault import Fault, State
 from posor_estimator.core.posor import Posor
 from posor_estimator.core.scan import Scans
@@ -56,27 +56,47 @@ class JointReprocessor:
 
     def transforms(self, pieces: Iterable[Piece]) -> Transforms:
         """Return the transforms of a block's scans; every number is NaN where a scan gives no pose."""
-        parts = [Transforms.of(piece.times_ns, piece.places, self._rows(piece)) for piece in pieces]
+        parts = [Transforms.of(piece.times_ns, piece.places, self._of_scans(piece.table)) for piece in pieces]
         return Transforms.joined(parts) if parts else Transforms.none(self.layout)
 
-    def _rows(self, piece: Piece) -> Rows:
-        raw = piece.rows
+    def _of_scans(self, raw: Table) -> Table:
         out = self.layout.new(len(raw))
         for name in ("header.stamp.sec", "header.stamp.nanosec", "scan"):
             out[name] = raw[name]
         out["scan_status"] = raw["status"]
         fit = _has_time(raw)
-        if piece.layout.strings["header.frame_id"] != self._parent:
+        if raw.layout.strings["header.frame_id"] != self._parent:
             fit[:] = False
         if fit.all():
             self._locate(raw, out)
         else:
-            located, unfit = out[fit], out[~fit]
+            located, unfit = out.chosen(fit), out.chosen(~fit)
             if len(located):
-                self._locate(raw[fit], located)
+                self._locate(raw.chosen(fit), located)
             unfit["faults"] = int(Fault.BAD_READING)
-            self._lose(unfit)
-            out[fit], out[~fit] = located, unfit
+            _lose(unfit)
+            out.rows[fit], out.rows[~fit] = located.rows, unfit.rows
+        self._count(out)
+        return out
+
+    def _locate(self, raw: Table, out: Table) -> None:
+        """Write what scans give into transforms."""
+        found = self._posor.locate_all(scans_of(raw))
+        write_poses(
+            found.rotations, found.translations, found.thetas, out.span("pose.position.x", 7), out.span("native", 6)
+        )
+        out["covariance"] = _covariances(found, self._kind).reshape(-1, 36)
+        out["residual"] = found.residuals
+        out["redundancy"] = found.redundancy
+        out["state"] = found.states
+        out["faults"] = found.faults
+        lost = found.states == int(State.LOST)
+        if lost.any():
+            these = out.chosen(lost)
+            _lose(these)
+            out.rows[lost] = these.rows
+
+    def _count(self, out: Table) -> None:
         self.scans += len(out)
         lost = out["state"] == int(State.LOST)
         if lost.any():
@@ -84,37 +104,20 @@ class JointReprocessor:
             faults = out["faults"][lost]
             found = {fault.name: int(np.count_nonzero(faults & fault.value)) for fault in Fault if fault.name}
             self.faults.update({name: count for name, count in found.items() if count})
-        return out
-
-    def _locate(self, raw: Rows, out: Rows) -> None:
-        """Write what scans give into transforms."""
-        found = self._posor.locate_all(scans_of(raw))
-        poses, natives = np.empty((len(out), 7)), np.empty((len(out), 6))
-        write_poses(found.rotations, found.translations, found.thetas, poses, natives)
-        self.layout.span(out, "pose.position.x", 7)[:] = poses
-        out["covariance"] = _covariances(found, self._kind).reshape(-1, 36)
-        out["native"] = natives
-        out["residual"] = found.residuals
-        out["redundancy"] = found.redundancy
-        out["state"] = found.states
-        out["faults"] = found.faults
-        lost = found.states == int(State.LOST)
-        if lost.any():
-            these = out[lost]
-            self._lose(these)
-            out[lost] = these
-
-    def _lose(self, out: Rows) -> None:
-        """Make transforms say that there is no pose."""
-        self.layout.span(out, "pose.position.x", 7)[:] = np.nan
-        out["covariance"] = out["native"] = np.nan
-        out["residual"] = np.nan
-        out["redundancy"] = 0
-        out["state"] = int(State.LOST)
 
 
-def scans_of(raw: Rows) -> Scans:
-    """Return rows of raw scans as the core sees them."""
+def _lose(out: Table) -> None:
+    """Make transforms say that there is no pose."""
+    out.span("pose.position.x", 7)[:] = np.nan
+    out["covariance"] = np.nan
+    out["native"] = np.nan
+    out["residual"] = np.nan
+    out["redundancy"] = 0
+    out["state"] = int(State.LOST)
+
+
+def scans_of(raw: Table) -> Scans:
+    """Return raw scans as the core sees them."""
     count, currents = len(raw), raw["diode_currents"]
     width = CONTACTS if currents.shape[1] % CONTACTS == 0 else 1
     return Scans(
@@ -130,7 +133,7 @@ def scans_of(raw: Rows) -> Scans:
     )
 
 
-def _has_time(raw: Rows) -> BoolArray:
+def _has_time(raw: Table) -> BoolArray:
     return np.asarray((raw["header.stamp.sec"] != 0) | (raw["header.stamp.nanosec"] != 0))
 
 

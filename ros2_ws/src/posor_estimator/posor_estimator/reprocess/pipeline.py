@@ -63,7 +63,7 @@ def reprocess(task: Task, progress: Callable[[int], object] = lambda _: None) ->
         output = None
         if task.output is not None:
             folder = stack.enter_context(made(task.output, force=task.force))
-            output = _output(task, folder, layouts, topics, endpoint)
+            output = _output(task, folder, topics, endpoint)
         for block in _blocks(task.bag, list(topics.raw.values())):
             transforms = {name: joint.transforms(readers[name].pieces(block)) for name, joint in joints.items()}
             endpoints = None if endpoint is None else endpoint.endpoints(transforms)
@@ -102,17 +102,16 @@ def _endpoint(settings: Settings, layouts: Mapping[str, TableLayout]) -> Endpoin
 def _output(
     task: Task,
     folder: Path,
-    layouts: Mapping[str, TableLayout],
     topics: BagTopics,
     endpoint: EndpointReprocessor | None,
 ) -> Output:
     joints = None if endpoint is None else endpoint.joints
     if task.format == "bag":
         said = None if endpoint is None else EndpointTopics(topics.namespace, endpoint.frame, endpoint.joints)
-        return BagOutput(folder, layouts, topics.transforms, said, topics.offered)
+        return BagOutput(folder, topics.transforms, said, topics.offered)
     from posor_estimator.reprocess.table_output import TableOutput  # noqa: PLC0415  pyarrow takes time to import
 
-    return TableOutput(folder, task.format, layouts, joints)
+    return TableOutput(folder, task.format, list(topics.raw), joints)
 
 
 def _of_joint(name: str, joint: JointReprocessor, endpoint: EndpointReprocessor | None) -> JointSummary:

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from posor_estimator.bulk.layout import TableLayout
     from posor_estimator.core.types import FloatArray
     from posor_estimator.reprocess.endpoint import Endpoints
     from posor_estimator.reprocess.transforms import Transforms
@@ -32,27 +31,26 @@ class TableOutput:
     """Writes a folder of tables."""
 
     def __init__(
-        self, folder: Path, kind: TableFormat, layouts: Mapping[str, TableLayout], joints: Sequence[str] | None
+        self, folder: Path, kind: TableFormat, transforms: Sequence[str], joints: Sequence[str] | None
     ) -> None:
         """Create the files.
 
         Args:
             folder: Where; not yet there.
             kind: Of the files.
-            layouts: Of each joint's transforms.
+            transforms: Names of the joints that have transforms.
             joints: Names of the chain's joints; None: there is no chain.
 
         """
         folder.mkdir()
-        self._layouts = layouts
-        self._tables = {name: _Table(folder / f"{name}.{kind}", kind) for name in layouts}
+        self._tables = {name: _Table(folder / f"{name}.{kind}", kind) for name in transforms}
         self._joints = joints
         self._endpoint = None if joints is None else _Table(folder / f"endpoint.{kind}", kind)
 
     def write(self, transforms: Mapping[str, Transforms], endpoints: Endpoints | None) -> None:
         """Write what a block has given."""
         for name, each in transforms.items():
-            self._tables[name].write(_of_transforms(self._layouts[name], each))
+            self._tables[name].write(_of_transforms(each))
         if self._endpoint is not None and endpoints is not None and self._joints is not None:
             columns: dict[str, Any] = {"log_time_ns": endpoints.times_ns, "stamp_ns": endpoints.stamps_ns}
             columns |= _columns(POSE, endpoints.poses)
@@ -90,13 +88,13 @@ class _Table:
             self._writer.close()
 
 
-def _of_transforms(layout: TableLayout, transforms: Transforms) -> dict[str, Any]:
-    rows = transforms.rows
+def _of_transforms(transforms: Transforms) -> dict[str, Any]:
+    table = transforms.table
     columns: dict[str, Any] = {"log_time_ns": transforms.times_ns, "stamp_ns": transforms.stamps_ns}
-    columns |= {name: np.ascontiguousarray(rows[name]) for name in AS_THEY_ARE}
-    columns |= _columns(POSE, layout.span(rows, "pose.position.x", 7))
-    columns |= _columns(NATIVE, rows["native"])
-    columns |= _columns(COVARIANCE, rows["covariance"])
+    columns |= {name: np.ascontiguousarray(table[name]) for name in AS_THEY_ARE}
+    columns |= _columns(POSE, table.span("pose.position.x", 7))
+    columns |= _columns(NATIVE, table["native"])
+    columns |= _columns(COVARIANCE, table["covariance"])
     return columns
 
 

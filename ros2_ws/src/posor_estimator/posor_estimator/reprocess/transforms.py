@@ -7,18 +7,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from posor_estimator.bulk.layout import Table
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from posor_estimator.bulk.layout import Rows, TableLayout
+    from posor_estimator.bulk.layout import TableLayout
     from posor_estimator.core.types import BoolArray, IntArray
 
 NS = 1_000_000_000
 
 
-def stamps_of(rows: Rows) -> IntArray:
+def stamps_of(table: Table) -> IntArray:
     """Return the stamps of messages with a header [ns], shape (n,)."""
-    return np.asarray(rows["header.stamp.sec"].astype(np.int64) * NS + rows["header.stamp.nanosec"])
+    return np.asarray(table["header.stamp.sec"].astype(np.int64) * NS + table["header.stamp.nanosec"])
 
 
 @dataclass(frozen=True)
@@ -28,20 +30,20 @@ class Transforms:
     Attributes:
         times_ns: Log times, shape (n,).
         places: Their order among those of all joints in a block, shape (n,).
-        rows: The transforms, shape (n,).
+        table: The transforms.
         stamps_ns: Their stamps, shape (n,).
 
     """
 
     times_ns: IntArray
     places: IntArray
-    rows: Rows
+    table: Table
     stamps_ns: IntArray
 
     @staticmethod
-    def of(times_ns: IntArray, places: IntArray, rows: Rows) -> Transforms:
+    def of(times_ns: IntArray, places: IntArray, table: Table) -> Transforms:
         """Return transforms with their stamps."""
-        return Transforms(times_ns, places, rows, stamps_of(rows))
+        return Transforms(times_ns, places, table, stamps_of(table))
 
     @staticmethod
     def none(layout: TableLayout) -> Transforms:
@@ -57,13 +59,13 @@ class Transforms:
         return Transforms(
             np.concatenate([part.times_ns for part in parts]),
             np.concatenate([part.places for part in parts]),
-            np.concatenate([part.rows for part in parts], dtype=parts[0].rows.dtype),  # else it drops the gaps
+            Table(parts[0].table.layout, np.concatenate([part.table.rows for part in parts])),
             np.concatenate([part.stamps_ns for part in parts]),
         )
 
     def chosen(self, which: BoolArray | IntArray | slice) -> Transforms:
         """Return some of them."""
-        return Transforms(self.times_ns[which], self.places[which], self.rows[which], self.stamps_ns[which])
+        return Transforms(self.times_ns[which], self.places[which], self.table.chosen(which), self.stamps_ns[which])
 
     def __len__(self) -> int:
         """Return how many there are."""

@@ -1,0 +1,210 @@
+"""Bags read and written in bulk are, message by message, what rosbags reads and writes."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from posor_estimator.bulk import blocks as bulk
+from posor_estimator.bulk.bag_writer import BulkWriter, Part
+from posor_estimator.bulk.blocks import blocks
+from posor_estimator.bulk.layout import TableLayout
+from posor_estimator.bulk.pieces import Piece, TopicReader
+from posor_estimator.errors import BagError
+from posor_estimator.ros.bag_reader import opened_bag
+from posor_estimator.ros.cdr import Schema
+from posor_estimator.ros.message_types import RAW_SCAN, MessageTypes
+from posor_msgs.msg import RawScan
+from rclpy.serialization import deserialize_message, serialize_message
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+from rosbags.rosbag2.storage_mcap import McapWriter
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+TOPICS = ("/one/raw", "/two/raw", "/other/raw")
+WANTED = list(TOPICS[:2])
+RANDOM = np.random.default_rng(11)
+Record = tuple[str, int, bytes]
+
+
+def scan(number: int, *, frame: str = "plate", diodes: int = 2) -> RawScan:
+    message = RawScan(scan=number, samples=1, status=number % 7)
+    message.header.frame_id = frame
+    message.header.stamp.sec, message.header.stamp.nanosec = number // 1000, number % 1000 + 1
+    message.gap_voltages = RANDOM.normal(size=3)
+    message.diode_currents = RANDOM.normal(size=4 * diodes)
+    message.lit_sources = list(range(diodes))
+    message.temperature = float("nan") if number % 3 else 293.0
+    return message
+
+
+def records(count: int) -> list[Record]:
+    """Return messages of all topics whose log times sometimes do not increase."""
+    times = np.cumsum(RANDOM.integers(-3, 9, count)) + 1000
+    return [(TOPICS[n % 3], int(times[n]), serialize_message(scan(n))) for n in range(count)]
+
+
+def write(path: Path, given: Sequence[Record], storage: StoragePlugin, mode: CompressionMode) -> None:
+    types = MessageTypes()
+    text, type_hash = types.definition(RAW_SCAN)
+    writer = Writer(path, version=9, storage_plugin=storage)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        connections = {topic: writer.add_connection(topic, RAW_SCAN, msgdef=text, rihs01=type_hash) for topic in TOPICS}
+        for topic, time_ns, data in given:
+            writer.write(connections[topic], time_ns, data)
+            if isinstance(writer.storage, McapWriter) and writer.storage.chunk.bio.tell() > 20_000:
+                writer.storage.close_chunk()
+
+
+def by_rosbags(path: Path) -> list[Record]:
+    with Reader(path) as reader:
+        chosen = [connection for connection in reader.connections if connection.topic in WANTED]
+        return [(connection.topic, time_ns, bytes(data)) for connection, time_ns, data in reader.messages(chosen)]
+
+
+def in_bulk(path: Path) -> Iterator[Record]:
+    with opened_bag(path) as reader:
+        for block in blocks(reader, WANTED, str(path)):
+            for topic, time_ns, start, length in zip(
+                block.topics, block.times_ns, block.starts, block.lengths, strict=True
+            ):
+                yield WANTED[topic], int(time_ns), block.data[start : start + length].tobytes()
+
+
+@pytest.mark.parametrize("block", [8 << 20, 30_000], ids=["one block", "many blocks"])
+@pytest.mark.parametrize(
+    ("storage", "mode"),
+    [
+        (StoragePlugin.MCAP, CompressionMode.NONE),
+        (StoragePlugin.MCAP, CompressionMode.STORAGE),
+        (StoragePlugin.MCAP, CompressionMode.MESSAGE),
+        (StoragePlugin.MCAP, CompressionMode.FILE),
+        (StoragePlugin.SQLITE3, CompressionMode.NONE),
+    ],
+    ids=lambda value: value.name.lower(),
+)
+def test_blocks_hold_the_messages_that_rosbags_reads_in_the_same_order(
+    storage: StoragePlugin, mode: CompressionMode, block: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bulk, "BLOCK", block)
+    monkeypatch.setattr(bulk, "MESSAGES", 333)
+    write(tmp_path / "bag", records(1000), storage, mode)
+    expected, found = by_rosbags(tmp_path / "bag"), list(in_bulk(tmp_path / "bag"))
+    assert [time_ns for _, time_ns, _ in found] == [time_ns for _, time_ns, _ in expected]
+    for topic in WANTED:
+        assert [one for one in found if one[0] == topic] == [one for one in expected if one[0] == topic]
+
+
+def test_a_file_without_an_index_is_read_too(tmp_path: Path) -> None:
+    ordered = sorted(records(60), key=lambda one: one[1])
+    write(tmp_path / "bag", ordered, StoragePlugin.MCAP, CompressionMode.NONE)
+    path = tmp_path / "bag" / "bag.mcap"
+    whole = path.read_bytes()
+    summary = struct.unpack("<Q", whole[-28:-20])[0]
+    path.write_bytes(whole[:summary] + whole[-37:-28] + bytes(20) + whole[-8:])
+    assert list(in_bulk(path)) == by_rosbags(path) == [one for one in ordered if one[0] in WANTED]
+
+
+def damaged(path: Path, at: int, data: bytes) -> None:
+    whole = bytearray(path.read_bytes())
+    whole[at : at + len(data)] = data
+    path.write_bytes(whole)
+
+
+def test_a_record_that_runs_beyond_its_chunk_is_told(tmp_path: Path) -> None:
+    write(tmp_path / "bag", records(90), StoragePlugin.MCAP, CompressionMode.NONE)
+    path = tmp_path / "bag" / "bag.mcap"
+    begin = path.read_bytes().index(by_rosbags(path)[5][2]) - 31
+    damaged(path, begin + 1, struct.pack("<Q", 10**6))
+    with pytest.raises(BagError, match=r"bag: a chunk holds a record that runs beyond its end, after the message logg"):
+        list(in_bulk(tmp_path / "bag"))
+
+
+def test_fewer_messages_than_the_index_says_are_told(tmp_path: Path) -> None:
+    write(tmp_path / "bag", records(90), StoragePlugin.MCAP, CompressionMode.NONE)
+    path = tmp_path / "bag" / "bag.mcap"
+    damaged(path, path.read_bytes().index(by_rosbags(path)[5][2]) - 31, b"\x7f")
+    with pytest.raises(BagError, match=r"holds 59 messages of /one/raw, /two/raw; expected 60, as its index says\."):
+        list(in_bulk(tmp_path / "bag"))
+
+
+def pieces(path: Path) -> list[Piece]:
+    with opened_bag(path) as reader:
+        of_topic = TopicReader(0, WANTED[0], Schema.of(RawScan), "the bag")
+        return [piece for block in blocks(reader, WANTED, str(path)) for piece in of_topic.pieces(block)]
+
+
+def big_endian(message: RawScan) -> bytes:
+    """Return a message that another machine has written."""
+    types = MessageTypes()
+    types.definition(RAW_SCAN)
+    store: Any = types._store
+    own = store.deserialize_cdr(Schema.of(RawScan).serialize(message), RAW_SCAN)
+    return bytes(store.serialize_cdr(own, RAW_SCAN, little_endian=False))
+
+
+def test_tables_hold_what_rclpy_reads_whatever_the_layout(tmp_path: Path) -> None:
+    kinds: list[dict[str, Any]] = [{}, {"frame": "another plate"}, {"diodes": 0}, {"diodes": 4}]
+    messages = [scan(n, **kinds[int(RANDOM.integers(4)) if 20 < n < 40 else 0]) for n in range(60)]
+    given = [
+        (WANTED[0], 100 + n, big_endian(message) if n in (0, 45) else serialize_message(message) + bytes(n % 2))
+        for n, message in enumerate(messages)
+    ]
+    write(tmp_path / "bag", given, StoragePlugin.MCAP, CompressionMode.NONE)
+    found = pieces(tmp_path / "bag")
+    assert len(found) < 30
+    n = 0
+    for piece in found:
+        for row in range(len(piece.table)):
+            message, table = messages[n], piece.table.chosen(slice(row, row + 1))
+            assert piece.times_ns[row] == 100 + n
+            assert table.layout.strings == {"header.frame_id": message.header.frame_id}
+            again = deserialize_message(table.messages.tobytes(), RawScan)
+            assert Schema.of(RawScan).serialize(again) == Schema.of(RawScan).serialize(message)
+            assert table["header.stamp.nanosec"][0] == message.header.stamp.nanosec
+            assert table["diode_currents"][0].tolist() == list(message.diode_currents)
+            assert table["lit_sources"][0].tolist() == list(message.lit_sources)
+            n += 1
+    assert n == len(messages)
+
+
+@pytest.mark.parametrize("cut", [0, 3, 30, 150])
+def test_a_message_that_is_cut_short_is_told_with_topic_and_time(cut: int, tmp_path: Path) -> None:
+    given = [(WANTED[0], 100 + n, serialize_message(scan(n))) for n in range(20)]
+    given[7] = (*given[7][:2], given[7][2][:cut])
+    write(tmp_path / "bag", given, StoragePlugin.MCAP, CompressionMode.NONE)
+    with pytest.raises(BagError, match=r"^the bag, topic /one/raw, logged at 107 ns: .*; expected a message that is"):
+        pieces(tmp_path / "bag")
+
+
+def test_chunks_written_in_bulk_are_read_by_rosbags(tmp_path: Path) -> None:
+    types = MessageTypes()
+    text, type_hash = types.definition(RAW_SCAN)
+    layout = TableLayout.like(scan(1))
+    expected: list[Record] = []
+    with BulkWriter(tmp_path / "bag") as writer:
+        connections = [writer.add_connection(topic, RAW_SCAN, msgdef=text, rihs01=type_hash) for topic in WANTED]
+        for begin in range(0, 300, 100):
+            parts = []
+            for connection in connections:
+                table, times = layout.new(50), begin + 2 * np.arange(50) + connection.id
+                table["scan"] = times
+                parts.append(Part(connection, times, table.messages))
+                expected += [
+                    (connection.topic, int(time_ns), data.tobytes())
+                    for time_ns, data in zip(times, table.messages, strict=True)
+                ]
+            writer.write_parts(parts)
+        writer.write_parts([Part(connections[0], np.empty(0, dtype=np.int64), layout.new(0).messages)])
+    assert by_rosbags(tmp_path / "bag") == sorted(expected, key=lambda one: one[1])
+    assert list(in_bulk(tmp_path / "bag")) == by_rosbags(tmp_path / "bag")
+    with Reader(tmp_path / "bag") as reader:
+        assert {connection.topic: connection.msgcount for connection in reader.connections} == dict.fromkeys(
+            WANTED, 150
+        )
+        assert (reader.start_time, reader.message_count) == (1, 300)

@@ -1,0 +1,100 @@
+"""Transforms joined block after block are what the live joiner joins one after the other."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from posor_estimator.bulk.layout import TableLayout
+from posor_estimator.core.joining import ScanJoiner
+from posor_estimator.reprocess import joined
+from posor_estimator.reprocess.joined import BlockJoiner
+from posor_estimator.reprocess.transforms import Transforms
+from posor_msgs.msg import JointTransform
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+NAMES = ("a", "b", "c")
+LAYOUT = TableLayout.like(JointTransform())
+Arrival = tuple[int, int]
+"""Joint and stamp."""
+
+
+def arrivals(random: np.random.Generator, count: int, *, restarts: bool) -> list[Arrival]:
+    """Return transforms of scans of which some are lost and some late, in the order of their coming."""
+    found: list[tuple[float, int, int]] = []
+    for n in range(count):
+        present = [joint for joint in range(len(NAMES)) if random.random() > 0.1]
+        found.extend((n + random.integers(0, 6), joint, n) for joint in present)
+    found.sort(key=lambda one: one[0])
+    last = dict.fromkeys(range(len(NAMES)), -1)
+    kept = []
+    for _, joint, stamp in found:  # of one joint they come in order
+        if stamp > last[joint]:
+            last[joint] = stamp
+            kept.append((joint, stamp + 1))
+    if restarts:
+        kept += [(joint, stamp - count // 2) for joint, stamp in kept if stamp > count // 2]
+    return kept
+
+
+def by_the_live_joiner(given: Sequence[Arrival]) -> tuple[list[int], int, dict[str, int]]:
+    live: ScanJoiner[int] = ScanJoiner(NAMES, math.inf)
+    complete, incomplete, missing = [], 0, dict.fromkeys(NAMES, 0)
+    for end in (False, True):
+        for joint, stamp in [] if end else given:
+            scan = live.add(NAMES[joint], stamp, stamp, 0.0)
+            if scan is not None:
+                complete.append(stamp)
+                assert set(scan.values()) == {stamp}
+            for absent in live.take_given_up().values():
+                incomplete += 1
+                missing |= {name: missing[name] + 1 for name in absent}
+        live.give_up_before(math.inf)
+    for absent in live.take_given_up().values():
+        incomplete += 1
+        missing |= {name: missing[name] + 1 for name in absent}
+    return complete, incomplete, missing
+
+
+def in_blocks(given: Sequence[Arrival], size: int) -> tuple[list[int], int, dict[str, int]]:
+    joiner, complete = BlockJoiner(NAMES), []
+    for begin in range(0, len(given), size):
+        block = []
+        for joint in range(len(NAMES)):
+            places = np.array(
+                [n for n in range(begin, min(begin + size, len(given))) if given[n][0] == joint], dtype=int
+            )
+            table = LAYOUT.new(len(places))
+            table["header.stamp.nanosec"] = [given[n][1] for n in places]
+            table["scan"] = places
+            block.append(Transforms.of(places, places, table))
+        found = joiner.join(block)
+        assert len({len(each) for each in found}) == 1
+        for joint, each in enumerate(found):
+            assert np.array_equal(each.stamps_ns, found[0].stamps_ns)
+            assert [given[n] for n in each.table["scan"].tolist()] == [(joint, stamp) for stamp in each.stamps_ns]
+        complete += found[0].stamps_ns.tolist()
+    joiner.finish()
+    return complete, joiner.incomplete, joiner.missing
+
+
+@pytest.mark.parametrize("restarts", [False, True])
+@pytest.mark.parametrize("size", [1, 7, 100, 10_000])
+def test_blocks_of_any_size_give_what_the_live_joiner_gives(size: int, restarts: bool) -> None:  # noqa: FBT001
+    random = np.random.default_rng(size)
+    for _ in range(4):
+        given = arrivals(random, 120, restarts=restarts)
+        assert in_blocks(given, size) == by_the_live_joiner(given)
+
+
+def test_a_joint_that_falls_silent_does_not_fill_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(joined, "MOST_OPEN", 50)
+    given = [(joint, n) for n in range(1, 1001) for joint in range(len(NAMES)) if joint != 2 or n < 100 or n > 990]
+    complete, incomplete, missing = in_blocks(given, 90)
+    assert complete == [*range(1, 100), *range(991, 1001)]
+    assert incomplete == missing["c"] == 891
+    assert missing["a"] == missing["b"] == 0
