@@ -85,7 +85,7 @@ def test_too_many_readings_that_do_not_belong_are_refused(rng: np.random.Generat
 @pytest.mark.parametrize(("lag", "word"), [(0.1, "later"), (-0.3, "earlier")])
 def test_a_reference_of_another_clock_is_told_by_its_lag(lag: float, word: str, rng: np.random.Generator) -> None:
     stamps = np.arange(300, dtype=np.int64) * 20_000_000
-    seconds = stamps * 1e-9
+    seconds: FloatArray = np.asarray(stamps * 1e-9, dtype=float)
 
     def motion(times: FloatArray) -> FloatArray:
         return np.asarray(1e-3 * np.sin(1.3 * times) + 1e-6 * rng.normal(size=300))

@@ -196,7 +196,8 @@ def _check_travel(travel: float, part: DiodesCalibration, where: str) -> None:
         TrackError: It is that long.
 
     """
-    places = np.array([one.origin.array[:2] for one in (*part.diodes, *part.light_sources)])
+    origins = [*(diode.origin for diode in part.diodes), *(source.origin for source in part.light_sources)]
+    places = np.array([origin.array[:2] for origin in origins])
     width = float(np.max(np.linalg.norm(places[:, None] - places, axis=2)))
     if travel > LONGEST_TRAVEL * width:
         raise TrackError(

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from posor_estimator.core.scan import Scans
-    from posor_estimator.core.types import BoolArray, FloatArray
+    from posor_estimator.core.types import BoolArray, FloatArray, IntArray
 
 FAR = 10.0
 """Standard deviations from the median of its stop beyond which a reading does not belong to it."""
@@ -63,7 +63,7 @@ def sound_parts(
     return out, tuple(said)
 
 
-def _odd(readings: FloatArray, of_part: FloatArray, motion: FloatArray) -> BoolArray:
+def _odd(readings: FloatArray, of_part: IntArray, motion: FloatArray) -> BoolArray:
     """Return which readings (n,) of a channel do not belong to their stop; ``of_part`` says which that is, (n,)."""
     bad = np.zeros(len(readings), dtype=bool)
     known = np.isfinite(readings)
@@ -83,7 +83,7 @@ def _odd(readings: FloatArray, of_part: FloatArray, motion: FloatArray) -> BoolA
     return bad
 
 
-def _stops(readings: FloatArray, of_part: FloatArray, known: BoolArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+def _stops(readings: FloatArray, of_part: IntArray, known: BoolArray) -> Iterator[tuple[IntArray, FloatArray]]:
     """Yield of each stop with enough readings which these are (m,), and how far they are from their median (m,)."""
     for part in range(int(of_part[-1]) + 1):
         which = np.flatnonzero((of_part == part) & known)
