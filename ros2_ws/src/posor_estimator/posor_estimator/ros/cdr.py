@@ -12,95 +12,22 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from enum import Enum
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 from rclpy.serialization import deserialize_message
-from rosidl_parser.definition import (
-    AbstractSequence,
-    Array,
-    BasicType,
-    BoundedSequence,
-    NamespacedType,
-    UnboundedString,
-)
 
 from posor_estimator.errors import TopicError
-from posor_estimator.ros.message_types import message_class
+from posor_estimator.ros.cdr_fields import Kind, fields_of
+from posor_estimator.ros.cdr_walk import LITTLE_ENDIAN, Walk, write
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
-LITTLE_ENDIAN = b"\x00\x01"
-"""First two bytes of a message in plain CDR, little endian; two bytes of options follow, which mean nothing here."""
-BODY = 4
-"""Where the fields begin, and what their alignment counts from."""
+    from posor_estimator.ros.cdr_walk import Span, Value
 
 STAMP = slice(4, 12)
 """Where every message that begins with a header has its stamp: seconds (int32), then nanoseconds (uint32)."""
 NS = 1_000_000_000
-
-CODES = {
-    "boolean": "?",
-    "octet": "B",
-    "uint8": "B",
-    "int8": "b",
-    "uint16": "H",
-    "int16": "h",
-    "uint32": "I",
-    "int32": "i",
-    "uint64": "Q",
-    "int64": "q",
-    "float": "f",
-    "double": "d",
-}
-"""Names of the basic types, and what ``struct`` calls them."""
-
-Value: TypeAlias = Any
-"""Of a field: a number, a list of numbers, a string or a list of strings."""
-
-
-class Kind(Enum):
-    """How many elements a field has."""
-
-    ONE = "one"
-    ARRAY = "a fixed number"
-    SEQUENCE = "a length, then as many"
-
-
-@dataclass(frozen=True)
-class Field:
-    """One basic field of a message, parts of parts counted as its own.
-
-    Attributes:
-        path: Its name, for instance ``header.stamp.sec``.
-        code: Of one element, as ``struct`` has it; ``s`` for a string.
-        kind: How many elements there are.
-        count: Of an array: its length; of a sequence: its bound, None when there is none.
-
-    """
-
-    path: str
-    code: str
-    kind: Kind
-    count: int | None = None
-
-
-class Span(NamedTuple):
-    """Where the elements of a field lie in the bytes of a message.
-
-    For a string, the elements are its bytes in UTF-8, the closing zero not counted.
-    """
-
-    offset: int
-    length: int
-    size: int
-    """Of one element [bytes]."""
-
-    @property
-    def part(self) -> slice:
-        """The bytes of all elements."""
-        return slice(self.offset, self.offset + self.length * self.size)
 
 
 @dataclass(frozen=True)
@@ -165,7 +92,7 @@ class Schema:
 
     def __init__(self, message_type: type[Any]) -> None:
         self.message_type = message_type
-        self.fields = tuple(_flattened(message_type, ""))
+        self.fields = tuple(fields_of(message_type))
         self.by_path = {field.path: field for field in self.fields}
 
     @staticmethod
@@ -193,10 +120,10 @@ class Schema:
                 its bound, a string that does not end.
 
         """
-        reader = _Reader(self, data)
+        walk = Walk(self.name, data)
         for field in self.fields:
-            reader.visit(field)
-        return Layout(self, reader.at, reader.spans, reader.lengths, reader.decisive)
+            walk.visit(field)
+        return Layout(self, walk.at, walk.spans, walk.lengths, walk.decisive)
 
     def values(self, data: bytes, layout: Layout | None = None) -> dict[str, Value]:
         """Return what a message says, by path; a list of strings is left out.
@@ -228,7 +155,7 @@ class Schema:
             value = message
             for part in field.path.split("."):
                 value = getattr(value, part)
-            _write(out, field, value, self.name)
+            write(out, field, value, self.name)
         return bytes(out)
 
     def normal(self, data: bytes) -> bytes:
@@ -249,122 +176,3 @@ class Schema:
 
 
 _schemas: dict[type[Any], Schema] = {}
-
-
-def _flattened(message_type: type[Any], prefix: str) -> Iterator[Field]:
-    for name, slot in zip(message_type.get_fields_and_field_types(), message_type.SLOT_TYPES, strict=True):
-        yield from _fields_of(prefix + name, slot)
-
-
-def _fields_of(path: str, slot: Any) -> Iterator[Field]:
-    if isinstance(slot, NamespacedType):
-        yield from _flattened(message_class("/".join([*slot.namespaces, slot.name])), f"{path}.")
-    elif isinstance(slot, Array):
-        yield Field(path, _code(path, slot.value_type), Kind.ARRAY, slot.size)
-    elif isinstance(slot, AbstractSequence):
-        bound = slot.maximum_size if isinstance(slot, BoundedSequence) else None
-        yield Field(path, _code(path, slot.value_type), Kind.SEQUENCE, bound)
-    else:
-        yield Field(path, _code(path, slot), Kind.ONE)
-
-
-def _code(path: str, element: Any) -> str:
-    if isinstance(element, UnboundedString):
-        return "s"
-    if isinstance(element, BasicType) and element.typename in CODES:
-        return CODES[element.typename]
-    raise TypeError(f"field '{path}': its type is not supported")
-
-
-def _aligned(at: int, size: int) -> int:
-    return at + (BODY - at) % size
-
-
-class _Reader:
-    """Goes through a message from its beginning to its end."""
-
-    def __init__(self, schema: Schema, data: bytes) -> None:
-        self._name = schema.name
-        self._data = data
-        self.at = BODY
-        self.spans: dict[str, Span] = {}
-        self.lengths: dict[str, int] = {}
-        self.decisive: dict[int, bytes] = {0: LITTLE_ENDIAN}
-        if data[:2] != LITTLE_ENDIAN:
-            raise TopicError(
-                f"a message begins with bytes '{data[:2].hex()}'",
-                where=self._name,
-                expected=f"'{LITTLE_ENDIAN.hex()}', plain CDR in little endian",
-            )
-
-    def visit(self, field: Field) -> None:
-        """Find the next field."""
-        count = 1
-        if field.kind is Kind.ARRAY:
-            count = field.count or 0
-        elif field.kind is Kind.SEQUENCE:
-            count = self._length(field)
-            if field.count is not None and count > field.count:
-                raise TopicError(
-                    f"a message says that it has {count} {field.path}",
-                    where=self._name,
-                    expected=f"at most {field.count}",
-                )
-        if field.code != "s":
-            size = struct.calcsize(field.code)
-            # An empty sequence needs no alignment of elements that are not there.
-            begin = _aligned(self.at, size) if count else self.at
-            self._go_to(begin + count * size, field)
-            self.spans[field.path] = Span(begin, count, size)
-        elif field.kind is Kind.ONE:
-            self.spans[field.path] = self._string(field)
-        else:
-            for _ in range(count):
-                self._string(field)
-
-    def _string(self, field: Field) -> Span:
-        length = self._length(field)
-        begin = self.at
-        self._go_to(begin + length, field)
-        if not length or self._data[self.at - 1] != 0:
-            raise TopicError(f"in a message, the string '{field.path}' has no zero at its end", where=self._name)
-        return Span(begin, length - 1, 1)
-
-    def _length(self, field: Field) -> int:
-        begin = _aligned(self.at, 4)
-        self._go_to(begin + 4, field)
-        self.lengths.setdefault(field.path, begin)
-        self.decisive[begin] = self._data[begin : begin + 4]
-        return int.from_bytes(self._data[begin : begin + 4], "little")
-
-    def _go_to(self, at: int, field: Field) -> None:
-        if at > len(self._data):
-            raise TopicError(
-                f"a message of {len(self._data)} bytes ends within '{field.path}'",
-                where=self._name,
-                expected=f"at least {at} bytes",
-            )
-        self.at = at
-
-
-def _write(out: bytearray, field: Field, value: Value, name: str) -> None:
-    elements = [value] if field.kind is Kind.ONE else value
-    if field.kind is Kind.SEQUENCE:
-        if field.count is not None and len(elements) > field.count:
-            raise TopicError(
-                f"a message has {len(elements)} {field.path}", where=name, expected=f"at most {field.count}"
-            )
-        _put(out, "I", [len(elements)])
-    if field.code != "s":
-        _put(out, field.code, elements)
-        return
-    for text in elements:
-        said = text.encode("utf-8") + b"\x00"
-        _put(out, "I", [len(said)])
-        out += said
-
-
-def _put(out: bytearray, code: str, elements: Sequence[Value]) -> None:
-    if len(elements):
-        out.extend(bytes(_aligned(len(out), struct.calcsize(code)) - len(out)))
-        out.extend(struct.pack(f"<{len(elements)}{code}", *elements))

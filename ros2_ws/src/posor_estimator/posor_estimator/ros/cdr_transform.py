@@ -11,7 +11,8 @@ import numpy as np
 from posor_msgs.msg import JointTransform
 
 from posor_estimator.core.fault import Fault, State
-from posor_estimator.ros.cdr import LITTLE_ENDIAN, NS, Schema
+from posor_estimator.ros.cdr import NS, Schema
+from posor_estimator.ros.cdr_walk import LITTLE_ENDIAN
 from posor_estimator.ros.cdr_writer import MessageWriter
 from posor_estimator.ros.messages import COVARIANCE_KINDS
 

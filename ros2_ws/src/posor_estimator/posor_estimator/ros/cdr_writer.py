@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from posor_estimator.ros.cdr import BODY, STAMP, Schema
+from posor_estimator.ros.cdr import STAMP, Schema
+from posor_estimator.ros.cdr_walk import BODY
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

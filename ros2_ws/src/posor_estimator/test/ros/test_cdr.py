@@ -11,7 +11,8 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformStamped
 from posor_estimator.errors import TopicError
-from posor_estimator.ros.cdr import Field, Kind, Schema
+from posor_estimator.ros.cdr import Schema
+from posor_estimator.ros.cdr_fields import Field, Kind
 from posor_msgs.msg import JointTransform, RawScan
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState

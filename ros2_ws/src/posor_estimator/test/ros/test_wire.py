@@ -5,17 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import pytest
-import rclpy
 from posor_estimator.errors import TopicError
 from posor_estimator.ros.node import PosorNode
 from posor_estimator.ros.parameters import NodeParameters
 from posor_estimator.ros.qos import KEEP_ALL_QOS
 from posor_estimator.ros.wire import Inlet, Outlet
 from posor_estimator.testing.graph import Graph
+from posor_estimator.testing.process import Process
 from posor_estimator.testing.program import wait_until
 from posor_msgs.msg import JointTransform, RawScan
-from rclpy.context import Context
-from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.serialization import serialize_message
 
 if TYPE_CHECKING:
@@ -33,38 +31,14 @@ class PlainNode(PosorNode[NodeParameters]):
     Parameters = NodeParameters
 
 
-class Process:
-    """The nodes and the executor of one context."""
-
-    def __init__(self) -> None:
-        self.context = Context()
-        rclpy.init(context=self.context)
-        self.executor = EventsExecutor(context=self.context)
-        self.nodes: list[PlainNode] = []
-
-    def node(self, namespace: str) -> PlainNode:
-        node = PlainNode(context=self.context, namespace=namespace)
-        node.start()
-        self.nodes.append(node)
-        self.executor.add_node(node)
-        return node
-
-    def turn(self) -> None:
-        self.executor.spin_once(timeout_sec=0.01)
-
-    def end(self) -> None:
-        for node in self.nodes:
-            self.executor.remove_node(node)
-            node.stop()
-        self.executor.shutdown()
-        self.context.try_shutdown()
-
-
 @pytest.fixture
 def process() -> Iterator[Process]:
-    process = Process()
-    yield process
-    process.end()
+    with Process() as process:
+        yield process
+
+
+def plain(process: Process, namespace: str) -> PlainNode:
+    return process.start(PlainNode, namespace)
 
 
 def outlet_of(node: PlainNode, topic: str = "/joint/raw", **options: Any) -> Outlet:
@@ -76,7 +50,7 @@ def outlet_of(node: PlainNode, topic: str = "/joint/raw", **options: Any) -> Out
 
 @pytest.mark.parametrize("first", ["inlet", "outlet"])
 def test_within_a_process_the_very_bytes_are_handed_on_whoever_comes_first(process: Process, first: str) -> None:
-    sender, listener = process.node("/joint"), process.node("/posor")
+    sender, listener = plain(process, "/joint"), plain(process, "/posor")
     taken: list[bytes] = []
     if first == "outlet":
         outlet = outlet_of(sender, "raw")
@@ -92,12 +66,12 @@ def test_within_a_process_the_very_bytes_are_handed_on_whoever_comes_first(proce
 
 
 def test_other_processes_get_the_same_messages(process: Process) -> None:
-    outlet = outlet_of(process.node("/joint"))
+    outlet = outlet_of(plain(process, "/joint"))
     with Graph() as graph:
         received = graph.collect(RawScan, "/joint/raw", raw=True)
         graph.wait_until(lambda: outlet.count == 1, "the subscription")
         taken: list[bytes] = []
-        inlet = Inlet(process.node("/posor"), RawScan, "/joint/raw", KEEP_ALL_QOS, taken.append)
+        inlet = Inlet(plain(process, "/posor"), RawScan, "/joint/raw", KEEP_ALL_QOS, taken.append)
         assert outlet.count == 2
         outlet.publish(MESSAGES[0])
         outlet.hand_on(MESSAGES[1])
@@ -112,7 +86,7 @@ def test_other_processes_get_the_same_messages(process: Process) -> None:
 
 
 def test_an_inlet_hears_other_processes_while_its_own_has_no_outlet(process: Process) -> None:
-    listener = process.node("/posor")
+    listener = plain(process, "/posor")
     taken: list[bytes] = []
     inlet = Inlet(listener, RawScan, "/joint/raw", KEEP_ALL_QOS, taken.append)
     with Graph() as graph:
@@ -124,7 +98,7 @@ def test_an_inlet_hears_other_processes_while_its_own_has_no_outlet(process: Pro
         subscriptions(1)
         abroad.publish(MESSAGES[0])
         graph.wait_until(lambda: taken == MESSAGES[:1], "a message over DDS", process.turn)
-        outlet = outlet_of(process.node("/joint"))
+        outlet = outlet_of(plain(process, "/joint"))
         subscriptions(0)
         outlet.publish(MESSAGES[1])
         assert taken == MESSAGES[:2]
@@ -138,8 +112,8 @@ def test_an_inlet_hears_other_processes_while_its_own_has_no_outlet(process: Pro
 
 def test_an_inactive_publisher_hands_on_nothing(process: Process) -> None:
     taken: list[bytes] = []
-    outlet = outlet_of(process.node("/joint"))
-    Inlet(process.node("/posor"), RawScan, "/joint/raw", KEEP_ALL_QOS, taken.append)
+    outlet = outlet_of(plain(process, "/joint"))
+    Inlet(plain(process, "/posor"), RawScan, "/joint/raw", KEEP_ALL_QOS, taken.append)
     with Graph() as graph:
         received = graph.collect(RawScan, "/joint/raw", raw=True)
         graph.wait_until(lambda: outlet.count == 2, "the subscription")
@@ -154,8 +128,8 @@ def test_an_inactive_publisher_hands_on_nothing(process: Process) -> None:
 
 def test_who_listens_is_told_as_they_come_and_go(process: Process) -> None:
     counts: list[int] = []
-    outlet = outlet_of(process.node("/joint"), on_count=counts.append)
-    inlet = Inlet(process.node("/posor"), RawScan, "/joint/raw", KEEP_ALL_QOS, print)
+    outlet = outlet_of(plain(process, "/joint"), on_count=counts.append)
+    inlet = Inlet(plain(process, "/posor"), RawScan, "/joint/raw", KEEP_ALL_QOS, print)
     with Graph() as graph:
         graph.collect(RawScan, "/joint/raw")
         graph.wait_until(lambda: counts == [1, 2], "two listeners", process.turn)
@@ -167,7 +141,7 @@ def test_who_listens_is_told_as_they_come_and_go(process: Process) -> None:
 
 
 def test_the_ends_of_a_topic_must_agree_on_its_type(process: Process) -> None:
-    node = process.node("/joint")
+    node = plain(process, "/joint")
     outlet_of(node, "raw")
     with pytest.raises(TopicError) as caught:
         Inlet(node, JointTransform, "raw", KEEP_ALL_QOS, print)
@@ -178,7 +152,7 @@ def test_the_ends_of_a_topic_must_agree_on_its_type(process: Process) -> None:
 
 
 def test_what_a_listener_raises_ends_its_program_and_not_the_publisher(process: Process) -> None:
-    sender, broken, sound = (process.node(f"/{name}") for name in ("sender", "broken", "sound"))
+    sender, broken, sound = (plain(process, f"/{name}") for name in ("sender", "broken", "sound"))
     taken: list[bytes] = []
 
     def fail(data: bytes) -> None:
