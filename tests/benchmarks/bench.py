@@ -27,6 +27,7 @@ from tests.benchmarks.kernel import kernel_figures
 from tests.benchmarks.layouts import LAYOUTS
 from tests.benchmarks.machine import machine
 from tests.benchmarks.measuring import Bench
+from tests.benchmarks.offline import SECONDS, offline_figures
 from tests.benchmarks.sections import Arms, Plan, Sections
 from tests.benchmarks.tables import machine_lines, tables
 
@@ -34,14 +35,17 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Sequence
 
-SECTIONS = ("graph", "layouts", "growth", "highest", "kernel", "offline")
+SECTIONS = ("graph", "layouts", "growth", "highest", "profile", "kernel", "offline")
+USUAL = tuple(name for name in SECTIONS if name != "profile")
 QUICK = ("graph", "growth", "kernel", "offline")
 """What --quick leaves of them."""
 FASTEST_HZ = 10_000
 MOST_JOINTS = 16
 GROWTH_HZ = 500
 GROWTH_JOINTS, GROWTH_RATES = (1, 2, 4, 8, 16), (500, 1000, 2000, 4000)
+QUICK_OFFLINE_S = 20
 QUICK_JOINTS, QUICK_RATES = (1, 2), ()
+WIDTH = 118
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -65,6 +69,7 @@ def parse(arguments: Sequence[str]) -> Namespace:
     parser.add_argument(
         "--only", type=_sections, metavar="SECTION,...", help=f"some parts only, of {', '.join(SECTIONS)}"
     )
+    parser.add_argument("--profile", action="store_true", help="also take the time of a tick apart, stage by stage")
     parser.add_argument("--output", type=Path, default=ROOT / "build/bench.json", help="default: build/bench.json")
     options = parser.parse_args(list(arguments))
     for name, least, most in (("joints", 1, MOST_JOINTS), ("rate", 1, FASTEST_HZ), ("seconds", 1, 3600)):
@@ -82,6 +87,11 @@ def _sections(text: str) -> tuple[str, ...]:
     return names
 
 
+def _parts(options: Namespace) -> tuple[str, ...]:
+    parts = options.only or (QUICK if options.quick else USUAL)
+    return (*parts, *(["profile"] if options.profile else []))
+
+
 def plan_of(options: Namespace) -> Plan:
     """Return what to measure."""
     quick = options.quick
@@ -92,6 +102,7 @@ def plan_of(options: Namespace) -> Plan:
         seconds=options.seconds or (6.0 if quick else 60.0),
         rounds=1 if quick else 2,
         point_s=min(options.seconds or 60.0, 2.0 if quick else 5.0),
+        offline_s=QUICK_OFFLINE_S if quick else SECONDS,
         growth_joints=QUICK_JOINTS if quick else GROWTH_JOINTS,
         growth_rate=GROWTH_HZ,
         growth_rates=QUICK_RATES if quick else GROWTH_RATES,
@@ -106,40 +117,50 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _bench(arguments: Sequence[str]) -> None:
     options = parse(arguments)
     writable(options.output)
-    plan, parts = plan_of(options), options.only or (QUICK if options.quick else SECTIONS)
     console = Console(highlight=False, soft_wrap=True, markup=False)
     results: dict[str, Any] = {"machine": machine()}
     console.print("\n".join(machine_lines(results["machine"])))
-    folder = prepare(options.output.parent / options.output.stem, ("made", "runs"), "make bench")
-    _let_find(ROOT, folder / "made")
     stop = StopSignal()
     try:
-        with own_network(), Graph() as graph:
-            most = max([plan.joints, *(plan.growth_joints if "growth" in parts else ())])
-            arms = Arms(folder / "made", most)
-            floor.register(folder / "made")
-            bench = Bench(folder / "runs", graph, lambda: stop.requested)
-            sections = Sections(plan, bench, arms, console.print)
-            for name in SECTIONS:
-                if name in parts:
-                    results |= _measured(name, sections, arms, plan)
-                    write_json(options.output, results)
+        _measure(options, results, stop, console)
     finally:
         stop.restore()
+        if len(results) > 1:  # also if something went wrong: what was measured until then
+            _tell(options, results, console)
+
+
+def _measure(options: Namespace, results: dict[str, Any], stop: StopSignal, console: Console) -> None:
+    """Do all parts and put what they give into ``results``."""
+    plan, parts = plan_of(options), _parts(options)
+    folder = prepare(options.output.parent / options.output.stem, ("made", "runs"), "make bench")
+    made = folder / "made"
+    with own_network(), Graph() as graph:
+        arms = Arms(made, max([plan.joints, *(plan.growth_joints if "growth" in parts else ())]))
+        floor.register(made)
+        _let_find(ROOT, made)
+        sections = Sections(plan, Bench(folder / "runs", graph, lambda: stop.requested), arms, console.print)
+        for name in SECTIONS:
+            if name in parts:
+                results |= _measured(name, sections, arms, plan, made)
+
+
+def _tell(options: Namespace, results: dict[str, Any], console: Console) -> None:
+    """Print tables, write the file, draw the figure."""
+    tell = Console(width=WIDTH)
     for table in tables(results).values():
-        console.print(table.rich())
+        tell.print(table.rich())
     if "growth" in results:
         picture = options.output.with_name(f"{options.output.stem}_growth.png")
-        picture.write_bytes(growth.figure(results["growth"], plan.joints, plan.growth_rate))
-        console.print(f"figure: {picture}")
-    console.print(f"figures: {options.output}")
+        picture.write_bytes(growth.figure(results["growth"], options.joints, GROWTH_HZ))
+        console.print(f"figure drawn in {picture}")
+    write_json(options.output, results)
 
 
-def _measured(name: str, sections: Sections, arms: Arms, plan: Plan) -> dict[str, Any]:
+def _measured(name: str, sections: Sections, arms: Arms, plan: Plan, folder: Path) -> dict[str, Any]:
     if name == "kernel":
         return kernel_figures(arms[plan.joints], arms.bag)
     if name == "offline":
-        return {}
+        return offline_figures(arms[plan.joints], arms.bag, folder, plan.offline_s)
     return dict(getattr(sections, name)())
 
 

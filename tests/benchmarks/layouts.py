@@ -6,19 +6,21 @@ what shares a process.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import yaml
 from posor_bringup.arm_programs import arm_programs
-from posor_bringup.supervisor import Program
+from posor_bringup.supervisor import Program, Script
 
+from tests.benchmarks import profiled
 from tests.benchmarks.floor import FloorChain, FloorPosor
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from posor_bringup.supervisor import Parameter
     from posor_estimator.core.arm import Arm
 
 Kind = Literal["graph", "floor"]
@@ -28,28 +30,49 @@ LAYOUTS: Mapping[Layout, str] = {
     "drivers_apart": "two processes: drivers; all other nodes",
     "separate": "one process for each node",
 }
+PROFILE = "profile.json"
 FALSE_ALARM = 1e-9
 """For the chi-square test: scans that come again and again would fail by their noise again and again, and be lost."""
 
 
-def processes(arm: Arm, kind: Kind, layout: Layout, rate: int, folder: Path) -> list[Program]:
-    """Write the composition files and return the programs, those that listen first.
+@dataclass(frozen=True)
+class Load:
+    """What is to run.
 
-    Args:
+    Attributes:
         arm: From ``made_arm``.
         kind: The graph or its floor.
         layout: What shares a process.
         rate: Scans per second.
-        folder: For the files.
+        profiled: Whether with stopwatches, which write ``PROFILE`` in the folder of the run.
 
     """
-    nodes = [_node(program, arm, kind) for program in arm_programs(arm, driver_parameters={"looped.rate": rate})]
-    programs = []
-    for name, members in _groups(nodes, layout).items():
+
+    arm: Arm
+    kind: Kind
+    layout: Layout
+    rate: int
+    profiled: bool = False
+
+    @property
+    def name(self) -> str:
+        """For people and for folders."""
+        return f"{self.kind}_{self.layout}_{len(self.arm.calibrations)}x{self.rate}"
+
+
+def processes(load: Load, folder: Path) -> list[Program]:
+    """Write the composition files into a folder and return the programs, those that listen first."""
+    rate: dict[str, Parameter] = {"looped.rate": load.rate}
+    nodes = [_node(program, load.arm, load.kind) for program in arm_programs(load.arm, driver_parameters=rate)]
+    programs: list[Program] = []
+    for name, members in _groups(nodes, load.layout).items():
         content = {"format": "posor_composition", "version": 1, "nodes": [_entry(node) for node in members]}
         path = folder / f"{name.replace('/', '.')}.yaml"
         path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
-        programs.append(Program(name, "posor_estimator", "compose", (str(path),)))
+        if load.profiled:
+            programs.append(Script(name, "", str(profiled.__file__), (str(path), str(folder / PROFILE))))
+        else:
+            programs.append(Program(name, "posor_estimator", "compose", (str(path),)))
     return programs
 
 

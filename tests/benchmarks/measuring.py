@@ -17,13 +17,12 @@ from rclpy.serialization import deserialize_message
 
 from tests.benchmarks import receiver
 from tests.benchmarks.accounts import COUNTERS, Run, Window, account
-from tests.benchmarks.layouts import Kind, Layout, processes
+from tests.benchmarks.layouts import Load, processes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from posor_bringup.supervisor import RunningProgram
-    from posor_estimator.core.arm import Arm
 
 START_S = 60.0
 """Within this time the first pose must come."""
@@ -40,7 +39,14 @@ MEGA = 1e6
 
 
 class Bench:
-    """Measures, in a folder for everything that this makes; the environment must lead to a ROS domain of its own."""
+    """Measures, in a folder for everything that this makes; the environment must lead to a ROS domain of its own.
+
+    Attributes:
+        folder: Of the last run.
+
+    """
+
+    folder: Path
 
     def __init__(self, folder: Path, graph: Graph, interrupted: Callable[[], bool] = lambda: False) -> None:
         self._folder = folder
@@ -49,23 +55,23 @@ class Bench:
         self._diagnostics: list[bytes] = graph.collect(DiagnosticArray, DIAGNOSTICS_TOPIC, raw=True)
         self._number = 0
 
-    def run(self, arm: Arm, kind: Kind, layout: Layout, rate: int, seconds: float) -> Run:
-        """Start everything, measure for some seconds, end everything.
+    def run(self, load: Load, seconds: float) -> Run:
+        """Start a load, measure for some seconds, end everything.
 
         Raises:
             PosorError: A process ended, or no pose came.
 
         """
         self._number += 1
-        folder = self._folder / f"{self._number:02}_{kind}_{layout}_{len(arm.calibrations)}x{rate}"
+        self.folder = folder = self._folder / f"{self._number:02}_{load.name}"
         folder.mkdir(parents=True)
         noted = folder / "received.npy"
         with Supervisor(folder) as supervisor:
             ear = supervisor.start(
-                Script("receiver", "", str(receiver.__file__), (f"/{arm.name}/{ENDPOINT_TOPIC}", str(noted)))
+                Script("receiver", "", str(receiver.__file__), (f"/{load.arm.name}/{ENDPOINT_TOPIC}", str(noted)))
             )
             self._until(supervisor, lambda: receiver.READY in ear.log.read_text(), "the receiver")
-            running = [supervisor.start(program) for program in processes(arm, kind, layout, rate, folder)]
+            running = [supervisor.start(program) for program in processes(load, folder)]
             self._until(supervisor, lambda: receiver.FIRST in ear.log.read_text(), "the first pose")
             self._pass(supervisor, WARM_UP_S)
             totals, begin = self._totals(), _Look(running)
@@ -75,7 +81,7 @@ class Bench:
             counted = _difference(totals, self._totals())
             supervisor.end(running)
             supervisor.end([ear])
-        window = Window(begin.time_ns, end.time_ns, rate)
+        window = Window(begin.time_ns, end.time_ns, load.rate)
         return account(np.load(noted), window, counted, begin.cores_until(end), end.memory_mb)
 
     def _until(self, supervisor: Supervisor, condition: Callable[[], bool], what: str) -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from tests.benchmarks.accounts import NothingReceived, figures
 from tests.benchmarks.growth import line, series
-from tests.benchmarks.layouts import LAYOUTS, Layout
+from tests.benchmarks.layouts import LAYOUTS, PROFILE, Layout, Load
 from tests.benchmarks.made_arm import made_arm, record
 
 if TYPE_CHECKING:
@@ -35,6 +36,7 @@ class Plan:
         seconds: Measured time of the main graph, and as much of its floor.
         rounds: How often the two take turns, so that what else the machine does hits both.
         point_s: Measured time of every other run.
+        offline_s: Length of the bag that is reprocessed, recorded at 1 kHz.
         growth_joints: Numbers of joints, at ``growth_rate`` [Hz].
         growth_rates: Rates [Hz], with the joints of the main graph.
 
@@ -46,6 +48,7 @@ class Plan:
     seconds: float
     rounds: int
     point_s: float
+    offline_s: int
     growth_joints: Sequence[int]
     growth_rate: int
     growth_rates: Sequence[int]
@@ -83,7 +86,7 @@ class Sections:
 
     def _run(self, kind: Kind, layout: Layout, joints: int, rate: int, seconds: float) -> Run:
         self._say(f"{kind}, {joints} joints at {rate} Hz, {LAYOUTS[layout]}: {seconds:g} s")
-        return self._bench.run(self._arms[joints], kind, layout, rate, seconds)
+        return self._bench.run(Load(self._arms[joints], kind, layout, rate), seconds)
 
     def graph(self) -> dict[str, Any]:
         """Measure the main graph and its floor in turns."""
@@ -143,3 +146,10 @@ class Sections:
             return self._run("graph", self._plan.layout, joints, rate, self._plan.point_s).lost
         except NothingReceived as error:
             return error.expected_poses
+
+    def profile(self) -> dict[str, Any]:
+        """Take the main graph's time apart, all nodes in one process."""
+        plan = self._plan
+        self._say(f"profile, {plan.joints} joints at {plan.rate} Hz: {plan.point_s:g} s")
+        self._bench.run(Load(self._arms[plan.joints], "graph", "composed", plan.rate, profiled=True), plan.point_s)
+        return {"profile": json.loads((self._bench.folder / PROFILE).read_text(encoding="utf-8"))}

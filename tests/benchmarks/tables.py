@@ -78,6 +78,8 @@ def tables(results: Mapping[str, Any]) -> dict[str, Shown]:
     if "growth" in results:
         rows = [(f"{point['joints']} x {point['rate']} Hz", point) for point in results["growth"]]
         made["growth"] = _latencies("Growth: all nodes in one process", rows)
+    if "profile" in results:
+        made["profile"] = _profile(results["profile"])
     single = [(text, results[key]) for key, text in SINGLE.items() if results.get(key) is not None]
     if single:
         rounded = [(text, f"{value:,.0f}" if value >= WHOLE else f"{value:.2f}") for text, value in single]
@@ -97,6 +99,18 @@ def _latencies(title: str, runs: Sequence[tuple[str, Mapping[str, Any]]]) -> Sho
         for name, run in runs
     ]
     return Shown(title, LATENCY, rows)
+
+
+def _profile(profile: Mapping[str, Any]) -> Shown:
+    rows = [(name, f"{stage['calls']:.1f}", f"{stage['us']:.1f}") for name, stage in profile["stages"].items()]
+    rows.append(("all stages", "", f"{sum(stage['us'] for stage in profile['stages'].values()):.1f}"))
+    milestones = {
+        "stamp_to_first_scan_us": "from the stamp to the first scan at hand, p50",
+        "first_to_last_scan_us": "from the first scan to the last, p50",
+        "last_scan_to_pose_us": "from the last scan at hand to the pose sent, p50",
+    }
+    rows += [(text, "", f"{profile[key]['p50']:.1f}") for key, text in milestones.items()]
+    return Shown("Where the time of a tick goes", ("", "calls a tick", "us a tick"), rows)
 
 
 def _lost(run: Mapping[str, Any]) -> str:

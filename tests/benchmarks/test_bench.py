@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
+from pathlib import Path
+from threading import Thread
+from time import monotonic, perf_counter, sleep
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,10 +19,10 @@ from posor_estimator.errors import ParameterError, PosorError
 from tests.benchmarks.accounts import COUNTERS, NothingReceived, Run, Window, account, figures
 from tests.benchmarks.bench import ROOT, main, parse
 from tests.benchmarks.growth import figure, line, series
+from tests.benchmarks.page import PLACE, filled
+from tests.benchmarks.stopwatch import Stopwatches
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     import numpy.typing as npt
 
 SECOND = 1_000_000_000
@@ -127,25 +131,151 @@ def test_output_that_cannot_be_written_is_refused(tmp_path: Path, capsys: pytest
     assert str(tmp_path / "file") in capsys.readouterr().err
 
 
+def test_stopwatches_show_what_a_stage_takes_without_those_that_it_calls() -> None:
+    watches = Stopwatches()
+    inner = watches.timed(sleep, "inner")
+
+    def work() -> None:
+        sleep(0.02)
+        inner(0.05)
+        inner(0.05)
+
+    watches.timed(work, lambda: "outer")()
+    other = Thread(target=inner, args=(0.0,))
+    other.start()
+    other.join()
+    found = watches.found()
+    assert {name: calls for name, (calls, _) in found.items()} == {"inner": 2, "outer": 1}
+    assert found["inner"][1] >= 99_000
+    assert found["outer"][1] >= 19_000
+    assert found["outer"][1] + found["inner"][1] >= 119_000
+    watches.restart()
+    assert watches.found() == {}
+
+
+def test_cost_of_the_stopwatches_is_taken_off() -> None:
+    watches = Stopwatches()
+    nothing = watches.timed(lambda: None, "nothing")
+
+    def call_it() -> None:
+        for _ in range(20_000):
+            nothing()
+
+    begin = perf_counter()
+    watches.timed(call_it, "caller")()
+    took_us = 1e6 * (perf_counter() - begin)
+    found = watches.found()
+    assert found["nothing"][0] == 20_000
+    assert found["nothing"][1] + found["caller"][1] < 0.8 * took_us
+
+
+def test_page_gets_the_figures_and_keeps_what_was_not_measured() -> None:
+    page = (
+        "Text.\n<!-- machine -->\nold\n<!-- end -->\n<!-- graph -->\n<!-- end -->\n<!-- growth -->\nold\n<!-- end -->\n"
+    )
+    told = figures([accounted(noted(np.arange(FIRST, FIRST + 1000)))])
+    told_machine = {
+        "cores": 2,
+        "processor": "P",
+        "kernel": "6",
+        "python": "3",
+        "rmw": "r",
+        "compiled": True,
+        "load": 0.1,
+    }
+    results = {"machine": told_machine, "graph_6x2000": told, "floor_6x2000": told}
+    result = filled(page, results)
+    assert result.startswith(
+        "Text.\n<!-- machine -->\n2 cores (P), Linux 6, Python 3, r, kernels compiled.\n<!-- end -->\n"
+    )
+    assert "| graph | 150 | 150 | 150 | 150 | 0 of 1000 | 0.50 | 100 |\n" in result
+    assert result.endswith("<!-- growth -->\nold\n<!-- end -->\n")
+    assert filled(result, results) == result
+    with pytest.raises(ParameterError, match="'<!-- grpah -->' is no place"):
+        filled("<!-- grpah -->\n<!-- end -->\n", results)
+
+
+def test_every_place_of_the_page_is_known() -> None:
+    assert PLACE.findall((ROOT / "docs/performance.md").read_text()) == [
+        "machine",
+        "graph",
+        "layouts",
+        "profile",
+        "growth",
+        "single",
+    ]
+
+
+@pytest.mark.timeout(300)
 def test_small_run_gives_all_figures(tmp_path: Path) -> None:
     output = tmp_path / "bench.json"
-    arguments = ["--quick", "--joints", "2", "--rate", "200", "--seconds", "1", "--only", "graph,layouts,kernel"]
-    command = [sys.executable, "-m", "tests.benchmarks.bench", *arguments, "--output", str(output)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
+    said = bench(output, "--only", "graph,kernel,offline", "--profile", "--layout", "drivers_apart")
     results = json.loads(output.read_text())
-    assert {"machine", "graph_2x200", "floor_2x200", "ratio_p50", "ratio_p99", "layouts", "kernel_us"} <= set(results)
-    assert list(results["layouts"]) == ["composed", "drivers_apart", "separate"]
-    runs = [results["graph_2x200"], results["floor_2x200"], *results["layouts"].values()]
-    for told in runs:
+    assert results["machine"]["cores"] >= 1
+    check_graph(results)
+    check_rest(results)
+    for text in ("2x200 Hz: from a scan's stamp", "floor: nothing computed", "us a tick", "estimator, scan by scan"):
+        assert text in said
+
+
+def started(output: Path, *options: str) -> subprocess.Popen[str]:
+    """Start the program as make does."""
+    command = [sys.executable, "-m", "tests.benchmarks.bench", "--output", str(output), *options]
+    return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def bench(output: Path, *options: str) -> str:
+    """Run the program in so small a measure that it takes a few seconds; return what it printed."""
+    program = started(output, "--quick", "--joints", "2", "--rate", "200", "--seconds", "1", *options)
+    try:
+        printed, complaints = program.communicate()
+    except BaseException:
+        program.send_signal(signal.SIGINT)  # it ends what it has started
+        program.communicate()
+        raise
+    assert (program.returncode, complaints) == (0, "")
+    return printed
+
+
+def check_graph(results: dict[str, Any]) -> None:
+    """Check what graph and floor are told to be, drivers and other nodes in a process each."""
+    for told in (results["graph_2x200"], results["floor_2x200"]):
         assert 200 <= told["expected"] < 400
         assert told["lost"] == told["expected"] - told["received"] == told["not_received"] + told["not_published"]
         assert 0 < told["p50_us"] <= told["p99_us"] <= told["p999_us"] <= told["max_us"]
         assert 0 < told["published_p50_us"] < told["p50_us"]
         assert told["cpu_cores"] == pytest.approx(sum(part["cpu_cores"] for part in told["processes"].values()))
         assert told["memory_mb"] > 0
-    assert [len(told["processes"]) for told in runs] == [1, 1, 1, 2, 5]
-    assert results["ratio_p50"] == results["graph_2x200"]["p50_us"] / results["floor_2x200"]["p50_us"]
-    assert 0 < results["kernel_us"] <= results["scan_us"]
-    for text in ("2x200: from the stamp", "floor: same messages", "one process for each node", "kernel_us"):
-        assert text in done.stdout
+        assert list(told["processes"]) == ["posors_and_chain", "drivers"]
+    for share in ("p50", "p99"):
+        expected = results["graph_2x200"][f"{share}_us"] / results["floor_2x200"][f"{share}_us"]
+        assert results[f"ratio_{share}"] == expected
+
+
+def check_rest(results: dict[str, Any]) -> None:
+    """Check what a tick is made of, all nodes in one process, and what needs no graph."""
+    stages = results["profile"]["stages"]
+    assert stages["send RawScan"]["calls"] == pytest.approx(2.0, abs=1.0)
+    assert all(stages[name]["us"] > 0 for name in ("posor_node: locate", "chain_node: endpoint", "send PoseStamped"))
+    assert results["profile"]["last_scan_to_pose_us"]["p50"] > 0
+    assert 0 < results["kernel_us"] < results["scan_us"]
+    assert results["offline_scans_per_s"] > 0
+    assert results["plain_loop_scans_per_s"] > 0
+    assert results["offline_memory_mb"] > 0
+
+
+def test_interrupted_run_leaves_nothing_behind(tmp_path: Path) -> None:
+    program = started(tmp_path / "bench.json", "--joints", "1", "--only", "layouts")
+    logs = tmp_path / "bench/runs/01_graph_composed_1x2000"
+    deadline = monotonic() + 100.0
+    while not (logs / "receiver.log").is_file() or "listening" not in (logs / "receiver.log").read_text():
+        assert monotonic() < deadline
+        assert program.poll() is None
+        sleep(0.05)
+    program.send_signal(signal.SIGINT)
+    _, complaints = program.communicate()
+    assert program.returncode == 1
+    assert complaints == "make bench: interrupted.\n"
+    left = [path for path in Path("/proc").glob("[0-9]*/cmdline") if str(tmp_path).encode() in path.read_bytes()]
+    assert not left
+    assert (tmp_path / "bench.json").read_text() == ""
