@@ -119,7 +119,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         qos = sensor_qos(self.parameters)
         self._outlet = self._listeners.outlet(JointTransform, TRANSFORM_TOPIC, qos)
         self._inlet = Inlet(self, RawScan, RAW_TOPIC, qos, self._take)
-        self._services = [
+        self._triggers = [
             self.create_service(Trigger, f"~/{name}", partial(self._serve, action))
             for name, action in (("reload", self._reload), ("home", self._count_from_home), ("zero", self._zero))
             if name != "zero" or self.parameters.home_pose
@@ -127,7 +127,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
 
     def cleanup(self) -> None:
         """Close topics and services and forget the calibration."""
-        for service in self._services:
+        for service in self._triggers:
             self.destroy_service(service)
         self._inlet.destroy()
         with self._lock:
