@@ -110,9 +110,10 @@ def check_maps(plant: Plant, calibration: Any) -> None:
     )
     assert np.count_nonzero(found) == 10
     for ratios in ((-0.3, 0.2), (0.1, 0.4), (0.35, -0.35)):
-        at = [(r - d.mean()) / (0.5 * np.ptp(d)) for r, d in zip(ratios, old.domain.array, strict=True)]
-        there = [(r - d.mean()) / (0.5 * np.ptp(d)) for r, d in zip(ratios, new.domain.array, strict=True)]
-        assert chebyshev.chebval2d(*there, found) == pytest.approx(chebyshev.chebval2d(*at, coefficients), abs=1e-9)
+        at: list[float] = [(r - d.mean()) / (0.5 * np.ptp(d)) for r, d in zip(ratios, old.domain.array, strict=True)]
+        there: list[float] = [(r - d.mean()) / (0.5 * np.ptp(d)) for r, d in zip(ratios, new.domain.array, strict=True)]
+        surface, expected = (float(chebyshev.chebval2d(x, y, c)) for (x, y), c in ((there, found), (at, coefficients)))
+        assert surface == pytest.approx(expected, abs=1e-9)
 
 
 def less_told(step: Step) -> Step:

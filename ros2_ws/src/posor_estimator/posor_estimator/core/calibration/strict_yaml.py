@@ -10,7 +10,6 @@ import re
 from typing import Any
 
 import yaml
-from yaml.composer import Composer
 
 from posor_estimator.errors import CalibrationError
 
@@ -19,10 +18,12 @@ _INTEGER = "tag:yaml.org,2002:int"
 _FLOAT = "tag:yaml.org,2002:float"
 
 
-class _Strict(Composer):
-    """What makes a safe loader stricter."""
+class StrictLoader(yaml.SafeLoader):
+    """The safe loader, stricter."""
 
-    _open: list[str | None]
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._open: list[str | None] = []
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         """Compose a node; refuse an alias of a node that is not yet complete, and nodes without end."""
@@ -62,32 +63,30 @@ class _Strict(Composer):
             raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark) from error
 
 
-class StrictLoader(_Strict, yaml.SafeLoader):
-    """The safe loader, stricter."""
+class FastLoader(StrictLoader):
+    """The same of what libyaml parses, where it is there: many times as fast."""
 
     def __init__(self, text: str) -> None:
-        yaml.SafeLoader.__init__(self, text)
-        self._open = []
+        super().__init__("")
+        self._parser: Any = yaml.CSafeLoader(text)
+
+    def check_event(self, *choices: Any) -> bool:
+        """Return whether the next event is one of some kinds."""
+        return bool(self._parser.check_event(*choices))
+
+    def peek_event(self) -> Any:
+        """Return the next event, and leave it there."""
+        return self._parser.peek_event()
+
+    def get_event(self) -> Any:
+        """Take the next event."""
+        return self._parser.get_event()
 
 
-_Libyaml = yaml.CSafeLoader if yaml.__with_libyaml__ else yaml.SafeLoader
-
-
-class FastLoader(_Strict, _Libyaml):
-    """The same by libyaml, where it is there, many times as fast."""
-
-    def __init__(self, text: str) -> None:
-        _Libyaml.__init__(self, text)
-        Composer.__init__(self)  # libyaml's loader composes by itself, and is not asked to
-        self._open = []
-
-
-_LOADERS = (FastLoader, StrictLoader)
-for _kind in _LOADERS:
-    _kind.yaml_implicit_resolvers = {
-        first: [(tag, pattern) for tag, pattern in resolvers if tag not in (_INTEGER, _FLOAT)]
-        for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
-    }
+StrictLoader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if tag not in (_INTEGER, _FLOAT)]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
 _NUMBERS = (
     (_INTEGER, re.compile(r"[-+]?(?:0|[1-9][0-9]*)$"), list("-+0123456789")),
     (
@@ -104,8 +103,7 @@ _NUMBERS = (
     ),
 )
 for _tag, _pattern, _first in _NUMBERS:
-    for _kind in _LOADERS:
-        _kind.add_implicit_resolver(_tag, _pattern, _first)
+    StrictLoader.add_implicit_resolver(_tag, _pattern, _first)
 
 
 class StrictDumper(yaml.SafeDumper):
@@ -128,11 +126,11 @@ def read_yaml(text: str, source: str) -> tuple[yaml.Node | None, object]:
 
     """
     try:
-        return _read(text, FastLoader)
+        return _read(FastLoader(text) if yaml.__with_libyaml__ else StrictLoader(text))
     except yaml.YAMLError:
         pass  # what is wrong is said as PyYAML's own reader says it
     try:
-        return _read(text, StrictLoader)
+        return _read(StrictLoader(text))
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
         problem = f"it holds the control character 0x{ord(text[error.position]):02X}"
@@ -143,7 +141,6 @@ def read_yaml(text: str, source: str) -> tuple[yaml.Node | None, object]:
         raise CalibrationError(f"is not YAML: {problem}", where=place) from error
 
 
-def _read(text: str, kind: type[FastLoader | StrictLoader]) -> tuple[yaml.Node | None, object]:
-    loader = kind(text)
+def _read(loader: StrictLoader) -> tuple[yaml.Node | None, object]:
     root = loader.get_single_node()
     return root, None if root is None else loader.construct_document(root)
