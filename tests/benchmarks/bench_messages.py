@@ -1,0 +1,116 @@
+"""Microseconds for a message between bytes and numbers: ``tools/in_workspace.py tests/benchmarks/bench_messages.py``.
+
+By layout, as the nodes do it, and by rclpy's message objects, to and from the same numbers. All times are of the
+processor, so that a busy machine counts little; the least of some rounds.
+"""
+
+from __future__ import annotations
+
+import sys
+from time import process_time
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from posor_estimator.core.estimate import Estimate
+from posor_estimator.core.fault import Fault
+from posor_estimator.core.scan import Scans
+from posor_estimator.ros.cdr import NS, STAMP
+from posor_estimator.ros.cdr_scan import RAW_SCAN, ScanReader, ScanTemplate, scan_of
+from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM, Lost, TransformReader, TransformWriter
+from posor_estimator.ros.messages import measured_joint, scan_from_message, transform_message
+from posor_msgs.msg import JointTransform, RawScan
+from rclpy.serialization import deserialize_message, serialize_message
+from rich.console import Console
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+ROUNDS = 15
+CALLS = 2000
+
+
+class Way(NamedTuple):
+    """What a node does with a message, both ways."""
+
+    what: str
+    by_layout: Callable[[], object]
+    by_rclpy: Callable[[], object]
+
+
+def a_scan() -> RawScan:
+    """Return a scan of a POSOR with three gap probes and two diodes."""
+    scan = RawScan(scan=7, samples=1)
+    scan.header.frame_id = "posor_receiving"
+    scan.gap_voltages, scan.diode_currents = [0.1, 0.2, 0.3], [1e-5] * 8
+    scan.lit_sources = [0, 1]
+    return scan
+
+
+def ways() -> list[Way]:
+    """Return what is compared."""
+    scan = a_scan()
+    raw = RAW_SCAN.serialize(scan)
+    reader = ScanReader(raw, Scans.of([scan_of(raw)]))
+    template = ScanTemplate(raw)
+    estimate = Estimate.lost(7, Fault.NONE, "")
+    frames = ("posor_receiving", "posor_target")
+    writer = TransformWriter(*frames, "total", Lost())
+    transform = JOINT_TRANSFORM.serialize(transform_message(scan, estimate, *frames, "total"))
+    transforms = TransformReader(transform)
+    pose, covariance = np.empty(7), np.empty((6, 6))
+    pose_bytes, covariance_bytes = pose.data.cast("B"), covariance.data.cast("B")
+
+    def stamped() -> bytes:
+        scan.header.stamp.sec, scan.scan = 1, 2
+        return bytes(serialize_message(scan))
+
+    def measured() -> None:
+        reading = transforms.read(transform)
+        if reading is not None:
+            pose_bytes[:], covariance_bytes[:] = transform[reading.pose], transform[reading.covariance]
+
+    return [
+        Way("driver: a prepared scan, its stamp and number set", lambda: template.at(NS, 2), stamped),
+        Way(
+            "posor_node: read a scan",
+            lambda: reader.read(raw),
+            lambda: scan_from_message(deserialize_message(raw, RawScan)),
+        ),
+        Way(
+            "posor_node: write a transform",
+            lambda: writer.write(raw[STAMP], 7, 0),
+            lambda: serialize_message(transform_message(scan, estimate, *frames, "total")),
+        ),
+        Way(
+            "chain_node: read a transform",
+            measured,
+            lambda: measured_joint(deserialize_message(transform, JointTransform)),
+        ),
+    ]
+
+
+def least_us(work: Callable[[], object]) -> float:
+    """Return the least time [us] of the processor for one call."""
+    seconds = []
+    for _ in range(ROUNDS):
+        begin = process_time()
+        for _ in range(CALLS):
+            work()
+        seconds.append(process_time() - begin)
+    return 1e6 * min(seconds) / CALLS
+
+
+def main() -> int:
+    """Print the figures."""
+    table = Table(title="A message between bytes and numbers", title_justify="left")
+    for heading in ("what", "by layout [us]", "by rclpy [us]"):
+        table.add_column(heading, justify="left" if heading == "what" else "right")
+    for way in ways():
+        table.add_row(way.what, f"{least_us(way.by_layout):.2f}", f"{least_us(way.by_rclpy):.2f}")
+    Console(width=118).print(table)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
