@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 STYLES = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (LIGHT_BLUE, "D"))
 WIDE = (15.0, 8.6)
 """Of a picture [inch]."""
-SMALL = 9
+SMALL, TITLE = 9, 11
+"""Of letters [pt]."""
 BARS = 6
 """Quantities drawn for each freedom, those that matter most."""
 SHORT = 30
@@ -80,6 +81,7 @@ def _truth(told: Told, name: str) -> bytes:
 def _finished(figure: Drawing) -> bytes:
     for axes in figure.axes:
         tidy(axes)
+        axes.title.set_fontsize(TITLE)
     return png(figure)
 
 
@@ -148,6 +150,7 @@ def _budget(axes: Axes, told: Told, freedom: int) -> None:
     common, total = 1e6 * told.common[freedom], 1e6 * told.budget.sigmas[freedom]
     noise = np.sqrt(max(total**2 - common**2, 0.0))
     axes.axvline(common, color=GREY, ls="--", lw=1.2)
+    axes.locator_params(axis="x", nbins=5)
     axes.invert_yaxis()
     name, unit = list(FREEDOMS.items())[freedom]
     axes.set(
@@ -163,7 +166,7 @@ def _errors(axes: Axes, told: Told) -> None:
         (-0.16, fresh.errors, BLUE, "calibrated"),
         (0.0, fresh.sigmas, LIGHT_BLUE, "budget"),
         (0.16, fresh.still_errors, ORANGE, "calibrated, without noise"),
-        (0.32, fresh.still_sigmas, GREEN, "calibration's part of the budget"),
+        (0.32, fresh.still_sigmas, GREEN, "its part of the budget"),
     ):
         axes.bar(at + shift, 1e6 * np.sqrt(np.nanmean(np.square(values), axis=0)), 0.15, color=colour, label=name)
     axes.set_yscale("log")
@@ -200,7 +203,7 @@ def _coverage(axes: Axes, coverage: Coverage) -> None:
     axes.set_yticks(at, [family.name for family in families], fontsize=SMALL)
     axes.invert_yaxis()
     axes.set(
-        title=f"{coverage.campaigns} campaigns: truth within the 95 % interval",
-        xlabel="part of the numbers [%], two standard deviations",
+        title=f"Truth within 95 %, {coverage.campaigns} campaigns",
+        xlabel="numbers within [%], two deviations",
         xlim=(min(80.0, float(np.min(parts - errors)) - 1.0), 101.5),
     )
