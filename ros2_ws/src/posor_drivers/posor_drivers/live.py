@@ -38,7 +38,7 @@ def live(source: LiveSource[Any], time: RosTime, misses: Misses) -> Iterator[Due
             yield Pause(source.due_ns(tick))
             if time.epoch != epoch:
                 break
-            present = _newest_due(source, tick, time.now_ns)
+            present = _newest_due(source, tick, time.turn_ns)
             present = present if last is None else min(present, last)
             if present > tick:
                 misses.overruns += 1

@@ -44,6 +44,7 @@ class RosTime(ABC):
     """A clock to wait on, in one thread.
 
     Attributes:
+        turn_ns: The time by which all drivers of a turn decide what is due, so that late ones take the same tick [ns].
         epoch: Another number whenever time has gone back or was stepped; what was counted before is void then.
         steps: How often the wall's clock was stepped.
         step_s: By how much, the last time [s].
@@ -52,6 +53,7 @@ class RosTime(ABC):
 
     def __init__(self) -> None:
         """Begin."""
+        self.turn_ns = 0
         self.epoch = 0
         self.steps = 0
         self.step_s = 0.0

@@ -144,7 +144,7 @@ class Ticker:
         time = self.time
         while beats := self._beats:
             time.wait(min([beat.due_ns for beat in beats]))
-            now_ns = time.now_ns
+            now_ns = time.turn_ns = time.now_ns
             for beat in beats:
                 if not beat.go_on(now_ns):
                     self._is_over_without(beat)

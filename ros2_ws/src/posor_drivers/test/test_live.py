@@ -55,6 +55,10 @@ class Wall:
         self._late = late or {}
         self._steps = steps or {}
 
+    @property
+    def turn_ns(self) -> int:
+        return self.now_ns
+
     def wait(self, time_ns: int) -> None:
         if time_ns in self._steps:
             self.now_ns = self._steps.pop(time_ns)

@@ -2,26 +2,36 @@
 
 from __future__ import annotations
 
+from functools import partial
+from threading import Event
+from time import sleep
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 from posor_drivers.driver_parameters import parameters_for
+from posor_drivers.live import Misses, live
 from posor_drivers.sources import looped
 from posor_drivers.sources.base import Topic
 from posor_drivers.sources.looped import LoopedParameters, LoopedSource
+from posor_drivers.ticker import Beat, Ticker
 from posor_estimator.errors import BagError, ParameterError
 from posor_estimator.ros.message_types import RAW_SCAN, MessageTypes
 from posor_estimator.ros.messages import stamp_ns
 from posor_estimator.testing.graph import BEST_EFFORT, Graph, values_of
 from posor_estimator.testing.program import Program, installed, ros_arguments
 from posor_msgs.msg import RawScan
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.serialization import deserialize_message
 
 from .bags import SECOND, Record, header, point, scan, write_bag
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from posor_drivers.ros_time import RosTime
+    from posor_drivers.timeline import Due
 
 RATE = 2000
 FAR = 1_800_000_000 * RATE
@@ -155,6 +165,35 @@ def test_bag_without_scans_and_no_bag_are_refused(tmp_path: Path) -> None:
 def test_parameters_of_a_replay_are_refused(pace: str) -> None:
     with pytest.raises(ParameterError, match="source 'looped' is live, its scans happen when they happen"):
         parameters_for({"source": "looped", pace: 1})
+
+
+def test_joints_of_one_process_take_the_same_ticks_however_late_they_are(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", record(5))
+    published: dict[str, list[int]] = {"one": [], "other": []}
+    missed = {name: Misses() for name in published}
+    enough = Event()
+
+    def late(name: str, due: Due) -> None:
+        published[name].append(due.stamp_ns)
+        sleep(0.003)  # six periods
+        if len(published["other"]) > 20:
+            enough.set()
+
+    def join(name: str) -> tuple[Ticker, Beat]:
+        def beat(time: RosTime) -> Beat:
+            return Beat(time, live(opened(bag), time, missed[name]), partial(late, name), lambda _error: None)
+
+        return Ticker.joined(Clock(clock_type=ClockType.ROS_TIME), RATE, 0, beat)
+
+    joined = [join(name) for name in published]
+    assert enough.wait(60.0)
+    for ticker, beat in joined:
+        beat.end()
+        ticker.remove(beat)
+    first = published["other"][0]
+    together = [stamp for stamp in published["one"] if stamp >= first]
+    assert together[:20] == published["other"][:20]
+    assert missed["other"].ticks > 20
 
 
 def program(bag: Path, **parameters: object) -> Program:
