@@ -88,7 +88,9 @@ class Bench:
         deadline = time.monotonic() + START_S
         while not condition():
             if time.monotonic() > deadline:
-                raise ProcessError(f"{what} did not come within {START_S:g} s", where="make bench")
+                raise ProcessError(
+                    f"{what} did not come within {START_S:g} s ({self._complaint()})", where="make bench"
+                )
             self._look(supervisor)
 
     def _pass(self, supervisor: Supervisor, seconds: float) -> None:
@@ -102,6 +104,13 @@ class Bench:
         if self._interrupted():
             raise ProcessError("interrupted", where="make bench")
         self._graph.receive()
+
+    def _complaint(self) -> str:
+        """Return the newest of the worst that the nodes say of themselves."""
+        newest = reversed(self._diagnostics)
+        said = [status for data in newest for status in deserialize_message(data, DiagnosticArray).status]
+        worst = max(said, key=lambda status: status.level, default=None)
+        return "no node says anything" if worst is None else f"{worst.name}: {worst.message}"
 
     def _totals(self) -> dict[tuple[str, str], int]:
         """Return the newest totals told in the diagnostics, by node and name."""
