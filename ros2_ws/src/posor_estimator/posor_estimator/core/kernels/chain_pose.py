@@ -60,7 +60,7 @@ def write_pose(rotation: FloatArray, translation: FloatArray, pose: FloatArray) 
     """Write a transform as a pose (7,): x, y, z [m], unit quaternion x, y, z, w, its sign as pinocchio's."""
     for i in range(3):
         pose[i] = translation[i]
-    trace = rotation[0, 0] + rotation[1, 1] + rotation[2, 2]
+    trace = rotation[0, 0] + (rotation[1, 1] + rotation[2, 2])  # in the order of pinocchio's, to the last bit
     if trace > 0.0:
         root = math.sqrt(trace + 1.0)
         pose[6] = 0.5 * root
