@@ -61,7 +61,7 @@ def parser() -> Parser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; the exit code is 0 where all bags were reprocessed."""
-    signal.signal(signal.SIGTERM, _interrupt)
+    former = signal.signal(signal.SIGTERM, _interrupt)
     try:
         options = parser().parse_args(arguments)
         tasks = tasks_of(options)
@@ -75,6 +75,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         sys.stderr.write("reprocess: interrupted; what was not finished is not there.\n")
         return INTERRUPTED
+    finally:
+        signal.signal(signal.SIGTERM, former)
     return 0
 
 

@@ -1,0 +1,156 @@
+"""Speed of reprocessing alone: a long bag of scans, made of a short one, and the plain loop over its messages.
+
+The processor time of a program of its own is measured, so that the figures are per core, and its memory.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from time import process_time
+from typing import TYPE_CHECKING
+
+import numpy as np
+from posor_drivers.simulator.ticks import NS, stamps_of
+from posor_estimator.bulk.bag_writer import BulkWriter, Part
+from posor_estimator.bulk.blocks import blocks
+from posor_estimator.bulk.layout import Table
+from posor_estimator.bulk.pieces import TopicReader
+from posor_estimator.ros.bag_reader import opened_bag
+from posor_estimator.ros.cdr import Schema
+from posor_estimator.ros.message_types import RAW_SCAN, MessageTypes
+from posor_estimator.ros.qos import RAW_TOPIC
+from posor_msgs.msg import RawScan
+from rclpy.serialization import deserialize_message
+
+if TYPE_CHECKING:
+    from posor_estimator.core.arm import Arm
+
+SECONDS = 600
+RATE = 1000
+"""Of the long bag [Hz]."""
+SAMPLE = 100_000
+"""Messages over which the plain loop is measured."""
+START = 1_767_225_600
+ROOM = 8
+"""How many times the size of the long bag must be free, for it and the results."""
+
+
+def offline_figures(arm: Arm, bag: Path, folder: Path, seconds: int = SECONDS) -> dict[str, float]:
+    """Return the speed of reprocessing an arm's scans.
+
+    Args:
+        arm: The arm.
+        bag: Scans of each of its joints, which end where they begin.
+        folder: Where the long bag and the results are made, and removed.
+        seconds: Length of the long bag.
+
+    Returns:
+        ``offline_scans_per_s``, into a bag, and ``offline_summary_scans_per_s``, without results, both per second of
+        processor time; ``offline_wall_scans_per_s``, into a bag; ``offline_memory_mb``, the largest; and
+        ``plain_loop_scans_per_s``, of the loop over all messages that deserialises each.
+
+    Raises:
+        OSError: There is too little room for the bag.
+
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    long = folder / "long"
+    try:
+        repeat(arm, bag, long, seconds)
+        written = _run(arm, long, folder / "reprocessed")
+        alone = _run(arm, long, None)
+        return {
+            "offline_scans": written["scans"],
+            "offline_scans_per_s": written["scans"] / written["cpu_s"],
+            "offline_wall_scans_per_s": written["scans"] / written["wall_s"],
+            "offline_summary_scans_per_s": alone["scans"] / alone["cpu_s"],
+            "offline_memory_mb": max(written["memory_mb"], alone["memory_mb"]),
+            "plain_loop_scans_per_s": plain_loop(long),
+        }
+    finally:
+        for made in (long, folder / "reprocessed"):
+            shutil.rmtree(made, ignore_errors=True)
+
+
+def repeat(arm: Arm, bag: Path, long: Path, seconds: int, rate: int = RATE) -> None:
+    """Write a bag that repeats the scans of another, with stamps and scan numbers that go on.
+
+    Raises:
+        OSError: There is too little room for it.
+
+    """
+    topics = {joint: f"/{arm.name}/{joint}/{RAW_TOPIC}" for joint in arm.calibrations}
+    with opened_bag(bag) as reader:
+        whole = list(blocks(reader, list(topics.values()), str(bag)))
+        pieces = {}
+        for number, (joint, topic) in enumerate(topics.items()):
+            of_topic = TopicReader(number, topic, Schema.of(RawScan), str(bag))
+            pieces[joint] = [piece for block in whole for piece in of_topic.pieces(block)]
+    scans = {
+        joint: Table(found[0].table.layout, np.concatenate([each.table.rows for each in found]))
+        for joint, found in pieces.items()
+    }
+    size = seconds * rate * sum(table.rows.shape[1] + 31 for table in scans.values())
+    if shutil.disk_usage(long.parent).free < ROOM * size:
+        raise OSError(f"{long.parent}: {ROOM * size >> 20} MB of room are needed for the bags of the benchmark")
+    types = MessageTypes()
+    text, type_hash = types.definition(RAW_SCAN)
+    with BulkWriter(long) as writer:
+        connections = {
+            joint: writer.add_connection(topic, RAW_SCAN, msgdef=text, rihs01=type_hash)
+            for joint, topic in topics.items()
+        }
+        for begin in range(0, seconds * rate, rate):
+            ticks = START * rate + np.arange(begin, begin + rate)
+            stamps = stamps_of(ticks, rate)
+            parts = []
+            for joint, table in scans.items():
+                some = table.chosen((ticks - START * rate) % len(table))
+                some["header.stamp.sec"], some["header.stamp.nanosec"] = stamps // NS, stamps % NS
+                some["scan"] = ticks
+                parts.append(Part(connections[joint], stamps, some.messages))
+            writer.write_parts(parts)
+
+
+def plain_loop(bag: Path) -> float:
+    """Return how many messages of a bag rosbags reads and rclpy deserialises in a second of processor time."""
+    with opened_bag(bag) as reader:
+        begin, count = process_time(), 0
+        for _, _, data in reader.messages():
+            deserialize_message(bytes(data), RawScan)
+            count += 1
+            if count == SAMPLE:
+                break
+        return count / (process_time() - begin)
+
+
+def _run(arm: Arm, bag: Path, output: Path | None) -> dict[str, float]:
+    """Reprocess a bag in a program of its own; return what it says of itself."""
+    command = [sys.executable, __file__, str(bag), str(arm.path), *([] if output is None else [str(output)])]
+    said = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    if output is not None:
+        shutil.rmtree(output)
+    return dict(json.loads(said.splitlines()[-1]))
+
+
+def _main(bag: str, arm: str, output: str = "") -> None:
+    import resource  # noqa: PLC0415
+
+    from posor_estimator.core.arm import load_arm  # noqa: PLC0415
+    from posor_estimator.reprocess.command import parser, tasks_of  # noqa: PLC0415
+    from posor_estimator.reprocess.pipeline import reprocess  # noqa: PLC0415
+
+    options = [bag, "--arm", arm, *(["--output", output] if output else [])]
+    (task,) = tasks_of(parser().parse_args(options))
+    load_arm(Path(arm))
+    summary = reprocess(task)
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    print(json.dumps({"scans": summary.scans, "wall_s": summary.wall_s, "cpu_s": summary.cpu_s, "memory_mb": memory}))
+
+
+if __name__ == "__main__":
+    _main(*sys.argv[1:])

@@ -1,0 +1,272 @@
+"""Reprocessed bags against the live graph, bit for bit; the program with its formats and complaints."""
+
+from __future__ import annotations
+
+import signal
+import time
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+import pytest
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from posor_bringup.arm_programs import arm_programs
+from posor_bringup.arms import checked_arm, find_arm
+from posor_bringup.installed import calibration_path, urdf_path
+from posor_estimator.core.arm import DriverFile
+from posor_estimator.core.fault import State
+from posor_estimator.reprocess.command import main
+from posor_estimator.reprocess.output import MAKING
+from posor_estimator.testing.graph import Graph
+from posor_estimator.testing.program import Program, installed, wait_until
+from posor_estimator.testing.stamped import status_with
+from posor_msgs.msg import JointTransform
+from rosbags.rosbag2 import Reader
+from sensor_msgs.msg import JointState
+
+from tests.benchmarks.offline import repeat
+from tests.graphs import all_bits, bits, located, placed, recorded, rig
+
+if TYPE_CHECKING:
+    from posor_bringup.supervisor import Parameter
+
+BAGS = Path(__file__).resolve().parents[1] / "bags"
+BAG = BAGS / "five_axis"
+JOINTS = ("base_swivel", "shoulder", "elbow", "wrist_roll", "wrist_yaw")
+TYPES = {
+    **{f"/five_axis/{joint}/transform": JointTransform for joint in JOINTS},
+    "/five_axis/endpoint/pose": PoseStamped,
+    "/five_axis/endpoint/pose_with_covariance": PoseWithCovarianceStamped,
+    "/five_axis/joint_states": JointState,
+}
+LOSSLESS: dict[str, Parameter] = {"qos_reliability": "reliable", "qos_depth": 0}
+ARM = ["--arm", str(find_arm("five_axis"))]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Reprocess the bag of the five-axis arm into each format."""
+    folder = tmp_path_factory.mktemp("made")
+    for kind in ("bag", "parquet", "csv"):
+        assert main([str(BAG), *ARM, "--output", str(folder / kind), "--format", kind]) == 0
+    assert sorted(path.name for path in folder.iterdir()) == ["bag", "csv", "parquet"]
+    return folder
+
+
+@pytest.mark.usefixtures("ros_domain")
+@pytest.mark.timeout(300)
+def test_the_live_graph_publishes_the_same_bits(made: Path) -> None:
+    expected = recorded(made / "bag")
+    assert set(expected) == set(TYPES)
+    parameters: dict[str, Parameter] = {
+        "bag.path": str(BAG),
+        "bag.topic": "/{arm}/{joint}/raw",
+        "rate": 0.0,
+        "wait_for_subscribers": 1,
+    }
+    arm = replace(checked_arm("five_axis"), driver=DriverFile(source="bag", parameters=parameters))
+    programs = arm_programs(arm, chain_parameters={"max_wait": 60.0}, parameters=LOSSLESS)
+    with ExitStack() as stack, Graph() as graph:
+        running = [stack.enter_context(Program(program.command())) for program in programs[: -len(JOINTS)]]
+        graph.watch_diagnostics()
+        received = {topic: graph.collect(kind, topic, raw=True) for topic, kind in TYPES.items()}
+        for topic in ("endpoint/pose", "endpoint/pose_with_covariance", "joint_states"):
+            status_with(graph, "/five_axis/chain_node: listeners", topic, "1")
+        for joint in JOINTS:
+            status_with(graph, f"/five_axis/{joint}/posor_node: listeners", "transform", "2")
+        for program in programs[-len(JOINTS) :]:
+            stack.enter_context(Program(program.command()))
+        graph.wait_until(lambda: all(len(received[topic]) == len(expected[topic]) for topic in TYPES), "all messages")
+        assert [program.end() for program in running] == [0] * len(running)
+    for topic, kind in TYPES.items():
+        assert all_bits(kind, received[topic]) == all_bits(kind, expected[topic]), topic
+
+
+@pytest.mark.parametrize("calibration", ["printed", "section84"])
+@pytest.mark.parametrize("test", ["ymo", "yzmo", "zmo"])
+def test_the_1985_bags_give_what_the_replays_give(test: Any, calibration: Any, tmp_path: Path) -> None:
+    plan = rig(tmp_path / "rig", test, calibration)
+    options = ["--calibration", f"joint1={calibration_path(calibration)}", "--session", f"joint1={test}"]
+    assert main([str(plan.bag), *options, "--urdf", str(urdf_path()), "--output", str(tmp_path / "out")]) == 0
+    found = recorded(tmp_path / "out")
+    transforms = located(plan, recorded(plan.bag)["/joint1/raw"])
+    assert all_bits(JointTransform, found["/joint1/transform"]) == [bits(each) for each in transforms]
+    poses: Any = all_bits(PoseStamped, found["/endpoint/pose"])
+    assert [pose["pose"] for pose in poses] == [bits(pose) for pose in placed(plan, transforms)]
+
+
+def test_messages_keep_the_log_time_and_quality_of_service_of_the_scans(made: Path) -> None:
+    def read(bag: Path) -> tuple[dict[str, list[int]], dict[str, Any]]:
+        times: dict[str, list[int]] = {}
+        with Reader(bag) as reader:
+            for connection, time_ns, _ in reader.messages():
+                times.setdefault(connection.topic, []).append(time_ns)
+            return times, {connection.topic: connection.ext for connection in reader.connections}
+
+    (times, offered), (found, given) = read(BAG), read(made / "bag")
+    for joint in JOINTS:
+        assert found[f"/five_axis/{joint}/transform"] == times[f"/five_axis/{joint}/raw"]
+        assert given[f"/five_axis/{joint}/transform"] == offered[f"/five_axis/{joint}/raw"]
+    assert set(found["/five_axis/endpoint/pose"]) <= set(times["/five_axis/elbow/raw"])
+    assert given["/five_axis/endpoint/pose"].offered_qos_profiles[0].reliability.name == "RELIABLE"
+
+
+def test_tables_hold_what_the_bag_holds(made: Path) -> None:
+    messages = recorded(made / "bag")
+    for joint in JOINTS:
+        tables = [
+            pa.parquet.read_table(made / "parquet" / f"{joint}.parquet"),
+            pa.csv.read_csv(made / "csv" / f"{joint}.csv"),
+        ]
+        fields: Any = all_bits(JointTransform, messages[f"/five_axis/{joint}/transform"])
+        for table in tables:
+            columns = {name: table[name].to_numpy() for name in table.column_names}
+            assert len(columns["scan"]) == len(fields)
+            lost = columns["state"] == State.LOST
+            assert np.isnan(columns["x"][lost].astype(float)).all()
+            for n, field in enumerate(fields):
+                position, native = field["pose"]["position"], np.frombuffer(field["native"])
+                assert columns["scan"][n] == np.frombuffer(field["scan"], dtype=np.int64)[0]
+                for axis in "xyz":
+                    np.testing.assert_array_equal(float(columns[axis][n]), np.frombuffer(position[axis])[0])
+                np.testing.assert_array_equal(float(columns["native_theta"][n]), native[5])
+                covariance = np.frombuffer(field["covariance"]).reshape(6, 6)
+                np.testing.assert_array_equal(float(columns["cov_y_rz"][n]), covariance[1, 5])
+    poses: Any = all_bits(PoseStamped, messages["/five_axis/endpoint/pose"])
+    table = pa.parquet.read_table(made / "parquet" / "endpoint.parquet")
+    assert table["qw"].to_numpy().tobytes() == b"".join(pose["pose"]["orientation"]["w"] for pose in poses)
+
+
+def test_the_summary_counts_what_was_lost(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(BAG), *ARM]) == 0
+    said = capsys.readouterr().out
+    assert "│ elbow       │ 1,999 │    4 │       1 │           4 │ residual 4" in said
+    assert "endpoint: 1,991 poses, 0 of them degraded; no pose at 5 complete stamps, and 4 incomplete ones" in said
+    assert "no --output: nothing is written" in said
+
+
+def test_several_bags_at_a_time_give_the_same_bytes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bags = [str(BAGS / name) for name in ("ymo", "yzmo", "zmo")]
+    options = ["--calibration", f"joint1={calibration_path('printed')}", "--format", "csv", "--output"]
+    for jobs in ("1", "2"):
+        assert main([*bags, *options, str(tmp_path / jobs), "--jobs", jobs]) == 0
+    for name in ("ymo", "yzmo", "zmo"):
+        one, two = (tmp_path / jobs / name / "joint1.csv" for jobs in "12")
+        assert one.read_bytes() == two.read_bytes()
+    assert capsys.readouterr().out.count("scans/s per core") == 6
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    assert main(list(arguments)) != 0
+    said = capsys.readouterr().err.strip()
+    assert said.count("\n") == 0
+    return said
+
+
+CALIBRATION = ["--calibration", f"joint1={calibration_path('printed')}"]
+YMO = str(BAGS / "ymo")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["nowhere", *CALIBRATION], "nowhere: does not exist; expected a rosbag2 bag"),
+        ([YMO], "reprocess: no joint is named; expected --arm FILE, or --calibration JOINT=FILE."),
+        (
+            [YMO, *ARM],
+            "ymo: there are no scans of joint base_swivel on .../base_swivel/raw; expected one of /joint1/raw.",
+        ),
+        ([YMO, "--calibration", "joint1=nowhere.yaml"], "nowhere.yaml"),
+        ([YMO, "--calibration", "joint1"], "option --calibration: 'joint1'; expected JOINT=..., such as elbow=..."),
+        ([YMO, *CALIBRATION, *CALIBRATION], "option --calibration: joint joint1 is named twice; expected once."),
+        (
+            [YMO, *CALIBRATION, "--session", "elbow=ymo"],
+            "option --session: there is no joint elbow; expected one of joint1.",
+        ),
+        ([YMO, *CALIBRATION, "--session", "joint1=none"], "none"),
+        ([YMO, *CALIBRATION, "--topic", "joint1=/truth/machining_centre"], "is of type geometry_msgs/msg/PointStamped"),
+        ([YMO, *CALIBRATION, "--topic", "joint1=/elbow/raw"], "there is no topic /elbow/raw; expected one of"),
+        (
+            [YMO, *CALIBRATION, "--beams", "beams.yaml"],
+            "option --beams: there is no robot description; expected --urdf too.",
+        ),
+        ([YMO, *CALIBRATION, "--false-alarm", "2"], "option --false-alarm: 2; expected between 0 and 1."),
+        ([YMO, *CALIBRATION, "--jobs", "0"], "option --jobs: 0; expected at least 1."),
+        (
+            [YMO, YMO, *CALIBRATION, "--output", "out"],
+            "option --output: two bags are called ymo; expected bags of different",
+        ),
+        (
+            [YMO, *CALIBRATION, "--scheduler", "tcp://127.0.0.1:9"],
+            "option --scheduler: no Dask scheduler answers at tcp:",
+        ),
+        ([str(BAG), *ARM, *CALIBRATION], "there are no scans of joint joint1"),
+    ],
+    ids=lambda value: "" if isinstance(value, list) else value[:40],
+)
+def test_what_cannot_be_is_refused_in_one_sentence(
+    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("posor_estimator.reprocess.several.CONNECT_WITHIN_S", 1)
+    assert said in refused(capsys, *arguments)
+
+
+def test_a_calibration_between_other_frames_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    elbow = checked_arm("five_axis").calibrations["elbow"]
+    said = refused(capsys, str(BAG), *ARM, "--calibration", f"shoulder={elbow}")
+    assert (
+        "the calibration of shoulder is from 'elbow_receiving' to 'elbow_target'; expected 'shoulder_receiving'" in said
+    )
+
+
+def test_results_are_replaced_only_if_told_to_and_only_results(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / "out"
+    assert main([YMO, *CALIBRATION, "--output", str(output)]) == 0
+    assert "out: exists already; expected another name, or --force" in refused(
+        capsys, YMO, *CALIBRATION, "--output", str(output)
+    )
+    assert main([YMO, *CALIBRATION, "--output", str(output), "--force", "--format", "csv"]) == 0
+    assert [path.name for path in output.iterdir()] == ["joint1.csv"]
+    (output / "thesis.tex").touch()
+    assert "out: holds thesis.tex, which is no result; expected another name." in refused(
+        capsys, YMO, *CALIBRATION, "--output", str(output), "--force"
+    )
+    assert sorted(path.name for path in output.iterdir()) == ["joint1.csv", "thesis.tex"]
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def cut_short(bag: Path, folder: Path) -> Path:
+    """Return a copy of a bag whose last messages are not there, as its index still says."""
+    whole = (bag / "five_axis.mcap").read_bytes()
+    folder.mkdir()
+    (folder / "metadata.yaml").write_bytes((bag / "metadata.yaml").read_bytes())
+    (folder / "five_axis.mcap").write_bytes(whole[: len(whole) // 2])
+    return folder
+
+
+def test_a_bag_that_is_cut_short_leaves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bag = cut_short(BAG, tmp_path / "cut")
+    said = refused(capsys, str(bag), *ARM, "--output", str(tmp_path / "out"))
+    assert "cut: the bag cannot be read" in said
+    assert [path.name for path in tmp_path.iterdir()] == ["cut"]
+
+
+def test_an_interrupt_leaves_nothing(tmp_path: Path) -> None:
+    repeat(checked_arm("five_axis"), BAG, tmp_path / "long", 60)
+    output = tmp_path / "results" / "out"
+    with Program(
+        [*installed("posor_estimator", "reprocess"), str(tmp_path / "long"), *ARM, "--output", str(output)]
+    ) as run:
+        wait_until(
+            lambda: any(output.parent.glob(f"{MAKING}*/out/*.mcap")), "a bag in the making", lambda: time.sleep(0.01)
+        )
+        assert run.end(signal.SIGTERM) == 130
+        assert run.stderr[-1] == "reprocess: interrupted; what was not finished is not there."
+    assert list(output.parent.iterdir()) == []
