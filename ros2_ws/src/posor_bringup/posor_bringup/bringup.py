@@ -13,6 +13,7 @@ from rich.console import Console
 from posor_bringup.arm_programs import arm_programs
 from posor_bringup.arms import checked_arm, installed_arms
 from posor_bringup.command_line import LOGS, Parser, add_driver_parameters, prepare
+from posor_bringup.layouts import LAYOUTS, laid_out
 from posor_bringup.supervisor import Supervisor
 
 if TYPE_CHECKING:
@@ -37,6 +38,12 @@ def parse(arguments: Sequence[str]) -> Namespace:
     )
     parser.add_argument("--no-driver", action="store_true", help="without drivers: the scans come from elsewhere")
     parser.add_argument("--use-sim-time", action="store_true", help="all nodes take the time from /clock")
+    parser.add_argument(
+        "--layout",
+        choices=LAYOUTS,
+        default="separate",
+        help="a process for each node; one for all drivers and one for all else; one for everything; default: separate",
+    )
     add_driver_parameters(parser)
     parser.add_argument(
         "--output", type=Path, default=Path("build/bringup"), metavar="FOLDER", help="logs; default: build/bringup"
@@ -64,10 +71,11 @@ def _bring_up(argv: Sequence[str]) -> None:
     stop = StopSignal()
     try:
         with Supervisor(folder / LOGS) as supervisor:
+            nodes, programs = len(programs), laid_out(programs, options.layout, folder)
             running = [supervisor.start(program) for program in programs]
             for started in running:
                 console.print(f"{started.program.name}: process {started.process.pid}")
-            console.print(f"{arm.name}: {len(running)} nodes started, their logs in {folder / LOGS}; Ctrl-C ends them")
+            console.print(f"{arm.name}: {nodes} nodes started, their logs in {folder / LOGS}; Ctrl-C ends them")
             _watch(supervisor, running, stop, console)
     finally:
         stop.restore()

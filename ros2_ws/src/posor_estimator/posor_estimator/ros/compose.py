@@ -44,9 +44,7 @@ def _compose(arguments: Sequence[str]) -> None:
             sys.stdout.write(HELP.format(nodes=", ".join(node_entries())) + "\n")
             return
         if len(own) != 1:
-            raise ParameterError(
-                f"{len(own)} arguments", where="compose", expected="one, the path of a composition file"
-            )
+            raise ParameterError(f"{len(own)} arguments", where="compose", expected="one, a composition file")
         composition = load_composition(Path(own[0]))
         with Nodes(composition.realtime) as nodes:
             for entry in composition.nodes:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import resource
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -51,23 +52,27 @@ def _asked(parameters: RealtimeParameters) -> Iterator[Callable[[], None]]:
         yield _lock_memory
 
 
-def _threads() -> list[int]:
-    return [int(path.name) for path in Path("/proc/self/task").iterdir()]
+def _each_thread(change: Callable[[int], None]) -> None:
+    """Change every thread of the process, those too that one not yet changed begins meanwhile."""
+    changed: set[int] = set()
+    while new := {int(path.name) for path in Path("/proc/self/task").iterdir()} - changed:
+        for thread in new:
+            with suppress(ProcessLookupError):  # it has ended
+                change(thread)
+        changed |= new
 
 
 def _keep_to(cpus: set[int]) -> None:
     before = os.sched_getaffinity(0)
     where = f"realtime.cpus [{_listed(cpus)}]"
     try:
-        for thread in _threads():
-            os.sched_setaffinity(thread, cpus)
+        _each_thread(lambda thread: os.sched_setaffinity(thread, cpus))
     except OSError as error:
         expected = f"some of [{_listed(before)}], which this process may use"
         raise SystemRefusal(_reason(error), where=where, expected=expected) from None
     # The kernel leaves out processors that there are not, without a word.
     if (got := os.sched_getaffinity(0)) != cpus:
-        for thread in _threads():
-            os.sched_setaffinity(thread, before)
+        _each_thread(lambda thread: os.sched_setaffinity(thread, before))
         raise SystemRefusal(
             f"the system gives no processor {_listed(cpus - got)}", where=where, expected=f"some of [{_listed(before)}]"
         )
@@ -75,8 +80,7 @@ def _keep_to(cpus: set[int]) -> None:
 
 def _prioritise(priority: int) -> None:
     try:
-        for thread in _threads():
-            os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
+        _each_thread(lambda thread: os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority)))
     except OSError as error:
         limit, _ = resource.getrlimit(_RLIMIT_RTPRIO)
         raise SystemRefusal(
@@ -107,7 +111,7 @@ def _no_lock(reason: str) -> SystemRefusal:
 
 
 def _may_lock_all() -> bool:
-    status = Path("/proc/self/status").read_text(encoding="ascii")
+    status = Path("/proc/self/status").read_text(encoding="utf-8", errors="replace")
     effective = next(line.split()[1] for line in status.splitlines() if line.startswith("CapEff:"))
     return bool(int(effective, 16) >> _CAP_IPC_LOCK & 1)
 

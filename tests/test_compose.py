@@ -1,0 +1,298 @@
+"""Nodes of one process: the numbers of separate processes, an orderly end, and sentences for what is wrong."""
+
+from __future__ import annotations
+
+import math
+import signal
+from contextlib import ExitStack
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from lifecycle_msgs.msg import Transition
+from posor_bringup.arm_programs import arm_programs
+from posor_bringup.arms import checked_arm
+from posor_bringup.installed import bag_path, calibration_path, urdf_path
+from posor_bringup.layouts import LAYOUTS, Layout, laid_out
+from posor_estimator.core.arm import DriverFile
+from posor_estimator.errors import CalibrationError, ParameterError
+from posor_estimator.ros.composition import NodeEntry, load_composition
+from posor_estimator.ros.main import Nodes
+from posor_estimator.ros.messages import is_usable, stamp_ns
+from posor_estimator.ros.parameters import NodeParameters
+from posor_estimator.testing.graph import Graph, values_of
+from posor_estimator.testing.program import Program, installed
+from posor_estimator.testing.stamped import status_with
+from posor_msgs.msg import JointTransform
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+
+from tests.graphs import all_bits
+
+if TYPE_CHECKING:
+    from posor_bringup.supervisor import Parameter
+
+pytestmark = pytest.mark.usefixtures("ros_domain")
+
+BAG = Path(__file__).resolve().parents[1] / "bags" / "five_axis"
+JOINTS = ("base_swivel", "shoulder", "elbow", "wrist_roll", "wrist_yaw")
+LOSSLESS: dict[str, Parameter] = {"qos_reliability": "reliable", "qos_depth": 0}
+TICKS = 200
+COMPOSE = installed("posor_estimator", "compose")
+TOPICS = {
+    **{f"/five_axis/{joint}/transform": JointTransform for joint in JOINTS},
+    "/five_axis/endpoint/pose": PoseStamped,
+    "/five_axis/endpoint/pose_with_covariance": PoseWithCovarianceStamped,
+    "/five_axis/joint_states": JointState,
+}
+NODES = ["/rig/chain_node", "/rig/joint1/posor_node", "/rig/joint1/driver_node"]
+RIG = f"""\
+format: posor_composition
+version: 1
+nodes:
+  - node: chain_node
+    namespace: /rig
+    parameters: {{urdf: {urdf_path()}}}
+  - node: posor_node
+    namespace: /rig/joint1
+    parameters: {{calibration: {calibration_path("printed")}, session: ymo}}
+  - node: driver_node
+    namespace: /rig/joint1
+    parameters: {{source: bag, bag: {{path: {bag_path("ymo")}}}, loop: true, restamp: true}}
+"""
+
+
+def results(folder: Path, layout: Layout) -> dict[str, list[object]]:
+    """Replay a second of the five-axis arm's bag; return what the nodes publish, by topic."""
+    bag: dict[str, Parameter] = {
+        "bag.path": str(BAG),
+        "bag.topic": "/{arm}/{joint}/raw",
+        "rate": 0.0,
+        "stop_offset": 0.999,
+        "wait_for_subscribers": 1,
+        "on_end": "stay",
+        "autostart": False,
+    }
+    arm = replace(checked_arm("five_axis"), driver=DriverFile(source="bag", parameters=bag))
+    programs = arm_programs(arm, chain_parameters={"max_wait": 60.0}, parameters=LOSSLESS)
+    folder.mkdir()
+    with ExitStack() as stack, Graph() as graph:
+        running = [stack.enter_context(Program(each.command())) for each in laid_out(programs, layout, folder)]
+        assert len(running) == {"separate": 11, "drivers_apart": 2, "together": 1}[layout]
+        graph.watch_diagnostics()
+        received = {topic: graph.collect(kind, topic, raw=True) for topic, kind in TOPICS.items()}
+        for joint in JOINTS:
+            status_with(graph, f"/five_axis/{joint}/posor_node: listeners", "transform", "2")
+        for topic in ("endpoint/pose", "endpoint/pose_with_covariance", "joint_states"):
+            status_with(graph, "/five_axis/chain_node: listeners", topic, "1")
+        for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
+            for joint in JOINTS:
+                assert graph.change_state(f"/five_axis/{joint}/driver_node", transition)
+        stamps = []
+        for joint in JOINTS:
+            ended = graph.wait_for_status(f"/five_axis/{joint}/driver_node: source", "ended")
+            count, transforms = int(values_of(ended)["scans_published"]), received[f"/five_axis/{joint}/transform"]
+            graph.wait_until(partial(has, transforms, count), f"{count} transforms of {joint}")
+            messages = [deserialize_message(data, JointTransform) for data in transforms]
+            stamps.append({stamp_ns(message) for message in messages if is_usable(message)})
+        complete = len(set.intersection(*stamps))
+        assert 0.9 * TICKS < complete <= TICKS
+        for topic in received.keys() - {f"/five_axis/{joint}/transform" for joint in JOINTS}:
+            graph.wait_until(partial(has, received[topic], complete), f"{complete} messages of {topic}")
+        assert [program.end() for program in running] == [0] * len(running)
+        assert [program.stderr for program in running if "rror" in " ".join(program.stderr)] == []
+    return {topic: all_bits(TOPICS[topic], messages) for topic, messages in received.items()}
+
+
+def has(messages: list[bytes], count: int) -> bool:
+    return len(messages) == count
+
+
+@pytest.mark.timeout(300)
+def test_numbers_are_the_same_whichever_nodes_share_a_process(tmp_path: Path) -> None:
+    separate, apart, together = (results(tmp_path / layout, layout) for layout in LAYOUTS)
+    assert together == separate
+    assert apart == separate
+
+
+def composition(folder: Path, text: str) -> Path:
+    path = folder / "nodes.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_all_nodes_end_when_asked_to(tmp_path: Path, number: signal.Signals) -> None:
+    with Program([*COMPOSE, str(composition(tmp_path, RIG))]) as program, Graph() as graph:
+        graph.watch_diagnostics()
+        poses = graph.collect(PoseStamped, "/rig/endpoint/pose")
+        graph.wait_until(lambda: len(poses) > 3, "poses")
+        for name in NODES:
+            assert graph.state(name) == "active"
+            graph.wait_for_status(f"{name}: lifecycle", "active")
+        assert program.end(number) == 0
+        graph.wait_until(lambda: not set(NODES) & names(graph), "the end of all nodes")
+        assert [line for line in program.stderr if "[INFO]" not in line] == []
+
+
+class Stopped:
+    """Stands in for a node; notes that it was stopped."""
+
+    parameters = NodeParameters()
+
+    def __init__(self, name: str, log: list[str]) -> None:
+        self.name, self.log = name, log
+
+    def stop(self) -> None:
+        self.log.append(self.name)
+
+
+def test_nodes_stop_in_the_reverse_order_also_after_a_failure() -> None:
+    log: list[str] = []
+
+    def fail() -> None:
+        with Nodes() as nodes:
+            for name in ("chain", "posor", "driver"):
+                node: Any = Stopped(name, log)
+                nodes.add(node)
+            raise ParameterError("is wrong")
+
+    with pytest.raises(ParameterError):
+        fail()
+    assert log == ["driver", "posor", "chain"]
+
+
+def names(graph: Graph) -> set[str]:
+    return {f"{space}/{name}" for name, space in graph.node.get_node_names_and_namespaces()}
+
+
+def test_one_node_at_its_end_leaves_the_others_running(tmp_path: Path) -> None:
+    text = RIG.replace("loop: true", "rate: 50.0")
+    with Program([*COMPOSE, str(composition(tmp_path, text))]) as program, Graph() as graph:
+        graph.wait_until(lambda: set(NODES[:2]) <= names(graph), "the nodes")
+        graph.wait_until(lambda: NODES[2] not in names(graph), "the end of the driver")
+        assert graph.state(NODES[0]) == graph.state(NODES[1]) == "active"
+        assert program.end() == 0
+
+
+def test_statistics_appear_in_the_diagnostics(tmp_path: Path) -> None:
+    text = RIG.replace("session: ymo}", "session: ymo, limits: {latency: 1.0e-9, jitter: 1.0e-9}}")
+    with Program([*COMPOSE, str(composition(tmp_path, text))]) as program, Graph() as graph:
+        graph.watch_diagnostics()
+        late = graph.wait_for_status(f"{NODES[1]}: timing", "latency above 1e-09 s; period off its mean by more than")
+        assert late.level == b"\x01"
+        for name in NODES:
+            graph.wait_until(partial(tells, graph, name, "period"), f"period of {name}")
+            figures = values_of(graph.latest(f"{name}: timing"))
+            low, mean, high = (float(figures[f"period_{key}"]) for key in ("min", "mean", "max"))
+            assert 0.0 < low <= mean <= high
+            assert float(figures["period_sd"]) >= 0.0
+        for name in NODES[:2]:
+            graph.wait_until(partial(tells, graph, name, "latency"), f"latency of {name}")
+        process = values_of(graph.wait_for_status(f"{NODES[0]}: process", "ok"))
+        assert int(process["gc_collections"]) >= 1
+        assert float(process["gc_longest_pause"]) >= 0.0
+        assert program.end() == 0
+
+
+def tells(graph: Graph, name: str, what: str) -> bool:
+    status = graph.latest(f"{name}: timing")
+    figures = {} if status is None else values_of(status)
+    return f"{what}_max" in figures and float(figures[f"{what}_min"]) <= float(figures[f"{what}_max"])
+
+
+def refusal(path: Path | str, *arguments: str) -> tuple[int, list[str]]:
+    with Program([*COMPOSE, str(path), *arguments]) as program:
+        code = program.wait()
+        return code, [line for line in program.stderr if "[INFO]" not in line]
+
+
+def test_a_node_that_cannot_start_is_named_and_ends_all(tmp_path: Path) -> None:
+    text = RIG.replace("session: ymo}", "session: nmo}")
+    code, (sentence,) = refusal(composition(tmp_path, text))
+    assert code == 1
+    assert sentence.startswith("node /rig/joint1/posor_node: ")
+    assert "'nmo'" in sentence
+    code, (sentence,) = refusal(composition(tmp_path, RIG.replace("loop: true", "loop: maybe")))
+    assert code == 2
+    assert sentence == "node /rig/joint1/driver_node, parameter 'loop': 'maybe' is wrong; expected true or false."
+    code, (sentence,) = refusal(composition(tmp_path, RIG.replace("restamp: true", "realtime: {priority: 5}")))
+    assert code == 2
+    assert sentence == (
+        "node /rig/joint1/driver_node: parameters 'realtime.*' are of the whole process; "
+        "expected them under the key 'realtime' of the composition file."
+    )
+
+
+def test_a_node_that_fails_later_ends_all(tmp_path: Path) -> None:
+    text = RIG.replace("loop: true", "stop_offset: 60.0, start_offset: 50.0, wait_for_subscribers: 1")
+    code, (sentence,) = refusal(composition(tmp_path, text))
+    assert code == 2
+    assert sentence.startswith("node /rig/joint1/driver_node: no scan lies between 'start_offset' 50.0")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("version: 1", "version: 2", "line 2, key version: version 2; expected 1."),
+        ("node: chain_node", "node: chian_node", "line 4, key nodes[0].node: node 'chian_node' is unknown; expected"),
+        ("namespace: /rig\n", "namespace: rig\n", "line 5, key nodes[0].namespace: namespace 'rig'; expected names"),
+        ("{urdf:", "{3: 4, urdf:", "line 6, key nodes[0].parameters.3: name 3; expected text."),
+        ("loop: true", "loop: 2020-01-01", "line 12, key nodes[2].parameters.loop: 2020-01-01; expected a truth value"),
+        (
+            "  - node: posor_node",
+            "  - nod: posor_node",
+            "line 7, key nodes[1].nod: unknown key 'nod'; expected 'node'",
+        ),
+        (
+            "node: posor_node",
+            "node: driver_node",
+            "line 10, key nodes[2]: a second node /rig/joint1/driver_node; expected another name or another namespace.",
+        ),
+        (
+            "version: 1",
+            "version: 1\nrealtime: {cpus: [0, -1]}",
+            "line 3, key realtime.cpus: [0, -1] is wrong; expected numbers of processors, at least 0.",
+        ),
+        ("version: 1", "version: 1\nrealtime: {prio: 5}", "line 3, key realtime.prio: "),
+        ("version: 1", "version: 1\nrealtime: {priority: 100}", "line 3, key realtime.priority: "),
+    ],
+)
+def test_a_wrong_file_is_one_sentence_with_line_and_key(tmp_path: Path, old: str, new: str, sentence: str) -> None:
+    path = composition(tmp_path, RIG.replace(old, new, 1))
+    with pytest.raises(CalibrationError) as caught:
+        load_composition(path)
+    assert str(caught.value).startswith(f"{path}, {sentence}")
+
+
+def test_a_wrong_command_line_is_one_sentence(tmp_path: Path) -> None:
+    missing = tmp_path / "no.yaml"
+    assert refusal(missing) == (
+        1,
+        [f"composition file {missing}: cannot be read: No such file or directory; expected a YAML composition file."],
+    )
+    with Program(COMPOSE) as program:
+        assert program.wait() == 2
+        assert program.stderr == ["compose: 0 arguments; expected one, a composition file."]
+    with Program([*COMPOSE, "--help"]) as program:
+        assert program.wait() == 0
+        assert "one of chain_node, driver_node, posor_node" in "\n".join(program.stdout)
+
+
+def test_parameters_may_be_grouped_and_are_passed_as_on_a_command_line() -> None:
+    entry = NodeEntry(
+        node="driver_node",
+        name="left",
+        namespace="/a/b",
+        parameters={"bag": {"path": "x y", "other_topics": ["/u", "/v"]}, "rate": 1e-7, "stop_offset": math.inf},
+        remappings={"raw": "scans"},
+    )
+    assert entry.full_name == "/a/b/left"
+    assert entry.arguments() == [
+        *("--ros-args", "-r", "__ns:=/a/b", "-r", "__node:=left", "-r", "raw:=scans"),
+        *("-p", 'bag.path:="x y"', "-p", 'bag.other_topics:=["/u", "/v"]'),
+        *("-p", "rate:=1e-07", "-p", "stop_offset:=.inf"),
+    ]
