@@ -75,7 +75,7 @@ def on_cluster(tasks: Sequence[Task], scheduler: str) -> Iterator[Summary]:
     with client:
         futures = client.map(reprocess, tasks, pure=False, retries=0)
         try:
-            for future in dask.as_completed(futures):
+            for future in dask.as_completed(futures, loop=client.loop):
                 yield future.result()
         finally:
             client.cancel(futures)
