@@ -35,6 +35,7 @@ from posor_estimator.ros.qos import ENDPOINT_COVARIANCE_TOPIC, RELIABLE_QOS
 from pydantic import Field
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.serialization import serialize_message
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray
@@ -110,7 +111,7 @@ class EndpointController(PosorNode[ControllerParameters]):
         self._newest_ns = dict.fromkeys(INPUTS, 0)
         self._commands = self._incomplete = 0
         self._status.report(Level.STALE, "nothing to act upon yet")
-        self._publisher = self._listeners.publisher(Vector3Stamped, COMMAND_TOPIC, RELIABLE_QOS)
+        self._output = self._listeners.outlet(Vector3Stamped, COMMAND_TOPIC, RELIABLE_QOS)
         self._inputs = [
             self.create_subscription(kind, topic, partial(self._take, topic), RELIABLE_QOS)
             for topic, kind in INPUTS.items()
@@ -123,18 +124,18 @@ class EndpointController(PosorNode[ControllerParameters]):
         self.destroy_timer(self._lookout)
         for subscription in self._inputs:
             self.destroy_subscription(subscription)
-        self.destroy_lifecycle_publisher(self._publisher)
+        self._output.destroy()
 
     def _take(self, topic: str, message: Any) -> None:
         self._newest_ns[topic] = stamp_ns(message)
         scan = self._joiner.add(topic, stamp_ns(message), message, 0.0)
         self._incomplete += len(self._joiner.take_given_up())
-        if scan is not None and self._publisher.is_activated:
+        if scan is not None and self._output.is_activated:
             self._control(*(scan[name] for name in INPUTS))
 
     def _look_out(self) -> None:
         """Notice that something does not come any more."""
-        if self._publisher.is_activated and (why := self._out_of_date()):
+        if self._output.is_activated and (why := self._out_of_date()):
             self._hold(why)
 
     def _out_of_date(self) -> str:
@@ -157,7 +158,7 @@ class EndpointController(PosorNode[ControllerParameters]):
             return
         command = Vector3Stamped(header=stage.header)
         command.vector.x, command.vector.y, command.vector.z = goal.tolist()
-        self._publisher.publish(command)
+        self._output.publish(serialize_message(command))
         self._commands += 1
         self._status.report(Level.OK, "following", {**self._counts(), "miss": float(np.linalg.norm(miss))})
 

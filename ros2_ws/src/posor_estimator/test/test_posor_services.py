@@ -191,8 +191,8 @@ def test_reload_takes_the_new_file_without_a_restart(bench: Bench) -> None:
     assert {transform.state for transform in after} == {JointTransform.STATE_OK}
     assert abs(natives(after)[:, 2].mean() - GAP) < 2e-7
     assert abs(before[2] - GAP) > 1e-6
-    status = status_with(bench.graph, "/posor_node: estimate", "calibration_hash", digest)
-    assert values_of(status)["scans"] == "40"
+    status = status_with(bench.graph, "/posor_node: estimate", "scans", "40")
+    assert values_of(status)["calibration_hash"] == digest
     assert digest in bench.node.wait_for_line(digest)
 
 
