@@ -83,10 +83,18 @@ class Sections:
         self._bench = bench
         self._arms = arms
         self._say = say
+        self._measured: dict[tuple[Layout, int, int], dict[str, Any]] = {}
 
     def _run(self, kind: Kind, layout: Layout, joints: int, rate: int, seconds: float) -> Run:
         self._say(f"{kind}, {joints} joints at {rate} Hz, {LAYOUTS[layout]}: {seconds:g} s")
         return self._bench.run(Load(self._arms[joints], kind, layout, rate), seconds)
+
+    def _figures(self, layout: Layout, joints: int, rate: int) -> dict[str, Any]:
+        """Return the figures of a graph; where it is the main one and was measured already, those."""
+        key = (layout, joints, rate)
+        if key not in self._measured:
+            self._measured[key] = figures([self._run("graph", *key, self._plan.point_s)])
+        return self._measured[key]
 
     def graph(self) -> dict[str, Any]:
         """Measure the main graph and its floor in turns."""
@@ -96,6 +104,7 @@ class Sections:
             for kind, done in runs.items():
                 done.append(self._run(kind, plan.layout, plan.joints, plan.rate, plan.seconds / plan.rounds))
         graph, floor = figures(runs["graph"]), figures(runs["floor"])
+        self._measured[plan.layout, plan.joints, plan.rate] = graph
         return {
             f"graph_{plan.name}": graph,
             f"floor_{plan.name}": floor,
@@ -105,8 +114,7 @@ class Sections:
     def layouts(self) -> dict[str, Any]:
         """Measure the main graph in every layout."""
         plan = self._plan
-        runs = {layout: self._run("graph", layout, plan.joints, plan.rate, plan.point_s) for layout in LAYOUTS}
-        return {"layouts": {layout: figures([run]) for layout, run in runs.items()}}
+        return {"layouts": {layout: self._figures(layout, plan.joints, plan.rate) for layout in LAYOUTS}}
 
     def growth(self) -> dict[str, Any]:
         """Measure the cost by joints and by rate."""
@@ -124,8 +132,7 @@ class Sections:
         return by_joints | {(plan.joints, rate) for rate in plan.growth_rates}
 
     def _point(self, joints: int, rate: int) -> dict[str, Any]:
-        told = figures([self._run("graph", "composed", joints, rate, self._plan.point_s)])
-        return {"joints": joints, "rate": rate, "layout": "composed", **told}
+        return {"joints": joints, "rate": rate, "layout": "composed", **self._figures("composed", joints, rate)}
 
     def highest(self) -> dict[str, Any]:
         """Look for the highest rate at which nothing is lost: half of the ladder's remaining steps each time."""
