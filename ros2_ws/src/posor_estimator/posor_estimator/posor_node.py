@@ -13,18 +13,18 @@ from collections import deque
 from functools import partial
 from pathlib import Path
 from threading import RLock
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 from posor_msgs.msg import JointTransform, RawScan
-from pydantic import Field, field_validator
 from std_srvs.srv import Trigger
 
-from posor_estimator.core.calibrate.digital_zero import LEAST, digital_zero
+from posor_estimator.core.calibrate.digital_zero import digital_zero
 from posor_estimator.core.calibration.load import load_calibration
 from posor_estimator.core.fault import Fault, State
 from posor_estimator.core.posor import Posor
 from posor_estimator.core.scan import Scans
 from posor_estimator.errors import CalibrationError, ParameterError, PosorError, TopicError
+from posor_estimator.posor_parameters import PosorParameters
 from posor_estimator.ros.byte_lane import ByteLane
 from posor_estimator.ros.cdr import STAMP
 from posor_estimator.ros.cdr_scan import RAW_SCAN, scan_of
@@ -32,9 +32,7 @@ from posor_estimator.ros.cdr_transform import Lost, Results, TransformWriter
 from posor_estimator.ros.diagnostics import Level
 from posor_estimator.ros.listeners import Listeners
 from posor_estimator.ros.main import run
-from posor_estimator.ros.messages import CovarianceKind  # noqa: TC001  read by pydantic
 from posor_estimator.ros.node import PosorNode
-from posor_estimator.ros.parameters import NodeParameters
 from posor_estimator.ros.qos import RAW_TOPIC, TRANSFORM_TOPIC, sensor_qos
 from posor_estimator.ros.wire import Inlet
 
@@ -42,40 +40,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from posor_estimator.core.calibration.model import Calibration
-
-
-class PosorParameters(NodeParameters):
-    """Parameters of posor_node."""
-
-    calibration: str = Field(description="path of the calibration file (YAML) of this joint's POSOR")
-    session: str = Field(
-        default="", description="session of the calibration file whose zero shifts and maps apply; empty: none"
-    )
-    covariance: CovarianceKind = Field(
-        default="total",
-        description="which uncertainty to publish: of the readings' noise, of the calibration, or of both",
-    )
-    false_alarm: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(
-        default=1e-3, description="probability that the chi-square test of the redundant readings rejects a sound scan"
-    )
-    home_pose: tuple[float, ...] = Field(
-        default=(),
-        description="gap [m], alpha and beta [rad] of the place that ~/zero makes home; empty: no such service",
-    )
-    zero_scans: Annotated[int, Field(ge=LEAST, le=100_000)] = Field(
-        default=100, description="number of scans, the last ones, whose mean ~/zero takes"
-    )
-
-    @field_validator("home_pose")
-    @classmethod
-    def _three(cls, home: tuple[float, ...]) -> tuple[float, ...]:
-        if len(home) not in (0, len(HOME)):
-            message = f"{len(home)} numbers; expected 3: {', '.join(HOME)}, or none"
-            raise ValueError(message)
-        return home
-
-
-HOME = ("gap", "alpha", "beta")
 
 
 HEALTH = {State.OK: Level.OK, State.DEGRADED: Level.WARN}
