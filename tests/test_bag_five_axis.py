@@ -15,17 +15,18 @@ import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from posor_bringup.arm_offline import endpoints
 from posor_bringup.arm_programs import arm_programs
-from posor_bringup.arms import checked_arm
+from posor_bringup.arms import checked_arm, find_arm
 from posor_estimator.core.arm import DriverFile
+from posor_estimator.reprocess.command import main as reprocess
 from posor_estimator.ros.messages import stamp_ns
 from posor_estimator.testing.graph import Graph
 from posor_estimator.testing.program import Program
 from posor_estimator.testing.stamped import status_with
-from posor_msgs.msg import RawScan
+from posor_msgs.msg import JointTransform, RawScan
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
-from tests.graphs import bits, recorded
+from tests.graphs import all_bits, bits, recorded
 
 if TYPE_CHECKING:
     from posor_bringup.supervisor import Parameter
@@ -43,6 +44,11 @@ TYPES = {
     "/five_axis/target/endpoint": PoseStamped,
     "/five_axis/encoders": JointState,
 }
+OTHERS = {
+    **{f"/five_axis/{joint}/transform": JointTransform for joint in JOINTS},
+    "/five_axis/joint_states": JointState,
+}
+"""What the nodes publish beside the endpoint."""
 TICKS, RATE, START_NS = 2000, 200, 1_767_225_600_000_000_000
 LOSSLESS: dict[str, Parameter] = {"qos_reliability": "reliable", "qos_depth": 0}
 WITHIN = 1e-12
@@ -108,7 +114,10 @@ def test_the_bag_holds_one_cycle_of_the_scenario() -> None:
 
 @pytest.mark.usefixtures("ros_domain")
 @pytest.mark.timeout(300)
-def test_the_bag_replays_bit_for_bit() -> None:
+def test_the_bag_replays_bit_for_bit(tmp_path: Path) -> None:
+    assert reprocess([str(BAG), "--arm", str(find_arm("five_axis")), "--output", str(tmp_path / "out")]) == 0
+    offline = recorded(tmp_path / "out")
+    assert set(offline) == {*OTHERS, POSE, f"{POSE}_with_covariance"}
     arm = checked_arm("five_axis")
     parameters: dict[str, Parameter] = {
         "bag.path": str(BAG),
@@ -125,16 +134,18 @@ def test_the_bag_replays_bit_for_bit() -> None:
         graph.watch_diagnostics()
         poses = graph.collect(PoseStamped, POSE)
         with_covariance = graph.collect(PoseWithCovarianceStamped, f"{POSE}_with_covariance")
-        for topic in ("endpoint/pose", "endpoint/pose_with_covariance"):
+        others = {topic: graph.collect(kind, topic, raw=True) for topic, kind in OTHERS.items()}
+        for topic in ("endpoint/pose", "endpoint/pose_with_covariance", "joint_states"):
             status_with(graph, "/five_axis/chain_node: listeners", topic, "1")
         for joint in JOINTS:
-            status_with(graph, f"/five_axis/{joint}/posor_node: listeners", "transform", "1")
+            status_with(graph, f"/five_axis/{joint}/posor_node: listeners", "transform", "2")
         # The drivers wait for this test too, which listens once all else does.
         replaying = [stack.enter_context(Program(program.command())) for program in drivers]
         scans = {topic: graph.collect(RawScan, topic, raw=True) for topic in RAW.values()}
         expected = list(endpoints(checked_arm("five_axis"), {j: messages(BAG)[topic] for j, topic in RAW.items()}))
         graph.wait_until(lambda: all(len(scans[topic]) == len(raw[topic]) for topic in scans), "all scans")
         graph.wait_until(lambda: len(poses) == len(with_covariance) == len(expected), "all poses")
+        graph.wait_until(lambda: all(len(others[topic]) == len(offline[topic]) for topic in OTHERS), "all else")
         assert [program.wait() for program in replaying] == [0] * len(JOINTS)
         assert [program.end() for program in running] == [0] * len(running)
     for topic, received in scans.items():
@@ -146,6 +157,11 @@ def test_the_bag_replays_bit_for_bit() -> None:
         assert bits(leaves(pose.pose)) == endpoint.tobytes()
         assert bits(full.pose.covariance) == covariance.tobytes()
         assert bits(pose.header) == bits(full.header)
+    for topic, kind in OTHERS.items():
+        assert all_bits(kind, others[topic]) == all_bits(kind, offline[topic]), topic
+    assert all_bits(PoseStamped, offline[POSE]) == [bits(pose) for pose in poses]
+    full_poses = all_bits(PoseWithCovarianceStamped, offline[f"{POSE}_with_covariance"])
+    assert full_poses == [bits(pose) for pose in with_covariance]
     known = messages(BAG)[POSE]
     assert [stamp_ns(pose) for pose in known] == times
     off = np.abs([np.subtract(leaves(one.pose), leaves(other.pose)) for one, other in zip(poses, known, strict=True)])

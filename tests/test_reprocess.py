@@ -1,50 +1,36 @@
-"""Reprocessed bags against the live graph, bit for bit; the program with its formats and complaints."""
+"""Reprocessed bags against the core, scan by scan; formats, summary and complaints of the program.
+
+``test_bag_five_axis`` compares them with the live graph.
+"""
 
 from __future__ import annotations
 
 import signal
 import time
-from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
 import pytest
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
-from posor_bringup.arm_programs import arm_programs
+from geometry_msgs.msg import PoseStamped
 from posor_bringup.arms import checked_arm, find_arm
 from posor_bringup.installed import calibration_path, urdf_path
-from posor_estimator.core.arm import DriverFile
 from posor_estimator.core.fault import State
 from posor_estimator.reprocess.command import main
 from posor_estimator.reprocess.output import MAKING
-from posor_estimator.testing.graph import Graph
 from posor_estimator.testing.program import Program, installed, wait_until
-from posor_estimator.testing.stamped import status_with
 from posor_msgs.msg import JointTransform
 from rosbags.rosbag2 import Reader
-from sensor_msgs.msg import JointState
 
 from tests.benchmarks.offline import repeat
 from tests.graphs import all_bits, bits, located, placed, recorded, rig
 
-if TYPE_CHECKING:
-    from posor_bringup.supervisor import Parameter
-
 BAGS = Path(__file__).resolve().parents[1] / "bags"
 BAG = BAGS / "five_axis"
 JOINTS = ("base_swivel", "shoulder", "elbow", "wrist_roll", "wrist_yaw")
-TYPES = {
-    **{f"/five_axis/{joint}/transform": JointTransform for joint in JOINTS},
-    "/five_axis/endpoint/pose": PoseStamped,
-    "/five_axis/endpoint/pose_with_covariance": PoseWithCovarianceStamped,
-    "/five_axis/joint_states": JointState,
-}
-LOSSLESS: dict[str, Parameter] = {"qos_reliability": "reliable", "qos_depth": 0}
 ARM = ["--arm", str(find_arm("five_axis"))]
 
 
@@ -56,35 +42,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         assert main([str(BAG), *ARM, "--output", str(folder / kind), "--format", kind]) == 0
     assert sorted(path.name for path in folder.iterdir()) == ["bag", "csv", "parquet"]
     return folder
-
-
-@pytest.mark.usefixtures("ros_domain")
-@pytest.mark.timeout(300)
-def test_the_live_graph_publishes_the_same_bits(made: Path) -> None:
-    expected = recorded(made / "bag")
-    assert set(expected) == set(TYPES)
-    parameters: dict[str, Parameter] = {
-        "bag.path": str(BAG),
-        "bag.topic": "/{arm}/{joint}/raw",
-        "rate": 0.0,
-        "wait_for_subscribers": 1,
-    }
-    arm = replace(checked_arm("five_axis"), driver=DriverFile(source="bag", parameters=parameters))
-    programs = arm_programs(arm, chain_parameters={"max_wait": 60.0}, parameters=LOSSLESS)
-    with ExitStack() as stack, Graph() as graph:
-        running = [stack.enter_context(Program(program.command())) for program in programs[: -len(JOINTS)]]
-        graph.watch_diagnostics()
-        received = {topic: graph.collect(kind, topic, raw=True) for topic, kind in TYPES.items()}
-        for topic in ("endpoint/pose", "endpoint/pose_with_covariance", "joint_states"):
-            status_with(graph, "/five_axis/chain_node: listeners", topic, "1")
-        for joint in JOINTS:
-            status_with(graph, f"/five_axis/{joint}/posor_node: listeners", "transform", "2")
-        for program in programs[-len(JOINTS) :]:
-            stack.enter_context(Program(program.command()))
-        graph.wait_until(lambda: all(len(received[topic]) == len(expected[topic]) for topic in TYPES), "all messages")
-        assert [program.end() for program in running] == [0] * len(running)
-    for topic, kind in TYPES.items():
-        assert all_bits(kind, received[topic]) == all_bits(kind, expected[topic]), topic
 
 
 @pytest.mark.parametrize("calibration", ["printed", "section84"])

@@ -28,7 +28,7 @@ def arrivals(random: np.random.Generator, count: int, *, restarts: bool) -> list
     found: list[tuple[float, int, int]] = []
     for n in range(count):
         present = [joint for joint in range(len(NAMES)) if random.random() > 0.1]
-        found.extend((n + random.integers(0, 6), joint, n) for joint in present)
+        found.extend((n + float(random.integers(0, 6)), joint, n) for joint in present)
     found.sort(key=lambda one: one[0])
     last = dict.fromkeys(range(len(NAMES)), -1)
     kept = []
