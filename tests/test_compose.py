@@ -81,7 +81,7 @@ def results(folder: Path, layout: Layout) -> dict[str, list[object]]:
     folder.mkdir()
     with ExitStack() as stack, Graph() as graph:
         running = [stack.enter_context(Program(each.command())) for each in laid_out(programs, layout, folder)]
-        assert len(running) == {"separate": 11, "drivers_apart": 2, "together": 1}[layout]
+        assert len(running) == {"separate": 11, "drivers_apart": 2, "composed": 1}[layout]
         graph.watch_diagnostics()
         received = {topic: graph.collect(kind, topic, raw=True) for topic, kind in TOPICS.items()}
         for joint in JOINTS:
@@ -113,8 +113,8 @@ def has(messages: list[bytes], count: int) -> bool:
 
 @pytest.mark.timeout(300)
 def test_numbers_are_the_same_whichever_nodes_share_a_process(tmp_path: Path) -> None:
-    separate, apart, together = (results(tmp_path / layout, layout) for layout in LAYOUTS)
-    assert together == separate
+    separate, apart, composed = (results(tmp_path / layout, layout) for layout in LAYOUTS)
+    assert composed == separate
     assert apart == separate
 
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-Layout = Literal["separate", "drivers_apart", "together"]
+Layout = Literal["separate", "drivers_apart", "composed"]
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 """A process for each node; one for all drivers and one for all else; one for everything."""
 

@@ -26,14 +26,15 @@ def live(source: LiveSource[Any], time: RosTime, misses: Misses) -> Iterator[Due
     """Yield what is to be published, and pauses until the next is due; ends with the run.
 
     A tick whose successor is due as well has been missed: it is left out and counted, so that scans never come bunched.
+    That is judged by the time of the thread's turn, so that drivers that share it miss the same ticks.
     Where the clock goes back (a simulation that starts over) or is stepped, ticks begin anew and none was missed.
     """
     while True:
         # Simulated time is zero until the clock's first message, which is no time that has gone by.
-        while time.now_ns < 1:
+        while time.turn_ns < 1:
             yield Pause(1)
         epoch = time.epoch
-        tick, last = source.begin(time.now_ns)
+        tick, last = source.begin(time.turn_ns)
         while last is None or tick <= last:
             yield Pause(source.due_ns(tick))
             if time.epoch != epoch:

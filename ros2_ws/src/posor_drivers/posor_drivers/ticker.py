@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from threading import Lock, Thread
 from typing import TYPE_CHECKING
 
 from posor_estimator.ros.moments import Moments
+from posor_estimator.ros.process import SWITCH_S
 
 from posor_drivers.ros_time import RosTime, SimulatedTime, WallTime, is_simulated, wake_exactly
 from posor_drivers.timeline import Pause
@@ -16,6 +18,11 @@ if TYPE_CHECKING:
     from rclpy.clock import Clock
 
     from posor_drivers.timeline import Due
+
+EAGER_S = 2e-5
+"""How long another Python thread may hold up this one when a tick is due."""
+UNDISTURBED_S = 5e-3
+"""How long this one goes on, from a tick on, before it lets another have its turn: the drivers' ticks are short."""
 
 
 class Beat:
@@ -143,11 +150,14 @@ class Ticker:
         wake_exactly()
         time = self.time
         while beats := self._beats:
+            sys.setswitchinterval(EAGER_S)
             time.wait(min([beat.due_ns for beat in beats]))
+            sys.setswitchinterval(UNDISTURBED_S)
             now_ns = time.turn_ns = time.now_ns
             for beat in beats:
                 if not beat.go_on(now_ns):
                     self._is_over_without(beat)
+        sys.setswitchinterval(SWITCH_S)
         time.close()
 
 

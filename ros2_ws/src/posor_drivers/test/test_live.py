@@ -50,21 +50,17 @@ class Wall:
     """Stands in for a RosTime: comes to each time waited for, as late as it is told, or in another epoch."""
 
     def __init__(self, now_ns: int, late: dict[int, int] | None = None, steps: dict[int, int] | None = None) -> None:
-        self.now_ns = now_ns
+        self.turn_ns = now_ns
         self.epoch = 0
         self._late = late or {}
         self._steps = steps or {}
 
-    @property
-    def turn_ns(self) -> int:
-        return self.now_ns
-
     def wait(self, time_ns: int) -> None:
         if time_ns in self._steps:
-            self.now_ns = self._steps.pop(time_ns)
+            self.turn_ns = self._steps.pop(time_ns)
             self.epoch += 1
         else:
-            self.now_ns = max(self.now_ns, self._late.pop(time_ns, time_ns))
+            self.turn_ns = max(self.turn_ns, self._late.pop(time_ns, time_ns))
 
 
 def ticks(wall: Wall, source: Metronome | None = None, count: int = 1000) -> tuple[list[int], Misses]:
