@@ -7,24 +7,23 @@ what shares a process.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
-import yaml
 from posor_bringup.arm_programs import arm_programs
+from posor_bringup.layouts import Layout, laid_out
 from posor_bringup.supervisor import Program, Script
 
 from tests.benchmarks import profiled
 from tests.benchmarks.floor import FloorChain, FloorPosor
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
     from pathlib import Path
 
     from posor_bringup.supervisor import Parameter
     from posor_estimator.core.arm import Arm
 
 Kind = Literal["graph", "floor"]
-Layout = Literal["composed", "drivers_apart", "separate"]
 LAYOUTS: Mapping[Layout, str] = {
     "composed": "all nodes in one process",
     "drivers_apart": "two processes: drivers; all other nodes",
@@ -61,29 +60,24 @@ class Load:
 
 
 def processes(load: Load, folder: Path) -> list[Program]:
-    """Write the composition files into a folder and return the programs, those that listen first."""
+    """Return the programs, those that listen first; their files go into a folder."""
     rate: dict[str, Parameter] = {"looped.rate": load.rate}
     nodes = [_node(program, load.arm, load.kind) for program in arm_programs(load.arm, driver_parameters=rate)]
-    programs: list[Program] = []
-    for name, members in _groups(nodes, load.layout).items():
-        content = {"format": "posor_composition", "version": 1, "nodes": [_entry(node) for node in members]}
-        path = folder / f"{name.replace('/', '.')}.yaml"
-        path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
-        if load.profiled:
-            programs.append(Script(name, "", str(profiled.__file__), (str(path), str(folder / PROFILE))))
-        else:
-            programs.append(Program(name, "posor_estimator", "compose", (str(path),)))
-    return programs
+    if load.layout == "separate":
+        programs = [_alone(node, folder / node.name.replace("/", ".")) for node in nodes]
+    else:
+        programs = laid_out(nodes, load.layout, folder)
+    if not load.profiled:
+        return programs
+    script, out = str(profiled.__file__), str(folder / PROFILE)
+    return [Script(program.name, "", script, (*program.arguments, out)) for program in programs]
 
 
-def _groups(nodes: Sequence[Program], layout: Layout) -> dict[str, list[Program]]:
-    """Return which nodes share a process, by its name."""
-    if layout == "separate":
-        return {node.name: [node] for node in nodes}
-    drivers = [node for node in nodes if node.package == "posor_drivers"]
-    if layout == "drivers_apart":
-        return {"posors_and_chain": [node for node in nodes if node not in drivers], "drivers": drivers}
-    return {"all": list(nodes)}
+def _alone(node: Program, folder: Path) -> Program:
+    """Return a node in a process of its own, which yet is a composed one: the floor's nodes are no programs."""
+    folder.mkdir()
+    (program,) = laid_out([node], "composed", folder)
+    return replace(program, name=node.name)
 
 
 def _node(program: Program, arm: Arm, kind: Kind) -> Program:
@@ -99,7 +93,3 @@ def _node(program: Program, arm: Arm, kind: Kind) -> Program:
         joints = [joint.name for joint in chain.joints]
         return replace(program, executable=FloorChain.NAME, parameters={"joints": joints, "frame": chain.base_frame})
     return program
-
-
-def _entry(node: Program) -> dict[str, Any]:
-    return {"node": node.executable, "namespace": node.namespace, "parameters": dict(node.parameters)}

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 from tests.benchmarks.accounts import NothingReceived, figures
 from tests.benchmarks.growth import line, series
-from tests.benchmarks.layouts import LAYOUTS, PROFILE, Layout, Load
+from tests.benchmarks.layouts import LAYOUTS, PROFILE, Load
 from tests.benchmarks.made_arm import made_arm, record
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
+    from posor_bringup.layouts import Layout
     from posor_estimator.core.arm import Arm
 
     from tests.benchmarks.accounts import Run

@@ -27,7 +27,8 @@ class Stage:
 class Stopwatches:
     """Times functions in one thread, the first in which one of them is called."""
 
-    def __init__(self) -> None:
+    def __init__(self, now_ns: Callable[[], int] = perf_counter_ns) -> None:
+        self._now_ns = now_ns
         self._stages: dict[str, Stage] = {}
         self._open: list[list[int]] = []
         self._thread = 0
@@ -36,7 +37,7 @@ class Stopwatches:
 
     def timed(self, function: Callable[..., Any], name: Callable[..., str] | str) -> Callable[..., Any]:
         """Return a function that does the same and is timed; ``name`` is that of its stage, or tells it by the call."""
-        open_calls = self._open
+        open_calls, now_ns = self._open, self._now_ns
 
         @wraps(function)
         def call(*arguments: Any, **named: Any) -> Any:
@@ -46,11 +47,11 @@ class Stopwatches:
                 self._thread = get_ident()
             within = [0, 0]
             open_calls.append(within)
-            begin = perf_counter_ns()
+            begin = now_ns()
             try:
                 return function(*arguments, **named)
             finally:
-                took = perf_counter_ns() - begin
+                took = now_ns() - begin
                 open_calls.pop()
                 if open_calls:
                     open_calls[-1][0] += took
@@ -68,10 +69,10 @@ class Stopwatches:
         nothing, looks = self.timed(lambda: None, "nothing"), list[tuple[float, float]]()
         for _ in range(ROUNDS):
             self.restart()
-            begin = perf_counter_ns()
+            begin = self._now_ns()
             for _ in range(LOOKS):
                 nothing()
-            looks.append(((perf_counter_ns() - begin) / LOOKS, self._stages["nothing"].own_ns / LOOKS))
+            looks.append(((self._now_ns() - begin) / LOOKS, self._stages["nothing"].own_ns / LOOKS))
         whole_ns, self._inside_ns = min(looks)
         self._outside_ns = whole_ns - self._inside_ns
         self._thread = 0

@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 from threading import Thread
-from time import monotonic, perf_counter, sleep
+from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -154,19 +154,17 @@ def test_stopwatches_show_what_a_stage_takes_without_those_that_it_calls() -> No
 
 
 def test_cost_of_the_stopwatches_is_taken_off() -> None:
-    watches = Stopwatches()
+    watches = Stopwatches(count(step=40).__next__)  # each look at the clock takes 40 ns, and nothing else takes time
     nothing = watches.timed(lambda: None, "nothing")
 
     def call_it() -> None:
-        for _ in range(20_000):
+        for _ in range(1000):
             nothing()
 
-    begin = perf_counter()
     watches.timed(call_it, "caller")()
-    took_us = 1e6 * (perf_counter() - begin)
     found = watches.found()
-    assert found["nothing"][0] == 20_000
-    assert found["nothing"][1] + found["caller"][1] < 0.8 * took_us
+    assert {name: calls for name, (calls, _) in found.items()} == {"nothing": 1000, "caller": 1}
+    assert [took for _, took in found.values()] == pytest.approx([0.0, 0.0], abs=0.2)
 
 
 def test_page_gets_the_figures_and_keeps_what_was_not_measured() -> None:
@@ -246,7 +244,7 @@ def check_graph(results: dict[str, Any]) -> None:
         assert 0 < told["published_p50_us"] < told["p50_us"]
         assert told["cpu_cores"] == pytest.approx(sum(part["cpu_cores"] for part in told["processes"].values()))
         assert told["memory_mb"] > 0
-        assert list(told["processes"]) == ["posors_and_chain", "drivers"]
+        assert list(told["processes"]) == ["nodes", "drivers"]
     for share in ("p50", "p99"):
         expected = results["graph_2x200"][f"{share}_us"] / results["floor_2x200"][f"{share}_us"]
         assert results[f"ratio_{share}"] == expected
