@@ -6,6 +6,7 @@ import json
 import signal
 import subprocess
 import sys
+from itertools import count
 from pathlib import Path
 from threading import Thread
 from time import monotonic, sleep
