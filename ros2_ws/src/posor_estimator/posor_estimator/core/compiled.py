@@ -61,3 +61,11 @@ def compiled(kernel: Kernel) -> Kernel:
         return kernel
     result: Kernel = _NJIT(cache=True, fastmath=False, error_model="numpy")(kernel)
     return result
+
+
+def compiled_without_lock(kernel: Kernel) -> Kernel:
+    """Return the same, for long runs: other threads go on while it runs."""
+    if _NJIT is None:
+        return kernel
+    result: Kernel = _NJIT(cache=True, fastmath=False, error_model="numpy", nogil=True)(kernel)
+    return result

@@ -9,6 +9,8 @@ import numpy as np
 import pinocchio as pin
 
 from posor_estimator.core.fault import Fault, State
+from posor_estimator.core.kernels.locate import FIGURES, NATIVE, POSE, RESIDUAL
+from posor_estimator.core.kernels.readout import CODES, FAULTS, STATE
 from posor_estimator.core.native import native_from_rotation
 
 if TYPE_CHECKING:
@@ -72,23 +74,73 @@ class Estimates:
     Attributes:
         rotations: R_R_T, shape (n, 3, 3).
         translations: Origin of T in R [m], shape (n, 3).
+        outcomes: State, faults, and what was wrong with each sensor's readings, zero where nothing, shape (n, 2 + s).
+        figures: What else is known of each scan, see ``poses``, ``natives`` and ``residuals``, shape (n, 14).
 
     """
 
     scans: NDArray[np.uint64]
-    states: IntArray
-    faults: IntArray
+    outcomes: IntArray
     rotations: FloatArray
     translations: FloatArray
-    thetas: FloatArray
     covariances_random: FloatArray
     covariances_systematic: FloatArray
-    residuals: FloatArray
+    figures: FloatArray
     redundancy: int
+
+    @staticmethod
+    def room(scans: NDArray[np.uint64], sensors: int, redundancy: int) -> Estimates:
+        """Return room for the estimates of some scans of a POSOR with so many sensors."""
+        count = len(scans)
+        return Estimates(
+            scans=scans,
+            outcomes=np.zeros((count, 2 + sensors), dtype=np.int64),
+            rotations=np.empty((count, 3, 3)),
+            translations=np.empty((count, 3)),
+            covariances_random=np.empty((count, 6, 6)),
+            covariances_systematic=np.empty((count, 6, 6)),
+            figures=np.empty((count, FIGURES)),
+            redundancy=redundancy,
+        )
 
     def __len__(self) -> int:
         """Return the number of scans."""
         return len(self.scans)
+
+    @property
+    def states(self) -> IntArray:
+        """``State`` of each scan, shape (n,)."""
+        return self.outcomes[:, STATE]
+
+    @property
+    def faults(self) -> IntArray:
+        """``Fault`` of each scan, shape (n,)."""
+        return self.outcomes[:, FAULTS]
+
+    @property
+    def codes(self) -> IntArray:
+        """What was wrong with each sensor's readings (``Sensor.explain``), shape (n, s); after the first, zero."""
+        return self.outcomes[:, CODES:]
+
+    @property
+    def poses(self) -> FloatArray:
+        """``T_R_T`` as x, y, z [m] and the unit quaternion x, y, z, w, shape (n, 7)."""
+        return self.figures[:, POSE:NATIVE]
+
+    @property
+    def natives(self) -> FloatArray:
+        """The six native coordinates, shape (n, 6)."""
+        return self.figures[:, NATIVE:RESIDUAL]
+
+    @property
+    def thetas(self) -> FloatArray:
+        """The large rotation, turns counted [rad], shape (n,)."""
+        return self.figures[:, RESIDUAL - 1]
+
+    @property
+    def residuals(self) -> FloatArray:
+        """Chi-square of the redundant readings, shape (n,)."""
+        return self.figures[:, RESIDUAL]
 
     @staticmethod
     def joined(parts: Sequence[Estimates]) -> Estimates:
@@ -101,7 +153,7 @@ class Estimates:
         return Estimates(redundancy=parts[0].redundancy, **arrays)
 
     def one(self, index: int, reason: str) -> Estimate:
-        """Return one scan's estimate, given the sentence on its fault."""
+        """Return a copy of one scan's estimate, given the sentence on its fault."""
         state, faults, scan = State(int(self.states[index])), Fault(int(self.faults[index])), int(self.scans[index])
         if state is State.LOST:
             return Estimate.lost(scan, faults, reason)
@@ -112,8 +164,8 @@ class Estimates:
             reason=reason,
             T_R_T=pin.SE3(self.rotations[index], self.translations[index]),
             theta=float(self.thetas[index]),
-            covariance_random=self.covariances_random[index],
-            covariance_systematic=self.covariances_systematic[index],
+            covariance_random=self.covariances_random[index].copy(),
+            covariance_systematic=self.covariances_systematic[index].copy(),
             residual=float(self.residuals[index]),
             redundancy=self.redundancy,
         )

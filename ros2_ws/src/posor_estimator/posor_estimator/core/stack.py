@@ -26,6 +26,8 @@ class Stack:
         sensors: The sensors, in the calibration file's order.
         readings: Number of linearised readings m.
         first_rows: First reading of each sensor.
+        first_parameters: First parameter of each sensor.
+        first_pool_rows: First row of each sensor in the pool.
         parameters: Number of parameters of all sensors.
         pool: All rows that any scan can have, ids counted over all sensors; sensors without rows have one affine row
             for each reading, to be filled in.
@@ -40,20 +42,20 @@ class Stack:
         self.readings = sum(counts)
         self.first_rows = [sum(counts[:i]) for i in range(len(counts))]
         self.parameters = sum(sizes)
-        self._first_parameters = [sum(sizes[:i]) for i in range(len(sizes))]
+        self.first_parameters = [sum(sizes[:i]) for i in range(len(sizes))]
         pools = [
             sensor.pool if isinstance(sensor, RowSensor) else _affine_pool(count)
             for sensor, count in zip(self.sensors, counts, strict=True)
         ]
         width = max(AFFINE_PARAMETERS, *(pool.rows.shape[1] for pool in pools))
-        self._offsets = [sum(len(pool.kinds) for pool in pools[:i]) for i in range(len(pools))]
+        self.first_pool_rows = [sum(len(pool.kinds) for pool in pools[:i]) for i in range(len(pools))]
         self.pool = RowPool(
             np.concatenate([pool.kinds for pool in pools]),
             np.concatenate([_widened(pool.rows, width, 0) for pool in pools]),
             np.concatenate(
                 [
                     _widened(np.where(pool.ids >= 0, pool.ids + first, -1), width, -1)
-                    for pool, first in zip(pools, self._first_parameters, strict=True)
+                    for pool, first in zip(pools, self.first_parameters, strict=True)
                 ]
             ),
             np.concatenate([_widened(pool.sigmas, width, 0) for pool in pools]),
@@ -81,30 +83,30 @@ class Stack:
 
     def with_parameter_values(self, values: FloatArray) -> Stack:
         """Return the same stack with another parameter vector (shape (p,))."""
-        ends = [*self._first_parameters[1:], self.parameters]
+        ends = [*self.first_parameters[1:], self.parameters]
         return Stack(
             [
                 sensor.with_parameter_values(values[first:end])
-                for sensor, first, end in zip(self.sensors, self._first_parameters, ends, strict=True)
+                for sensor, first, end in zip(self.sensors, self.first_parameters, ends, strict=True)
             ]
         )
 
     def linearise(self, scans: Scans) -> tuple[IntArray, Batch]:
         """Return each sensor's codes, shape (n, sensors), and the linearised readings of all scans."""
         n, m = len(scans), self.readings
-        batch = Batch(np.zeros((n, m)), np.ones((n, m)), np.zeros((n, m, m)), np.zeros((n, m), dtype=np.int64))
+        batch = Batch(np.zeros((n, m)), np.ones((n, m)), np.zeros((n, m), dtype=np.int64))
         codes = np.empty((n, len(self.sensors)), dtype=np.int64)
         for i, sensor in enumerate(self.sensors):
             if not isinstance(sensor, RowSensor):
                 rows = slice(self.first_rows[i], self.first_rows[i] + len(sensor.reading_names))
-                batch.chosen[:, rows] = self._offsets[i] + np.arange(len(sensor.reading_names))
-            codes[:, i] = sensor.linearise(scans, batch, self.first_rows[i], self._offsets[i])
+                batch.chosen[:, rows] = self.first_pool_rows[i] + np.arange(len(sensor.reading_names))
+            codes[:, i] = sensor.linearise(scans, batch, self.first_rows[i], self.first_pool_rows[i])
         return codes, batch
 
     def residual_jacobian(self, scan: Scan, rotation: FloatArray, translation: FloatArray) -> FloatArray:
         """Return d(linearised reading - prediction)/d(parameter) at the pose ``T_R_T``, shape (m, p)."""
         out = np.zeros((self.readings, self.parameters))
-        for sensor, row, column in zip(self.sensors, self.first_rows, self._first_parameters, strict=True):
+        for sensor, row, column in zip(self.sensors, self.first_rows, self.first_parameters, strict=True):
             block = sensor.residual_jacobian(scan, rotation, translation)
             out[row : row + block.shape[0], column : column + block.shape[1]] = block
         return out

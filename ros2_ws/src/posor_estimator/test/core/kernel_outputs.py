@@ -8,12 +8,16 @@ from __future__ import annotations
 import math
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 from posor_estimator.core import compiled
-from posor_estimator.core.kernels import chain, chain_motion, cholesky, gap, ring, solve, spot, vector
-from posor_estimator.core.kernels.rows import GAP, RING, SPOT_X, SPOT_Y
+from posor_estimator.core.designs import DesignName, design
+from posor_estimator.core.forward import scans_at
+from posor_estimator.core.kernels import chain, chain_motion, cholesky, solve, vector
+from posor_estimator.core.kernels.rows import GAP, RING, SPOT_X, SPOT_Y, evaluate_row, row_parameters
+from posor_estimator.core.native import rotation_from_native
+from posor_estimator.core.posor import Posor
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray
@@ -56,16 +60,10 @@ def one_by_one(rng: np.random.Generator) -> list[float]:
     probe, diode, ring_probe = random_rows(rng)
     tangent = np.empty(6)
     by_parameter = np.zeros(32)
-    out += [gap.gap(probe, rotation, translation, tangent), *tangent]
-    gap.gap_parameters(probe, rotation, translation, by_parameter)
-    out += by_parameter.tolist()
-    for which in (0, 1):
-        out += [spot.spot(diode, rotation, translation, which, tangent), *tangent]
-        spot.spot_parameters(diode, rotation, translation, which, by_parameter)
+    for kind, row in ((GAP, probe), (SPOT_X, diode), (SPOT_Y, diode), (RING, ring_probe)):
+        out += [evaluate_row(kind, row, rotation, translation, np.zeros(6), tangent), *tangent]
+        row_parameters(kind, row, rotation, translation, by_parameter)
         out += by_parameter.tolist()
-    out += [ring.ring_gap(ring_probe, rotation, translation, tangent), *tangent]
-    ring.ring_parameters(ring_probe, rotation, translation, by_parameter)
-    out += by_parameter.tolist()
     for size in (1e-6, 1e-2, 1.0):
         vector.apply_tangent(rotation, translation, rng.uniform(-size, size, 6))
         vector.orthonormalise(rotation)
@@ -80,17 +78,19 @@ def one_by_one(rng: np.random.Generator) -> list[float]:
 def whole_scan(rng: np.random.Generator) -> list[float]:
     """Return the outcome of the solver for one scan with noise."""
     kinds = np.array([GAP, GAP, GAP, SPOT_X, SPOT_Y, SPOT_X, SPOT_Y, RING])
-    rows = np.zeros((len(kinds), 17))
-    for row, kind in zip(rows, kinds, strict=True):
+    geometry = np.zeros((len(kinds), 17))
+    for row, kind in zip(geometry, kinds, strict=True):
         probe, diode, ring_probe = random_rows(rng)
         made = {GAP: probe, RING: ring_probe}.get(int(kind), diode)
         row[: made.size] = made
-    rows[4], rows[6] = rows[3], rows[5]
+    geometry[4], geometry[6] = geometry[3], geometry[5]
     rotation, translation = random_pose(rng)
     jacobian, residuals, moved = np.empty((len(kinds), 6)), np.empty(len(kinds)), np.empty(6)
     values = rng.normal(0, 1e-4, len(kinds))
     weights = rng.uniform(0.5, 2.0, len(kinds)) * 1e12
-    outcome = solve.gauss_newton(kinds, rows, values, weights, rotation, translation, jacobian, residuals, moved, 1e-7)
+    outcome = solve.gauss_newton(
+        kinds, geometry, values, weights, rotation, translation, jacobian, residuals, moved, 1e-7
+    )
     return [outcome, *rotation.ravel(), *translation, *jacobian.ravel(), *residuals, *moved]
 
 
@@ -141,13 +141,29 @@ def arm(rng: np.random.Generator) -> list[float]:
     return [number for each in outputs for number in each.ravel().tolist()]
 
 
+def raw_scans(name: DesignName) -> FloatArray:
+    """Return all that is made of noisy raw scans of a design, from voltages and currents to covariances."""
+    posor = Posor(design(name, motion=True))
+    count = 6
+    rotations = np.array([rotation_from_native(1e-4, -2e-4, 2e-3 * n) for n in range(count)])
+    translations = np.tile([2e-5, 1e-5, 0.7e-3], (count, 1))
+    stamps = np.arange(1, count + 1, dtype=np.int64) * 1_000_000
+    scans = scans_at(posor.stack, rotations, translations, stamps, noise=np.random.default_rng(8))
+    scans.at_home[0] = 1
+    found = posor.locate_all(scans)
+    arrays = (found.rotations, found.covariances_random, found.covariances_systematic, found.figures)
+    return np.concatenate([array.reshape(count, -1) for array in arrays], axis=1)
+
+
 def main(file: Path) -> None:
     """Save the outputs, and whether the kernels were compiled."""
     rng = np.random.default_rng(1985)
     rows = [one_by_one(rng) for _ in range(CASES)]
     scans = [whole_scan(rng) for _ in range(CASES)]
     arms = [arm(rng) for _ in range(CASES)]
-    np.savez(file, compiling=compiled.COMPILING, rows=np.array(rows), scans=np.array(scans), arms=np.array(arms))
+    raw = [raw_scans(name) for name in get_args(DesignName)]
+    outputs = {"rows": np.array(rows), "scans": np.array(scans), "arms": np.array(arms), "raw": np.array(raw)}
+    np.savez(file, allow_pickle=False, compiling=np.array(compiled.COMPILING), **outputs)
 
 
 if __name__ == "__main__":

@@ -46,7 +46,7 @@ def test_kernels_are_compiled_where_numba_is_installed(fast: dict[str, FloatArra
     assert bool(fast["compiling"]) == (importlib.util.find_spec("numba") is not None)
 
 
-@pytest.mark.parametrize("which", ["rows", "scans", "arms"])
+@pytest.mark.parametrize("which", ["rows", "scans", "arms", "raw"])
 def test_compiled_or_not_the_kernels_give_the_same_bits(
     which: str, plain: dict[str, FloatArray], fast: dict[str, FloatArray]
 ) -> None:
@@ -57,6 +57,7 @@ def test_compiled_or_not_the_kernels_give_the_same_bits(
 def test_the_inputs_reach_every_end_of_the_solver_that_a_scan_can_take(plain: dict[str, FloatArray]) -> None:
     assert {solve.CONVERGED, solve.ILL_CONDITIONED} <= {int(outcome) for outcome in plain["scans"][:, 0]}
     assert np.isfinite(plain["rows"]).all()
+    assert np.isfinite(plain["raw"]).all()
 
 
 PROBE_OVER_PLANE = """

@@ -21,8 +21,15 @@ def tilt_of(normal: FloatArray) -> tuple[float, float]:
     return math.atan2(normal[1], -normal[2]), -math.asin(normal[0])
 
 
+def gap_of(row: FloatArray, rotation: FloatArray, translation: FloatArray, jacobian: FloatArray) -> float:
+    """Read a row that stands alone; its derivative is written into ``jacobian`` (1, 6)."""
+    prepared = np.empty((1, kernel.PREPARED))
+    kernel.prepare_gap(row[None], 0, prepared)
+    return kernel.gap(row[None], 0, prepared, rotation, translation, jacobian)
+
+
 def read(row: FloatArray, pose: pin.SE3) -> float:
-    return kernel.gap(row, pose.rotation.copy(), pose.translation.copy(), np.empty(6))
+    return gap_of(row, pose.rotation.copy(), pose.translation.copy(), np.empty((1, 6)))
 
 
 @pytest.fixture
@@ -52,11 +59,11 @@ def test_gaps_are_those_of_ray_tracing(golden_cases: list[dict[str, Any]]) -> No
         translation = np.array(case["T_R_T"]["translation"])
         plane = case["target_plane"]
         read_gaps = [
-            kernel.gap(
+            gap_of(
                 np.array([*probe["tip"], *probe["axis"], *plane["point"], *tilt_of(np.array(plane["normal"])), 0.0]),
                 rotation,
                 translation,
-                np.empty(6),
+                np.empty((1, 6)),
             )
             for probe in case["probes"]
         ]
@@ -100,10 +107,10 @@ def test_tangent_derivative_is_that_of_finite_differences(
 ) -> None:
     for _ in range(CASES):
         row, pose = random_case()
-        jacobian = np.empty(6)
-        kernel.gap(row, pose.rotation.copy(), pose.translation.copy(), jacobian)
+        jacobian = np.empty((1, 6))
+        gap_of(row, pose.rotation.copy(), pose.translation.copy(), jacobian)
         expected = central_difference(lambda step: read(row, pose * pin.exp6(step)), 6)  # noqa: B023  used at once
-        np.testing.assert_allclose(jacobian, expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
+        np.testing.assert_allclose(jacobian[0], expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
 
 
 def test_parameter_derivatives_are_those_of_finite_differences(
@@ -112,7 +119,8 @@ def test_parameter_derivatives_are_those_of_finite_differences(
 ) -> None:
     for _ in range(CASES):
         row, pose = random_case()
-        jacobian = np.empty(kernel.PARAMETERS)
-        kernel.gap_parameters(row, pose.rotation.copy(), pose.translation.copy(), jacobian)
+        jacobian, prepared = np.empty((1, kernel.PARAMETERS)), np.empty((1, kernel.PREPARED))
+        kernel.prepare_gap(row[None], 0, prepared)
+        kernel.gap_parameters(row[None], 0, prepared, pose.rotation.copy(), pose.translation.copy(), jacobian)
         expected = central_difference(lambda step: read(row + step, pose), row.size)  # noqa: B023  used at once
-        np.testing.assert_allclose(jacobian, expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
+        np.testing.assert_allclose(jacobian[0], expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())

@@ -18,7 +18,7 @@ WHOLE_NUMBERS = (7, 8, 11, 14)  # the number of harmonics, and each k: not to be
 
 
 def read(row: FloatArray, pose: pin.SE3) -> float:
-    return kernel.ring_gap(row, pose.rotation.copy(), pose.translation.copy(), np.empty(6))
+    return kernel.ring_gap(row[None], 0, pose.rotation.copy(), pose.translation.copy(), np.empty((1, 6)))
 
 
 @pytest.fixture
@@ -75,10 +75,10 @@ def test_tangent_derivative_is_that_of_finite_differences(
 ) -> None:
     for _ in range(CASES):
         row, pose = random_case()
-        jacobian = np.empty(6)
-        kernel.ring_gap(row, pose.rotation.copy(), pose.translation.copy(), jacobian)
+        jacobian = np.empty((1, 6))
+        kernel.ring_gap(row[None], 0, pose.rotation.copy(), pose.translation.copy(), jacobian)
         expected = central_difference(lambda step: read(row, pose * pin.exp6(step)), 6)  # noqa: B023  used at once
-        np.testing.assert_allclose(jacobian, expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
+        np.testing.assert_allclose(jacobian[0], expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
 
 
 def test_parameter_derivatives_are_those_of_finite_differences(
@@ -87,9 +87,9 @@ def test_parameter_derivatives_are_those_of_finite_differences(
 ) -> None:
     for _ in range(CASES):
         row, pose = random_case()
-        jacobian = np.empty(row.size)
-        kernel.ring_parameters(row, pose.rotation.copy(), pose.translation.copy(), jacobian)
+        jacobian = np.empty((1, row.size))
+        kernel.ring_parameters(row[None], 0, pose.rotation.copy(), pose.translation.copy(), jacobian)
         differentiable = np.ones(row.size)
         differentiable[list(WHOLE_NUMBERS)] = 0.0
         expected = central_difference(lambda step: read(row + step * differentiable, pose), row.size)  # noqa: B023  used at once
-        np.testing.assert_allclose(jacobian, expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
+        np.testing.assert_allclose(jacobian[0], expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())

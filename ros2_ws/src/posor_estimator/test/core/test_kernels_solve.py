@@ -7,9 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from posor_estimator.core.kernels import solve
-from posor_estimator.core.kernels.gap import gap
-from posor_estimator.core.kernels.rows import GAP, SPOT_X, SPOT_Y
-from posor_estimator.core.kernels.spot import spot
+from posor_estimator.core.kernels.rows import GAP, SPOT_X, SPOT_Y, evaluate_row
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray, IntArray
@@ -30,9 +28,7 @@ class Problem:
         rotation, translation, unused = pose.rotation.copy(), pose.translation.copy(), np.empty(6)
         return np.array(
             [
-                gap(row, rotation, translation, unused)
-                if kind == GAP
-                else spot(row, rotation, translation, kind - SPOT_X, unused)
+                evaluate_row(kind, row, rotation, translation, np.zeros(6), unused)
                 for kind, row in zip(self.kinds, self.rows, strict=True)
             ]
         )

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from posor_estimator.core.kernels import spot as kernel
+from posor_estimator.core.kernels.rows import SPOT_X, evaluate_row, row_parameters
+from posor_estimator.core.kernels.spot import PARAMETERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -17,7 +18,7 @@ X, Y = 0, 1
 
 
 def read(row: FloatArray, pose: pin.SE3, which: int) -> float:
-    return kernel.spot(row, pose.rotation.copy(), pose.translation.copy(), which, np.empty(6))
+    return evaluate_row(SPOT_X + which, row, pose.rotation.copy(), pose.translation.copy(), np.zeros(6), np.empty(6))
 
 
 @pytest.fixture
@@ -103,7 +104,7 @@ def test_tangent_derivative_is_that_of_finite_differences(
     for _ in range(CASES):
         row, pose = random_case()
         jacobian = np.empty(6)
-        kernel.spot(row, pose.rotation.copy(), pose.translation.copy(), which, jacobian)
+        evaluate_row(SPOT_X + which, row, pose.rotation.copy(), pose.translation.copy(), np.zeros(6), jacobian)
         expected = central_difference(lambda step: read(row, pose * pin.exp6(step), which), 6)  # noqa: B023  used at once
         np.testing.assert_allclose(jacobian, expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
 
@@ -116,7 +117,7 @@ def test_parameter_derivatives_are_those_of_finite_differences(
 ) -> None:
     for _ in range(CASES):
         row, pose = random_case()
-        jacobian = np.empty(kernel.PARAMETERS)
-        kernel.spot_parameters(row, pose.rotation.copy(), pose.translation.copy(), which, jacobian)
+        jacobian = np.empty(PARAMETERS)
+        row_parameters(SPOT_X + which, row, pose.rotation.copy(), pose.translation.copy(), jacobian)
         expected = central_difference(lambda step: read(row + step, pose, which), row.size)  # noqa: B023  used at once
         np.testing.assert_allclose(jacobian, expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())

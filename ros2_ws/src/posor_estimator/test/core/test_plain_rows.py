@@ -46,7 +46,7 @@ class PlainTwin(PlainSensor):
     def read(self, scan: Scan) -> Linearised:
         m = len(self._rows)
         scans = Scans.of([scan])
-        batch = Batch(np.zeros((1, m)), np.ones((1, m)), np.zeros((1, m, m)), np.zeros((1, m), dtype=np.int64))
+        batch = Batch(np.zeros((1, m)), np.ones((1, m)), np.zeros((1, m), dtype=np.int64))
         [code] = self._original.linearise(scans, batch, 0, 0)
         if code:
             raise self._original.explain(scan, int(code))

@@ -60,11 +60,16 @@ def smooth_map() -> TensorMap:
     )
 
 
+def rooms(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return room for the derivatives with respect to the parameters and for the basis functions."""
+    return np.zeros((2, parameters.size)), np.empty((4, parameters.size))
+
+
 def mapped(spot_map: CurvesMap | TensorMap, x: FloatArray, y: FloatArray) -> FloatArray:
     parameters = spot_map.parameters[0]
-    out, slope, by_parameter = np.empty((len(x), 2)), np.empty((2, 2)), np.zeros((2, parameters.size))
+    out, slope, room = np.empty((len(x), 2)), np.empty((2, 2)), rooms(parameters)
     for n, pair in enumerate(np.column_stack(ratios(x, y))):
-        assert spot_position(spot_map.shape, spot_map.frame, parameters, pair, out[n], slope, by_parameter) == INSIDE
+        assert spot_position(spot_map.shape, spot_map.frame, parameters, pair, out[n], slope, *room) == INSIDE
     return out
 
 
@@ -85,17 +90,17 @@ def test_the_way_back_from_a_position_to_the_ratios() -> None:
     for spot_map in (curves_map(), smooth_map()):
         parameters, back = spot_map.parameters[0], np.empty((50, 2))
         ratios_of_positions(spot_map.shape, spot_map.frame, parameters, spot_map.domain.array, positions, back)
-        out, slope, by_parameter = np.empty(2), np.empty((2, 2)), np.zeros((2, parameters.size))
+        out, slope, room = np.empty(2), np.empty((2, 2)), rooms(parameters)
         for pair, wanted in zip(back, positions, strict=True):
-            spot_position(spot_map.shape, spot_map.frame, parameters, pair, out, slope, by_parameter)
+            spot_position(spot_map.shape, spot_map.frame, parameters, pair, out, slope, *room)
             assert np.max(np.abs(out - wanted)) < 1e-12
 
 
 def test_beyond_the_outermost_curves_is_outside() -> None:
     spot_map = curves_map()
     parameters = spot_map.parameters[0]
-    out, slope, by_parameter = np.empty(2), np.empty((2, 2)), np.zeros((2, parameters.size))
+    out, slope, room = np.empty(2), np.empty((2, 2)), rooms(parameters)
     pair = np.array([0.1, 0.93])
-    outcome = spot_position(spot_map.shape, spot_map.frame, parameters, pair, out, slope, by_parameter)
+    outcome = spot_position(spot_map.shape, spot_map.frame, parameters, pair, out, slope, *room)
     assert outcome == OUTSIDE_Y
     assert out[1] > SPAN

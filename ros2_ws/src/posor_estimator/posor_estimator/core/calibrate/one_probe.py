@@ -121,7 +121,8 @@ class OneProbe:
         probe = self.calibration.model_copy(update=anywhere | update)
         alone = self.sensor.model_copy(update={"probes": [probe]})
         own = scans.with_fields({"gap_voltages": scans.gap_voltages[:, [self.index]]})
-        codes, batch = Stack([alone.build()]).linearise(own)
+        sensor = alone.build()
+        codes, batch = Stack([sensor]).linearise(own)
         bad = np.flatnonzero(codes[:, 0])
         if bad.size:
             raise FitError(
@@ -129,7 +130,7 @@ class OneProbe:
                 where=self.name,
                 expected="a finite voltage",
             )
-        return batch.values[:, 0], np.sqrt(batch.variances[:, 0]), np.sqrt(batch.systematic[:, 0, 0])
+        return batch.values[:, 0], np.sqrt(batch.variances[:, 0]), sensor.gap_sigmas(own)[:, 0]
 
 
 def _tried(coefficients: FloatArray | None) -> dict[str, Any]:

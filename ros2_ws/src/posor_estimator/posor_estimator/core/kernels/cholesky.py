@@ -52,3 +52,28 @@ def substitute(lower: FloatArray, vector: FloatArray) -> None:
         for k in range(i + 1, n):
             vector[i] -= lower[k, i] * vector[k]
         vector[i] /= lower[i, i]
+
+
+@compiled
+def invert(lower: FloatArray) -> None:
+    """Replace a lower triangular matrix by its inverse; only the lower triangle is read and written."""
+    n = lower.shape[0]
+    for i in range(n):
+        lower[i, i] = 1.0 / lower[i, i]
+        for j in range(i):
+            total = 0.0
+            for k in range(j, i):
+                total += lower[i, k] * lower[k, j]
+            lower[i, j] = -total * lower[i, i]
+
+
+@compiled
+def halve(lower: FloatArray, columns: FloatArray, count: int) -> None:
+    """Solve ``lower @ x = column`` for the first ``count`` columns (n, count or more), in place."""
+    for i in range(lower.shape[0]):
+        for k in range(i):
+            for c in range(count):
+                columns[i, c] -= lower[i, k] * columns[k, c]
+        reciprocal = 1.0 / lower[i, i]
+        for c in range(count):
+            columns[i, c] *= reciprocal

@@ -1,4 +1,9 @@
-"""From a diode's contact currents to the linearised spot position, with every way in which a scan can be unfit."""
+"""From a diode's contact currents to the linearised spot position, with every way in which a scan can be unfit.
+
+Diode numbers (12 + p): least and greatest sum A + C, and B + D, that one lit source gives [A] 0:2; calibrated box of
+the ratios, lowest and highest of x, then of y, 2:6; standard deviation of the two ratios 6:8; centre and scale of the
+ratios for the map 8:12; the map's parameters. Room for one diode (4, 2): ratios, position [m], slopes (two rows).
+"""
 
 from __future__ import annotations
 
@@ -23,103 +28,93 @@ OUTSIDE_Y = 5
 CODES = 8
 """Codes of diode i are offset by ``CODES * i``."""
 
+SUMS, DOMAIN, NOISES, FRAME, MAP = 0, 2, 6, 8, 12
+
 
 @compiled
-def linearise_spots(  # noqa: C901  one loop over plain numbers, to be compiled
+def linearise_spots(
     currents: FloatArray,
-    sums: FloatArray,
-    domains: FloatArray,
-    noises: FloatArray,
+    n: int,
+    diodes: FloatArray,
     shapes: IntArray,
-    frames: FloatArray,
-    maps: FloatArray,
-    map_sigmas: FloatArray,
+    begin: int,
     values: FloatArray,
     variances: FloatArray,
-    systematic: FloatArray,
+    less_by: FloatArray,
     first: int,
+    room: FloatArray,
+    basis: FloatArray,
 ) -> int:
-    """Linearise the currents of one scan into rows ``first`` and following: x and y of each diode in turn.
+    """Linearise the currents of scan n into readings ``first`` and following: x and y of each diode in turn.
 
     Args:
-        currents: A, B, C, D of each diode [A], shape (d, 4).
-        sums: Least and greatest sum A + C, and B + D, that one lit source gives [A], shape (d, 2).
-        domains: Calibrated box of the ratios, shape (d, 2, 2): axis, lowest and highest.
-        noises: Standard deviation of the two ratios, shape (d, 2).
-        shapes: See ``spot_position``, shape (d, 3).
-        frames: See ``spot_position``, shape (d, 4).
-        maps: Parameters of each map, shape (d, p).
-        map_sigmas: Their standard uncertainties, shape (d, p).
+        currents: A, B, C, D of each diode [A], shape (scans, d, 4).
+        n: Which scan.
+        diodes: Numbers of each diode, see the module, shape (D, 12 + p).
+        shapes: See ``spot_position``, shape (D, 3).
+        begin: Which of these the first diode is.
         values: Positions [m] to write, shape (m,).
         variances: Their variances from the noise [m^2] to write, shape (m,).
-        systematic: Covariance of the readings from the maps' parameters [m^2] to write, shape (m, m).
-        first: Row of the first diode's x.
+        less_by: What they fall by for each of the map's parameters to write, see ``spot_position``, shape (m, p or
+            more).
+        first: Reading of the first diode's x.
+        room: See the module.
+        basis: See ``spot_position``.
 
     Returns:
         FINE, or ``code + CODES * diode`` of the first diode that is unfit.
 
     """
-    ratios = np.empty(2)
-    slope = np.empty((2, 2))
-    by_parameter = np.zeros((2, maps.shape[1]))
-    for i in range(currents.shape[0]):
-        offset = CODES * i
+    ratios, slope = room[0], room[2:4]
+    for i in range(currents.shape[1]):
+        d, offset = begin + i, CODES * i
         for axis in range(2):
-            plus, minus = currents[i, axis], currents[i, axis + 2]
+            plus, minus = currents[n, i, axis], currents[n, i, axis + 2]
             total = plus + minus
             if not math.isfinite(total):
                 return NOT_FINITE + offset
-            if total < sums[i, 0]:
+            if total < diodes[d, SUMS]:
                 return DARK + offset
-            if total > sums[i, 1]:
+            if total > diodes[d, SUMS + 1]:
                 return BRIGHT + offset
             ratios[axis] = (plus - minus) / total
-            if ratios[axis] < domains[i, axis, 0] or ratios[axis] > domains[i, axis, 1]:
+            lowest = DOMAIN + 2 * axis
+            if ratios[axis] < diodes[d, lowest] or ratios[axis] > diodes[d, lowest + 1]:
                 return OUTSIDE_X + axis + offset
         row = first + 2 * i
-        outcome = spot_position(shapes[i], frames[i], maps[i], ratios, values[row : row + 2], slope, by_parameter)
+        outcome = spot_position(
+            shapes[d],
+            diodes[d, FRAME:MAP],
+            diodes[d, MAP:],
+            ratios,
+            values[row : row + 2],
+            slope,
+            less_by[row : row + 2],
+            basis,
+        )
         if outcome != INSIDE:
             return OUTSIDE_X + outcome - 1 + offset
         for axis in range(2):
-            variances[row + axis] = square(slope[axis, 0] * noises[i, 0]) + square(slope[axis, 1] * noises[i, 1])
-            for other in range(2):
-                total = 0.0
-                for k in range(maps.shape[1]):
-                    total += by_parameter[axis, k] * by_parameter[other, k] * map_sigmas[i, k] * map_sigmas[i, k]
-                systematic[row + axis, row + other] += total
+            by_x, by_y = slope[axis, 0] * diodes[d, NOISES], slope[axis, 1] * diodes[d, NOISES + 1]
+            variances[row + axis] = square(by_x) + square(by_y)
     return FINE
 
 
 @compiled
 def linearise_all(
     currents: FloatArray,
-    sums: FloatArray,
-    domains: FloatArray,
-    noises: FloatArray,
+    diodes: FloatArray,
     shapes: IntArray,
-    frames: FloatArray,
-    maps: FloatArray,
-    map_sigmas: FloatArray,
     values: FloatArray,
     variances: FloatArray,
-    systematic: FloatArray,
     first: int,
     codes: IntArray,
 ) -> None:
-    """Do ``linearise_spots`` for every scan whose code is zero so far; readings have a leading axis of scans."""
+    """Do ``linearise_spots`` for every scan whose code is zero so far; values and variances have an axis of scans."""
+    less_by = np.empty((values.shape[1], diodes.shape[1]))
+    room, basis = np.empty((4, 2)), np.empty((4, diodes.shape[1]))
     for n in range(currents.shape[0]):
         if codes[n] == 0:
             codes[n] = linearise_spots(
-                currents[n],
-                sums,
-                domains,
-                noises,
-                shapes,
-                frames,
-                maps,
-                map_sigmas,
-                values[n],
-                variances[n],
-                systematic[n],
-                first,
+                currents, n, diodes, shapes, 0, values[n], variances[n], less_by, first, room, basis
             )

@@ -3,9 +3,8 @@
 With the rows' derivatives J, the readings' variances R (random, diagonal) and G = (J' R^-1 J)^-1 J' R^-1:
 
 * random covariance ``(J' R^-1 J)^-1`` (JCGM 100, 5.1 for a linear model of uncorrelated readings);
-* systematic covariance ``G S G'`` where S, the readings' covariance from the calibration parameters, is ``D V D'``
-  with D the derivative of each residual with respect to each parameter (JCGM 100, 5.2: parameters shared by readings
-  correlate them);
+* systematic covariance ``G S G'`` where S is the readings' covariance from the calibration parameters
+  (``kernels.effects``; JCGM 100, 5.2: parameters shared by readings correlate them);
 * chi-square ``e' (R + S)^+ e`` of the residuals e over the space that no pose can explain.
 
 Both covariances are turned from the local tangent into ROS order: x, y, z, about X, Y, Z along the axes of R, the small
@@ -17,104 +16,78 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from posor_estimator.core.compiled import compiled
-from posor_estimator.core.kernels.cholesky import factor, substitute
-from posor_estimator.core.kernels.rows import row_parameters
+from posor_estimator.core.kernels.cholesky import factor, halve, invert
 from posor_estimator.core.kernels.solve import normal_matrix
+from posor_estimator.core.kernels.tables import (
+    GAIN,
+    JACOBIAN,
+    LINES,
+    RESIDUALS,
+    SIDES,
+    SQUARES,
+    TOTAL,
+    WEIGHTS,
+    line,
+    table,
+)
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray, IntArray
 
 
 @compiled
-def reading_covariance(
-    kinds: IntArray,
-    rows: FloatArray,
-    ids: IntArray,
-    sigmas: FloatArray,
-    rotation: FloatArray,
-    translation: FloatArray,
-    work: FloatArray,
-    out: FloatArray,
-) -> None:
-    """Add the readings' covariance from the rows' geometry to ``out`` (m, m) [m^2].
-
-    Rows that share a parameter have it in the same column: rows of one kind share what is common to a sensor.
-
-    Args:
-        kinds: Kind of each row, shape (m,).
-        rows: Parameters of each row, shape (m, width).
-        ids: Which parameter of the POSOR each row parameter is, shape (m, width); negative: exact.
-        sigmas: Standard uncertainty of each row parameter, shape (m, width).
-        rotation: R_R_T, shape (3, 3).
-        translation: Of ``T_R_T`` [m], shape (3,).
-        work: Room for the derivatives, shape (m, width).
-        out: Covariance to add to, shape (m, m).
-
-    """
-    m, width = ids.shape
-    for r in range(m):
-        row_parameters(kinds[r], rows[r], rotation, translation, work[r])
-        for k in range(width):
-            work[r, k] *= sigmas[r, k]
-    for i in range(m):
-        for j in range(i + 1):
-            total = 0.0
-            for k in range(width):
-                if ids[i, k] >= 0 and ids[i, k] == ids[j, k]:
-                    total += work[i, k] * work[j, k]
-            out[i, j] += total
-            if i != j:
-                out[j, i] += total
-
-
-@compiled
-def covariances(
-    jacobian: FloatArray,
-    weights: FloatArray,
+def covariances(  # noqa: C901, PLR0912  loops over plain numbers, to be compiled
+    places: IntArray,
+    floats: FloatArray,
+    used: int,
     systematic_readings: FloatArray,
     rotation: FloatArray,
     random: FloatArray,
     systematic: FloatArray,
 ) -> None:
-    """Write the random and the systematic covariance of the pose, ROS order, into the last two arrays (6, 6)."""
-    m = weights.shape[0]
-    lower = np.empty((6, 6))
-    normal_matrix(jacobian, weights, lower)
+    """Write the random and the systematic covariance of the pose, ROS order, into the last two arrays (6, 6).
+
+    JACOBIAN and the weights hold those of the ``used`` rows, at the solution.
+    """
+    jacobian, weights = table(places, floats, JACOBIAN), line(places, floats, LINES, WEIGHTS)
+    gain, squares = table(places, floats, GAIN), table(places, floats, SQUARES)
+    lower, local, half = squares[0:6], squares[6:12], squares[12:18]
+    normal_matrix(jacobian, weights, used, lower)
     factor(lower)
-    local = np.zeros((6, 6))
-    gain = np.empty((m, 6))
+    invert(lower)
     for i in range(6):
-        local[i, i] = 1.0
-        substitute(lower, local[i])
-    for r in range(m):
-        for i in range(6):
-            gain[r, i] = weights[r] * jacobian[r, i]
-        substitute(lower, gain[r])
-    pushed = np.empty((m, 6))
-    for r in range(m):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(i, 6):
+                total += lower[k, i] * lower[k, j]
+            local[i, j] = local[j, i] = total
+    pushed = gain[used : 2 * used]
+    for r in range(used):
         for i in range(6):
             total = 0.0
-            for q in range(m):
-                total += systematic_readings[r, q] * gain[q, i]
-            pushed[r, i] = total
-    of_parameters = np.empty((6, 6))
+            for k in range(6):
+                total += jacobian[r, k] * local[k, i]
+            gain[r, i] = weights[r] * total
+            pushed[r, i] = 0.0
+    for r in range(used):
+        for q in range(used):
+            for i in range(6):
+                pushed[r, i] += systematic_readings[r, q] * gain[q, i]
+    to_parent(local, rotation, half, random)
     for i in range(6):
         for j in range(6):
-            total = 0.0
-            for r in range(m):
-                total += gain[r, i] * pushed[r, j]
-            of_parameters[i, j] = total
-    to_parent(local, rotation, random)
-    to_parent(of_parameters, rotation, systematic)
+            local[i, j] = 0.0
+    for r in range(used):
+        for i in range(6):
+            for j in range(6):
+                local[i, j] += gain[r, i] * pushed[r, j]
+    to_parent(local, rotation, half, systematic)
 
 
 @compiled
-def to_parent(local: FloatArray, rotation: FloatArray, out: FloatArray) -> None:
+def to_parent(local: FloatArray, rotation: FloatArray, half: FloatArray, out: FloatArray) -> None:
     """Write a covariance of the local tangent, turned block by block into the parent's axes, into ``out`` (6, 6)."""
-    half = np.empty((6, 6))
     for block in range(0, 6, 3):
         for i in range(3):
             for j in range(6):
@@ -132,45 +105,44 @@ def to_parent(local: FloatArray, rotation: FloatArray, out: FloatArray) -> None:
 
 
 @compiled
-def chi_square(  # noqa: C901  one loop over plain numbers, to be compiled
-    jacobian: FloatArray, weights: FloatArray, residuals: FloatArray, systematic_readings: FloatArray
+def chi_square(  # noqa: C901  loops over plain numbers, to be compiled
+    places: IntArray, floats: FloatArray, m: int, systematic_readings: FloatArray
 ) -> float:
-    """Return the chi-square of the redundant readings, their whole uncertainty taken into account.
+    """Return the chi-square of the m redundant readings, their whole uncertainty taken into account.
 
     The readings' total covariance is C = R + S. The residuals of the fit weighted by C^-1 need not be computed by a
     second fit: chi-square is ``e' C^-1 e - e' C^-1 J (J' C^-1 J)^-1 J' C^-1 e`` for the residuals e of any fit.
+    JACOBIAN, the weights and the residuals hold those of the fit.
     """
-    m = weights.shape[0]
-    total = systematic_readings.copy()
+    jacobian, weights = table(places, floats, JACOBIAN), line(places, floats, LINES, WEIGHTS)
+    residuals, sides = line(places, floats, LINES, RESIDUALS), table(places, floats, SIDES)
+    total, normal = table(places, floats, TOTAL), table(places, floats, SQUARES)[0:6]
     for r in range(m):
+        for q in range(r + 1):
+            total[r, q] = systematic_readings[r, q]
         total[r, r] += 1.0 / weights[r]
+        for i in range(6):
+            sides[r, i] = jacobian[r, i]
+        sides[r, 6] = residuals[r]
     if not factor(total) > 0.0:
         return math.nan
-    solved = np.empty((6, m))
+    # With C = L L': columns L^-1 J and L^-1 e; what a fit of the one to the other leaves.
+    halve(total, sides, 7)
+    right = table(places, floats, SQUARES)[6:12]
+    out = 0.0
     for i in range(6):
-        for r in range(m):
-            solved[i, r] = jacobian[r, i]
-        substitute(total, solved[i])
-    weighed = residuals.copy()
-    substitute(total, weighed)
-    normal = np.empty((6, 6))
-    right = np.empty(6)
-    for i in range(6):
-        right[i] = 0.0
-        for r in range(m):
-            right[i] += solved[i, r] * residuals[r]
+        right[i, 0] = 0.0
         for j in range(i + 1):
-            entry = 0.0
-            for r in range(m):
-                entry += solved[i, r] * jacobian[r, j]
-            normal[i, j] = entry
+            normal[i, j] = 0.0
+    for r in range(m):
+        out += sides[r, 6] * sides[r, 6]
+        for i in range(6):
+            right[i, 0] += sides[r, i] * sides[r, 6]
+            for j in range(i + 1):
+                normal[i, j] += sides[r, i] * sides[r, j]
     if not factor(normal) > 0.0:
         return math.nan
-    explained = right.copy()
-    substitute(normal, explained)
-    out = 0.0
-    for r in range(m):
-        out += residuals[r] * weighed[r]
+    halve(normal, right, 1)
     for i in range(6):
-        out -= right[i] * explained[i]
+        out -= right[i, 0] * right[i, 0]
     return max(out, 0.0)

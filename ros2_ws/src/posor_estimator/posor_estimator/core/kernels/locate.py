@@ -1,15 +1,15 @@
-"""Scan after scan: solve, judge, remember. The same loop serves one scan at servo rate and a whole bag."""
+"""One scan: solve, judge, remember."""
 
 from __future__ import annotations
 
 import math
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from posor_estimator.core.compiled import compiled
 from posor_estimator.core.fault import Fault, State
-from posor_estimator.core.kernels.judge import chi_square, covariances, reading_covariance
+from posor_estimator.core.kernels.chain_pose import write_pose
+from posor_estimator.core.kernels.effects import reading_covariance
+from posor_estimator.core.kernels.judge import chi_square, covariances
 from posor_estimator.core.kernels.memory import (
     BUMP,
     COUNTED,
@@ -22,17 +22,37 @@ from posor_estimator.core.kernels.memory import (
     STAMP,
     THETA,
     bumps_off,
-    recall,
     remember,
-    restart_if_back,
-    start_from_memory,
     theta_of,
+    theta_remembered,
     turn_about_z,
     wrapped,
 )
 from posor_estimator.core.kernels.motion import moved_too_far, prior_rows
-from posor_estimator.core.kernels.rows import GAP, SPOT_X, SPOT_Y
-from posor_estimator.core.kernels.solve import CONVERGED, ILL_CONDITIONED, ITERATIONS, NOT_CONVERGED, gauss_newton
+from posor_estimator.core.kernels.rows import by_parameters, turn_row
+from posor_estimator.core.kernels.solve import CONVERGED, ILL_CONDITIONED, ITERATIONS, NOT_CONVERGED, newton
+from posor_estimator.core.kernels.tables import (
+    BY_ROW,
+    JACOBIAN,
+    KINDS,
+    LINES,
+    MEMORY,
+    MOVED,
+    PREPARED,
+    READINGS,
+    RESIDUALS,
+    ROWS,
+    SETTINGS,
+    SIXES,
+    SQUARES,
+    START,
+    STEP,
+    VALUES,
+    VARIANCES,
+    WEIGHTS,
+    line,
+    table,
+)
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray, IntArray
@@ -45,6 +65,9 @@ FAULT_RESIDUAL = int(Fault.RESIDUAL)
 FAULT_INNOVATION = int(Fault.INNOVATION)
 FAULT_COUNT = int(Fault.COUNT)
 
+POSE, NATIVE, RESIDUAL, FIGURES = 0, 7, 13, 14
+"""Figures of a scan: pose (x, y, z, quaternion x, y, z, w), six native coordinates, chi-square, see ``Estimates``."""
+
 TURN_SETTLED = 1e-14
 SINGULAR = 1e-10
 """Below this share (``kernels.cholesky``) of an unknown that the others do not explain, there is no pose."""
@@ -54,23 +77,37 @@ WEAK = 1e-4
 
 @compiled
 def solve_scan(
-    kinds: IntArray,
-    rows: FloatArray,
-    values: FloatArray,
-    weights: FloatArray,
+    places: IntArray,
+    ints: IntArray,
+    floats: FloatArray,
+    count: int,
     rotation: FloatArray,
     translation: FloatArray,
-    jacobian: FloatArray,
-    residuals: FloatArray,
     least_share: float,
     lag_from: float,
 ) -> int:
-    """Solve one scan; where ``lag_from`` is a number, with the tilts turned as at that theta (``TiltAngle``)."""
-    moved = np.empty(6)
+    """Solve the first ``count`` rows; where ``lag_from`` is a number, with the tilts turned as at that theta.
+
+    See ``TiltAngle``. Rotation and translation are start and result, the rest stands in the tables.
+    """
+    kinds, rows, prepared = line(places, ints, KINDS, 0), table(places, floats, ROWS), table(places, floats, PREPARED)
     turn = 0.0
     for _ in range(ITERATIONS):
-        outcome = gauss_newton(
-            kinds, rows, values, weights, rotation, translation, jacobian, residuals, moved, least_share
+        outcome = newton(
+            kinds,
+            rows,
+            prepared,
+            line(places, floats, LINES, VALUES),
+            line(places, floats, LINES, WEIGHTS),
+            count,
+            rotation,
+            translation,
+            table(places, floats, JACOBIAN),
+            line(places, floats, LINES, RESIDUALS),
+            line(places, floats, SIXES, MOVED),
+            table(places, floats, SQUARES)[0:6],
+            line(places, floats, SIXES, STEP),
+            least_share,
         )
         if outcome != CONVERGED or not math.isfinite(lag_from):
             return outcome
@@ -78,156 +115,139 @@ def solve_scan(
         if abs(change) < TURN_SETTLED:
             return outcome
         turn += change
-        for r in range(kinds.shape[0]):
-            if kinds[r] == GAP:
-                rows[r, 11] = turn
-            elif kinds[r] in (SPOT_X, SPOT_Y):
-                rows[r, 15] = turn
+        for r in range(count):
+            turn_row(kinds[r], turn, rows, r, prepared)
     return NOT_CONVERGED
 
 
 @compiled
+def write_native(rotation: FloatArray, translation: FloatArray, theta: float, out: FloatArray, start: int) -> None:
+    """Write the six native coordinates of a pose (``core.native``), theta as counted, into ``out`` from ``start``."""
+    for i in range(3):
+        out[start + i] = translation[i]
+    out[start + 3] = math.asin(max(-1.0, min(1.0, -rotation[1, 2])))
+    out[start + 4] = math.atan2(rotation[0, 2], rotation[2, 2])
+    out[start + 5] = theta
+
+
+@compiled
+def unknown(memory: FloatArray) -> None:
+    """Forget the last pose and the count."""
+    memory[KNOWN] = 0.0
+    memory[COUNTED] = 0.0
+
+
+@compiled
 def locate_scan(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in order, to be compiled
-    kinds: IntArray,
-    rows: FloatArray,
-    ids: IntArray,
-    sigmas: FloatArray,
-    values: FloatArray,
-    variances: FloatArray,
-    systematic_readings: FloatArray,
+    places: IntArray,
+    ints: IntArray,
+    floats: FloatArray,
+    m: int,
     stamp: float,
     at_home: bool,  # noqa: FBT001  kernels take no keywords
-    settings: FloatArray,
-    memory: FloatArray,
+    lag: bool,  # noqa: FBT001
     rotation: FloatArray,
     translation: FloatArray,
     random: FloatArray,
     systematic: FloatArray,
     figures: FloatArray,
 ) -> tuple[int, int]:
-    """Locate one scan and update ``memory`` with it.
+    """Locate one scan and update the memory with it.
+
+    Rows, values and variances stand in the tables. So does, in READINGS (m, m), what of the readings' systematic
+    covariance does not come from ``kernels.effects``.
 
     Args:
-        kinds: Kind of each row, shape (m + 6,); the last six are room for the prior.
-        rows: Parameters of each row, shape (m + 6, width).
-        ids: See ``reading_covariance``, shape (m, width).
-        sigmas: See ``reading_covariance``, shape (m, width).
-        values: Linearised readings [m], shape (m + 6,).
-        variances: Their variances from noise [m^2], shape (m,).
-        systematic_readings: Covariance of the readings from the linearisation's parameters, shape (m, m).
+        places: See ``kernels.tables``.
+        ints: See ``kernels.tables``.
+        floats: See ``kernels.tables``.
+        m: Number of readings.
         stamp: Time of the scan [s].
         at_home: Whether the scan saw the home mark.
-        settings: See the module.
-        memory: See the module.
+        lag: Whether the tilts may be turned by the theta of the scan before, where the settings say so.
         rotation: Start and result, shape (3, 3).
         translation: Start and result [m], shape (3,).
         random: Random covariance to write, shape (6, 6).
         systematic: Systematic covariance to write, shape (6, 6).
-        figures: Chi-square and counted theta [rad] to write, shape (2,).
+        figures: See ``FIGURES`` to write, shape (14,); of a LOST scan only the chi-square, NaN where there is none.
 
     Returns:
         State and faults.
 
     """
-    m = variances.shape[0]
+    figures[RESIDUAL] = math.nan
+    settings, memory = line(places, floats, SETTINGS, 0), line(places, floats, MEMORY, 0)
+    variances, weights = line(places, floats, LINES, VARIANCES), line(places, floats, LINES, WEIGHTS)
+    kinds, rows, prepared = line(places, ints, KINDS, 0), table(places, floats, ROWS), table(places, floats, PREPARED)
     elapsed = stamp - memory[STAMP]
     moving = memory[KNOWN] > 0.0 and memory[GIVEN] == 0.0
     counting = settings[BUMP] > 0.0
-    weights = np.empty(m + 6)
     for r in range(m):
         weights[r] = 1.0 / variances[r]
-    jacobian = np.empty((m + 6, 6))
-    residuals = np.empty(m + 6)
-    start_rotation = rotation.copy()
-    start_translation = translation.copy()
-    before = np.empty((3, 3))
-    recall(memory, before, np.empty(3))
-    predicted = theta_of(rotation)
-    lag_from = theta_of(before) if settings[LAGGING] > 0.0 and moving else math.nan
+    start = table(places, floats, START)
+    start[0:3, :] = rotation
+    start[3, :] = translation
+    predicted = theta_of(rotation) if counting else 0.0
+    lag_from = theta_remembered(memory) if lag and settings[LAGGING] > 0.0 and moving else math.nan
     carried = moving and settings[MOTION_TRANSLATION] < math.inf
     used = m
     faults = 0
     least = WEAK if carried else SINGULAR
-    outcome = solve_scan(
-        kinds[:m],
-        rows[:m],
-        values[:m],
-        weights[:m],
-        rotation,
-        translation,
-        jacobian[:m],
-        residuals[:m],
-        least,
-        lag_from,
-    )
+    outcome = solve_scan(places, ints, floats, m, rotation, translation, least, lag_from)
     if outcome == ILL_CONDITIONED and carried:
         # Blind in some direction: the last pose, as uncertain as the target can have moved since, carries it over.
-        rotation[:, :] = start_rotation
-        translation[:] = start_translation
+        rotation[:, :] = start[0:3]
+        translation[:] = start[3]
         used = m + 6
-        prior_rows(kinds, rows, values, weights, m, settings, elapsed)
-        outcome = solve_scan(
-            kinds, rows, values, weights, rotation, translation, jacobian, residuals, SINGULAR, lag_from
-        )
+        prior_rows(kinds, rows, line(places, floats, LINES, VALUES), weights, m, settings, elapsed)
+        outcome = solve_scan(places, ints, floats, used, rotation, translation, SINGULAR, lag_from)
         faults |= FAULT_ILL_CONDITIONED
     if outcome != CONVERGED:
-        memory[KNOWN] = 0.0
-        memory[COUNTED] = 0.0
+        unknown(memory)
         return LOST, FAULT_ILL_CONDITIONED if outcome == ILL_CONDITIONED else FAULT_NOT_CONVERGED
-    recounted = False
     if counting and at_home:
         off = bumps_off(theta_of(rotation), settings)
         if off != 0.0:
-            recounted = True
+            moving = False  # the way from the last pose says nothing any more
             if memory[COUNTED] > 0.0:
                 faults |= FAULT_COUNT
             turn_about_z(rotation, -off * settings[BUMP])
-            outcome = solve_scan(
-                kinds[:m],
-                rows[:m],
-                values[:m],
-                weights[:m],
-                rotation,
-                translation,
-                jacobian[:m],
-                residuals[:m],
-                SINGULAR,
-                math.nan,
-            )
             used = m
+            outcome = solve_scan(places, ints, floats, m, rotation, translation, SINGULAR, math.nan)
             if outcome != CONVERGED:
-                memory[KNOWN] = 0.0
-                memory[COUNTED] = 0.0
+                unknown(memory)
                 return LOST, faults | FAULT_NOT_CONVERGED
         memory[COUNTED] = 1.0
-    work = np.empty(sigmas.shape)
-    whole = np.zeros((used, used))
-    whole[:m, :m] = systematic_readings
-    reading_covariance(kinds[:m], rows[:m], ids, sigmas, rotation, translation, work, whole)
-    covariances(jacobian[:used], weights[:used], whole, rotation, random, systematic)
-    figures[0] = 0.0
+    whole = table(places, floats, READINGS)
+    by_parameters(kinds, rows, prepared, m, rotation, translation, table(places, floats, BY_ROW))
+    reading_covariance(places, ints, floats)
+    covariances(places, floats, used, whole, rotation, random, systematic)
+    figures[RESIDUAL] = 0.0
     if m > 6 and used == m:  # noqa: PLR2004  six unknowns
-        figures[0] = chi_square(jacobian[:m], weights[:m], residuals[:m], whole)
-    if not figures[0] <= settings[LIMIT]:
+        figures[RESIDUAL] = chi_square(places, floats, m, whole)
+    if not figures[RESIDUAL] <= settings[LIMIT]:
         faults |= FAULT_RESIDUAL
-    if moving and not recounted:
-        if moved_too_far(settings, elapsed, random, rotation, translation, memory):
+    theta = theta_of(rotation)
+    if moving:
+        if moved_too_far(settings, elapsed, random, rotation, translation, theta, memory):
             faults |= FAULT_INNOVATION
-        reach = max(abs(memory[RATE]) * elapsed, abs(wrapped(theta_of(rotation) - predicted)))
-        if counting and reach > 0.25 * settings[BUMP]:
-            faults |= FAULT_COUNT
-            memory[COUNTED] = 0.0
+        if counting:
+            reach = max(abs(memory[RATE]) * elapsed, abs(wrapped(theta - predicted)))
+            if reach > 0.25 * settings[BUMP]:
+                faults |= FAULT_COUNT
+                memory[COUNTED] = 0.0
     if faults & (FAULT_RESIDUAL | FAULT_INNOVATION):
         return LOST, faults
-    figures[1] = theta_of(rotation)
     if memory[KNOWN] > 0.0:
-        figures[1] = memory[THETA] + wrapped(figures[1] - memory[THETA])
-    if moving and not recounted:
-        memory[RATE] = (figures[1] - memory[THETA]) / elapsed
+        theta = memory[THETA] + wrapped(theta - memory[THETA])
+    if moving:
+        memory[RATE] = (theta - memory[THETA]) / elapsed
+    write_pose(rotation, translation, figures)
+    write_native(rotation, translation, theta, figures, NATIVE)
     memory[KNOWN] = 1.0
     memory[GIVEN] = 0.0
     memory[STAMP] = stamp
-    memory[THETA] = figures[1]
+    memory[THETA] = theta
     remember(memory, rotation, translation)
     if counting and memory[COUNTED] == 0.0:
         return UNCOUNTED, faults
@@ -238,85 +258,3 @@ def locate_scan(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in orde
 def deserves_retry(state: int, fault: int, warm: bool) -> bool:  # noqa: FBT001  kernels take no keywords
     """Return whether a lost scan may have been lost because it started from a last pose that was far away."""
     return warm and state == LOST and fault & (FAULT_RESIDUAL | FAULT_NOT_CONVERGED) != 0
-
-
-@compiled
-def locate_scans(
-    pool_kinds: IntArray,
-    pool: FloatArray,
-    pool_ids: IntArray,
-    pool_sigmas: FloatArray,
-    chosen: IntArray,
-    values: FloatArray,
-    variances: FloatArray,
-    systematic_readings: FloatArray,
-    fit: IntArray,
-    stamps: FloatArray,
-    at_home: IntArray,
-    settings: FloatArray,
-    memory: FloatArray,
-    begin: int,
-    end: int,
-    states: IntArray,
-    faults: IntArray,
-    rotations: FloatArray,
-    translations: FloatArray,
-    random: FloatArray,
-    systematic: FloatArray,
-    figures: FloatArray,
-) -> int:
-    """Locate scans ``begin`` to ``end``, as far as no start is wanted.
-
-    Row r of scan n is entry ``chosen[n, r]`` of the pool of rows. Scans with ``fit`` zero have been refused by the
-    linearisation and are passed over. Shapes: scans n, rows m, pool K, width W.
-
-    Returns:
-        ``end`` when done; n where scan n needs a start pose in the memory; ``-1 - n`` where scan n failed
-        from the last pose and deserves another try from a fresh start.
-
-    """
-    m = values.shape[1]
-    width = pool.shape[1]
-    kinds = np.empty(m + 6, dtype=np.int64)
-    rows = np.zeros((m + 6, width))
-    ids = np.empty((m, width), dtype=np.int64)
-    sigmas = np.empty((m, width))
-    readings = np.empty(m + 6)
-    for n in range(begin, end):
-        if fit[n] == 0:
-            continue
-        restart_if_back(stamps[n], memory)
-        if memory[KNOWN] == 0.0:
-            return n
-        for r in range(m):
-            k = chosen[n, r]
-            kinds[r] = pool_kinds[k]
-            rows[r] = pool[k]
-            ids[r] = pool_ids[k]
-            sigmas[r] = pool_sigmas[k]
-            readings[r] = values[n, r]
-        warm = memory[GIVEN] == 0.0
-        start_from_memory(stamps[n], settings, memory, rotations[n], translations[n])
-        state, fault = locate_scan(
-            kinds,
-            rows,
-            ids,
-            sigmas,
-            readings,
-            variances[n],
-            systematic_readings[n],
-            stamps[n],
-            at_home[n] != 0,
-            settings,
-            memory,
-            rotations[n],
-            translations[n],
-            random[n],
-            systematic[n],
-            figures[n],
-        )
-        states[n] = state
-        faults[n] = fault
-        if deserves_retry(state, fault, warm):
-            return -1 - n
-    return end

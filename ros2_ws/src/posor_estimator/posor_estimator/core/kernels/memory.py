@@ -48,6 +48,12 @@ def theta_of(rotation: FloatArray) -> float:
 
 
 @compiled
+def theta_remembered(memory: FloatArray) -> float:
+    """Return the heading of the Y axis of the last pose [rad], without turns counted."""
+    return math.atan2(-memory[ROTATION + 1], memory[ROTATION + 4])
+
+
+@compiled
 def turn_about_z(rotation: FloatArray, angle: float) -> None:
     """Turn a pose's rotation about the target's own Z by ``angle`` [rad], in place."""
     c, s = math.cos(angle), math.sin(angle)

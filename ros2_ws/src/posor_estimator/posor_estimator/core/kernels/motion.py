@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from posor_estimator.core.compiled import compiled
 from posor_estimator.core.kernels.memory import (
     MOTION_LEAN,
     MOTION_THETA,
     MOTION_TRANSLATION,
-    recall,
-    theta_of,
+    ROTATION,
+    TRANSLATION,
+    theta_remembered,
     wrapped,
 )
 from posor_estimator.core.kernels.rows import AFFINE
@@ -56,21 +55,21 @@ def moved_too_far(
     random: FloatArray,
     rotation: FloatArray,
     translation: FloatArray,
+    theta: float,
     memory: FloatArray,
 ) -> bool:
-    """Return whether a pose is further from the last one than the target can have moved."""
-    before = np.empty((3, 3))
-    where = np.empty(3)
-    recall(memory, before, where)
+    """Return whether a pose, theta [rad] its heading, is further from the last one than the target can have moved."""
+    if settings[MOTION_TRANSLATION] == math.inf:
+        return False
     across = 0.0
     for i in range(3):
         allowed = settings[MOTION_TRANSLATION] * elapsed + NOISE_ALLOWANCE * math.sqrt(2.0 * random[i, i])
-        across = max(across, abs(translation[i] - where[i]) / allowed)
+        across = max(across, abs(translation[i] - memory[TRANSLATION + i]) / allowed)
     for i in range(2):
-        leaned = abs(rotation[i, 2] - before[i, 2])
+        leaned = abs(rotation[i, 2] - memory[ROTATION + 3 * i + 2])
         spread = random[4, 4] if i == 0 else random[3, 3]
         across = max(across, leaned / (settings[MOTION_LEAN] * elapsed + NOISE_ALLOWANCE * math.sqrt(2.0 * spread)))
-    turned = abs(wrapped(theta_of(rotation) - theta_of(before)))
+    turned = abs(wrapped(theta - theta_remembered(memory)))
     allowed = settings[MOTION_THETA] * elapsed + NOISE_ALLOWANCE * math.sqrt(2.0 * random[5, 5])
     across = max(across, turned / allowed)
     return bool(across > 1.0)

@@ -6,6 +6,8 @@ spot's coordinates along the diode's own axes, which need not be orthogonal.
 Row parameters (16): diode origin in R [m] 0:3, x axis u in R 3:6, y axis v in R 6:9, source origin in T [m] 9:12, ray
 direction in T 12:15, extra turn of the direction about Z of T [rad] 15. The lengths of u and v scale the reading; the
 length of the direction has no effect.
+
+Prepared (6), what does not depend on the pose: the turned direction in T 0:3, ``u x v`` in R 3:6.
 """
 
 from __future__ import annotations
@@ -13,60 +15,91 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from posor_estimator.core.compiled import compiled
-from posor_estimator.core.kernels.vector import at, cross, dot, minus, plus, rotate, rotate_back, times, turned
+from posor_estimator.core.kernels.vector import (
+    at,
+    cross,
+    dot,
+    minus,
+    plus,
+    put,
+    rotate,
+    rotate_back,
+    times,
+    turned,
+    within,
+)
 
 if TYPE_CHECKING:
     from posor_estimator.core.kernels.vector import Vector
     from posor_estimator.core.types import FloatArray
 
 PARAMETERS = 16
+PREPARED = 6
 
 
 @compiled
-def _meet(
-    row: FloatArray, rotation: FloatArray, translation: FloatArray, which: int
-) -> tuple[float, float, float, Vector]:
+def prepare_spot(rows: FloatArray, r: int, prepared: FloatArray) -> None:
+    """Write what does not depend on the pose into row r of ``prepared``."""
+    put(prepared, r, 0, turned(within(rows, r, 12), rows[r, 15]))
+    put(prepared, r, 3, cross(within(rows, r, 3), within(rows, r, 6)))
+
+
+@compiled
+def meet(
+    rows: FloatArray, r: int, prepared: FloatArray, rotation: FloatArray, translation: FloatArray
+) -> tuple[float, float, float, Vector, Vector]:
     """Solve ``[u v -D] (x, y, r) = P - q``.
 
-    Returns x [m], y [m], the ray's parameter r, and the row of the inverse that gives coordinate ``which``.
+    Returns x [m], y [m], the ray's parameter r, and the rows of the inverse that give x and y.
     """
-    u, v = at(row, 3), at(row, 6)
-    ray = rotate(rotation, turned(at(row, 12), row[15]))
-    offset = minus(plus(rotate(rotation, at(row, 9)), at(translation, 0)), at(row, 0))
+    u, v = within(rows, r, 3), within(rows, r, 6)
+    ray = rotate(rotation, within(prepared, r, 0))
+    offset = minus(plus(rotate(rotation, within(rows, r, 9)), at(translation, 0)), within(rows, r, 0))
     v_ray = cross(v, ray)
     ray_u = cross(ray, u)
     volume = dot(u, v_ray)
     x = dot(v_ray, offset) / volume
     y = dot(ray_u, offset) / volume
-    along = -dot(cross(u, v), offset) / volume
-    return x, y, along, times(1.0 / volume, v_ray if which == 0 else ray_u)
+    along = -dot(within(prepared, r, 3), offset) / volume
+    return x, y, along, times(1.0 / volume, v_ray), times(1.0 / volume, ray_u)
 
 
 @compiled
-def spot(row: FloatArray, rotation: FloatArray, translation: FloatArray, which: int, jacobian: FloatArray) -> float:
-    """Return spot coordinate ``which`` (0: x, 1: y) [m] and write its tangent derivative into ``jacobian`` (6)."""
-    x, y, along, dual = _meet(row, rotation, translation, which)
+def spot_tangent(
+    rows: FloatArray,
+    r: int,
+    prepared: FloatArray,
+    rotation: FloatArray,
+    along: float,
+    dual: Vector,
+    jacobian: FloatArray,
+    to: int,
+) -> None:
+    """Write the tangent derivative of the coordinate that belongs to ``dual`` into row ``to`` of ``jacobian``."""
     dual_T = rotate_back(rotation, dual)
-    lever = cross(plus(at(row, 9), times(along, turned(at(row, 12), row[15]))), dual_T)
-    for i in range(3):
-        jacobian[i] = dual_T[i]
-        jacobian[3 + i] = lever[i]
-    return x if which == 0 else y
+    put(jacobian, to, 0, dual_T)
+    put(jacobian, to, 3, cross(plus(within(rows, r, 9), times(along, within(prepared, r, 0))), dual_T))
 
 
 @compiled
 def spot_parameters(
-    row: FloatArray, rotation: FloatArray, translation: FloatArray, which: int, jacobian: FloatArray
+    rows: FloatArray,
+    r: int,
+    prepared: FloatArray,
+    rotation: FloatArray,
+    x: float,
+    y: float,
+    along: float,
+    dual: Vector,
+    jacobian: FloatArray,
+    to: int,
 ) -> None:
-    """Write the derivative of coordinate ``which`` with respect to the row's parameters into ``jacobian`` (16)."""
-    x, y, along, dual = _meet(row, rotation, translation, which)
+    """Write the derivative with respect to the 16 parameters likewise; ``x``, ``y``, ``along`` as from ``meet``."""
     dual_T = rotate_back(rotation, dual)
-    by_direction = turned(dual_T, -row[15])
-    direction = turned(at(row, 12), row[15])
-    for i in range(3):
-        jacobian[i] = -dual[i]
-        jacobian[3 + i] = -x * dual[i]
-        jacobian[6 + i] = -y * dual[i]
-        jacobian[9 + i] = dual_T[i]
-        jacobian[12 + i] = along * by_direction[i]
-    jacobian[15] = along * (dual_T[1] * direction[0] - dual_T[0] * direction[1])
+    direction = within(prepared, r, 0)
+    put(jacobian, to, 0, times(-1.0, dual))
+    put(jacobian, to, 3, times(-x, dual))
+    put(jacobian, to, 6, times(-y, dual))
+    put(jacobian, to, 9, dual_T)
+    put(jacobian, to, 12, times(along, turned(dual_T, -rows[r, 15])))
+    jacobian[to, 15] = along * (dual_T[1] * direction[0] - dual_T[0] * direction[1])

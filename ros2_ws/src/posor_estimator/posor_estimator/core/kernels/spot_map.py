@@ -35,18 +35,18 @@ _SETTLED_M = 1e-15
 
 
 @compiled
-def _basis(kind: int, value: float, functions: FloatArray, slopes: FloatArray) -> None:
-    """Write the basis functions and their derivatives at ``value`` into the two arrays (n)."""
-    for i in range(functions.shape[0]):
+def _basis(kind: int, value: float, count: int, basis: FloatArray, row: int) -> None:
+    """Write the basis functions at ``value`` into a row of ``basis`` (4, longest), their derivatives into the next."""
+    for i in range(count):
         if i == 0:
-            functions[i], slopes[i] = 1.0, 0.0
+            basis[row, i], basis[row + 1, i] = 1.0, 0.0
         elif i == 1:
-            functions[i], slopes[i] = value, 1.0
+            basis[row, i], basis[row + 1, i] = value, 1.0
         elif kind == POWER:
-            functions[i], slopes[i] = functions[i - 1] * value, i * functions[i - 1]
+            basis[row, i], basis[row + 1, i] = basis[row, i - 1] * value, i * basis[row, i - 1]
         else:
-            functions[i] = 2.0 * value * functions[i - 1] - functions[i - 2]
-            slopes[i] = 2.0 * functions[i - 1] + 2.0 * value * slopes[i - 1] - slopes[i - 2]
+            basis[row, i] = 2.0 * value * basis[row, i - 1] - basis[row, i - 2]
+            basis[row + 1, i] = 2.0 * basis[row, i - 1] + 2.0 * value * basis[row + 1, i - 1] - basis[row + 1, i - 2]
 
 
 @compiled
@@ -58,24 +58,30 @@ def _tensor(
     ratios: FloatArray,
     position: FloatArray,
     slope: FloatArray,
-    by_parameter: FloatArray,
+    less_by: FloatArray,
+    basis: FloatArray,
 ) -> None:
     n, m = shape[1], shape[2]
-    fu, du = np.empty(n), np.empty(n)
-    fv, dv = np.empty(m), np.empty(m)
-    _basis(kind, (ratios[0] - frame[0]) / frame[2], fu, du)
-    _basis(kind, (ratios[1] - frame[1]) / frame[3], fv, dv)
-    for axis in range(2):
-        position[axis] = 0.0
-        slope[axis, 0] = 0.0
-        slope[axis, 1] = 0.0
-        for i in range(n):
-            for j in range(m):
-                k = (axis * n + i) * m + j
-                position[axis] += parameters[k] * fu[i] * fv[j]
-                slope[axis, 0] += parameters[k] * du[i] * fv[j] / frame[2]
-                slope[axis, 1] += parameters[k] * fu[i] * dv[j] / frame[3]
-                by_parameter[axis, k] = fu[i] * fv[j]
+    _basis(kind, (ratios[0] - frame[0]) / frame[2], n, basis, 0)
+    _basis(kind, (ratios[1] - frame[1]) / frame[3], m, basis, 2)
+    half = n * m
+    x = y = x_u = x_v = y_u = y_v = 0.0
+    for i in range(n):
+        fu, du = basis[0, i], basis[1, i]
+        for j in range(m):
+            fv, dv = basis[2, j], basis[3, j]
+            k = i * m + j
+            of_x, of_y = parameters[k] * fu, parameters[half + k] * fu
+            x += of_x * fv
+            y += of_y * fv
+            x_u += parameters[k] * du * fv
+            y_u += parameters[half + k] * du * fv
+            x_v += of_x * dv
+            y_v += of_y * dv
+            less_by[0, k] = less_by[1, half + k] = -fu * fv
+    position[0], position[1] = x, y
+    slope[0, 0], slope[0, 1] = x_u / frame[2], x_v / frame[3]
+    slope[1, 0], slope[1, 1] = y_u / frame[2], y_v / frame[3]
 
 
 @compiled
@@ -105,7 +111,7 @@ def _curves(  # noqa: C901  one loop over plain numbers, to be compiled
     ratios: FloatArray,
     position: FloatArray,
     slope: FloatArray,
-    by_parameter: FloatArray,
+    less_by: FloatArray,
 ) -> int:
     count, order = shape[1], shape[2]
     size = count * order
@@ -133,9 +139,9 @@ def _curves(  # noqa: C901  one loop over plain numbers, to be compiled
     # With x = F(rx, y) and y = G(ry, x): dx = (Fr drx + Fy Gr dry) / (1 - Fy Gx), dy likewise; parameters act like F,
     # G.
     whole = 1.0 - cross[0] * cross[1]
-    for k in range(by_parameter.shape[1]):
-        by_parameter[0, k] = 0.0
-        by_parameter[1, k] = 0.0
+    for k in range(less_by.shape[1]):
+        less_by[0, k] = 0.0
+        less_by[1, k] = 0.0
     for axis in range(2):
         own, seen = 1.0 / whole, cross[1 - axis] / whole
         slope[axis, axis] = own * by_ratio[axis]
@@ -148,12 +154,12 @@ def _curves(  # noqa: C901  one loop over plain numbers, to be compiled
         for k in range(order):
             for which, share in ((i, 1.0 - weight), (i + 1, weight)):
                 at = axis * size + which * order + k
-                by_parameter[axis, at] = own * share * power
-                by_parameter[1 - axis, at] = seen * share * power
+                less_by[axis, at] = -own * share * power
+                less_by[1 - axis, at] = -seen * share * power
             power *= ratios[axis]
         for at, share in ((lines + i, -(1.0 - weight)), (lines + i + 1, -weight)):
-            by_parameter[axis, at] = own * share * cross[axis]
-            by_parameter[1 - axis, at] = seen * share * cross[axis]
+            less_by[axis, at] = -own * share * cross[axis]
+            less_by[1 - axis, at] = -seen * share * cross[axis]
     for axis in range(2):
         lines = 2 * size + axis * count
         if position[1 - axis] < parameters[lines] or position[1 - axis] > parameters[lines + count - 1]:
@@ -169,7 +175,8 @@ def spot_position(
     ratios: FloatArray,
     position: FloatArray,
     slope: FloatArray,
-    by_parameter: FloatArray,
+    less_by: FloatArray,
+    basis: FloatArray,
 ) -> int:
     """Map one diode's ratios to the spot's position.
 
@@ -181,15 +188,17 @@ def spot_position(
         ratios: (x, y), shape (2,).
         position: (x, y) [m] to write, shape (2,).
         slope: Derivative of the position with respect to the ratios [m] to write, shape (2, 2).
-        by_parameter: Derivative with respect to the parameters to write, shape (2, p).
+        less_by: What the position falls by for each parameter to write, shape (2, p or more); of a tensor map only
+            each coordinate's own half is written.
+        basis: Room for tensor maps, shape (4, longest length of a table or more).
 
     Returns:
         INSIDE, or OUTSIDE_X or OUTSIDE_Y where a coordinate lies beyond the outermost curves.
 
     """
     if shape[0] == CURVES:
-        return _curves(shape, parameters, ratios, position, slope, by_parameter)
-    _tensor(shape[0], shape, frame, parameters, ratios, position, slope, by_parameter)
+        return _curves(shape, parameters, ratios, position, slope, less_by)
+    _tensor(shape[0], shape, frame, parameters, ratios, position, slope, less_by, basis)
     return INSIDE
 
 
@@ -205,13 +214,14 @@ def ratios_of_positions(
     """Write the ratios (n, 2) at which one diode's map gives positions (n, 2) [m]; NaN where none does."""
     position = np.empty(2)
     slope = np.empty((2, 2))
-    by_parameter = np.zeros((2, parameters.shape[0]))
+    less_by = np.zeros((2, parameters.shape[0]))
+    basis = np.empty((4, parameters.shape[0]))
     for n in range(positions.shape[0]):
         ratio = ratios[n]
         for axis in range(2):
             ratio[axis] = 0.5 * (domain[axis, 0] + domain[axis, 1])
         for _ in range(_ROUNDS):
-            spot_position(shape, frame, parameters, ratio, position, slope, by_parameter)
+            spot_position(shape, frame, parameters, ratio, position, slope, less_by, basis)
             ex, ey = positions[n, 0] - position[0], positions[n, 1] - position[1]
             whole = slope[0, 0] * slope[1, 1] - slope[0, 1] * slope[1, 0]
             step_x = (slope[1, 1] * ex - slope[0, 1] * ey) / whole

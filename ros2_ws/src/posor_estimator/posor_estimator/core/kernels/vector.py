@@ -32,6 +32,24 @@ def at(row: FloatArray, start: int) -> Vector:
 
 
 @compiled
+def within(rows: FloatArray, r: int, start: int) -> Vector:
+    """Return three entries of row r as a vector; a slice of the row would cost more than the arithmetic."""
+    return rows[r, start], rows[r, start + 1], rows[r, start + 2]
+
+
+@compiled
+def put(rows: FloatArray, r: int, start: int, a: Vector) -> None:
+    """Write a vector into three entries of row r."""
+    rows[r, start], rows[r, start + 1], rows[r, start + 2] = a
+
+
+@compiled
+def over(a: Vector, divisor: float) -> Vector:
+    """Return a / divisor."""
+    return a[0] / divisor, a[1] / divisor, a[2] / divisor
+
+
+@compiled
 def plus(a: Vector, b: Vector) -> Vector:
     """Return a + b."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]

@@ -12,13 +12,18 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from posor_estimator.core.compiled import compiled
-from posor_estimator.core.kernels.vector import square
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray, IntArray
 
 EXTRA_PARAMETERS = 5
+COLUMNS = 8
+"""A channel's numbers beside its coefficients: the extra parameters, and the three that are none."""
+LOWEST, HIGHEST, NOISE = 5, 6, 7
+"""Where those three stand, counted from the end of the coefficients."""
 
 FINE = 0
 NOT_FINITE = 1
@@ -39,59 +44,56 @@ def polynomial(channel: FloatArray, order: int, volt: float) -> tuple[float, flo
 @compiled
 def linearise_voltages(
     volts: FloatArray,
+    n: int,
     supply: float,
     temperature: float,
     channels: FloatArray,
-    channel_sigmas: FloatArray,
-    ranges: FloatArray,
-    noises: FloatArray,
+    begin: int,
     values: FloatArray,
     variances: FloatArray,
-    systematic: FloatArray,
+    less_by: FloatArray,
     first: int,
 ) -> int:
-    """Linearise the voltages of one scan into rows ``first`` and following.
+    """Linearise the voltages of scan n into readings ``first`` and following.
 
     Args:
-        volts: Outputs of the probes [V], shape (p,).
+        volts: Outputs of the probes [V], shape (scans, p).
+        n: Which scan.
         supply: Supply voltage [V] or NaN.
         temperature: Temperature [K] or NaN.
-        channels: Parameters of each channel, shape (p, n + 5).
-        channel_sigmas: Their standard uncertainties, the same shape.
-        ranges: Calibrated lowest and highest shifted voltage [V], shape (p, 2).
-        noises: Standard deviation of each voltage [V], shape (p,).
+        channels: Of each channel its parameters, lowest and highest shifted voltage [V], and the standard deviation of
+            its voltage [V], shape (channels, n + 8).
+        begin: Which channel the first probe has.
         values: Gaps [m] to write, shape (m,).
         variances: Their variances from the noise [m^2] to write, shape (m,).
-        systematic: Covariance of the readings from the channels' parameters [m^2] to write, shape (m, m).
-        first: Row of the first probe.
+        less_by: What they fall by for each of the channel's parameters to write, shape (m, n + 5 or more).
+        first: Reading of the first probe.
 
     Returns:
         FINE, or ``1 + 2 * probe`` for a voltage that is not finite, ``2 + 2 * probe`` for one outside the range.
 
     """
-    order = channels.shape[1] - EXTRA_PARAMETERS
-    for i in range(volts.shape[0]):
-        channel = channels[i]
-        volt = volts[i] + channel[order]
+    order = channels.shape[1] - COLUMNS
+    for i in range(volts.shape[1]):
+        c, r = begin + i, first + i
+        volt = volts[n, i] + channels[c, order]
         if not math.isfinite(volt):
             return NOT_FINITE + 2 * i
-        if volt < ranges[i, 0] or volt > ranges[i, 1]:
+        if volt < channels[c, order + LOWEST] or volt > channels[c, order + HIGHEST]:
             return OUT_OF_RANGE + 2 * i
-        value, slope = polynomial(channel, order, volt)
-        above_supply = supply - channel[order + 2] if math.isfinite(supply) else 0.0
-        above_temperature = temperature - channel[order + 4] if math.isfinite(temperature) else 0.0
-        values[first + i] = value + channel[order + 1] * above_supply + channel[order + 3] * above_temperature
-        variances[first + i] = slope * slope * noises[i] * noises[i]
-        sigma = channel_sigmas[i]
-        total = 0.0
-        power = 1.0
+        value, slope = polynomial(channels[c], order, volt)
+        above_supply = supply - channels[c, order + 2] if math.isfinite(supply) else 0.0
+        above_temperature = temperature - channels[c, order + 4] if math.isfinite(temperature) else 0.0
+        values[r] = value + channels[c, order + 1] * above_supply + channels[c, order + 3] * above_temperature
+        noise = channels[c, order + NOISE]
+        variances[r] = slope * slope * noise * noise
+        power = -1.0
         for k in range(order):
-            total += square(power * sigma[k])
+            less_by[r, k] = power
             power *= volt
-        total += square(slope * sigma[order])
-        total += square(above_supply * sigma[order + 1]) + square(channel[order + 1] * sigma[order + 2])
-        total += square(above_temperature * sigma[order + 3]) + square(channel[order + 3] * sigma[order + 4])
-        systematic[first + i, first + i] += total
+        less_by[r, order] = -slope
+        less_by[r, order + 1], less_by[r, order + 2] = -above_supply, channels[c, order + 1]
+        less_by[r, order + 3], less_by[r, order + 4] = -above_temperature, channels[c, order + 3]
     return FINE
 
 
@@ -101,30 +103,51 @@ def linearise_all(
     supplies: FloatArray,
     temperatures: FloatArray,
     channels: FloatArray,
-    channel_sigmas: FloatArray,
-    ranges: FloatArray,
-    noises: FloatArray,
     values: FloatArray,
     variances: FloatArray,
-    systematic: FloatArray,
     first: int,
     codes: IntArray,
 ) -> None:
-    """Do ``linearise_voltages`` for every scan; all arrays but the channels' have a leading axis of scans."""
+    """Do ``linearise_voltages`` for every scan; values and variances have a leading axis of scans."""
+    less_by = np.empty((values.shape[1], channels.shape[1]))
     for n in range(volts.shape[0]):
         codes[n] = linearise_voltages(
-            volts[n],
-            supplies[n],
-            temperatures[n],
-            channels,
-            channel_sigmas,
-            ranges,
-            noises,
-            values[n],
-            variances[n],
-            systematic[n],
-            first,
+            volts, n, supplies[n], temperatures[n], channels, 0, values[n], variances[n], less_by, first
         )
+
+
+@compiled
+def gap_derivatives(
+    volts: FloatArray, supply: float, temperature: float, channels: FloatArray, by_parameter: FloatArray
+) -> None:
+    """Write the derivatives of the gaps of one scan's voltages (1, p) into ``by_parameter`` (p, n + 5)."""
+    p = volts.shape[1]
+    linearise_voltages(volts, 0, supply, temperature, channels, 0, np.empty(p), np.empty(p), by_parameter, 0)
+    for i in range(p):
+        for k in range(by_parameter.shape[1]):
+            by_parameter[i, k] = -by_parameter[i, k]
+
+
+@compiled
+def gap_sigmas(
+    volts: FloatArray,
+    supplies: FloatArray,
+    temperatures: FloatArray,
+    channels: FloatArray,
+    parameter_sigmas: FloatArray,
+    sigmas: FloatArray,
+) -> None:
+    """Write the gaps' standard uncertainties (n, p) [m] from those of their channels' parameters (p, n + 5)."""
+    p = volts.shape[1]
+    values, variances, less_by = np.empty(p), np.empty(p), np.empty(parameter_sigmas.shape)
+    for n in range(volts.shape[0]):
+        linearise_voltages(volts, n, supplies[n], temperatures[n], channels, 0, values, variances, less_by, 0)
+        for i in range(p):
+            total = 0.0
+            for k in range(parameter_sigmas.shape[1]):
+                effect = less_by[i, k] * parameter_sigmas[i, k]
+                total += effect * effect
+            sigmas[n, i] = math.sqrt(total)
 
 
 @compiled
@@ -133,14 +156,13 @@ def voltages_of_gaps(
     supplies: FloatArray,
     temperatures: FloatArray,
     channels: FloatArray,
-    ranges: FloatArray,
     volts: FloatArray,
 ) -> None:
     """Write the voltages (n, p) that the probes give for gaps (n, p) [m]; NaN where no voltage in the range does.
 
     Bisection to a half of the range's 2^-20, then Newton steps: the polynomial is monotonic over the range.
     """
-    order = channels.shape[1] - EXTRA_PARAMETERS
+    order = channels.shape[1] - COLUMNS
     for n in range(gaps.shape[0]):
         for i in range(gaps.shape[1]):
             channel = channels[i]
@@ -149,7 +171,7 @@ def voltages_of_gaps(
                 wanted -= channel[order + 1] * (supplies[n] - channel[order + 2])
             if math.isfinite(temperatures[n]):
                 wanted -= channel[order + 3] * (temperatures[n] - channel[order + 4])
-            low, high = ranges[i, 0], ranges[i, 1]
+            low, high = channel[order + LOWEST], channel[order + HIGHEST]
             at_low = polynomial(channel, order, low)[0] - wanted
             at_high = polynomial(channel, order, high)[0] - wanted
             volts[n, i] = math.nan

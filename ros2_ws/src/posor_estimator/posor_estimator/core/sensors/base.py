@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -56,14 +56,12 @@ class Batch:
     Attributes:
         values: Readings on the model's scale [m], shape (n, m).
         variances: Their variances from the noise of the electronics [m^2], shape (n, m).
-        systematic: Covariance of the readings from what is calibrated of the linearisation [m^2], shape (n, m, m).
         chosen: Which row of the stack's pool each reading is, shape (n, m).
 
     """
 
     values: FloatArray
     variances: FloatArray
-    systematic: FloatArray
     chosen: IntArray
 
 
@@ -167,10 +165,35 @@ class RowPool:
     sigmas: FloatArray
 
 
+@dataclass(frozen=True)
+class Readout:
+    """How the compiled kernels linearise a sensor's raw readings (``kernels.readout``).
+
+    Attributes:
+        source: Which field of a scan the readings come from, and so of which kind they are.
+        numbers: Of each channel (``kernels.voltage``) or diode (``kernels.diode``), shape (count, any).
+        ids: Where the parameters of each reading's linearisation stand in the sensor's parameter vector, negative for
+            none, shape (m, L).
+        maps: Kind and lengths of each diode's map, shape (diodes, 3).
+        sources: Light sources that each diode may see.
+
+    """
+
+    source: int
+    numbers: FloatArray
+    ids: IntArray
+    maps: IntArray = field(default_factory=lambda: np.zeros((0, 3), dtype=np.int64))
+    sources: int = 0
+
+
 class RowSensor(Sensor):
     """A sensor whose readings are rows of the compiled kernels."""
 
     pool: RowPool
+
+    def readout(self) -> Readout | None:
+        """Return how the compiled kernels linearise the readings; None: they cannot, ``linearise`` does it."""
+        return None
 
     @abstractmethod
     def _layout(self) -> tuple[IntArray, IntArray, FloatArray]:

@@ -19,9 +19,10 @@ from posor_estimator.core.calibration.entry import EntryError
 from posor_estimator.core.calibration.part import FrozenModel
 from posor_estimator.core.calibration.quantity import ANY, Quantity, measured
 from posor_estimator.core.kernels import ring as kernel
+from posor_estimator.core.kernels.readout import RING_VOLTAGES
 from posor_estimator.core.kernels.ring import ring_gap
 from posor_estimator.core.kernels.rows import RING
-from posor_estimator.core.sensors.base import Batch, RowSensor, SensorCalibration
+from posor_estimator.core.sensors.base import Batch, Readout, RowSensor, SensorCalibration
 from posor_estimator.core.sensors.probe import Channels, ProbeCalibration, probe_parameters
 
 if TYPE_CHECKING:
@@ -99,8 +100,7 @@ class BumpyRing(RowSensor):
         super()._prepare()
         channel = ("volts_to_gap", "zero_shifts", "supply", "temperature")
         ids = np.column_stack([self._ids(name) for name in channel])
-        self._channels = Channels(self._probes, "ring probe", ids)
-        self._channel_values = self._values[ids], self._sigmas[ids]
+        self._channels = Channels(self._probes, "ring probe", ids, self._values)
 
     def _layout(self) -> tuple[IntArray, IntArray, FloatArray]:
         count, harmonics = len(self._names), len(self._orders)
@@ -120,21 +120,25 @@ class BumpyRing(RowSensor):
         """``ring <probe>`` for each probe."""
         return tuple(f"ring {name}" for name in self._names)
 
+    def readout(self) -> Readout:
+        """Return how the compiled kernels linearise the voltages."""
+        return Readout(RING_VOLTAGES, self._channels.numbers, self._channels.ids)
+
     def _chosen(self, scan: Scan) -> IntArray:  # noqa: ARG002  the same for every scan
         return np.arange(len(self._names))
 
     def linearise(self, scans: Scans, batch: Batch, first: int, offset: int) -> IntArray:
         """Write the ring gaps [m]; see ``Sensor.linearise``."""
         batch.chosen[:, first : first + len(self._names)] = offset + np.arange(len(self._names))
-        return self._channels.linearise(scans.ring_voltages, scans, self._channel_values, batch, first)
+        return self._channels.linearise(scans.ring_voltages, scans, batch, first)
 
     def explain(self, scan: Scan, code: int) -> ScanError:
         """Return what a code of ``linearise`` means."""
-        return self._channels.explain(scan.ring_voltages, scan, code, self._values)
+        return self._channels.explain(scan.ring_voltages, scan, code)
 
     def encode(self, readings: FloatArray, scans: Scans) -> dict[str, FloatArray]:
         """Return the voltages of gaps; see ``RowSensor.encode``."""
-        return {"ring_voltages": self._channels.encode(readings, scans, self._values)}
+        return {"ring_voltages": self._channels.encode(readings, scans)}
 
     def disturbed(self, scans: Scans, noise: np.random.Generator) -> dict[str, FloatArray]:
         """Return the voltages with noise."""
@@ -143,7 +147,7 @@ class BumpyRing(RowSensor):
         }
 
     def _linearisation_jacobian(self, scan: Scan) -> FloatArray:
-        return self._channels.jacobian(scan.ring_voltages, scan, self._values)
+        return self._channels.jacobian(scan.ring_voltages, scan, self._values.size)
 
     def observability(self, phases: FloatArray) -> FloatArray:
         """Return how well the ring's readings tell (x, y, theta) apart at each bump phase.
@@ -158,14 +162,15 @@ class BumpyRing(RowSensor):
         """
         out = np.empty(len(phases))
         jacobian = np.empty((len(self._names), 6))
+        rows = self.pool.rows
         radius = float(self._array("mean_radius"))
         for n, phase in enumerate(phases):
             theta = phase / self.bumps
             rotation = np.array(
                 [[math.cos(theta), -math.sin(theta), 0.0], [math.sin(theta), math.cos(theta), 0.0], [0.0, 0.0, 1.0]]
             )
-            for r, row in enumerate(self.pool.rows):
-                ring_gap(row, rotation, np.zeros(3), jacobian[r])
+            for r in range(len(rows)):
+                ring_gap(rows, r, rotation, np.zeros(3), jacobian)
             spread = np.linalg.svd(jacobian[:, [0, 1, 5]] / np.array([1.0, 1.0, radius]), compute_uv=False)
             out[n] = spread[2] / spread[0]
         return out

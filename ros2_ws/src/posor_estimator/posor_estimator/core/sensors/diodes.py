@@ -20,10 +20,11 @@ from posor_estimator.core.calibration.quantity import Quantity, check_unit_vecto
 from posor_estimator.core.fault import Fault
 from posor_estimator.core.kernels import diode as codes
 from posor_estimator.core.kernels import spot as kernel
+from posor_estimator.core.kernels.readout import SPOTS, WRONG_COUNT, WRONG_SOURCE, WRONG_SOURCES
 from posor_estimator.core.kernels.rows import SPOT_X, SPOT_Y, evaluate_all
-from posor_estimator.core.kernels.spot_map import ratios_of_positions, spot_position
+from posor_estimator.core.kernels.spot_map import CURVES, ratios_of_positions, spot_position
 from posor_estimator.core.scan import NO_SOURCE
-from posor_estimator.core.sensors.base import Batch, RowSensor, SensorCalibration
+from posor_estimator.core.sensors.base import Batch, Readout, RowSensor, SensorCalibration
 from posor_estimator.core.sensors.spot_map import SpotMap
 from posor_estimator.errors import CalibrationError, ScanError
 
@@ -31,10 +32,6 @@ if TYPE_CHECKING:
     from posor_estimator.core.calibration.session import Session
     from posor_estimator.core.scan import Scan, Scans
     from posor_estimator.core.types import FloatArray, IntArray
-
-_WRONG_COUNT = -1
-_WRONG_SOURCES = -2
-_WRONG_SOURCE = -3  # and below: of diode (code - _WRONG_SOURCE)
 
 
 class DiodeCalibration(FrozenModel):
@@ -167,8 +164,15 @@ class Diodes(RowSensor):
 
     def _prepare(self) -> None:
         super()._prepare()
-        maps = self._ids("maps")
-        self._map_values = self._values[maps], self._sigmas[maps]
+        self._diodes = np.column_stack(
+            [
+                self._sums,
+                self._domains.reshape(-1, 4),
+                self._noises,
+                self._frames,
+                self._array("maps"),
+            ]
+        )
         self._first_pairs = np.arange(len(self._names)) * self._sources
 
     def _layout(self) -> tuple[IntArray, IntArray, FloatArray]:
@@ -193,6 +197,15 @@ class Diodes(RowSensor):
         """``spot x <diode>``, ``spot y <diode>`` for each diode."""
         return tuple(f"spot {axis} {name}" for name in self._names for axis in "xy")
 
+    def readout(self) -> Readout:
+        """Return how the compiled kernels linearise the currents: each map's parameters for x and for y."""
+        ids = np.repeat(self._ids("maps"), 2, axis=0)
+        for i, (kind, *lengths) in enumerate(self._map_shapes):
+            if kind != CURVES:  # each coordinate has a table of its own
+                size = math.prod(lengths)
+                ids[2 * i, size:], ids[2 * i + 1, :size] = -1, -1
+        return Readout(SPOTS, self._diodes, ids, self._map_shapes, self._sources)
+
     def _rows_of(self, lit: IntArray) -> IntArray:
         """Return the pool's rows for lit sources (n, diodes), shape (n, 2 diodes)."""
         rows = np.empty((len(lit), 2 * len(self._names)), dtype=np.int64)
@@ -208,27 +221,22 @@ class Diodes(RowSensor):
         """Write the spot positions x, y of each diode in turn [m]; see ``Sensor.linearise``."""
         count = len(self._names)
         if scans.diode_currents.shape[1:] != (count, 4):
-            return np.full(len(scans), _WRONG_COUNT, dtype=np.int64)
+            return np.full(len(scans), WRONG_COUNT, dtype=np.int64)
         if scans.lit_sources.shape[1] != count:
-            return np.full(len(scans), _WRONG_SOURCES, dtype=np.int64)
+            return np.full(len(scans), WRONG_SOURCES, dtype=np.int64)
         lit = scans.lit_sources
         result = np.zeros(len(scans), dtype=np.int64)
         if lit.size and (lit.min() < 0 or lit.max() >= self._sources):
             known = (lit >= 0) & (lit < self._sources)
-            result[:] = np.where(known.all(axis=1), 0, _WRONG_SOURCE - np.argmin(known, axis=1))
+            result[:] = np.where(known.all(axis=1), 0, WRONG_SOURCE - np.argmin(known, axis=1))
             lit = np.where(known, lit, 0)
         batch.chosen[:, first : first + 2 * count] = offset + self._rows_of(lit)
         codes.linearise_all(
             np.ascontiguousarray(scans.diode_currents),
-            self._sums,
-            self._domains,
-            self._noises,
+            self._diodes,
             self._map_shapes,
-            self._frames,
-            *self._map_values,
             batch.values,
             batch.variances,
-            batch.systematic,
             first,
             result,
         )
@@ -238,14 +246,14 @@ class Diodes(RowSensor):
         """Return what a code of ``linearise`` means."""
         where = f"scan {scan.number}"
         count = len(self._names)
-        if code == _WRONG_COUNT:
+        if code == WRONG_COUNT:
             what = f"{scan.diode_currents.size} contact currents"
             return ScanError(what, fault=Fault.BAD_READING, where=where, expected=f"{4 * count}")
-        if code == _WRONG_SOURCES:
+        if code == WRONG_SOURCES:
             what = f"{len(scan.lit_sources)} lit sources"
             return ScanError(what, fault=Fault.SOURCE, where=where, expected=f"{count}, one for each diode")
-        if code <= _WRONG_SOURCE:
-            diode = _WRONG_SOURCE - code
+        if code <= WRONG_SOURCE:
+            diode = WRONG_SOURCE - code
             lit = scan.lit_sources[diode]
             what = "no light source was lit" if lit == NO_SOURCE else f"light source {lit} is unknown"
             where = f"{where}, diode {self._names[diode]}"
@@ -298,10 +306,9 @@ class Diodes(RowSensor):
         count = len(rotations)
         lit = np.empty((count, len(self._names)), dtype=np.int64)
         position, slope = np.empty(2), np.empty((2, 2))
-        for i, ids in enumerate(self._ids("maps")):
+        for i in range(len(self._names)):
             middle = self._domains[i].mean(axis=1)
-            unused = np.zeros((2, ids.size))
-            spot_position(self._map_shapes[i], self._frames[i], self._values[ids], middle, position, slope, unused)
+            self._map(i, middle, position, slope)
             rows = 2 * (i * self._sources + np.arange(self._sources))
             every = np.tile(np.column_stack([rows, rows + 1]).ravel(), (count, 1))
             spots = np.empty(every.shape)
@@ -316,9 +323,12 @@ class Diodes(RowSensor):
         for i, ids in enumerate(self._ids("maps")):
             a, b, c, d = scan.diode_currents[i]
             ratios = np.array([(a - c) / (a + c), (b - d) / (b + d)])
-            by_parameter = np.zeros((2, ids.size))
-            spot_position(
-                self._map_shapes[i], self._frames[i], self._values[ids], ratios, position, slope, by_parameter
-            )
-            out[2 * i : 2 * i + 2, ids] = by_parameter
+            out[2 * i : 2 * i + 2, ids] = self._map(i, ratios, position, slope)
         return out
+
+    def _map(self, i: int, ratios: FloatArray, position: FloatArray, slope: FloatArray) -> FloatArray:
+        """Write where diode i sees its spot (2,) and its slopes (2, 2); return the derivatives by its map, (2, p)."""
+        parameters = self._values[self._ids("maps")[i]]
+        less_by, basis = np.zeros((2, parameters.size)), np.empty((4, parameters.size))
+        spot_position(self._map_shapes[i], self._frames[i], parameters, ratios, position, slope, less_by, basis)
+        return -less_by

@@ -13,8 +13,9 @@ from pydantic import Field
 from posor_estimator.core.calibration.part import FrozenModel
 from posor_estimator.core.calibration.quantity import Quantity, measured
 from posor_estimator.core.kernels import gap as kernel
+from posor_estimator.core.kernels.readout import GAP_VOLTAGES
 from posor_estimator.core.kernels.rows import GAP
-from posor_estimator.core.sensors.base import Batch, RowSensor, SensorCalibration
+from posor_estimator.core.sensors.base import Batch, Readout, RowSensor, SensorCalibration
 from posor_estimator.core.sensors.probe import Channels, ProbeCalibration, probe_parameters
 from posor_estimator.errors import CalibrationError, ScanError
 
@@ -87,8 +88,7 @@ class GapProbes(RowSensor):
         super()._prepare()
         channel = ("volts_to_gap", "zero_shifts", "supply", "temperature")
         ids = np.column_stack([self._ids(name) for name in channel])
-        self._channels = Channels(self._probes, "gap probe", ids)
-        self._channel_values = self._values[ids], self._sigmas[ids]
+        self._channels = Channels(self._probes, "gap probe", ids, self._values)
 
     def _layout(self) -> tuple[IntArray, IntArray, FloatArray]:
         count = len(self._names)
@@ -104,21 +104,29 @@ class GapProbes(RowSensor):
         """``gap <probe>`` for each probe."""
         return tuple(f"gap {name}" for name in self._names)
 
+    def readout(self) -> Readout:
+        """Return how the compiled kernels linearise the voltages."""
+        return Readout(GAP_VOLTAGES, self._channels.numbers, self._channels.ids)
+
     def _chosen(self, scan: Scan) -> IntArray:  # noqa: ARG002  the same for every scan
         return np.arange(len(self._names))
 
     def linearise(self, scans: Scans, batch: Batch, first: int, offset: int) -> IntArray:
         """Write the gaps [m]; see ``Sensor.linearise``."""
         batch.chosen[:, first : first + len(self._names)] = offset + np.arange(len(self._names))
-        return self._channels.linearise(scans.gap_voltages, scans, self._channel_values, batch, first)
+        return self._channels.linearise(scans.gap_voltages, scans, batch, first)
+
+    def gap_sigmas(self, scans: Scans) -> FloatArray:
+        """Return the standard uncertainties (n, p) [m] of the gaps of fit scans from their linearisation."""
+        return self._channels.sigmas(scans.gap_voltages, scans, self._sigmas)
 
     def explain(self, scan: Scan, code: int) -> ScanError:
         """Return what a code of ``linearise`` means."""
-        return self._channels.explain(scan.gap_voltages, scan, code, self._values)
+        return self._channels.explain(scan.gap_voltages, scan, code)
 
     def encode(self, readings: FloatArray, scans: Scans) -> dict[str, FloatArray]:
         """Return the voltages of gaps; see ``RowSensor.encode``."""
-        return {"gap_voltages": self._channels.encode(readings, scans, self._values)}
+        return {"gap_voltages": self._channels.encode(readings, scans)}
 
     def disturbed(self, scans: Scans, noise: np.random.Generator) -> dict[str, FloatArray]:
         """Return the voltages with noise."""
@@ -127,4 +135,4 @@ class GapProbes(RowSensor):
         }
 
     def _linearisation_jacobian(self, scan: Scan) -> FloatArray:
-        return self._channels.jacobian(scan.gap_voltages, scan, self._values)
+        return self._channels.jacobian(scan.gap_voltages, scan, self._values.size)

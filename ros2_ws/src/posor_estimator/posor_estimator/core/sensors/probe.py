@@ -13,6 +13,7 @@ from posor_estimator.core.calibration.part import FrozenModel
 from posor_estimator.core.calibration.quantity import ANY, Quantity, check_unit_vector, measured
 from posor_estimator.core.fault import Fault
 from posor_estimator.core.kernels import voltage
+from posor_estimator.core.kernels.readout import WRONG_COUNT
 from posor_estimator.errors import ScanError
 
 if TYPE_CHECKING:
@@ -97,65 +98,72 @@ def probe_parameters(probes: Sequence[ProbeCalibration]) -> tuple[dict[str, Floa
 
 
 class Channels:
-    """The voltage channels of some probes, taken out of a sensor's parameter vector."""
+    """The voltage channels of some probes, taken out of a sensor's parameter vector.
 
-    def __init__(self, probes: Sequence[ProbeCalibration], kind: str, ids: IntArray) -> None:
-        """Keep what is not a parameter.
+    Attributes:
+        names: Of the probes.
+        noises: Standard deviation of each voltage [V], shape (p,).
+        numbers: Of each channel, see ``kernels.voltage``, shape (p, n + 8).
+        ids: Where each channel parameter stands in the sensor's parameter vector, shape (p, n + 5).
+
+    """
+
+    def __init__(self, probes: Sequence[ProbeCalibration], kind: str, ids: IntArray, values: FloatArray) -> None:
+        """Lay out the channels.
 
         Args:
-            probes: Calibration of the probes.
+            probes: Calibration of the probes, for what is not a parameter.
             kind: What to call them in complaints, ``gap probe`` or ``ring probe``.
-            ids: Where each channel parameter stands in the sensor's parameter vector, shape (p, n + 5), see
-                ``kernels.voltage``.
+            ids: See the class.
+            values: The sensor's parameter vector.
 
         """
         self.names = tuple(probe.name for probe in probes)
         self.ids = ids
         self._kind = kind
-        self._ranges = np.array([probe.range.array for probe in probes])
+        ranges = np.array([probe.range.array for probe in probes])
         self.noises = np.array([probe.noise.number for probe in probes])
+        self.numbers = np.column_stack([values[ids], ranges, self.noises])
 
-    def linearise(
-        self,
-        volts: FloatArray,
-        scans: Scans,
-        channels: tuple[FloatArray, FloatArray],
-        batch: Batch,
-        first: int,
-    ) -> IntArray:
-        """Linearise the voltages (n, p) of all scans; ``channels`` are their values and sigmas, (p, n + 5).
+    def linearise(self, volts: FloatArray, scans: Scans, batch: Batch, first: int) -> IntArray:
+        """Linearise the voltages (n, p) of all scans into the batch from reading ``first`` on.
 
         Returns:
             For each scan zero or a code for ``explain``, shape (n,).
 
         """
-        codes = np.full(len(scans), -1, dtype=np.int64)
+        codes = np.full(len(scans), WRONG_COUNT, dtype=np.int64)
         if volts.shape[1] != len(self.names):
             return codes
         voltage.linearise_all(
             volts,
             scans.supply_voltages,
             scans.temperatures,
-            *channels,
-            self._ranges,
-            self.noises,
+            self.numbers,
             batch.values,
             batch.variances,
-            batch.systematic,
             first,
             codes,
         )
         return codes
 
-    def encode(self, gaps: FloatArray, scans: Scans, values: FloatArray) -> FloatArray:
+    def sigmas(self, volts: FloatArray, scans: Scans, parameter_sigmas: FloatArray) -> FloatArray:
+        """Return the gaps' standard uncertainties (n, p) [m] from those of the channels' parameters, of fit scans."""
+        out = np.empty(volts.shape)
+        voltage.gap_sigmas(
+            volts, scans.supply_voltages, scans.temperatures, self.numbers, parameter_sigmas[self.ids], out
+        )
+        return out
+
+    def encode(self, gaps: FloatArray, scans: Scans) -> FloatArray:
         """Return the voltages (n, p) of gaps (n, p) [m]; NaN beyond the calibrated range."""
         volts = np.empty(gaps.shape)
         voltage.voltages_of_gaps(
-            np.ascontiguousarray(gaps), scans.supply_voltages, scans.temperatures, values[self.ids], self._ranges, volts
+            np.ascontiguousarray(gaps), scans.supply_voltages, scans.temperatures, self.numbers, volts
         )
         return volts
 
-    def explain(self, volts: FloatArray, scan: Scan, code: int, values: FloatArray) -> ScanError:
+    def explain(self, volts: FloatArray, scan: Scan, code: int) -> ScanError:
         """Return what a code means."""
         where = f"scan {scan.number}"
         if code < 0:
@@ -171,25 +179,18 @@ class Channels:
             return ScanError(
                 f"voltage {volts[probe]}", fault=Fault.BAD_READING, where=where, expected="a finite voltage"
             )
-        low, high = self._ranges[probe]
-        shifted = volts[probe] + values[self.ids[probe, -voltage.EXTRA_PARAMETERS]]
+        shift, low, high = self.numbers[probe, [-voltage.COLUMNS, -3, -2]]
         return ScanError(
-            f"{shifted:.6g} V after the zero shift is outside the calibrated range",
+            f"{volts[probe] + shift:.6g} V after the zero shift is outside the calibrated range",
             fault=Fault.OUT_OF_RANGE,
             where=where,
             expected=f"{low:g} to {high:g} V",
         )
 
-    def jacobian(self, volts: FloatArray, scan: Scan, values: FloatArray) -> FloatArray:
+    def jacobian(self, volts: FloatArray, scan: Scan, size: int) -> FloatArray:
         """Return d(gap)/d(parameter) of each probe, shape (p, size of the parameter vector)."""
-        out = np.zeros((len(self.names), values.size))
-        order = self.ids.shape[1] - voltage.EXTRA_PARAMETERS
-        for i, ids in enumerate(self.ids):
-            channel = values[ids]
-            volt = volts[i] + channel[order]
-            out[i, ids[:order]] = volt ** np.arange(order)
-            out[i, ids[order]] = voltage.polynomial(channel, order, volt)[1]
-            for at, level in ((order + 1, scan.supply_voltage), (order + 3, scan.temperature)):
-                out[i, ids[at]] = level - channel[at + 1] if np.isfinite(level) else 0.0
-                out[i, ids[at + 1]] = -channel[at]
+        derivatives = np.empty(self.ids.shape)
+        voltage.gap_derivatives(volts[None], scan.supply_voltage, scan.temperature, self.numbers, derivatives)
+        out = np.zeros((len(self.names), size))
+        np.put_along_axis(out, self.ids, derivatives, axis=1)
         return out

@@ -1,0 +1,138 @@
+"""What the calibration's parameters do to the readings: their systematic covariance.
+
+Each parameter is a sum of standard normal deviates, independent of one another: one of its own where the calibration
+states only its standard uncertainty, all those of its block where it states a covariance (``PARTS``, ``ROOT``). Then
+S = B B', with B the readings' derivatives with respect to the deviates (JCGM 100, 5.2). A deviate that reaches only one
+reading adds to that reading's variance and needs no column of B. What is to be multiplied by what, and added to what,
+is found out once for the rows that a scan reads, and holds as long as it reads the same; it is written down as places
+in ``floats``.
+
+Shares (4 numbers): place of a derivative, of its first factor, and of what it adds to, how many factors. A share of a
+single reading adds its square to the reading's variance: those come first. Blocks (4): first column of B, how many,
+first and last reading that they reach.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from posor_estimator.core.compiled import compiled
+from posor_estimator.core.kernels.tables import (
+    BLOCKS,
+    BY_READOUT,
+    BY_ROW,
+    DEVIATES,
+    EFFECTS,
+    HERE,
+    PARTS,
+    POOL_IDS,
+    READINGS,
+    READOUT_IDS,
+    ROOT,
+    SHARES,
+    TALLY,
+    line,
+    table,
+)
+
+if TYPE_CHECKING:
+    from posor_estimator.core.types import FloatArray, IntArray
+
+USES, COLUMN, LAST = 0, 1, 2
+"""Of a deviate: how many shares it has a part in; its column of B, negative for none; its last reading."""
+ALONE, TOGETHER, COLUMNS = 0, 1, 2
+"""Of the tally: shares of a single reading, all shares, blocks."""
+
+
+@compiled
+def find_shares(places: IntArray, ints: IntArray) -> None:  # noqa: C901, PLR0912  loops over plain numbers
+    """Find out which derivatives count for the rows in HERE, and what each of them adds to."""
+    pool_ids, here = table(places, ints, POOL_IDS), line(places, ints, HERE, 0)
+    readout_ids, parts = table(places, ints, READOUT_IDS), table(places, ints, PARTS)
+    shares, blocks = table(places, ints, SHARES), table(places, ints, BLOCKS)
+    deviates, tally = table(places, ints, DEVIATES), line(places, ints, TALLY, 0)
+    m, width, length = here.shape[0], pool_ids.shape[1], readout_ids.shape[1]
+    for d in range(deviates.shape[0]):
+        deviates[d, USES], deviates[d, COLUMN] = 0, -1
+    for r in range(m):
+        for k in range(width + length):
+            p = pool_ids[here[r], k] if k < width else readout_ids[r, k - width]
+            if p >= 0 and parts[p, 1] > 0:
+                deviates[parts[p, 0], USES] += 1
+                deviates[parts[p, 0], LAST] = r
+    count, columns, found = 0, 0, 0
+    for together in range(2):
+        for r in range(m):
+            for k in range(width + length):
+                p = pool_ids[here[r], k] if k < width else readout_ids[r, k - width]
+                if p < 0 or parts[p, 1] == 0:
+                    continue
+                deviate = parts[p, 0]
+                alone = parts[p, 1] == 1 and deviates[deviate, USES] == 1
+                if alone == (together == 1):
+                    continue
+                to = places[READINGS, 0] + r * (places[READINGS, 2] + 1)
+                if not alone:
+                    if deviates[deviate, COLUMN] < 0:
+                        deviates[deviate, COLUMN] = columns
+                        last = deviates[deviate, LAST]
+                        if found == 0 or blocks[found - 1, 2] != r or blocks[found - 1, 3] != last:
+                            blocks[found, 0], blocks[found, 1] = columns, 0
+                            blocks[found, 2], blocks[found, 3] = r, last
+                            found += 1
+                        blocks[found - 1, 1] += parts[p, 1]
+                        columns += parts[p, 1]
+                    to = places[EFFECTS, 0] + r * places[EFFECTS, 2] + deviates[deviate, COLUMN]
+                shares[count, 0] = places[BY_ROW, 0] + r * width + k
+                if k >= width:
+                    shares[count, 0] = places[BY_READOUT, 0] + r * length + k - width
+                shares[count, 1], shares[count, 2] = places[ROOT, 0] + parts[p, 2], to
+                shares[count, 3] = parts[p, 1]
+                count += 1
+        tally[together] = count
+    tally[COLUMNS] = found
+
+
+@compiled
+def reading_covariance(  # noqa: C901  loops over plain numbers, to be compiled
+    places: IntArray, ints: IntArray, floats: FloatArray
+) -> None:
+    """Add the readings' covariance from the calibration's parameters to READINGS [m^2].
+
+    BY_ROW and BY_READOUT hold the derivatives of the predictions less the readings at the pose.
+    """
+    shares, blocks, tally = table(places, ints, SHARES), table(places, ints, BLOCKS), line(places, ints, TALLY, 0)
+    effects, out = table(places, floats, EFFECTS), table(places, floats, READINGS)
+    for s in range(tally[ALONE]):
+        effect = floats[shares[s, 0]] * floats[shares[s, 1]]
+        floats[shares[s, 2]] += effect * effect
+    for b in range(tally[COLUMNS]):
+        for r in range(blocks[b, 2], blocks[b, 3] + 1):
+            for c in range(blocks[b, 0], blocks[b, 0] + blocks[b, 1]):
+                effects[r, c] = 0.0
+    for s in range(tally[ALONE], tally[TOGETHER]):
+        derivative, factors, to = floats[shares[s, 0]], shares[s, 1], shares[s, 2]
+        for i in range(shares[s, 3]):
+            floats[to + i] += derivative * floats[factors + i]
+    for b in range(tally[COLUMNS]):
+        for i in range(blocks[b, 2], blocks[b, 3] + 1):
+            for j in range(blocks[b, 2], i + 1):
+                total = _product(effects, i, j, blocks[b, 0], blocks[b, 1])
+                out[i, j] += total
+                if i != j:
+                    out[j, i] += total
+
+
+@compiled
+def _product(effects: FloatArray, i: int, j: int, first: int, count: int) -> float:
+    """Return the scalar product of parts of two rows; four sums side by side, since each waits for its last term."""
+    a = b = c = d = 0.0
+    whole = count - count % 4
+    for k in range(first, first + whole, 4):
+        a += effects[i, k] * effects[j, k]
+        b += effects[i, k + 1] * effects[j, k + 1]
+        c += effects[i, k + 2] * effects[j, k + 2]
+        d += effects[i, k + 3] * effects[j, k + 3]
+    for k in range(first + whole, first + count):
+        a += effects[i, k] * effects[j, k]
+    return (a + b) + (c + d)

@@ -1,0 +1,81 @@
+"""What the compiled loop over scans works on: a POSOR's numbers and its room for work, in one array of each type.
+
+``places`` (n, 3) says where each table stands: start, rows, columns. One array of floats and one of whole numbers,
+since every array that a compiled function is called with costs as much as the arithmetic of a row. ``core.tables``
+makes them. Sizes: m readings; M = m + 6, with room for the prior; K rows in the pool of width W; L parameters at most
+in the linearisation of a reading; C standard deviates that the calibration's parameters are made of.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, TypeVar
+
+from posor_estimator.core.compiled import compiled
+from posor_estimator.core.kernels.reshaped import part
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from posor_estimator.core.types import IntArray
+
+    Numbers = TypeVar("Numbers", np.float64, np.int64)
+
+# Of the POSOR, floats.
+POOL = 0  # every row that a scan can have (K, W)
+ROOT = 1  # what each parameter is made of, see PARTS (1, entries)
+CHANNELS = 2  # see kernels.voltage (channels, n + 8)
+DIODES = 3  # see kernels.diode (diodes, 12 + p)
+SETTINGS = 4  # see kernels.memory (1, 7)
+# Of the POSOR, whole numbers.
+POOL_KINDS = 5  # (1, K)
+POOL_IDS = 6  # which parameter each entry of the pool is, negative: none (K, W)
+READOUT_IDS = 7  # which parameter each derivative of a reading's linearisation belongs to (m, L)
+PARTS = 8  # of each parameter: its first deviate, how many, where their factors begin in ROOT (parameters, 3)
+READOUTS = 9  # see kernels.readout (readouts, 6)
+# Room that keeps its contents from scan to scan.
+MEMORY = 10  # floats, see kernels.memory (1, 18)
+ROWS = 11  # floats: the rows of the scan, then the prior's (M, W)
+PREPARED = 12  # floats: see kernels.rows (M, PREPARED)
+KINDS = 13  # (1, M)
+HERE = 14  # which rows of the pool stand in ROWS (1, m)
+SHARES = 15  # see kernels.effects (m (W + L), 4)
+BLOCKS = 16  # see kernels.effects (C, 4)
+TALLY = 17  # see kernels.effects (1, 3)
+DEVIATES = 18  # see kernels.effects (C, 3)
+# Room for one scan.
+CHOSEN = 19  # whole numbers (1, m)
+LINES = 20  # floats: values, variances, weights, residuals (4, M)
+JACOBIAN = 21  # floats (M, 6)
+SIXES = 22  # floats: sum of the steps, step (2, 6)
+SQUARES = 23  # floats: three matrices (18, 6)
+START = 24  # floats: the pose from which a scan starts, rotation and translation (4, 3)
+BY_ROW = 25  # floats: derivatives of prediction less reading by the rows' parameters (m, W)
+BY_READOUT = 26  # floats: the same by the linearisation's parameters (m, L)
+EFFECTS = 27  # floats: what each shared deviate does to each reading (m, C)
+READINGS = 28  # floats: the readings' systematic covariance (M, M)
+SIDES = 29  # floats: right sides of linear equations (m, 7)
+GAIN = 30  # floats: two matrices (2 M, 6)
+TOTAL = 31  # floats: the readings' covariance, random and systematic (m, m)
+MAPS = 32  # whole numbers, of the POSOR: kind and lengths of each diode's map (diodes, 3)
+SPOT = 33  # floats: see kernels.diode (4, 2)
+BASIS = 34  # floats: see kernels.spot_map (4, longest)
+EPOCH = 35  # whole numbers that stay: 1 where it is known, from which time the memory counts [ns] (1, 2)
+TABLES = 36
+
+VALUES, VARIANCES, WEIGHTS, RESIDUALS = 0, 1, 2, 3
+MOVED, STEP = 0, 1
+
+
+@compiled
+def table(places: IntArray, numbers: NDArray[Numbers], which: int) -> NDArray[Numbers]:
+    """Return a table of ``numbers``, without copying."""
+    return part(numbers, places[which, 0], places[which, 1], places[which, 2])
+
+
+@compiled
+def line(places: IntArray, numbers: NDArray[Numbers], which: int, row: int) -> NDArray[Numbers]:
+    """Return one row of a table of ``numbers``, without copying."""
+    columns = places[which, 2]
+    start = places[which, 0] + row * columns
+    return numbers[start : start + columns]
