@@ -21,8 +21,10 @@ from posor_bringup.installed import calibration_path, urdf_path
 from posor_estimator.core.fault import State
 from posor_estimator.reprocess.command import main
 from posor_estimator.reprocess.output import MAKING
+from posor_estimator.ros.messages import pose_from_message
 from posor_estimator.testing.program import Program, installed, wait_until
 from posor_msgs.msg import JointTransform
+from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader
 
 from tests.benchmarks.offline import repeat
@@ -97,6 +99,20 @@ def test_tables_hold_what_the_bag_holds(made: Path) -> None:
     poses: Any = all_bits(PoseStamped, messages["/five_axis/endpoint/pose"])
     table = pa.parquet.read_table(made / "parquet" / "endpoint.parquet")
     assert table["qw"].to_numpy().tobytes() == b"".join(pose["pose"]["orientation"]["w"] for pose in poses)
+
+
+def test_home_is_the_first_pose(made: Path, tmp_path: Path) -> None:
+    assert main([str(BAG), *ARM, "--reference", "home", "--output", str(tmp_path / "out")]) == 0
+    topic = "/five_axis/endpoint/pose"
+    relative, absolute = (
+        [deserialize_message(data, PoseStamped) for data in recorded(bag)[topic]]
+        for bag in (tmp_path / "out", made / "bag")
+    )
+    assert {pose.header.frame_id for pose in relative} == {"endpoint_home"}
+    home = pose_from_message(absolute[0].pose)
+    for one, other in zip(relative, absolute, strict=True):
+        expected = home.inverse() * pose_from_message(other.pose)
+        np.testing.assert_allclose(pose_from_message(one.pose).homogeneous, expected.homogeneous, rtol=0.0, atol=1e-12)
 
 
 def test_the_summary_counts_what_was_lost(capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,14 +11,14 @@ from posor_estimator.core.fault import State
 from posor_estimator.core.kernels.chain import relative_to
 from posor_estimator.errors import ChainError
 from posor_estimator.reprocess.joined import BlockJoiner
-from posor_estimator.ros.messages import UNIT_WITHIN
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from posor_estimator.bulk.layout import Table, TableLayout
+    from posor_estimator.bulk.layout import TableLayout
     from posor_estimator.chain_node import ChainParameters
     from posor_estimator.core.chain import Chain
+    from posor_estimator.core.chain_lane import Endpoints as Found
     from posor_estimator.core.types import BoolArray, FloatArray, IntArray
     from posor_estimator.reprocess.transforms import Transforms
 
@@ -54,6 +54,9 @@ class EndpointReprocessor:
         joints: Names of the joints, in the chain's order.
         frame: In which the endpoint's pose is given.
         joiner: What joins the transforms, with its counts.
+        poses: How many poses there have been.
+        degraded: How many of these rest on a joint whose state is DEGRADED.
+        unusable: Complete stamps that gave no pose.
         refused: Complete stamps without a pose, by the joint whose transform may not be used.
 
     """
@@ -103,21 +106,27 @@ class EndpointReprocessor:
 
         """
         complete = self.joiner.join([block[name] for name in self.joints])
-        usable = np.ones(len(complete[0]), dtype=np.bool_)
-        for name, each in zip(self.joints, complete, strict=True):
-            fit = _usable(each.table)
-            self.refused[name] += int(np.count_nonzero(~fit))
-            usable &= fit
-        self.unusable += int(np.count_nonzero(~usable))
+        states = np.array([each.table["state"] for each in complete])
+        known = (states == int(State.OK)) | (states == int(State.DEGRADED))
+        usable = known.all(axis=0)
         if not usable.all():
             complete = [each.chosen(usable) for each in complete]
-        self.poses += len(complete[0])
-        states = np.array([each.table["state"] for each in complete])
-        self.degraded += int(np.count_nonzero(np.any(states == int(State.DEGRADED), axis=0)))
-        return self._found(complete)
+        found = self._found(complete)
+        known[:, usable] &= found.faults.T == 0
+        self._count(states, known)
+        return self._published(complete, found)
 
-    def _found(self, complete: Sequence[Transforms]) -> Endpoints:
-        """Return the endpoints of usable transforms."""
+    def _count(self, states: IntArray, known: BoolArray) -> None:
+        """Count complete stamps, by the joints' states and by whether their numbers may be used, (joints, n)."""
+        for name, count in zip(self.joints, np.count_nonzero(~known, axis=1).tolist(), strict=True):
+            self.refused[name] += count
+        sound = known.all(axis=0)
+        self.poses += int(np.count_nonzero(sound))
+        self.unusable += int(np.count_nonzero(~sound))
+        self.degraded += int(np.count_nonzero(np.any(states[:, sound] == int(State.DEGRADED), axis=0)))
+
+    def _found(self, complete: Sequence[Transforms]) -> Found:
+        """Return what the chain finds of transforms."""
         stamps = complete[0].stamps_ns
         count, joints = len(stamps), len(self.joints)
         poses, covariances, thetas = (
@@ -129,23 +138,29 @@ class EndpointReprocessor:
             poses[:, j] = each.table.span("pose.position.x", 7)
             covariances[:, j] = each.table["covariance"]
             thetas[:, j] = each.table["native"][:, 5]
-        found = self._lane.endpoints(poses, covariances.reshape(count, joints, 6, 6), stamps, thetas)
-        of_endpoint = found.poses, found.covariances
-        if self._relative and count:
-            if self._home is None:
-                self._home = found.poses[0].copy()
-            of_endpoint = np.empty_like(found.poses), np.empty_like(found.covariances)
-            relative_to(self._home, found.poses, found.covariances, *of_endpoint)
+        return self._lane.endpoints(poses, covariances.reshape(count, joints, 6, 6), stamps, thetas)
+
+    def _published(self, complete: Sequence[Transforms], found: Found) -> Endpoints:
+        """Return the endpoints that are some, relative to home if that is wanted."""
         times = np.max([each.times_ns for each in complete], axis=0)
-        return Endpoints(times, stamps, *of_endpoint, found.angles)
+        if not found.sound.all():
+            sound = found.sound
+            return self._relative_to_home(
+                times[sound],
+                complete[0].stamps_ns[sound],
+                found.poses[sound],
+                found.covariances[sound],
+                found.angles[sound],
+            )
+        return self._relative_to_home(times, complete[0].stamps_ns, found.poses, found.covariances, found.angles)
 
-
-def _usable(transforms: Table) -> BoolArray:
-    """Return which transforms carry a pose that may be used, as ``ros.messages.why_unusable`` says of one."""
-    state = transforms["state"]
-    known = (state == int(State.OK)) | (state == int(State.DEGRADED))
-    poses = transforms.span("pose.position.x", 7)
-    with np.errstate(invalid="ignore"):
-        unit = np.abs(np.linalg.norm(poses[:, 3:], axis=1) - 1.0) <= UNIT_WITHIN
-    finite = np.isfinite(poses).all(axis=1) & np.isfinite(transforms["covariance"]).all(axis=1)
-    return np.asarray(known & unit & finite)
+    def _relative_to_home(
+        self, times_ns: IntArray, stamps_ns: IntArray, poses: FloatArray, covariances: FloatArray, angles: FloatArray
+    ) -> Endpoints:
+        if not self._relative or not len(poses):
+            return Endpoints(times_ns, stamps_ns, poses, covariances, angles)
+        if self._home is None:
+            self._home = poses[0].copy()
+        relative = np.empty_like(poses), np.empty_like(covariances)
+        relative_to(self._home, poses, covariances, *relative)
+        return Endpoints(times_ns, stamps_ns, *relative, angles)

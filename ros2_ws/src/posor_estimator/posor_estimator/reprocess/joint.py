@@ -12,7 +12,6 @@ from posor_estimator.bulk.layout import Table, TableLayout
 from posor_estimator.core.fault import Fault, State
 from posor_estimator.core.posor import Posor
 from posor_estimator.core.scan import Scans
-from posor_estimator.reprocess.poses import write_poses
 from posor_estimator.reprocess.transforms import Transforms, stamps_of
 
 if TYPE_CHECKING:
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from posor_estimator.bulk.pieces import Piece
     from posor_estimator.core.calibration.model import Calibration
     from posor_estimator.core.estimate import Estimates
-    from posor_estimator.core.types import BoolArray, FloatArray
+    from posor_estimator.core.types import BoolArray
     from posor_estimator.ros.messages import CovarianceKind
 
 CONTACTS = 4
@@ -82,10 +81,9 @@ class JointReprocessor:
     def _locate(self, raw: Table, out: Table) -> None:
         """Write what scans give into transforms."""
         found = self._posor.locate_all(scans_of(raw))
-        write_poses(
-            found.rotations, found.translations, found.thetas, out.span("pose.position.x", 7), out.span("native", 6)
-        )
-        out["covariance"] = _covariances(found, self._kind).reshape(-1, 36)
+        out.span("pose.position.x", 7)[:] = found.poses
+        out.span("native", 6)[:] = found.natives
+        self._write_covariances(found, out)
         out["residual"] = found.residuals
         out["redundancy"] = found.redundancy
         out["state"] = found.states
@@ -95,6 +93,13 @@ class JointReprocessor:
             these = out.chosen(lost)
             _lose(these)
             out.rows[lost] = these.rows
+
+    def _write_covariances(self, found: Estimates, out: Table) -> None:
+        room = out.span("covariance", 36).reshape(-1, 6, 6)
+        if self._kind == "total":
+            np.add(found.covariances_random, found.covariances_systematic, out=room)
+        else:
+            room[:] = found.covariances_random if self._kind == "random" else found.covariances_systematic
 
     def _count(self, out: Table) -> None:
         self.scans += len(out)
@@ -135,14 +140,6 @@ def scans_of(raw: Table) -> Scans:
 
 def _has_time(raw: Table) -> BoolArray:
     return np.asarray((raw["header.stamp.sec"] != 0) | (raw["header.stamp.nanosec"] != 0))
-
-
-def _covariances(found: Estimates, kind: CovarianceKind) -> FloatArray:
-    if kind == "random":
-        return found.covariances_random
-    if kind == "systematic":
-        return found.covariances_systematic
-    return found.covariances_random + found.covariances_systematic
 
 
 def _layout(parent: str, child: str, kind: CovarianceKind) -> TableLayout:
