@@ -84,6 +84,8 @@ def results(folder: Path, layout: Layout) -> dict[str, list[object]]:
         assert len(running) == {"separate": 11, "drivers_apart": 2, "composed": 1}[layout]
         graph.watch_diagnostics()
         received = {topic: graph.collect(kind, topic, raw=True) for topic, kind in TOPICS.items()}
+        for program in programs[: -len(JOINTS)]:
+            graph.wait_for_status(f"/five_axis/{program.name}: lifecycle", "active")
         for joint in JOINTS:
             status_with(graph, f"/five_axis/{joint}/posor_node: listeners", "transform", "2")
         for topic in ("endpoint/pose", "endpoint/pose_with_covariance", "joint_states"):
