@@ -98,6 +98,7 @@ def _draw(above: Axes, below: Axes, points: Sequence[dict[str, Any]], by: By) ->
             cores = [point["cpu_cores"] for point in chosen]
             above.plot([point[by] for point in chosen], cores, marker, color=colour, label=label)
     above.set_ylim(bottom=0.0)
-    above.legend(frameon=False)
+    if points:
+        above.legend(frameon=False)
     for ax in (above, below):
         tidy(ax)
