@@ -206,7 +206,8 @@ def _named(node: PosorNode[Any], *, several: bool) -> Iterator[None]:
             raise NodeError(error, name) from error
         raise
     except Exception as error:
-        error.add_note(f"in node {name}")
+        if several:
+            error.add_note(f"in node {name}")
         raise
 
 
