@@ -18,7 +18,7 @@ from posor_bringup.campaign.plant import DRIFT, Plant, as_built
 from posor_bringup.campaign.steps import INTERFEROMETER, steps_of
 from posor_bringup.campaign.told import Told, findings_of_many
 from posor_bringup.findings import Verdict
-from posor_estimator.core.calibrate.entries import entries_of
+from posor_estimator.core.calibration.entries import entries_of
 
 if TYPE_CHECKING:
     from pathlib import Path

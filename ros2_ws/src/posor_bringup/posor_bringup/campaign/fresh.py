@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 from posor_estimator.core.budget.first_order import sensitivities
-from posor_estimator.core.calibrate.stated import stated_covariance
+from posor_estimator.core.calibration.stated import stated_covariance
 from posor_estimator.core.fault import State
 from posor_estimator.core.forward import scans_at
 from posor_estimator.core.posor import Posor

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from posor_estimator.core.calibrate.entries import entries_of
+from posor_estimator.core.calibration.entries import entries_of
 
 if TYPE_CHECKING:
-    from posor_estimator.core.calibrate.entries import Entry
+    from posor_estimator.core.calibration.entries import Entry
     from posor_estimator.core.calibration.model import Calibration
     from posor_estimator.core.types import FloatArray
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 from posor_drivers.simulator.randomness import Stream
-from posor_estimator.core.calibrate.entries import entries_of
 from posor_estimator.core.calibrate.unknowns import Unknowns
 from posor_estimator.core.calibration.edit import parsed
+from posor_estimator.core.calibration.entries import entries_of
 from posor_estimator.core.calibration.model import Calibration, calibration_from
 from posor_estimator.core.designs import design
 from posor_estimator.core.posor import Posor

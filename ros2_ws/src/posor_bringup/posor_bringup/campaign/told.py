@@ -9,7 +9,7 @@ import numpy as np
 from posor_estimator.core.budget.first_order import error_budget, sensitivities
 from posor_estimator.core.budget.poses import middle_pose, scan_at
 from posor_estimator.core.budget.quantities import physical_quantities
-from posor_estimator.core.calibrate.stated import root_of, stated_covariance
+from posor_estimator.core.calibration.stated import root_of, stated_covariance
 from posor_estimator.core.posor import Posor
 from scipy.stats import norm
 

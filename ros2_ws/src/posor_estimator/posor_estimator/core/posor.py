@@ -11,6 +11,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from posor_estimator.core.calibration.model import Calibration, TiltAngle
+from posor_estimator.core.calibration.stated import stated_correlation
 from posor_estimator.core.estimate import Estimate, Estimates
 from posor_estimator.core.fault import Fault
 from posor_estimator.core.forward import scans_at
@@ -66,11 +67,15 @@ class Posor:
             self._settings[layout.MOTION_THETA] = motion.theta.number
         self._settings[layout.BUMP], self._settings[layout.HOME] = counted[0] if counted else (0.0, 0.0)
         self._settings[layout.LAGGING] = float(calibration.tilt_angle is TiltAngle.PREVIOUS_SCAN)
+        correlated = any(record.covariances for record in calibration.fits)
+        self._root = Root.of(
+            self.stack.parameter_sigmas, stated_correlation(calibration, calibration.session) if correlated else None
+        )
         self._prepare()
 
     def _prepare(self) -> None:
         """Make what follows from the stack, nothing remembered."""
-        self.loop = Loop(self.stack, Root.of_sigmas(self.stack.parameter_sigmas), self._settings)
+        self.loop = Loop(self.stack, self._root, self._settings)
         self._lane: Lane | None = None
 
     def with_parameter_values(self, values: FloatArray) -> Posor:
@@ -181,7 +186,7 @@ class Posor:
         jacobian = self._tangent_jacobian(batch.chosen[0], T_R_T)
         weights = 1.0 / batch.variances[0]
         gain = np.linalg.solve(jacobian.T @ (weights[:, None] * jacobian), (weights[:, None] * jacobian).T)
-        parameters = self.stack.residual_jacobian(scan, T_R_T.rotation, T_R_T.translation) * self.stack.parameter_sigmas
+        parameters = self.stack.residual_jacobian(scan, T_R_T.rotation, T_R_T.translation) @ self._root.dense()
         whole = np.linalg.inv(np.diag(batch.variances[0]) + parameters @ parameters.T)
         seen = whole - whole @ jacobian @ np.linalg.solve(jacobian.T @ whole @ jacobian, jacobian.T @ whole)
         return np.kron(np.eye(2), T_R_T.rotation) @ gain, np.diagonal(seen).copy()

@@ -10,9 +10,9 @@ import pinocchio as pin
 import pytest
 from posor_estimator.accuracy.poses import readable, readable_poses
 from posor_estimator.core.calibrate.bundle import BundleOptions, fit_bundle, solve
-from posor_estimator.core.calibrate.entries import entries_of
 from posor_estimator.core.calibrate.explain import explained
 from posor_estimator.core.calibrate.unknowns import Unknowns
+from posor_estimator.core.calibration.entries import entries_of
 from posor_estimator.core.calibration.load import load_calibration
 from posor_estimator.core.calibration.quantity import Quantity
 from posor_estimator.core.designs import design

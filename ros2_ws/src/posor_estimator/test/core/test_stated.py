@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 import yaml
-from posor_estimator.core.calibrate.entries import entries_of
 from posor_estimator.core.calibrate.procedure import Outcome
 from posor_estimator.core.calibrate.recording import Recording
 from posor_estimator.core.calibrate.replacement import JointCovariance, Replacement
 from posor_estimator.core.calibrate.result import Run, applied, written
-from posor_estimator.core.calibrate.stated import Taken, root_of, stated_covariance
+from posor_estimator.core.calibrate.stated import Taken
+from posor_estimator.core.calibration.entries import entries_of
 from posor_estimator.core.calibration.load import calibration_of
+from posor_estimator.core.calibration.stated import root_of, stated_covariance
 from posor_estimator.core.designs import design
 from posor_estimator.core.forward import empty_scans
 from posor_estimator.core.posor import Posor

@@ -6,13 +6,15 @@ leans; x, y and theta are taken as measured, they move the gaps only through the
 
 from __future__ import annotations
 
+import datetime as dt
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
 
 from posor_estimator.core.calibrate.parameters import the_sensor
+from posor_estimator.core.calibration.fit_record import FitRecord, RecordedData
 from posor_estimator.core.calibration.quantity import Quantity
 from posor_estimator.core.calibration.session import Session
 from posor_estimator.core.native import rotation_from_native
@@ -90,7 +92,23 @@ def digital_zero(calibration: Calibration, scans: Scans, home: tuple[float, floa
     shifts = Quantity(value=(before + changes).tolist(), sigma=sigmas.tolist(), unit="V")
     zeroed = probes.for_session(Session(note=WHAT, zero_shifts=shifts))
     sensors = [zeroed if i == where else part for i, part in enumerate(calibration.sensors)]
-    return DigitalZero(calibration.model_copy(update={"sensors": sensors}), shifts, changes)
+    update: dict[str, Any] = {"sensors": sensors}
+    if calibration.fits:
+        update["fits"] = [*calibration.fits, _record(calibration.session, where, len(names), mean.stamp_ns)]
+    return DigitalZero(calibration.model_copy(update=update), shifts, changes)
+
+
+def _record(session: str, where: int, probes: int, stamp_ns: int) -> FitRecord:
+    """Return what says that the zero shifts are no longer those of the fits before, with what those said of them."""
+    date = dt.datetime.fromtimestamp(stamp_ns * 1e-9, tz=dt.UTC).isoformat(timespec="seconds")
+    shifts = [f"sensors[{where}].probes[{i}].zero_shift" for i in range(probes)]
+    return FitRecord(
+        procedure="digital_zero",
+        method="zero shifts that show the target at home (thesis 8.3.1)",
+        date=date,
+        recording=RecordedData(name="scans at home", sha256=""),
+        replaced=[*shifts, f"sessions.{session}.zero_shifts"],
+    )
 
 
 def _at_rest(scans: Scans, names: list[str]) -> tuple[Scan, FloatArray]:

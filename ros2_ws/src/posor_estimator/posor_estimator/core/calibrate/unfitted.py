@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posor_estimator.core.calibrate.bundle_problem import BundleProblem
-from posor_estimator.core.calibrate.stated import root_of
+from posor_estimator.core.calibration.stated import root_of
 
 if TYPE_CHECKING:
     from posor_estimator.core.calibrate.bundle_data import BundleData

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from posor_estimator.core.calibrate.entries import Entry, entries_of
 from posor_estimator.core.calibrate.replacement import JointCovariance, Replacement
 from posor_estimator.core.calibrate.stated import Taken
+from posor_estimator.core.calibration.entries import Entry, entries_of
 from posor_estimator.core.stack import Stack
 from posor_estimator.errors import FitError
 

@@ -13,7 +13,7 @@ import json
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union
 
-from pydantic import Field, SerializeAsAny, create_model, field_validator, model_validator
+from pydantic import Field, PrivateAttr, SerializeAsAny, create_model, field_validator, model_validator
 
 from posor_estimator.core.calibration.choice import chosen_by
 from posor_estimator.core.calibration.entry import EntryError
@@ -94,6 +94,7 @@ class Calibration(FrozenModel):
     sensors: list[SerializeAsAny[SensorCalibration]]
     sessions: dict[str, Session] = Field(default_factory=dict)
     fits: list[FitRecord] = Field(default_factory=list)
+    _session: str = PrivateAttr(default="")
 
     @field_validator("sessions")
     @classmethod
@@ -118,6 +119,11 @@ class Calibration(FrozenModel):
         text = json.dumps(self.model_dump(mode="json", exclude=later), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
 
+    @property
+    def session(self) -> str:
+        """Name of the session that has been applied; empty: none."""
+        return self._session
+
     def for_session(self, name: str) -> Self:
         """Return the calibration with one session's replacements applied; an empty name leaves it as it is.
 
@@ -132,7 +138,9 @@ class Calibration(FrozenModel):
             raise CalibrationError(f"session '{name}' is unknown", where=f"calibration '{self.name}'", expected=known)
         session = self.sessions[name]
         sensors = [sensor.for_session(session) for sensor in self.sensors]
-        return self.model_copy(update={"sensors": sensors, "sessions": {name: session}})
+        applied = self.model_copy(update={"sensors": sensors, "sessions": {name: session}})
+        applied._session = name  # noqa: SLF001  a copy of the same class
+        return applied
 
 
 def calibration_from(content: Mapping[str, Any]) -> Calibration:
