@@ -38,7 +38,6 @@ class Posor:
 
     Attributes:
         calibration: The calibration, its session applied.
-        stack: Its sensors.
         redundancy: Number of redundant readings.
         loop: The loop over scans, with what is remembered.
 
@@ -54,7 +53,7 @@ class Posor:
 
         """
         self.calibration = calibration
-        self.stack = Stack([sensor.build() for sensor in calibration.sensors])
+        self._stack = Stack([sensor.build() for sensor in calibration.sensors])
         self.redundancy = max(self.stack.readings - 6, 0)
         counted = [(sensor.bump_angle, sensor.home_theta) for sensor in calibration.sensors if sensor.bump_angle > 0.0]
         motion = calibration.motion
@@ -84,9 +83,14 @@ class Posor:
         ``calibration`` stays what this one was made of.
         """
         other = copy.copy(self)
-        other.stack = self.stack.with_parameter_values(values)
+        other._stack = self.stack.with_parameter_values(values)  # noqa: SLF001  a copy of the same class
         other._prepare()  # noqa: SLF001  a copy of the same class
         return other
+
+    @property
+    def stack(self) -> Stack:
+        """The sensors; for others there is ``with_parameter_values``."""
+        return self._stack
 
     def reset(self) -> None:
         """Forget the last pose and the count; the next scan starts from a closed form."""

@@ -174,9 +174,7 @@ def test_the_calibrated_posor_sees_fresh_poses_better() -> None:
     scans = scans.chosen(np.flatnonzero(readable(scans)))
     errors = []
     for stack in (before.stack, after):
-        posor = Posor(campaign.calibration)
-        posor.stack = stack
-        found = posor.locate_each(scans)
+        found = before.with_parameter_values(stack.parameter_values).locate_each(scans)
         kept = found.states == 0
         off = found.translations[kept] - translations[: len(scans)][kept] if len(scans) == 40 else None
         assert off is not None
