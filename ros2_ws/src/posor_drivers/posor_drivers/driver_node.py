@@ -183,7 +183,7 @@ class DriverNode(PosorNode[DriverParameters]):
             self._status.report(Level.OK, "running")
         elif state in (ReplayState.ENDED, ReplayState.FAILED):
             self._deliver()
-            self._refresh()
+            self._tell()
             level, message = (Level.OK, "ended") if error is None else (Level.ERROR, str(error))
             self._status.report(level, message)
             if error is not None or self.parameters.on_end == "exit":
@@ -201,6 +201,13 @@ class DriverNode(PosorNode[DriverParameters]):
                     break
 
     def _refresh(self) -> None:
+        """Bring the diagnostics up to date, and begin anew where the time has become simulated, or is no longer."""
+        self._tell()
+        if isinstance(self._run, LiveRun) and self._run.clock_has_changed and self._run.stop():
+            self._run = self._new_run()
+            self._run.start()
+
+    def _tell(self) -> None:
         """Bring counts and rate up to date."""
         now, count = time.monotonic(), self._counts.get(RAW_TOPIC, 0)
         before, counted = self._rated
@@ -210,9 +217,6 @@ class DriverNode(PosorNode[DriverParameters]):
         self._status.update({"scans_published": count, "messages_published": messages, "scans_per_second": rate})
         if self._pace is not None:
             self._pace.report()
-        if isinstance(self._run, LiveRun) and self._run.clock_has_changed and self._run.stop():
-            self._run = self._new_run()
-            self._run.start()
 
 
 def main() -> int:

@@ -118,7 +118,10 @@ class WallTime(RosTime):
         """Wait, in the end without being woken by anything else."""
         steady_ns = self._steady_ns()
         if steady_ns - self._compared_ns >= CHECK_NS:
+            epoch = self.epoch
             self._follow()
+            if self.epoch != epoch:
+                return
         left_ns = time_ns - self._at(steady_ns)
         if left_ns > PRECISE_NS:
             self._wake.wait(min(left_ns - PRECISE_NS // 2, CHECK_NS) / NS)

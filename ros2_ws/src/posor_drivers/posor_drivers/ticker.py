@@ -66,10 +66,11 @@ class Beat:
         with self._lock:
             if self._ended:
                 return False
-            if now_ns < self.due_ns and self._epoch == self.time.epoch:
+            if self._epoch != self.time.epoch:
+                self._epoch = self.time.epoch
+            elif now_ns < self.due_ns:
                 return True
-            self._epoch = self.time.epoch
-            if now_ns >= self.due_ns > 1:
+            elif self.due_ns > 1:
                 self.late.note(self.due_ns)
             try:
                 for due in self._dues:
@@ -82,7 +83,7 @@ class Beat:
             else:
                 failure = None
             self._ended = True
-        self._on_end(failure)
+            self._on_end(failure)
         return False
 
     def end(self) -> bool:
@@ -134,17 +135,16 @@ class Ticker:
 
     def remove(self, beat: Beat) -> None:
         """Let a driver take part no more; the thread ends with the last one, and has then ended."""
-        if self._is_over_without(beat):
+        self._go_on_without(beat)
+        if not self._beats:
             self.time.wake()
             self._thread.join()
 
-    def _is_over_without(self, beat: Beat) -> bool:
+    def _go_on_without(self, beat: Beat) -> None:
         with _lock:
             self._beats = tuple(other for other in self._beats if other is not beat)
-            if self._beats or _tickers.get(self._key) is not self:
-                return False
-            del _tickers[self._key]
-            return True
+            if not self._beats and _tickers.get(self._key) is self:
+                del _tickers[self._key]
 
     def _run(self) -> None:
         wake_exactly()
@@ -156,7 +156,7 @@ class Ticker:
             now_ns = time.turn_ns = time.now_ns
             for beat in beats:
                 if not beat.go_on(now_ns):
-                    self._is_over_without(beat)
+                    self._go_on_without(beat)
         sys.setswitchinterval(SWITCH_S)
         time.close()
 

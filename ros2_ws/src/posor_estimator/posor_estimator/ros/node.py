@@ -182,8 +182,12 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Undo what was done, in reverse order; the program then ends."""
-        due = {"active": [self.deactivate, self.cleanup], "inactive": [self.cleanup]}.get(state.label, [])
-        result = self._transition("finalized", *due, lambda: super(PosorNode, self).on_shutdown(state))
+        due: dict[str, list[Callable[[], object]]] = {
+            "active": [self.deactivate, lambda: super(PosorNode, self).on_deactivate(state), self.cleanup],
+            "inactive": [self.cleanup],
+        }
+        steps = due.get(state.label, [])
+        result = self._transition("finalized", *steps, lambda: super(PosorNode, self).on_shutdown(state))
         self._finalized = result == TransitionCallbackReturn.SUCCESS
         self.exit_requested = True
         return result
