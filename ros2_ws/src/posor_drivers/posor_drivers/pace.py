@@ -48,9 +48,10 @@ class Pace:
             if due_ns.size:
                 values |= figures("lateness", begun_ns - due_ns)
             time = beat.time
-            values |= {"clock_steps": time.steps, "last_clock_step": time.step_s}
-            if time.steps > self._steps:
-                self._steps = time.steps
+            steps = time.steps - beat.steps_before
+            values |= {"clock_steps": steps, "last_clock_step": time.step_s if steps else 0.0}
+            if steps > self._steps:
+                self._steps = steps
                 said.append(f"the wall's clock was stepped by {time.step_s:.6g} s, ticks have begun anew")
                 self._logger.warning(said[-1])
         self._status.report(Level.WARN if said else Level.OK, "; ".join(said) or "in time", values)

@@ -32,6 +32,7 @@ class Beat:
         due_ns: When it is to go on [ns].
         late: When its ticks were due, and when it came to them.
         time: The ROS time that it follows.
+        steps_before: How often the wall's clock had been stepped when it began.
 
     """
 
@@ -54,6 +55,7 @@ class Beat:
         self.due_ns = 0
         self.late = Moments() if isinstance(time, WallTime) else Moments(lambda: time.now_ns)
         self.time = time
+        self.steps_before = time.steps
         self._epoch = time.epoch
         self._dues = dues
         self._publish = publish
