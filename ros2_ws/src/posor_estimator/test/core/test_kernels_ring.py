@@ -18,7 +18,9 @@ WHOLE_NUMBERS = (7, 8, 11, 14)  # the number of harmonics, and each k: not to be
 
 
 def read(row: FloatArray, pose: pin.SE3) -> float:
-    return kernel.ring_gap(row[None], 0, pose.rotation.copy(), pose.translation.copy(), np.empty((1, 6)))
+    return kernel.ring_gap(
+        row[None], 0, np.empty((1, 1)), pose.rotation.copy(), pose.translation.copy(), np.empty((1, 6))
+    )
 
 
 @pytest.fixture
@@ -76,7 +78,7 @@ def test_tangent_derivative_is_that_of_finite_differences(
     for _ in range(CASES):
         row, pose = random_case()
         jacobian = np.empty((1, 6))
-        kernel.ring_gap(row[None], 0, pose.rotation.copy(), pose.translation.copy(), jacobian)
+        kernel.ring_gap(row[None], 0, np.empty((1, 1)), pose.rotation.copy(), pose.translation.copy(), jacobian)
         expected = central_difference(lambda step: read(row, pose * pin.exp6(step)), 6)  # noqa: B023  used at once
         np.testing.assert_allclose(jacobian[0], expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
 
@@ -87,9 +89,18 @@ def test_parameter_derivatives_are_those_of_finite_differences(
 ) -> None:
     for _ in range(CASES):
         row, pose = random_case()
-        jacobian = np.empty((1, row.size))
-        kernel.ring_parameters(row[None], 0, pose.rotation.copy(), pose.translation.copy(), jacobian)
+        jacobian, prepared = np.empty((1, row.size)), np.empty((1, 1))
+        kernel.prepare_ring(0, prepared)
+        kernel.ring_parameters(row[None], 0, prepared, pose.rotation.copy(), pose.translation.copy(), jacobian)
         differentiable = np.ones(row.size)
         differentiable[list(WHOLE_NUMBERS)] = 0.0
         expected = central_difference(lambda step: read(row + step * differentiable, pose), row.size)  # noqa: B023  used at once
         np.testing.assert_allclose(jacobian[0], expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
+
+
+def test_multiples_of_an_angle_are_those_of_cosine_and_sine() -> None:
+    for angle in np.linspace(-math.pi, math.pi, 41):
+        for k in (0, 1, 2, 3, 35, 36, 37, 108, 240):
+            found = kernel.turned_times(math.cos(angle), math.sin(angle), k)
+            expected = (math.cos(k * angle), math.sin(k * angle))
+            np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-15 * (1 + 4 * k))

@@ -71,9 +71,9 @@ def invert(lower: FloatArray) -> None:
 def halve(lower: FloatArray, columns: FloatArray, count: int) -> None:
     """Solve ``lower @ x = column`` for the first ``count`` columns (n, count or more), in place."""
     for i in range(lower.shape[0]):
-        for k in range(i):
-            for c in range(count):
-                columns[i, c] -= lower[i, k] * columns[k, c]
         reciprocal = 1.0 / lower[i, i]
         for c in range(count):
-            columns[i, c] *= reciprocal
+            rest = columns[i, c]
+            for k in range(i):
+                rest -= lower[i, k] * columns[k, c]
+            columns[i, c] = rest * reciprocal

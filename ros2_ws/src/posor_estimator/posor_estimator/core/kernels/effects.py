@@ -94,7 +94,7 @@ def find_shares(places: IntArray, ints: IntArray) -> None:  # noqa: C901, PLR091
 
 
 @compiled
-def reading_covariance(  # noqa: C901  loops over plain numbers, to be compiled
+def reading_covariance(  # noqa: C901, PLR0912  loops over plain numbers, to be compiled
     places: IntArray, ints: IntArray, floats: FloatArray
 ) -> None:
     """Add the readings' covariance from the calibration's parameters to READINGS [m^2].
@@ -103,9 +103,16 @@ def reading_covariance(  # noqa: C901  loops over plain numbers, to be compiled
     """
     shares, blocks, tally = table(places, ints, SHARES), table(places, ints, BLOCKS), line(places, ints, TALLY, 0)
     effects, out = table(places, floats, EFFECTS), table(places, floats, READINGS)
+    total, to = 0.0, -1
     for s in range(tally[ALONE]):
+        if shares[s, 2] != to:
+            if to >= 0:
+                floats[to] += total
+            total, to = 0.0, shares[s, 2]
         effect = floats[shares[s, 0]] * floats[shares[s, 1]]
-        floats[shares[s, 2]] += effect * effect
+        total += effect * effect
+    if to >= 0:
+        floats[to] += total
     for b in range(tally[COLUMNS]):
         for r in range(blocks[b, 2], blocks[b, 3] + 1):
             for c in range(blocks[b, 0], blocks[b, 0] + blocks[b, 1]):

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 @compiled
-def covariances(  # noqa: C901, PLR0912  loops over plain numbers, to be compiled
+def covariances(  # noqa: C901  loops over plain numbers, to be compiled
     places: IntArray,
     floats: FloatArray,
     used: int,
@@ -69,19 +69,31 @@ def covariances(  # noqa: C901, PLR0912  loops over plain numbers, to be compile
             for k in range(6):
                 total += jacobian[r, k] * local[k, i]
             gain[r, i] = weights[r] * total
-            pushed[r, i] = 0.0
     for r in range(used):
+        a = b = c = d = e = f = 0.0
         for q in range(used):
-            for i in range(6):
-                pushed[r, i] += systematic_readings[r, q] * gain[q, i]
+            of_q = systematic_readings[r, q]
+            a += of_q * gain[q, 0]
+            b += of_q * gain[q, 1]
+            c += of_q * gain[q, 2]
+            d += of_q * gain[q, 3]
+            e += of_q * gain[q, 4]
+            f += of_q * gain[q, 5]
+        pushed[r, 0], pushed[r, 1], pushed[r, 2] = a, b, c
+        pushed[r, 3], pushed[r, 4], pushed[r, 5] = d, e, f
     to_parent(local, rotation, half, random)
     for i in range(6):
-        for j in range(6):
-            local[i, j] = 0.0
-    for r in range(used):
-        for i in range(6):
-            for j in range(6):
-                local[i, j] += gain[r, i] * pushed[r, j]
+        a = b = c = d = e = f = 0.0
+        for r in range(used):
+            of_r = gain[r, i]
+            a += of_r * pushed[r, 0]
+            b += of_r * pushed[r, 1]
+            c += of_r * pushed[r, 2]
+            d += of_r * pushed[r, 3]
+            e += of_r * pushed[r, 4]
+            f += of_r * pushed[r, 5]
+        local[i, 0], local[i, 1], local[i, 2] = a, b, c
+        local[i, 3], local[i, 4], local[i, 5] = d, e, f
     to_parent(local, rotation, half, systematic)
 
 
@@ -130,16 +142,18 @@ def chi_square(  # noqa: C901  loops over plain numbers, to be compiled
     halve(total, sides, 7)
     right = table(places, floats, SQUARES)[6:12]
     out = 0.0
-    for i in range(6):
-        right[i, 0] = 0.0
-        for j in range(i + 1):
-            normal[i, j] = 0.0
     for r in range(m):
         out += sides[r, 6] * sides[r, 6]
-        for i in range(6):
-            right[i, 0] += sides[r, i] * sides[r, 6]
-            for j in range(i + 1):
-                normal[i, j] += sides[r, i] * sides[r, j]
+    for i in range(6):
+        total_i = 0.0
+        for r in range(m):
+            total_i += sides[r, i] * sides[r, 6]
+        right[i, 0] = total_i
+        for j in range(i + 1):
+            total_ij = 0.0
+            for r in range(m):
+                total_ij += sides[r, i] * sides[r, j]
+            normal[i, j] = total_ij
     if not factor(normal) > 0.0:
         return math.nan
     halve(normal, right, 1)

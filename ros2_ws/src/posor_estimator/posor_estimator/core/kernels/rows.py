@@ -12,7 +12,7 @@ import numpy as np
 
 from posor_estimator.core.compiled import compiled
 from posor_estimator.core.kernels.gap import PREPARED, gap, gap_parameters, prepare_gap
-from posor_estimator.core.kernels.ring import ring_gap, ring_parameters
+from posor_estimator.core.kernels.ring import prepare_ring, ring_gap, ring_parameters
 from posor_estimator.core.kernels.spot import PARAMETERS as SPOT_PARAMETERS
 from posor_estimator.core.kernels.spot import meet, prepare_spot, spot_parameters, spot_tangent
 
@@ -39,6 +39,8 @@ def prepare_row(kind: int, rows: FloatArray, r: int, prepared: FloatArray) -> No
         prepare_gap(rows, r, prepared)
     elif kind in (SPOT_X, SPOT_Y, SPOT, SECOND):
         prepare_spot(rows, r, prepared)
+    elif kind == RING:
+        prepare_ring(r, prepared)
 
 
 @compiled
@@ -111,7 +113,7 @@ def evaluate(
             _, predicted[r], along, _, for_y = meet(rows, r, prepared, rotation, translation)
             spot_tangent(rows, r, prepared, rotation, along, for_y, jacobian, r)
         elif kind == RING:
-            predicted[r] = ring_gap(rows, r, rotation, translation, jacobian)
+            predicted[r] = ring_gap(rows, r, prepared, rotation, translation, jacobian)
         elif kind == AFFINE:
             reading = rows[r, 0]
             for i in range(6):
@@ -146,7 +148,7 @@ def by_parameters(
                 to = r + 1 if kind == SPOT else r
                 spot_parameters(rows, r, prepared, rotation, x, y, along, for_y, jacobian, to)
         elif kind == RING:
-            ring_parameters(rows, r, rotation, translation, jacobian)
+            ring_parameters(rows, r, prepared, rotation, translation, jacobian)
 
 
 @compiled

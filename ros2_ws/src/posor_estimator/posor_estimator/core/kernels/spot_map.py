@@ -78,7 +78,11 @@ def _tensor(
             y_u += parameters[half + k] * du * fv
             x_v += of_x * dv
             y_v += of_y * dv
-            less_by[0, k] = less_by[1, half + k] = -fu * fv
+    for i in range(n):
+        less = -basis[0, i]
+        for j in range(m):
+            k = i * m + j
+            less_by[0, k] = less_by[1, half + k] = less * basis[2, j]
     position[0], position[1] = x, y
     slope[0, 0], slope[0, 1] = x_u / frame[2], x_v / frame[3]
     slope[1, 0], slope[1, 1] = y_u / frame[2], y_v / frame[3]

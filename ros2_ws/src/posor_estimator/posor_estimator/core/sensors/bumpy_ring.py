@@ -162,7 +162,7 @@ class BumpyRing(RowSensor):
         """
         out = np.empty(len(phases))
         jacobian = np.empty((len(self._names), 6))
-        rows = self.pool.rows
+        rows, unused = self.pool.rows, np.empty((len(self._names), 1))
         radius = float(self._array("mean_radius"))
         for n, phase in enumerate(phases):
             theta = phase / self.bumps
@@ -170,7 +170,7 @@ class BumpyRing(RowSensor):
                 [[math.cos(theta), -math.sin(theta), 0.0], [math.sin(theta), math.cos(theta), 0.0], [0.0, 0.0, 1.0]]
             )
             for r in range(len(rows)):
-                ring_gap(rows, r, rotation, np.zeros(3), jacobian)
+                ring_gap(rows, r, unused, rotation, np.zeros(3), jacobian)
             spread = np.linalg.svd(jacobian[:, [0, 1, 5]] / np.array([1.0, 1.0, radius]), compute_uv=False)
             out[n] = spread[2] / spread[0]
         return out
