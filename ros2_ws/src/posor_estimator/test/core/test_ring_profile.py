@@ -65,9 +65,9 @@ def true_ring(random: np.random.Generator) -> tuple[Calibration, dict[str, float
     return calibration_from(content), truth
 
 
-def campaign(random: np.random.Generator, turns: float = 1.5, count: int = 320) -> Campaign:
+def campaign(random: np.random.Generator, turns: float = 1.5, count: int = 320, first: float = 0.0) -> Campaign:
     calibration, truth = true_ring(random)
-    thetas = np.linspace(0.0, 2.0 * np.pi * turns, count)
+    thetas = first + np.linspace(0.0, 2.0 * np.pi * turns, count)
     rotations = np.array([rotation_from_native(1e-3, -5e-4, theta) for theta in thetas])
     translations = np.column_stack([RUNOUT * random.normal(size=(count, 2)), np.full(count, 0.7e-3)])
     stamps = (1 + np.arange(count, dtype=np.int64)) * 10_000_000
@@ -127,6 +127,17 @@ def test_the_new_profile_measures_better(rng: np.random.Generator) -> None:
         found = Posor(calibration, false_alarm=0.0).locate_all(made.recording.scans)
         rms.append(float(np.std(found.thetas - track)))
     assert rms[1] < 0.2 * rms[0]
+
+
+def test_turns_are_counted_by_the_reference(rng: np.random.Generator) -> None:
+    made = campaign(rng, turns=2.0, count=400)
+    assert run(made, theta=THETA).method.startswith("self-calibration over 2.00 turns, 400 scans")
+    made = campaign(rng, turns=1.5)
+    assert run(made).method.startswith("self-calibration over 1.50 turns, 320 scans")
+    # A little to and fro where the POSOR's own theta goes from pi to -pi is no turn.
+    made = campaign(rng, turns=0.2 / (2.0 * np.pi), first=np.pi - 0.1)
+    with pytest.raises(FitError, match=r"ring_profile, simulated: 0\.03 of a turn; expected a full turn"):
+        run(made, theta=THETA)
 
 
 def test_bad_data(rng: np.random.Generator) -> None:

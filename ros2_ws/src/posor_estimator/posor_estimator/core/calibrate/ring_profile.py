@@ -80,8 +80,8 @@ class _Turns:
     Attributes:
         scans: (n,).
         poses: ``T_R_T``, (n,).
-        thetas: Turns counted [rad], (n,).
-        said: By the reference [rad], (n,); None: there is none.
+        thetas: By the POSOR [rad], (n,); turns counted where there is no reference.
+        said: By the reference, turns counted [rad], (n,); None: there is none.
 
     """
 
@@ -89,6 +89,11 @@ class _Turns:
     poses: list[pin.SE3]
     thetas: FloatArray
     said: FloatArray | None
+
+    @property
+    def turned(self) -> float:
+        """How far the target went [rad]."""
+        return float(np.ptp(self.thetas if self.said is None else self.said))
 
 
 def find_ring_profile(recording: Recording, calibration: Calibration, options: RingProfileOptions) -> Outcome:
@@ -178,7 +183,8 @@ def _turns(
     estimates = _located(scans, calibration, said, part.bump_angle, where)
     thetas = estimates.thetas
     kept = np.isfinite(thetas) if said is None else np.isfinite(thetas) & np.isfinite(said)
-    turned = float(np.ptp(thetas[kept])) if kept.any() else 0.0
+    counted = thetas if said is None else said  # with a reference the POSOR's own begin anew at each scan, and wrap
+    turned = float(np.ptp(counted[kept])) if kept.any() else 0.0
     if turned < 2.0 * np.pi * (1.0 - 1.0 / part.ring.bumps):
         raise FitError(f"{turned / (2.0 * np.pi):.2f} of a turn", where=where, expected="a full turn, better several")
     which = np.flatnonzero(kept)
@@ -292,10 +298,9 @@ def _outcome(
             f"Orders {', '.join(map(str, untold))} cannot be separated from runout or uneven turning: they stay as "
             f"they were{more}."
         )
-    turned = np.ptp(turns.thetas) / (2.0 * np.pi)
     return Outcome(
-        method=f"self-calibration over {turned:.2f} turns, {len(turns.thetas)} scans, poses eliminated; "
-        f"theta {'by a reference' if options.theta else 'counted from the home mark'}",
+        method=f"self-calibration over {turns.turned / (2.0 * np.pi):.2f} turns, {len(turns.thetas)} scans, poses "
+        f"eliminated; theta {'by a reference' if options.theta else 'counted from the home mark'}",
         fits={NAME: found},
         parts=(Part(key, ring),),
         covariances=(joint,),
