@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray
 
 MICRO = 1e6
-MUCH = 2.0
-"""So many times may the estimator overstate a curve's uncertainty before it is said."""
 NAME = "gap_linearisation"
 
 
@@ -121,31 +119,25 @@ def linearised(probe: OneProbe, data: GapData, options: GapLinearisationOptions)
     if chosen.span[0] > low or chosen.span[1] < high:
         said = f"the stops span {chosen.span[0]:.4g} to {chosen.span[1]:.4g} V, which becomes its range"
         warnings += (f"{probe.name}: {said}; it was {low:.4g} to {high:.4g} V.",)
-    found = LinearisedProbe(
+    return LinearisedProbe(
         probe, data, polynomials, chosen, coefficients, covariance, warnings + misfit_sentences(chosen.fit, probe.name)
     )
-    jointly, counted = uncertainty_over_range(found)[1:]
-    if np.any(counted > MUCH * jointly):
-        said = "the coefficients vary together, which the estimator does not know of: it counts up to"
-        times = f"{np.max(counted / jointly):.2g} times the uncertainty that the curve has"
-        found = replace(found, warnings=(*found.warnings, f"{probe.name}: {said} {times}."))
-    return found
 
 
 def uncertainty_over_range(one: LinearisedProbe) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return voltages over the range, and the curve's standard uncertainty there: joint, and as if independent.
 
     Returns:
-        Voltages [V]; standard uncertainty of the gap [m] by the full covariance; that by the coefficients' own standard
-        uncertainties alone, which is what the estimator counts; (9,) each.
+        Voltages [V]; standard uncertainty of the gap [m] by the full covariance, which is what the estimator counts;
+        that by the coefficients' own standard uncertainties alone; (9,) each.
 
     """
     volts = np.linspace(*one.chosen.span, 9)
     powers = volts[:, None] ** np.arange(len(one.coefficients))
     jointly = np.sqrt(np.einsum("ni,ij,nj->n", powers, one.covariance, powers))
     sigmas = np.sqrt(np.diag(one.covariance)).tolist()
-    counted = one.probe.polynomial_at(volts, Quantity(value=one.coefficients.tolist(), sigma=sigmas, unit="m/V^k"))[1]
-    return volts, jointly, counted
+    alone = one.probe.polynomial_at(volts, Quantity(value=one.coefficients.tolist(), sigma=sigmas, unit="m/V^k"))[1]
+    return volts, jointly, alone
 
 
 def _with_zero(
@@ -209,9 +201,9 @@ def _coefficient_table(one: LinearisedProbe) -> Table:
 def _uncertainty_table(probes: list[LinearisedProbe]) -> Table:
     rows = []
     for one in probes:
-        volts, jointly, counted = uncertainty_over_range(one)
+        volts, jointly, alone = uncertainty_over_range(one)
         for at in (0, len(volts) // 2, len(volts) - 1):
-            uncertainties = MICRO * float(jointly[at]), MICRO * float(counted[at])
+            uncertainties = MICRO * float(jointly[at]), MICRO * float(alone[at])
             rows.append((one.probe.calibration.name, float(volts[at]), *uncertainties))
     return Table(
         "standard uncertainty of the curves",
