@@ -70,14 +70,35 @@ def test_the_page_stands_alone_and_names_what_counts(made: Path) -> None:
         assert text in page, text
 
 
-def test_the_table_ends_with_the_totals(calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([str(calibration), "--draws", "20000", "--output", str(tmp_path)]) == 0
+def test_the_table_ends_with_the_totals_and_says_what_varies_together(
+    calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = yaml.safe_load(calibration.read_text(encoding="utf-8"))
+    tips = ["sensors[0].probes[1].tip[2]", "sensors[0].probes[2].tip[2]"]
+    variance = float(np.square(content["sensors"][0]["probes"][1]["tip"]["sigma"]).max())
+    joint = {"entries": tips, "rows": [[variance], [0.5 * variance, variance]]}
+    record = {
+        "procedure": "by_hand",
+        "method": "by hand",
+        "date": "2026-01-01T00:00:00Z",
+        "recording": {"name": "none", "sha256": ""},
+        "replaced": tips,
+        "covariances": [joint],
+    }
+    correlated = tmp_path / "correlated.yaml"
+    correlated.write_text(yaml.safe_dump({**content, "version": 2, "fits": [record]}), encoding="utf-8")
+    assert main([str(correlated), "--draws", "20000", "--output", str(tmp_path)]) == 0
     out, err = capsys.readouterr()
     assert not err
     order = ["gap_2: tip", "all random", "all systematic", "root sum square", "full covariance", "Monte Carlo, 20000"]
     places = [out.index(text) for text in order]
     assert places == sorted(places)
     assert "µrad" in out
+    said = " ".join(out.split())
+    assert "By the calibration 2 quantities vary together, such as gap_2: tip: each contribution is that of one" in said
+    assert "By the calibration 2 quantities vary together" in (tmp_path / "budget.html").read_text(encoding="utf-8")
+    content = json.loads((tmp_path / "budget.json").read_text(encoding="utf-8"))
+    assert content["vary_together"] == ["gap_2: tip", "gap_3: tip"]
     assert "Taken as exact, no uncertainty is stated: target plane: point." in out
 
 

@@ -9,7 +9,6 @@ import numpy as np
 from posor_estimator.core.budget.first_order import error_budget, sensitivities
 from posor_estimator.core.budget.poses import middle_pose, scan_at
 from posor_estimator.core.budget.quantities import physical_quantities
-from posor_estimator.core.calibration.stated import root_of, stated_covariance
 from posor_estimator.core.posor import Posor
 from scipy.stats import norm
 
@@ -81,15 +80,15 @@ class Told:
         calibration = bagged[-1].calibration
         posor = Posor(calibration)
         pose = middle_pose(posor)
-        scan, covariance = scan_at(posor, pose), stated_covariance(calibration)
-        pushed = sensitivities(posor, scan, pose).by_parameter @ root_of(covariance)
+        scan = scan_at(posor, pose)
+        pushed = sensitivities(posor, scan, pose).by_parameter @ posor.parameter_root
         return Told(
             plant=plant,
             bagged=bagged,
             numbers=judged(plant, calibration),
             fresh=fresh_poses(plant, calibration, POSES),
-            budget=error_budget(posor, scan, pose, parameter_covariance=covariance),
-            gains=_gains(posor, pushed, root_of(covariance)),
+            budget=error_budget(posor, scan, pose),
+            gains=_gains(posor, pushed, posor.parameter_root),
             common=np.linalg.norm(pushed, axis=1),
             coverage=coverage,
         )

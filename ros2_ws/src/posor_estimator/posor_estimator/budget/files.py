@@ -75,6 +75,7 @@ def as_json(told: ToldBudget) -> dict[str, Any]:
             for rank, part in enumerate(budget.contributions, start=1)
         ],
         "taken_as_exact": list(budget.unstated),
+        "vary_together": list(budget.together),
         "draws": {"seed": told.seed, "used": drawn.trials, "without_a_pose": drawn.lost},
     }
 

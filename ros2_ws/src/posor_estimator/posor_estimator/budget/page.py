@@ -75,6 +75,8 @@ def page(told: ToldBudget) -> str:
     header = ("quantity", "kind", *(heading(output) for output in told.budget.outputs))
     rows = [cells([name, kind, *line]) for name, kind, line in rows_of(told)]
     notes = list(NOTES)
+    if told.together:
+        notes.append(told.together)
     if told.budget.unstated:
         notes.append(f"Taken as exact, since no uncertainty is stated: {', '.join(told.budget.unstated)}.")
     terms = {

@@ -30,6 +30,8 @@ def print_budget(told: ToldBudget, console: Console) -> None:
     console.print(_contributions(told))
     console.print(_validations(told))
     console.print(told.verdict)
+    if told.together:
+        console.print(told.together)
     if told.budget.unstated:
         console.print(f"Taken as exact, no uncertainty is stated: {', '.join(told.budget.unstated)}.")
     if told.drawn.lost:

@@ -61,6 +61,18 @@ class ToldBudget:
         return sentence
 
     @property
+    def together(self) -> str:
+        """What quantities that vary together make of the contributions, empty where none do."""
+        names = self.budget.together
+        if not names:
+            return ""
+        return (
+            f"By the calibration {len(names)} quantities vary together, such as {names[0]}: each contribution is that "
+            "of one quantity with all else exact. They do not add up to the full covariance, which counts how the "
+            "quantities vary together, and a large one may cancel against others."
+        )
+
+    @property
     def pose(self) -> str:
         """The pose in native coordinates."""
         T = self.budget.T_R_T

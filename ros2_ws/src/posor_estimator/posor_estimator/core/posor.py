@@ -92,6 +92,11 @@ class Posor:
         """The sensors; for others there is ``with_parameter_values``."""
         return self._stack
 
+    @property
+    def parameter_root(self) -> FloatArray:
+        """A square root of the covariance of the stack's parameters that the calibration states, (p, deviates)."""
+        return self._root.dense()
+
     def reset(self) -> None:
         """Forget the last pose and the count; the next scan starts from a closed form."""
         self.loop.memory[:] = 0.0
@@ -190,7 +195,7 @@ class Posor:
         jacobian = self._tangent_jacobian(batch.chosen[0], T_R_T)
         weights = 1.0 / batch.variances[0]
         gain = np.linalg.solve(jacobian.T @ (weights[:, None] * jacobian), (weights[:, None] * jacobian).T)
-        parameters = self.stack.residual_jacobian(scan, T_R_T.rotation, T_R_T.translation) @ self._root.dense()
+        parameters = self.stack.residual_jacobian(scan, T_R_T.rotation, T_R_T.translation) @ self.parameter_root
         whole = np.linalg.inv(np.diag(batch.variances[0]) + parameters @ parameters.T)
         seen = whole - whole @ jacobian @ np.linalg.solve(jacobian.T @ whole @ jacobian, jacobian.T @ whole)
         return np.kron(np.eye(2), T_R_T.rotation) @ gain, np.diagonal(seen).copy()

@@ -151,22 +151,6 @@ def _budget_of(content: object):  # type: ignore[no-untyped-def]  # noqa: ANN202
     return error_budget(posor, scan_at(posor, pose), pose)
 
 
-def test_correlated_parameters_count_in_the_full_covariance_and_not_in_the_root_sum_square() -> None:
-    posor = Posor(design("triad_diodes"))
-    pose = pose_of_native(NATIVE)
-    scan = scan_at(posor, pose)
-    plain = error_budget(posor, scan, pose)
-    covariance = np.diag(np.square(posor.stack.parameter_sigmas))
-    names = posor.stack.parameter_names
-    a, b = names.index("GapProbes.tips[1,2]"), names.index("GapProbes.tips[2,2]")
-    covariance[a, b] = covariance[b, a] = covariance[a, a]  # both tips off by the same
-    correlated = error_budget(posor, scan, pose, parameter_covariance=covariance)
-    np.testing.assert_allclose(correlated.root_sum_square(), plain.root_sum_square(), rtol=1e-9)
-    gap, alpha = 2, 3
-    assert correlated.sigmas[gap] > 1.2 * plain.sigmas[gap]  # the plate looks nearer
-    assert correlated.sigmas[alpha] < plain.sigmas[alpha]  # and does not seem to lean
-
-
 def test_a_light_source_that_is_not_lit_has_no_part() -> None:
     posor = Posor(design("triad_light_ring"))
     pose = middle_pose(posor)

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from posor_estimator.accuracy.poses import TICK_NS
-from posor_estimator.core.budget.first_order import error_budget
+from posor_estimator.core.budget.first_order import error_budget, sensitivities
+from posor_estimator.core.budget.monte_carlo import BATCH, monte_carlo
 from posor_estimator.core.budget.poses import pose_of_native, scan_at
 from posor_estimator.core.calibrate.digital_zero import digital_zero
 from posor_estimator.core.calibration.entries import entries_of
@@ -23,6 +24,7 @@ from posor_estimator.core.root import Root
 from posor_estimator.core.scan import Scans
 
 if TYPE_CHECKING:
+    from posor_estimator.core.budget.first_order import ErrorBudget
     from posor_estimator.core.calibration.model import Calibration
     from posor_estimator.core.types import FloatArray
 
@@ -108,9 +110,54 @@ def test_the_systematic_covariance_is_the_stated_one_pushed_through_the_derivati
     assert differ(Posor(design("triad_diodes")).locate(scan).covariance_systematic, expected) > 1e-3
     by_motion = np.zeros((6, 6))
     by_motion[:3, :3], by_motion[3:, 3:] = np.eye(3), native_jacobian(POSE.rotation)
-    budget = error_budget(posor, scan, POSE, parameter_covariance=stated).covariance
+    budget = error_budget(posor, scan, POSE).covariance
     told = by_motion @ (found.covariance_random + found.covariance_systematic) @ by_motion.T
     assert differ(told, budget) < 1e-6
+
+
+def test_quantities_that_vary_together_count_in_the_total_and_each_by_itself_among_the_contributions() -> None:
+    both = ("sensors[0].probes[1].tip[2]", "sensors[0].probes[2].tip[2]")
+    plain = budget_of(design("triad_diodes"))
+    correlated = budget_of(stating(design("triad_diodes"), (both, np.ones((2, 2)))))  # both tips off by the same
+    assert plain.together == ()
+    assert correlated.together == ("gap_2: tip", "gap_3: tip")
+    np.testing.assert_allclose(correlated.root_sum_square(), plain.root_sum_square(), rtol=1e-9)
+    assert [part.name for part in correlated.contributions] == [part.name for part in plain.contributions]
+    gap, alpha = 2, 3
+    assert correlated.sigmas[gap] > 1.2 * plain.sigmas[gap]  # the plate looks nearer
+    assert correlated.sigmas[alpha] < plain.sigmas[alpha]  # and does not seem to lean
+
+
+def test_a_quantity_whose_components_cancel_contributes_what_is_left_of_them() -> None:
+    both = ("sensors[0].target_plane.tilt[0]", "sensors[0].probes[1].volts_to_gap[0]", "sensors[0].probes[1].tip[2]")
+    curve = tuple(f"sensors[0].probes[0].volts_to_gap[{k}]" for k in range(3))
+    whole = budget_of(stating(design("triad_diodes"), (curve, random_correlation(3, 1, 8)), (both, np.ones((3, 3)))))
+    assert set(whole.together) == {"target plane: tilt", "gap_2: linearisation", "gap_2: tip"}  # not the one of gap_1
+    part = next(part for part in whole.contributions if part.name == "gap_1: linearisation")
+    calibration = stating(design("triad_diodes"), (curve, random_correlation(3, 1, 8)))
+    posor = Posor(calibration)
+    where = [i for i, e in enumerate(entries_of(calibration)) if e is not None and e.name in curve]
+    by = sensitivities(posor, scan_at(posor, POSE), POSE).by_parameter[:, where]
+    own = stated_covariance(calibration)[np.ix_(where, where)]
+    np.testing.assert_allclose(part.effects, np.sqrt(np.einsum("ki,ij,kj->k", by, own, by)), rtol=1e-6)
+
+
+def budget_of(calibration: Calibration) -> ErrorBudget:
+    posor = Posor(calibration)
+    return error_budget(posor, scan_at(posor, POSE), POSE)
+
+
+def test_the_budgets_draws_are_of_the_stated_covariance() -> None:
+    # Large uncertainties that cancel in the gap, and others that do not.
+    correlation = np.array([[1.0, -0.97, 0.9], [-0.97, 1.0, -0.97], [0.9, -0.97, 1.0]])
+    curve = tuple(f"sensors[0].probes[0].volts_to_gap[{k}]" for k in range(3))
+    tips = ("sensors[0].probes[1].tip[2]", "sensors[0].probes[2].tip[2]")
+    posor = Posor(stating(design("triad_diodes"), (curve, correlation), (tips, np.ones((2, 2)))))
+    scan = scan_at(posor, POSE)
+    drawn = monte_carlo(posor, scan, POSE, seed=7, most=2 * BATCH)
+    np.testing.assert_allclose(drawn.sigmas, error_budget(posor, scan, POSE).sigmas, rtol=0.025)
+    alone = budget_of(design("triad_diodes")).sigmas
+    assert np.max(np.abs(drawn.sigmas / alone - 1.0)) > 0.2
 
 
 def test_draws_from_the_stated_covariance_scatter_as_the_estimator_says() -> None:

@@ -47,7 +47,7 @@ class Contribution:
     Attributes:
         name: The quantity.
         kind: Noise of a reading, or what is calibrated.
-        effects: Standard uncertainty of each judged quantity from it alone [m, rad], shape (k,).
+        effects: Standard uncertainty of each judged quantity from it alone, all else exact [m, rad], shape (k,).
 
     """
 
@@ -64,9 +64,11 @@ class ErrorBudget:
         T_R_T: The pose.
         outputs: The judged quantities.
         values: What they are there [m, rad], shape (k,).
-        contributions: What has any effect, in the order of ``ranked``.
+        contributions: What has any effect, that with the largest share in any judged quantity first.
         covariance: Of the judged quantities, all contributions and their correlations in it, shape (k, k).
         unstated: Quantities that the calibration gives no uncertainty for: taken as exact.
+        together: Contributing quantities that vary together with others, by the calibration. Theirs do not add up to
+            the total, which may be far smaller, nor is any as much as knowing that quantity exactly would take away.
 
     """
 
@@ -76,6 +78,7 @@ class ErrorBudget:
     contributions: tuple[Contribution, ...]
     covariance: FloatArray
     unstated: tuple[str, ...]
+    together: tuple[str, ...]
 
     @property
     def sigmas(self) -> FloatArray:
@@ -165,9 +168,8 @@ def error_budget(
     scan: Scan,
     T_R_T: pin.SE3,
     points: Sequence[PlatePoint] = (),
-    parameter_covariance: FloatArray | None = None,
 ) -> ErrorBudget:
-    """Return the first-order budget at a pose.
+    """Return the first-order budget at a pose, of the covariance that the calibration states.
 
     Contributions come in the order of the largest share that each has in any judged quantity: what to improve first.
 
@@ -176,8 +178,6 @@ def error_budget(
         scan: What it reads at the pose.
         T_R_T: The pose.
         points: Points of the plate whose gap is judged beside the six native coordinates.
-        parameter_covariance: Covariance of the stack's parameters (p, p); None: as the calibration states it,
-            uncorrelated.
 
     Raises:
         ScanError: The scan cannot be linearised.
@@ -185,31 +185,33 @@ def error_budget(
 
     """
     found = sensitivities(posor, scan, T_R_T, points)
-    if parameter_covariance is None:
-        parameter_covariance = np.diag(np.square(posor.stack.parameter_sigmas))
+    root = posor.parameter_root
     noise = found.by_reading * found.noise
     parts = [
         Contribution(f"{name}: noise", Kind.RANDOM, np.abs(effect))
         for name, effect in zip(posor.stack.reading_names, noise.T, strict=True)
     ]
-    unstated = []
+    unstated, together = [], []
     for quantity in physical_quantities(posor):
-        where = np.ix_(quantity.parameters, quantity.parameters)
+        where = list(quantity.parameters)
         own = found.by_parameter[:, quantity.parameters]
         if not np.any(own):
             continue  # no part in this pose, such as a light source that is not lit
-        if not np.any(parameter_covariance[where]):
+        if not np.any(root[where]):
             unstated.append(quantity.name)
             continue
-        effects = np.sqrt(np.einsum("ki,ij,kj->k", own, parameter_covariance[where], own))
-        parts.append(Contribution(quantity.name, Kind.SYSTEMATIC, effects))
+        if np.any(np.delete(root, where, axis=0)[:, np.any(root[where], axis=0)]):
+            together.append(quantity.name)
+        parts.append(Contribution(quantity.name, Kind.SYSTEMATIC, np.linalg.norm(own @ root[where], axis=1)))
     largest = _shares(np.array([part.effects for part in parts])).max(axis=1)
     order = sorted(range(len(parts)), key=lambda i: largest[i], reverse=True)
+    pushed = found.by_parameter @ root
     return ErrorBudget(
         T_R_T=T_R_T,
         outputs=found.outputs,
         values=found.values,
         contributions=tuple(parts[i] for i in order if largest[i] > 0.0),
-        covariance=noise @ noise.T + found.by_parameter @ parameter_covariance @ found.by_parameter.T,
+        covariance=noise @ noise.T + pushed @ pushed.T,
         unstated=tuple(unstated),
+        together=tuple(together),
     )

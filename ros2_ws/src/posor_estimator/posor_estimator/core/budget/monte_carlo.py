@@ -1,7 +1,8 @@
 """The error budget of a POSOR by drawing (JCGM 101): readings and parameters are drawn, the exact estimator is run.
 
 The measurement model in the sense of JCGM 101 is the estimator: pose = f(raw readings, parameters). Every draw takes
-the scan with the electronics' noise and another set of parameters, linearises it and solves for the pose.
+the scan with the electronics' noise and another set of parameters, from the covariance that the calibration states,
+linearises it and solves for the pose.
 """
 
 from __future__ import annotations
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from posor_estimator.core.budget.outputs import PlatePoint
     from posor_estimator.core.posor import Posor
     from posor_estimator.core.scan import Scan
-    from posor_estimator.core.stack import Stack
     from posor_estimator.core.types import BoolArray, FloatArray
 
 BATCH = 10_000
@@ -97,7 +97,7 @@ def monte_carlo(
     """
     if most < 2 * BATCH:
         raise ParameterError(f"{most} draws", expected=f"at least {2 * BATCH}, two batches of JCGM 101")
-    draws = _Draws(posor.stack, scan, T_R_T, points, np.random.default_rng(seed))
+    draws = _Draws(posor, scan, T_R_T, points, np.random.default_rng(seed))
     batches: list[FloatArray] = []
     tried = 0
     stable: BoolArray = np.zeros(len(draws.outputs.named), dtype=np.bool_)
@@ -136,8 +136,9 @@ class _Draws:
     """Readings and parameters drawn, and the pose that they give."""
 
     def __init__(
-        self, stack: Stack, scan: Scan, T_R_T: pin.SE3, points: Sequence[PlatePoint], random: np.random.Generator
+        self, posor: Posor, scan: Scan, T_R_T: pin.SE3, points: Sequence[PlatePoint], random: np.random.Generator
     ) -> None:
+        stack = posor.stack
         self.outputs = Outputs(stack, points)
         self._stack = stack
         self._scans = Scans.of([scan] * BATCH)
@@ -145,7 +146,7 @@ class _Draws:
         self._theta = self.outputs.values(self._rotation, self._translation)[THETA]
         self._points = points
         self._random = random
-        self._means, self._sigmas = stack.parameter_values, stack.parameter_sigmas
+        self._means, self._root = stack.parameter_values, posor.parameter_root
         self._jacobian = np.empty((stack.readings, 6))
         self._residuals, self._moved = np.empty(stack.readings), np.empty(6)
 
@@ -164,7 +165,7 @@ class _Draws:
 
     def values(self, scans: Scans) -> FloatArray | None:
         """Return the judged quantities that one scan gives with drawn parameters, None where it gives no pose."""
-        drawn = self._means + self._sigmas * self._random.normal(size=self._means.size)
+        drawn = self._means + self._root @ self._random.normal(size=self._root.shape[1])
         stack = self._stack.with_parameter_values(drawn)
         codes, batch = stack.linearise(scans)
         if codes.any():
