@@ -9,7 +9,7 @@ from posor_estimator.core.calibrate.probe_spacing import ProbeSpacingOptions, ru
 from posor_estimator.errors import FitError, TrackError
 from posor_estimator.testing.campaign import exact, posor, tilted, with_tips
 from scipy.spatial.transform import Rotation
-from scipy.stats import binomtest
+from scipy.stats import binomtest, chi2
 
 if TYPE_CHECKING:
     from posor_estimator.core.calibrate.procedure import Outcome
@@ -38,11 +38,23 @@ def turned(before: Recording, turn: Any) -> Recording:
 
 
 def test_truth_lies_in_the_95_percent_intervals_of_95_percent_of_campaigns() -> None:
-    inside = 0
+    inside, squares, freedoms = 0, 0.0, 0
     for seed in range(25):
         fit = found(taken(seed)).fits["probe_spacing"]
         inside += int(np.sum(np.abs(fit.values[:3] - TRUE) < 1.96 * fit.sigmas[:3]))
+        squares, freedoms = squares + fit.spread**2 * fit.freedoms, freedoms + fit.freedoms
     assert binomtest(inside, 75, 0.95).pvalue > 0.01
+    assert 0.005 < chi2.sf(squares, freedoms) < 0.995
+
+
+def test_free_height_takes_a_residual_of_each_stop_and_a_measured_one_is_a_reading() -> None:
+    free, measured = (found(taken(), **options).fits["probe_spacing"] for options in ({}, {"lift_sigma": 2e-5}))
+    stops, unknowns = len(ANGLES), 5  # three spacings, and the zeros of two probes against that of the first
+    assert (free.freedoms, len(free.residuals)) == (2 * stops - unknowns, 2 * stops)
+    assert (measured.freedoms, len(measured.residuals)) == (3 * stops - unknowns, 3 * stops)
+    for fit in (free, measured):  # the heights scatter by 20 um
+        assert 0.005 < fit.probability < 0.995
+        assert np.all(np.abs(fit.values[:3] - TRUE) < 4.0 * fit.sigmas[:3])
 
 
 def test_only_the_fitted_coordinates_of_the_tips_change() -> None:

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import Field
-from scipy.linalg import solve_triangular
 from scipy.spatial.transform import Rotation
 
 from posor_estimator.core.calibrate.checks import (
@@ -63,8 +62,8 @@ class ProbeSpacingOptions(StopOptions):
         default=(),
         description="what is fitted, such as gap_1.x; none: of each probe the coordinate that is larger, x or y",
     )
-    lift_sigma: float = Field(
-        default=1e-3, gt=0.0, description="how well the reference tells the height of the target [m]"
+    lift_sigma: float | None = Field(
+        default=None, gt=0.0, description="standard uncertainty of the reference's height of the target [m]; none: free"
     )
     scale_sigma: float = Field(
         default=0.0, ge=0.0, description="relative standard uncertainty of the angles' scale, common to all stops"
@@ -104,7 +103,8 @@ def run(recording: Recording, calibration: Calibration, options: ProbeSpacingOpt
     matrix = joint.matrix.copy()
     matrix[:count, :count] += scale
     return Outcome(
-        method=f"imposed angles at {len(problem.stops)} stops, height free, zero of each probe free (thesis 7.5.2)",
+        method=f"imposed angles at {len(problem.stops)} stops, height "
+        f"{'free' if options.lift_sigma is None else 'measured'}, zero of each probe free (thesis 7.5.2)",
         fits={NAME: found},
         replacements=tuple(_replacement(problem, probe, values, covariance) for probe in problem.probes_moved()),
         covariances=(JointCovariance(joint.entries, matrix),),
@@ -219,16 +219,14 @@ class _Problem:
         rows = [stack.reading_names.index(f"gap {probe.calibration.name}") for probe in self.probes]
         rotations, translations = poses_of(self.stops.reference)
         measured = np.column_stack([probe.gaps(self.stops.scans) for probe in self.probes])
-        roots = self._roots(stack, rows, rotations, translations)
+        whiten = self._whitening(stack, rows, rotations, translations)
         count = len(where)
 
         def residuals(values: FloatArray) -> FloatArray:
             tried = stack.with_parameter_values(changed(stack.parameter_values, where, values[:count]))
             predicted = readings_at(tried, rotations, translations)[:, rows]
             predicted[:, 1:] += values[count:]
-            return np.concatenate(
-                [solve_triangular(root, off, lower=True) for root, off in zip(roots, measured - predicted, strict=True)]
-            )
+            return np.asarray(np.einsum("nij,nj->ni", whiten, measured - predicted).ravel())
 
         offsets = [f"zero of {probe.calibration.name}" for probe in self.probes[1:]]
         names = [*self.names, *offsets]
@@ -240,7 +238,7 @@ class _Problem:
             names,
             ["m"] * len(names),
             scales,
-            taken=self.taken().effects(self._derivatives(stack, roots, rotations, translations)),
+            taken=self.taken().effects(self._derivatives(stack, whiten, rotations, translations)),
             loss=loss,
             trust_sigmas=trust_sigmas,
             what=NAME,
@@ -256,23 +254,22 @@ class _Problem:
         return indices(self.calibration, sensor, [f"tips[{probe},{axis}]" for probe, axis in self._places()])
 
     def _derivatives(
-        self, stack: Stack, roots: list[FloatArray], rotations: FloatArray, translations: FloatArray
+        self, stack: Stack, whiten: FloatArray, rotations: FloatArray, translations: FloatArray
     ) -> FloatArray:
         """Return d(residual)/d(parameter of the stack), (n, p); only the gap probes have a part in it."""
         at, _ = the_sensor(self.calibration, GapProbesCalibration, NAME)
         sensor, first = stack.sensors[at], first_index(self.calibration, at)
-        out = np.zeros((len(roots), len(self.probes), stack.parameters))
-        for n, root in enumerate(roots):
+        out = np.zeros((*whiten.shape[:2], stack.parameters))
+        for n, whitening in enumerate(whiten):
             block = sensor.residual_jacobian(self.stops.scans[n], rotations[n], translations[n])
-            out[n, :, first : first + block.shape[1]] = solve_triangular(root, block, lower=True)
+            out[n, :, first : first + block.shape[1]] = whitening @ block
         return out.reshape(-1, stack.parameters)
 
-    def _roots(
-        self, stack: Stack, rows: list[int], rotations: FloatArray, translations: FloatArray
-    ) -> list[FloatArray]:
-        """Return a Cholesky factor of the readings' covariance at each stop.
+    def _whitening(self, stack: Stack, rows: list[int], rotations: FloatArray, translations: FloatArray) -> FloatArray:
+        """Return what makes independent residuals of variance 1 of each stop's c readings, (d, c or c - 1, c).
 
-        What the angles are off at a stop moves all its readings together, and so does the height, which is free.
+        What the angles are off at a stop moves all its readings together, and so does the height. A free height takes
+        one residual of each stop: what is left are the combinations of the readings that it does not move.
         """
         slopes = np.column_stack([probe.slopes(self.stops.scans) for probe in self.probes])
         spreads = self.stops.sigmas("gap_voltages")
@@ -288,10 +285,16 @@ class _Problem:
             moves.append((ahead - back) / (2.0 * STEP) * angles[:, [axis]])
         up = readings_at(stack, rotations, translations + np.array([0.0, 0.0, STEP]))[:, rows]
         down = readings_at(stack, rotations, translations - np.array([0.0, 0.0, STEP]))[:, rows]
-        moves.append((up - down) / (2.0 * STEP) * self.options.lift_sigma)
+        lift = (up - down) / (2.0 * STEP)
+        if self.options.lift_sigma is not None:
+            moves.append(lift * self.options.lift_sigma)
         shared = np.stack(moves, axis=2)
         covariances = shared @ shared.transpose(0, 2, 1) + noise[:, :, None] ** 2 * np.eye(len(self.probes))
-        return list(np.linalg.cholesky(covariances))
+        whiten = np.linalg.inv(np.linalg.cholesky(covariances))
+        if self.options.lift_sigma is not None:
+            return np.asarray(whiten)
+        without = np.linalg.svd(np.einsum("nij,nj->ni", whiten, lift)[:, :, None])[0][:, :, 1:]
+        return np.asarray(without.transpose(0, 2, 1) @ whiten)
 
 
 def _replacement(problem: _Problem, probe: int, values: FloatArray, covariance: FloatArray) -> Replacement:
