@@ -19,10 +19,11 @@ from rich.console import Console
 from posor_bringup.campaign.bagged import calibrate_bags, make_bags
 from posor_bringup.campaign.figures import draw
 from posor_bringup.campaign.many import coverage_of, many_campaigns
-from posor_bringup.campaign.page import HEADINGS, INSTEAD, as_json, holds, page
+from posor_bringup.campaign.numbers import as_json
+from posor_bringup.campaign.page import HEADINGS, INSTEAD, page
 from posor_bringup.campaign.plant import POSORS, Plant, PosorName
 from posor_bringup.campaign.steps import steps_of
-from posor_bringup.campaign.told import Told
+from posor_bringup.campaign.told import Told, holds
 from posor_bringup.command_line import Parser, prepare
 from posor_bringup.findings import Findings
 from posor_bringup.findings_table import print_findings

@@ -61,10 +61,11 @@ def test_all_that_is_promised_is_there_and_holds(diodes: Ran) -> None:
     assert text.count("data:image/png;base64,") == 3
     calibration = load_calibration(diodes.folder / "triad_diodes" / "9_bundle.yaml")
     for record in calibration.fits:
-        assert record.recording.sha256[:16] in text
+        assert record.recording.sha256 in text
         assert record.date in text
-    assert "interferometer: 5e-08" in text
-    assert "measuring machine: 3e-07" in text
+    assert "interferometer: 0.05 µm<" in text
+    assert "autocollimator: 1000 µm, 1.5 µrad<" in text
+    assert "measuring machine: 0.3 µm, 3 µrad<" in text
 
 
 def test_figures_of_every_parameter(diodes: Ran) -> None:
@@ -74,10 +75,17 @@ def test_figures_of_every_parameter(diodes: Ran) -> None:
     assert figures["content_hash"] == calibration.content_hash
     assert len(figures["parameters"]) == 105
     for number in figures["parameters"].values():
-        assert set(number) == {"family", "unit", "truth", "estimate", "sigma", "within_95", "procedure"}
+        assert set(number) == {"family", "unit", "truth", "estimate", "sigma", "within_95", "measured_by"}
         assert number["within_95"] is (abs(number["estimate"] - number["truth"]) < 1.96 * number["sigma"])
     tip = figures["parameters"]["sensors[0].probes[0].tip[0]"]
     assert tip["estimate"] == calibration.sensors[0].model_dump()["probes"][0]["tip"]["value"][0]
+    measured = {name: number["measured_by"] for name, number in figures["parameters"].items()}
+    for k in range(3):
+        assert measured[f"sensors[0].probes[{k}].volts_to_gap[1]"] == "1_gaps"
+        assert measured[f"sensors[0].probes[{k}].supply.sensitivity"] == "2_supply"
+        assert measured[f"sensors[0].probes[{k}].supply.reference"] is None
+        assert measured[f"sensors[0].probes[{k}].zero_shift"] == "8_drift"
+    assert figures["steps"]["1_gaps"]["sha256"] == calibration.fits[0].recording.sha256
     many = figures["campaigns"]
     assert many["count"] == CAMPAIGNS
     assert not many["refused"]

@@ -9,22 +9,27 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from numpy.polynomial import chebyshev
+from posor_bringup.arm_coverage import Figure
 from posor_bringup.campaign import bagged, campaign
 from posor_bringup.campaign.bagged import Bagged, calibrate_bags, make_bags
 from posor_bringup.campaign.campaign import run_campaign
+from posor_bringup.campaign.determined import determined
 from posor_bringup.campaign.judged import Judged, family_of, judged
-from posor_bringup.campaign.many import FRESH, One, coverage_of, many_campaigns
+from posor_bringup.campaign.many import FRESH, One, coverage_of, interval_of, many_campaigns
 from posor_bringup.campaign.plant import DRIFT, Plant, as_built
 from posor_bringup.campaign.steps import INTERFEROMETER, steps_of
 from posor_bringup.campaign.told import Told, findings_of_many
 from posor_bringup.findings import Verdict
 from posor_estimator.core.calibration.entries import entries_of
+from posor_estimator.core.calibration.model import calibration_from
+from scipy.stats import binomtest
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from posor_bringup.campaign.steps import Step
     from posor_estimator.core.calibrate.recording import Recording
+    from posor_estimator.core.calibration.model import Calibration
 
 SEED = 7
 
@@ -208,6 +213,42 @@ def test_one_wrong_number_among_many_fails() -> None:
         for one in campaigns
     ]
     assert verdicts(wrong)[:2] == [Verdict.HOLDS, Verdict.FAILS]
+
+
+@pytest.mark.parametrize(("campaigns", "each"), [(6, 1), (6, 9), (40, 3)])
+def test_the_interval_of_a_part_holds_it(campaigns: int, each: int) -> None:
+    random = np.random.default_rng(9)
+    held = []
+    for _ in range(300):
+        part = Figure.of(np.mean(random.random((campaigns, each)) < 0.95, axis=1))
+        low, high = interval_of(part, campaigns, each)
+        assert 0.0 <= low <= part.value <= high <= 1.0
+        assert high - low > 0.0
+        held.append(low <= 0.95 <= high)
+    assert np.mean(held) >= 0.93
+
+
+def test_the_interval_of_a_part_knows_that_numbers_of_a_campaign_may_fail_together() -> None:
+    together = Figure.of(np.array([1.0] * 9 + [0.0]))
+    assert interval_of(together, 10, 50) == pytest.approx(binomtest(9, 10).proportion_ci(method="exact"))
+    everywhere = Figure.of(np.ones(6))
+    assert interval_of(everywhere, 6, 50) == pytest.approx(binomtest(6, 6).proportion_ci(method="exact"))
+
+
+def test_a_number_is_measured_by_the_step_that_lowered_its_uncertainty_most() -> None:
+    def known(tip: float, axis: float, shift: float) -> Calibration:
+        content = as_built("triad_diodes").model_dump(mode="json", exclude_defaults=True)
+        probe = content["sensors"][0]["probes"][0]
+        probe["tip"]["sigma"] = [tip, tip, 1e-5]
+        probe["axis"]["sigma"] = axis
+        probe["zero_shift"]["sigma"] = shift
+        return calibration_from(content)
+
+    built = known(5e-5, 3e-3, 0.0)
+    after = [known(5e-5, 3e-3, 0.0), known(1e-6, 2.99e-3, 1e-3), known(0.5e-6, 2.98e-3, 1e-4)]
+    found = determined(built, after)
+    probe = "sensors[0].probes[0]"
+    assert found == {f"{probe}.tip[0]": 1, f"{probe}.tip[1]": 1, f"{probe}.zero_shift": 1}
 
 
 def test_a_refused_campaign_fails_and_is_quoted() -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from posor_estimator.errors import PosorError
-from scipy.stats import binom, binomtest, chi2, t
+from scipy.stats import beta, binom, binomtest, chi2, t
 
 from posor_bringup.arm_coverage import Figure
 from posor_bringup.campaign.campaign import run_campaign
@@ -140,6 +140,7 @@ class Family:
         numbers: How many of them there are in a campaign.
         inside: Part of them within, over the campaigns, with its standard uncertainty: the numbers of one campaign are
             not independent of one another.
+        interval: Where that part is with 95 % probability, see ``interval_of``.
         worst: The number with the smallest part within, and that part.
 
     """
@@ -147,6 +148,7 @@ class Family:
     name: str
     numbers: int
     inside: Figure
+    interval: tuple[float, float]
     worst: tuple[str, float]
 
 
@@ -209,6 +211,29 @@ def spare(figure: Figure, campaigns: int, each: int) -> float:
     return float(t.isf(0.005, campaigns - 1) * max(figure.sigma, least))
 
 
+def interval_of(part: Figure, campaigns: int, each: int) -> tuple[float, float]:
+    """Return where a part is with 95 % probability, between 0 and 1.
+
+    That of Clopper and Pearson, of as many independent cases as would scatter as the campaigns do (Korn and Graubard
+    1998, Survey Methodology 24, 193 to 201): no fewer than campaigns, no more than cases; where all cases are alike
+    there is no scatter to go by, and a campaign counts as one.
+
+    Args:
+        part: Mean over the campaigns, and its standard uncertainty by their scatter.
+        campaigns: How many, two at least.
+        each: Cases in each.
+
+    """
+    mean, cases = part.value, float(campaigns)
+    if part.sigma > 0.0:
+        few = (t.ppf(0.975, campaigns * each - 1) / t.ppf(0.975, campaigns - 1)) ** 2
+        cases = float(np.clip(few * mean * (1.0 - mean) / part.sigma**2, campaigns, campaigns * each))
+    inside = mean * cases
+    low = float(beta.ppf(0.025, inside, cases - inside + 1.0)) if mean > 0.0 else 0.0
+    high = float(beta.ppf(0.975, inside + 1.0, cases - inside)) if mean < 1.0 else 1.0
+    return low, high
+
+
 def coverage_of(name: PosorName, ones: Sequence[One]) -> Coverage:
     """Return what campaigns say together; two at least must have gone through."""
     sound = [one for one in ones if not one.refused]
@@ -255,5 +280,7 @@ def _families(campaigns: Sequence[list[Judged]], *, by_procedure: bool) -> tuple
         parts = _parts(members)
         worst = min(parts, key=lambda name: parts[name])
         means = np.array([np.mean(list(one.values())) for one in members if one])
-        found.append(Family(family, len(parts), Figure.of(means), (worst, parts[worst])))
+        inside = Figure.of(means)
+        interval = interval_of(inside, len(means), len(parts))
+        found.append(Family(family, len(parts), inside, interval, (worst, parts[worst])))
     return tuple(found)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from posor_estimator.core.budget.first_order import Kind
 
+from posor_bringup.campaign.determined import determined
 from posor_bringup.campaign.fresh import FREEDOMS
+from posor_bringup.campaign.told import holds
 from posor_bringup.document import (
     Picture,
     Section,
@@ -25,17 +27,11 @@ from posor_bringup.findings import Findings
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from posor_estimator.core.calibration.fit_record import Instrument
+
     from posor_bringup.campaign.many import Coverage, Family
     from posor_bringup.campaign.told import Told
 
-ROOTS: Mapping[str, str] = {
-    "errors": "errors",
-    "budget": "sigmas",
-    "errors_as_built": "before",
-    "errors_without_noise": "still_errors",
-    "budget_of_calibration": "still_sigmas",
-}
-"""By what they are called in the figures for other programs: attributes of ``Fresh`` and ``Coverage``."""
 HEADINGS: Mapping[str, str] = {"computed": "found", "stated": "expected", "limit": "must be", "source": "source"}
 INSTEAD: Mapping[str, str] = {
     "residuals": "residuals of the fits",
@@ -43,11 +39,24 @@ INSTEAD: Mapping[str, str] = {
     "truth": "numbers, errors at fresh poses and coverage against the truth",
 }
 """What to say of each picture where it cannot be shown."""
+AS_BUILT = "as built, not measured"
+ITSELF = "no reference"
+MEASURED = (
+    "A number is measured by the step that lowered its standard uncertainty most; later steps state it again. Where "
+    "that is still 95 % or more of the one as built, nothing has measured it. Method, bag and the instruments' "
+    "uncertainties stand below, with the fits."
+)
+SPREAD = (
+    "Spread: root of chi-square over the degrees of freedom, 1 where the stated uncertainties of the readings are "
+    "right. Probability: that of a chi-square at least as large, if they are."
+)
 NOTES = (
     (
         "Simulated: each POSOR is drawn from what is known of it as built, so the truth behind every number is known. "
         "Scans have the electronics' noise and come from a converter of 16 bits; each reference is off by its stated "
-        "standard uncertainty, at each stop or, in motion, at each reading."
+        "standard uncertainty, at each stop or, in motion, at each reading. What is stated without being measured is "
+        "off by less: the heights of 3_spacing, stated to 1 mm, scatter by 20 µm, and the heights and angles of 6_rays "
+        "have no error."
     ),
     (
         "Every procedure ran on a rosbag2 bag by the code of the command line, each from the file that the one before "
@@ -62,24 +71,21 @@ NOTES = (
         "they are off by, the calibration is to blame for."
     ),
     (
-        "Budget bars: what knowing one quantity exactly would take away from the freedom's standard uncertainty, as "
-        "the root of the difference of the squares: where quantities vary together, their own contributions would "
-        "exceed the total."
+        "Budget bars: the noise of single readings, and what knowing one quantity exactly would take away from the "
+        "freedom's standard uncertainty, as the root of the difference of the squares: where quantities vary together, "
+        "their own contributions would exceed the total. The longest are what to improve first."
     ),
     (
         "Fresh poses are drawn over the whole range and have not been used before. The errors of one calibration are "
         "common to all of them: within one campaign they are not independent of one another."
     ),
     (
-        "The part of many campaigns in which an interval holds the truth has itself an uncertainty, given as one "
-        "standard deviation from campaign to campaign; the numbers of one campaign are not independent of one another."
+        "The part of many campaigns in which an interval holds the truth is itself uncertain. Among the findings: by "
+        "one standard deviation from campaign to campaign. In picture and table: its own 95 % interval, that of "
+        "Clopper and Pearson, of as many independent cases as scatter like the campaigns, since the numbers of one "
+        "campaign are not independent of one another."
     ),
 )
-
-
-def holds(all_told: Sequence[Told]) -> bool:
-    """Return whether everything holds."""
-    return all(told.findings.holds for told in all_told)
 
 
 def page(all_told: Sequence[Told], pictures: Sequence[Mapping[str, bytes]], provenance: Mapping[str, str]) -> str:
@@ -111,67 +117,72 @@ def _sections(told: Told, pictures: Mapping[str, bytes]) -> list[Section]:
 
 
 def _parameter_table(told: Told) -> str:
-    header = ("number", "as built", "sigma", "found", "sigma", "unit", "truth", "off / sigma", "procedure")
+    header = (
+        *("number", "as built", "sigma", "found", "sigma", "unit", "truth", "off / sigma"),
+        *("measured by", "with", "date"),
+    )
+    steps = determined(told.plant.known, [bag.calibration for bag in told.bagged])
     rows = []
     for number in told.numbers:
-        before, unsure = (f"{value:.6g}" if np.isfinite(value) else "" for value in number.before)
+        before, unsure = number.before
+        known = [_shown(before, unsure), f"{unsure:#.2g}"] if unsure > 0.0 else [""] * 2
+        if unsure == 0.0:
+            known = [f"{before:.6g}", "exact"]
         off = f'<td class="{"holds" if number.inside else "fails"}">{number.pull:+.2f}</td>'
+        measured = [AS_BUILT, "", ""]
+        if number.name in steps:
+            bag, record = told.bagged[steps[number.name]], told.calibration.fits[steps[number.name]]
+            measured = [f"{bag.step.name}: {record.procedure}", bag.step.instrument or ITSELF, record.date]
         rows.append(
             [
-                *cells([number.name, before, unsure, _shown(number.estimate, number.sigma), f"{number.sigma:.2g}"]),
+                *cells([number.name, *known, _shown(number.estimate, number.sigma), f"{number.sigma:#.2g}"]),
                 *cells([number.unit, _shown(number.truth, number.sigma)]),
                 off,
-                *cells([number.procedure]),
+                *cells(measured),
             ]
         )
-    told_by = "<p>Method, date, bag and instrument of each procedure stand below, with its fits.</p>"
-    return told_by + table(header, rows)
+    return f"<p>{escape(MEASURED)}</p>{table(header, rows)}"
 
 
 def _shown(value: float, sigma: float) -> str:
     """Return a number to the second digit of its standard uncertainty."""
     digits = int(np.floor(np.log10(max(abs(value), sigma))) - np.floor(np.log10(sigma))) + 2
-    return f"{value:.{digits}g}"
+    return f"{value + 0.0:#.{digits}g}".rstrip(".")  # never -0.0
 
 
 def _fit_table(told: Told) -> str:
     header = (
-        "step",
-        "procedure and method",
-        "instrument, its standard uncertainty",
-        "fit",
-        "residuals",
-        "spread",
-        "probability",
-        "outliers",
-        "bag, SHA-256",
-        "date",
+        *("step", "procedure and method", "instrument, its standard uncertainty", "fit", "residuals"),
+        *("spread", "probability", "outliers", "bag, SHA-256", "date"),
     )
     rows = []
     for bag, record in zip(told.bagged, told.calibration.fits, strict=True):
-        measured = "; ".join(
-            f"{one.name}: {', '.join(f'{sigma:.2g}' for sigma in dict.fromkeys(one.sigmas))}"
-            for one in record.instruments
-        )
+        measured = "; ".join(f"{one.name}: {_sigmas(one, bag.step.unit)}" for one in record.instruments)
         for what, figures in record.residuals.items():
-            rows.append(
-                cells(
-                    [
-                        bag.step.name,
-                        f"{record.procedure}: {record.method}",
-                        measured or "none",
-                        what,
-                        f"{figures.readings} of {figures.parameters} parameters",
-                        f"{figures.spread:.3f}",
-                        f"{figures.probability:.2g}",
-                        f"{figures.outliers}",
-                        f"{record.recording.name}, {record.recording.sha256[:16]}…",
-                        record.date,
-                    ]
-                )
+            row = [
+                bag.step.name,
+                f"{record.procedure}: {record.method}",
+                measured or ITSELF,
+                what,
+                f"{figures.readings} of {figures.parameters} parameters",
+                f"{figures.spread:.3f}",
+                f"{figures.probability:.2g}",
+                f"{figures.outliers}",
+            ]
+            digits = (
+                f'<td style="overflow-wrap: anywhere">{escape(record.recording.name)} {record.recording.sha256}</td>'
             )
+            rows.append([*cells(row), digits, *cells([record.date])])
     warnings = [f"{bag.step.name}: {said}" for bag in told.bagged for said in bag.outcome.warnings]
-    return table(header, rows) + "<p>What the procedures said of their data:</p>" + notes_list(warnings)
+    said = f"<p>{escape(SPREAD)}</p><p>What the procedures said of their data:</p>{notes_list(warnings)}"
+    return table(header, rows) + said
+
+
+def _sigmas(instrument: Instrument, unit: str) -> str:
+    """Return the standard uncertainties of an instrument's numbers, each once; ``unit``: of a single number."""
+    units = [unit] if len(instrument.sigmas) == 1 else ["m"] * 3 + ["rad"] * 3
+    each = zip(instrument.sigmas, units, strict=False)
+    return ", ".join(dict.fromkeys(f"{round(1e6 * sigma, 6):g} µ{unit}" for sigma, unit in each))
 
 
 def _budget_table(told: Told) -> str:
@@ -192,7 +203,7 @@ def _budget_table(told: Told) -> str:
 
 
 def _coverage_table(coverage: Coverage) -> str:
-    header = ("numbers", "how many", "within their 95 % interval", "worst of them")
+    header = ("numbers", "how many", "within their 95 % interval, and how sure that is", "worst of them")
     band = f"{100.0 * coverage.band[0]:.1f} % to {100.0 * coverage.band[1]:.1f} %"
     text = (
         f"<p>{coverage.campaigns} campaigns. A single number whose interval is right comes out between {escape(band)} "
@@ -204,78 +215,6 @@ def _coverage_table(coverage: Coverage) -> str:
 
 
 def _family(family: Family) -> list[str]:
-    inside = f"{100.0 * family.inside.value:.1f} % +- {100.0 * family.inside.sigma:.1f} %"
+    low, high = family.interval
+    inside = f"{100.0 * family.inside.value:.1f} %, {100.0 * low:.1f} % to {100.0 * high:.1f} %"
     return [family.name, str(family.numbers), inside, f"{family.worst[0]}: {100.0 * family.worst[1]:.1f} %"]
-
-
-def as_json(all_told: Sequence[Told]) -> dict[str, Any]:
-    """Return everything by name, in SI units."""
-    return {told.plant.name: _posor_json(told) for told in all_told} | {"holds": holds(all_told)}
-
-
-def _posor_json(told: Told) -> dict[str, Any]:
-    fresh = told.fresh
-    rms = {
-        called: dict(zip(FREEDOMS, np.sqrt(np.nanmean(np.square(getattr(fresh, what)), axis=0)).tolist(), strict=True))
-        for called, what in ROOTS.items()
-    }
-    return {
-        "seed": told.plant.seed,
-        "content_hash": told.calibration.content_hash,
-        "parameters": {
-            number.name: {
-                "family": number.family,
-                "unit": number.unit,
-                "truth": number.truth,
-                "estimate": number.estimate,
-                "sigma": number.sigma,
-                "within_95": number.inside,
-                "procedure": number.procedure,
-            }
-            for number in told.numbers
-        },
-        "fresh_poses": {
-            "count": int(fresh.known.sum()),
-            "root_mean_square": rms,
-            "normalised_error_squared": float(np.mean(fresh.normalised[fresh.known])),
-        },
-        "campaigns": None if told.coverage is None else _coverage_json(told.coverage),
-    }
-
-
-def _coverage_json(coverage: Coverage) -> dict[str, Any]:
-    def families(of: Sequence[Family]) -> dict[str, Any]:
-        return {
-            one.name: {
-                "numbers": one.numbers,
-                "within_95": one.inside.value,
-                "sigma": one.inside.sigma,
-                "worst": {"name": one.worst[0], "within_95": one.worst[1]},
-            }
-            for one in of
-        }
-
-    return {
-        "count": coverage.campaigns,
-        "refused": list(coverage.refused),
-        "within_95": {"value": coverage.pooled.value, "sigma": coverage.pooled.sigma},
-        "binomial_band_of_one_number": list(coverage.band),
-        "numbers_at_95_plus_minus_3": {
-            "found": coverage.within_claim[0],
-            "expected": coverage.within_claim[1],
-            "of": len(coverage.by_number),
-        },
-        "least_probable_bonferroni": coverage.least_probable,
-        "by_number": coverage.by_number,
-        "families": families(coverage.families),
-        "procedures": families(coverage.claims),
-        "fresh_within_95_region": {"value": coverage.fresh_inside.value, "sigma": coverage.fresh_inside.sigma},
-        "fresh_normalised_error_squared": {
-            "value": coverage.fresh_normalised.value,
-            "sigma": coverage.fresh_normalised.sigma,
-        },
-        "fresh_without_noise_within_95": {"value": coverage.still_inside.value, "sigma": coverage.still_inside.sigma},
-        "fresh_root_mean_square": {
-            called: dict(zip(FREEDOMS, getattr(coverage, what), strict=True)) for called, what in ROOTS.items()
-        },
-    }

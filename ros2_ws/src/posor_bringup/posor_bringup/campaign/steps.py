@@ -2,7 +2,8 @@
 
 Each step is an afternoon's work on a bench that exists: a stage with an interferometer, an autocollimator, a supply
 that can be turned, a cross table with a light, a measuring machine. The reference's uncertainty is stated, and drawn:
-one error at each stop, or at each reading where the target is in motion.
+one error at each stop, or at each reading where the target is in motion. What is stated but not measured, heights of
+leaning, heights and angles of a slide, is off by less than stated.
 """
 
 from __future__ import annotations
@@ -68,6 +69,7 @@ class Step:
         options: Of the procedure.
         instrument: What the reference is measured with; empty: there is none.
         uncertainty: Of the reference, as the command line takes it: one number, or along and about for a pose.
+        unit: Of a reference that is a single number.
 
     """
 
@@ -77,6 +79,7 @@ class Step:
     options: Mapping[str, Any] = field(default_factory=dict)
     instrument: str = ""
     uncertainty: tuple[float, ...] = ()
+    unit: str = "m"
 
 
 def steps_of(name: PosorName) -> tuple[Step, ...]:
@@ -96,7 +99,7 @@ def steps_of(name: PosorName) -> tuple[Step, ...]:
             Step("6_rays", "light_sources", _rays, {}, "cross table", (CROSS_TABLE, 1e-4)),
         )
         if name == "triad_diodes"
-        else (Step("4_ring", "ring_profile", _ring, {"theta": "/reference"}, "index table", (2e-6,)),)
+        else (Step("4_ring", "ring_profile", _ring, {"theta": "/reference"}, "index table", (2e-6,), "rad"),)
     )
     return (
         *probes,

@@ -14,7 +14,7 @@ from scipy.stats import norm
 
 from posor_bringup.campaign.fresh import FREEDOMS, fresh_poses
 from posor_bringup.campaign.judged import judged
-from posor_bringup.campaign.many import CLAIM, FRESH, REGION_LIMIT, spare
+from posor_bringup.campaign.many import CLAIM, FRESH, REGION_LIMIT, interval_of, spare
 from posor_bringup.findings import Finding, Findings, Verdict
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from posor_estimator.core.calibration.model import Calibration
     from posor_estimator.core.types import FloatArray
 
+    from posor_bringup.arm_coverage import Figure
     from posor_bringup.campaign.bagged import Bagged
     from posor_bringup.campaign.fresh import Fresh
     from posor_bringup.campaign.judged import Judged
@@ -127,6 +128,11 @@ def _gains(posor: Posor, pushed: FloatArray, root: FloatArray) -> dict[str, Floa
     return gains
 
 
+def holds(all_told: Sequence[Told]) -> bool:
+    """Return whether everything holds."""
+    return all(told.findings.holds for told in all_told)
+
+
 def _of_one(told: Told) -> list[Finding]:
     name, numbers, fresh = told.plant.name, told.numbers, told.fresh
     inside = sum(number.inside for number in numbers)
@@ -203,6 +209,15 @@ def _each(values: FloatArray | Sequence[float], digits: int) -> str:
     return ", ".join(f"{freedom} {value:.{digits}f}" for freedom, value in zip(FREEDOMS, values, strict=True))
 
 
+def _part(part: Figure, campaigns: int, each: int, digits: int = 1) -> str:
+    """Return a part in percent with its uncertainty; where all cases are alike no scatter tells it."""
+    said = f"{100.0 * part.value:.{digits}f} %"
+    if part.sigma > 0.0:
+        return f"{said} +- {100.0 * part.sigma:.{digits}f} %"
+    low, high = interval_of(part, campaigns, each)
+    return f"{said}, between {100.0 * low:.0f} % and {100.0 * high:.0f} %"
+
+
 def findings_of_many(coverage: Coverage) -> list[Finding]:
     """Return what many campaigns say, and whether it holds."""
     name, low, high = coverage.name, *CLAIM
@@ -213,7 +228,7 @@ def findings_of_many(coverage: Coverage) -> list[Finding]:
     return [
         Finding(
             f"{name}: within their 95 % interval, all numbers of {coverage.campaigns} campaigns",
-            f"{100.0 * pooled.value:.2f} % +- {100.0 * pooled.sigma:.2f} %",
+            _part(pooled, count, len(coverage.by_number), 2),
             "95 %",
             f"{100.0 * low:g} % to {100.0 * high:g} %, give or take {100.0 * chance:.1f} % by chance",
             f"{coverage.campaigns} seeded campaigns",
@@ -233,7 +248,7 @@ def findings_of_many(coverage: Coverage) -> list[Finding]:
         ),
         Finding(
             f"{name}: fresh poses within the budget's 95 % region",
-            f"{100.0 * poses.value:.1f} % +- {100.0 * poses.sigma:.1f} %",
+            _part(poses, count, FRESH),
             "95 %",
             f"at least {100.0 * low:g} %, less {100.0 * below:.1f} % by chance",
             f"{coverage.campaigns} seeded campaigns",
@@ -243,7 +258,7 @@ def findings_of_many(coverage: Coverage) -> list[Finding]:
         ),
         Finding(
             f"{name}: errors of scans without noise within 95 % by the calibration's part of the budget",
-            f"{100.0 * still.value:.1f} % +- {100.0 * still.sigma:.1f} %",
+            _part(still, count, FRESH * len(FREEDOMS)),
             "95 %",
             f"at least {100.0 * low:g} %, less {100.0 * still_below:.1f} % by chance",
             f"{count} seeded campaigns",
