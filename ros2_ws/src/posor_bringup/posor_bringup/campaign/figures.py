@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure as Drawing
+from matplotlib.patches import Patch
+from posor_estimator.core.budget.first_order import Kind
 from posor_estimator.reporting.drawing import BLUE, GREEN, GREY, LIGHT_BLUE, ORANGE, png, tidy
 from scipy.stats import chi2, norm
 
@@ -15,23 +18,35 @@ from posor_bringup.campaign.judged import WITHIN_95
 from posor_bringup.campaign.many import CLAIM
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from matplotlib.axes import Axes
-    from posor_estimator.core.calibrate.procedure import Figure
+    from posor_estimator.core.calibrate.fit import Fit
+    from posor_estimator.core.calibrate.procedure import Figure, Outcome
 
     from posor_bringup.campaign.many import Coverage
     from posor_bringup.campaign.told import Told
 
 STYLES = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (LIGHT_BLUE, "D"))
-WIDE = (15.0, 8.6)
-"""Of a picture [inch]."""
+WIDE, TALL = (15.0, 8.6), (15.0, 12.0)
+"""Of pictures [inch]."""
 SMALL, TITLE = 9, 11
 """Of letters [pt]."""
-BARS = 6
-"""Quantities drawn for each freedom, those that matter most."""
-SHORT = 30
-"""Letters of a quantity's name that are drawn."""
+BARS = 5
+"""Calibrated quantities, and readings, drawn for each freedom: those that matter most."""
+MANY = 500
+"""Residuals from which on their points are small."""
+NOTHING = 1e-6
+"""Residual over its standard uncertainty that comes from rounding."""
+FAINT = 0.02
+"""Of the loudest reading's noise: what a quieter one does is not drawn."""
+LINE = 24
+"""Letters of a quantity's name in a line."""
+WITH_UNIT = {
+    "gap_linearisation": "Gap probes: residuals of the linearisation",
+    "diode_map": "Diodes: residuals of the maps",
+}
+"""Procedures whose own charts show residuals in their unit, and what to say above."""
 
 
 def draw(told: Told) -> dict[str, bytes]:
@@ -41,25 +56,32 @@ def draw(told: Told) -> dict[str, bytes]:
 
 
 def _residuals(told: Told, name: str) -> bytes:
-    figure = Drawing(figsize=WIDE, layout="constrained")
-    figure.suptitle(f"{name}: residuals")
-    axes = figure.subplots(2, 3)
-    by_step = {bag.step.procedure: bag.outcome for bag in told.bagged}
-    _points(axes[0, 0], "Gap probes: residuals of the linearisation", _joined(by_step["gap_linearisation"].figures))
-    across = "diode_map" if "diode_map" in by_step else "ring_profile"
-    shown = [figure for bag in told.bagged if bag.step.procedure == across for figure in bag.outcome.figures]
-    titles = {"diode_map": "Diodes: residuals of the maps", "ring_profile": "Bumpy ring: change of the profile"}
-    _points(axes[0, 1], titles[across], _joined(shown), line=across == "ring_profile")
-    _points(axes[0, 2], "Probe spacing: residuals", by_step["probe_spacing"].figures[0])
-    _points(axes[1, 0], "Target plane: alpha that is none", by_step["target_plane"].figures[0])
-    _points(axes[1, 1], "Zero drift: error of alpha", by_step["zero_drift"].figures[0])
-    _histogram(axes[1, 2], told)
+    figure = Drawing(figsize=TALL, layout="constrained")
+    figure.suptitle(f"{name}: residuals, those without a unit over their standard uncertainties")
+    steps: dict[str, list[Outcome]] = {}
+    for bag in told.bagged:
+        steps.setdefault(bag.step.procedure, []).append(bag.outcome)
+    free = iter(figure.subplots(3, 3).ravel())
+    for procedure, outcomes in steps.items():
+        charts = [chart for outcome in outcomes for chart in outcome.figures]
+        if procedure == "bundle":
+            _histogram(next(free), outcomes[0].fits[procedure])
+        elif procedure in WITH_UNIT:
+            _points(next(free), WITH_UNIT[procedure], _joined(charts))
+        elif procedure == "target_plane":
+            _points(next(free), "Target plane: alpha that is none, before and after", charts[0])
+        else:
+            _normalised(next(free), procedure, outcomes[0].fits)
+        if procedure == "ring_profile":
+            _points(next(free), "Bumpy ring: change of its profile, no residuals", charts[0], line=True)
+    for rest in free:
+        rest.set_visible(False)
     return _finished(figure)
 
 
 def _budgets(told: Told, name: str) -> bytes:
     figure = Drawing(figsize=WIDE, layout="constrained")
-    figure.suptitle(f"{name}: budget in the middle of the range; dashed: calibration; noise: of one scan")
+    figure.suptitle(f"{name}: budget of one scan in the middle of the range")
     for n, one in enumerate(figure.subplots(2, 3).ravel()):
         _budget(one, told, n)
     return _finished(figure)
@@ -116,8 +138,25 @@ def _written(label: str) -> str:
     return label.replace("[u", "[µ")
 
 
-def _histogram(axes: Axes, told: Told) -> None:
-    found = next(bag.outcome for bag in told.bagged if bag.step.procedure == "bundle").fits["bundle"]
+def _normalised(axes: Axes, procedure: str, fits: Mapping[str, Fit]) -> None:
+    """Draw what the fits of a procedure leave, after all that they found along, by the last word of their names.
+
+    A fit that finds a pose for each scan leaves as many residuals of nothing: these are not drawn.
+    """
+    for (name, found), (colour, marker) in zip(fits.items(), STYLES * 3, strict=False):
+        left = np.flatnonzero(np.abs(found.residuals) > NOTHING)
+        size = 3.5 if len(left) < MANY else 1.5
+        style = {"marker": marker, "ms": size, "color": colour, "label": name.split()[-1]}
+        axes.plot(left + 1, found.residuals[left], ls="", alpha=0.75, **style)
+    axes.axhline(0.0, color=GREY, lw=0.8)
+    words = procedure.replace("_", " ").capitalize()
+    axes.set(title=f"{words}: residuals", xlabel="residual's number", ylabel="over its standard uncertainty")
+    if len(fits) > 1:
+        axes.margins(y=0.22)  # the legend's place
+        axes.legend(fontsize=SMALL, ncols=4, loc="upper center", columnspacing=1.0, handletextpad=0.3)
+
+
+def _histogram(axes: Axes, found: Fit) -> None:
     at = np.linspace(-4.0, 4.0, 33)
     axes.hist(np.clip(found.residuals, -4.0, 4.0), at.tolist(), density=True, color=LIGHT_BLUE, label="residuals")
     fine = np.linspace(-4.0, 4.0, 200)
@@ -143,20 +182,33 @@ def _pulls(axes: Axes, told: Told) -> None:
 
 
 def _budget(axes: Axes, told: Told, freedom: int) -> None:
-    largest = sorted(told.gains, key=lambda one: told.gains[one][freedom], reverse=True)[:BARS]
-    names = [one if len(one) <= SHORT else f"{one[: SHORT - 1]}…" for one in largest]
-    axes.barh(range(len(largest)), [1e6 * told.gains[one][freedom] for one in largest], color=BLUE)
-    axes.set_yticks(range(len(largest)), names, fontsize=SMALL)
-    common, total = 1e6 * told.common[freedom], 1e6 * told.budget.sigmas[freedom]
-    noise = np.sqrt(max(total**2 - common**2, 0.0))
-    axes.axvline(common, color=GREY, ls="--", lw=1.2)
+    noises = {one.name: one.effects for one in told.budget.contributions if one.kind is Kind.RANDOM}
+    loudest = max(effects[freedom] for effects in noises.values())
+    noises = {name: effects for name, effects in noises.items() if effects[freedom] > FAINT * loudest}
+    bars = [
+        (name, 1e6 * float(effects[freedom]), colour)
+        for those, colour in ((noises, ORANGE), (told.gains, BLUE))
+        for name, effects in sorted(those.items(), key=lambda one: -one[1][freedom])[:BARS]
+    ]
+    bars.sort(key=lambda bar: -bar[1])
+    names, lengths, colours = zip(*bars, strict=True)
+    drawn = axes.barh(range(len(bars)), lengths, color=colours)
+    axes.bar_label(drawn, [_two(length) for length in lengths], padding=3, fontsize=SMALL)
+    axes.set_yticks(range(len(bars)), [fill(name, LINE) for name in names], fontsize=SMALL)
+    axes.margins(x=0.16)  # the labels' place
     axes.locator_params(axis="x", nbins=5)
     axes.invert_yaxis()
+    common, total = 1e6 * told.common[freedom], 1e6 * told.budget.sigmas[freedom]
+    noise = np.sqrt(max(total**2 - common**2, 0.0))
     name, unit = list(FREEDOMS.items())[freedom]
-    axes.set(
-        title=f"{name}: calibration {common:.2g}, noise {noise:.2g} µ{unit}",
-        xlabel=f"taken away by knowing it exactly [µ{unit}]",
-    )
+    axes.set(title=f"{name}: {_two(total)} µ{unit}", xlabel=f"taken away by knowing it exactly [µ{unit}]")
+    said = [f"noise, in all {_two(noise)}", f"calibration, in all {_two(common)}"]
+    axes.legend([Patch(color=ORANGE), Patch(color=BLUE)], said, fontsize=SMALL, loc="lower right")
+
+
+def _two(value: float) -> str:
+    """Return two digits."""
+    return f"{value:#.2g}".rstrip(".")
 
 
 def _errors(axes: Axes, told: Told) -> None:
@@ -196,14 +248,14 @@ def _coverage(axes: Axes, coverage: Coverage) -> None:
     families = coverage.families
     at = np.arange(len(families))
     parts = np.array([100.0 * family.inside.value for family in families])
-    errors = np.array([200.0 * family.inside.sigma for family in families])
-    axes.errorbar(parts, at, xerr=errors, fmt="o", ms=4, color=BLUE, capsize=2, lw=1.0, clip_on=False)
+    ends = np.array([[100.0 * end for end in family.interval] for family in families]).T
+    axes.errorbar(parts, at, xerr=np.abs(ends - parts), fmt="o", ms=4, color=BLUE, capsize=2, lw=1.0, clip_on=False)
     axes.axvspan(100.0 * CLAIM[0], 100.0 * CLAIM[1], color="#eeeeee", zorder=0)
     axes.axvline(95.0, color=GREY, lw=0.8)
     axes.set_yticks(at, [family.name for family in families], fontsize=SMALL)
     axes.invert_yaxis()
     axes.set(
         title=f"Truth within 95 %, {coverage.campaigns} campaigns",
-        xlabel="numbers within [%], two deviations",
-        xlim=(min(80.0, float(np.min(parts - errors)) - 1.0), 101.5),
+        xlabel="numbers within [%], and 95 % interval",
+        xlim=(min(80.0, float(np.min(ends)) - 1.0), 100.5),
     )
