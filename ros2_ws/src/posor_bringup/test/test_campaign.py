@@ -131,6 +131,7 @@ def less_told(step: Step) -> Step:
     return replace(step, record=record)
 
 
+@pytest.mark.timeout(300)
 def test_an_instrument_noisier_than_told_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     *steps, bundle = steps_of("triad_diodes")
     plant = Plant.drawn("triad_diodes", SEED)

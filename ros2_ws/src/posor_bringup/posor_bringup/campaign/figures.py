@@ -36,8 +36,8 @@ BARS = 5
 """Calibrated quantities, and readings, drawn for each freedom: those that matter most."""
 MANY = 500
 """Residuals from which on their points are small."""
-NOTHING = 1e-6
-"""Residual over its standard uncertainty that comes from rounding."""
+NOTHING = 0.01
+"""Residual over its standard uncertainty: one below is mostly that of a freedom that no reference tells."""
 FAINT = 0.02
 """Of the loudest reading's noise: what a quieter one does is not drawn."""
 LINE = 24
@@ -141,13 +141,14 @@ def _written(label: str) -> str:
 def _normalised(axes: Axes, procedure: str, fits: Mapping[str, Fit]) -> None:
     """Draw what the fits of a procedure leave, after all that they found along, by the last word of their names.
 
-    A fit that finds a pose for each scan leaves as many residuals of nothing: these are not drawn.
+    A fit that finds a pose for each scan has residuals that say nothing, of freedoms that the reference leaves open: a
+    band of nearly zero, which is not drawn.
     """
     for (name, found), (colour, marker) in zip(fits.items(), STYLES * 3, strict=False):
         left = np.flatnonzero(np.abs(found.residuals) > NOTHING)
         size = 3.5 if len(left) < MANY else 1.5
-        style = {"marker": marker, "ms": size, "color": colour, "label": name.split()[-1]}
-        axes.plot(left + 1, found.residuals[left], ls="", alpha=0.75, **style)
+        values, word = found.residuals[left], name.split()[-1]
+        axes.plot(left + 1, values, ls="", marker=marker, ms=size, alpha=0.75, color=colour, label=word)
     axes.axhline(0.0, color=GREY, lw=0.8)
     words = procedure.replace("_", " ").capitalize()
     axes.set(title=f"{words}: residuals", xlabel="residual's number", ylabel="over its standard uncertainty")
