@@ -36,7 +36,7 @@ BARS = 5
 """Calibrated quantities, and readings, drawn for each freedom: those that matter most."""
 MANY = 500
 """Residuals from which on their points are small."""
-NOTHING = 0.01
+NOTHING = 0.03
 """Residual over its standard uncertainty: one below is mostly that of a freedom that no reference tells."""
 FAINT = 0.02
 """Of the loudest reading's noise: what a quieter one does is not drawn."""
@@ -151,7 +151,11 @@ def _normalised(axes: Axes, procedure: str, fits: Mapping[str, Fit]) -> None:
         axes.plot(left + 1, values, ls="", marker=marker, ms=size, alpha=0.75, color=colour, label=word)
     axes.axhline(0.0, color=GREY, lw=0.8)
     words = procedure.replace("_", " ").capitalize()
-    axes.set(title=f"{words}: residuals", xlabel="residual's number", ylabel="over its standard uncertainty")
+    axes.set(
+        title=f"{words}: residuals",
+        xlabel=f"residual's number, below {NOTHING:g} not drawn",
+        ylabel="over its standard uncertainty",
+    )
     if len(fits) > 1:
         axes.margins(y=0.22)  # the legend's place
         axes.legend(fontsize=SMALL, ncols=4, loc="upper center", columnspacing=1.0, handletextpad=0.3)
