@@ -58,6 +58,22 @@ def test_intervals_cover(rng: np.random.Generator) -> None:
     assert np.std(normalised) == pytest.approx(1.0, abs=0.2)
 
 
+@pytest.mark.parametrize("loss", ["soft_l1", "huber"])
+def test_five_percent_of_outliers_are_named_and_survived(rng: np.random.Generator, loss: Any) -> None:
+    recording, truth = turned(rng, "triad_light_ring", np.linspace(-np.pi, np.pi, 80))
+    volts = recording.scans.gap_voltages.copy()
+    volts[[5, 23, 41, 70], [0, 1, 2, 1]] += 1.0
+    bad = Recording(recording.scans.with_fields({"gap_voltages": volts}), {}, "simulated")
+    with pytest.raises(FitError, match="times as large as the stated uncertainties explain, the worst is that of"):
+        run("triad_light_ring", bad)
+    outcome = PROCEDURE.run(bad, design("triad_light_ring"), PROCEDURE.options(loss=loss))
+    fit = outcome.fits["target_plane"]
+    assert np.all(np.abs(fit.values[:2] - truth) < 4.0 * fit.sigmas[:2])
+    assert np.max(fit.sigmas[:2]) < 5e-6
+    said = next(sentence for sentence in outcome.warnings if "readings are outliers" in sentence)
+    assert "beta of scan 5, alpha of scan 23, beta of scan 23" in said
+
+
 def test_full_turns_tell_more_than_small_ones(rng: np.random.Generator) -> None:
     recording, _ = turned(rng, "triad_light_ring", np.linspace(-np.pi, np.pi, 40))
     full = run("triad_light_ring", recording)
