@@ -175,6 +175,10 @@ class ChainNode(PosorNode[ChainParameters]):
             reading = self._another_kind(joint, data) if reading is None else reading
             if reading is None:
                 return
+            if reading.stamp_ns == 0:  # to the joiner it would be time that has gone back
+                self._scans_refused += 1
+                self._say_no(f"{joint.name}: the stamp of a transform is zero; expected the time of exposure")
+                return
             scan = self._joiner.add(joint.name, reading.stamp_ns, reading, time.monotonic())
             self._report_given_up()
             if scan is not None:

@@ -292,6 +292,20 @@ def test_one_lost_joint_of_two_gives_no_pose(two_joints: str) -> None:
         assert arm.poses == []
 
 
+def test_a_transform_without_a_stamp_stops_nothing(two_joints: str) -> None:
+    with chain_node(urdf=two_joints, endpoint_frame="t2", **LOSSLESS), Graph() as graph:
+        arm = Arm(graph)
+        shoulder, elbow = arm.joint("shoulder"), arm.joint("elbow")
+        for seconds in (1, 0, 2, 3):
+            shoulder.publish(transform_of(seconds, plates=("base", "t1")))
+        arm.wait_for_no("no pose: shoulder: the stamp of a transform is zero; expected the time of exposure")
+        for seconds in (1, 2, 3):
+            elbow.publish(transform_of(seconds, plates=("r2", "t2")))
+        arm.wait_for(3)
+        assert seconds_of(arm.poses) == [1, 2, 3]
+        assert values_of(graph.wait_for_status("/chain_node: endpoint", "ok"))["scans_refused"] == "1"
+
+
 def call_set_home(graph: Graph) -> tuple[bool, str]:
     answer = graph.call(Trigger, "/chain_node/set_home", Trigger.Request())
     return answer.success, answer.message

@@ -56,8 +56,8 @@ class EndpointReprocessor:
         joiner: What joins the transforms, with its counts.
         poses: How many poses there have been.
         degraded: How many of these rest on a joint whose state is DEGRADED.
-        unusable: Complete stamps that gave no pose.
-        refused: Complete stamps without a pose, by the joint whose transform may not be used.
+        unusable: Complete stamps that gave no pose, and transforms without a stamp.
+        refused: The same, by the joint whose transform may not be used.
 
     """
 
@@ -105,7 +105,7 @@ class EndpointReprocessor:
             block: Of each joint.
 
         """
-        complete = self.joiner.join([block[name] for name in self.joints])
+        complete = self.joiner.join([self._stamped(name, block[name]) for name in self.joints])
         states = np.array([each.table["state"] for each in complete])
         known = (states == int(State.OK)) | (states == int(State.DEGRADED))
         usable = known.all(axis=0)
@@ -115,6 +115,16 @@ class EndpointReprocessor:
         known[:, usable] &= found.faults.T == 0
         self._count(states, known)
         return self._published(complete, found)
+
+    def _stamped(self, joint: str, transforms: Transforms) -> Transforms:
+        """Return those that have a stamp; to the joiner the others would be time that has gone back."""
+        stamped = transforms.stamps_ns != 0
+        if stamped.all():
+            return transforms
+        without = int(np.count_nonzero(~stamped))
+        self.refused[joint] += without
+        self.unusable += without
+        return transforms.chosen(stamped)
 
     def _count(self, states: IntArray, known: BoolArray) -> None:
         """Count complete stamps, by the joints' states and by whether their numbers may be used, (joints, n)."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any, Self
 
 import rclpy
@@ -136,11 +136,13 @@ class Nodes:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Stop all nodes."""
-        while self._nodes:
-            self._nodes.pop().stop()
-        if self._health is not None:
-            self._health.close()
+        """Stop all nodes, the last one first, even if one of them raises."""
+        with ExitStack() as everything:
+            if self._health is not None:
+                everything.callback(self._health.close)
+            for node in self._nodes:
+                everything.callback(node.stop)
+            self._nodes = []
 
     def add(self, node: PosorNode[Any]) -> None:
         """Take a node into the process.

@@ -130,8 +130,11 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         """Undo ``configure``."""
 
     def request_exit(self, failure: Exception | None = None) -> None:
-        """Ask the main loop, from any thread, to end the program; with ``failure``, as one that failed."""
-        self._failure = failure
+        """Ask the main loop, from any thread, to end the program; with ``failure``, as one that failed.
+
+        Of several failures the first is told.
+        """
+        self._failure = self._failure or failure
         self.exit_requested = True
 
     def raise_failure(self) -> None:
