@@ -296,9 +296,13 @@ def test_a_transform_without_a_stamp_stops_nothing(two_joints: str) -> None:
     with chain_node(urdf=two_joints, endpoint_frame="t2", **LOSSLESS), Graph() as graph:
         arm = Arm(graph)
         shoulder, elbow = arm.joint("shoulder"), arm.joint("elbow")
-        for seconds in (1, 0, 2, 3):
-            shoulder.publish(transform_of(seconds, plates=("base", "t1")))
+        unstamped = transform_of(2, plates=("base", "t1"))
+        unstamped.header.stamp.sec = unstamped.header.stamp.nanosec = 0
+        for message in (transform_of(1, plates=("base", "t1")), unstamped):
+            shoulder.publish(message)
         arm.wait_for_no("no pose: shoulder: the stamp of a transform is zero; expected the time of exposure")
+        for seconds in (2, 3):
+            shoulder.publish(transform_of(seconds, plates=("base", "t1")))
         for seconds in (1, 2, 3):
             elbow.publish(transform_of(seconds, plates=("r2", "t2")))
         arm.wait_for(3)
