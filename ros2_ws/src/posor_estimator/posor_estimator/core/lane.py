@@ -79,13 +79,17 @@ class Lane:
             and len(scan.lit_sources) == self.scans.lit_sources.shape[1]
         )
 
-    def locate(self, scan: Scan) -> Estimate:
-        """Return the estimate of a scan that the lane ``takes``, in arrays of its own."""
+    def fill(self, scan: Scan) -> None:
+        """Put a scan that the lane ``takes`` into ``scans``."""
         room = self.scans
         room.numbers[0], room.stamps_ns[0] = scan.number, scan.stamp_ns
         room.gap_voltages[0], room.ring_voltages[0] = scan.gap_voltages, scan.ring_voltages
         room.diode_currents[0], room.lit_sources[0] = scan.diode_currents, scan.lit_sources
         room.supply_voltages[0], room.temperatures[0] = scan.supply_voltage, scan.temperature
         room.at_home[0] = scan.at_home
+
+    def locate(self, scan: Scan) -> Estimate:
+        """Return the estimate of a scan that the lane ``takes``, in arrays of its own."""
+        self.fill(scan)
         self.run()
         return self._out.one(0, self.reason())

@@ -115,12 +115,17 @@ def reading_covariance(  # noqa: C901, PLR0912  loops over plain numbers, to be 
         floats[to] += total
     for b in range(tally[COLUMNS]):
         for r in range(blocks[b, 2], blocks[b, 3] + 1):
-            for c in range(blocks[b, 0], blocks[b, 0] + blocks[b, 1]):
-                effects[r, c] = 0.0
+            cells = effects[r, blocks[b, 0] : blocks[b, 0] + blocks[b, 1]]
+            for c in range(cells.shape[0]):
+                cells[c] = 0.0
     for s in range(tally[ALONE], tally[TOGETHER]):
-        derivative, factors, to = floats[shares[s, 0]], shares[s, 1], shares[s, 2]
-        for i in range(shares[s, 3]):
-            floats[to + i] += derivative * floats[factors + i]
+        derivative, factors, to, count = floats[shares[s, 0]], shares[s, 1], shares[s, 2], shares[s, 3]
+        if count == 1:
+            floats[to] += derivative * floats[factors]
+        else:
+            cells, row = floats[to : to + count], floats[factors : factors + count]
+            for c in range(count):
+                cells[c] += derivative * row[c]
     for b in range(tally[COLUMNS]):
         for i in range(blocks[b, 2], blocks[b, 3] + 1):
             for j in range(blocks[b, 2], i + 1):
@@ -133,13 +138,14 @@ def reading_covariance(  # noqa: C901, PLR0912  loops over plain numbers, to be 
 @compiled
 def _product(effects: FloatArray, i: int, j: int, first: int, count: int) -> float:
     """Return the scalar product of parts of two rows; four sums side by side, since each waits for its last term."""
+    one, other = effects[i, first : first + count], effects[j, first : first + count]
     a = b = c = d = 0.0
     whole = count - count % 4
-    for k in range(first, first + whole, 4):
-        a += effects[i, k] * effects[j, k]
-        b += effects[i, k + 1] * effects[j, k + 1]
-        c += effects[i, k + 2] * effects[j, k + 2]
-        d += effects[i, k + 3] * effects[j, k + 3]
-    for k in range(first + whole, first + count):
-        a += effects[i, k] * effects[j, k]
+    for k in range(0, whole, 4):
+        a += one[k] * other[k]
+        b += one[k + 1] * other[k + 1]
+        c += one[k + 2] * other[k + 2]
+        d += one[k + 3] * other[k + 3]
+    for k in range(whole, count):
+        a += one[k] * other[k]
     return (a + b) + (c + d)
