@@ -162,6 +162,8 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         if not self._finalized:
             self.trigger_shutdown()
         self.destroy_node()
+        # rclpy leaves this to the garbage collector; until then the node stays in the graph.
+        self._state_machine.destroy_when_not_in_use()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Run the hook, then those of managed entities."""
