@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import signal
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
@@ -32,7 +33,8 @@ from posor_bringup.watch import InterruptedRunError
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterator, Sequence
+    from types import FrameType
 
 SEED = 1985
 CAMPAIGNS = 6
@@ -127,22 +129,45 @@ def write(options: argparse.Namespace, told: Sequence[Told]) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program."""
-    former = signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends the workers too
     try:
-        return _demo(parse(arguments))
+        with _interruptible() as check:
+            return _demo(parse(arguments), check)
     except KeyboardInterrupt:
         error: PosorError = InterruptedRunError("interrupted", where="calibrate_demo")
     except PosorError as complaint:
         error = complaint
-    finally:
-        signal.signal(signal.SIGTERM, former)
     print(error, file=sys.stderr)
     return error.exit_code
 
 
-def _demo(options: argparse.Namespace) -> int:
+@contextmanager
+def _interruptible() -> Iterator[Callable[[], None]]:
+    """Let SIGINT and SIGTERM end the run, and the workers with it.
+
+    What is yielded raises KeyboardInterrupt where one has come: not every library passes on what a signal raises in it.
+    """
+    came = False
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        nonlocal came
+        came = True
+        raise KeyboardInterrupt
+
+    def check() -> None:
+        if came:
+            raise KeyboardInterrupt
+
+    former = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield check
+    finally:
+        for number, handler in former.items():
+            signal.signal(number, handler)
+
+
+def _demo(options: argparse.Namespace, check: Callable[[], None]) -> int:
     console = Console(highlight=False) if sys.stdout.isatty() else Console(highlight=False, width=WIDTH)
-    with Stages(console) as stages:
+    with Stages(console, check) as stages:
         told = run(options, stages)
     write(options, told)
     every = Findings(tuple(finding for one in told for finding in one.findings.findings))

@@ -17,8 +17,16 @@ if TYPE_CHECKING:
 class Stages:
     """A context manager; what is printed within it stands above the bars."""
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Console, check: Callable[[], None] = lambda: None) -> None:
+        """Show stages.
+
+        Args:
+            console: Where.
+            check: Called whenever a part is done; what it raises ends the stage.
+
+        """
         self._console = console
+        self._check = check
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
         self._progress = Progress(*columns, console=console) if console.is_terminal else None
 
@@ -38,8 +46,13 @@ class Stages:
         """Show a stage; what it gives is to be called after each of its ``total`` parts."""
         if self._progress is not None:
             progress, task = self._progress, self._progress.add_task(what, total=total)
-            yield lambda: progress.advance(task)
+
+            def advance() -> None:
+                self._check()
+                progress.advance(task)
+
+            yield advance
             return
         begun = time.monotonic()
-        yield lambda: None
+        yield self._check
         self._console.print(f"{what}: {total} done in {time.monotonic() - begun:.0f} s", soft_wrap=True, markup=False)
