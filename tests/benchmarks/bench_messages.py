@@ -17,7 +17,7 @@ from posor_estimator.core.scan import Scans
 from posor_estimator.ros.cdr import NS, STAMP
 from posor_estimator.ros.cdr_scan import RAW_SCAN, ScanReader, ScanTemplate, scan_of
 from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM, Lost, TransformReader, TransformWriter
-from posor_estimator.ros.messages import measured_joint, scan_from_message, transform_message
+from posor_estimator.ros.messages import pose_from_message, scan_from_message, transform_message
 from posor_msgs.msg import JointTransform, RawScan
 from rclpy.serialization import deserialize_message, serialize_message
 from rich.console import Console
@@ -25,6 +25,9 @@ from rich.table import Table
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    import pinocchio as pin
+    from posor_estimator.core.types import FloatArray
 
 ROUNDS = 15
 CALLS = 2000
@@ -85,9 +88,13 @@ def ways() -> list[Way]:
         Way(
             "chain_node: read a transform",
             measured,
-            lambda: measured_joint(deserialize_message(transform, JointTransform)),
+            lambda: _read(deserialize_message(transform, JointTransform)),
         ),
     ]
+
+
+def _read(message: JointTransform) -> tuple[pin.SE3, FloatArray]:
+    return pose_from_message(message.pose), np.array(message.covariance, dtype=float).reshape(6, 6)
 
 
 def least_us(work: Callable[[], object]) -> float:

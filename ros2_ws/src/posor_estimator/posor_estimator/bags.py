@@ -11,6 +11,7 @@ from rclpy.serialization import deserialize_message
 
 from posor_estimator.core.calibrate.recording import Recording
 from posor_estimator.core.calibrate.track import Track
+from posor_estimator.core.kernels.chain_pose import UNIT_WITHIN
 from posor_estimator.core.scan import Scan, Scans
 from posor_estimator.errors import BagError, TrackError
 from posor_estimator.ros.bag_reader import check_filled, checked_type, counted_messages, opened_bag, scan_topic
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
 
 FLOAT64 = "std_msgs/msg/Float64"
 TRANSFORM_STAMPED = "geometry_msgs/msg/TransformStamped"
-UNIT_WITHIN = 1e-6
-"""How far from one the length of a reference's quaternion may be."""
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posor_estimator.core.fault import State
-from posor_estimator.core.kernels.chain import relative_to
 from posor_estimator.errors import ChainError
 from posor_estimator.reprocess.joined import BlockJoiner
 
@@ -152,25 +151,13 @@ class EndpointReprocessor:
 
     def _published(self, complete: Sequence[Transforms], found: Found) -> Endpoints:
         """Return the endpoints that are some, relative to home if that is wanted."""
-        times = np.max([each.times_ns for each in complete], axis=0)
-        if not found.sound.all():
-            sound = found.sound
-            return self._relative_to_home(
-                times[sound],
-                complete[0].stamps_ns[sound],
-                found.poses[sound],
-                found.covariances[sound],
-                found.angles[sound],
-            )
-        return self._relative_to_home(times, complete[0].stamps_ns, found.poses, found.covariances, found.angles)
-
-    def _relative_to_home(
-        self, times_ns: IntArray, stamps_ns: IntArray, poses: FloatArray, covariances: FloatArray, angles: FloatArray
-    ) -> Endpoints:
-        if not self._relative or not len(poses):
-            return Endpoints(times_ns, stamps_ns, poses, covariances, angles)
-        if self._home is None:
-            self._home = poses[0].copy()
-        relative = np.empty_like(poses), np.empty_like(covariances)
-        relative_to(self._home, poses, covariances, *relative)
-        return Endpoints(times_ns, stamps_ns, *relative, angles)
+        sound = found.sound
+        times, stamps = np.max([each.times_ns for each in complete], axis=0), complete[0].stamps_ns
+        poses, covariances, angles = found.poses, found.covariances, found.angles
+        if self._relative and sound.any():
+            if self._home is None:
+                self._home = poses[int(np.argmax(sound))].copy()
+            poses, covariances = found.relative_to(self._home)
+        if sound.all():
+            return Endpoints(times, stamps, poses, covariances, angles)
+        return Endpoints(times[sound], stamps[sound], poses[sound], covariances[sound], angles[sound])

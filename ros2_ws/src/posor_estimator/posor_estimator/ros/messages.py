@@ -9,16 +9,14 @@ import pinocchio as pin
 from geometry_msgs.msg import Pose
 from posor_msgs.msg import JointTransform, RawScan
 
-from posor_estimator.core.chain import MeasuredJoint
+from posor_estimator.core.chain_lane import WHY
 from posor_estimator.core.fault import Fault, State
+from posor_estimator.core.kernels.chain_pose import fault_of
 from posor_estimator.core.scan import Scan
 
 if TYPE_CHECKING:
     from posor_estimator.core.estimate import Estimate
     from posor_estimator.core.types import FloatArray
-
-UNIT_WITHIN = 1e-6
-"""How far from one the length of an orientation quaternion may be."""
 
 CovarianceKind = Literal["random", "systematic", "total"]
 
@@ -110,23 +108,14 @@ def why_unusable(message: JointTransform) -> str:
             return f"has the unknown state {message.state}"
         return f"is {known[message.state]} ({Fault(message.faults).name or f'unknown faults {message.faults}'})"
     p, q = message.pose.position, message.pose.orientation
-    if not np.isfinite([p.x, p.y, p.z, q.x, q.y, q.z, q.w]).all():
-        return "has a pose that is not finite"
-    if abs(np.linalg.norm([q.x, q.y, q.z, q.w]) - 1.0) > UNIT_WITHIN:
-        return "has an orientation that is no unit quaternion"
-    if not np.isfinite(np.asarray(message.covariance, dtype=float)).all():
-        return "has a covariance that is not finite"
-    return ""
+    pose = np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
+    fault = fault_of(pose, np.array(message.covariance, dtype=float).reshape(6, 6))
+    return WHY[fault] if fault else ""
 
 
 def is_usable(message: JointTransform) -> bool:
     """Return whether the message's pose may be used."""
     return not why_unusable(message)
-
-
-def measured_joint(message: JointTransform) -> MeasuredJoint:
-    """Return the measurement that a usable transform message carries."""
-    return MeasuredJoint(pose_from_message(message.pose), np.array(message.covariance, dtype=float).reshape(6, 6))
 
 
 def stamp_ns(message: RawScan | JointTransform) -> int:

@@ -13,7 +13,6 @@ from posor_estimator.core.scan import NO_SOURCE
 from posor_estimator.ros.messages import (
     CovarianceKind,
     is_usable,
-    measured_joint,
     pose_from_message,
     pose_message,
     scan_from_message,
@@ -129,9 +128,9 @@ def test_the_covariance_is_the_part_that_its_kind_says(
 def test_a_measured_joint_comes_back_from_its_message(raw: Any, estimate: Estimate, pose: pin.SE3) -> None:
     uneven = np.arange(36.0).reshape(6, 6)  # not symmetric: rows and columns must not be exchanged
     message = transform_message(raw, replace(estimate, covariance_random=uneven), "plate_r", "plate_t", "random")
-    back = measured_joint(message)
-    np.testing.assert_allclose(back.T_parent_child.homogeneous, pose.homogeneous, rtol=0.0, atol=1e-15)
-    np.testing.assert_array_equal(back.covariance, uneven)
+    back = pose_from_message(message.pose)
+    np.testing.assert_allclose(back.homogeneous, pose.homogeneous, rtol=0.0, atol=1e-15)
+    np.testing.assert_array_equal(np.reshape(message.covariance, (6, 6)), uneven)
 
 
 @pytest.mark.parametrize("kind", ["random", "systematic", "total"])

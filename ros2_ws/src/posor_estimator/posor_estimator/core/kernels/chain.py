@@ -18,8 +18,18 @@ import numpy as np
 from posor_estimator.core.compiled import compiled
 from posor_estimator.core.kernels.chain_covariance import add_along, add_turned, carry, mirror
 from posor_estimator.core.kernels.chain_motion import WINDOW, accelerations, begin_anew, has_room, take
-from posor_estimator.core.kernels.chain_pose import fault_of, go_on, rotation_of, row, turn_on, write_pose
-from posor_estimator.core.kernels.vector import Vector, apply_tangent, at, minus, plus, rotate, rotate_back, times
+from posor_estimator.core.kernels.chain_pose import fault_of, go_on, rotation_of, turn_on, write_pose
+from posor_estimator.core.kernels.vector import (
+    Vector,
+    apply_tangent,
+    at,
+    minus,
+    plus,
+    rotate,
+    rotate_back,
+    times,
+    within,
+)
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray, IntArray
@@ -41,7 +51,7 @@ def go_along_beam(
     """
     step[3], step[4], step[5] = times(-1.0, rotate(beam[START_GAIN:], force))
     apply_tangent(rotation, translation, step)
-    along = rotate(rotation, plus(row(beam, SPAN + 3), rotate(beam[SHIFT_GAIN:], force)))
+    along = rotate(rotation, plus(within(beam, SPAN + 3), rotate(beam[SHIFT_GAIN:], force)))
     for i in range(3):
         translation[i] += along[i]
     turn_on(rotation, beam)
@@ -97,7 +107,7 @@ def walk(
         parent[:] = rotation
         source = sources[element]
         if source >= 0:
-            along = rotate(rotation, row(poses, source))
+            along = rotate(rotation, within(poses, source))
             for i in range(3):
                 translation[i] += along[i]
             rotation_of(poses[source], turn)
@@ -110,8 +120,8 @@ def walk(
             # How a beam lies under gravity is reckoned as if no beam before it sagged: the rest is of second order.
             b = -1 - source
             beam = beams[b]
-            centre = plus(at(translation, 0), times(0.5, rotate(rotation, row(beam, SPAN + 3))))
-            f = rotate_back(straight, minus(at(gravity, 0), row(acceleration, b)))
+            centre = plus(at(translation, 0), times(0.5, rotate(rotation, within(beam, SPAN + 3))))
+            f = rotate_back(straight, minus(at(gravity, 0), within(acceleration, b)))
             for i in range(3):
                 centres[b, i] = centre[i]
             go_along_beam(beam, f, step, rotation, translation)
@@ -254,7 +264,7 @@ def relative_to(
         for j in range(3):
             back[i, j] = turn[j, i]
     for n in range(poses.shape[0]):
-        place = rotate(back, minus(row(poses, n), at(home, 0)))
+        place = rotate(back, minus(within(poses, n), at(home, 0)))
         for i in range(3):
             translation[i] = place[i]
         rotation[:] = back

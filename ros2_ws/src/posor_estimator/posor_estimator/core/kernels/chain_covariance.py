@@ -9,8 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from posor_estimator.core.compiled import compiled
-from posor_estimator.core.kernels.chain_pose import row
-from posor_estimator.core.kernels.vector import Vector, cross, rotate
+from posor_estimator.core.kernels.vector import Vector, cross, rotate, within
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray
@@ -22,11 +21,11 @@ def carry(covariance: FloatArray, lever: Vector) -> None:
 
     A small turn w moves that point by w x lever more.
     """
-    x, y, z = row(covariance, 3, 3)
+    x, y, z = within(covariance, 3, 3)
     before_x, before_y, before_z = (
-        cross(row(covariance, 0, 3), lever),
-        cross(row(covariance, 1, 3), lever),
-        cross(row(covariance, 2, 3), lever),
+        cross(within(covariance, 0, 3), lever),
+        cross(within(covariance, 1, 3), lever),
+        cross(within(covariance, 2, 3), lever),
     )
     by_x = cross((x, y, z), lever)
     by_y = cross((y, covariance[4, 4], covariance[4, 5]), lever)
@@ -36,9 +35,9 @@ def carry(covariance: FloatArray, lever: Vector) -> None:
         covariance[i, 4] += by_y[i]
         covariance[i, 5] += by_z[i]
     after_x, after_y, after_z = (
-        cross(row(covariance, 0, 3), lever),
-        cross(row(covariance, 1, 3), lever),
-        cross(row(covariance, 2, 3), lever),
+        cross(within(covariance, 0, 3), lever),
+        cross(within(covariance, 1, 3), lever),
+        cross(within(covariance, 2, 3), lever),
     )
     covariance[0, 0] += before_x[0] + after_x[0]
     covariance[0, 1] += before_y[0] + after_x[1]
@@ -87,7 +86,7 @@ def _add_block(
     """Add ``rotation @ block @ rotation.T`` from an entry on; x, y, z are the columns of the block."""
     x, y, z = rotate(rotation, x), rotate(rotation, y), rotate(rotation, z)
     for j in range(3):
-        a, b, c = row(rotation, j)
+        a, b, c = within(rotation, j)
         for i in range(3):
             covariance[top + i, left + j] += a * x[i] + b * y[i] + c * z[i]
 

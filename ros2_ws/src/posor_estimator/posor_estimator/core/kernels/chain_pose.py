@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from posor_estimator.core.compiled import compiled
-from posor_estimator.core.kernels.vector import Vector, rotate
+from posor_estimator.core.kernels.vector import rotate, within
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray
@@ -15,12 +15,6 @@ NOT_FINITE, NOT_UNIT, COVARIANCE_NOT_FINITE = 1, 2, 3
 """Why a joint's numbers must not be used; zero: they may."""
 UNIT_WITHIN = 1e-6
 """How far from one the length of an orientation quaternion may be."""
-
-
-@compiled
-def row(matrix: FloatArray, i: int, start: int = 0) -> Vector:
-    """Return three entries of a row as a vector; a slice of the row would cost more than they."""
-    return matrix[i, start], matrix[i, start + 1], matrix[i, start + 2]
 
 
 @compiled
@@ -87,7 +81,7 @@ def write_pose(rotation: FloatArray, translation: FloatArray, pose: FloatArray) 
 def turn_on(rotation: FloatArray, further: FloatArray) -> None:
     """Replace ``rotation`` by ``rotation @ further``."""
     for i in range(3):
-        a, b, c = row(rotation, i)
+        a, b, c = within(rotation, i)
         for j in range(3):
             rotation[i, j] = a * further[0, j] + b * further[1, j] + c * further[2, j]
 
@@ -95,7 +89,7 @@ def turn_on(rotation: FloatArray, further: FloatArray) -> None:
 @compiled
 def go_on(rotation: FloatArray, translation: FloatArray, further: FloatArray) -> None:
     """Replace a transform by its product with a fixed one, (4, 3): rotation, translation [m]."""
-    step = rotate(rotation, row(further, 3))
+    step = rotate(rotation, within(further, 3))
     for i in range(3):
         translation[i] += step[i]
     turn_on(rotation, further)

@@ -32,7 +32,7 @@ def at(row: FloatArray, start: int) -> Vector:
 
 
 @compiled
-def within(rows: FloatArray, r: int, start: int) -> Vector:
+def within(rows: FloatArray, r: int, start: int = 0) -> Vector:
     """Return three entries of row r as a vector; a slice of the row would cost more than the arithmetic."""
     return rows[r, start], rows[r, start + 1], rows[r, start + 2]
 
