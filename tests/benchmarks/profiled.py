@@ -82,26 +82,27 @@ def put_stopwatches(watches: Stopwatches, milestones: Milestones) -> None:
         setattr(kind, method, watches.timed(getattr(kind, method), stage))
     outlet = import_module("posor_estimator.ros.wire").Outlet
     outlet.hand_on = _noting(outlet.hand_on, SCAN, before=milestones.scan)
-    send = watches.timed(outlet.send, lambda outlet, _data: f"send {outlet.message_type.__name__}")
+    send = watches.timed(outlet.send, lambda outlet, *_: f"send {outlet.message_type.__name__}")
     outlet.send = _noting(send, POSE, after=milestones.pose)
 
 
 def _noting(
-    function: Callable[[Any, bytes], None],
+    function: Callable[..., Any],
     kind: str,
     *,
     before: Callable[[bytes], None] | None = None,
     after: Callable[[bytes], None] | None = None,
-) -> Callable[[Any, bytes], None]:
+) -> Callable[..., Any]:
     """Return an outlet's method that tells of messages of one type as well."""
 
-    def method(outlet: Any, data: bytes) -> None:
+    def method(outlet: Any, data: bytes, *more: Any) -> Any:
         told = outlet.message_type.__name__ == kind
         if told and before is not None:
             before(data)
-        function(outlet, data)
+        result = function(outlet, data, *more)
         if told and after is not None:
             after(data)
+        return result
 
     return method
 

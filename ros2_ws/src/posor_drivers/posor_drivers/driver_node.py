@@ -155,23 +155,16 @@ class DriverNode(PosorNode[DriverParameters]):
         return not missing
 
     def _publish(self, due: Due) -> None:
-        """Publish one message; where everything is kept, a full history means that a subscriber makes us wait."""
+        """Publish one message."""
         topic, data = due.topic, due.content
         if not isinstance(data, bytes):
             data = serialize_message(data)
         output = self._outputs[topic]
         output.hand_on(data)
-        while not self._stopping:
-            try:
-                output.send(data)
-            except RuntimeError:
-                if self.parameters.qos_depth:
-                    raise
-            else:
-                self._counts[topic] += 1
-                if topic == RAW_TOPIC:
-                    self.timing.note(due.stamp_ns)
-                return
+        if output.send(data, lambda: self._stopping):
+            self._counts[topic] += 1
+            if topic == RAW_TOPIC:
+                self.timing.note(due.stamp_ns)
 
     @property
     def _stopping(self) -> bool:

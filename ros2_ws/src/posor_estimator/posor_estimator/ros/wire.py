@@ -14,11 +14,13 @@ exception (`PosorNode.request_exit`) and hears nothing more; the publisher and t
 
 from __future__ import annotations
 
+import time
 from threading import RLock
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.qos import HistoryPolicy
 
 from posor_estimator.errors import TopicError
 
@@ -30,6 +32,9 @@ if TYPE_CHECKING:
     from rclpy.qos import QoSProfile
 
     from posor_estimator.ros.node import PosorNode
+
+PATIENCE_S = 60.0
+"""How long a subscription may make a publisher wait that keeps everything; one that has died is forgotten sooner."""
 
 
 class Outlet:
@@ -62,6 +67,7 @@ class Outlet:
         self._node = node
         self._on_count = on_count
         self._subscriptions = 0
+        self._keeps_all = qos.history == HistoryPolicy.KEEP_ALL
         self._inlets: tuple[Inlet, ...] = ()
         self._exchange = _exchange_of(node.context)
         self._exchange.check(self)
@@ -84,8 +90,7 @@ class Outlet:
         """Hand a serialised message to the inlets of this process, then send it to all others.
 
         Raises:
-            RuntimeError: Everything is kept and a subscription has yet to take what was sent before: this message was
-                handed on, but not sent; ``send`` sends it.
+            TopicError: As ``send``; the message was handed on.
 
         """
         self.hand_on(data)
@@ -97,11 +102,40 @@ class Outlet:
             for inlet in self._inlets:
                 inlet.take(data)
 
-    def send(self, data: bytes) -> None:
-        """Send a serialised message over DDS only; see ``publish``."""
-        if self._publisher.is_activated:
-            with self._handle:
-                self._handle.publish_raw(data)
+    def send(self, data: bytes, given_up: Callable[[], bool] = lambda: False) -> bool:
+        """Send a serialised message over DDS only.
+
+        Where everything is kept, a full history means that a subscription makes us wait.
+
+        Args:
+            data: The message.
+            given_up: Asked while a subscription makes us wait: whether to wait no longer.
+
+        Returns:
+            Whether it was sent.
+
+        Raises:
+            TopicError: A subscription makes us wait for too long.
+
+        """
+        waiting_since = None
+        while self._publisher.is_activated and not (waiting_since and given_up()):
+            try:
+                with self._handle:
+                    self._handle.publish_raw(data)
+            except RuntimeError:
+                if not self._keeps_all:
+                    raise
+                waiting_since = waiting_since or time.monotonic()
+                if time.monotonic() - waiting_since > PATIENCE_S:
+                    raise TopicError(
+                        f"a subscription has taken nothing for {PATIENCE_S:g} s",
+                        where=f"topic {self.topic_name}",
+                        expected="one that keeps up, or a qos_depth other than 0",
+                    ) from None
+            else:
+                return True
+        return False
 
     def wait_for_all_acked(self, timeout: Duration) -> bool:
         """Wait until every reliable subscription over DDS has all messages; return whether they have."""

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from posor_estimator.errors import TopicError
+from posor_estimator.ros import wire
 from posor_estimator.ros.node import PosorNode
 from posor_estimator.ros.parameters import NodeParameters
 from posor_estimator.ros.qos import KEEP_ALL_QOS
@@ -83,6 +84,33 @@ def test_other_processes_get_the_same_messages(process: Process) -> None:
         graph.wait_until(lambda: len(received) == 3, "what was sent last")
     assert received == [MESSAGES[0], MESSAGES[2], MESSAGES[1]]
     assert taken == MESSAGES[:2]
+
+
+def test_a_subscription_that_takes_nothing_is_waited_for_and_then_named(
+    process: Process, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outlet = outlet_of(plain(process, "/joint"))
+    monkeypatch.setattr(wire, "PATIENCE_S", 0.5)
+    with Graph() as graph:
+        graph.node.create_subscription(RawScan, "/joint/raw", print, KEEP_ALL_QOS)
+        graph.wait_until(lambda: outlet.count == 1, "the subscription")
+        with pytest.raises(
+            TopicError, match=r"topic /joint/raw: a subscription has taken nothing for 0\.5 s; expected"
+        ):
+            send_on(outlet)
+        asked: list[None] = []
+
+        def given_up() -> bool:
+            asked.append(None)
+            return True
+
+        assert not outlet.send(MESSAGES[0], given_up)
+        assert len(asked) == 1
+
+
+def send_on(outlet: Outlet) -> None:
+    while True:
+        assert outlet.send(MESSAGES[0])
 
 
 def test_an_inlet_hears_other_processes_while_its_own_has_no_outlet(process: Process) -> None:
