@@ -88,6 +88,11 @@ class Beat:
             self._on_end(failure)
         return False
 
+    def fail(self, error: Exception) -> None:
+        """Go on no more, and say why."""
+        if self.end():
+            self._on_end(error)
+
     def end(self) -> bool:
         """Go on no more, and wait for what it is about to do; return whether there was anything left to do."""
         with self._lock:
@@ -149,6 +154,18 @@ class Ticker:
                 del _tickers[self._key]
 
     def _run(self) -> None:
+        try:
+            self._tick()
+        except Exception as error:  # noqa: BLE001  it ends the program, from the main thread
+            while self._beats:
+                beat = self._beats[0]
+                self._go_on_without(beat)
+                beat.fail(error)
+        finally:
+            sys.setswitchinterval(SWITCH_S)
+            self.time.close()
+
+    def _tick(self) -> None:
         wake_exactly()
         time = self.time
         while beats := self._beats:
@@ -159,8 +176,6 @@ class Ticker:
             for beat in beats:
                 if not beat.go_on(now_ns):
                     self._go_on_without(beat)
-        sys.setswitchinterval(SWITCH_S)
-        time.close()
 
 
 _tickers: dict[Hashable, Ticker] = {}

@@ -101,6 +101,27 @@ def test_thread_ends_with_its_last_driver_and_another_begins(clock: Clock) -> No
     assert len(log) == after + 2
 
 
+def test_time_that_cannot_be_waited_for_ends_all_drivers_with_its_error(
+    clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = list[tuple[str, int]]()
+    one, other = Driver(clock, log, "one", 10**9), Driver(clock, log, "other", 10**9)
+    broken = OSError("no clock")
+
+    def wait(_until_ns: int) -> None:
+        raise broken
+
+    monkeypatch.setattr(one.ticker.time, "wait", wait)
+    for driver in (one, other):
+        assert driver.ended.wait(30.0)
+        assert driver.failure is broken
+        assert not driver.beat.end()
+    again = Driver(clock, log, "again", 2)
+    assert again.ticker is not one.ticker
+    assert again.ended.wait(30.0)
+    assert again.failure is None
+
+
 def test_one_that_fails_leaves_the_others_alone(clock: Clock) -> None:
     log = list[tuple[str, int]]()
     sound = Driver(clock, log, "sound", 10**9)
