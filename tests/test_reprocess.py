@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import resource
 import signal
 import time
 from pathlib import Path
@@ -212,6 +213,23 @@ def test_results_are_replaced_only_if_told_to_and_only_results(
         capsys, YMO, *CALIBRATION, "--output", str(output), "--force"
     )
     assert sorted(path.name for path in output.iterdir()) == ["joint1.csv", "thesis.tex"]
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_a_full_disk_is_told_of_the_output_and_leaves_what_was_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / "out"
+    assert main([YMO, *CALIBRATION, "--output", str(output)]) == 0
+    former = {path.name: path.read_bytes() for path in output.iterdir()}
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
+    try:
+        said = refused(capsys, str(BAG), *ARM, "--output", str(output), "--force")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert said == f"{output}: cannot be written, File too large."
+    assert {path.name: path.read_bytes() for path in output.iterdir()} == former
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from posor_estimator.errors import OutputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from posor_estimator.reprocess.endpoint import Endpoints
     from posor_estimator.reprocess.transforms import Transforms
@@ -30,6 +30,31 @@ class Output(Protocol):
 
     def close(self) -> None:
         """Write what belongs at the end."""
+
+
+class Told:
+    """An output of which is told what the system refuses."""
+
+    def __init__(self, place: Path, make: Callable[[], Output]) -> None:
+        """Make an output; ``place`` is what to call it.
+
+        Raises:
+            OutputError: The system refuses; as ``write`` and ``close`` raise it too.
+
+        """
+        self._place = place
+        with _writing(place):
+            self._output = make()
+
+    def write(self, transforms: Mapping[str, Transforms], endpoints: Endpoints | None) -> None:
+        """Write what a block has given."""
+        with _writing(self._place):
+            self._output.write(transforms, endpoints)
+
+    def close(self) -> None:
+        """Write what belongs at the end."""
+        with _writing(self._place):
+            self._output.close()
 
 
 def refuse(output: Path, *, force: bool) -> None:
@@ -59,15 +84,35 @@ def made(output: Path, *, force: bool) -> Iterator[Path]:
 
     """
     refuse(output, force=force)
+    with ExitStack() as stack:
+        with _writing(output):
+            output.parent.mkdir(parents=True, exist_ok=True)
+            making = Path(tempfile.mkdtemp(dir=output.parent, prefix=f"{MAKING}{output.name}-"))
+        stack.callback(shutil.rmtree, making, ignore_errors=True)
+        yield making / output.name
+        refuse(output, force=force)
+        with _writing(output):
+            _replace(output, making)
+
+
+def _replace(output: Path, making: Path) -> None:
+    """Put the new folder into its place; where that fails the former one is there again."""
+    former = making / "former"
+    if output.exists():
+        output.rename(former)
     try:
-        output.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=output.parent, prefix=f"{MAKING}{output.name}-") as making:
-            folder = Path(making) / output.name
-            yield folder
-            refuse(output, force=force)
-            if output.exists():
-                output.rename(Path(making) / "former")
-            folder.rename(output)
+        (making / output.name).rename(output)
+    except OSError:
+        if former.exists():
+            former.rename(output)
+        raise
+
+
+@contextmanager
+def _writing(output: Path) -> Iterator[None]:
+    """Say of what the system refuses that the output cannot be written."""
+    try:
+        yield
     except OSError as error:
         raise OutputError(f"cannot be written, {error.strerror}", where=str(output)) from error
 

@@ -7,6 +7,7 @@ is followed through time. So the unit of work is a bag.
 from __future__ import annotations
 
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING
@@ -17,10 +18,11 @@ from posor_estimator.bulk.blocks import Block, blocks
 from posor_estimator.bulk.pieces import TopicReader
 from posor_estimator.chain_node import ChainParameters
 from posor_estimator.core.chain import load_chain
+from posor_estimator.errors import BagError
 from posor_estimator.reprocess.bag_output import BagOutput, EndpointTopics
 from posor_estimator.reprocess.endpoint import EndpointReprocessor
 from posor_estimator.reprocess.joint import JointReprocessor
-from posor_estimator.reprocess.output import Output, made
+from posor_estimator.reprocess.output import Output, Told, made
 from posor_estimator.reprocess.task import EndpointSummary, JointSummary, Settings, Summary, Task
 from posor_estimator.reprocess.topics import BagTopics, topics_of
 from posor_estimator.ros.bag_reader import opened_bag
@@ -63,7 +65,7 @@ def reprocess(task: Task, progress: Callable[[int], object] = lambda _: None) ->
         output = None
         if task.output is not None:
             folder = stack.enter_context(made(task.output, force=task.force))
-            output = _output(task, folder, topics, endpoint)
+            output = Told(task.output, partial(_output, task, folder, topics, endpoint))
         for block in _blocks(task.bag, list(topics.raw.values())):
             transforms = {name: joint.transforms(readers[name].pieces(block)) for name, joint in joints.items()}
             endpoints = None if endpoint is None else endpoint.endpoints(transforms)
@@ -87,7 +89,10 @@ def reprocess(task: Task, progress: Callable[[int], object] = lambda _: None) ->
 
 def _blocks(bag: Path, topics: Sequence[str]) -> Iterator[Block]:
     with opened_bag(bag) as reader:
-        yield from blocks(reader, topics, str(bag))
+        try:
+            yield from blocks(reader, topics, str(bag))
+        except OSError as error:
+            raise BagError(f"cannot be read on, {error.strerror}", where=str(bag)) from error
 
 
 def _endpoint(settings: Settings, layouts: Mapping[str, TableLayout]) -> EndpointReprocessor | None:
