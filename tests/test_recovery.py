@@ -89,7 +89,8 @@ def check_transforms(
     """Compare with an undisturbed run of the same scans.
 
     The first scan after a restart has no theta of the scan before, so the tilt turns with its own theta instead. That
-    changes its theta in turn, by far less, and so on: from the second scan on next to nothing is left of it.
+    changes its theta in turn, by far less, and so on: from the second scan on next to nothing is left of it. What the
+    former node still said before it was killed is as if undisturbed, to the bit.
     """
     is_first = restarted_after is not None
     for transform in transforms:
@@ -97,6 +98,8 @@ def check_transforms(
         expected = undisturbed[stamp]
         if restarted_after is None or stamp <= restarted_after:
             assert bits(transform) == bits(expected)
+            continue
+        if is_first and bits(transform) == bits(expected):
             continue
         difference = np.abs(np.array(transform.native) - np.array(expected.native))
         if is_first:
