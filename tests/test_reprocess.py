@@ -26,7 +26,7 @@ from posor_estimator.ros.messages import pose_from_message
 from posor_estimator.testing.program import Program, installed, wait_until
 from posor_msgs.msg import JointTransform
 from rclpy.serialization import deserialize_message
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from tests.benchmarks.offline import repeat
 from tests.graphs import all_bits, bits, located, placed, recorded, rig
@@ -231,6 +231,29 @@ def test_a_full_disk_is_told_of_the_output_and_leaves_what_was_there(
     assert said == f"{output}: cannot be written, File too large."
     assert {path.name: path.read_bytes() for path in output.iterdir()} == former
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def without_stamp(bag: Path, topic: str, number: int, folder: Path) -> Path:
+    """Return a copy of a bag in which one message of a topic has the stamp zero."""
+    with Reader(bag) as reader, Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        to = {
+            each.id: writer.add_connection(each.topic, each.msgtype, msgdef=each.msgdef.data, rihs01=each.digest)
+            for each in reader.connections
+        }
+        seen = 0
+        for each, time_ns, data in reader.messages():
+            seen += each.topic == topic
+            unstamped = each.topic == topic and seen == number
+            writer.write(to[each.id], time_ns, data[:4] + bytes(8) + data[12:] if unstamped else data)
+    return folder
+
+
+def test_a_scan_without_a_stamp_costs_its_own_pose_only(made: Path, tmp_path: Path) -> None:
+    bag = without_stamp(BAG, "/five_axis/elbow/raw", 500, tmp_path / "bag")
+    assert main([str(bag), *ARM, "--output", str(tmp_path / "out")]) == 0
+    topic = "/five_axis/endpoint/pose"
+    whole, found = (len(recorded(each)[topic]) for each in (made / "bag", tmp_path / "out"))
+    assert found == whole - 1
 
 
 def cut_short(bag: Path, folder: Path) -> Path:
