@@ -100,7 +100,7 @@ class DriverNode(PosorNode[DriverParameters]):
 
     def _output(self, topic: str) -> Outlet:
         qos = sensor_qos(self.parameters) if topic == RAW_TOPIC else RELIABLE_QOS
-        return Outlet(self, self._classes[topic], topic, qos)
+        return Outlet(self, self._classes[topic], topic, qos, given_up=lambda: self._stopping)
 
     def activate(self) -> None:
         """Begin the replay, or the scans of a live source."""
@@ -159,9 +159,7 @@ class DriverNode(PosorNode[DriverParameters]):
         topic, data = due.topic, due.content
         if not isinstance(data, bytes):
             data = serialize_message(data)
-        output = self._outputs[topic]
-        output.hand_on(data)
-        if output.send(data, lambda: self._stopping):
+        if self._outputs[topic].publish(data):
             self._counts[topic] += 1
             if topic == RAW_TOPIC:
                 self.timing.note(due.stamp_ns)

@@ -35,16 +35,20 @@ def live(source: LiveSource[Any], time: RosTime, misses: Misses) -> Iterator[Due
             yield Pause(1)
         epoch = time.epoch
         tick, last = source.begin(time.turn_ns)
+        due_ns = source.due_ns(tick)
         while last is None or tick <= last:
-            yield Pause(source.due_ns(tick))
+            yield Pause(due_ns)
             if time.epoch != epoch:
                 break
-            present = _newest_due(source, tick, time.turn_ns)
-            present = present if last is None else min(present, last)
-            if present > tick:
-                misses.overruns += 1
-                misses.ticks += present - tick
-                tick = present
+            due_ns = source.due_ns(tick + 1)
+            if due_ns <= time.turn_ns:
+                present = _newest_due(source, tick + 1, time.turn_ns)
+                present = present if last is None else min(present, last)
+                if present > tick:
+                    misses.overruns += 1
+                    misses.ticks += present - tick
+                    tick = present
+                    due_ns = source.due_ns(tick + 1)
             for message in source.messages(tick):
                 yield Due(message.topic, message.data, 0.0, message.time_ns)
             tick += 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from posor_estimator.errors import ParameterError
 from posor_estimator.ros.parameters import NodeParameters
@@ -47,8 +47,7 @@ class ReplayParameters(NodeParameters):
         return self
 
 
-@dataclass(slots=True)
-class Due:
+class Due(NamedTuple):
     """What to publish on a topic, and when."""
 
     topic: str

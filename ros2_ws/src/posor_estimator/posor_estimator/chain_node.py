@@ -180,7 +180,8 @@ class ChainNode(PosorNode[ChainParameters]):
                 self._say_no(f"{joint.name}: the stamp of a transform is zero; expected the time of exposure")
                 return
             scan = self._joiner.add(joint.name, reading.stamp_ns, reading, time.monotonic())
-            self._report_given_up()
+            if self._joiner.has_given_up:
+                self._report_given_up()
             if scan is not None:
                 self._fuse(scan)
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from posor_estimator.ros.parameters import ParameterGroup
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from posor_estimator.ros.message_types import MessageTypes
 
@@ -24,8 +24,7 @@ class Topic:
     type_name: str
 
 
-@dataclass(frozen=True, slots=True)
-class SourceMessage:
+class SourceMessage(NamedTuple):
     """One message, serialised as it goes over the wire and into a bag."""
 
     topic: str
@@ -123,5 +122,5 @@ class LiveSource(Source[ParametersT]):
         """Return the ROS time at which a tick's scan is due to be published [ns]."""
 
     @abstractmethod
-    def messages(self, tick: int) -> Iterator[SourceMessage]:
-        """Yield the messages of a tick; each tick is asked for once at most, in order."""
+    def messages(self, tick: int) -> Iterable[SourceMessage]:
+        """Return the messages of a tick; each tick is asked for once at most, in order."""

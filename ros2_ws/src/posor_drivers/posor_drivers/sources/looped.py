@@ -22,7 +22,7 @@ from posor_drivers.simulator.ticks import first_tick_after, stamp_of
 from posor_drivers.sources.base import LiveSource, SourceMessage, Topic
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     from rosbags.rosbag2 import Reader
 
@@ -120,10 +120,10 @@ class LoopedSource(LiveSource[LoopedParameters]):
         """Return the time of a tick [ns]."""
         return stamp_of(tick, self.parameters.rate)
 
-    def messages(self, tick: int) -> Iterator[SourceMessage]:
-        """Yield the scan of a tick."""
+    def messages(self, tick: int) -> Sequence[SourceMessage]:
+        """Return the scan of a tick."""
         stamp_ns = stamp_of(tick, self.parameters.rate)
-        yield SourceMessage(RAW_TOPIC, stamp_ns, self._scans[self._index(tick)].at(stamp_ns, tick))
+        return (SourceMessage(RAW_TOPIC, stamp_ns, self._scans[self._index(tick)].at(stamp_ns, tick)),)
 
     def _index(self, tick: int) -> int:
         last = len(self._scans) - 1

@@ -118,6 +118,11 @@ class ScanJoiner(Generic[Item]):
         if late:
             self._give_up_to(max(late))
 
+    @property
+    def has_given_up(self) -> bool:
+        """Whether ``take_given_up`` has anything to tell."""
+        return bool(self._given_up)
+
     def take_given_up(self) -> dict[int, tuple[str, ...]]:
         """Return stamps given up since the last call, with the members that were missing."""
         given_up, self._given_up = self._given_up, {}

@@ -3,7 +3,8 @@
 An `Outlet` publishes the bytes of messages, an `Inlet` receives them. Where both ends of a topic live in one process
 (in one rclpy context), the outlet calls the inlet with the very bytes that it publishes, in its own thread, and the
 inlet makes no DDS subscription; it makes one as soon as no outlet of its topic is left. A node need not know which it
-is: it gets the same bytes either way, and an inactive publisher hands on nothing.
+is: it gets the same bytes either way, and an inactive publisher hands on nothing. Where nobody has subscribed over DDS,
+nothing is given to it either.
 
 Within a process nothing is ever lost on the way or out of order, whatever the quality of service, and the publisher
 goes on when the listener is done. Publishers in other processes are not heard where the same topic has an outlet here.
@@ -15,6 +16,7 @@ exception (`PosorNode.request_exit`) and hears nothing more; the publisher and t
 from __future__ import annotations
 
 import time
+from contextlib import ExitStack
 from threading import RLock
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
@@ -48,6 +50,7 @@ class Outlet:
         qos: QoSProfile,
         *,
         on_count: Callable[[int], None] | None = None,
+        given_up: Callable[[], bool] = lambda: False,
     ) -> None:
         """Make the publisher.
 
@@ -57,6 +60,7 @@ class Outlet:
             topic: Its name, as the node knows it.
             qos: For the publisher.
             on_count: Told the number of listeners whenever it changes, in any thread.
+            given_up: Asked while a subscription makes ``publish`` wait: whether to wait no longer.
 
         Raises:
             TopicError: An inlet or outlet of this process knows the topic by another type.
@@ -66,6 +70,7 @@ class Outlet:
         self.message_type = message_type
         self._node = node
         self._on_count = on_count
+        self._given_up = given_up
         self._subscriptions = 0
         self._keeps_all = qos.history == HistoryPolicy.KEEP_ALL
         self._inlets: tuple[Inlet, ...] = ()
@@ -74,6 +79,9 @@ class Outlet:
         events = None if on_count is None else PublisherEventCallbacks(matched=self._matched)
         self._publisher = node.create_lifecycle_publisher(message_type, topic, qos, event_callbacks=events)
         self._handle = self._publisher.handle
+        # Entered once for all: rclpy enters and leaves it in every call, which costs more than the call.
+        self._in_use = ExitStack()
+        self._in_use.enter_context(self._handle)
         self._exchange.add_outlet(self)
 
     @property
@@ -84,45 +92,30 @@ class Outlet:
     @property
     def count(self) -> int:
         """How many listeners the topic has: subscriptions over DDS and inlets of this process."""
-        return int(self._publisher.get_subscription_count()) + len(self._inlets)
+        return int(self._handle.get_subscription_count()) + len(self._inlets)
 
-    def publish(self, data: bytes) -> None:
+    def publish(self, data: bytes) -> bool:
         """Hand a serialised message to the inlets of this process, then send it to all others.
 
-        Raises:
-            TopicError: As ``send``; the message was handed on.
-
-        """
-        self.hand_on(data)
-        self.send(data)
-
-    def hand_on(self, data: bytes) -> None:
-        """Hand a serialised message to the inlets of this process only."""
-        if self._inlets and self._publisher.is_activated:
-            for inlet in self._inlets:
-                inlet.take(data)
-
-    def send(self, data: bytes, given_up: Callable[[], bool] = lambda: False) -> bool:
-        """Send a serialised message over DDS only.
-
-        Where everything is kept, a full history means that a subscription makes us wait.
-
-        Args:
-            data: The message.
-            given_up: Asked while a subscription makes us wait: whether to wait no longer.
-
         Returns:
-            Whether it was sent.
+            Whether it is on its way to all who listen.
 
         Raises:
             TopicError: A subscription makes us wait for too long.
 
         """
+        if not self._publisher.is_activated:
+            return False
+        for inlet in self._inlets:
+            inlet.take(data)
+        return not self._handle.get_subscription_count() or self._send(data)
+
+    def _send(self, data: bytes) -> bool:
+        """Send over DDS; where everything is kept, a full history means that a subscription makes us wait."""
         waiting_since = None
-        while self._publisher.is_activated and not (waiting_since and given_up()):
+        while waiting_since is None or not self._given_up():
             try:
-                with self._handle:
-                    self._handle.publish_raw(data)
+                self._handle.publish_raw(data)
             except RuntimeError:
                 if not self._keeps_all:
                     raise
@@ -133,6 +126,8 @@ class Outlet:
                         where=f"topic {self.topic_name}",
                         expected="one that keeps up, or a qos_depth other than 0",
                     ) from None
+                if not self._publisher.is_activated:
+                    return False
             else:
                 return True
         return False
@@ -144,6 +139,7 @@ class Outlet:
     def destroy(self) -> None:
         """Close the topic; inlets of this process then listen to other processes."""
         self._exchange.remove_outlet(self)
+        self._in_use.close()
         self._node.destroy_lifecycle_publisher(self._publisher)
 
     def connect(self, inlets: tuple[Inlet, ...]) -> None:

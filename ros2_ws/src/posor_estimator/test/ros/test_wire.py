@@ -74,22 +74,26 @@ def test_other_processes_get_the_same_messages(process: Process) -> None:
         taken: list[bytes] = []
         inlet = Inlet(plain(process, "/posor"), RawScan, "/joint/raw", KEEP_ALL_QOS, taken.append)
         assert outlet.count == 2
-        outlet.publish(MESSAGES[0])
-        outlet.hand_on(MESSAGES[1])
-        outlet.send(MESSAGES[2])
-        graph.wait_until(lambda: len(received) == 2, "what was sent")
+        assert outlet.publish(MESSAGES[0])
         inlet.destroy()
         assert outlet.count == 1
-        outlet.publish(MESSAGES[1])
-        graph.wait_until(lambda: len(received) == 3, "what was sent last")
-    assert received == [MESSAGES[0], MESSAGES[2], MESSAGES[1]]
-    assert taken == MESSAGES[:2]
+        assert outlet.publish(MESSAGES[1])
+        graph.wait_until(lambda: len(received) == 2, "what was sent")
+    assert received == MESSAGES[:2]
+    assert taken == MESSAGES[:1]
 
 
 def test_a_subscription_that_takes_nothing_is_waited_for_and_then_named(
     process: Process, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    outlet = outlet_of(plain(process, "/joint"))
+    asked: list[None] = []
+    impatient = False
+
+    def given_up() -> bool:
+        asked.append(None)
+        return impatient
+
+    outlet = outlet_of(plain(process, "/joint"), given_up=given_up)
     monkeypatch.setattr(wire, "PATIENCE_S", 0.5)
     with Graph() as graph:
         graph.node.create_subscription(RawScan, "/joint/raw", print, KEEP_ALL_QOS)
@@ -97,20 +101,17 @@ def test_a_subscription_that_takes_nothing_is_waited_for_and_then_named(
         with pytest.raises(
             TopicError, match=r"topic /joint/raw: a subscription has taken nothing for 0\.5 s; expected"
         ):
-            send_on(outlet)
-        asked: list[None] = []
-
-        def given_up() -> bool:
-            asked.append(None)
-            return True
-
-        assert not outlet.send(MESSAGES[0], given_up)
+            publish_on(outlet)
+        assert asked
+        impatient = True
+        asked.clear()
+        assert not outlet.publish(MESSAGES[0])
         assert len(asked) == 1
 
 
-def send_on(outlet: Outlet) -> None:
+def publish_on(outlet: Outlet) -> None:
     while True:
-        assert outlet.send(MESSAGES[0])
+        assert outlet.publish(MESSAGES[0])
 
 
 def test_an_inlet_hears_other_processes_while_its_own_has_no_outlet(process: Process) -> None:
@@ -147,9 +148,9 @@ def test_an_inactive_publisher_hands_on_nothing(process: Process) -> None:
         graph.wait_until(lambda: outlet.count == 2, "the subscription")
         outlet._publisher.on_deactivate(None)
         assert not outlet.is_activated
-        outlet.publish(MESSAGES[0])
+        assert not outlet.publish(MESSAGES[0])
         outlet._publisher.on_activate(None)
-        outlet.publish(MESSAGES[1])
+        assert outlet.publish(MESSAGES[1])
         graph.wait_until(lambda: bool(received), "the message of the active publisher")
     assert taken == received == [MESSAGES[1]]
 
