@@ -1,7 +1,9 @@
 """Run the tests: one pytest process for each file, so that no ROS context leaks from one file into another.
 
-Two files at a time. Prints one line for each file when it ends, the whole output of a file that failed, every skipped
-test with its reason, and last of all ``N passed, N failed, N skipped``. With paths as arguments, only those.
+Two files at a time, with one thread of linear algebra in each process: more would only wait for one another, since the
+matrices are small and the processors have work. Prints one line for each file when it ends, the whole output of a file
+that failed, every skipped test with its reason, and last of all ``N passed, N failed, N skipped``. With paths as
+arguments, only those.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from environment import THIS, SetupError, workspace_environment
 
 AT_A_TIME = min(2, os.cpu_count() or 1)
 FILE_TIMEOUT_S = 480.0  # a net under pytest's own timeout for each test
+ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}  # numpy's and scipy's; what the caller has set goes before it
 FAREWELL_S = 20.0  # what an interrupted pytest gets to stop the nodes that its tests have started
 REPORTS = THIS.root / "build" / "test"
 
@@ -51,7 +54,7 @@ def shown(file: Path) -> str:
 
 
 def test_files(wanted: list[str]) -> list[Path]:
-    """Return the test files asked for, or all; those that start nodes first, since they take longest.
+    """Return the test files asked for, or all; the deeper a file lies, the later: those near the top take longest.
 
     Raises:
         SetupError: A path asked for does not exist.
@@ -61,7 +64,8 @@ def test_files(wanted: list[str]) -> list[Path]:
     missing = [str(place) for place in places if not place.exists()]
     if missing:
         raise SetupError(f"{missing[0]}: no such test file or folder.")
-    return [file for place in places for file in ([place] if place.is_file() else sorted(place.rglob("test_*.py")))]
+    files = [file for place in places for file in ([place] if place.is_file() else sorted(place.rglob("test_*.py")))]
+    return sorted(files, key=lambda file: len(file.parts))
 
 
 def read_report(path: Path, outcome: Outcome) -> None:
@@ -86,7 +90,7 @@ class Runner:
     """
 
     def __init__(self, environ: dict[str, str]) -> None:
-        self.environ = environ
+        self.environ = ONE_THREAD | environ
         self.at_work: set[subprocess.Popen[str]] = set()
 
     def run_all(self, files: list[Path]) -> list[Outcome]:
