@@ -24,6 +24,12 @@ def machine() -> dict[str, Any]:
     }
 
 
+def stolen_s() -> float:
+    """Return for how long, since it was started, the machine's cores wanted to run and its host let others run [s]."""
+    stolen = int(Path("/proc/stat").read_text(encoding="ascii").split(maxsplit=9)[8])
+    return stolen / os.sysconf("SC_CLK_TCK")
+
+
 def _processor() -> str:
     lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -15,7 +16,7 @@ from posor_estimator.ros.qos import DIAGNOSTICS_TOPIC, ENDPOINT_TOPIC
 from posor_estimator.testing.graph import Graph, values_of
 from rclpy.serialization import deserialize_message
 
-from tests.benchmarks import receiver
+from tests.benchmarks import alone, receiver
 from tests.benchmarks.accounts import COUNTERS, Run, Window, account
 from tests.benchmarks.layouts import Load, processes
 
@@ -83,6 +84,19 @@ class Bench:
             supervisor.end([ear])
         window = Window(begin.time_ns, end.time_ns, load.rate)
         return account(np.load(noted), window, counted, begin.cores_until(end), end.memory_mb)
+
+    def alone(self, rate: int, spin_us: int, seconds: float) -> dict[str, Any]:
+        """Return how late the machine is for ticks when nothing is done, see ``alone``."""
+        self._number += 1
+        folder = self._folder / f"{self._number:02}_alone_{rate}_{spin_us}"
+        folder.mkdir(parents=True)
+        found = folder / "lateness.json"
+        with Supervisor(folder) as supervisor:
+            program = supervisor.start(Script("alone", "", str(alone.__file__), (str(rate), str(spin_us), str(found))))
+            self._until(supervisor, lambda: alone.READY in program.log.read_text(), "the first tick")
+            self._pass(supervisor, seconds)
+            supervisor.end([program])
+        return dict(json.loads(found.read_text(encoding="utf-8")))
 
     def _until(self, supervisor: Supervisor, condition: Callable[[], bool], what: str) -> None:
         deadline = time.monotonic() + START_S

@@ -35,7 +35,7 @@ STAGES = (
     ("posor_estimator.core.chain_lane", "ChainLane", "run", "chain_node: endpoint"),
     ("posor_estimator.ros.cdr_writer", "MessageWriter", "write", "both nodes: numbers into bytes"),
 )
-"""Module, class, method and name of each stage; sending is one more for each type of message."""
+"""Module, class, method and name of each stage; publishing is one more for each type of message."""
 SCAN, POSE = "RawScan", "PoseStamped"
 WARM_UP = 100
 """Ticks that do not count: at first everything is done for the first time."""
@@ -81,9 +81,8 @@ def put_stopwatches(watches: Stopwatches, milestones: Milestones) -> None:
         kind = getattr(import_module(module), name)
         setattr(kind, method, watches.timed(getattr(kind, method), stage))
     outlet = import_module("posor_estimator.ros.wire").Outlet
-    outlet.hand_on = _noting(outlet.hand_on, SCAN, before=milestones.scan)
-    send = watches.timed(outlet.send, lambda outlet, *_: f"send {outlet.message_type.__name__}")
-    outlet.send = _noting(send, POSE, after=milestones.pose)
+    publish = watches.timed(outlet.publish, lambda outlet, *_: f"publish {outlet.message_type.__name__}")
+    outlet.publish = _noting(_noting(publish, SCAN, before=milestones.scan), POSE, after=milestones.pose)
 
 
 def _noting(
@@ -95,11 +94,11 @@ def _noting(
 ) -> Callable[..., Any]:
     """Return an outlet's method that tells of messages of one type as well."""
 
-    def method(outlet: Any, data: bytes, *more: Any) -> Any:
+    def method(outlet: Any, data: bytes) -> Any:
         told = outlet.message_type.__name__ == kind
         if told and before is not None:
             before(data)
-        result = function(outlet, data, *more)
+        result = function(outlet, data)
         if told and after is not None:
             after(data)
         return result

@@ -6,6 +6,8 @@ import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from posor_drivers.driver_parameters import LiveDriverParameters
+
 from tests.benchmarks.accounts import NothingReceived, figures
 from tests.benchmarks.growth import line, series
 from tests.benchmarks.layouts import LAYOUTS, PROFILE, Load
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from tests.benchmarks.layouts import Kind
     from tests.benchmarks.measuring import Bench
 
+MEGA = 1_000_000
 LADDER = (500, 1000, 1500, 2000, 2500, 3000, 3500, 4000, 5000, 6000, 8000, 10_000)
 """Rates among which the highest that holds is looked for [Hz]."""
 
@@ -98,7 +101,7 @@ class Sections:
         return self._measured[key]
 
     def graph(self) -> dict[str, Any]:
-        """Measure the main graph and its floor in turns."""
+        """Measure the main graph and its floor in turns, then the machine alone."""
         plan = self._plan
         runs: dict[Kind, list[Run]] = {"graph": [], "floor": []}
         for _ in range(plan.rounds):
@@ -109,8 +112,17 @@ class Sections:
         return {
             f"graph_{plan.name}": graph,
             f"floor_{plan.name}": floor,
+            "alone": self._alone(),
             **{f"ratio_{share}": graph[f"{share}_us"] / floor[f"{share}_us"] for share in ("p50", "p99")},
         }
+
+    def _alone(self) -> dict[str, Any]:
+        """Measure how late the machine is for ticks of the main graph's rate when nothing is done."""
+        plan = self._plan
+        seconds = plan.seconds / plan.rounds
+        ways = {"asleep": LiveDriverParameters.model_fields["spin_us"].default, "awake": -(-MEGA // plan.rate)}
+        self._say(f"the machine alone, ticks at {plan.rate} Hz: {seconds:g} s, and as long without sleeping")
+        return {way: self._bench.alone(plan.rate, spin_us, seconds) for way, spin_us in ways.items()}
 
     def layouts(self) -> dict[str, Any]:
         """Measure the main graph in every layout."""

@@ -72,6 +72,8 @@ def tables(results: Mapping[str, Any]) -> dict[str, Shown]:
     if name:
         rows = [("graph", results[f"graph_{name}"]), ("floor: nothing computed", results[f"floor_{name}"])]
         made["graph"] = _latencies(f"{name} Hz: from a scan's stamp to the endpoint's pose in another process", rows)
+    if "alone" in results:
+        made["alone"] = _alone(results["alone"])
     if "layouts" in results:
         rows = [(LAYOUTS[layout], row) for layout, row in results["layouts"].items()]
         made["layouts"] = _latencies("What shares a process", rows)
@@ -99,6 +101,21 @@ def _latencies(title: str, runs: Sequence[tuple[str, Mapping[str, Any]]]) -> Sho
         for name, run in runs
     ]
     return Shown(title, LATENCY, rows)
+
+
+def _alone(alone: Mapping[str, Mapping[str, Any]]) -> Shown:
+    named = {"asleep": "asleep until shortly before each tick, as drivers are", "awake": "never asleep"}
+    rows = [
+        (
+            text,
+            *(f"{alone[way][key]:.0f}" for key in ("p50_us", "p99_us", "p999_us", "max_us")),
+            f"{alone[way]['missed']} of {alone[way]['expected']}",
+            f"{alone[way]['stolen_s']:.2f}",
+        )
+        for way, text in named.items()
+    ]
+    header = ("late by", "p50, us", "p99, us", "p99.9, us", "max, us", "ticks missed", "stolen, s")
+    return Shown("The machine alone: a thread that waits for the same ticks and does nothing", header, rows)
 
 
 def _profile(profile: Mapping[str, Any]) -> Shown:

@@ -18,6 +18,7 @@ from posor_drivers.simulator.ticks import stamp_of
 from posor_estimator.errors import ParameterError, PosorError
 
 from tests.benchmarks.accounts import COUNTERS, NothingReceived, Run, Window, account, figures
+from tests.benchmarks.alone import lateness
 from tests.benchmarks.bench import ROOT, main, parse
 from tests.benchmarks.growth import figure, line, series
 from tests.benchmarks.page import PLACE, filled
@@ -89,6 +90,26 @@ def test_poses_that_cannot_be_are_refused() -> None:
     stray[3, 0] += 1
     with pytest.raises(PosorError, match=f"stamp {stray[3, 0]} ns; expected a tick of 2000 Hz"):
         accounted(stray)
+
+
+class LateClock:
+    """Stands in for a WallTime that comes to each tick 100 us late, and to one of them by two and a half more."""
+
+    def __init__(self) -> None:
+        self.now_ns = stamp_of(FIRST, RATE)
+        self.waits = 0
+
+    def wait(self, time_ns: int) -> None:
+        self.waits += 1
+        self.now_ns = time_ns + (1_350_000 if self.waits == 4 else 100_000)
+
+
+def test_machine_alone_misses_what_a_driver_would_miss() -> None:
+    clock = LateClock()
+    found = lateness(RATE, clock, lambda: clock.waits == 10)  # type: ignore[arg-type]
+    assert (found["expected"], found["missed"]) == (12, 2)
+    assert found["p50_us"] == 100.0
+    assert found["max_us"] == 350.0
 
 
 def point(joints: int, rate: int, cores: float, lost: int = 0) -> dict[str, Any]:
@@ -198,6 +219,7 @@ def test_every_place_of_the_page_is_known() -> None:
     assert PLACE.findall((ROOT / "docs/performance.md").read_text()) == [
         "machine",
         "graph",
+        "alone",
         "layouts",
         "profile",
         "growth",
@@ -246,6 +268,11 @@ def check_graph(results: dict[str, Any]) -> None:
         assert told["cpu_cores"] == pytest.approx(sum(part["cpu_cores"] for part in told["processes"].values()))
         assert told["memory_mb"] > 0
         assert list(told["processes"]) == ["nodes", "drivers"]
+    for told in results["alone"].values():
+        assert 200 <= told["expected"] < 400
+        assert 0 <= told["missed"] <= told["expected"]
+        assert 0 <= told["p50_us"] <= told["p99_us"] <= told["max_us"]
+        assert told["stolen_s"] >= 0
     for share in ("p50", "p99"):
         expected = results["graph_2x200"][f"{share}_us"] / results["floor_2x200"][f"{share}_us"]
         assert results[f"ratio_{share}"] == expected
@@ -254,8 +281,8 @@ def check_graph(results: dict[str, Any]) -> None:
 def check_rest(results: dict[str, Any]) -> None:
     """Check what a tick is made of, all nodes in one process, and what needs no graph."""
     stages = results["profile"]["stages"]
-    assert stages["send RawScan"]["calls"] == pytest.approx(2.0, abs=1.0)
-    assert all(stages[name]["us"] > 0 for name in ("posor_node: locate", "chain_node: endpoint", "send PoseStamped"))
+    assert stages["publish RawScan"]["calls"] == pytest.approx(2.0, abs=1.0)
+    assert all(stages[name]["us"] > 0 for name in ("posor_node: locate", "chain_node: endpoint", "publish PoseStamped"))
     assert results["profile"]["last_scan_to_pose_us"]["p50"] > 0
     assert 0 < results["kernel_us"] < results["scan_us"]
     assert results["offline_scans_per_s"] > 0
