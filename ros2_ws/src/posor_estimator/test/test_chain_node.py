@@ -10,16 +10,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from posor_estimator.chain_node import ChainNode
 from posor_estimator.core.chain import MeasuredJoint, load_chain
 from posor_estimator.testing.graph import Graph, values_of
 from posor_estimator.testing.program import Program, installed, ros_arguments
+from posor_estimator.testing.refusal import refusal
 from posor_estimator.testing.stamped import seconds_of, stamp, status_with
 from posor_msgs.msg import JointTransform
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from diagnostic_msgs.msg import DiagnosticStatus
 
@@ -77,9 +79,18 @@ class Arm:
         for topic in ("endpoint/pose", "endpoint/pose_with_covariance", "joint_states"):
             status_with(graph, "/chain_node: listeners", topic, "1")
 
+    def forget(self) -> None:
+        """Begin anew for another test."""
+        for messages in (self.poses, self.with_covariance, self.joint_states, self.graph.diagnostics):
+            messages.clear()
+
     def joint(self, name: str) -> Any:
         """Return a publisher of a joint's transforms."""
         return self.graph.publisher(JointTransform, f"{name}/transform")
+
+    def counted(self, key: str) -> int:
+        """Return a count of the diagnostic of a sound pose."""
+        return int(values_of(self.graph.wait_for_status("/chain_node: endpoint", "ok"))[key])
 
     def wait_for(self, count: int) -> None:
         """Wait for so many complete publications."""
@@ -92,7 +103,16 @@ class Arm:
         return self.graph.wait_for_status("/chain_node: endpoint", text)
 
 
-def test_chain_node_refuses_what_it_cannot_start_with(tmp_path: Path) -> None:
+def test_a_program_that_cannot_start_ends_with_one_sentence() -> None:
+    with chain_node() as node:
+        sentence = (
+            "node /chain_node, parameter 'urdf': is not set; expected a string: "
+            "path of the arm's URDF; its floating joints are the POSORs."
+        )
+        assert (node.wait(), node.stderr, node.stdout) == (2, [sentence], [])
+
+
+def test_chain_node_refuses_what_it_cannot_start_with(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     missing, blind, cut = (tmp_path / name for name in ("none.urdf", "blind.urdf", "cut.urdf"))
     text = URDF.read_text(encoding="utf-8")
     blind.write_text(text.replace('type="floating"', 'type="fixed"'), encoding="utf-8")
@@ -128,90 +148,101 @@ def test_chain_node_refuses_what_it_cannot_start_with(tmp_path: Path) -> None:
             f"URDF {URDF}: has no link 'hand'; expected one of {links}.",
         ),
         (
-            {},
-            2,
-            (
-                "node /chain_node, parameter 'urdf': is not set; expected a string: "
-                "path of the arm's URDF; its floating joints are the POSORs."
-            ),
-        ),
-        (
             {"urdf": str(URDF), "reference": "relative"},
             2,
             "node /chain_node, parameter 'reference': 'relative' is wrong; expected one of 'absolute', 'home'.",
         ),
     ):
-        with chain_node(**parameters) as node:
-            assert (node.wait(), node.stderr, node.stdout) == (code, [sentence], [])
+        assert refusal(ChainNode, parameters, capfd) == (code, [sentence])
 
 
-def test_the_endpoint_has_the_scans_stamp_its_frames_and_its_covariance() -> None:
+class Rig(Arm):
+    """The arm of one joint, whose node several tests share; stamps rise from one to the next."""
+
+    def __init__(self, graph: Graph) -> None:
+        super().__init__(graph)
+        self.measured = self.joint("joint1")
+        self.first = 0
+
+    def send(self, message: Any, second: int) -> None:
+        """Publish a transform of a second of this test."""
+        self.measured.publish(stamp(message, self.first + second))
+
+    def has_seconds(self, expected: list[int]) -> bool:
+        """Tell whether all that came is of these seconds of this test."""
+        topics = (self.poses, self.with_covariance, self.joint_states)
+        return all(seconds_of(messages) == [self.first + second for second in expected] for messages in topics)
+
+
+@pytest.fixture(scope="module")
+def node_of_the_rig() -> Iterator[Rig]:
+    """One node for all tests that need no parameters of their own."""
     with chain_node(urdf=str(URDF), **LOSSLESS) as node, Graph() as graph:
-        arm = Arm(graph)
-        turn = pin.SE3(pin.utils.rotate("z", 0.01), np.array([1e-4, 2e-4, 3e-4]))
-        arm.joint("joint1").publish(transform_of(7, turn))
-        arm.wait_for(1)
-        [pose], [with_covariance], [joints] = arm.poses, arm.with_covariance, arm.joint_states
-        for message in (pose, with_covariance, joints):
-            assert (message.header.stamp.sec, message.header.stamp.nanosec) == (7, 250_000_000)
-        assert pose.header.frame_id == with_covariance.header.frame_id == "machining_centre"
-        # The rig's Z is -Y of the machining centre; the beam is along -X of the target.
-        x, y, z = 1e-4 - BEAM_M * math.cos(0.01), 2e-4 - BEAM_M * math.sin(0.01), 3e-4
-        position = pose.pose.position
-        np.testing.assert_allclose([position.x, position.y, position.z], [x, -z, y], rtol=0.0, atol=1e-12)
-        orientation = pose.pose.orientation
-        expected = pin.Quaternion(pin.utils.rotate("x", math.pi / 2.0) @ pin.utils.rotate("z", 0.01)).coeffs()
-        got = np.array([orientation.x, orientation.y, orientation.z, orientation.w])
-        np.testing.assert_allclose(got * np.sign(got[3]), expected * np.sign(expected[3]), rtol=0.0, atol=1e-12)
-        assert with_covariance.pose.pose == pose.pose
-        covariance = np.reshape(with_covariance.pose.covariance, (6, 6))
-        # Theta's 2 urad at the joint are a turn about -Y of the machining centre, and move the beam's end along its Z.
-        assert covariance[4, 4] == pytest.approx(4e-12, rel=1e-9)
-        assert covariance[2, 2] == pytest.approx((1.0 + 4.0 * (BEAM_M * math.cos(0.01)) ** 2) * 1e-12, rel=1e-9)
-        assert (list(joints.name), list(joints.position)) == (["joint1"], [7.5])
-        status = graph.wait_for_status("/chain_node: endpoint", "ok")
-        assert values_of(status)["joints"] == "joint1"
+        yield Rig(graph)
         assert node.end() == 0
 
 
-def test_a_lost_joint_gives_no_pose_and_is_named_with_its_fault() -> None:
-    with chain_node(urdf=str(URDF), **LOSSLESS), Graph() as graph:
-        arm = Arm(graph)
-        joint = arm.joint("joint1")
-        joint.publish(transform_of(1))
-        arm.wait_for(1)
-        joint.publish(lost_transform(2, JointTransform.FAULT_DARK_DIODE))
-        status = arm.wait_for_no("no pose: joint1 is lost (DARK_DIODE)")
-        assert status.level == b"\x02"
-        joint.publish(transform_of(3))
-        arm.wait_for(2)
-        for messages in (arm.poses, arm.with_covariance, arm.joint_states):
-            assert seconds_of(messages) == [1, 3]
-        status = graph.wait_for_status("/chain_node: endpoint", "ok")
-        assert values_of(status)["scans_refused"] == "1"
+@pytest.fixture
+def rig(node_of_the_rig: Rig) -> Rig:
+    node_of_the_rig.forget()
+    node_of_the_rig.first += 100
+    return node_of_the_rig
 
 
-def test_a_degraded_joint_gives_a_pose_and_a_warning() -> None:
-    with chain_node(urdf=str(URDF), **LOSSLESS), Graph() as graph:
-        arm = Arm(graph)
-        degraded = transform_of(1)
-        degraded.state = JointTransform.STATE_DEGRADED
-        arm.joint("joint1").publish(degraded)
-        arm.wait_for(1)
-        assert graph.wait_for_status("/chain_node: endpoint", "degraded: joint1").level == b"\x01"
+def test_the_endpoint_has_the_scans_stamp_its_frames_and_its_covariance(rig: Rig) -> None:
+    turn = pin.SE3(pin.utils.rotate("z", 0.01), np.array([1e-4, 2e-4, 3e-4]))
+    rig.send(transform_of(7, turn), 7)
+    rig.wait_for(1)
+    [pose], [with_covariance], [joints] = rig.poses, rig.with_covariance, rig.joint_states
+    for message in (pose, with_covariance, joints):
+        assert (message.header.stamp.sec, message.header.stamp.nanosec) == (rig.first + 7, 250_000_000)
+    assert pose.header.frame_id == with_covariance.header.frame_id == "machining_centre"
+    # The rig's Z is -Y of the machining centre; the beam is along -X of the target.
+    x, y, z = 1e-4 - BEAM_M * math.cos(0.01), 2e-4 - BEAM_M * math.sin(0.01), 3e-4
+    position = pose.pose.position
+    np.testing.assert_allclose([position.x, position.y, position.z], [x, -z, y], rtol=0.0, atol=1e-12)
+    orientation = pose.pose.orientation
+    expected = pin.Quaternion(pin.utils.rotate("x", math.pi / 2.0) @ pin.utils.rotate("z", 0.01)).coeffs()
+    got = np.array([orientation.x, orientation.y, orientation.z, orientation.w])
+    np.testing.assert_allclose(got * np.sign(got[3]), expected * np.sign(expected[3]), rtol=0.0, atol=1e-12)
+    assert with_covariance.pose.pose == pose.pose
+    covariance = np.reshape(with_covariance.pose.covariance, (6, 6))
+    # Theta's 2 urad at the joint are a turn about -Y of the machining centre, and move the beam's end along its Z.
+    assert covariance[4, 4] == pytest.approx(4e-12, rel=1e-9)
+    assert covariance[2, 2] == pytest.approx((1.0 + 4.0 * (BEAM_M * math.cos(0.01)) ** 2) * 1e-12, rel=1e-9)
+    assert (list(joints.name), list(joints.position)) == (["joint1"], [7.5])
+    status = rig.graph.wait_for_status("/chain_node: endpoint", "ok")
+    assert values_of(status)["joints"] == "joint1"
 
 
-def test_an_uncounted_joint_gives_no_pose() -> None:
-    with chain_node(urdf=str(URDF), **LOSSLESS), Graph() as graph:
-        arm = Arm(graph)
-        joint = arm.joint("joint1")
-        uncounted = transform_of(1)
-        uncounted.state, uncounted.faults = JointTransform.STATE_UNCOUNTED, JointTransform.FAULT_COUNT
-        joint.publish(uncounted)
-        arm.wait_for_no("no pose: joint1 is uncounted (COUNT)")
-        joint.publish(transform_of(2))
-        arm.wait_for(1)
-        assert seconds_of(arm.poses) == [2]
+def test_a_lost_joint_gives_no_pose_and_is_named_with_its_fault(rig: Rig) -> None:
+    rig.send(transform_of(1), 1)
+    rig.wait_for(1)
+    before = rig.counted("scans_refused")
+    rig.send(lost_transform(2, JointTransform.FAULT_DARK_DIODE), 2)
+    assert rig.wait_for_no("no pose: joint1 is lost (DARK_DIODE)").level == b"\x02"
+    rig.send(transform_of(3), 3)
+    rig.wait_for(2)
+    assert rig.has_seconds([1, 3])
+    assert rig.counted("scans_refused") == before + 1
+
+
+def test_a_degraded_joint_gives_a_pose_and_a_warning(rig: Rig) -> None:
+    degraded = transform_of(1)
+    degraded.state = JointTransform.STATE_DEGRADED
+    rig.send(degraded, 1)
+    rig.wait_for(1)
+    assert rig.graph.wait_for_status("/chain_node: endpoint", "degraded: joint1").level == b"\x01"
+
+
+def test_an_uncounted_joint_gives_no_pose(rig: Rig) -> None:
+    uncounted = transform_of(1)
+    uncounted.state, uncounted.faults = JointTransform.STATE_UNCOUNTED, JointTransform.FAULT_COUNT
+    rig.send(uncounted, 1)
+    rig.wait_for_no("no pose: joint1 is uncounted (COUNT)")
+    rig.send(transform_of(2), 2)
+    rig.wait_for(1)
+    assert rig.has_seconds([2])
 
 
 def nan_position(message: Any) -> None:
@@ -227,45 +258,46 @@ def infinite_covariance(message: Any) -> None:
 
 
 @pytest.mark.parametrize("spoil", [nan_position, no_quaternion, infinite_covariance])
-def test_numbers_that_are_no_pose_are_not_passed_on_whatever_their_state_says(spoil: Callable[[Any], None]) -> None:
-    with chain_node(urdf=str(URDF), **LOSSLESS), Graph() as graph:
-        arm = Arm(graph)
-        joint = arm.joint("joint1")
-        broken = transform_of(1)
-        spoil(broken)
-        joint.publish(broken)
-        joint.publish(transform_of(2))
-        graph.wait_until(lambda: 2 in seconds_of(arm.poses), "the sound pose")
-        assert seconds_of(arm.poses) == [2]
-        assert any("joint1" in status.message and "no pose" in status.message for status in graph.diagnostics)
+def test_numbers_that_are_no_pose_are_not_passed_on_whatever_their_state_says(
+    rig: Rig, spoil: Callable[[Any], None]
+) -> None:
+    broken = transform_of(1)
+    spoil(broken)
+    rig.send(broken, 1)
+    rig.send(transform_of(2), 2)
+    rig.wait_for(1)
+    assert rig.has_seconds([2])
+
+    def is_told() -> bool:
+        return any("joint1" in status.message and "no pose" in status.message for status in rig.graph.diagnostics)
+
+    rig.graph.wait_until(is_told, "the reason")
 
 
-def test_transforms_between_other_frames_are_refused() -> None:
-    with chain_node(urdf=str(URDF), **LOSSLESS), Graph() as graph:
-        arm = Arm(graph)
-        joint = arm.joint("joint1")
-        joint.publish(transform_of(1, plates=("posor_receiving", "another_plate")))
-        arm.wait_for_no(
-            "no pose: joint1: transforms from 'posor_receiving' to 'another_plate' arrive; "
-            "expected 'posor_receiving' to 'posor_target', as in the URDF"
-        )
-        joint.publish(transform_of(2))
-        arm.wait_for(1)
-        assert seconds_of(arm.poses) == [2]
+def test_transforms_between_other_frames_are_refused(rig: Rig) -> None:
+    rig.send(transform_of(1, plates=("posor_receiving", "another_plate")), 1)
+    rig.wait_for_no(
+        "no pose: joint1: transforms from 'posor_receiving' to 'another_plate' arrive; "
+        "expected 'posor_receiving' to 'posor_target', as in the URDF"
+    )
+    rig.send(transform_of(2), 2)
+    rig.wait_for(1)
+    assert rig.has_seconds([2])
 
 
-@pytest.fixture
-def two_joints(tmp_path: Path) -> str:
-    urdf = tmp_path / "two.urdf"
+@pytest.fixture(scope="module")
+def two_joints(tmp_path_factory: pytest.TempPathFactory) -> str:
+    urdf = tmp_path_factory.mktemp("two_joints") / "two.urdf"
     urdf.write_text(TWO_JOINTS, encoding="utf-8")
     return str(urdf)
 
 
-def test_only_transforms_of_one_scan_are_joined_and_a_missing_joint_is_named(two_joints: str) -> None:
+def test_only_whole_scans_of_sound_transforms_are_joined_and_what_is_amiss_is_named(two_joints: str) -> None:
     with chain_node(urdf=two_joints, endpoint_frame="t2", **LOSSLESS), Graph() as graph:
         arm = Arm(graph)
         shoulder, elbow = arm.joint("shoulder"), arm.joint("elbow")
         first, second = ("base", "t1"), ("r2", "t2")
+        # Transforms of two scans.
         shoulder.publish(transform_of(1, plates=first))
         elbow.publish(transform_of(2, plates=second))
         shoulder.publish(transform_of(3, pin.SE3(np.eye(3), np.array([0.0, 1e-3, 0.0])), plates=first))
@@ -275,39 +307,30 @@ def test_only_transforms_of_one_scan_are_joined_and_a_missing_joint_is_named(two
         position = arm.poses[0].pose.position
         np.testing.assert_allclose([position.x, position.y, position.z], [0.5, 1e-3, 1e-3], rtol=0.0, atol=1e-12)
         assert list(arm.joint_states[0].name) == ["shoulder", "elbow"]
+        status = graph.wait_for_status("/chain_node: endpoint", "ok")
+        assert values_of(status)["scans_incomplete"] == "2"
         named = [status.message for status in graph.diagnostics if status.name == "/chain_node: endpoint"]
         for joint in ("shoulder", "elbow"):
             assert f"no pose: {joint}: transform missing from a scan that the other joints sent" in named
-        status = graph.wait_for_status("/chain_node: endpoint", "ok")
-        assert values_of(status)["scans_incomplete"] == "2"
-
-
-def test_one_lost_joint_of_two_gives_no_pose(two_joints: str) -> None:
-    with chain_node(urdf=two_joints, endpoint_frame="t2", **LOSSLESS), Graph() as graph:
-        arm = Arm(graph)
-        shoulder, elbow = arm.joint("shoulder"), arm.joint("elbow")
-        shoulder.publish(transform_of(1, plates=("base", "t1")))
-        elbow.publish(lost_transform(1, JointTransform.FAULT_OUT_OF_RANGE, plates=("r2", "t2")))
+        # One joint lost.
+        shoulder.publish(transform_of(4, plates=first))
+        elbow.publish(lost_transform(4, JointTransform.FAULT_OUT_OF_RANGE, plates=second))
         arm.wait_for_no("no pose: elbow is lost (OUT_OF_RANGE)")
-        assert arm.poses == []
-
-
-def test_a_transform_without_a_stamp_stops_nothing(two_joints: str) -> None:
-    with chain_node(urdf=two_joints, endpoint_frame="t2", **LOSSLESS), Graph() as graph:
-        arm = Arm(graph)
-        shoulder, elbow = arm.joint("shoulder"), arm.joint("elbow")
-        unstamped = transform_of(2, plates=("base", "t1"))
+        assert seconds_of(arm.poses) == [3]
+        # A transform without a stamp stops nothing.
+        unstamped = transform_of(6, plates=first)
         unstamped.header.stamp.sec = unstamped.header.stamp.nanosec = 0
-        for message in (transform_of(1, plates=("base", "t1")), unstamped):
+        for message in (transform_of(5, plates=first), unstamped):
             shoulder.publish(message)
         arm.wait_for_no("no pose: shoulder: the stamp of a transform is zero; expected the time of exposure")
-        for seconds in (2, 3):
-            shoulder.publish(transform_of(seconds, plates=("base", "t1")))
-        for seconds in (1, 2, 3):
-            elbow.publish(transform_of(seconds, plates=("r2", "t2")))
-        arm.wait_for(3)
-        assert seconds_of(arm.poses) == [1, 2, 3]
-        assert values_of(graph.wait_for_status("/chain_node: endpoint", "ok"))["scans_refused"] == "1"
+        for seconds in (6, 7):
+            shoulder.publish(transform_of(seconds, plates=first))
+        for seconds in (5, 6, 7):
+            elbow.publish(transform_of(seconds, plates=second))
+        arm.wait_for(4)
+        assert seconds_of(arm.poses) == [3, 5, 6, 7]
+        values = values_of(graph.wait_for_status("/chain_node: endpoint", "ok"))
+        assert (values["scans_refused"], values["scans_incomplete"]) == ("2", "2")
 
 
 def call_set_home(graph: Graph) -> tuple[bool, str]:
@@ -336,27 +359,21 @@ def test_relative_to_home_the_first_pose_is_zero_until_home_is_set_anew() -> Non
         np.testing.assert_allclose(heights, [[0.0, 0.0, 0.0], [0.0, -1e-3, 0.0]], rtol=0.0, atol=1e-15)
 
 
-def test_set_home_is_refused_where_poses_are_absolute() -> None:
-    with chain_node(urdf=str(URDF), **LOSSLESS), Graph() as graph:
-        success, message = call_set_home(graph)
-        assert not success
-        assert message == "reference is 'absolute'; start the node with reference:=home to publish relative poses"
+def test_set_home_is_refused_where_poses_are_absolute(rig: Rig) -> None:
+    success, message = call_set_home(rig.graph)
+    assert not success
+    assert message == "reference is 'absolute'; start the node with reference:=home to publish relative poses"
 
 
-def test_a_joint_that_nobody_measures_is_named_with_the_time_since(two_joints: str) -> None:
-    with chain_node(urdf=two_joints, endpoint_frame="t2", **LOSSLESS), Graph() as graph:
-        arm = Arm(graph)
-        arm.joint("shoulder")
-        arm.wait_for_no("no pose: nobody publishes /elbow/transform")
-        status = next(s for s in graph.diagnostics if s.message == "no pose: nobody publishes /elbow/transform")
-        assert float(values_of(status)["since"]) > 0.0
-
-
-def test_a_late_joint_is_waited_for_then_there_is_no_pose_of_that_scan(two_joints: str) -> None:
+def test_a_joint_that_nobody_measures_is_named_and_a_late_one_is_waited_for(two_joints: str) -> None:
     waiting = {**LOSSLESS, "max_wait": 0.2}
     with chain_node(urdf=two_joints, endpoint_frame="t2", **waiting), Graph() as graph:
         arm = Arm(graph)
-        shoulder, elbow = arm.joint("shoulder"), arm.joint("elbow")
+        shoulder = arm.joint("shoulder")
+        arm.wait_for_no("no pose: nobody publishes /elbow/transform")
+        status = next(s for s in graph.diagnostics if s.message == "no pose: nobody publishes /elbow/transform")
+        assert float(values_of(status)["since"]) > 0.0
+        elbow = arm.joint("elbow")
         shoulder.publish(transform_of(1, plates=("base", "t1")))
         arm.wait_for_no("no pose: elbow: transform missing from a scan that the other joints sent")
         elbow.publish(transform_of(1, plates=("r2", "t2")))
@@ -435,11 +452,11 @@ def test_beams_in_motion_sag_otherwise_than_at_rest(two_joints: str, tmp_path: P
         assert found == pytest.approx(heavier.translation[2], abs=1e-14)
 
 
-def test_a_beams_file_that_does_not_fit_is_refused(two_joints: str, tmp_path: Path) -> None:
+def test_a_beams_file_that_does_not_fit_is_refused(
+    two_joints: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     beams = tmp_path / "beams.yaml"
     beams.write_text(BEAMS.replace("joint: beam", "joint: boom"), encoding="utf-8")
-    with chain_node(urdf=two_joints, endpoint_frame="t2", beams=str(beams)) as node:
-        assert node.wait() == 1
-        assert node.stderr == [
-            f"URDF {two_joints}: has no fixed joint 'boom', which the beams file names; expected one of beam."
-        ]
+    sentence = f"URDF {two_joints}: has no fixed joint 'boom', which the beams file names; expected one of beam."
+    parameters = {"urdf": two_joints, "endpoint_frame": "t2", "beams": str(beams)}
+    assert refusal(ChainNode, parameters, capfd) == (1, [sentence])
