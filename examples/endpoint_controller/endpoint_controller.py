@@ -112,19 +112,13 @@ class EndpointController(PosorNode[ControllerParameters]):
         self._commands = self._incomplete = 0
         self._status.report(Level.STALE, "nothing to act upon yet")
         self._output = self._listeners.outlet(Vector3Stamped, COMMAND_TOPIC, RELIABLE_QOS)
-        self._inputs = [
-            self.create_subscription(kind, topic, partial(self._take, topic), RELIABLE_QOS)
-            for topic, kind in INPUTS.items()
-        ]
+        self.when_cleaned_up(self._output.destroy)
+        for topic, kind in INPUTS.items():
+            subscription = self.create_subscription(kind, topic, partial(self._take, topic), RELIABLE_QOS)
+            self.when_cleaned_up(self.destroy_subscription, subscription)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # it goes on when the ROS clock is set back or halts
-        self._lookout = self.create_timer(self.parameters.max_age / LOOKS, self._look_out, clock=steady)
-
-    def cleanup(self) -> None:
-        """Close the topics."""
-        self.destroy_timer(self._lookout)
-        for subscription in self._inputs:
-            self.destroy_subscription(subscription)
-        self._output.destroy()
+        lookout = self.create_timer(self.parameters.max_age / LOOKS, self._look_out, clock=steady)
+        self.when_cleaned_up(self.destroy_timer, lookout)
 
     def _take(self, topic: str, message: Any) -> None:
         self._newest_ns[topic] = stamp_ns(message)

@@ -43,7 +43,7 @@ class _Prepared:
         data = serialize_message(message)
         self._before, self._after = data[: STAMP.start], data[STAMP.stop :]
         self._outlet = Outlet(node, type(message), topic, qos)
-        self.destroy = self._outlet.destroy
+        node.when_cleaned_up(self._outlet.destroy)
 
     def publish(self, stamp: bytes) -> None:
         """Publish the message with a stamp, as its bytes."""
@@ -69,12 +69,7 @@ class FloorPosor(PosorNode[FloorPosorParameters]):
         message.header.frame_id = self.parameters.parent
         qos = sensor_qos(self.parameters)
         self._transform = _Prepared(self, message, TRANSFORM_TOPIC, qos)
-        self._inlet = Inlet(self, RawScan, RAW_TOPIC, qos, self._take)
-
-    def cleanup(self) -> None:
-        """Close them."""
-        self._inlet.destroy()
-        self._transform.destroy()
+        self.when_cleaned_up(Inlet(self, RawScan, RAW_TOPIC, qos, self._take).destroy)
 
     def _take(self, data: bytes) -> None:
         self._transform.publish(data[STAMP])
@@ -108,14 +103,9 @@ class FloorChain(PosorNode[FloorChainParameters]):
         self._results = [_Prepared(self, message, topic, results) for message, topic in topics]
         self._seen: dict[bytes, int] = {}
         self._complete = len(joints)
-        self._inlets = [Inlet(self, JointTransform, f"{joint}/{TRANSFORM_TOPIC}", qos, self._take) for joint in joints]
-
-    def cleanup(self) -> None:
-        """Close them."""
-        for inlet in self._inlets:
-            inlet.destroy()
-        for result in self._results:
-            result.destroy()
+        for joint in joints:
+            inlet = Inlet(self, JointTransform, f"{joint}/{TRANSFORM_TOPIC}", qos, self._take)
+            self.when_cleaned_up(inlet.destroy)
 
     def _take(self, data: bytes) -> None:
         stamp = data[STAMP]

@@ -91,16 +91,20 @@ class DriverNode(PosorNode[DriverParameters]):
         name = self.parameters.source
         self._source = source_class(name)(getattr(self.parameters, name), self._types)
         topics = self._source.open()
+        self.when_cleaned_up(self._source.close)
         self._classes = {topic.name: message_class(topic.type_name) for topic in topics}
         self._outputs = {topic.name: self._output(topic.name) for topic in topics}
         if isinstance(self._source, LiveSource):
             self._pace = self._pace or Pace(self.diagnostics.add("pace"), self.get_logger())
+            self.when_cleaned_up(self._inputs.close)
             self._inputs.open(self._source.inputs())
         self._status.report(Level.OK, "ready", {"source": name, "record": self._source.record})
 
     def _output(self, topic: str) -> Outlet:
         qos = sensor_qos(self.parameters) if topic == RAW_TOPIC else RELIABLE_QOS
-        return Outlet(self, self._classes[topic], topic, qos, given_up=lambda: self._stopping)
+        output = Outlet(self, self._classes[topic], topic, qos, given_up=lambda: self._stopping)
+        self.when_cleaned_up(output.destroy)
+        return output
 
     def activate(self) -> None:
         """Begin the replay, or the scans of a live source."""
@@ -123,14 +127,6 @@ class DriverNode(PosorNode[DriverParameters]):
         """End it."""
         if self._run is not None and self._run.stop():
             self._status.report(Level.OK, "stopped")
-
-    def cleanup(self) -> None:
-        """Close source and topics."""
-        self._inputs.close()
-        self._source.close()
-        for output in self._outputs.values():
-            output.destroy()
-        self._outputs = {}
 
     def _recorded(self) -> Iterator[Due]:
         parameters, source = self.parameters, self._source

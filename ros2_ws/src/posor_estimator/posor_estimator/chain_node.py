@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from posor_estimator.core.chain_lane import ChainLane
     from posor_estimator.core.robot_model import FreeJoint
     from posor_estimator.core.types import FloatArray
+    from posor_estimator.ros.wire import Outlet
 
 LOOKS_FOR_LATE = 4
 """How many times in ``max_wait`` the node looks for transforms that are late."""
@@ -129,32 +130,32 @@ class ChainNode(PosorNode[ChainParameters]):
         relative = self.parameters.reference == "home"
         frame = f"{self.parameters.endpoint_frame}_home" if relative else chain.base_frame
         self._writer = EndpointWriter(self._lane, frame, relative=relative)
-        results = result_qos(self.parameters)
-        self._pose = self._listeners.outlet(PoseStamped, ENDPOINT_TOPIC, results)
-        self._full_pose = self._listeners.outlet(PoseWithCovarianceStamped, ENDPOINT_COVARIANCE_TOPIC, results)
-        self._joint_states = self._listeners.outlet(JointState, JOINT_STATES_TOPIC, results)
+        self._pose = self._outlet(PoseStamped, ENDPOINT_TOPIC)
+        self._full_pose = self._outlet(PoseWithCovarianceStamped, ENDPOINT_COVARIANCE_TOPIC)
+        self._joint_states = self._outlet(JointState, JOINT_STATES_TOPIC)
         qos = sensor_qos(self.parameters)
-        self._inlets = [
-            Inlet(self, JointTransform, f"{joint.name}/{TRANSFORM_TOPIC}", qos, partial(self._take, joint))
-            for joint in chain.joints
-        ]
+        for joint in chain.joints:
+            inlet = Inlet(self, JointTransform, f"{joint.name}/{TRANSFORM_TOPIC}", qos, partial(self._take, joint))
+            self.when_cleaned_up(self._destroy, inlet)
+            self._inlets.append(inlet)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._late_timer = self.create_timer(
-            self.parameters.max_wait / LOOKS_FOR_LATE, self._give_up_late, clock=steady
-        )
-        self._home_service = self.create_service(Trigger, "~/set_home", self._set_home)
+        timer = self.create_timer(self.parameters.max_wait / LOOKS_FOR_LATE, self._give_up_late, clock=steady)
+        self.when_cleaned_up(self.destroy_timer, timer)
+        service = self.create_service(Trigger, "~/set_home", self._set_home)
+        self.when_cleaned_up(self.destroy_service, service)
 
-    def cleanup(self) -> None:
-        """Close the topics and forget the chain."""
-        for inlet in self._inlets:
-            inlet.destroy()
-        self._inlets = []
-        self.destroy_service(self._home_service)
-        self.destroy_timer(self._late_timer)
+    def _outlet(self, message_type: type[Any], topic: str) -> Outlet:
+        outlet = self._listeners.outlet(message_type, topic, result_qos(self.parameters))
+        self.when_cleaned_up(self._close, outlet)
+        return outlet
+
+    def _close(self, outlet: Outlet) -> None:
         with self._lock:
-            for outlet in (self._pose, self._full_pose, self._joint_states):
-                outlet.destroy()
-            del self._lane, self._joiner, self._writer
+            outlet.destroy()
+
+    def _destroy(self, inlet: Inlet) -> None:
+        self._inlets.remove(inlet)
+        inlet.destroy()
 
     def _refresh(self) -> None:
         """Bring the counts up to date, and say which joints nobody measures, once a second."""

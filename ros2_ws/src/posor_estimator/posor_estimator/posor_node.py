@@ -82,22 +82,18 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self._status.report(Level.STALE, "no scan yet")
         qos = sensor_qos(self.parameters)
         self._outlet = self._listeners.outlet(JointTransform, TRANSFORM_TOPIC, qos)
-        self._inlet = Inlet(self, RawScan, RAW_TOPIC, qos, self._take)
-        self._triggers = [
-            self.create_service(Trigger, f"~/{name}", partial(self._serve, action))
-            for name, action in (("reload", self._reload), ("home", self._count_from_home), ("zero", self._zero))
-            if name != "zero" or self.parameters.home_pose
-        ]
+        self.when_cleaned_up(self._close)
+        inlet = Inlet(self, RawScan, RAW_TOPIC, qos, self._take)
+        self.when_cleaned_up(inlet.destroy)
+        for name, action in (("reload", self._reload), ("home", self._count_from_home), ("zero", self._zero)):
+            if name != "zero" or self.parameters.home_pose:
+                service = self.create_service(Trigger, f"~/{name}", partial(self._serve, action))
+                self.when_cleaned_up(self.destroy_service, service)
 
-    def cleanup(self) -> None:
-        """Close topics and services and forget the calibration."""
-        for service in self._triggers:
-            self.destroy_service(service)
-        self._inlet.destroy()
+    def _close(self) -> None:
         with self._lock:
             self._outlet.destroy()
             self._lane = self._last = None
-            del self._posor, self._calibration
 
     def _read(self) -> tuple[Calibration, Calibration]:
         """Return what the calibration file says now, whole and with the session applied."""

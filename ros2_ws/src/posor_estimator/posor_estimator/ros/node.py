@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import traceback
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any, ClassVar, Generic
 
 from lifecycle_msgs.srv import ChangeState
@@ -23,10 +24,11 @@ if TYPE_CHECKING:
 class PosorNode(LifecycleNode, Generic[ParametersT]):
     """Lifecycle node with declared parameters and diagnostics.
 
-    A subclass names its parameter model in ``Parameters`` and fills the hooks ``configure``, ``activate``,
-    ``deactivate`` and ``cleanup``. A hook that raises a PosorError refuses the transition: with ``autostart`` that ends
-    the program with the error's sentence, otherwise the node stays in its former state and reports it.
-    Shutting down runs ``deactivate`` and ``cleanup`` as far as they are due.
+    A subclass names its parameter model in ``Parameters`` and fills the hooks ``configure``, ``activate`` and
+    ``deactivate``. A hook that raises a PosorError refuses the transition: with ``autostart`` that ends the program
+    with the error's sentence, otherwise the node stays in its former state and reports it. What ``configure`` has
+    opened by then, and told ``when_cleaned_up`` of, is closed again.
+    Shutting down deactivates and cleans up as far as that is due.
 
     Attributes:
         NAME: Default node name.
@@ -61,6 +63,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         self._refusal: Exception | None = None
         self._starting = False
         self._finalized = False
+        self._undo = ExitStack()
         try:
             overrides = take_overrides(self)
             self._declared: DeclaredParameters[ParametersT] = DeclaredParameters(
@@ -118,7 +121,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         """Use values that were changed at run time."""
 
     def configure(self) -> None:
-        """Read files, create publishers; raise a PosorError if that is impossible."""
+        """Read files, create publishers, tell ``when_cleaned_up``; raise a PosorError if that is impossible."""
 
     def activate(self) -> None:
         """Begin to work; publishers made with ``create_lifecycle_publisher`` are active already."""
@@ -126,8 +129,9 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
     def deactivate(self) -> None:
         """Stop working; after this nothing is published."""
 
-    def cleanup(self) -> None:
-        """Undo ``configure``."""
+    def when_cleaned_up(self, undo: Callable[..., object], *arguments: object) -> None:
+        """Have something done that undoes a part of ``configure``; the last part is undone first."""
+        self._undo.callback(undo, *arguments)
 
     def request_exit(self, failure: Exception | None = None) -> None:
         """Ask the main loop, from any thread, to end the program; with ``failure``, as one that failed.
@@ -167,7 +171,10 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Run the hook, then those of managed entities."""
-        return self._transition("inactive", self.configure, lambda: super(PosorNode, self).on_configure(state))
+        result = self._transition("inactive", self.configure, lambda: super(PosorNode, self).on_configure(state))
+        if result != TransitionCallbackReturn.SUCCESS:
+            self._undo.close()
+        return result
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Activate the publishers, then run the hook; if it refuses, the publishers are silent again."""
@@ -182,14 +189,14 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         return self._transition("inactive", self.deactivate, lambda: super(PosorNode, self).on_deactivate(state))
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Run the hook, then those of managed entities."""
-        return self._transition("unconfigured", self.cleanup, lambda: super(PosorNode, self).on_cleanup(state))
+        """Undo what was configured, then run the hooks of managed entities."""
+        return self._transition("unconfigured", self._undo.close, lambda: super(PosorNode, self).on_cleanup(state))
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Undo what was done, in reverse order; the program then ends."""
         due: dict[str, list[Callable[[], object]]] = {
-            "active": [self.deactivate, lambda: super(PosorNode, self).on_deactivate(state), self.cleanup],
-            "inactive": [self.cleanup],
+            "active": [self.deactivate, lambda: super(PosorNode, self).on_deactivate(state), self._undo.close],
+            "inactive": [self._undo.close],
         }
         steps = due.get(state.label, [])
         result = self._transition("finalized", *steps, lambda: super(PosorNode, self).on_shutdown(state))

@@ -15,7 +15,7 @@ from rcl_interfaces.msg import Log
 
 
 class ExampleParameters(NodeParameters):
-    fail: Literal["never", "configure", "activate", "bug"] = Field(default="never", description="where to fail")
+    fail: Literal["never", "configure", "late", "activate", "bug"] = Field(default="never", description="where to fail")
     gain: Annotated[float, Field(ge=0.0, le=5.0), ChangeableAtRunTime()] = Field(default=1.0, description="a gain")
     names: tuple[str, ...] = Field(default=(), description="names")
     count: Annotated[int, Field(ge=1, le=9)] = Field(default=2, description="a count")
@@ -34,6 +34,9 @@ class ExampleNode(PosorNode[ExampleParameters]):
         if self.parameters.fail == "bug":
             raise KeyError("a bug")
         self.output = self.create_lifecycle_publisher(Log, "output", 10)
+        self.when_cleaned_up(self.undo)
+        if self.parameters.fail == "late":
+            raise CalibrationError("is wrong", where="some.yaml", expected="a right one")
         self.status = self.diagnostics.add("work")
         self.refreshed = 0
         self.diagnostics.before_each(self.refresh)
@@ -54,7 +57,7 @@ class ExampleNode(PosorNode[ExampleParameters]):
     def deactivate(self) -> None:
         print(f"deactivate, publisher active: {self.output.is_activated}", flush=True)
 
-    def cleanup(self) -> None:
+    def undo(self) -> None:
         print("cleanup", flush=True)
         self.destroy_lifecycle_publisher(self.output)
 
