@@ -23,16 +23,10 @@ COUNTERS = ("ticks_missed", "incomplete", "refused")
 
 
 class NothingReceived(PosorError):
-    """Not a single pose came.
-
-    Attributes:
-        expected_poses: How many should have.
-
-    """
+    """Not a single pose came."""
 
     def __init__(self, expected_poses: int) -> None:
         super().__init__("no pose came in the measured time", where="endpoint/pose", expected=f"{expected_poses}")
-        self.expected_poses = expected_poses
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal
 from posor_bringup.arm_programs import arm_programs
 from posor_bringup.layouts import Layout, laid_out
 from posor_bringup.supervisor import Program, Script
+from posor_drivers.driver_parameters import LiveDriverParameters
 
 from tests.benchmarks import profiled
 from tests.benchmarks.floor import FloorChain, FloorPosor
@@ -30,6 +31,7 @@ LAYOUTS: Mapping[Layout, str] = {
     "separate": "one process for each node",
 }
 PROFILE = "profile.json"
+SPIN_US: int = LiveDriverParameters.model_fields["spin_us"].default
 FALSE_ALARM = 1e-9
 """For the chi-square test: scans that come again and again would fail by their noise again and again, and be lost."""
 
@@ -43,6 +45,7 @@ class Load:
         kind: The graph or its floor.
         layout: What shares a process.
         rate: Scans per second.
+        spin_us: For how long drivers look at the clock before each tick instead of sleeping [us].
         profiled: Whether with stopwatches, which write ``PROFILE`` in the folder of the run.
 
     """
@@ -51,18 +54,20 @@ class Load:
     kind: Kind
     layout: Layout
     rate: int
+    spin_us: int = SPIN_US
     profiled: bool = False
 
     @property
     def name(self) -> str:
         """For people and for folders."""
-        return f"{self.kind}_{self.layout}_{len(self.arm.calibrations)}x{self.rate}"
+        spin = "" if self.spin_us == SPIN_US else f"_spin{self.spin_us}"
+        return f"{self.kind}_{self.layout}_{len(self.arm.calibrations)}x{self.rate}{spin}"
 
 
 def processes(load: Load, folder: Path) -> list[Program]:
     """Return the programs, those that listen first; their files go into a folder."""
-    rate: dict[str, Parameter] = {"looped.rate": load.rate}
-    nodes = [_node(program, load.arm, load.kind) for program in arm_programs(load.arm, driver_parameters=rate)]
+    driver: dict[str, Parameter] = {"looped.rate": load.rate, "spin_us": load.spin_us}
+    nodes = [_node(program, load.arm, load.kind) for program in arm_programs(load.arm, driver_parameters=driver)]
     if load.layout == "separate":
         programs = [_alone(node, folder / node.name.replace("/", ".")) for node in nodes]
     else:

@@ -6,11 +6,9 @@ import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from posor_drivers.driver_parameters import LiveDriverParameters
-
 from tests.benchmarks.accounts import NothingReceived, figures
-from tests.benchmarks.growth import line, series
-from tests.benchmarks.layouts import LAYOUTS, PROFILE, Load
+from tests.benchmarks.growth import FULL, line, series
+from tests.benchmarks.layouts import LAYOUTS, PROFILE, SPIN_US, Load
 from tests.benchmarks.made_arm import made_arm, record
 
 if TYPE_CHECKING:
@@ -25,6 +23,7 @@ if TYPE_CHECKING:
     from tests.benchmarks.measuring import Bench
 
 MEGA = 1_000_000
+LONGEST_SPIN_US = 1000
 LADDER = (500, 1000, 1500, 2000, 2500, 3000, 3500, 4000, 5000, 6000, 8000, 10_000)
 """Rates among which the highest that holds is looked for [Hz]."""
 
@@ -61,6 +60,11 @@ class Plan:
     def name(self) -> str:
         """Of the main graph, as the keys have it."""
         return f"{self.joints}x{self.rate}"
+
+    @property
+    def period_us(self) -> int:
+        """Between two ticks of the main graph [us], rounded up; what a driver may look at the clock for is bounded."""
+        return min(-(-MEGA // self.rate), LONGEST_SPIN_US)
 
 
 class Arms:
@@ -120,7 +124,7 @@ class Sections:
         """Measure how late the machine is for ticks of the main graph's rate when nothing is done."""
         plan = self._plan
         seconds = plan.seconds / plan.rounds
-        ways = {"asleep": LiveDriverParameters.model_fields["spin_us"].default, "awake": -(-MEGA // plan.rate)}
+        ways = {"asleep": SPIN_US, "awake": plan.period_us}
         self._say(f"the machine alone, ticks at {plan.rate} Hz: {seconds:g} s, and as long without sleeping")
         return {way: self._bench.alone(plan.rate, spin_us, seconds) for way, spin_us in ways.items()}
 
@@ -128,6 +132,15 @@ class Sections:
         """Measure the main graph in every layout."""
         plan = self._plan
         return {"layouts": {layout: self._figures(layout, plan.joints, plan.rate) for layout in LAYOUTS}}
+
+    def waiting(self) -> dict[str, Any]:
+        """Measure the main graph by how its drivers wait: always asleep, awake shortly before a tick, never asleep."""
+        plan, told = self._plan, {}
+        for spin_us in (0, SPIN_US, plan.period_us):
+            self._say(f"graph, {plan.joints} joints at {plan.rate} Hz, spin_us {spin_us}: {plan.point_s:g} s")
+            load = Load(self._arms[plan.joints], "graph", plan.layout, plan.rate, spin_us)
+            told[str(spin_us)] = figures([self._bench.run(load, plan.point_s)])
+        return {"waiting": told}
 
     def growth(self) -> dict[str, Any]:
         """Measure the cost by joints and by rate."""
@@ -148,24 +161,35 @@ class Sections:
         return {"joints": joints, "rate": rate, "layout": "composed", **self._figures("composed", joints, rate)}
 
     def highest(self) -> dict[str, Any]:
-        """Look for the highest rate at which nothing is lost: half of the ladder's remaining steps each time."""
-        joints, tried = self._plan.joints, {}
+        """Look for the highest rate at which nothing is lost, and at which next to nothing is."""
+        tried: dict[int, float] = {}
+        return {
+            "highest_rate_hz": self._highest(0.0, tried),
+            "highest_rate_nearly_hz": self._highest(FULL, tried),
+            "highest_rate_lost": {str(rate): share for rate, share in sorted(tried.items())},
+        }
+
+    def _highest(self, share: float, tried: dict[int, float]) -> int | None:
+        """Return the highest rate at which no more than a share is lost: half of the ladder's rest each time."""
         lowest, highest = -1, len(LADDER)
         while highest - lowest > 1:
             middle = (lowest + highest) // 2
             rate = LADDER[middle]
-            tried[str(rate)] = lost = self._lost(joints, rate)
-            if lost:
+            if rate not in tried:
+                tried[rate] = self._lost(self._plan.joints, rate)
+            if tried[rate] > share:
                 highest = middle
             else:
                 lowest = middle
-        return {"highest_rate_hz": LADDER[lowest] if lowest >= 0 else None, "highest_rate_lost": tried}
+        return LADDER[lowest] if lowest >= 0 else None
 
-    def _lost(self, joints: int, rate: int) -> int:
+    def _lost(self, joints: int, rate: int) -> float:
+        """Return the share of a graph's ticks that are lost."""
         try:
-            return self._run("graph", self._plan.layout, joints, rate, self._plan.point_s).lost
-        except NothingReceived as error:
-            return error.expected_poses
+            run = self._run("graph", self._plan.layout, joints, rate, self._plan.point_s)
+        except NothingReceived:
+            return 1.0
+        return run.lost / run.expected
 
     def profile(self) -> dict[str, Any]:
         """Take the main graph's time apart, all nodes in one process."""

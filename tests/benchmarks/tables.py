@@ -23,6 +23,7 @@ SINGLE = {
     "ratio_p50": "p50, graph to floor",
     "ratio_p99": "p99, graph to floor",
     "highest_rate_hz": "highest rate without loss, Hz",
+    "highest_rate_nearly_hz": "highest rate at which no more than 1 % of the ticks are lost, Hz",
     "kernel_us": "estimator, many scans in one call, us a scan",
     "scan_us": "estimator, scan by scan, us a scan",
     "offline_scans_per_s": "reprocessing, scans/s per core",
@@ -77,16 +78,24 @@ def tables(results: Mapping[str, Any]) -> dict[str, Shown]:
     if "layouts" in results:
         rows = [(LAYOUTS[layout], row) for layout, row in results["layouts"].items()]
         made["layouts"] = _latencies("What shares a process", rows)
+    if "waiting" in results:
+        rows = [(f"spin_us {spin_us}", row) for spin_us, row in results["waiting"].items()]
+        made["waiting"] = _latencies("How drivers wait for a tick", rows)
     if "growth" in results:
         rows = [(f"{point['joints']} x {point['rate']} Hz", point) for point in results["growth"]]
         made["growth"] = _latencies("Growth: all nodes in one process", rows)
     if "profile" in results:
         made["profile"] = _profile(results["profile"])
-    single = [(text, results[key]) for key, text in SINGLE.items() if results.get(key) is not None]
+    single = [(text, _figure(results[key])) for key, text in SINGLE.items() if key in results]
     if single:
-        rounded = [(text, f"{value:,.0f}" if value >= WHOLE else f"{value:.2f}") for text, value in single]
-        made["single"] = Shown("Single figures", ("", "figure"), rounded)
+        made["single"] = Shown("Single figures", ("", "figure"), single)
     return made
+
+
+def _figure(value: float | None) -> str:
+    if value is None:
+        return "none"
+    return f"{value:,.0f}" if value >= WHOLE else f"{value:.2f}"
 
 
 def _latencies(title: str, runs: Sequence[tuple[str, Mapping[str, Any]]]) -> Shown:

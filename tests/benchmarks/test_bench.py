@@ -137,7 +137,10 @@ def test_line_goes_through_the_points_that_hold() -> None:
         (["--seconds", "0.1"], "make bench: --seconds 0.1; expected 1 to 3600."),
         (["--seconds", "nan"], "make bench: --seconds nan; expected 1 to 3600."),
         (["--layout", "none"], "argument --layout: invalid choice: 'none'"),
-        (["--only", "graph,nothing"], "argument --only: 'nothing' is no section; expected some of graph, layouts"),
+        (
+            ["--only", "graph,nothing"],
+            "argument --only: 'nothing' is no section; expected some of graph, waiting, layouts",
+        ),
         (["--fast"], "unrecognized arguments: --fast"),
     ],
 )
@@ -220,6 +223,7 @@ def test_every_place_of_the_page_is_known() -> None:
         "machine",
         "graph",
         "alone",
+        "waiting",
         "layouts",
         "profile",
         "growth",
