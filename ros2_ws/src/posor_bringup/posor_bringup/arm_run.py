@@ -37,6 +37,8 @@ WARM_UP = 40
 """Ticks before the scenario begins, in which all that listen find all that publish."""
 GRACE_S = 10.0
 """Wall time that a tick gets for what must come; then the clock goes on, and the accounts tell what was missing."""
+BEGINNING_GRACE_S = 1.0
+"""The same as long as not all have begun: a node that hears of the clock late begins with a later tick."""
 COMMAND_GRACE_S = 1.0
 """Wall time that a controller gets to answer a pose; it may have a reason not to."""
 REPEAT_S = 0.2
@@ -122,7 +124,7 @@ class ArmRun:
         self._nodes = [self._supervisor.start(program) for program in programs]
         self._watch.wait(lambda: not self._receiver.unready(), lambda: "; ".join(self._receiver.unready()))
         while self._tick < plan.cycle or self._receiver.missing_topics():
-            self._go_on()
+            self._go_on(BEGINNING_GRACE_S if self._receiver.missing_topics() else GRACE_S)
 
     def cycle(self, state: str) -> ArmRecord:
         """Run the plan's ticks, from the next one on.
@@ -150,7 +152,7 @@ class ArmRun:
                     self._table.show(newest, done, without, speed)
         return self._receiver.record(ticks, self.plan.rate)
 
-    def _go_on(self) -> None:
+    def _go_on(self, grace: float = GRACE_S) -> None:
         """Set the clock to the next tick, so that the scans of this one are published; wait for what they lead to."""
         stamp, now = stamp_of(self._tick, self.plan.rate), stamp_of(self._tick + 1, self.plan.rate)
         dropped = self._dropouts.at(self._tick)
@@ -165,7 +167,7 @@ class ArmRun:
                 repeat += REPEAT_S
                 receiver.set_clock(now)
             if receiver.outstanding(stamp, dropped):
-                return waited > GRACE_S
+                return waited > grace
             commanded = self._controller is None or stamp in receiver.commands or stamp not in receiver.poses
             return commanded or waited > COMMAND_GRACE_S
 
