@@ -41,7 +41,7 @@ class Receiver:
     def __init__(self, topic: str) -> None:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         self._node = Node("bench_receiver", enable_rosout=False, start_parameter_services=False)
-        qos = QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE)
+        qos = QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
         self._subscription = self._node.create_subscription(PoseStamped, topic, _never_called, qos, raw=True)
         self.noted = array("q")
 
