@@ -83,6 +83,24 @@ class Arms:
         return self._made[joints]
 
 
+def highest_rate(lost: Callable[[int], float], share: float) -> int | None:
+    """Return the highest rate of the ladder at which no more than a share is lost; None: at none.
+
+    Args:
+        lost: Measures the share that is lost at a rate [Hz]; asked for half of the ladder's remaining steps each time.
+        share: What may be lost.
+
+    """
+    lowest, highest = -1, len(LADDER)
+    while highest - lowest > 1:
+        middle = (lowest + highest) // 2
+        if lost(LADDER[middle]) > share:
+            highest = middle
+        else:
+            lowest = middle
+    return LADDER[lowest] if lowest >= 0 else None
+
+
 class Sections:
     """Runs what a plan says, one part after the other."""
 
@@ -163,25 +181,17 @@ class Sections:
     def highest(self) -> dict[str, Any]:
         """Look for the highest rate at which nothing is lost, and at which next to nothing is."""
         tried: dict[int, float] = {}
-        return {
-            "highest_rate_hz": self._highest(0.0, tried),
-            "highest_rate_nearly_hz": self._highest(FULL, tried),
-            "highest_rate_lost": {str(rate): share for rate, share in sorted(tried.items())},
-        }
 
-    def _highest(self, share: float, tried: dict[int, float]) -> int | None:
-        """Return the highest rate at which no more than a share is lost: half of the ladder's rest each time."""
-        lowest, highest = -1, len(LADDER)
-        while highest - lowest > 1:
-            middle = (lowest + highest) // 2
-            rate = LADDER[middle]
+        def lost(rate: int) -> float:
             if rate not in tried:
                 tried[rate] = self._lost(self._plan.joints, rate)
-            if tried[rate] > share:
-                highest = middle
-            else:
-                lowest = middle
-        return LADDER[lowest] if lowest >= 0 else None
+            return tried[rate]
+
+        return {
+            "highest_rate_hz": highest_rate(lost, 0.0),
+            "highest_rate_nearly_hz": highest_rate(lost, FULL),
+            "highest_rate_lost": {str(rate): tried[rate] for rate in sorted(tried)},
+        }
 
     def _lost(self, joints: int, rate: int) -> float:
         """Return the share of a graph's ticks that are lost."""

@@ -22,6 +22,7 @@ from tests.benchmarks.alone import lateness
 from tests.benchmarks.bench import ROOT, main, parse
 from tests.benchmarks.growth import figure, line, series
 from tests.benchmarks.page import PLACE, filled
+from tests.benchmarks.sections import LADDER, highest_rate
 from tests.benchmarks.stopwatch import Stopwatches
 
 if TYPE_CHECKING:
@@ -126,6 +127,22 @@ def test_line_goes_through_the_points_that_hold() -> None:
     assert line(points[:2], "joints") is None
     picture = figure([*points, point(6, 500, 0.2), point(6, 2000, 0.5)], 6, 500)
     assert picture.startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("holds_to", "share", "found"),
+    [(2600, 0.0, 2500), (499, 0.0, None), (500, 0.0, 500), (1e5, 0.0, 10_000), (1, 0.2, 10_000)],
+)
+def test_highest_rate_is_found_in_few_steps(holds_to: float, share: float, found: int | None) -> None:
+    tried: list[int] = []
+
+    def lost(rate: int) -> float:
+        tried.append(rate)
+        return 0.1 if rate > holds_to else 0.0
+
+    assert highest_rate(lost, share) == found
+    assert len(tried) <= 4
+    assert set(tried) <= set(LADDER)
 
 
 @pytest.mark.parametrize(
