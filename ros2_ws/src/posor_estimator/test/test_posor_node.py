@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from posor_estimator.core.calibration.load import load_calibration
+from posor_estimator.posor_node import PosorEstimatorNode
 from posor_estimator.testing.graph import Graph, values_of
 from posor_estimator.testing.program import Program, installed, ros_arguments
+from posor_estimator.testing.refusal import refusal
 from posor_estimator.testing.stamped import stamp, status_with
 from posor_msgs.msg import JointTransform, RawScan
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
@@ -123,7 +125,16 @@ UNFIT: list[tuple[Callable[[Any], None], int, tuple[str, ...]]] = [
 ]
 
 
-def test_posor_node_refuses_what_it_cannot_start_with(tmp_path: Path) -> None:
+def test_a_program_that_cannot_start_ends_with_one_sentence() -> None:
+    with posor_node() as node:
+        sentence = (
+            "node /posor_node, parameter 'calibration': is not set; expected a string: "
+            "path of the calibration file (YAML) of this joint's POSOR."
+        )
+        assert (node.wait(), node.stderr, node.stdout) == (2, [sentence], [])
+
+
+def test_posor_node_refuses_what_it_cannot_start_with(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     missing = tmp_path / "none.yaml"
     wrong = tmp_path / "wrong.yaml"
     wrong.write_text(CALIBRATION.read_text(encoding="utf-8").replace("unit: V}", "unit: mV}", 1), encoding="utf-8")
@@ -133,14 +144,6 @@ def test_posor_node_refuses_what_it_cannot_start_with(tmp_path: Path) -> None:
             {"calibration": str(missing)},
             1,
             f"calibration file {missing}: cannot be read: No such file or directory; expected a YAML calibration file.",
-        ),
-        (
-            {},
-            2,
-            (
-                "node /posor_node, parameter 'calibration': is not set; expected a string: "
-                "path of the calibration file (YAML) of this joint's POSOR."
-            ),
         ),
         (
             {"calibration": str(CALIBRATION), "session": "ymx"},
@@ -156,41 +159,61 @@ def test_posor_node_refuses_what_it_cannot_start_with(tmp_path: Path) -> None:
             ),
         ),
     ):
-        with posor_node(**parameters) as node:
-            assert (node.wait(), node.stderr, node.stdout) == (code, [sentence], [])
-    with posor_node(calibration=str(wrong)) as node:
-        assert node.wait() == 1
-        [sentence] = node.stderr
-        assert sentence.startswith(f"{wrong}, line {line}, key sensors[0].probes[0].zero_shift")
-        assert sentence.endswith(": unit 'mV'; expected 'V'.")
+        assert refusal(PosorEstimatorNode, parameters, capfd) == (code, [sentence])
+    code, [sentence] = refusal(PosorEstimatorNode, {"calibration": str(wrong)}, capfd)
+    assert code == 1
+    assert sentence.startswith(f"{wrong}, line {line}, key sensors[0].probes[0].zero_shift")
+    assert sentence.endswith(": unit 'mV'; expected 'V'.")
 
 
-def test_a_sound_scan_becomes_a_transform_of_its_own_time_and_frames(sound: Callable[[int], Any]) -> None:
-    with posor_node(calibration=str(CALIBRATION), session="ymo", **LOSSLESS), Graph() as graph:
-        transforms = graph.collect(JointTransform, "transform")
+class Bench:
+    """A posor_node that several tests share, and its topics."""
+
+    def __init__(self, node: Program, graph: Graph) -> None:
+        self.node, self.graph = node, graph
+        self.transforms: list[Any] = graph.collect(JointTransform, "transform")
         graph.watch_diagnostics()
-        raw = graph.publisher(RawScan, "raw")
+        self.raw = graph.publisher(RawScan, "raw")
         status_with(graph, "/posor_node: listeners", "transform", "1")
-        scan = sound(5)
-        scan.status = RawScan.STATUS_OUTLIERS_DROPPED
-        raw.publish(scan)
-        graph.wait_until(lambda: len(transforms) == 1, "a transform")
-        [transform] = transforms
-        assert transform.header.stamp == scan.header.stamp
-        assert (transform.header.frame_id, transform.child_frame_id) == PLATES
-        assert (transform.scan, transform.scan_status) == (5, RawScan.STATUS_OUTLIERS_DROPPED)
-        assert (transform.state, transform.faults) == (JointTransform.STATE_OK, JointTransform.FAULT_NONE)
-        assert transform.covariance_kind == JointTransform.COVARIANCE_TOTAL
-        assert transform.redundancy == 1
-        covariance = np.reshape(transform.covariance, (6, 6))
-        np.testing.assert_allclose(covariance, covariance.T, rtol=1e-9)
-        assert (np.linalg.eigvalsh(covariance) > 0.0).all()
-        position = transform.pose.position
-        assert list(transform.native[:3]) == [position.x, position.y, position.z]
-        # The calibration's home is this step: level, about zero theta as far as the diodes' maps know.
-        assert abs(transform.native[5]) < 1e-4
-        status = graph.wait_for_status("/posor_node: estimate", "ok: none")
-        assert values_of(status)["last_scan"] == "5"
+
+
+@pytest.fixture(scope="module")
+def running() -> Iterator[Bench]:
+    with posor_node(calibration=str(CALIBRATION), session="ymo", **LOSSLESS) as node, Graph() as graph:
+        yield Bench(node, graph)
+        assert node.end() == 0
+
+
+@pytest.fixture
+def bench(running: Bench) -> Bench:
+    """Return the shared node, with nothing received yet."""
+    running.transforms.clear()
+    running.graph.diagnostics.clear()
+    return running
+
+
+def test_a_sound_scan_becomes_a_transform_of_its_own_time_and_frames(bench: Bench, sound: Callable[[int], Any]) -> None:
+    graph, raw, transforms = bench.graph, bench.raw, bench.transforms
+    scan = sound(5)
+    scan.status = RawScan.STATUS_OUTLIERS_DROPPED
+    raw.publish(scan)
+    graph.wait_until(lambda: len(transforms) == 1, "a transform")
+    [transform] = transforms
+    assert transform.header.stamp == scan.header.stamp
+    assert (transform.header.frame_id, transform.child_frame_id) == PLATES
+    assert (transform.scan, transform.scan_status) == (5, RawScan.STATUS_OUTLIERS_DROPPED)
+    assert (transform.state, transform.faults) == (JointTransform.STATE_OK, JointTransform.FAULT_NONE)
+    assert transform.covariance_kind == JointTransform.COVARIANCE_TOTAL
+    assert transform.redundancy == 1
+    covariance = np.reshape(transform.covariance, (6, 6))
+    np.testing.assert_allclose(covariance, covariance.T, rtol=1e-9)
+    assert (np.linalg.eigvalsh(covariance) > 0.0).all()
+    position = transform.pose.position
+    assert list(transform.native[:3]) == [position.x, position.y, position.z]
+    # The calibration's home is this step: level, about zero theta as far as the diodes' maps know.
+    assert abs(transform.native[5]) < 1e-4
+    status = graph.wait_for_status("/posor_node: estimate", "ok: none")
+    assert values_of(status)["last_scan"] == "5"
 
 
 def test_the_diagnostics_and_the_log_name_the_calibration() -> None:
@@ -206,67 +229,60 @@ def test_the_diagnostics_and_the_log_name_the_calibration() -> None:
         assert node.end() == 0
 
 
-def test_an_unfit_scan_is_lost_without_a_number_and_the_next_sound_one_is_found(sound: Callable[[int], Any]) -> None:
-    with posor_node(calibration=str(CALIBRATION), session="ymo", **LOSSLESS) as node, Graph() as graph:
-        transforms = graph.collect(JointTransform, "transform")
-        graph.watch_diagnostics()
-        raw = graph.publisher(RawScan, "raw")
-        status_with(graph, "/posor_node: listeners", "transform", "1")
-        for case, (spoil, fault, words) in enumerate(UNFIT, start=1):
-            scan = sound(10 * case)
-            spoil(scan)
-            raw.publish(scan)
-            graph.wait_until(lambda: len(transforms) == 2 * case - 1, spoil.__name__)  # noqa: B023  used at once
-            lost = transforms[-1]
-            assert (lost.scan, lost.state, lost.faults) == (10 * case, JointTransform.STATE_LOST, fault), spoil.__name__
-            assert lost.header.stamp == scan.header.stamp
-            position, orientation = lost.pose.position, lost.pose.orientation
-            pose = [position.x, position.y, position.z, orientation.x, orientation.y, orientation.z, orientation.w]
-            assert np.isnan([*pose, *lost.native, *lost.covariance]).all(), spoil.__name__
-            status = status_with(graph, "/posor_node: estimate", "reason", f"scan {10 * case}")
-            assert status.level == b"\x02"
-            assert status.message.startswith("lost: ")
-            reason = values_of(status)["reason"]
-            assert all(word in reason for word in words), reason
-            raw.publish(sound(10 * case + 1))
-            graph.wait_until(lambda: len(transforms) == 2 * case, "a sound scan")  # noqa: B023  used at once
-            assert transforms[-1].state == JointTransform.STATE_OK, spoil.__name__
-        status = status_with(graph, "/posor_node: estimate", "last_scan", str(10 * len(UNFIT) + 1))
-        assert values_of(status)["scans_lost"] == str(len(UNFIT))
-        # Where a scan starts from does not matter: all sound scans were the same, and so are their poses.
-        poses = [tuple(transform.native) for transform in transforms[1::2]]
-        np.testing.assert_allclose(poses, [poses[0]] * len(UNFIT), rtol=0.0, atol=1e-12)
-        assert node.end() == 0
-
-
-def test_every_scan_number_that_a_message_can_hold_is_answered(sound: Callable[[int], Any]) -> None:
-    with posor_node(calibration=str(CALIBRATION), session="ymo", **LOSSLESS) as node, Graph() as graph:
-        transforms = graph.collect(JointTransform, "transform")
-        graph.watch_diagnostics()
-        raw = graph.publisher(RawScan, "raw")
-        status_with(graph, "/posor_node: listeners", "transform", "1")
-        scan = sound(1)
-        scan.scan = 2**64 - 1
+def test_an_unfit_scan_is_lost_without_a_number_and_the_next_sound_one_is_found(
+    bench: Bench, sound: Callable[[int], Any]
+) -> None:
+    graph, raw, transforms = bench.graph, bench.raw, bench.transforms
+    raw.publish(sound(9))
+    before = int(values_of(status_with(graph, "/posor_node: estimate", "last_scan", "9"))["scans_lost"])
+    graph.wait_until(lambda: len(transforms) == 1, "a first transform")
+    transforms.clear()
+    for case, (spoil, fault, words) in enumerate(UNFIT, start=1):
+        scan = sound(10 * case)
+        spoil(scan)
         raw.publish(scan)
-        graph.wait_until(lambda: bool(transforms) or node.ended, "a transform, or the node's end")
-        assert [transform.scan for transform in transforms] == [2**64 - 1]
+        graph.wait_until(lambda: len(transforms) == 2 * case - 1, spoil.__name__)  # noqa: B023  used at once
+        lost = transforms[-1]
+        assert (lost.scan, lost.state, lost.faults) == (10 * case, JointTransform.STATE_LOST, fault), spoil.__name__
+        assert lost.header.stamp == scan.header.stamp
+        position, orientation = lost.pose.position, lost.pose.orientation
+        pose = [position.x, position.y, position.z, orientation.x, orientation.y, orientation.z, orientation.w]
+        assert np.isnan([*pose, *lost.native, *lost.covariance]).all(), spoil.__name__
+        status = status_with(graph, "/posor_node: estimate", "reason", f"scan {10 * case}")
+        assert status.level == b"\x02"
+        assert status.message.startswith("lost: ")
+        reason = values_of(status)["reason"]
+        assert all(word in reason for word in words), reason
+        raw.publish(sound(10 * case + 1))
+        graph.wait_until(lambda: len(transforms) == 2 * case, "a sound scan")  # noqa: B023  used at once
+        assert transforms[-1].state == JointTransform.STATE_OK, spoil.__name__
+    status = status_with(graph, "/posor_node: estimate", "last_scan", str(10 * len(UNFIT) + 1))
+    assert int(values_of(status)["scans_lost"]) == before + len(UNFIT)
+    # Where a scan starts from does not matter: all sound scans were the same, and so are their poses.
+    poses = [tuple(transform.native) for transform in transforms[1::2]]
+    np.testing.assert_allclose(poses, [poses[0]] * len(UNFIT), rtol=0.0, atol=1e-12)
 
 
-def test_a_contradicting_reading_is_lost_by_its_chi_square(sound: Callable[[int], Any]) -> None:
+def test_every_scan_number_that_a_message_can_hold_is_answered(bench: Bench, sound: Callable[[int], Any]) -> None:
+    graph, raw, transforms = bench.graph, bench.raw, bench.transforms
+    scan = sound(1)
+    scan.scan = 2**64 - 1
+    raw.publish(scan)
+    graph.wait_until(lambda: bool(transforms) or bench.node.ended, "a transform, or the node's end")
+    assert [transform.scan for transform in transforms] == [2**64 - 1]
+
+
+def test_a_contradicting_reading_is_lost_by_its_chi_square(bench: Bench, sound: Callable[[int], Any]) -> None:
     """A spot moved by dirt: every reading is in range, but no pose explains all seven."""
-    with posor_node(calibration=str(CALIBRATION), session="ymo", **LOSSLESS), Graph() as graph:
-        transforms = graph.collect(JointTransform, "transform")
-        graph.watch_diagnostics()
-        raw = graph.publisher(RawScan, "raw")
-        status_with(graph, "/posor_node: listeners", "transform", "1")
-        scan = sound(1)
-        shift = 0.03 * TOTAL_A  # of the ratio along y, within the map
-        scan.diode_currents[5] -= shift
-        scan.diode_currents[7] += shift
-        raw.publish(scan)
-        graph.wait_until(lambda: len(transforms) == 1, "a transform")
-        [transform] = transforms
-        assert (transform.state, transform.faults) == (JointTransform.STATE_LOST, JointTransform.FAULT_RESIDUAL)
-        assert math.isnan(transform.pose.position.x)
-        status = graph.wait_for_status("/posor_node: estimate", "lost: RESIDUAL")
-        assert "contradict one another" in values_of(status)["reason"]
+    graph, raw, transforms = bench.graph, bench.raw, bench.transforms
+    scan = sound(1)
+    shift = 0.03 * TOTAL_A  # of the ratio along y, within the map
+    scan.diode_currents[5] -= shift
+    scan.diode_currents[7] += shift
+    raw.publish(scan)
+    graph.wait_until(lambda: len(transforms) == 1, "a transform")
+    [transform] = transforms
+    assert (transform.state, transform.faults) == (JointTransform.STATE_LOST, JointTransform.FAULT_RESIDUAL)
+    assert math.isnan(transform.pose.position.x)
+    status = graph.wait_for_status("/posor_node: estimate", "lost: RESIDUAL")
+    assert "contradict one another" in values_of(status)["reason"]
