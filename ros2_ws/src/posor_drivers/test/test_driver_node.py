@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 import pytest
 from geometry_msgs.msg import PointStamped
 from lifecycle_msgs.msg import Transition
+from posor_drivers.driver_node import DriverNode
 from posor_estimator.testing.graph import BEST_EFFORT, Graph, values_of
 from posor_estimator.testing.program import Program, installed, ros_arguments
+from posor_estimator.testing.refusal import refusal as refused
 from posor_msgs.msg import RawScan
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
@@ -17,7 +19,10 @@ from .bags import SECOND, Record, point, scan, write_bag
 from .tables import write_table
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
     from pathlib import Path
+
+    Refusal = Callable[..., tuple[int, list[str]]]
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
@@ -33,18 +38,22 @@ STATUS = "/joint1/driver_node: source"
 LOSSLESS = {"qos_reliability": "reliable", "qos_depth": 0}
 
 
+def named(parameters: Mapping[str, object]) -> dict[str, object]:
+    return {name.replace("__", "."): value for name, value in parameters.items()}
+
+
 def driver(**parameters: object) -> Program:
-    named = {name.replace("__", "."): value for name, value in parameters.items()}
-    return Program([*installed("posor_drivers", "driver_node"), *ros_arguments(named, "/joint1")])
+    return Program([*installed("posor_drivers", "driver_node"), *ros_arguments(named(parameters), "/joint1")])
 
 
 def replay(bag: Path, **parameters: object) -> Program:
     return driver(source="bag", bag__path=str(bag), **LOSSLESS, **parameters)
 
 
-def refusal(program: Program) -> tuple[int, list[str]]:
-    with program:
-        return program.wait(), program.stderr
+@pytest.fixture
+def refusal(capfd: pytest.CaptureFixture[str]) -> Refusal:
+    """Return what runs a driver in this process until it ends by itself."""
+    return lambda **parameters: refused(DriverNode, named(parameters), capfd, "/joint1")
 
 
 @pytest.mark.parametrize("sqlite", [False, True])
@@ -87,17 +96,18 @@ def test_fast_replay_to_a_slow_listener_loses_nothing(tmp_path: Path) -> None:
         assert raw == [record.data for record in records]
 
 
-def test_sensor_quality_of_service_is_best_effort_unless_told_otherwise(tmp_path: Path) -> None:
+def test_sensor_quality_of_service_is_best_effort_and_default_listeners_hear_the_driver(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag", RECORDS)
-    for parameters, reliability in (
-        ({}, ReliabilityPolicy.BEST_EFFORT),
-        ({"qos_reliability": "reliable"}, ReliabilityPolicy.RELIABLE),
-    ):
-        with Graph() as graph, driver(source="bag", bag__path=str(bag), **parameters) as program:
-            graph.wait_until(lambda: graph.node.count_publishers("/joint1/raw") == 1, "the driver")
-            (info,) = graph.node.get_publishers_info_by_topic("/joint1/raw")
-            assert info.qos_profile.reliability == reliability
-            assert program.end() == 0
+    with Graph() as graph, driver(source="bag", bag__path=str(bag), loop=True) as program:
+        scans = graph.collect(RawScan, "/joint1/raw", BEST_EFFORT)
+        graph.wait_until(lambda: len(scans) >= 3, "scans")
+        assert reliability_of_the_driver(graph) == ReliabilityPolicy.BEST_EFFORT
+        assert program.end() == 0
+
+
+def reliability_of_the_driver(graph: Graph) -> ReliabilityPolicy:
+    (info,) = graph.node.get_publishers_info_by_topic("/joint1/raw")
+    return info.qos_profile.reliability
 
 
 def test_replay_waits_for_as_many_subscriptions_as_told(tmp_path: Path) -> None:
@@ -143,17 +153,6 @@ def test_each_activation_replays_from_the_beginning(tmp_path: Path) -> None:
         assert program.end() == 0
 
 
-def test_endless_loop_is_one_long_record(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "bag", RECORDS)
-    with Graph() as graph, replay(bag, loop=True) as program:
-        scans = graph.collect(RawScan, "/joint1/raw")
-        graph.wait_until(lambda: len(scans) >= 3 * len(RAW), "three rounds")
-        assert [content.scan for content in scans] == list(range(len(scans)))
-        stamps = [content.header.stamp.sec * SECOND + content.header.stamp.nanosec for content in scans]
-        assert stamps == [START + number * SECOND // 100 for number in range(len(scans))]
-        assert program.end() == 0
-
-
 def test_restamped_scans_are_of_the_present(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag", RECORDS)
     with Graph() as graph:
@@ -168,56 +167,53 @@ def test_restamped_scans_are_of_the_present(tmp_path: Path) -> None:
         assert [stamp - stamps[0] for stamp in stamps] == [number * SECOND // 100 for number in range(len(RAW))]
 
 
-def test_default_listeners_hear_the_driver(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "bag", RECORDS)
-    with Graph() as graph, driver(source="bag", bag__path=str(bag), loop=True) as program:
-        scans = graph.collect(RawScan, "/joint1/raw", BEST_EFFORT)
-        graph.wait_until(lambda: len(scans) >= 3, "scans")
-        assert program.end() == 0
-
-
-def test_late_listener_hears_the_rest(tmp_path: Path) -> None:
+def test_endless_loop_is_one_long_record_also_for_a_late_listener(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag", RECORDS)
     with Graph() as graph, replay(bag, loop=True) as program:
-        first = graph.collect(RawScan, "/joint1/raw")
-        graph.wait_until(lambda: len(first) > len(RAW), "one round")
+        scans = graph.collect(RawScan, "/joint1/raw")
+        graph.wait_until(lambda: len(scans) > len(RAW), "one round")
+        assert reliability_of_the_driver(graph) == ReliabilityPolicy.RELIABLE
         late = graph.collect(RawScan, "/joint1/raw", QoSProfile(depth=100))
-        graph.wait_until(lambda: len(late) > 3, "scans for the late listener")
+        graph.wait_until(lambda: len(scans) >= 3 * len(RAW) and len(late) > 3, "three rounds, late scans")
+        assert [content.scan for content in scans] == list(range(len(scans)))
+        stamps = [content.header.stamp.sec * SECOND + content.header.stamp.nanosec for content in scans]
+        assert stamps == [START + number * SECOND // 100 for number in range(len(scans))]
         numbers = [content.scan for content in late]
         assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
         assert program.end() == 0
 
 
-def test_wrong_parameters_are_refused_with_one_sentence(tmp_path: Path) -> None:
+def test_wrong_parameters_are_refused_with_one_sentence(tmp_path: Path, refusal: Refusal) -> None:
     node = "node /joint1/driver_node, parameter"
-    code, (sentence,) = refusal(driver())
-    assert code == 2
-    assert sentence.startswith(f"{node} 'source': is not set; expected a string: where the scans come from")
-    code, (sentence,) = refusal(driver(source="tabel"))
+    with driver() as program:
+        assert program.wait() == 2
+        (sentence,) = program.stderr
+        assert sentence.startswith(f"{node} 'source': is not set; expected a string: where the scans come from")
+    code, (sentence,) = refusal(source="tabel")
     assert code == 2
     assert sentence.startswith("parameter 'source': source 'tabel' is unknown; expected one of 'bag', ")
-    assert refusal(driver(source="table", table__pth="x")) == (
+    assert refusal(source="table", table__pth="x") == (
         2,
         [f"{node} 'table.pth': there is no such parameter; expected perhaps 'table.path'."],
     )
-    code, (sentence,) = refusal(driver(source="table", table__path=str(tmp_path), bag__topic="/x"))
+    code, (sentence,) = refusal(source="table", table__path=str(tmp_path), bag__topic="/x")
     assert code == 2
     assert sentence.startswith(f"{node} 'bag.topic': there is no such parameter; expected perhaps 'table.")
-    assert refusal(driver(source="bag", bag__path="x", rate=-1.0)) == (
+    assert refusal(source="bag", bag__path="x", rate=-1.0) == (
         2,
         [f"{node} 'rate': -1.0 is wrong; expected a number at least 0.0 and at most 10000.0."],
     )
 
 
-def test_unreadable_inputs_end_the_program_with_one_sentence(tmp_path: Path) -> None:
+def test_unreadable_inputs_end_the_program_with_one_sentence(tmp_path: Path, refusal: Refusal) -> None:
     bag = write_bag(tmp_path / "bag", RECORDS)
     storage = bag / "bag.mcap"
     storage.write_bytes(storage.read_bytes()[:-100])
-    code, (sentence,) = refusal(replay(bag))
+    code, (sentence,) = refusal(source="bag", bag__path=str(bag))
     assert code == 1
     assert sentence.startswith(f"{bag}: the bag cannot be read, ")
     table = write_table(tmp_path / "table.csv", "1,0,0,0,x,0,0,0,0,0,0,")
-    assert refusal(driver(source="table", table__path=str(table))) == (
+    assert refusal(source="table", table__path=str(table)) == (
         1,
         [f"{table}, line 4, column 'l1_v': 'x' is wrong; expected a finite number."],
     )
@@ -225,11 +221,11 @@ def test_unreadable_inputs_end_the_program_with_one_sentence(tmp_path: Path) -> 
 
 def test_offsets_beyond_the_record_end_the_program_with_one_sentence(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag", RECORDS)
-    code, lines = refusal(replay(bag, start_offset=50.0, wait_for_subscribers=0))
-    assert (code, lines) == (
-        2,
-        ["no scan lies between 'start_offset' 50.0 and 'stop_offset' inf; expected offsets within the record."],
-    )
+    with replay(bag, start_offset=50.0, wait_for_subscribers=0) as program:
+        assert program.wait() == 2
+        assert program.stderr == [
+            "no scan lies between 'start_offset' 50.0 and 'stop_offset' inf; expected offsets within the record."
+        ]
 
 
 def test_record_that_breaks_off_in_the_middle_ends_the_program_after_what_there_is(tmp_path: Path) -> None:
