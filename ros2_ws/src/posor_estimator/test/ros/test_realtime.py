@@ -13,7 +13,7 @@ import pytest
 from posor_estimator.errors import PosorError
 from posor_estimator.ros.diagnostics import Level
 from posor_estimator.ros.parameters import LimitParameters
-from posor_estimator.ros.process import ProcessHealth
+from posor_estimator.ros.process import SWITCH_S, ProcessHealth, settle
 
 ASK = """
     import ctypes, json, os, resource, sys
@@ -169,3 +169,14 @@ def test_what_was_refused_stays_in_the_diagnostics(line: Any) -> None:
     health.report()
     health.close()
     assert line.told == (Level.WARN, "a: is refused. b: too.")
+
+
+def test_what_is_there_at_the_start_is_no_longer_looked_at_for_garbage() -> None:
+    before = sys.getswitchinterval()
+    try:
+        settle()
+        assert gc.get_freeze_count() > 1000
+        assert sys.getswitchinterval() == pytest.approx(SWITCH_S)
+    finally:
+        gc.unfreeze()
+        sys.setswitchinterval(before)

@@ -184,7 +184,10 @@ def test_what_a_listener_raises_ends_its_program_and_not_the_publisher(process: 
     sender, broken, sound = (plain(process, f"/{name}") for name in ("sender", "broken", "sound"))
     taken: list[bytes] = []
 
+    heard: list[bytes] = []
+
     def fail(data: bytes) -> None:
+        heard.append(data)
         raise TopicError(f"{len(data)} bytes are too many", where="topic /joint/raw")
 
     Inlet(broken, RawScan, "/joint/raw", KEEP_ALL_QOS, fail)
@@ -193,6 +196,8 @@ def test_what_a_listener_raises_ends_its_program_and_not_the_publisher(process: 
     for data in MESSAGES:
         outlet.publish(data)
     assert taken == MESSAGES
+    assert heard == MESSAGES[:1]
     assert [node.exit_requested for node in (sender, broken, sound)] == [False, True, False]
+    broken.request_exit(TopicError("is not what went wrong first", where="topic /joint/raw"))
     with pytest.raises(TopicError, match="bytes are too many"):
         broken.raise_failure()
