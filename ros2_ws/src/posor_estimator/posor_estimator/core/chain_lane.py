@@ -52,12 +52,12 @@ class Endpoints:
 
     @classmethod
     def room(cls, scans: int, joints: int) -> Endpoints:
-        """Return room for so many scans."""
+        """Return room for so many scans; what stands there means nothing."""
         return cls(
-            np.full((scans, 7), np.nan),
-            np.full((scans, 6, 6), np.nan),
-            np.full((scans, joints), np.nan),
-            np.zeros((scans, joints), dtype=np.int64),
+            np.empty((scans, 7)),
+            np.empty((scans, 6, 6)),
+            np.empty((scans, joints)),
+            np.empty((scans, joints), dtype=np.int64),
         )
 
     @property
@@ -108,6 +108,9 @@ class ChainLane:
         found = Endpoints.room(1, len(joints))
         self.pose, self.covariance = found.poses[0], found.covariances[0]
         self.angles, self.faults = found.angles[0], found.faults[0]
+        for numbers in (self.pose, self.covariance, self.angles):
+            numbers[:] = np.nan
+        self.faults[:] = 0
         self._relative = np.full((1, 7), np.nan), np.full((1, 6, 6), np.nan)
         self.relative_pose, self.relative_covariance = self._relative[0][0], self._relative[1][0]
         self._found = found

@@ -16,20 +16,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posor_estimator.core.compiled import compiled
-from posor_estimator.core.kernels.chain_covariance import add_along, add_turned, carry, mirror
-from posor_estimator.core.kernels.chain_motion import WINDOW, accelerations, begin_anew, has_room, take
-from posor_estimator.core.kernels.chain_pose import fault_of, go_on, rotation_of, turn_on, write_pose
-from posor_estimator.core.kernels.vector import (
-    Vector,
-    apply_tangent,
-    at,
-    minus,
-    plus,
-    rotate,
-    rotate_back,
-    times,
-    within,
+from posor_estimator.core.kernels.chain_covariance import (
+    NOTHING,
+    carried,
+    with_one_along,
+    with_turned,
+    write_covariance,
 )
+from posor_estimator.core.kernels.chain_matrix import Matrix, applied, matrix, product, row_times, transposed, turned_by
+from posor_estimator.core.kernels.chain_motion import WINDOW, accelerations, begin_anew, has_room, take
+from posor_estimator.core.kernels.chain_pose import fault_of, rotation_of, write_pose
+from posor_estimator.core.kernels.vector import Vector, at, minus, plus, put, times, within
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray, IntArray
@@ -39,24 +36,17 @@ SPAN, SHIFT_GAIN, START_GAIN, END_GAIN, SAG_GAIN, SAG_TURN_GAIN = 0, 4, 7, 10, 1
 its start does: shift of the end against the start, turn of the start, turn of the end in axes of the end, and one
 standard deviation of the sag, translation and turn in axes of the start."""
 BEAM_ROWS = 19
+UNTURNED: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 @compiled
-def go_along_beam(
-    beam: FloatArray, force: Vector, step: FloatArray, rotation: FloatArray, translation: FloatArray
-) -> None:
-    """Go from the plate at a beam's start to that at its end, both moved by the sag under a specific force [m/s^2].
-
-    ``step`` is scratch, (6,), its first half zero.
-    """
-    step[3], step[4], step[5] = times(-1.0, rotate(beam[START_GAIN:], force))
-    apply_tangent(rotation, translation, step)
-    along = rotate(rotation, plus(within(beam, SPAN + 3), rotate(beam[SHIFT_GAIN:], force)))
-    for i in range(3):
-        translation[i] += along[i]
-    turn_on(rotation, beam)
-    step[3], step[4], step[5] = rotate(beam[END_GAIN:], force)
-    apply_tangent(rotation, translation, step)
+def go_along_beam(beam: FloatArray, force: Vector, rotation: Matrix, translation: Vector) -> tuple[Matrix, Vector]:
+    """Go from the plate at a beam's start to that at its end, both moved by the sag under a specific force [m/s^2]."""
+    rotation = turned_by(rotation, times(-1.0, applied(matrix(beam, START_GAIN), force)))
+    span = plus(within(beam, SPAN + 3), applied(matrix(beam, SHIFT_GAIN), force))
+    translation = plus(translation, applied(rotation, span))
+    rotation = product(rotation, matrix(beam, SPAN))
+    return turned_by(rotation, applied(matrix(beam, END_GAIN), force)), translation
 
 
 @compiled
@@ -70,7 +60,6 @@ def walk(
     covariances: FloatArray,
     acceleration: FloatArray,
     work: FloatArray,
-    step: FloatArray,
     centres: FloatArray,
     pose: FloatArray,
     covariance: FloatArray,
@@ -86,74 +75,71 @@ def walk(
         poses: Of the joints, receiving plate to target plate, (j, 7): x, y, z [m], quaternion x, y, z, w.
         covariances: Of the same, (j, 6, 6), ROS order, axes of the receiving plate.
         acceleration: Of the beams [m/s^2], (b, 3), axes of the base.
-        work: Scratch, (13, 3).
-        step: Scratch, (6,), its first half zero.
+        work: Scratch, (4, 3).
         centres: Centres of the beams on the way to write [m], (b, 3), axes of the base.
         pose: Of the endpoint in the base to write, (7,).
         covariance: Of the endpoint to write, (6, 6), ROS order, axes of the base.
 
     """
-    rotation, parent, straight, turn = work[:3], work[3:6], work[6:9], work[9:12]
-    translation = work[12]
-    work[:] = 0.0
-    covariance[:] = 0.0
-    for i in range(3):
-        rotation[i, i] = 1.0
-        straight[i, i] = 1.0
-    last = at(translation, 0)
+    rotation = straight = UNTURNED
+    last = translation = (0.0, 0.0, 0.0)
+    blocks = NOTHING
     for element in range(sources.shape[0]):
-        go_on(rotation, translation, frames[element])
-        turn_on(straight, frames[element])
-        parent[:] = rotation
+        frame = frames[element]
+        fixed = matrix(frame, 0)
+        translation = plus(translation, applied(rotation, within(frame, 3)))
+        parent = rotation = product(rotation, fixed)
+        straight = product(straight, fixed)
         source = sources[element]
         if source >= 0:
-            along = rotate(rotation, within(poses, source))
-            for i in range(3):
-                translation[i] += along[i]
-            rotation_of(poses[source], turn)
-            turn_on(rotation, turn)
-            turn_on(straight, turn)
-            here = at(translation, 0)
-            carry(covariance, minus(here, last))
-            add_turned(covariance, parent, covariances[source])
+            translation = plus(translation, applied(rotation, within(poses, source)))
+            turn = rotation_of(poses, source)
+            rotation, straight = product(rotation, turn), product(straight, turn)
+            blocks = with_turned(carried(blocks, minus(translation, last)), parent, covariances[source])
         else:
             # How a beam lies under gravity is reckoned as if no beam before it sagged: the rest is of second order.
             b = -1 - source
             beam = beams[b]
-            centre = plus(at(translation, 0), times(0.5, rotate(rotation, within(beam, SPAN + 3))))
-            f = rotate_back(straight, minus(at(gravity, 0), within(acceleration, b)))
-            for i in range(3):
-                centres[b, i] = centre[i]
-            go_along_beam(beam, f, step, rotation, translation)
-            turn_on(straight, beam)
-            here = at(translation, 0)
-            carry(covariance, minus(here, last))
-            add_turned(covariance, parent, beam_covariances[b])
-            shift = rotate(parent, rotate(beam[SAG_GAIN:], f))
-            add_along(covariance, shift, rotate(parent, rotate(beam[SAG_TURN_GAIN:], f)))
-        last = here
-    go_on(rotation, translation, frames[sources.shape[0]])
-    carry(covariance, minus(at(translation, 0), last))
-    mirror(covariance)
-    write_pose(rotation, translation, pose)
+            put(centres, b, 0, plus(translation, times(0.5, applied(rotation, within(beam, SPAN + 3)))))
+            f = row_times(minus(at(gravity, 0), within(acceleration, b)), straight)
+            rotation, translation = go_along_beam(beam, f, rotation, translation)
+            straight = product(straight, matrix(beam, SPAN))
+            blocks = with_turned(carried(blocks, minus(translation, last)), parent, beam_covariances[b])
+            shift = applied(parent, applied(matrix(beam, SAG_GAIN), f))
+            blocks = with_one_along(blocks, shift, applied(parent, applied(matrix(beam, SAG_TURN_GAIN), f)))
+        last = translation
+    frame = frames[sources.shape[0]]
+    translation = plus(translation, applied(rotation, within(frame, 3)))
+    write_covariance(carried(blocks, minus(translation, last)), covariance)
+    _write_pose(product(rotation, matrix(frame, 0)), translation, work, pose)
 
 
 @compiled
-def joint_angle(pose: FloatArray, origin: FloatArray, theta: float, turn: FloatArray) -> float:
+def _write_pose(rotation: Matrix, translation: Vector, work: FloatArray, pose: FloatArray) -> None:
+    """Write a transform as a pose, (7,); ``work`` is scratch, (4, 3)."""
+    put(work, 0, 0, rotation[0])
+    put(work, 1, 0, rotation[1])
+    put(work, 2, 0, rotation[2])
+    put(work, 3, 0, translation)
+    write_pose(work[:3], work[3], pose)
+
+
+@compiled
+def joint_angle(poses: FloatArray, origins: FloatArray, j: int, theta: float) -> float:
     """Return how far a joint is turned about its nominal axis [rad]: the heading of its target's Y axis about that.
 
     Turns are those that have been counted in theta, the same heading about Z of the receiving plate.
 
     Args:
-        pose: Of the target plate in the receiving plate, (7,).
-        origin: Rotation of the joint's origin in the receiving plate, (3, 3).
+        poses: Of the target plates in the receiving plates, (j, 7).
+        origins: Rotations of the joints' origins in the receiving plates, (j, 3, 3).
+        j: Which joint.
         theta: Counted [rad]; NaN: not counted, the angle is in (-pi, pi].
-        turn: Scratch, (3, 3).
 
     """
-    rotation_of(pose, turn)
-    heading = turn[0, 1], turn[1, 1], turn[2, 1]
-    x, y, _ = rotate_back(origin, heading)
+    turn = rotation_of(poses, j)
+    heading = turn[0][1], turn[1][1], turn[2][1]
+    x, y, _ = row_times(heading, matrix(origins[j], 0))
     if math.isnan(theta):
         return math.atan2(-x, y)
     return theta + math.atan2(y * heading[0] - x * heading[1], y * heading[1] + x * heading[0])
@@ -210,8 +196,7 @@ def endpoints(
         n when done; the number of the scan for which ``seen`` must be made larger.
 
     """
-    work = np.empty((13, 3))
-    step = np.zeros(6)
+    work = np.empty((4, 3))
     centres = np.zeros(acceleration.shape)
     moving = kept[WINDOW] > 0
     count: int = stamps_ns.shape[0]
@@ -240,7 +225,6 @@ def endpoints(
             covariances[n],
             acceleration,
             work,
-            step,
             centres,
             found[n],
             found_covariances[n],
@@ -248,7 +232,7 @@ def endpoints(
         if moving:
             take(stamps_ns[n], centres, kept, seen_ns, seen)
         for j in range(faults.shape[1]):
-            angles[n, j] = joint_angle(poses[n, j], origins[j], thetas[n, j], work)
+            angles[n, j] = joint_angle(poses[n], origins, j, thetas[n, j])
     return count
 
 
@@ -257,20 +241,10 @@ def relative_to(
     home: FloatArray, poses: FloatArray, covariances: FloatArray, found: FloatArray, found_covariances: FloatArray
 ) -> None:
     """Write poses (n, 7) and their covariances (n, 6, 6) in the axes of another, home (7,), which counts as exact."""
-    work = np.empty((10, 3))
-    back, rotation, turn, translation = work[:3], work[3:6], work[6:9], work[9]
-    rotation_of(home, turn)
-    for i in range(3):
-        for j in range(3):
-            back[i, j] = turn[j, i]
+    work = np.empty((4, 3))
+    homes = home.reshape((1, 7))
+    back = transposed(rotation_of(homes, 0))
     for n in range(poses.shape[0]):
-        place = rotate(back, minus(within(poses, n), at(home, 0)))
-        for i in range(3):
-            translation[i] = place[i]
-        rotation[:] = back
-        rotation_of(poses[n], turn)
-        turn_on(rotation, turn)
-        write_pose(rotation, translation, found[n])
-        found_covariances[n] = 0.0
-        add_turned(found_covariances[n], back, covariances[n])
-        mirror(found_covariances[n])
+        place = applied(back, minus(within(poses, n), within(homes, 0)))
+        _write_pose(product(back, rotation_of(poses, n)), place, work, found[n])
+        write_covariance(with_turned(NOTHING, back, covariances[n]), found_covariances[n])

@@ -80,11 +80,14 @@ def accelerations(kept: IntArray, seen_ns: IntArray, seen: FloatArray, found: Fl
     skew = third / second
     offset = second / count
     whole = 0.0
+    sums, centres = found.ravel(), seen.ravel()
+    size = sums.shape[0]
+    first = centres[begin * size : begin * size + size]
     for n in range(begin, end):
         t = (seen_ns[n] - last) * 1e-9 - mean
         weight = t * t - skew * t - offset
         whole += weight * weight
-        for b in range(found.shape[0]):
-            for i in range(3):
-                found[b, i] += weight * (seen[n, b, i] - seen[begin, b, i])
+        now = centres[n * size : n * size + size]
+        for k in range(size):
+            sums[k] += weight * (now[k] - first[k])
     found *= 2.0 / whole

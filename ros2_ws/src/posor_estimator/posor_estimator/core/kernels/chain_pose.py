@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+import sys
 from typing import TYPE_CHECKING
 
 from posor_estimator.core.compiled import compiled
-from posor_estimator.core.kernels.vector import rotate, within
 
 if TYPE_CHECKING:
+    from posor_estimator.core.kernels.chain_matrix import Matrix
     from posor_estimator.core.types import FloatArray
 
 NOT_FINITE, NOT_UNIT, COVARIANCE_NOT_FINITE = 1, 2, 3
 """Why a joint's numbers must not be used; zero: they may."""
+LARGEST = sys.float_info.max
 UNIT_WITHIN = 1e-6
 """How far from one the length of an orientation quaternion may be."""
 
@@ -26,27 +28,23 @@ def fault_of(pose: FloatArray, covariance: FloatArray) -> int:
     length = math.sqrt(pose[3] * pose[3] + pose[4] * pose[4] + pose[5] * pose[5] + pose[6] * pose[6])
     if abs(length - 1.0) > UNIT_WITHIN:
         return NOT_UNIT
+    finite = True
     for i in range(6):
         for j in range(6):
-            if not math.isfinite(covariance[i, j]):
-                return COVARIANCE_NOT_FINITE
-    return 0
+            finite &= abs(covariance[i, j]) <= LARGEST  # no way out of the loop, so that it takes several at a time
+    return 0 if finite else COVARIANCE_NOT_FINITE
 
 
 @compiled
-def rotation_of(pose: FloatArray, rotation: FloatArray) -> None:
-    """Write the rotation (3, 3) of a pose (7,): x, y, z [m], quaternion x, y, z, w of any length but zero."""
-    x, y, z, w = pose[3], pose[4], pose[5], pose[6]
+def rotation_of(poses: FloatArray, j: int) -> Matrix:
+    """Return the rotation of pose j of (n, 7): x, y, z [m], quaternion x, y, z, w of any length but zero."""
+    x, y, z, w = poses[j, 3], poses[j, 4], poses[j, 5], poses[j, 6]
     scale = 2.0 / (x * x + y * y + z * z + w * w)
-    rotation[0, 0] = 1.0 - scale * (y * y + z * z)
-    rotation[0, 1] = scale * (x * y - w * z)
-    rotation[0, 2] = scale * (x * z + w * y)
-    rotation[1, 0] = scale * (x * y + w * z)
-    rotation[1, 1] = 1.0 - scale * (x * x + z * z)
-    rotation[1, 2] = scale * (y * z - w * x)
-    rotation[2, 0] = scale * (x * z - w * y)
-    rotation[2, 1] = scale * (y * z + w * x)
-    rotation[2, 2] = 1.0 - scale * (x * x + y * y)
+    return (
+        (1.0 - scale * (y * y + z * z), scale * (x * y - w * z), scale * (x * z + w * y)),
+        (scale * (x * y + w * z), 1.0 - scale * (x * x + z * z), scale * (y * z - w * x)),
+        (scale * (x * z - w * y), scale * (y * z + w * x), 1.0 - scale * (x * x + y * y)),
+    )
 
 
 @compiled
@@ -75,21 +73,3 @@ def write_pose(rotation: FloatArray, translation: FloatArray, pose: FloatArray) 
     pose[6] = (rotation[k, j] - rotation[j, k]) * root
     pose[3 + j] = (rotation[j, i] + rotation[i, j]) * root
     pose[3 + k] = (rotation[k, i] + rotation[i, k]) * root
-
-
-@compiled
-def turn_on(rotation: FloatArray, further: FloatArray) -> None:
-    """Replace ``rotation`` by ``rotation @ further``."""
-    for i in range(3):
-        a, b, c = within(rotation, i)
-        for j in range(3):
-            rotation[i, j] = a * further[0, j] + b * further[1, j] + c * further[2, j]
-
-
-@compiled
-def go_on(rotation: FloatArray, translation: FloatArray, further: FloatArray) -> None:
-    """Replace a transform by its product with a fixed one, (4, 3): rotation, translation [m]."""
-    step = rotate(rotation, within(further, 3))
-    for i in range(3):
-        translation[i] += step[i]
-    turn_on(rotation, further)
