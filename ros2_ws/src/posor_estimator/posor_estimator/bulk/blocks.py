@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rosbags.rosbag2.storage_mcap import ChunkInfo
 
     from posor_estimator.bulk.layout import ByteArray
-    from posor_estimator.core.types import BoolArray, IntArray
+    from posor_estimator.core.types import IntArray
 
 BLOCK = 8 << 20
 """Bytes that are read at a time, about; a single chunk may be larger."""
@@ -59,7 +59,7 @@ class Block:
         """Return the number of messages."""
         return len(self.times_ns)
 
-    def chosen(self, which: BoolArray | IntArray) -> Block:
+    def chosen(self, which: IntArray | slice) -> Block:
         """Return some of the messages, which share their bytes with this block."""
         return Block(self.data, self.topics[which], self.times_ns[which], self.starts[which], self.lengths[which])
 
@@ -128,8 +128,9 @@ def _of_chunks(file: McapReader, topics: Sequence[str], where: str) -> Iterator[
         while chunks and (not several or size + chunks[0].uncompressed_size <= BLOCK):
             several.append(chunks.pop(0))
             size += several[-1].uncompressed_size
-        block = _found(np.frombuffer(b"".join([waiting, *(_records(file, each) for each in several)]), np.uint8), where)
-        block = _sorted(_numbered(block, numbers))
+        records = [_records(file, each) for each in several]  # a single one is not copied when it is joined
+        data = b"".join([waiting, *records] if waiting else records)
+        block = _sorted(_found(np.frombuffer(data, np.uint8), numbers, where))
         ready = len(block)
         if chunks:
             ready = int(np.searchsorted(block.times_ns, chunks[0].message_start_time, side="left"))
@@ -137,7 +138,7 @@ def _of_chunks(file: McapReader, topics: Sequence[str], where: str) -> Iterator[
             block.data[start - MESSAGE_HEAD - RECORD_HEAD : start + length].tobytes()
             for start, length in zip(block.starts[ready:].tolist(), block.lengths[ready:].tolist(), strict=True)
         )
-        yield block.chosen(np.arange(ready))
+        yield block.chosen(slice(ready))
 
 
 def _records(file: McapReader, chunk: ChunkInfo) -> bytes:
@@ -152,22 +153,15 @@ def _records(file: McapReader, chunk: ChunkInfo) -> bytes:
     return decompress(read_exact(bio, chunk.compressed_size), chunk.compression, chunk.uncompressed_size, crc)
 
 
-def _found(data: ByteArray, where: str) -> Block:
-    """Return all messages among the records of chunks."""
+def _found(data: ByteArray, numbers: IntArray, where: str) -> Block:
+    """Return the messages of wanted topics among the records of chunks; ``numbers`` are these topics', by channel."""
     most = len(data) // (RECORD_HEAD + MESSAGE_HEAD) + 1
-    channels, times, starts, lengths = (np.empty(most, dtype=np.int64) for _ in range(4))
-    count, end = index_messages(data, channels, times, starts, lengths)
+    topics, times, starts, lengths = (np.empty(most, dtype=np.int64) for _ in range(4))
+    count, end = index_messages(data, numbers, topics, times, starts, lengths)
     if end != len(data):
         when = f", after the message logged at {times[count - 1]} ns" if count else ""
         raise BagError(f"a chunk holds a record that runs beyond its end{when}", where=where, expected="whole records")
-    return Block(data, channels[:count], times[:count], starts[:count], lengths[:count])
-
-
-def _numbered(block: Block, numbers: IntArray) -> Block:
-    """Return the messages of wanted topics, with the topics' numbers in the place of channels."""
-    topics = numbers[block.topics]
-    wanted = topics >= 0
-    return Block(block.data, topics, block.times_ns, block.starts, block.lengths).chosen(wanted)
+    return Block(data, topics[:count], times[:count], starts[:count], lengths[:count])
 
 
 def _sorted(block: Block) -> Block:

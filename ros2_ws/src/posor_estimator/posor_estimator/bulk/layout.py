@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from posor_estimator.bulk.scanning import fits, gather
+from posor_estimator.bulk.scanning import gather
 from posor_estimator.ros.cdr import Schema
 from posor_estimator.ros.cdr_fields import Kind
 
@@ -18,9 +18,11 @@ if TYPE_CHECKING:
     from posor_estimator.core.types import BoolArray, FloatArray, IntArray
 
 ByteArray: TypeAlias = NDArray[np.uint8]
+WordArray: TypeAlias = NDArray[np.uint64]
 
 LEAD = 4
 """Bytes before a message in its row: its body, which begins four bytes later, is then aligned in memory too."""
+EVERY_BIT = 0xFF
 
 
 @dataclass(frozen=True)
@@ -28,15 +30,17 @@ class TableLayout:
     """Where the numbers of messages lie that have the same strings, and sequences of the same lengths.
 
     Attributes:
-        template: The bytes of such a message, shape (s,).
-        fixed: Which of them decide whether another one is such a message: encapsulation, lengths, characters; (f,).
+        size: Bytes of such a message.
+        row: A table's row with such a message, shape (bytes,).
+        fixed: Which bits of the row decide whether another one is such a message: encapsulation, lengths, characters.
         strings: The strings, by path such as ``header.frame_id``; a list of strings is left out.
         dtype: Of a row: every number by its path, such as ``header.stamp.sec``.
 
     """
 
-    template: ByteArray
-    fixed: IntArray
+    size: int
+    row: ByteArray
+    fixed: ByteArray
     strings: Mapping[str, str]
     dtype: np.dtype[np.void]
 
@@ -53,46 +57,50 @@ class TableLayout:
 
         """
         layout = schema.layout(data)
-        fixed = [at for offset, there in layout.decisive.items() for at in range(offset, offset + len(there))]
+        stride = -(-(LEAD + layout.size) // 8) * 8
+        row, fixed = np.zeros(stride, dtype=np.uint8), np.zeros(stride, dtype=np.uint8)
+        row[LEAD : LEAD + layout.size] = np.frombuffer(data, dtype=np.uint8)[: layout.size]
+        for offset, there in layout.decisive.items():
+            fixed[LEAD + offset : LEAD + offset + len(there)] = EVERY_BIT
         strings: dict[str, str] = {}
         names, formats, offsets = [], [], []
         for path, span in layout.spans.items():
             field = schema.by_path[path]
             if field.code == "s":
-                fixed.extend(range(span.part.start, span.part.stop))
+                fixed[LEAD + span.part.start : LEAD + span.part.stop] = EVERY_BIT
                 strings[path] = data[span.part].decode("utf-8", "replace")
                 continue
             names.append(path)
             formats.append((f"<{field.code}", () if field.kind is Kind.ONE else (span.length,)))
             offsets.append(LEAD + span.offset)
-        stride = -(-(LEAD + layout.size) // 8) * 8
         form: Any = {"names": names, "formats": formats, "offsets": offsets, "itemsize": stride}
-        template = np.frombuffer(data, dtype=np.uint8)[: layout.size].copy()
-        return TableLayout(template, np.array(fixed, dtype=np.int64), strings, np.dtype(form))
+        return TableLayout(layout.size, row, fixed, strings, np.dtype(form))
 
     @staticmethod
     def like(message: Any) -> TableLayout:
-        """Return the layout of an rclpy message, whose numbers stand in the template."""
+        """Return the layout of an rclpy message, whose numbers stand in the row."""
         schema = Schema.of(type(message))
         return TableLayout.of(schema.serialize(message), schema)
 
-    def fits(self, data: ByteArray, starts: IntArray, lengths: IntArray) -> BoolArray:
-        """Return which messages, by where they begin in ``data`` and how long they are, have this layout, (n,)."""
-        out = np.empty(len(starts), dtype=np.bool_)
-        fits(data, starts, lengths, self.template, self.fixed, out)
-        return out
+    def read(self, data: ByteArray, starts: IntArray, lengths: IntArray) -> Table:
+        """Return messages, by where they begin in ``data`` and how long they are, up to the first of another layout."""
+        rows = np.empty((len(starts), len(self.row)), dtype=np.uint8)
+        template, fixed, words = (array.view(np.uint64) for array in (self.row, self.fixed, rows))
+        count = gather(data, starts, lengths, template, fixed, words, rows[:, LEAD : LEAD + self.size])
+        return Table(self, rows[:count])
 
-    def read(self, data: ByteArray, starts: IntArray) -> Table:
-        """Return messages of this layout, by where they begin in ``data``."""
-        table = np.empty((len(starts), self.dtype.itemsize), dtype=np.uint8)
-        gather(data, starts, table[:, LEAD : LEAD + len(self.template)])
-        return Table(self, table)
+    def empty(self, count: int) -> Table:
+        """Return room for messages."""
+        return Table(self, np.empty((count, len(self.row)), dtype=np.uint8))
+
+    def column(self, path: str) -> int:
+        """Return which float64 number of a row a field is, or begins with."""
+        fields: Any = self.dtype.fields
+        return int(fields[path][1]) // 8
 
     def new(self, count: int) -> Table:
-        """Return messages that are all like the template."""
-        row = np.zeros(self.dtype.itemsize, dtype=np.uint8)
-        row[LEAD : LEAD + len(self.template)] = self.template
-        return Table(self, np.tile(row, (count, 1)))
+        """Return messages that are all like the one of which this is the layout."""
+        return Table(self, np.tile(self.row, (count, 1)))
 
 
 @dataclass(frozen=True)
@@ -122,14 +130,13 @@ class Table:
 
     def span(self, first: str, count: int) -> FloatArray:
         """Return successive float64 numbers as one array, (n, count); writing to it writes to the messages."""
-        fields: Any = self.layout.dtype.fields
-        begin = fields[first][1]
-        return self.rows[:, begin : begin + 8 * count].view(np.float64)
+        begin = self.layout.column(first)
+        return self.rows.view(np.float64)[:, begin : begin + count]
 
     @property
     def messages(self) -> ByteArray:
         """The bytes of the messages, shape (n, s)."""
-        return self.rows[:, LEAD : LEAD + len(self.layout.template)]
+        return self.rows[:, LEAD : LEAD + self.layout.size]
 
     def chosen(self, which: BoolArray | IntArray | slice) -> Table:
         """Return some of the messages."""

@@ -56,23 +56,16 @@ class TopicReader:
         mine = block.chosen(places)
         begin, count = 0, len(mine)
         while begin < count:
-            end = begin + self._alike(mine, begin)
-            if end > begin and self._layout is not None:
-                table = self._layout.read(mine.data, mine.starts[begin:end])
-                yield Piece(mine.times_ns[begin:end], places[begin:end], table)
-            else:
-                end = begin + 1
-                yield self._alone(mine, begin, places[begin:end])
+            table = None
+            if self._layout is not None:
+                table = self._layout.read(mine.data, mine.starts[begin:], mine.lengths[begin:])
+            if table is None or not len(table):
+                table = self._alone(mine, begin)
+            end = begin + len(table)
+            yield Piece(mine.times_ns[begin:end], places[begin:end], table)
             begin = end
 
-    def _alike(self, block: Block, begin: int) -> int:
-        """Return how many messages from ``begin`` on have the layout of those before them."""
-        if self._layout is None:
-            return 0
-        fits = self._layout.fits(block.data, block.starts[begin:], block.lengths[begin:])
-        return len(fits) if fits.all() else int(np.argmin(fits))
-
-    def _alone(self, block: Block, n: int, place: IntArray) -> Piece:
+    def _alone(self, block: Block, n: int) -> Table:
         """Return one message of another layout; those after it are then expected to be like it."""
         start, length = int(block.starts[n]), int(block.lengths[n])
         data = block.data[start : start + length].tobytes()
@@ -82,5 +75,5 @@ class TopicReader:
         except TopicError as error:
             when = f"{self._where}, topic {self._topic}, logged at {block.times_ns[n]} ns"
             raise BagError(str(error).rstrip("."), where=when, expected="a message that is whole") from error
-        table = self._layout.read(np.frombuffer(data, dtype=np.uint8), np.zeros(1, dtype=np.int64))
-        return Piece(block.times_ns[n : n + 1], place, table)
+        one = np.frombuffer(data, dtype=np.uint8)
+        return self._layout.read(one, np.zeros(1, dtype=np.int64), np.array([len(one)]))

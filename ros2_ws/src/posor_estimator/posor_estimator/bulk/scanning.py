@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from posor_estimator.core.compiled import compiled
 
 if TYPE_CHECKING:
-    from posor_estimator.bulk.layout import ByteArray
-    from posor_estimator.core.types import BoolArray, IntArray
+    from posor_estimator.bulk.layout import ByteArray, WordArray
+    from posor_estimator.core.types import IntArray
 
 MESSAGE = 0x05
 """Opcode of a message record in a chunk of an MCAP file."""
@@ -20,19 +22,20 @@ MESSAGE_HEAD = 22
 
 @compiled
 def index_messages(
-    data: ByteArray, channels: IntArray, times: IntArray, starts: IntArray, lengths: IntArray
+    data: ByteArray, numbers: IntArray, topics: IntArray, times: IntArray, starts: IntArray, lengths: IntArray
 ) -> tuple[int, int]:
-    """Find the message records among the records of a decompressed chunk, in their order.
+    """Find the messages of some topics among the records of decompressed chunks, in their order.
 
     Args:
-        data: The chunk's records, shape (b,).
-        channels: Channel of each message, to write; at least b / 31 entries.
+        data: The chunks' records, shape (b,).
+        numbers: Of each channel the number of its topic, negative where it is not wanted, shape (65536,).
+        topics: Number of each message's topic, to write; entries for all messages that there may be, b / 31 at most.
         times: Log time of each [ns], to write.
         starts: Where its bytes begin in ``data``, to write.
         lengths: How many bytes it has, to write.
 
     Returns:
-        The number of messages, and where reading ended: b, or the record that does not end within the chunk.
+        The number of messages, and where reading ended: b, or the record that does not end within the chunks.
 
     """
     size, count, at = data.shape[0], 0, 0
@@ -48,54 +51,57 @@ def index_messages(
         if data[at] == MESSAGE:
             if length < MESSAGE_HEAD:
                 return count, at
-            time = 0
-            for k in range(8):
-                time |= int(data[begin + 6 + k]) << (8 * k)
-            channels[count] = int(data[begin]) | int(data[begin + 1]) << 8
-            times[count] = time
-            starts[count] = begin + MESSAGE_HEAD
-            lengths[count] = length - MESSAGE_HEAD
-            count += 1
+            topic = numbers[int(data[begin]) | int(data[begin + 1]) << 8]
+            if topic >= 0:
+                time = 0
+                for k in range(8):
+                    time |= int(data[begin + 6 + k]) << (8 * k)
+                topics[count] = topic
+                times[count] = time
+                starts[count] = begin + MESSAGE_HEAD
+                lengths[count] = length - MESSAGE_HEAD
+                count += 1
         at = begin + length
     return count, at
 
 
 @compiled
-def fits(
-    data: ByteArray, starts: IntArray, lengths: IntArray, template: ByteArray, fixed: IntArray, out: BoolArray
-) -> None:
-    """Tell which messages have a layout: its length at least, and its bytes where they decide.
+def gather(
+    data: ByteArray,
+    starts: IntArray,
+    lengths: IntArray,
+    template: WordArray,
+    fixed: WordArray,
+    words: WordArray,
+    out: ByteArray,
+) -> int:
+    """Copy messages to the rows of a table as long as they have its layout: its length at least, its bytes that decide.
 
     Args:
         data: Where the messages lie, shape (b,).
         starts: Where each begins, shape (n,).
         lengths: How many bytes each has, shape (n,).
-        template: A message of the layout, shape (s,).
-        fixed: Which of its bytes decide, shape (f,).
-        out: To write, shape (n,).
+        template: A row of the table, shape (w,).
+        fixed: The bits of it that decide, shape (w,).
+        words: The rows, eight bytes a word, shape (n, w).
+        out: The messages in the rows, to write, shape (n, s).
+
+    Returns:
+        How many were copied; the row after them may have been written to.
 
     """
-    for n in range(starts.shape[0]):
-        same = lengths[n] >= template.shape[0]
-        if same:
-            for k in range(fixed.shape[0]):
-                if data[starts[n] + fixed[k]] != template[fixed[k]]:
-                    same = False
-                    break
-        out[n] = same
-
-
-@compiled
-def gather(data: ByteArray, starts: IntArray, out: ByteArray) -> None:
-    """Copy messages of equal length to the rows of a table.
-
-    Args:
-        data: Where the messages lie, shape (b,).
-        starts: Where each begins, shape (n,).
-        out: To write, shape (n, s).
-
-    """
-    for n in range(starts.shape[0]):
-        begin = starts[n]
-        for k in range(out.shape[1]):
-            out[n, k] = data[begin + k]
+    count: int = starts.shape[0]
+    size = out.shape[1]
+    for n in range(count):
+        if lengths[n] < size:
+            return n
+        # Slices, since an index that is reckoned might be negative, and the loop would go byte by byte.
+        message, row = data[starts[n] : starts[n] + size], out[n]
+        for k in range(size):
+            row[k] = message[k]
+        other = np.uint64(0)
+        for k in range(template.shape[0]):
+            other |= (words[n, k] ^ template[k]) & fixed[k]
+        if other != 0:
+            return n
+    return count

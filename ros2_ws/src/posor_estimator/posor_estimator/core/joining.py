@@ -177,10 +177,16 @@ def join_all(stamps: Sequence[IntArray]) -> Joined:
                 f"stamp {own[n + 1]} after {own[n]}", where=f"member {member}", expected="stamps that increase"
             )
     if all(np.array_equal(stamps[0], own) for own in stamps[1:]):
-        complete, every = stamps[0], stamps[0][:0]
-    else:
-        complete = reduce(lambda one, other: np.intersect1d(one, other, assume_unique=True), stamps)
-        every = reduce(np.union1d, stamps)
+        count, members = len(stamps[0]), len(stamps)
+        return Joined(
+            stamps[0],
+            np.broadcast_to(np.arange(count)[:, None], (count, members)),
+            np.empty(0, dtype=np.int64),
+            np.empty((0, members), dtype=np.bool_),
+            np.full(members, count),
+        )
+    complete = reduce(lambda one, other: np.intersect1d(one, other, assume_unique=True), stamps)
+    every = reduce(np.union1d, stamps)
     last = complete[-1] if complete.size else np.iinfo(np.int64).min
     before = every[every < last]
     lacking = np.column_stack([~np.isin(before, own, assume_unique=True) for own in stamps])

@@ -80,10 +80,13 @@ class BlockJoiner:
             each if len(index) == len(each) else each.chosen(index)
             for each, index in zip(known, joined.index.T, strict=True)
         ]
-        self._open = [each.chosen(slice(begin, None)) for each, begin in zip(known, joined.still_open, strict=True)]
+        # By indices, which copies: a slice would keep the whole block from being freed.
+        self._open = [
+            each.chosen(np.arange(begin, len(each))) for each, begin in zip(known, joined.still_open, strict=True)
+        ]
         self._count(joined.missing)
         if len(joined.stamps):
-            self._last = [each.chosen(slice(-1, None)) for each in complete]
+            self._last = [each.chosen(np.array([len(each) - 1])) for each in complete]
             self._closed = int(joined.stamps[-1])
         if max(len(each) for each in self._open) > MOST_OPEN:
             self._give_up(np.sort(np.concatenate([each.stamps_ns[:-MOST_OPEN] for each in self._open]))[-1])

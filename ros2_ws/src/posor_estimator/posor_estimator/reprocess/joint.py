@@ -12,6 +12,7 @@ from posor_estimator.bulk.layout import Table, TableLayout
 from posor_estimator.core.fault import Fault, State
 from posor_estimator.core.posor import Posor
 from posor_estimator.core.scan import Scans
+from posor_estimator.reprocess.rows import write_numbers
 from posor_estimator.reprocess.transforms import Transforms, stamps_of
 
 if TYPE_CHECKING:
@@ -19,11 +20,12 @@ if TYPE_CHECKING:
 
     from posor_estimator.bulk.pieces import Piece
     from posor_estimator.core.calibration.model import Calibration
-    from posor_estimator.core.estimate import Estimates
     from posor_estimator.core.types import BoolArray
     from posor_estimator.ros.messages import CovarianceKind
 
 CONTACTS = 4
+NUMBERS = ("pose.position.x", "native", "residual", "covariance")
+"""Fields where the numbers of a transform begin, as ``write_numbers`` wants them."""
 
 
 class JointReprocessor:
@@ -50,6 +52,9 @@ class JointReprocessor:
         self._parent = calibration.frames.parent
         self._kind = kind
         self.layout = _layout(self._parent, calibration.frames.child, kind)
+        self._row = self.layout.row.view(np.float64)
+        self._columns = np.array([self.layout.column(name) for name in NUMBERS])
+        self._nothing = np.empty((0, 6, 6))
         self.scans = self.lost = 0
         self.faults: Counter[str] = Counter()
 
@@ -59,32 +64,35 @@ class JointReprocessor:
         return Transforms.joined(parts) if parts else Transforms.none(self.layout)
 
     def _of_scans(self, raw: Table) -> Table:
-        out = self.layout.new(len(raw))
-        for name in ("header.stamp.sec", "header.stamp.nanosec", "scan"):
-            out[name] = raw[name]
-        out["scan_status"] = raw["status"]
         fit = _has_time(raw)
         if raw.layout.strings["header.frame_id"] != self._parent:
             fit[:] = False
         if fit.all():
-            self._locate(raw, out)
+            out = self._located(raw)
         else:
-            located, unfit = out.chosen(fit), out.chosen(~fit)
-            if len(located):
-                self._locate(raw.chosen(fit), located)
-            unfit["faults"] = int(Fault.BAD_READING)
-            _lose(unfit)
-            out.rows[fit], out.rows[~fit] = located.rows, unfit.rows
+            out = self.layout.new(len(raw))
+            out["faults"] = int(Fault.BAD_READING)
+            _lose(out)
+            if fit.any():
+                out.rows[fit] = self._located(raw.chosen(fit)).rows
+        for name in ("header.stamp.sec", "header.stamp.nanosec", "scan"):
+            out[name] = raw[name]
+        out["scan_status"] = raw["status"]
         self._count(out)
         return out
 
-    def _locate(self, raw: Table, out: Table) -> None:
-        """Write what scans give into transforms."""
+    def _located(self, raw: Table) -> Table:
+        """Return transforms with what scans give."""
         found = self._posor.locate_all(scans_of(raw))
-        out.span("pose.position.x", 7)[:] = found.poses
-        out.span("native", 6)[:] = found.natives
-        self._write_covariances(found, out)
-        out["residual"] = found.residuals
+        out = self.layout.empty(len(raw))
+        write_numbers(
+            self._row,
+            self._columns,
+            found.figures,
+            found.covariances_systematic if self._kind == "systematic" else found.covariances_random,
+            found.covariances_systematic if self._kind == "total" else self._nothing,
+            out.rows.view(np.float64),
+        )
         out["redundancy"] = found.redundancy
         out["state"] = found.states
         out["faults"] = found.faults
@@ -93,13 +101,7 @@ class JointReprocessor:
             these = out.chosen(lost)
             _lose(these)
             out.rows[lost] = these.rows
-
-    def _write_covariances(self, found: Estimates, out: Table) -> None:
-        room = out.span("covariance", 36).reshape(-1, 6, 6)
-        if self._kind == "total":
-            np.add(found.covariances_random, found.covariances_systematic, out=room)
-        else:
-            room[:] = found.covariances_random if self._kind == "random" else found.covariances_systematic
+        return out
 
     def _count(self, out: Table) -> None:
         self.scans += len(out)

@@ -54,6 +54,7 @@ class Transforms:
     @staticmethod
     def joined(parts: Sequence[Transforms]) -> Transforms:
         """Return transforms one after the other; there must be at least one part."""
+        parts = [part for part in parts if len(part)] or parts[:1]
         if len(parts) == 1:
             return parts[0]
         return Transforms(
