@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from geometry_msgs.msg import PoseStamped
+from posor_bringup.bringup import main
 from posor_bringup.expectations import STEPS
 from posor_bringup.installed import bag_path, calibration_path, urdf_path
 from posor_estimator.testing.graph import BEST_EFFORT, Graph
@@ -67,8 +68,7 @@ def processes(program: Program, count: int) -> dict[str, int]:
     return {match[1]: int(match[2]) for match in found if match}
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_all_nodes_end_when_asked_to(tmp_path: Path, rig: Path, pids: list[int], number: signal.Signals) -> None:
+def test_all_nodes_end_when_asked_to(tmp_path: Path, rig: Path, pids: list[int]) -> None:
     with start(tmp_path, rig, "--no-driver") as program, Graph() as graph:
         started = processes(program, 2)
         assert list(started) == ["chain_node", "joint1/posor_node"]
@@ -76,7 +76,7 @@ def test_all_nodes_end_when_asked_to(tmp_path: Path, rig: Path, pids: list[int],
         graph.watch_diagnostics()
         graph.wait_for_status("/rig/chain_node: lifecycle", "active")
         graph.wait_for_status("/rig/joint1/posor_node: lifecycle", "active")
-        assert program.end(number) == 0
+        assert program.end(signal.SIGTERM) == 0
         assert program.stdout[-1] == "rig: all nodes have ended"
         assert program.stderr == []
     assert sorted(path.name for path in (tmp_path / "out" / "rig" / "logs").iterdir()) == [
@@ -122,7 +122,7 @@ def test_an_arm_of_recorded_scans_comes_to_its_end(tmp_path: Path, rig: Path, pi
             assert len(poses) <= STEPS["ymo"]
             assert {pose.header.frame_id for pose in poses} == {"machining_centre"}
             assert not program.ended
-            assert program.end() == 0
+            assert program.end(signal.SIGINT) == 0
 
 
 @pytest.mark.parametrize(
@@ -133,13 +133,22 @@ def test_an_arm_of_recorded_scans_comes_to_its_end(tmp_path: Path, rig: Path, pi
             r"arm 'six_fingers': no such arm; expected the path of an arm file, or one of .*five_axis.*\.",
         ),
         ([], r"bringup: the following arguments are required: ARM; expected options as 'bringup --help' lists them\."),
-        (["five_axis", "-p", "rate=2"], r"bringup: argument -p: 'rate=2' is no parameter, name:=value; expected .*\."),
         (["five_axis", "-p", "a:={b: c}"], r"bringup: argument -p: 'a:=\{b: c\}' is no parameter, .*\."),
     ],
 )
-def test_a_wrong_command_line_is_one_sentence(tmp_path: Path, arguments: list[str], sentence: str) -> None:
-    with start(tmp_path, *arguments) as program:
+def test_a_wrong_command_line_is_one_sentence(
+    tmp_path: Path, arguments: list[str], sentence: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["bringup", *arguments, "--output", str(tmp_path / "out")]) == 2
+    said, complaint = capfd.readouterr()
+    assert said == ""
+    assert re.fullmatch(sentence + "\n", complaint)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_wrong_command_line_ends_the_program(tmp_path: Path) -> None:
+    with start(tmp_path, "five_axis", "-p", "rate=2") as program:
         assert program.wait() == 2
-        assert len(program.stderr) == 1
-        assert re.fullmatch(sentence, program.stderr[0])
         assert program.stdout == []
+        (sentence,) = program.stderr
+        assert sentence.startswith("bringup: argument -p: 'rate=2' is no parameter, name:=value; expected ")

@@ -22,6 +22,8 @@ from rclpy.serialization import deserialize_message
 from tests.graphs import all_bits, bits, located, placed, recorded, replayed, rig
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from posor_bringup.replay import ReplayPlan
     from posor_estimator.core.types import FloatArray
 
@@ -133,10 +135,10 @@ def test_the_nodes_publish_what_the_core_computes(outcome: Outcome) -> None:
     assert [bits(pose) for pose in published] == [bits(pose) for pose in placed(outcome.plan, transforms)]
 
 
-def test_a_recorded_bag_replays_to_the_same_bits(tmp_path_factory: pytest.TempPathFactory) -> None:
-    first = rig(tmp_path_factory.mktemp("first"), "yzmo", "printed", rate=10.0)
-    replayed(first)
-    second = replace(rig(tmp_path_factory.mktemp("second"), "yzmo", "printed"), bag=first.recorded)
+@pytest.mark.parametrize("outcome", [("yzmo", "printed")], indirect=True, ids="-".join)
+def test_a_recorded_bag_replays_to_the_same_bits_at_another_rate(outcome: Outcome, tmp_path: Path) -> None:
+    first = outcome.plan
+    second = replace(rig(tmp_path / "second", "yzmo", "printed", rate=10.0), bag=first.recorded)
     replayed(second)
     before, after = recorded(first.recorded), recorded(second.recorded)
     assert set(before) == set(after) == set(TOPICS)
