@@ -55,17 +55,40 @@ _NJIT = _numba_njit()
 COMPILING = _NJIT is not None
 
 
-def compiled(kernel: Kernel) -> Kernel:
+def _made(kernel: Kernel, **options: bool | str) -> Kernel:
     """Return the kernel compiled, cached on disk, without fast-math; or the kernel itself where numba is absent."""
     if _NJIT is None:
         return kernel
-    result: Kernel = _NJIT(cache=True, fastmath=False, error_model="numpy")(kernel)
+    result: Kernel = _NJIT(cache=True, fastmath=False, error_model="numpy", **options)(kernel)
     return result
 
 
-def compiled_without_lock(kernel: Kernel) -> Kernel:
-    """Return the same, for long runs: other threads go on while it runs."""
-    if _NJIT is None:
-        return kernel
-    result: Kernel = _NJIT(cache=True, fastmath=False, error_model="numpy", nogil=True)(kernel)
-    return result
+def compiled(kernel: Kernel) -> Kernel:
+    """Return the kernel compiled: for those that make arrays."""
+    return _made(kernel)
+
+
+def in_place(kernel: Kernel) -> Kernel:
+    """Return the same for kernels that make no arrays: they borrow their callers', and count no references to them.
+
+    They return none either; the parts of arrays that they work on they get from ``written_out`` kernels.
+    """
+    return _made(kernel, _nrt=False)
+
+
+def inlined(kernel: Kernel) -> Kernel:
+    """Return the same as ``in_place``, its machine code put in where it is called: for what each scan calls.
+
+    A call that hands over arrays costs as much as the arithmetic of a row.
+    """
+    return _made(kernel, _nrt=False, forceinline=True)
+
+
+def written_out(kernel: Kernel) -> Kernel:
+    """Return the same, its text put in where it is called: for the parts of arrays that ``in_place`` kernels take."""
+    return _made(kernel, _nrt=False, inline="always")
+
+
+def without_lock(kernel: Kernel) -> Kernel:
+    """Return the same as ``in_place``, for long runs: other threads go on while it runs."""
+    return _made(kernel, _nrt=False, nogil=True)

@@ -10,6 +10,7 @@ from posor_estimator.core.kernels import tables as layout
 from posor_estimator.core.kernels.gap import PREPARED
 from posor_estimator.core.kernels.memory import MEMORY, SETTINGS
 from posor_estimator.core.kernels.readout import SPOTS
+from posor_estimator.core.kernels.reshaped import viewed
 from posor_estimator.core.kernels.voltage import COLUMNS, EXTRA_PARAMETERS
 from posor_estimator.core.sensors.base import RowSensor
 
@@ -70,16 +71,16 @@ class Tables:
 
     def of_ints(self, which: int) -> IntArray:
         """Return a table of whole numbers, to be written to as well."""
-        return layout.table(self.places, self.ints, which)
+        return viewed(self.ints, *self.places[which])
 
     def of_floats(self, which: int) -> FloatArray:
         """Return a table of floats, to be written to as well."""
-        return layout.table(self.places, self.floats, which)
+        return viewed(self.floats, *self.places[which])
 
 
 def _rooms(m: int, width: int, length: int, deviates: int) -> Made:
     """Return the room for work; sizes as in ``kernels.tables``."""
-    room = m + 6
+    room, redundant = m + 6, max(m - 6, 0)
     floats = {
         layout.SETTINGS: (1, SETTINGS),
         layout.MEMORY: (1, MEMORY),
@@ -87,16 +88,15 @@ def _rooms(m: int, width: int, length: int, deviates: int) -> Made:
         layout.PREPARED: (room, PREPARED),
         layout.LINES: (4, room),
         layout.JACOBIAN: (room, 6),
-        layout.SIXES: (2, 6),
-        layout.SQUARES: (18, 6),
+        layout.MOVED: (1, 6),
+        layout.SPREAD: (redundant, redundant),
         layout.START: (4, 3),
         layout.BY_ROW: (m, width),
         layout.BY_READOUT: (m, length),
         layout.EFFECTS: (m, deviates),
-        layout.READINGS: (room, room),
-        layout.SIDES: (m, 7),
-        layout.GAIN: (2 * room, 6),
-        layout.TOTAL: (m, m),
+        layout.READINGS: (m, m),
+        layout.BLIND: (redundant, m + 1),
+        layout.GAIN: (m, 6),
         layout.SPOT: (4, 2),
         layout.BASIS: (4, length),
     }

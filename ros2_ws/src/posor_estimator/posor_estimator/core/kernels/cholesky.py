@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from posor_estimator.core.compiled import compiled
+from posor_estimator.core.compiled import in_place
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray
 
 
-@compiled
+@in_place
 def factor(matrix: FloatArray) -> float:
     """Replace a symmetric matrix by its lower Cholesky factor; return how much of the weakest diagonal entry is left.
 
@@ -39,41 +39,10 @@ def factor(matrix: FloatArray) -> float:
     return weakest
 
 
-@compiled
-def substitute(lower: FloatArray, vector: FloatArray) -> None:
-    """Solve ``lower @ lower.T @ x = vector`` in place."""
-    n = lower.shape[0]
-    for i in range(n):
+@in_place
+def halve(lower: FloatArray, vector: FloatArray) -> None:
+    """Solve ``lower @ x = vector`` in place."""
+    for i in range(lower.shape[0]):
         for k in range(i):
             vector[i] -= lower[i, k] * vector[k]
         vector[i] /= lower[i, i]
-    for j in range(n):
-        i = n - 1 - j
-        for k in range(i + 1, n):
-            vector[i] -= lower[k, i] * vector[k]
-        vector[i] /= lower[i, i]
-
-
-@compiled
-def invert(lower: FloatArray) -> None:
-    """Replace a lower triangular matrix by its inverse; only the lower triangle is read and written."""
-    n = lower.shape[0]
-    for i in range(n):
-        lower[i, i] = 1.0 / lower[i, i]
-        for j in range(i):
-            total = 0.0
-            for k in range(j, i):
-                total += lower[i, k] * lower[k, j]
-            lower[i, j] = -total * lower[i, i]
-
-
-@compiled
-def halve(lower: FloatArray, columns: FloatArray, count: int) -> None:
-    """Solve ``lower @ x = column`` for the first ``count`` columns (n, count or more), in place."""
-    for i in range(lower.shape[0]):
-        reciprocal = 1.0 / lower[i, i]
-        for c in range(count):
-            rest = columns[i, c]
-            for k in range(i):
-                rest -= lower[i, k] * columns[k, c]
-            columns[i, c] = rest * reciprocal

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from posor_estimator.core.compiled import compiled
+from posor_estimator.core.compiled import compiled, inlined
 from posor_estimator.core.kernels.spot_map import INSIDE, spot_position
 from posor_estimator.core.kernels.vector import square
 
@@ -31,7 +31,7 @@ CODES = 8
 SUMS, DOMAIN, NOISES, FRAME, MAP = 0, 2, 6, 8, 12
 
 
-@compiled
+@inlined
 def linearise_spots(
     currents: FloatArray,
     n: int,

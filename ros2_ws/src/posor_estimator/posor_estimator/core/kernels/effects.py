@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from posor_estimator.core.compiled import compiled
+from posor_estimator.core.compiled import in_place, inlined
 from posor_estimator.core.kernels.tables import (
     BLOCKS,
     BY_READOUT,
@@ -44,7 +44,7 @@ ALONE, TOGETHER, COLUMNS = 0, 1, 2
 """Of the tally: shares of a single reading, all shares, blocks."""
 
 
-@compiled
+@in_place
 def find_shares(places: IntArray, ints: IntArray) -> None:  # noqa: C901, PLR0912  loops over plain numbers
     """Find out which derivatives count for the rows in HERE, and what each of them adds to."""
     pool_ids, here = table(places, ints, POOL_IDS), line(places, ints, HERE, 0)
@@ -93,7 +93,7 @@ def find_shares(places: IntArray, ints: IntArray) -> None:  # noqa: C901, PLR091
     tally[COLUMNS] = found
 
 
-@compiled
+@inlined
 def reading_covariance(  # noqa: C901, PLR0912  loops over plain numbers, to be compiled
     places: IntArray, ints: IntArray, floats: FloatArray
 ) -> None:
@@ -135,7 +135,7 @@ def reading_covariance(  # noqa: C901, PLR0912  loops over plain numbers, to be 
                     out[j, i] += total
 
 
-@compiled
+@inlined
 def _product(effects: FloatArray, i: int, j: int, first: int, count: int) -> float:
     """Return the scalar product of parts of two rows; four sums side by side, since each waits for its last term."""
     one, other = effects[i, first : first + count], effects[j, first : first + count]

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from posor_estimator.core.compiled import compiled
+from posor_estimator.core.compiled import in_place, inlined
 from posor_estimator.core.kernels.vector import (
     at,
     cross,
@@ -40,14 +40,14 @@ PARAMETERS = 12
 PREPARED = 9
 
 
-@compiled
+@in_place
 def plane_normal(tilt_x: float, tilt_y: float, turn: float) -> Vector:
     """Return the unit normal toward the probes, in T; angles [rad]."""
     normal = -math.sin(tilt_y), math.sin(tilt_x) * math.cos(tilt_y), -math.cos(tilt_x) * math.cos(tilt_y)
     return turned(normal, turn)
 
 
-@compiled
+@in_place
 def prepare_gap(rows: FloatArray, r: int, prepared: FloatArray) -> None:
     """Write what does not depend on the pose into row r of ``prepared``."""
     sx, cx = math.sin(rows[r, 9]), math.cos(rows[r, 9])
@@ -57,7 +57,7 @@ def prepare_gap(rows: FloatArray, r: int, prepared: FloatArray) -> None:
     put(prepared, r, 6, turned((-cy, -sx * sy, cx * sy), rows[r, 11]))
 
 
-@compiled
+@inlined
 def _meet(
     rows: FloatArray, r: int, normal: Vector, rotation: FloatArray, translation: FloatArray
 ) -> tuple[float, float, Vector, Vector]:
@@ -68,7 +68,7 @@ def _meet(
     return dot(normal, minus(within(rows, r, 6), tip)) / slant, slant, tip, axis
 
 
-@compiled
+@inlined
 def gap(
     rows: FloatArray,
     r: int,
@@ -88,7 +88,7 @@ def gap(
     return reading
 
 
-@compiled
+@inlined
 def gap_parameters(
     rows: FloatArray,
     r: int,

@@ -16,147 +16,166 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from posor_estimator.core.compiled import compiled
-from posor_estimator.core.kernels.cholesky import factor, halve, invert
-from posor_estimator.core.kernels.solve import normal_matrix
+from posor_estimator.core.compiled import inlined
+from posor_estimator.core.kernels.blocks import (
+    NONE,
+    NOTHING,
+    factor,
+    inverse,
+    normal_matrix,
+    product_transposed,
+    times_symmetric,
+    whole,
+    with_outer,
+)
+from posor_estimator.core.kernels.chain_matrix import matrix, row_times
+from posor_estimator.core.kernels.cholesky import factor as factor_table
+from posor_estimator.core.kernels.cholesky import halve
 from posor_estimator.core.kernels.tables import (
+    BLIND,
     GAIN,
     JACOBIAN,
     LINES,
+    READINGS,
     RESIDUALS,
-    SIDES,
-    SQUARES,
-    TOTAL,
+    SPREAD,
     WEIGHTS,
     line,
     table,
 )
+from posor_estimator.core.kernels.vector import dot, plus, put, times, within
 
 if TYPE_CHECKING:
+    from posor_estimator.core.kernels.blocks import Symmetric
+    from posor_estimator.core.kernels.chain_matrix import Matrix
     from posor_estimator.core.types import FloatArray, IntArray
 
 
-@compiled
-def covariances(  # noqa: C901  loops over plain numbers, to be compiled
+@inlined
+def covariances(
     places: IntArray,
     floats: FloatArray,
+    m: int,
     used: int,
-    systematic_readings: FloatArray,
     rotation: FloatArray,
     random: FloatArray,
     systematic: FloatArray,
 ) -> None:
     """Write the random and the systematic covariance of the pose, ROS order, into the last two arrays (6, 6).
 
-    JACOBIAN and the weights hold those of the ``used`` rows, at the solution.
+    JACOBIAN and the weights hold those of the ``used`` rows at the solution, READINGS S of the m readings, which come
+    first; GAIN is written.
     """
     jacobian, weights = table(places, floats, JACOBIAN), line(places, floats, LINES, WEIGHTS)
-    gain, squares = table(places, floats, GAIN), table(places, floats, SQUARES)
-    lower, local, half = squares[0:6], squares[6:12], squares[12:18]
-    normal_matrix(jacobian, weights, used, lower)
-    factor(lower)
-    invert(lower)
-    for i in range(6):
-        for j in range(i + 1):
-            total = 0.0
-            for k in range(i, 6):
-                total += lower[k, i] * lower[k, j]
-            local[i, j] = local[j, i] = total
-    pushed = gain[used : 2 * used]
-    for r in range(used):
-        for i in range(6):
-            total = 0.0
-            for k in range(6):
-                total += jacobian[r, k] * local[k, i]
-            gain[r, i] = weights[r] * total
-    for r in range(used):
-        a = b = c = d = e = f = 0.0
-        for q in range(used):
-            of_q = systematic_readings[r, q]
-            a += of_q * gain[q, 0]
-            b += of_q * gain[q, 1]
-            c += of_q * gain[q, 2]
-            d += of_q * gain[q, 3]
-            e += of_q * gain[q, 4]
-            f += of_q * gain[q, 5]
-        pushed[r, 0], pushed[r, 1], pushed[r, 2] = a, b, c
-        pushed[r, 3], pushed[r, 4], pushed[r, 5] = d, e, f
-    to_parent(local, rotation, half, random)
-    for i in range(6):
-        a = b = c = d = e = f = 0.0
-        for r in range(used):
-            of_r = gain[r, i]
-            a += of_r * pushed[r, 0]
-            b += of_r * pushed[r, 1]
-            c += of_r * pushed[r, 2]
-            d += of_r * pushed[r, 3]
-            e += of_r * pushed[r, 4]
-            f += of_r * pushed[r, 5]
-        local[i, 0], local[i, 1], local[i, 2] = a, b, c
-        local[i, 3], local[i, 4], local[i, 5] = d, e, f
-    to_parent(local, rotation, half, systematic)
+    gain, systematic_readings = table(places, floats, GAIN), table(places, floats, READINGS)
+    axes = matrix(rotation, 0)
+    local = inverse(factor(normal_matrix(jacobian, weights, used))[0])
+    to_parent(local, axes, random)
+    for r in range(m):
+        v, w = times_symmetric(local, within(jacobian, r, 0), within(jacobian, r, 3))
+        put(gain, r, 0, times(weights[r], v))
+        put(gain, r, 3, times(weights[r], w))
+    a, b, d = NONE, NONE, NONE
+    for r in range(m):
+        v, w = NOTHING, NOTHING
+        for q in range(m):
+            v = plus(v, times(systematic_readings[r, q], within(gain, q, 0)))
+            w = plus(w, times(systematic_readings[r, q], within(gain, q, 3)))
+        a = with_outer(a, within(gain, r, 0), v)
+        b = with_outer(b, within(gain, r, 3), v)
+        d = with_outer(d, within(gain, r, 3), w)
+    to_parent((whole(a), b, whole(d)), axes, systematic)
 
 
-@compiled
-def to_parent(local: FloatArray, rotation: FloatArray, half: FloatArray, out: FloatArray) -> None:
+@inlined
+def turned_block(block: Matrix, axes: Matrix) -> Matrix:
+    """Return ``R block R'``, R the rotation whose rows are ``axes``."""
+    half = row_times(axes[0], block), row_times(axes[1], block), row_times(axes[2], block)
+    return product_transposed(half, axes)
+
+
+@inlined
+def to_parent(local: Symmetric, axes: Matrix, out: FloatArray) -> None:
     """Write a covariance of the local tangent, turned block by block into the parent's axes, into ``out`` (6, 6)."""
-    for block in range(0, 6, 3):
-        for i in range(3):
-            for j in range(6):
-                total = 0.0
-                for k in range(3):
-                    total += rotation[i, k] * local[block + k, j]
-                half[block + i, j] = total
-    for block in range(0, 6, 3):
-        for i in range(6):
-            for j in range(3):
-                total = 0.0
-                for k in range(3):
-                    total += half[i, block + k] * rotation[j, k]
-                out[i, block + j] = total
+    a, b, d = whole(turned_block(local[0], axes)), turned_block(local[1], axes), whole(turned_block(local[2], axes))
+    put(out, 0, 0, a[0])
+    put(out, 1, 0, a[1])
+    put(out, 2, 0, a[2])
+    put(out, 3, 0, b[0])
+    put(out, 4, 0, b[1])
+    put(out, 5, 0, b[2])
+    put(out, 0, 3, (b[0][0], b[1][0], b[2][0]))
+    put(out, 1, 3, (b[0][1], b[1][1], b[2][1]))
+    put(out, 2, 3, (b[0][2], b[1][2], b[2][2]))
+    put(out, 3, 3, d[0])
+    put(out, 4, 3, d[1])
+    put(out, 5, 3, d[2])
 
 
-@compiled
-def chi_square(  # noqa: C901  loops over plain numbers, to be compiled
-    places: IntArray, floats: FloatArray, m: int, systematic_readings: FloatArray
-) -> float:
+@inlined
+def chi_square(places: IntArray, floats: FloatArray, m: int) -> float:
     """Return the chi-square of the m redundant readings, their whole uncertainty taken into account.
 
-    The readings' total covariance is C = R + S. The residuals of the fit weighted by C^-1 need not be computed by a
-    second fit: chi-square is ``e' C^-1 e - e' C^-1 J (J' C^-1 J)^-1 J' C^-1 e`` for the residuals e of any fit.
-    JACOBIAN, the weights and the residuals hold those of the fit.
+    The residuals e of the fit lie, as far as no pose explains them, along as many directions Z as readings are
+    redundant, ``J' Z = 0``. Along these they spread by ``Z' (R + S) Z``; so chi-square is ``u' (Z' (R + S) Z)^-1 u``
+    with ``u = Z' e``. JACOBIAN, the weights and the residuals hold those of the fit, GAIN its G'.
+    """
+    residuals, systematic_readings = line(places, floats, LINES, RESIDUALS), table(places, floats, READINGS)
+    directions, spread = table(places, floats, BLIND), table(places, floats, SPREAD)
+    along = directions[:, m]
+    if not find_directions(places, floats, m):
+        return math.nan
+    for t in range(directions.shape[0]):
+        along[t] = 0.0
+        for s in range(t):
+            spread[t, s] = 0.0
+        spread[t, t] = 1.0
+        for r in range(m):
+            along[t] += directions[t, r] * residuals[r]
+            pushed = 0.0
+            for q in range(m):
+                pushed += systematic_readings[r, q] * directions[t, q]
+            for s in range(t + 1):
+                spread[t, s] += directions[s, r] * pushed
+    if not factor_table(spread) > 0.0:
+        return math.nan
+    halve(spread, along)
+    out = 0.0
+    for t in range(directions.shape[0]):
+        out += along[t] * along[t]
+    return out
+
+
+@inlined
+def find_directions(places: IntArray, floats: FloatArray, m: int) -> bool:
+    """Write the directions Z that no pose explains into BLIND (m - 6, m + 1), such that ``Z' R Z = 1``.
+
+    The columns of ``R^-1 (R - J (J' R^-1 J)^-1 J')`` are such directions; of these the pivoted Cholesky factorisation
+    takes those that differ most. Returns whether there are as many. See ``chi_square``.
     """
     jacobian, weights = table(places, floats, JACOBIAN), line(places, floats, LINES, WEIGHTS)
-    residuals, sides = line(places, floats, LINES, RESIDUALS), table(places, floats, SIDES)
-    total, normal = table(places, floats, TOTAL), table(places, floats, SQUARES)[0:6]
-    for r in range(m):
-        for q in range(r + 1):
-            total[r, q] = systematic_readings[r, q]
-        total[r, r] += 1.0 / weights[r]
-        for i in range(6):
-            sides[r, i] = jacobian[r, i]
-        sides[r, 6] = residuals[r]
-    if not factor(total) > 0.0:
-        return math.nan
-    # With C = L L': columns L^-1 J and L^-1 e; what a fit of the one to the other leaves.
-    halve(total, sides, 7)
-    right = table(places, floats, SQUARES)[6:12]
-    out = 0.0
-    for r in range(m):
-        out += sides[r, 6] * sides[r, 6]
-    for i in range(6):
-        total_i = 0.0
+    gain, directions = table(places, floats, GAIN), table(places, floats, BLIND)
+    for t in range(directions.shape[0]):
+        largest, chosen = 0.0, -1
         for r in range(m):
-            total_i += sides[r, i] * sides[r, 6]
-        right[i, 0] = total_i
-        for j in range(i + 1):
-            total_ij = 0.0
-            for r in range(m):
-                total_ij += sides[r, i] * sides[r, j]
-            normal[i, j] = total_ij
-    if not factor(normal) > 0.0:
-        return math.nan
-    halve(normal, right, 1)
-    for i in range(6):
-        out -= right[i, 0] * right[i, 0]
-    return max(out, 0.0)
+            left = 1.0 - explained(jacobian, gain, r, r)
+            for s in range(t):
+                left -= directions[s, r] * directions[s, r] / weights[r]
+            if left > largest:
+                largest, chosen = left, r
+        if chosen < 0:
+            return False
+        scale = math.sqrt(weights[chosen] / largest)
+        for r in range(m):
+            left = (1.0 if r == chosen else 0.0) - explained(jacobian, gain, chosen, r)
+            for s in range(t):
+                left -= directions[s, r] * directions[s, chosen] / weights[chosen]
+            directions[t, r] = scale * left
+    return True
+
+
+@inlined
+def explained(jacobian: FloatArray, gain: FloatArray, row: int, by: int) -> float:
+    """Return how far reading ``row`` follows, by the pose, when reading ``by`` changes: an entry of ``J G``."""
+    of_translation = dot(within(jacobian, row, 0), within(gain, by, 0))
+    return of_translation + dot(within(jacobian, row, 3), within(gain, by, 3))

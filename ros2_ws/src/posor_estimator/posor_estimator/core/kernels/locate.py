@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from posor_estimator.core.compiled import compiled
+from posor_estimator.core.compiled import in_place, inlined
 from posor_estimator.core.fault import Fault, State
 from posor_estimator.core.kernels.chain_pose import write_pose
 from posor_estimator.core.kernels.effects import reading_covariance
@@ -39,14 +39,10 @@ from posor_estimator.core.kernels.tables import (
     MEMORY,
     MOVED,
     PREPARED,
-    READINGS,
     RESIDUALS,
     ROWS,
     SETTINGS,
-    SIXES,
-    SQUARES,
     START,
-    STEP,
     VALUES,
     VARIANCES,
     WEIGHTS,
@@ -70,12 +66,12 @@ POSE, NATIVE, RESIDUAL, FIGURES = 0, 7, 13, 14
 
 TURN_SETTLED = 1e-14
 SINGULAR = 1e-10
-"""Below this share (``kernels.cholesky``) of an unknown that the others do not explain, there is no pose."""
+"""Below this share (``kernels.blocks``) of an unknown that the others do not explain, there is no pose."""
 WEAK = 1e-4
 """Below this share the last pose is called in to carry the blind direction: its uncertainty is 100 times the usual."""
 
 
-@compiled
+@in_place
 def solve_scan(
     places: IntArray,
     ints: IntArray,
@@ -104,9 +100,7 @@ def solve_scan(
             translation,
             table(places, floats, JACOBIAN),
             line(places, floats, LINES, RESIDUALS),
-            line(places, floats, SIXES, MOVED),
-            table(places, floats, SQUARES)[0:6],
-            line(places, floats, SIXES, STEP),
+            line(places, floats, MOVED, 0),
             least_share,
         )
         if outcome != CONVERGED or not math.isfinite(lag_from):
@@ -120,7 +114,7 @@ def solve_scan(
     return NOT_CONVERGED
 
 
-@compiled
+@inlined
 def write_native(rotation: FloatArray, translation: FloatArray, theta: float, out: FloatArray, start: int) -> None:
     """Write the six native coordinates of a pose (``core.native``), theta as counted, into ``out`` from ``start``."""
     for i in range(3):
@@ -130,14 +124,32 @@ def write_native(rotation: FloatArray, translation: FloatArray, theta: float, ou
     out[start + 5] = theta
 
 
-@compiled
+@inlined
+def keep(rotation: FloatArray, translation: FloatArray, start: FloatArray) -> None:
+    """Write a pose into ``start`` (4, 3)."""
+    for j in range(3):
+        for i in range(3):
+            start[i, j] = rotation[i, j]
+        start[3, j] = translation[j]
+
+
+@inlined
+def bring_back(start: FloatArray, rotation: FloatArray, translation: FloatArray) -> None:
+    """Write the pose that ``keep`` has kept back."""
+    for j in range(3):
+        for i in range(3):
+            rotation[i, j] = start[i, j]
+        translation[j] = start[3, j]
+
+
+@inlined
 def unknown(memory: FloatArray) -> None:
     """Forget the last pose and the count."""
     memory[KNOWN] = 0.0
     memory[COUNTED] = 0.0
 
 
-@compiled
+@in_place
 def locate_scan(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in order, to be compiled
     places: IntArray,
     ints: IntArray,
@@ -185,8 +197,7 @@ def locate_scan(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in orde
     for r in range(m):
         weights[r] = 1.0 / variances[r]
     start = table(places, floats, START)
-    start[0:3, :] = rotation
-    start[3, :] = translation
+    keep(rotation, translation, start)
     predicted = theta_of(rotation) if counting else 0.0
     lag_from = theta_remembered(memory) if lag and settings[LAGGING] > 0.0 and moving else math.nan
     carried = moving and settings[MOTION_TRANSLATION] < math.inf
@@ -196,8 +207,7 @@ def locate_scan(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in orde
     outcome = solve_scan(places, ints, floats, m, rotation, translation, least, lag_from)
     if outcome == ILL_CONDITIONED and carried:
         # Blind in some direction: the last pose, as uncertain as the target can have moved since, carries it over.
-        rotation[:, :] = start[0:3]
-        translation[:] = start[3]
+        bring_back(start, rotation, translation)
         used = m + 6
         prior_rows(kinds, rows, line(places, floats, LINES, VALUES), weights, m, settings, elapsed)
         outcome = solve_scan(places, ints, floats, used, rotation, translation, SINGULAR, lag_from)
@@ -218,13 +228,12 @@ def locate_scan(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in orde
                 unknown(memory)
                 return LOST, faults | FAULT_NOT_CONVERGED
         memory[COUNTED] = 1.0
-    whole = table(places, floats, READINGS)
     by_parameters(kinds, rows, prepared, m, rotation, translation, table(places, floats, BY_ROW))
     reading_covariance(places, ints, floats)
-    covariances(places, floats, used, whole, rotation, random, systematic)
+    covariances(places, floats, m, used, rotation, random, systematic)
     figures[RESIDUAL] = 0.0
     if m > 6 and used == m:  # noqa: PLR2004  six unknowns
-        figures[RESIDUAL] = chi_square(places, floats, m, whole)
+        figures[RESIDUAL] = chi_square(places, floats, m)
     if not figures[RESIDUAL] <= settings[LIMIT]:
         faults |= FAULT_RESIDUAL
     theta = theta_of(rotation)
@@ -254,7 +263,7 @@ def locate_scan(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in orde
     return DEGRADED if faults else OK, faults
 
 
-@compiled
+@in_place
 def deserves_retry(state: int, fault: int, warm: bool) -> bool:  # noqa: FBT001  kernels take no keywords
     """Return whether a lost scan may have been lost because it started from a last pose that was far away."""
     return warm and state == LOST and fault & (FAULT_RESIDUAL | FAULT_NOT_CONVERGED) != 0

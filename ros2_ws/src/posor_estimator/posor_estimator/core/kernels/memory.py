@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from posor_estimator.core.compiled import compiled
+from posor_estimator.core.compiled import in_place, inlined
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray
@@ -35,25 +35,25 @@ LAGGING = 6  # 1: tilts are turned by the theta of the scan before
 SETTINGS = 7
 
 
-@compiled
+@inlined
 def wrapped(angle: float) -> float:
     """Return the angle [rad] in [-pi, pi)."""
     return angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
 
 
-@compiled
+@inlined
 def theta_of(rotation: FloatArray) -> float:
     """Return the heading of the Y axis of T in R [rad] (``core.native``)."""
     return math.atan2(-rotation[0, 1], rotation[1, 1])
 
 
-@compiled
+@inlined
 def theta_remembered(memory: FloatArray) -> float:
     """Return the heading of the Y axis of the last pose [rad], without turns counted."""
     return math.atan2(-memory[ROTATION + 1], memory[ROTATION + 4])
 
 
-@compiled
+@in_place
 def turn_about_z(rotation: FloatArray, angle: float) -> None:
     """Turn a pose's rotation about the target's own Z by ``angle`` [rad], in place."""
     c, s = math.cos(angle), math.sin(angle)
@@ -63,7 +63,7 @@ def turn_about_z(rotation: FloatArray, angle: float) -> None:
         rotation[i, 1] = c * y - s * x
 
 
-@compiled
+@inlined
 def recall(memory: FloatArray, rotation: FloatArray, translation: FloatArray) -> None:
     """Write the last pose into ``rotation`` and ``translation``."""
     for i in range(3):
@@ -72,7 +72,7 @@ def recall(memory: FloatArray, rotation: FloatArray, translation: FloatArray) ->
             rotation[i, j] = memory[ROTATION + 3 * i + j]
 
 
-@compiled
+@inlined
 def remember(memory: FloatArray, rotation: FloatArray, translation: FloatArray) -> None:
     """Keep a pose as the last one."""
     for i in range(3):
@@ -81,7 +81,7 @@ def remember(memory: FloatArray, rotation: FloatArray, translation: FloatArray) 
             memory[ROTATION + 3 * i + j] = rotation[i, j]
 
 
-@compiled
+@inlined
 def start_from_memory(
     stamp: float, settings: FloatArray, memory: FloatArray, rotation: FloatArray, translation: FloatArray
 ) -> None:
@@ -91,7 +91,7 @@ def start_from_memory(
         turn_about_z(rotation, memory[RATE] * (stamp - memory[STAMP]))
 
 
-@compiled
+@in_place
 def restart_if_back(stamp: float, memory: FloatArray) -> None:
     """Forget the last pose where time has not gone on: a replay has started over."""
     if memory[KNOWN] > 0.0 and memory[GIVEN] == 0.0 and not stamp > memory[STAMP]:
@@ -99,7 +99,7 @@ def restart_if_back(stamp: float, memory: FloatArray) -> None:
         memory[COUNTED] = 0.0
 
 
-@compiled
+@in_place
 def bumps_off(theta: float, settings: FloatArray) -> float:
     """Return by how many whole bumps the counted theta misses the home mark's, a turn being no miss."""
     bump = settings[BUMP]

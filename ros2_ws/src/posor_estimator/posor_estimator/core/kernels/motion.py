@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from posor_estimator.core.compiled import compiled
+from posor_estimator.core.compiled import in_place, inlined
 from posor_estimator.core.kernels.memory import (
     MOTION_LEAN,
     MOTION_THETA,
@@ -25,7 +25,7 @@ NOISE_ALLOWANCE = 5.0
 """Standard deviations of noise that may come on top of the largest motion before a jump is a fault."""
 
 
-@compiled
+@in_place
 def prior_rows(
     kinds: IntArray,
     rows: FloatArray,
@@ -48,7 +48,7 @@ def prior_rows(
         weights[first + i] = 1.0 / square(rate * elapsed)
 
 
-@compiled
+@inlined
 def moved_too_far(
     settings: FloatArray,
     elapsed: float,

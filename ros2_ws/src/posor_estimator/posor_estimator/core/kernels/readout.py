@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from posor_estimator.core.compiled import compiled
+from posor_estimator.core.compiled import inlined
 from posor_estimator.core.kernels.diode import linearise_spots
 from posor_estimator.core.kernels.tables import (
     BASIS,
@@ -43,7 +43,7 @@ WRONG_SOURCE = -3
 """And below: of diode (WRONG_SOURCE - code)."""
 
 
-@compiled
+@inlined
 def choose_spots(
     currents: FloatArray, lit: IntArray, n: int, count: int, sources: int, offset: int, chosen: IntArray, first: int
 ) -> int:
@@ -60,7 +60,7 @@ def choose_spots(
     return 0
 
 
-@compiled
+@inlined
 def read_out(
     places: IntArray,
     ints: IntArray,

@@ -14,10 +14,12 @@ if TYPE_CHECKING:
     Numbers = TypeVar("Numbers", np.float64, np.int64)
 
 
-def part(numbers: NDArray[Numbers], start: int, rows: int, columns: int) -> NDArray[Numbers]:
+def viewed(numbers: NDArray[Numbers], start: int, rows: int, columns: int) -> NDArray[Numbers]:
     """Return ``rows * columns`` entries of a contiguous array from ``start`` on as a table, without copying."""
     return numbers[start : start + rows * columns].reshape((rows, columns))
 
+
+part = viewed
 
 if COMPILING:
     from numba.core import types

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from posor_estimator.core.compiled import compiled
+from posor_estimator.core.compiled import in_place
 from posor_estimator.core.kernels.vector import (
     at,
     cross,
@@ -40,7 +40,7 @@ _NEWTON_STEPS = 30
 _SETTLED_M = 1e-15
 
 
-@compiled
+@in_place
 def turned_times(c: float, s: float, k: int) -> tuple[float, float]:
     """Return cosine and sine of k times the angle that has these, k zero or more.
 
@@ -55,7 +55,7 @@ def turned_times(c: float, s: float, k: int) -> tuple[float, float]:
     return cosine, sine
 
 
-@compiled
+@in_place
 def radius_and_slope(rows: FloatArray, r: int, cosine: float, sine: float) -> tuple[float, float]:
     """Return r(phi) [m] and dr/dphi [m/rad] of row r, by cosine and sine of phi."""
     radius = rows[r, 6]
@@ -68,7 +68,7 @@ def radius_and_slope(rows: FloatArray, r: int, cosine: float, sine: float) -> tu
     return radius, slope
 
 
-@compiled
+@in_place
 def _meet(tip: Vector, axis: Vector, rows: FloatArray, r: int, start: float) -> tuple[float, Vector]:
     """Return the distance [m] from the tip to the surface, and the surface's gradient there; all in T.
 
@@ -92,7 +92,7 @@ def _meet(tip: Vector, axis: Vector, rows: FloatArray, r: int, start: float) -> 
     return reading, normal
 
 
-@compiled
+@in_place
 def _to_circle(tip: Vector, axis: Vector, radius: float) -> float:
     """Return the distance [m] from the tip to a circle, NaN where the probe does not look at it."""
     a = axis[0] * axis[0] + axis[1] * axis[1]
@@ -102,13 +102,13 @@ def _to_circle(tip: Vector, axis: Vector, radius: float) -> float:
     return (-b - math.sqrt(discriminant)) / a if discriminant > 0.0 and a > 0.0 else math.nan
 
 
-@compiled
+@in_place
 def prepare_ring(r: int, prepared: FloatArray) -> None:
     """Write into row r of ``prepared`` (m, 1 or more) that the probe has not met the surface yet."""
     prepared[r, 0] = math.nan
 
 
-@compiled
+@in_place
 def ring_gap(
     rows: FloatArray,
     r: int,
@@ -132,7 +132,7 @@ def ring_gap(
     return reading
 
 
-@compiled
+@in_place
 def ring_parameters(
     rows: FloatArray,
     r: int,

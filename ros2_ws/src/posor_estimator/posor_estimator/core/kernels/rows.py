@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from posor_estimator.core.compiled import compiled
+from posor_estimator.core.compiled import compiled, in_place, inlined
 from posor_estimator.core.kernels.gap import PREPARED, gap, gap_parameters, prepare_gap
 from posor_estimator.core.kernels.ring import prepare_ring, ring_gap, ring_parameters
 from posor_estimator.core.kernels.spot import PARAMETERS as SPOT_PARAMETERS
@@ -32,7 +32,7 @@ SECOND = 6
 AFFINE_PARAMETERS = 7
 
 
-@compiled
+@in_place
 def prepare_row(kind: int, rows: FloatArray, r: int, prepared: FloatArray) -> None:
     """Write what of row r does not depend on the pose into that of ``prepared`` (m, PREPARED)."""
     if kind == GAP:
@@ -43,14 +43,14 @@ def prepare_row(kind: int, rows: FloatArray, r: int, prepared: FloatArray) -> No
         prepare_ring(r, prepared)
 
 
-@compiled
+@in_place
 def prepare_rows(kinds: IntArray, rows: FloatArray, count: int, prepared: FloatArray) -> None:
     """Do ``prepare_row`` for the first ``count`` rows."""
     for r in range(count):
         prepare_row(kinds[r], rows, r, prepared)
 
 
-@compiled
+@in_place
 def turn_row(kind: int, turn: float, rows: FloatArray, r: int, prepared: FloatArray) -> None:
     """Turn what row r has fixed in the target by an angle [rad] about Z of T; rings and affine rows stay."""
     if kind == GAP:
@@ -60,7 +60,7 @@ def turn_row(kind: int, turn: float, rows: FloatArray, r: int, prepared: FloatAr
     prepare_row(kind, rows, r, prepared)
 
 
-@compiled
+@in_place
 def pair_spots(kinds: IntArray, rows: FloatArray, count: int) -> None:
     """Mark, in ``kinds``, which of the first ``count`` rows are x and y of one spot, so that it is found once."""
     for r in range(count - 1):
@@ -72,7 +72,7 @@ def pair_spots(kinds: IntArray, rows: FloatArray, count: int) -> None:
                 kinds[r], kinds[r + 1] = SPOT, SECOND
 
 
-@compiled
+@inlined
 def evaluate(
     kinds: IntArray,
     rows: FloatArray,
@@ -122,7 +122,7 @@ def evaluate(
             predicted[r] = reading
 
 
-@compiled
+@inlined
 def by_parameters(
     kinds: IntArray,
     rows: FloatArray,
@@ -209,7 +209,7 @@ def evaluate_all(
         evaluate(kinds_here, rows, prepared, m, rotations[n], translations[n], still, out[n], jacobian)
 
 
-@compiled
+@in_place
 def take_rows(
     pool_kinds: IntArray,
     pool: FloatArray,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from posor_estimator.core.compiled import compiled, compiled_without_lock
+from posor_estimator.core.compiled import in_place, without_lock
 from posor_estimator.core.kernels.effects import find_shares
 from posor_estimator.core.kernels.locate import LOST, RESIDUAL, deserves_retry, locate_scan
 from posor_estimator.core.kernels.memory import GIVEN, KNOWN, LAGGING, restart_if_back, start_from_memory
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray, IntArray
 
 
-@compiled
+@in_place
 def locate_scans(  # noqa: C901  the steps from scan to scan, to be compiled
     places: IntArray,
     ints: IntArray,
@@ -117,8 +117,8 @@ def locate_scans(  # noqa: C901  the steps from scan to scan, to be compiled
         elif settings[LAGGING] > 0.0:
             for r in range(m):
                 turn_row(kinds[r], 0.0, rows, r, prepared)
-        for i in range(m + 6):
-            for j in range(m + 6):
+        for i in range(m):
+            for j in range(m):
                 whole[i, j] = 0.0
         warm = memory[GIVEN] == 0.0
         rotation, translation = rotations[n], translations[n]
@@ -145,13 +145,13 @@ def locate_scans(  # noqa: C901  the steps from scan to scan, to be compiled
     return end
 
 
-@compiled_without_lock
+@without_lock
 def locate_many(*arguments: Any) -> int:
     """Do ``locate_scans`` while other threads run: for many scans. For one, taking the lock back costs more."""
     return locate_scans(*arguments)
 
 
-@compiled
+@in_place
 def write_lost(
     n: int,
     rotations: FloatArray,

@@ -1,7 +1,7 @@
 """Weighted Gauss-Newton on SE(3) for one scan.
 
 The unknown is ``T_R_T``; the tangent is pinocchio's local one (see the package's docstring). Each iteration solves the
-normal equations by a Cholesky factorisation, which also tells whether the readings determine the pose at all.
+normal equations by a factorisation, which also tells whether the readings determine the pose at all.
 """
 
 from __future__ import annotations
@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from posor_estimator.core.compiled import compiled
-from posor_estimator.core.kernels.cholesky import factor, substitute
+from posor_estimator.core.compiled import compiled, inlined
+from posor_estimator.core.kernels.blocks import NOTHING, factor, normal_matrix, solve
 from posor_estimator.core.kernels.gap import PREPARED
 from posor_estimator.core.kernels.rows import evaluate, prepare_rows
-from posor_estimator.core.kernels.vector import apply_tangent, orthonormalise
+from posor_estimator.core.kernels.vector import move, orthonormalise, plus, times, within
 
 if TYPE_CHECKING:
+    from posor_estimator.core.kernels.vector import Vector
     from posor_estimator.core.types import FloatArray, IntArray
 
 CONVERGED = 0
@@ -31,18 +32,24 @@ TOLERANCE = 1e-9
 ITERATIONS = 25
 
 
-@compiled
-def normal_matrix(jacobian: FloatArray, weights: FloatArray, count: int, out: FloatArray) -> None:
-    """Write the lower triangle of ``J' W J`` of the first ``count`` rows into ``out`` (6, 6)."""
-    for i in range(6):
-        for j in range(i + 1):
-            total = 0.0
-            for r in range(count):
-                total += weights[r] * jacobian[r, i] * jacobian[r, j]
-            out[i, j] = total
+@inlined
+def right_side(jacobian: FloatArray, weights: FloatArray, residuals: FloatArray, count: int) -> tuple[Vector, Vector]:
+    """Return ``J' W e`` of the first ``count`` rows: translation, rotation."""
+    translation, rotation = NOTHING, NOTHING
+    for r in range(count):
+        translation = plus(translation, times(residuals[r], times(weights[r], within(jacobian, r, 0))))
+        rotation = plus(rotation, times(residuals[r], times(weights[r], within(jacobian, r, 3))))
+    return translation, rotation
 
 
-@compiled
+@inlined
+def largest_of(a: Vector) -> float:
+    """Return the largest absolute value of three; infinite where one is no number."""
+    largest = max(abs(a[0]), abs(a[1]), abs(a[2]))
+    return largest if math.isfinite(a[0] + a[1] + a[2]) else math.inf
+
+
+@inlined
 def newton(
     kinds: IntArray,
     rows: FloatArray,
@@ -55,8 +62,6 @@ def newton(
     jacobian: FloatArray,
     residuals: FloatArray,
     moved: FloatArray,
-    normal: FloatArray,
-    step: FloatArray,
     least_share: float,
 ) -> int:
     """Move the pose (in place) to the weighted least-squares solution of the first ``count`` rows.
@@ -73,9 +78,7 @@ def newton(
         jacobian: Result: derivatives of the rows at the solution, shape (m, 6).
         residuals: Result: reading minus prediction at the solution [m], shape (m,).
         moved: Result: sum of all steps, shape (6,).
-        normal: Room, shape (6, 6).
-        step: Room, shape (6,).
-        least_share: Share of an unknown that the others must leave unexplained (``kernels.cholesky``).
+        least_share: Share of an unknown that the others must leave unexplained (``kernels.blocks``).
 
     Returns:
         CONVERGED, NOT_CONVERGED or ILL_CONDITIONED.
@@ -90,21 +93,18 @@ def newton(
             residuals[r] = values[r] - residuals[r]
         if settled:
             return CONVERGED
-        normal_matrix(jacobian, weights, count, normal)
-        for i in range(6):
-            step[i] = 0.0
-            for r in range(count):
-                step[i] += weights[r] * jacobian[r, i] * residuals[r]
-        if not factor(normal) > least_share:
+        factors, weakest = factor(normal_matrix(jacobian, weights, count))
+        if not weakest > least_share:
             return ILL_CONDITIONED
-        substitute(normal, step)
-        largest = 0.0
-        for i in range(6):
-            if not math.isfinite(step[i]):
-                return NOT_CONVERGED
-            largest = max(largest, abs(step[i]) * (1.0 if i < 3 else LENGTH))  # noqa: PLR2004  translation, then rotation
-            moved[i] += step[i]
-        apply_tangent(rotation, translation, step)
+        v, w = right_side(jacobian, weights, residuals, count)
+        v, w = solve(factors, v, w)
+        largest = max(largest_of(v), LENGTH * largest_of(w))
+        if not largest < math.inf:
+            return NOT_CONVERGED
+        for i in range(3):
+            moved[i] += v[i]
+            moved[3 + i] += w[i]
+        move(rotation, translation, v, w)
         orthonormalise(rotation)
         settled = largest < TOLERANCE
     return NOT_CONVERGED
@@ -138,7 +138,5 @@ def gauss_newton(
         jacobian,
         residuals,
         moved,
-        np.empty((6, 6)),
-        np.empty(6),
         least_share,
     )

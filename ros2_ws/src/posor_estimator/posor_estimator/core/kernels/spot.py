@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from posor_estimator.core.compiled import compiled
+from posor_estimator.core.compiled import in_place, inlined
 from posor_estimator.core.kernels.vector import (
     at,
     cross,
@@ -37,14 +37,14 @@ PARAMETERS = 16
 PREPARED = 6
 
 
-@compiled
+@in_place
 def prepare_spot(rows: FloatArray, r: int, prepared: FloatArray) -> None:
     """Write what does not depend on the pose into row r of ``prepared``."""
     put(prepared, r, 0, turned(within(rows, r, 12), rows[r, 15]))
     put(prepared, r, 3, cross(within(rows, r, 3), within(rows, r, 6)))
 
 
-@compiled
+@inlined
 def meet(
     rows: FloatArray, r: int, prepared: FloatArray, rotation: FloatArray, translation: FloatArray
 ) -> tuple[float, float, float, Vector, Vector]:
@@ -64,7 +64,7 @@ def meet(
     return x, y, along, times(1.0 / volume, v_ray), times(1.0 / volume, ray_u)
 
 
-@compiled
+@inlined
 def spot_tangent(
     rows: FloatArray,
     r: int,
@@ -81,7 +81,7 @@ def spot_tangent(
     put(jacobian, to, 3, cross(plus(within(rows, r, 9), times(along, within(prepared, r, 0))), dual_T))
 
 
-@compiled
+@inlined
 def spot_parameters(
     rows: FloatArray,
     r: int,

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from posor_estimator.core.compiled import compiled
+from posor_estimator.core.compiled import compiled, in_place, inlined
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray, IntArray
@@ -34,7 +34,7 @@ _ROUNDS = 60
 _SETTLED_M = 1e-15
 
 
-@compiled
+@inlined
 def _basis(kind: int, value: float, count: int, basis: FloatArray, row: int) -> None:
     """Write the basis functions at ``value`` into a row of ``basis`` (4, longest), their derivatives into the next."""
     for i in range(count):
@@ -49,7 +49,7 @@ def _basis(kind: int, value: float, count: int, basis: FloatArray, row: int) -> 
             basis[row + 1, i] = 2.0 * basis[row, i - 1] + 2.0 * value * basis[row + 1, i - 1] - basis[row + 1, i - 2]
 
 
-@compiled
+@inlined
 def _tensor(
     kind: int,
     shape: IntArray,
@@ -88,7 +88,7 @@ def _tensor(
     slope[1, 0], slope[1, 1] = y_u / frame[2], y_v / frame[3]
 
 
-@compiled
+@inlined
 def _curve(parameters: FloatArray, start: int, order: int, ratio: float) -> tuple[float, float]:
     """Return the polynomial whose coefficients begin at ``start``, and its slope."""
     value = 0.0
@@ -99,7 +99,7 @@ def _curve(parameters: FloatArray, start: int, order: int, ratio: float) -> tupl
     return value, slope
 
 
-@compiled
+@in_place
 def _between(parameters: FloatArray, start: int, count: int, where: float) -> int:
     """Return the interval of the ascending positions at ``start`` that holds ``where``, the end ones for outside."""
     i = 0
@@ -108,7 +108,7 @@ def _between(parameters: FloatArray, start: int, count: int, where: float) -> in
     return i
 
 
-@compiled
+@in_place
 def _curves(  # noqa: C901  one loop over plain numbers, to be compiled
     shape: IntArray,
     parameters: FloatArray,
@@ -116,13 +116,13 @@ def _curves(  # noqa: C901  one loop over plain numbers, to be compiled
     position: FloatArray,
     slope: FloatArray,
     less_by: FloatArray,
+    room: FloatArray,
 ) -> int:
     count, order = shape[1], shape[2]
     size = count * order
     # Of coordinate a: its curves begin at a * size, their positions (along the other coordinate) at 2 size + a * count.
     position[1] = 0.5 * (parameters[2 * size] + parameters[2 * size + count - 1])
-    cross = np.zeros(2)
-    by_ratio = np.zeros(2)
+    cross, by_ratio = room[0], room[1]
     for round_ in range(_ROUNDS):
         largest = 0.0
         for axis in range(2):
@@ -171,7 +171,7 @@ def _curves(  # noqa: C901  one loop over plain numbers, to be compiled
     return INSIDE
 
 
-@compiled
+@inlined
 def spot_position(
     shape: IntArray,
     frame: FloatArray,
@@ -201,7 +201,7 @@ def spot_position(
 
     """
     if shape[0] == CURVES:
-        return _curves(shape, parameters, ratios, position, slope, less_by)
+        return _curves(shape, parameters, ratios, position, slope, less_by, basis)
     _tensor(shape[0], shape, frame, parameters, ratios, position, slope, less_by, basis)
     return INSIDE
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, TypeVar
 
-from posor_estimator.core.compiled import compiled
+from posor_estimator.core.compiled import written_out
 from posor_estimator.core.kernels.reshaped import part
 
 if TYPE_CHECKING:
@@ -47,33 +47,31 @@ DEVIATES = 18  # see kernels.effects (C, 3)
 CHOSEN = 19  # whole numbers (1, m)
 LINES = 20  # floats: values, variances, weights, residuals (4, M)
 JACOBIAN = 21  # floats (M, 6)
-SIXES = 22  # floats: sum of the steps, step (2, 6)
-SQUARES = 23  # floats: three matrices (18, 6)
+MOVED = 22  # floats: sum of the steps (1, 6)
+SPREAD = 23  # floats: what the residuals spread by along the directions of BLIND (m - 6, m - 6)
 START = 24  # floats: the pose from which a scan starts, rotation and translation (4, 3)
 BY_ROW = 25  # floats: derivatives of prediction less reading by the rows' parameters (m, W)
 BY_READOUT = 26  # floats: the same by the linearisation's parameters (m, L)
 EFFECTS = 27  # floats: what each shared deviate does to each reading (m, C)
-READINGS = 28  # floats: the readings' systematic covariance (M, M)
-SIDES = 29  # floats: right sides of linear equations (m, 7)
-GAIN = 30  # floats: two matrices (2 M, 6)
-TOTAL = 31  # floats: the readings' covariance, random and systematic (m, m)
-MAPS = 32  # whole numbers, of the POSOR: kind and lengths of each diode's map (diodes, 3)
-SPOT = 33  # floats: see kernels.diode (4, 2)
-BASIS = 34  # floats: see kernels.spot_map (4, longest)
-EPOCH = 35  # whole numbers that stay: 1 where it is known, from which time the memory counts [ns] (1, 2)
-TABLES = 36
+READINGS = 28  # floats: the readings' systematic covariance (m, m)
+BLIND = 29  # floats: directions of the readings that no pose explains, and the residuals along them (m - 6, m + 1)
+GAIN = 30  # floats: change of the pose for one of each reading (m, 6)
+MAPS = 31  # whole numbers, of the POSOR: kind and lengths of each diode's map (diodes, 3)
+SPOT = 32  # floats: see kernels.diode (4, 2)
+BASIS = 33  # floats: see kernels.spot_map (4, longest)
+EPOCH = 34  # whole numbers that stay: 1 where it is known, from which time the memory counts [ns] (1, 2)
+TABLES = 35
 
 VALUES, VARIANCES, WEIGHTS, RESIDUALS = 0, 1, 2, 3
-MOVED, STEP = 0, 1
 
 
-@compiled
+@written_out
 def table(places: IntArray, numbers: NDArray[Numbers], which: int) -> NDArray[Numbers]:
     """Return a table of ``numbers``, without copying."""
     return part(numbers, places[which, 0], places[which, 1], places[which, 2])
 
 
-@compiled
+@written_out
 def line(places: IntArray, numbers: NDArray[Numbers], which: int, row: int) -> NDArray[Numbers]:
     """Return one row of a table of ``numbers``, without copying."""
     columns = places[which, 2]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, TypeAlias
 
-from posor_estimator.core.compiled import compiled
+from posor_estimator.core.compiled import in_place, inlined
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray
@@ -19,67 +19,67 @@ SERIES_BELOW = 0.02
 Vector: TypeAlias = tuple[float, float, float]
 
 
-@compiled
+@inlined
 def square(value: float) -> float:
     """Return the square; ``**`` would round in another way where it is not compiled."""
     return value * value
 
 
-@compiled
+@inlined
 def at(row: FloatArray, start: int) -> Vector:
     """Return three entries of an array as a vector."""
     return row[start], row[start + 1], row[start + 2]
 
 
-@compiled
+@inlined
 def within(rows: FloatArray, r: int, start: int = 0) -> Vector:
     """Return three entries of row r as a vector; a slice of the row would cost more than the arithmetic."""
     return rows[r, start], rows[r, start + 1], rows[r, start + 2]
 
 
-@compiled
+@inlined
 def put(rows: FloatArray, r: int, start: int, a: Vector) -> None:
     """Write a vector into three entries of row r."""
     rows[r, start], rows[r, start + 1], rows[r, start + 2] = a
 
 
-@compiled
+@inlined
 def over(a: Vector, divisor: float) -> Vector:
     """Return a / divisor."""
     return a[0] / divisor, a[1] / divisor, a[2] / divisor
 
 
-@compiled
+@inlined
 def plus(a: Vector, b: Vector) -> Vector:
     """Return a + b."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
-@compiled
+@inlined
 def minus(a: Vector, b: Vector) -> Vector:
     """Return a - b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@compiled
+@inlined
 def times(factor: float, a: Vector) -> Vector:
     """Return factor a."""
     return factor * a[0], factor * a[1], factor * a[2]
 
 
-@compiled
+@inlined
 def dot(a: Vector, b: Vector) -> float:
     """Return the scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@compiled
+@inlined
 def cross(a: Vector, b: Vector) -> Vector:
     """Return the vector product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@compiled
+@in_place
 def turned(a: Vector, angle: float) -> Vector:
     """Return a vector turned about Z by ``angle`` [rad]."""
     if angle == 0.0:
@@ -88,7 +88,7 @@ def turned(a: Vector, angle: float) -> Vector:
     return c * a[0] - s * a[1], s * a[0] + c * a[1], a[2]
 
 
-@compiled
+@inlined
 def rotate(rotation: FloatArray, a: Vector) -> Vector:
     """Return ``rotation @ a``."""
     return (
@@ -98,7 +98,7 @@ def rotate(rotation: FloatArray, a: Vector) -> Vector:
     )
 
 
-@compiled
+@inlined
 def rotate_back(rotation: FloatArray, a: Vector) -> Vector:
     """Return ``rotation.T @ a``."""
     return (
@@ -108,13 +108,18 @@ def rotate_back(rotation: FloatArray, a: Vector) -> Vector:
     )
 
 
-@compiled
+@in_place
 def apply_tangent(rotation: FloatArray, translation: FloatArray, step: FloatArray) -> None:
-    """Replace the pose by ``pose * exp6(step)`` in place.
+    """Replace the pose by ``pose * exp6(step)`` in place; ``step`` as for ``move``, shape (6,)."""
+    move(rotation, translation, at(step, 0), at(step, 3))
 
-    ``step`` is (v, w) in the axes of T. The same map as ``pinocchio.exp6`` (checked in the tests).
+
+@inlined
+def move(rotation: FloatArray, translation: FloatArray, v: Vector, w: Vector) -> None:
+    """Replace the pose by ``pose * exp6(v, w)`` in place, v and w in the axes of T.
+
+    The same map as ``pinocchio.exp6`` (checked in the tests).
     """
-    v, w = at(step, 0), at(step, 3)
     angle_squared = dot(w, w)
     if angle_squared < SERIES_BELOW:
         # One minus a cosine would cancel its digits; the terms left out are below 1e-18.
@@ -132,17 +137,17 @@ def apply_tangent(rotation: FloatArray, translation: FloatArray, step: FloatArra
     for i in range(3):
         translation[i] += shift[i]
         # Row i of rotation @ exp(w) is exp(-w) applied to row i.
-        row = at(rotation[i], 0)
+        row = within(rotation, i)
         w_row = cross(w, row)
         new = plus(row, plus(times(-s, w_row), times(c, cross(w, w_row))))
         for j in range(3):
             rotation[i, j] = new[j]
 
 
-@compiled
+@in_place
 def orthonormalise(rotation: FloatArray) -> None:
     """Remove the rounding that many small turns leave: one Newton step toward the nearest rotation, in place."""
-    a, b, c = at(rotation[0], 0), at(rotation[1], 0), at(rotation[2], 0)
+    a, b, c = within(rotation, 0), within(rotation, 1), within(rotation, 2)
     ab, ac, bc = 0.5 * dot(a, b), 0.5 * dot(a, c), 0.5 * dot(b, c)
     aa, bb, cc = 1.5 - 0.5 * dot(a, a), 1.5 - 0.5 * dot(b, b), 1.5 - 0.5 * dot(c, c)
     for j in range(3):

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from posor_estimator.core.compiled import compiled
+from posor_estimator.core.compiled import compiled, in_place, inlined
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray, IntArray
@@ -30,7 +30,7 @@ NOT_FINITE = 1
 OUT_OF_RANGE = 2
 
 
-@compiled
+@inlined
 def polynomial(channel: FloatArray, order: int, volt: float) -> tuple[float, float]:
     """Return the polynomial [m] of a shifted voltage and its slope [m/V]."""
     value = 0.0
@@ -41,7 +41,7 @@ def polynomial(channel: FloatArray, order: int, volt: float) -> tuple[float, flo
     return value, slope
 
 
-@compiled
+@inlined
 def linearise_voltages(
     volts: FloatArray,
     n: int,
@@ -150,7 +150,7 @@ def gap_sigmas(
             sigmas[n, i] = math.sqrt(total)
 
 
-@compiled
+@in_place
 def voltages_of_gaps(
     gaps: FloatArray,
     supplies: FloatArray,
