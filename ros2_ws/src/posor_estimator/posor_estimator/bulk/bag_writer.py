@@ -7,11 +7,14 @@ checksum.
 from __future__ import annotations
 
 from io import BytesIO
+from struct import Struct
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.rosbag2.storage_mcap import McapWriter, write_record, write_string, write_uint32, write_uint64
+from rosbags.rosbag2.storage_mcap import McapWriter, write_string, write_uint32, write_uint64
+
+from posor_estimator.bulk.scanning import write_records
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -36,7 +39,8 @@ HEAD = np.dtype(
 )
 """Of a message record: opcode and length, then what comes before the message itself."""
 OPCODE_AND_LENGTH = 9
-INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
+INDEX_HEAD = Struct("<BQHI")
+"""Of the record with a topic's index: opcode, length, channel, length of the entries."""
 
 
 class Part(NamedTuple):
@@ -52,63 +56,67 @@ class Part(NamedTuple):
 class _ChunkWriter(McapWriter):
     """Also takes whole chunks."""
 
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self._room: ByteArray = np.empty(0, dtype=np.uint8)
+
     def write_chunk(self, parts: Sequence[Part]) -> None:
         """Write messages as one chunk, each topic's in the order of its part."""
         first = min(int(part.times_ns[0]) for part in parts)
         last = max(int(part.times_ns[-1]) for part in parts)
         begun = self.chunk.bio.getvalue()  # schemas and channels, before the first message
-        records: list[Any] = [begun]
+        size = len(begun) + sum(len(part.times_ns) * (HEAD.itemsize + part.messages.shape[1]) for part in parts)
+        if len(self._room) < size:
+            self._room = np.empty(size, dtype=np.uint8)  # kept: to have the system give new memory costs as much again
+        records, at = self._room[:size], len(begun)
+        records[:at] = np.frombuffer(begun, dtype=np.uint8)
         indices = []
-        size = len(begun)
         for part in parts:
-            table = _records(part)
-            index = np.empty(len(table), dtype=INDEX_ENTRY)
-            index["log_time"] = part.times_ns
-            index["offset"] = size + np.arange(len(table), dtype=np.int64) * table.shape[1]
+            count, length = len(part.times_ns), HEAD.itemsize + part.messages.shape[1]
+            there = records[at : at + count * length].reshape(count, length)
+            index = np.empty((count, 2), dtype=np.int64)
+            write_records(_head(part), part.times_ns, part.messages, at, there, index)
             indices.append(index)
-            records.append(table.data)
-            size += table.nbytes
-            self.channel_stats[part.connection.id] += len(table)
+            at += count * length
+            self.channel_stats[part.connection.id] += count
         self.message_start_time = min(first, self.message_start_time)
         self.message_end_time = max(last, self.message_end_time)
         begin = self.bio.tell()
-        self._write_records(records, size, first, last)
-        end = self.bio.tell()
-        offsets = []
+        self._write_chunk_record(records, first, last)
+        end = at = self.bio.tell()
+        offsets = {}
         for part, index in zip(parts, indices, strict=True):
-            offsets.append((part.connection.id, self.bio.tell()))
-            record = BytesIO()
-            record.write(part.connection.id.to_bytes(2, "little"))
-            write_uint32(record, index.nbytes)
-            record.write(index.data)
-            write_record(self.bio, MESSAGE_INDEX, record)
+            offsets[part.connection.id] = at
+            head = INDEX_HEAD.pack(MESSAGE_INDEX, 6 + index.nbytes, part.connection.id, index.nbytes)
+            self.bio.write(head)
+            self.bio.write(index.data)
+            at += len(head) + index.nbytes
         summary = BytesIO()
         for number in (first, last, begin, end - begin):
             write_uint64(summary, number)
         write_uint32(summary, 10 * len(offsets))
-        for channel, offset in offsets:
+        for channel, offset in offsets.items():
             summary.write(channel.to_bytes(2, "little"))
             write_uint64(summary, offset)
-        write_uint64(summary, self.bio.tell() - end)
+        write_uint64(summary, at - end)
         write_string(summary, "")
         write_uint64(summary, size)
         write_uint64(summary, size)
         self.chunks.append(summary)
         self.chunk.bio = BytesIO()
 
-    def _write_records(self, records: Sequence[Any], size: int, first: int, last: int) -> None:
+    def _write_chunk_record(self, records: ByteArray, first: int, last: int) -> None:
         head = BytesIO()
         write_uint64(head, first)
         write_uint64(head, last)
-        write_uint64(head, size)
+        write_uint64(head, len(records))
         write_uint32(head, 0)
         write_string(head, "")
-        write_uint64(head, size)
+        write_uint64(head, len(records))
         self.bio.write(CHUNK.to_bytes(1, "little"))
-        write_uint64(self.bio, head.tell() + size)
+        write_uint64(self.bio, head.tell() + len(records))
         self.bio.write(head.getbuffer())
-        for record in records:
-            self.bio.write(record)
+        self.bio.write(records.data)
 
 
 class BulkWriter(Writer):
@@ -132,16 +140,10 @@ class BulkWriter(Writer):
             self.max_timestamp = max(self.max_timestamp, int(part.times_ns[-1]))
 
 
-def _records(part: Part) -> ByteArray:
-    """Return messages as records, shape (n, head + s)."""
-    count, size = part.messages.shape
-    heads = np.empty(count, dtype=HEAD)
-    heads["opcode"] = MESSAGE
-    heads["length"] = HEAD.itemsize - OPCODE_AND_LENGTH + size
-    heads["channel"] = part.connection.id
-    heads["sequence"] = 0
-    heads["log_time"] = heads["publish_time"] = part.times_ns
-    table = np.empty((count, HEAD.itemsize + size), dtype=np.uint8)
-    table[:, : HEAD.itemsize] = heads.view(np.uint8).reshape(count, HEAD.itemsize)
-    table[:, HEAD.itemsize :] = part.messages
-    return table
+def _head(part: Part) -> ByteArray:
+    """Return what all records of a part begin with but for the times."""
+    head = np.zeros(1, dtype=HEAD)
+    head["opcode"] = MESSAGE
+    head["length"] = HEAD.itemsize - OPCODE_AND_LENGTH + part.messages.shape[1]
+    head["channel"] = part.connection.id
+    return head.view(np.uint8)

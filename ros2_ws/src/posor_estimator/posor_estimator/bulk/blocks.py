@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from posor_estimator.bulk.layout import ByteArray
     from posor_estimator.core.types import IntArray
 
-BLOCK = 8 << 20
+BLOCK = 4 << 20
 """Bytes that are read at a time, about; a single chunk may be larger."""
 MESSAGES = 16_384
 """Messages that are read at a time where rosbags reads them one by one."""

@@ -105,3 +105,31 @@ def gather(
         if other != 0:
             return n
     return count
+
+
+@compiled
+def write_records(
+    head: ByteArray, times: IntArray, messages: ByteArray, begin: int, out: ByteArray, index: IntArray
+) -> None:
+    """Write messages as records of a chunk of an MCAP file.
+
+    Args:
+        head: What the records begin with, both times zero, shape (h,).
+        times: Log and publish time of each [ns], shape (n,).
+        messages: Shape (n, s).
+        begin: Where in the chunk the records begin.
+        out: To write, shape (n, h + s).
+        index: Log times and where each record begins, to write, shape (n, 2).
+
+    """
+    size = head.shape[0]
+    for n in range(times.shape[0]):
+        start, body, message = out[n, :size], out[n, size:], messages[n]
+        for k in range(size):
+            start[k] = head[k]
+        time = times[n]
+        index[n, 0], index[n, 1] = time, begin + n * out.shape[1]
+        for k in range(8):
+            start[size - 16 + k] = start[size - 8 + k] = (time >> (8 * k)) & 0xFF
+        for k in range(body.shape[0]):
+            body[k] = message[k]

@@ -10,6 +10,7 @@ import numpy as np
 from posor_estimator.core.fault import State
 from posor_estimator.errors import ChainError
 from posor_estimator.reprocess.joined import BlockJoiner
+from posor_estimator.reprocess.rows import read_numbers
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -140,14 +141,14 @@ class EndpointReprocessor:
         count, joints = len(stamps), len(self.joints)
         poses, covariances, thetas = (
             np.empty((count, joints, 7)),
-            np.empty((count, joints, 36)),
+            np.empty((count, joints, 6, 6)),
             np.empty((count, joints)),
         )
         for j, each in enumerate(complete):
-            poses[:, j] = each.table.span("pose.position.x", 7)
-            covariances[:, j] = each.table["covariance"]
-            thetas[:, j] = each.table["native"][:, 5]
-        return self._lane.endpoints(poses, covariances.reshape(count, joints, 6, 6), stamps, thetas)
+            layout = each.table.layout
+            columns = np.array([layout.column(name) for name in ("pose.position.x", "native", "covariance")])
+            read_numbers(each.table.rows.view(np.float64), columns, j, poses, covariances, thetas)
+        return self._lane.endpoints(poses, covariances, stamps, thetas)
 
     def _published(self, complete: Sequence[Transforms], found: Found) -> Endpoints:
         """Return the endpoints that are some, relative to home if that is wanted."""
