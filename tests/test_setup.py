@@ -19,6 +19,7 @@ from freshness import what_is_missing
 from tests.miniature import BASE_PYTHON, Miniature, clean_environ
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
 EVENT_DEADLINE_S = 60.0
@@ -48,10 +49,14 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Miniature:
 
 
 def wait_for(path: Path, process: subprocess.Popen[str]) -> None:
+    wait_until(path.exists, process, f"{path} is there")
+
+
+def wait_until(event: Callable[[], bool], process: subprocess.Popen[str], what: str) -> None:
     deadline = time.monotonic() + EVENT_DEADLINE_S
-    while not path.exists():
-        assert process.poll() is None, f"ended before {path} was there"
-        assert time.monotonic() < deadline, f"{path} has not appeared"
+    while not event():
+        assert process.poll() is None, f"ended before {what}"
+        assert time.monotonic() < deadline, f"waited in vain until {what}"
         time.sleep(0.002)
 
 
@@ -108,16 +113,29 @@ def test_killed_during_colcon_build(checkout: Miniature, *, whole_group: bool) -
     assert "things 42" in checkout.run("miniature", "tell").stdout
 
 
-def test_killed_while_the_environment_is_made(checkout: Miniature) -> None:
-    shutil.rmtree(checkout.venv)
+def test_changed_lock_file_makes_the_environment_again_also_after_a_kill(checkout: Miniature) -> None:
+    checkout.write("requirements/dev.txt", "# nothing more\n")
     with checkout.start_set_up() as process:
+        wait_until(lambda: not checkout.environment_stamp.exists(), process, "the stamp is taken away")
         wait_for(checkout.venv / "pyvenv.cfg", process)
         os.killpg(process.pid, signal.SIGKILL)
+        assert process.stdout is not None
+        assert "(requirements or place changed)" in process.stdout.read()
     done = checkout.set_up()
     assert done.returncode == 0, done.stderr
     assert len(STEP.findall(done.stdout)) == 3
     assert "(unfinished or damaged)" in done.stdout
     assert "things 42" in checkout.run("miniature", "tell").stdout
+    assert processes_started(checkout) == "started\n"
+
+
+def test_environment_without_its_python_is_seen(checkout: Miniature) -> None:
+    official = json.loads(checkout.environment_stamp.read_text())["official"]
+    link = checkout.python.readlink()
+    checkout.python.unlink()
+    assert what_is_missing(checkout, {}, official=official) == ("unfinished or damaged", "new environment")
+    checkout.python.symlink_to(link)
+    assert not any(what_is_missing(checkout, {}, official=official))
 
 
 def test_interrupted_by_the_user(checkout: Miniature) -> None:
@@ -129,22 +147,6 @@ def test_interrupted_by_the_user(checkout: Miniature) -> None:
     assert process.returncode == 130
     assert err.endswith("posor set-up: interrupted; the next call carries on.\n")
     assert checkout.set_up().returncode == 0
-
-
-def test_broken_environment_is_made_again(checkout: Miniature) -> None:
-    checkout.python.unlink()
-    done = checkout.set_up()
-    assert done.returncode == 0, done.stderr
-    assert len(STEP.findall(done.stdout)) == 3
-    assert processes_started(checkout) == "started\n"
-
-
-def test_changed_lock_file_makes_the_environment_again(checkout: Miniature) -> None:
-    checkout.write("requirements/dev.txt", "# nothing more\n")
-    done = checkout.set_up()
-    assert done.returncode == 0, done.stderr
-    assert STEP.findall(done.stdout)[0].endswith("(requirements or place changed)")
-    assert processes_started(checkout) == "started\n"
 
 
 def test_removed_package_is_installed_again(checkout: Miniature) -> None:

@@ -85,7 +85,7 @@ def run(made: Campaign, **options: Any) -> Outcome:
 
 def test_offset_is_found_and_intervals_cover(rng: np.random.Generator) -> None:
     normalised = []
-    for _ in range(60):
+    for _ in range(30):
         made = campaign(rng)
         new = {one.key: one for one in run(made).replacements}
         for name, key, i in (

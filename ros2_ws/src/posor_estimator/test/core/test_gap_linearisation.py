@@ -59,7 +59,7 @@ def test_polynomials_are_recovered_and_keep_the_zero() -> None:
 
 def test_truth_lies_in_the_95_percent_intervals_of_95_percent_of_campaigns() -> None:
     inside = trials = 0
-    for seed in range(40):
+    for seed in range(20):
         outcome = linearised(taken(seed, scans_each=4), order=4, highest_order=4, least=0.05, settle=0.0)
         for probe in range(3):
             found, sigmas = coefficients(outcome, probe)

@@ -72,7 +72,7 @@ def run(made: Campaign, **options: Any) -> Outcome:
 
 def test_reversal_tells_rays_from_stage_and_intervals_cover(rng: np.random.Generator) -> None:
     normalised = []
-    for _ in range(60):
+    for _ in range(30):
         made = campaign(rng)
         outcome = run(made)
         for new in outcome.replacements:

@@ -50,7 +50,7 @@ def run(name: DesignName, recording: Recording, **options: Any) -> Fit:
 def test_intervals_cover(rng: np.random.Generator) -> None:
     normalised = []
     thetas = np.linspace(-np.pi, np.pi, 25)
-    for _ in range(40):
+    for _ in range(25):
         recording, truth = turned(rng, "triad_light_ring", thetas)
         fit = run("triad_light_ring", recording)
         normalised.append((fit.values[:2] - truth) / fit.sigmas[:2])

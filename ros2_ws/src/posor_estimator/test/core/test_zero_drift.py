@@ -67,7 +67,7 @@ def run(made: Campaign, **options: Any) -> Outcome:
 
 def test_drift_is_found_and_intervals_cover(rng: np.random.Generator) -> None:
     normalised = []
-    for _ in range(60):
+    for _ in range(30):
         made = campaign(rng)
         fit = run(made).fits["zero_drift"]
         normalised.append((fit.values[:3] - made.shifts) / fit.sigmas[:3])
