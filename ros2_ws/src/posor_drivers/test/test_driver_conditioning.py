@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from posor_drivers.driver_node import DriverNode
 from posor_drivers.scan_groups import stamp_of
 from posor_estimator.testing.graph import Graph
 from posor_estimator.testing.program import Program, installed, ros_arguments
+from posor_estimator.testing.refusal import refusal
 from posor_msgs.msg import RawScan
 
 from .bags import SECOND, Record, scan, write_bag
@@ -28,10 +30,13 @@ LOSSLESS = {"qos_reliability": "reliable", "qos_depth": 0, "rate": 0.0}
 NODE = "node /joint1/driver_node"
 
 
+def named(bag: Path, **parameters: Any) -> dict[str, object]:
+    conditioning = {f"conditioning.{name}": value for name, value in parameters.items()}
+    return {**conditioning, "source": "bag", "bag.path": str(bag), **LOSSLESS}
+
+
 def driver(bag: Path, **parameters: Any) -> Program:
-    named = {f"conditioning.{name}": value for name, value in parameters.items()}
-    named |= {"source": "bag", "bag.path": str(bag), **LOSSLESS}
-    return Program([*installed("posor_drivers", "driver_node"), *ros_arguments(named, "/joint1")])
+    return Program([*installed("posor_drivers", "driver_node"), *ros_arguments(named(bag, **parameters), "/joint1")])
 
 
 def received(bag: Path, count: int, **parameters: Any) -> list[RawScan]:
@@ -151,8 +156,7 @@ def test_dark_samples_of_a_bag_are_subtracted(tmp_path: Path) -> None:
     ],
 )
 def test_wrong_parameters_are_refused_with_one_sentence(
-    tmp_path: Path, parameters: dict[str, Any], sentence: str
+    tmp_path: Path, parameters: dict[str, Any], sentence: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     bag = write_bag(tmp_path / "bag", [scan(0, START)])
-    with driver(bag, **parameters) as program:
-        assert (program.wait(), program.stderr) == (2, [sentence])
+    assert refusal(DriverNode, named(bag, **parameters), capfd, "/joint1") == (2, [sentence])

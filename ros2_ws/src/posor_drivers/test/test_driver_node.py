@@ -107,7 +107,8 @@ def test_sensor_quality_of_service_is_best_effort_and_default_listeners_hear_the
 
 def reliability_of_the_driver(graph: Graph) -> ReliabilityPolicy:
     (info,) = graph.node.get_publishers_info_by_topic("/joint1/raw")
-    return info.qos_profile.reliability
+    found: ReliabilityPolicy = info.qos_profile.reliability
+    return found
 
 
 def test_replay_waits_for_as_many_subscriptions_as_told(tmp_path: Path) -> None:

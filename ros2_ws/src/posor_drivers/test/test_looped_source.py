@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from posor_drivers.driver_node import DriverNode
 from posor_drivers.driver_parameters import parameters_for
 from posor_drivers.live import Misses, live
 from posor_drivers.sources import looped
@@ -20,6 +21,7 @@ from posor_estimator.ros.message_types import RAW_SCAN, MessageTypes
 from posor_estimator.ros.messages import stamp_ns
 from posor_estimator.testing.graph import BEST_EFFORT, Graph, values_of
 from posor_estimator.testing.program import Program, installed, ros_arguments
+from posor_estimator.testing.refusal import refusal as refused
 from posor_msgs.msg import RawScan
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -196,9 +198,8 @@ def test_joints_of_one_process_take_the_same_ticks_however_late_they_are(tmp_pat
     assert missed["other"].ticks > 20
 
 
-def program(bag: Path, **parameters: object) -> Program:
-    named = {"source": "looped", "looped.path": str(bag), **{f"looped.{name}": v for name, v in parameters.items()}}
-    return Program([*installed("posor_drivers", "driver_node"), *ros_arguments(named, "/joint1")])
+def named(bag: Path, **parameters: object) -> dict[str, object]:
+    return {"source": "looped", "looped.path": str(bag), **{f"looped.{name}": v for name, v in parameters.items()}}
 
 
 @pytest.mark.usefixtures("ros_domain")
@@ -207,7 +208,8 @@ def test_driver_plays_at_the_rate(tmp_path: Path) -> None:
     with Graph() as graph:
         raw = graph.collect(RawScan, "/joint1/raw", BEST_EFFORT, raw=True)
         graph.watch_diagnostics()
-        with program(bag, rate=50) as driver:
+        command = [*installed("posor_drivers", "driver_node"), *ros_arguments(named(bag, rate=50), "/joint1")]
+        with Program(command) as driver:
             graph.wait_until(lambda: len(raw) > 30, "scans")
             status = graph.wait_for_status("/joint1/driver_node: source", "running")
             assert driver.end() == 0
@@ -220,11 +222,10 @@ def test_driver_plays_at_the_rate(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("ros_domain")
-def test_driver_refuses_a_rate_that_cannot_be(tmp_path: Path) -> None:
+def test_driver_refuses_a_rate_that_cannot_be(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     bag = write_bag(tmp_path / "bag", record(5))
     for rate, said in ((0, "0"), (20_000, "20000"), (1.5, "1.5")):
-        with program(bag, rate=rate) as driver:
-            assert driver.wait() == 2
-            (sentence,) = driver.stderr
+        code, (sentence,) = refused(DriverNode, named(bag, rate=rate), capfd, "/joint1")
+        assert code == 2
         assert "'looped.rate'" in sentence
         assert said in sentence

@@ -15,8 +15,10 @@ from posor_estimator.core.designs import design
 from posor_estimator.core.forward import scans_at
 from posor_estimator.core.native import rotation_from_native
 from posor_estimator.core.posor import Posor
+from posor_estimator.posor_node import PosorEstimatorNode
 from posor_estimator.testing.graph import Graph, values_of
 from posor_estimator.testing.program import Program, installed, ros_arguments
+from posor_estimator.testing.refusal import refusal
 from posor_estimator.testing.stamped import status_with
 from posor_msgs.msg import JointTransform, RawScan
 from std_srvs.srv import Trigger
@@ -152,7 +154,7 @@ def test_zero_makes_the_present_place_home_and_says_the_shifts_with_their_uncert
     assert values_of(status_with(bench.graph, "/posor_node: estimate", "zero", "as in the file"))
 
 
-def test_zero_is_refused_before_there_are_scans_and_while_the_target_moves(bench: Bench) -> None:
+def test_zero_is_refused_before_there_are_scans_and_while_the_target_moves_and_home_is_no_count(bench: Bench) -> None:
     assert bench.call("zero") == (False, f"zero: 0 sound scans so far; expected {SCANS}.")
     bench.send(7)
     assert bench.call("zero") == (False, f"zero: 7 sound scans so far; expected {SCANS}.")
@@ -164,21 +166,19 @@ def test_zero_is_refused_before_there_are_scans_and_while_the_target_moves(bench
     # It went on as it was.
     after = natives(bench.send(3, moving=1e-7))
     assert abs(after[0, 2] - before[0, 2]) < 5e-7
+    success, message = bench.call("home")
+    assert not success
+    assert message == (
+        "calibration 'triad_diodes': theta is not counted; expected a bumpy ring; ~/set_home of the chain makes poses "
+        "relative to home."
+    )
 
 
-def test_zero_is_there_only_where_home_is_known(tmp_path: Path) -> None:
-    with Bench(tmp_path) as bench:
-        bench.send(1)
-        names = {name for name, _ in bench.graph.node.get_service_names_and_types()}
-        assert {"/posor_node/reload", "/posor_node/home"} <= names
-        assert "/posor_node/zero" not in names
-    command = [*installed("posor_estimator", "posor_node")]
-    options = {"calibration": str(tmp_path / "posor.yaml"), "home_pose": [1e-3, 0.0]}
-    with Program([*command, *ros_arguments(options)]) as node:
-        assert node.wait() == 2
-        assert node.stderr == [
-            "node /posor_node, parameter 'home_pose': 2 numbers; expected 3: gap, alpha, beta, or none."
-        ]
+def test_a_wrong_home_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "posor.yaml").write_text(text_of(design("triad_diodes")), encoding="utf-8")
+    parameters = {"calibration": str(tmp_path / "posor.yaml"), "home_pose": [1e-3, 0.0]}
+    sentence = "node /posor_node, parameter 'home_pose': 2 numbers; expected 3: gap, alpha, beta, or none."
+    assert refusal(PosorEstimatorNode, parameters, capfd) == (2, [sentence])
 
 
 def test_reload_takes_the_new_file_without_a_restart(bench: Bench) -> None:
@@ -227,8 +227,14 @@ def test_a_refused_file_leaves_the_old_one_in_force_and_says_why(bench: Bench) -
     assert values_of(status_with(bench.graph, "/posor_node: estimate", "last_scan", "40"))["calibration_hash"] == digest
 
 
-def test_home_begins_the_count_of_bumps(tmp_path: Path) -> None:
+def services(bench: Bench) -> set[str]:
+    return {name for name, _ in bench.graph.node.get_service_names_and_types()}
+
+
+def test_home_begins_the_count_of_bumps_and_zero_is_not_there_where_home_is_not_known(tmp_path: Path) -> None:
     with Bench(tmp_path, "triad_bumpy_ring") as bench:
+        bench.graph.wait_until(lambda: {"/posor_node/reload", "/posor_node/home"} <= services(bench), "the services")
+        assert "/posor_node/zero" not in services(bench)
         assert {transform.state for transform in bench.send(3)} == {JointTransform.STATE_UNCOUNTED}
         success, message = bench.call("home")
         assert success
@@ -239,12 +245,3 @@ def test_home_begins_the_count_of_bumps(tmp_path: Path) -> None:
         # The count outlives a reload.
         assert bench.call("reload")[0]
         assert {transform.state for transform in bench.send(3)} == {JointTransform.STATE_OK}
-
-
-def test_home_means_nothing_where_theta_is_not_counted(bench: Bench) -> None:
-    success, message = bench.call("home")
-    assert not success
-    assert message == (
-        "calibration 'triad_diodes': theta is not counted; expected a bumpy ring; ~/set_home of the chain makes poses "
-        "relative to home."
-    )
