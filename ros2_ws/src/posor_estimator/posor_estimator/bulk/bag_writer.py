@@ -66,23 +66,18 @@ class _ChunkWriter(McapWriter):
         last = max(int(part.times_ns[-1]) for part in parts)
         begun = self.chunk.bio.getvalue()  # schemas and channels, before the first message
         size = len(begun) + sum(len(part.times_ns) * (HEAD.itemsize + part.messages.shape[1]) for part in parts)
-        if len(self._room) < size:
-            self._room = np.empty(size, dtype=np.uint8)  # kept: to have the system give new memory costs as much again
-        records, at = self._room[:size], len(begun)
-        records[:at] = np.frombuffer(begun, dtype=np.uint8)
-        indices = []
+        begin = self.bio.tell()
+        self._write_head(size, first, last)
+        self.bio.write(begun)
+        indices, at = [], len(begun)
         for part in parts:
-            count, length = len(part.times_ns), HEAD.itemsize + part.messages.shape[1]
-            there = records[at : at + count * length].reshape(count, length)
-            index = np.empty((count, 2), dtype=np.int64)
-            write_records(_head(part), part.times_ns, part.messages, at, there, index)
+            records, index = self._records(part, at)
+            self.bio.write(records.data)
             indices.append(index)
-            at += count * length
-            self.channel_stats[part.connection.id] += count
+            at += records.nbytes
+            self.channel_stats[part.connection.id] += len(records)
         self.message_start_time = min(first, self.message_start_time)
         self.message_end_time = max(last, self.message_end_time)
-        begin = self.bio.tell()
-        self._write_chunk_record(records, first, last)
         end = at = self.bio.tell()
         offsets = {}
         for part, index in zip(parts, indices, strict=True):
@@ -105,18 +100,28 @@ class _ChunkWriter(McapWriter):
         self.chunks.append(summary)
         self.chunk.bio = BytesIO()
 
-    def _write_chunk_record(self, records: ByteArray, first: int, last: int) -> None:
+    def _records(self, part: Part, begin: int) -> tuple[ByteArray, IntArray]:
+        """Return messages as records, which begin somewhere in the chunk, and their index; until the next call."""
+        count, length = len(part.times_ns), HEAD.itemsize + part.messages.shape[1]
+        if len(self._room) < count * length:
+            self._room = np.empty(count * length, dtype=np.uint8)  # kept: new memory would cost as much again
+        records = self._room[: count * length].reshape(count, length)
+        index = np.empty((count, 2), dtype=np.int64)
+        write_records(_head(part), part.times_ns, part.messages, begin, records, index)
+        return records, index
+
+    def _write_head(self, size: int, first: int, last: int) -> None:
+        """Begin a chunk of so many bytes."""
         head = BytesIO()
         write_uint64(head, first)
         write_uint64(head, last)
-        write_uint64(head, len(records))
+        write_uint64(head, size)
         write_uint32(head, 0)
         write_string(head, "")
-        write_uint64(head, len(records))
+        write_uint64(head, size)
         self.bio.write(CHUNK.to_bytes(1, "little"))
-        write_uint64(self.bio, head.tell() + len(records))
+        write_uint64(self.bio, head.tell() + size)
         self.bio.write(head.getbuffer())
-        self.bio.write(records.data)
 
 
 class BulkWriter(Writer):
