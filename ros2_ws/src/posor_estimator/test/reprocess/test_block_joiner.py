@@ -74,7 +74,7 @@ def in_blocks(given: Sequence[Arrival], size: int) -> tuple[list[int], int, dict
             block.append(Transforms.of(places, places, table))
         found = joiner.join(block)
         assert len({len(each) for each in found}) == 1
-        assert joiner._live is not None or max(map(len, joiner._open or [()])) <= joined.MOST_OPEN
+        assert joiner._live is not None or all(len(each) <= joined.MOST_OPEN for each in joiner._open or [])
         for joint, each in enumerate(found):
             assert np.array_equal(each.stamps_ns, found[0].stamps_ns)
             assert [given[n] for n in each.table["scan"].tolist()] == [(joint, stamp) for stamp in each.stamps_ns]
