@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -92,3 +93,16 @@ def written_out(kernel: Kernel) -> Kernel:
 def without_lock(kernel: Kernel) -> Kernel:
     """Return the same as ``in_place``, for long runs: other threads go on while it runs."""
     return _made(kernel, _nrt=False, nogil=True)
+
+
+def code_for(kernel: Callable[..., int], arguments: tuple[Any, ...]) -> Callable[..., int]:
+    """Return a kernel's machine code for arguments of exactly these types: it takes what it gets for such, unseen.
+
+    For calls again and again with the same arrays; to look at their types costs more than to hand them over.
+    """
+    if _NJIT is None:
+        return kernel
+    numba: Any = import_module("numba")  # optional, and without annotations
+    dispatcher: Any = kernel
+    code: Callable[..., int] = dispatcher.compile(tuple(numba.typeof(argument) for argument in arguments))
+    return code

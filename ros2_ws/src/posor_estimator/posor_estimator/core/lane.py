@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from posor_estimator.core.compiled import code_for
 from posor_estimator.core.estimate import Estimates
 from posor_estimator.core.fault import State
 from posor_estimator.core.kernels.scans import locate_scans
@@ -46,15 +47,16 @@ class Lane:
         self.random, self.systematic = self._out.covariances_random[0], self._out.covariances_systematic[0]
         self._residuals = self._out.residuals
         self.state, self.faults, self.residual, self.redundancy = LOST, 0, math.nan, 0
-        self._arguments = posor.loop.arguments(scans, self._out, 0, 1) if posor.loop.compiled else None
+        self._arguments = posor.loop.arguments(scans, self._out, 0, 1)
+        self._locate = code_for(locate_scans, self._arguments) if posor.loop.compiled else None
 
     def run(self) -> int:
         """Locate the scan that stands in ``scans``, starting from the pose before; return its state."""
         outcomes = self._outcomes
-        if self._arguments is None:
+        if self._locate is None:
             self._posor.loop.run(self.scans, self._out)
         else:
-            stopped = locate_scans(*self._arguments)
+            stopped = self._locate(*self._arguments)
             if stopped != 1 or outcomes.item(0) == LOST:
                 self._posor.loop.finish(self.scans, self._out, stopped)
         self.state, self.faults = outcomes.item(0), outcomes.item(1)

@@ -7,9 +7,9 @@ reading adds to that reading's variance and needs no column of B. What is to be 
 is found out once for the rows that a scan reads, and holds as long as it reads the same; it is written down as places
 in ``floats``.
 
-Shares (4 numbers): place of a derivative, of its first factor, and of what it adds to, how many factors. A share of a
-single reading adds its square to the reading's variance: those come first. Blocks (4): first column of B, how many,
-first and last reading that they reach.
+Shares (4 numbers): place of a derivative, of its first factor, and of what it adds to, how many factors; negative where
+it is the first to come there, and does not add. A share of a single reading adds its square to the reading's variance:
+those come first. Blocks (4): first column of B, how many, first and last reading that they reach.
 """
 
 from __future__ import annotations
@@ -45,8 +45,14 @@ ALONE, TOGETHER, COLUMNS = 0, 1, 2
 
 
 @in_place
-def find_shares(places: IntArray, ints: IntArray) -> None:  # noqa: C901, PLR0912  loops over plain numbers
-    """Find out which derivatives count for the rows in HERE, and what each of them adds to."""
+def find_shares(  # noqa: C901, PLR0912  loops over plain numbers, to be compiled
+    places: IntArray, ints: IntArray, floats: FloatArray
+) -> None:
+    """Find out which derivatives count for the rows in HERE, and what each of them adds to.
+
+    What of EFFECTS none of them reaches is zero from here on.
+    """
+    effects = table(places, floats, EFFECTS)
     pool_ids, here = table(places, ints, POOL_IDS), line(places, ints, HERE, 0)
     readout_ids, parts = table(places, ints, READOUT_IDS), table(places, ints, PARTS)
     shares, blocks = table(places, ints, SHARES), table(places, ints, BLOCKS)
@@ -60,6 +66,9 @@ def find_shares(places: IntArray, ints: IntArray) -> None:  # noqa: C901, PLR091
             if p >= 0 and parts[p, 1] > 0:
                 deviates[parts[p, 0], USES] += 1
                 deviates[parts[p, 0], LAST] = r
+    for r in range(m):
+        for d in range(effects.shape[1]):
+            effects[r, d] = 0.0
     count, columns, found = 0, 0, 0
     for together in range(2):
         for r in range(m):
@@ -88,6 +97,9 @@ def find_shares(places: IntArray, ints: IntArray) -> None:  # noqa: C901, PLR091
                     shares[count, 0] = places[BY_READOUT, 0] + r * length + k - width
                 shares[count, 1], shares[count, 2] = places[ROOT, 0] + parts[p, 2], to
                 shares[count, 3] = parts[p, 1]
+                if not alone and floats[to] == 0.0:
+                    shares[count, 3] = -parts[p, 1]
+                    floats[to] = 1.0
                 count += 1
         tally[together] = count
     tally[COLUMNS] = found
@@ -113,15 +125,14 @@ def reading_covariance(  # noqa: C901, PLR0912  loops over plain numbers, to be 
         total += effect * effect
     if to >= 0:
         floats[to] += total
-    for b in range(tally[COLUMNS]):
-        for r in range(blocks[b, 2], blocks[b, 3] + 1):
-            cells = effects[r, blocks[b, 0] : blocks[b, 0] + blocks[b, 1]]
-            for c in range(cells.shape[0]):
-                cells[c] = 0.0
     for s in range(tally[ALONE], tally[TOGETHER]):
         derivative, factors, to, count = floats[shares[s, 0]], shares[s, 1], shares[s, 2], shares[s, 3]
-        if count == 1:
-            floats[to] += derivative * floats[factors]
+        if count == -1:
+            floats[to] = derivative * floats[factors]
+        elif count < 0:
+            cells, row = floats[to : to - count], floats[factors : factors - count]
+            for c in range(-count):
+                cells[c] = derivative * row[c]
         else:
             cells, row = floats[to : to + count], floats[factors : factors + count]
             for c in range(count):

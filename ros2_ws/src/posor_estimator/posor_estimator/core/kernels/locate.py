@@ -149,7 +149,7 @@ def unknown(memory: FloatArray) -> None:
     memory[COUNTED] = 0.0
 
 
-@in_place
+@inlined
 def locate_scan(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in order, to be compiled
     places: IntArray,
     ints: IntArray,

@@ -205,8 +205,18 @@ def evaluate_all(
     still = np.zeros(6)
     jacobian = np.empty((m, 6))
     for n in range(chosen.shape[0]):
-        take_rows(kinds, pool, chosen, n, here, kinds_here, rows, prepared)
+        if not are_here(chosen, n, here):
+            take_rows(kinds, pool, chosen, n, here, kinds_here, rows, prepared)
         evaluate(kinds_here, rows, prepared, m, rotations[n], translations[n], still, out[n], jacobian)
+
+
+@inlined
+def are_here(chosen: IntArray, n: int, here: IntArray) -> bool:
+    """Return whether rows ``chosen[n]`` of a pool are those that have been taken last (``here``, shape (m,))."""
+    same = True
+    for r in range(here.shape[0]):
+        same &= here[r] == chosen[n, r]
+    return same
 
 
 @in_place
@@ -219,21 +229,13 @@ def take_rows(
     kinds: IntArray,
     rows: FloatArray,
     prepared: FloatArray,
-) -> bool:
-    """Take rows ``chosen[n]`` out of a pool and prepare them; ``here`` (m) says which ones are there already.
-
-    Returns whether any row is another than before.
-    """
-    changed = False
+) -> None:
+    """Take rows ``chosen[n]`` out of a pool, prepare them, and say so in ``here``."""
     for r in range(here.shape[0]):
-        changed = changed or here[r] != chosen[n, r]
-    if changed:
-        for r in range(here.shape[0]):
-            k = chosen[n, r]
-            here[r] = k
-            kinds[r] = pool_kinds[k]
-            for i in range(pool.shape[1]):
-                rows[r, i] = pool[k, i]
-            prepare_row(kinds[r], rows, r, prepared)
-        pair_spots(kinds, rows, here.shape[0])
-    return changed
+        k = chosen[n, r]
+        here[r] = k
+        kinds[r] = pool_kinds[k]
+        for i in range(pool.shape[1]):
+            rows[r, i] = pool[k, i]
+        prepare_row(kinds[r], rows, r, prepared)
+    pair_spots(kinds, rows, here.shape[0])

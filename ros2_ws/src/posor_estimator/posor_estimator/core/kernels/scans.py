@@ -10,7 +10,7 @@ from posor_estimator.core.kernels.effects import find_shares
 from posor_estimator.core.kernels.locate import LOST, RESIDUAL, deserves_retry, locate_scan
 from posor_estimator.core.kernels.memory import GIVEN, KNOWN, LAGGING, restart_if_back, start_from_memory
 from posor_estimator.core.kernels.readout import FAULTS, STATE, read_out
-from posor_estimator.core.kernels.rows import take_rows, turn_row
+from posor_estimator.core.kernels.rows import are_here, take_rows, turn_row
 from posor_estimator.core.kernels.tables import (
     CHOSEN,
     EPOCH,
@@ -112,8 +112,9 @@ def locate_scans(  # noqa: C901  the steps from scan to scan, to be compiled
         restart_if_back(stamp, memory)
         if memory[KNOWN] == 0.0:
             return n
-        if take_rows(pool_kinds, pool, chosen, 0, here, kinds, rows, prepared):
-            find_shares(places, ints)
+        if not are_here(chosen, 0, here):
+            take_rows(pool_kinds, pool, chosen, 0, here, kinds, rows, prepared)
+            find_shares(places, ints, floats)
         elif settings[LAGGING] > 0.0:
             for r in range(m):
                 turn_row(kinds[r], 0.0, rows, r, prepared)
