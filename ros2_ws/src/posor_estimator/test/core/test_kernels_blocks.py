@@ -9,7 +9,7 @@ from posor_estimator.core.kernels import blocks
 
 if TYPE_CHECKING:
     from posor_estimator.core.kernels.blocks import Symmetric
-    from posor_estimator.core.kernels.chain_matrix import Matrix
+    from posor_estimator.core.kernels.matrix import Matrix
     from posor_estimator.core.kernels.vector import Vector
     from posor_estimator.core.types import FloatArray
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, TypeAlias
 
 from posor_estimator.core.compiled import inlined
-from posor_estimator.core.kernels.chain_matrix import Matrix, applied, row_times, transposed
+from posor_estimator.core.kernels.matrix import Matrix, applied, row_times, transposed
 from posor_estimator.core.kernels.vector import Vector, dot, minus, plus, times, within
 
 if TYPE_CHECKING:

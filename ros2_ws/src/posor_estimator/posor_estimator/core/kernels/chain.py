@@ -23,9 +23,9 @@ from posor_estimator.core.kernels.chain_covariance import (
     with_turned,
     write_covariance,
 )
-from posor_estimator.core.kernels.chain_matrix import Matrix, applied, matrix, product, row_times, transposed, turned_by
 from posor_estimator.core.kernels.chain_motion import WINDOW, accelerations, begin_anew, has_room, take
 from posor_estimator.core.kernels.chain_pose import fault_of, rotation_of, write_pose
+from posor_estimator.core.kernels.matrix import Matrix, applied, matrix, product, row_times, transposed, turned_by
 from posor_estimator.core.kernels.vector import Vector, at, minus, plus, put, times, within
 
 if TYPE_CHECKING:

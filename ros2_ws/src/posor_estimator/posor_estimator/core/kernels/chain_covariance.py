@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, TypeAlias
 
 from posor_estimator.core.compiled import compiled
-from posor_estimator.core.kernels.chain_matrix import Matrix, applied, transposed
+from posor_estimator.core.kernels.matrix import Matrix, applied, transposed
 from posor_estimator.core.kernels.vector import Vector, cross, plus, put, times
 
 if TYPE_CHECKING:

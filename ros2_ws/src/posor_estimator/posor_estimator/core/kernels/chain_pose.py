@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from posor_estimator.core.compiled import compiled
 
 if TYPE_CHECKING:
-    from posor_estimator.core.kernels.chain_matrix import Matrix
+    from posor_estimator.core.kernels.matrix import Matrix
     from posor_estimator.core.types import FloatArray
 
 NOT_FINITE, NOT_UNIT, COVARIANCE_NOT_FINITE = 1, 2, 3

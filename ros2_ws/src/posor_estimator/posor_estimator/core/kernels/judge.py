@@ -28,9 +28,9 @@ from posor_estimator.core.kernels.blocks import (
     whole,
     with_outer,
 )
-from posor_estimator.core.kernels.chain_matrix import matrix, row_times
 from posor_estimator.core.kernels.cholesky import factor as factor_table
 from posor_estimator.core.kernels.cholesky import halve
+from posor_estimator.core.kernels.matrix import matrix, row_times
 from posor_estimator.core.kernels.tables import (
     BLIND,
     GAIN,
@@ -47,7 +47,7 @@ from posor_estimator.core.kernels.vector import dot, plus, put, times, within
 
 if TYPE_CHECKING:
     from posor_estimator.core.kernels.blocks import Symmetric
-    from posor_estimator.core.kernels.chain_matrix import Matrix
+    from posor_estimator.core.kernels.matrix import Matrix
     from posor_estimator.core.types import FloatArray, IntArray
 
 

@@ -1,4 +1,4 @@
-"""Matrices of three by three for the chain's kernels: three rows, as vectors, which compiled live in registers."""
+"""Matrices of three by three for the kernels: three rows, as vectors, which compiled live in registers."""
 
 from __future__ import annotations
 
