@@ -53,9 +53,6 @@ if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray
     from posor_estimator.ros.wire import Outlet
 
-LOOKS_FOR_LATE = 4
-"""How many times in ``max_wait`` the node looks for transforms that are late."""
-
 
 class ChainParameters(NodeParameters):
     """Parameters of chain_node."""
@@ -115,7 +112,8 @@ class ChainNode(PosorNode[ChainParameters]):
         self._lane = chain.lane(self.parameters.acceleration_window)
         names = self._lane.joints
         # Where everything is kept, one joint may be ahead of another by a whole replay.
-        self._joiner = ScanJoiner(names, MOST_OPEN if self.parameters.qos_depth else math.inf)
+        most_open = MOST_OPEN if self.parameters.qos_depth else math.inf
+        self._joiner = ScanJoiner(names, most_open, self.parameters.max_wait)
         self._readers = {}
         self._room = [
             (pose.data.cast("B"), covariance.data.cast("B"))
@@ -139,7 +137,8 @@ class ChainNode(PosorNode[ChainParameters]):
             self.when_cleaned_up(self._destroy, inlet)
             self._inlets.append(inlet)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        timer = self.create_timer(self.parameters.max_wait / LOOKS_FOR_LATE, self._give_up_late, clock=steady)
+        # No oftener: each time takes Python's lock from the thread of the scans.
+        timer = self.create_timer(self.parameters.max_wait, self._give_up_late, clock=steady)
         self.when_cleaned_up(self.destroy_timer, timer)
         service = self.create_service(Trigger, "~/set_home", self._set_home)
         self.when_cleaned_up(self.destroy_service, service)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import reduce
 from heapq import heappop, heappush
+from math import inf
 from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 
 import numpy as np
@@ -58,10 +59,18 @@ class ScanJoiner(Generic[Item]):
     has done so is taken into the new round as it is: then only the other's clock was set back.
     """
 
-    def __init__(self, members: tuple[str, ...], most_open: float = MOST_OPEN) -> None:
-        """Join items of these members, with at most so many scans incomplete at the same time."""
+    def __init__(self, members: tuple[str, ...], most_open: float = MOST_OPEN, max_wait: float = inf) -> None:
+        """Join items of these members.
+
+        Args:
+            members: Their names.
+            most_open: Scans that may be incomplete at the same time.
+            max_wait: How much later than the first item of a scan the others may arrive.
+
+        """
         self._members = {member: _Member() for member in members}
         self._most_open = most_open
+        self._max_wait = max_wait
         self._round = 0
         self._open: dict[Key, _Scan[Item]] = {}
         self._keys: list[Key] = []
@@ -91,6 +100,9 @@ class ScanJoiner(Generic[Item]):
         if scan is None:
             scan = self._open[key] = _Scan(arrived)
             heappush(self._keys, key)
+        elif arrived - scan.arrived > self._max_wait:
+            self._give_up_to(key)
+            return None
         items = scan.items
         items[member] = item
         if len(items) == len(self._members):

@@ -199,6 +199,15 @@ def test_a_joint_that_lags_far_behind_is_the_one_that_is_named(joiner: ScanJoine
     assert joiner.take_given_up() == dict.fromkeys(range(1, 11), ("wrist",))
 
 
+def test_an_item_that_comes_too_long_after_the_first_completes_nothing() -> None:
+    joiner: ScanJoiner[str] = ScanJoiner(("a", "b"), max_wait=2.0)
+    assert joiner.add("a", 1, "a1", 10.0) is None
+    assert joiner.add("a", 2, "a2", 11.0) is None
+    assert joiner.add("b", 1, "b1", 12.5) is None
+    assert joiner.take_given_up() == {1: ("b",)}
+    assert joiner.add("b", 2, "b2", 13.0) == {"a": "a2", "b": "b2"}
+
+
 def test_a_scan_that_waits_too_long_is_given_up_with_all_older_ones(joiner: ScanJoiner[str]) -> None:
     joiner.add("shoulder", 1, "shoulder", 20.0)  # an older scan whose first item came later
     joiner.add("shoulder", 2, "shoulder", 10.0)
