@@ -37,13 +37,9 @@ def rig(output: Path, bag: Bag, calibration: CalibrationName, *, rate: float = 0
 
 @contextmanager
 def graph(plan: ReplayPlan) -> Iterator[Replay]:
-    """Yield a replay, not yet started, in a ROS domain of its own; whatever runs at the end is ended.
-
-    Its programs have Fast DDS as a user has it: the driver then ends late enough for the recorder to have heard all.
-    """
+    """Yield a replay, not yet started, in a ROS domain of its own; whatever runs at the end is ended."""
     with pytest.MonkeyPatch.context() as environment, leased_domain() as domain:
         environment.setenv("ROS_DOMAIN_ID", str(domain))
-        environment.delenv("FASTRTPS_DEFAULT_PROFILES_FILE", raising=False)
         with ros(["test"]) as stop, Supervisor(plan.output / "logs") as supervisor:
             collector = Collector(JOINT)
             try:

@@ -21,6 +21,7 @@ from threading import RLock
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
+from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import HistoryPolicy
 
@@ -30,11 +31,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rclpy.context import Context
-    from rclpy.duration import Duration
     from rclpy.qos import QoSProfile
 
     from posor_estimator.ros.node import PosorNode
 
+DELIVERY_S = 2.0
+"""How long a topic that is closed waits for its reliable subscriptions to have all messages."""
 PATIENCE_S = 60.0
 """How long a subscription may make a publisher wait that keeps everything; one that has died is forgotten sooner."""
 
@@ -137,8 +139,13 @@ class Outlet:
         return bool(self._publisher.wait_for_all_acked(timeout))
 
     def destroy(self) -> None:
-        """Close the topic; inlets of this process then listen to other processes."""
+        """Close the topic; inlets of this process then listen to other processes.
+
+        Messages that are still on their way to reliable subscriptions are waited for.
+        """
         self._exchange.remove_outlet(self)
+        if not self.wait_for_all_acked(Duration(seconds=DELIVERY_S)):
+            self._node.get_logger().warning(f"not all messages of {self.topic_name} were received")
         self._in_use.close()
         self._node.destroy_lifecycle_publisher(self._publisher)
 

@@ -84,7 +84,7 @@ def test_other_processes_get_the_same_messages(process: Process) -> None:
 
 
 def test_a_subscription_that_takes_nothing_is_waited_for_and_then_named(
-    process: Process, monkeypatch: pytest.MonkeyPatch
+    process: Process, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     asked: list[None] = []
     impatient = False
@@ -107,6 +107,9 @@ def test_a_subscription_that_takes_nothing_is_waited_for_and_then_named(
         asked.clear()
         assert not outlet.publish(MESSAGES[0])
         assert len(asked) == 1
+        monkeypatch.setattr(wire, "DELIVERY_S", 0.1)
+        outlet.destroy()
+        assert "not all messages of /joint/raw were received" in capfd.readouterr().err
 
 
 def publish_on(outlet: Outlet) -> None:
