@@ -7,6 +7,7 @@ what shares a process.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from posor_bringup.arm_programs import arm_programs
@@ -19,7 +20,6 @@ from tests.benchmarks.floor import FloorChain, FloorPosor
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
     from posor_bringup.supervisor import Parameter
     from posor_estimator.core.arm import Arm
@@ -46,6 +46,7 @@ class Load:
         layout: What shares a process.
         rate: Scans per second.
         spin_us: For how long drivers look at the clock before each tick instead of sleeping [us].
+        priority: SCHED_FIFO priority of the graph's processes; 0: none.
         profiled: Whether with stopwatches, which write ``PROFILE`` in the folder of the run.
 
     """
@@ -55,13 +56,14 @@ class Load:
     layout: Layout
     rate: int
     spin_us: int = SPIN_US
+    priority: int = 0
     profiled: bool = False
 
     @property
     def name(self) -> str:
         """For people and for folders."""
-        spin = "" if self.spin_us == SPIN_US else f"_spin{self.spin_us}"
-        return f"{self.kind}_{self.layout}_{len(self.arm.calibrations)}x{self.rate}{spin}"
+        waiting = "" if (self.spin_us, self.priority) == (SPIN_US, 0) else f"_spin{self.spin_us}_{self.priority}"
+        return f"{self.kind}_{self.layout}_{len(self.arm.calibrations)}x{self.rate}{waiting}"
 
 
 def processes(load: Load, folder: Path) -> list[Program]:
@@ -72,6 +74,10 @@ def processes(load: Load, folder: Path) -> list[Program]:
         programs = [_alone(node, folder / node.name.replace("/", ".")) for node in nodes]
     else:
         programs = laid_out(nodes, load.layout, folder)
+    if load.priority:
+        for program in programs:
+            with Path(program.arguments[0]).open("a", encoding="utf-8") as file:
+                file.write(f"realtime: {{priority: {load.priority}}}\n")
     if not load.profiled:
         return programs
     script, out = str(profiled.__file__), str(folder / PROFILE)

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 MEGA = 1_000_000
 LONGEST_SPIN_US = 1000
+PRIORITY = 50
+"""SCHED_FIFO priority that is tried; where the system refuses it, the figures are those without."""
 LADDER = (500, 1000, 1500, 2000, 2500, 3000, 3500, 4000, 5000, 6000, 8000, 10_000)
 """Rates among which the highest that holds is looked for [Hz]."""
 
@@ -154,10 +156,12 @@ class Sections:
     def waiting(self) -> dict[str, Any]:
         """Measure the main graph by how its drivers wait: always asleep, awake shortly before a tick, never asleep."""
         plan, told = self._plan, {}
-        for spin_us in (0, SPIN_US, plan.period_us):
-            self._say(f"graph, {plan.joints} joints at {plan.rate} Hz, spin_us {spin_us}: {plan.point_s:g} s")
-            load = Load(self._arms[plan.joints], "graph", plan.layout, plan.rate, spin_us)
-            told[str(spin_us)] = figures([self._bench.run(load, plan.point_s)])
+        ways = {f"spin_us {spin_us}": (spin_us, 0) for spin_us in (0, SPIN_US, plan.period_us)}
+        ways[f"spin_us {SPIN_US}, priority {PRIORITY}"] = SPIN_US, PRIORITY
+        for way, (spin_us, priority) in ways.items():
+            self._say(f"graph, {plan.joints} joints at {plan.rate} Hz, {way}: {plan.point_s:g} s")
+            load = Load(self._arms[plan.joints], "graph", plan.layout, plan.rate, spin_us, priority)
+            told[way] = figures([self._bench.run(load, plan.point_s)])
         return {"waiting": told}
 
     def growth(self) -> dict[str, Any]:

@@ -79,8 +79,7 @@ def tables(results: Mapping[str, Any]) -> dict[str, Shown]:
         rows = [(LAYOUTS[layout], row) for layout, row in results["layouts"].items()]
         made["layouts"] = _latencies("What shares a process", rows)
     if "waiting" in results:
-        rows = [(f"spin_us {spin_us}", row) for spin_us, row in results["waiting"].items()]
-        made["waiting"] = _latencies("How drivers wait for a tick", rows)
+        made["waiting"] = _latencies("How drivers wait for a tick", list(results["waiting"].items()))
     if "growth" in results:
         rows = [(f"{point['joints']} x {point['rate']} Hz", point) for point in results["growth"]]
         made["growth"] = _latencies("Growth: all nodes in one process", rows)
