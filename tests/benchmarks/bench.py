@@ -57,7 +57,7 @@ def parse(arguments: Sequence[str]) -> Namespace:
 
     """
     parser = Parser(prog="make bench", description=str(__doc__).splitlines()[0], help_call="make bench BENCH=--help")
-    parser.add_argument("--quick", action="store_true", help="a minute instead of six: fewer and shorter runs")
+    parser.add_argument("--quick", action="store_true", help="a minute instead of nine: fewer and shorter runs")
     parser.add_argument(
         "--seconds", type=float, help="measured time of graph and of floor, each; default: 60, with --quick 6"
     )

@@ -32,7 +32,7 @@ def filled(page: str, results: Mapping[str, Any]) -> str:
     """
     texts = {name: table.markdown() for name, table in tables(results).items()}
     texts["machine"] = "\n".join(machine_lines(results["machine"])) + "\n"
-    names = ("machine", "graph", "alone", "waiting", "layouts", "profile", "growth", "single")
+    names = ("machine", "aims", "graph", "alone", "waiting", "layouts", "profile", "growth", "single")
 
     def text(place: re.Match[str]) -> str:
         name = place["name"]

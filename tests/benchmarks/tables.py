@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
+from tests.benchmarks.aims import judged
 from tests.benchmarks.layouts import LAYOUTS
 
 if TYPE_CHECKING:
@@ -88,6 +89,11 @@ def tables(results: Mapping[str, Any]) -> dict[str, Shown]:
     single = [(text, _figure(results[key])) for key, text in SINGLE.items() if key in results]
     if single:
         made["single"] = Shown("Single figures", ("", "figure"), single)
+    aims = [
+        (aim.text, aim.wanted, _figure(found), "yes" if aim.holds(found) else "no") for aim, found in judged(results)
+    ]
+    if aims:
+        made["aims"] = Shown("What was aimed at", ("", "wanted", "found", "holds"), aims)
     return made
 
 

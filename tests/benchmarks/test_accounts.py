@@ -10,6 +10,7 @@ from posor_drivers.simulator.ticks import stamp_of
 from posor_estimator.errors import ParameterError, PosorError
 
 from tests.benchmarks.accounts import COUNTERS, NothingReceived, Run, Window, account, figures
+from tests.benchmarks.aims import judged
 from tests.benchmarks.alone import lateness
 from tests.benchmarks.bench import ROOT
 from tests.benchmarks.growth import figure, line, series
@@ -136,6 +137,19 @@ def test_highest_rate_is_found_in_few_steps(holds_to: float, share: float, found
     assert set(tried) <= set(LADDER)
 
 
+def test_aims_are_judged_by_what_was_measured() -> None:
+    told = figures([accounted(noted(np.arange(FIRST, FIRST + 999)))])
+    results = {"graph_6x2000": told, "ratio_p50": 1.5, "offline_scans_per_s": 4e5, "plain_loop_scans_per_s": 2e4}
+    assert [(aim.text, found, aim.holds(found)) for aim, found in judged(results)] == [
+        ("six joints at 2 kHz: ticks lost", 1.0, False),
+        ("p99, us", 150.0, True),
+        ("p50, graph to floor", 1.5, True),
+        ("reprocessing, scans/s per core", 4e5, False),
+        ("reprocessing to the plain message loop", 20.0, True),
+    ]
+    assert judged({"graph_2x200": told}) == []
+
+
 def test_page_gets_the_figures_and_keeps_what_was_not_measured() -> None:
     page = (
         "Text.\n<!-- machine -->\nold\n<!-- end -->\n<!-- graph -->\n<!-- end -->\n<!-- growth -->\nold\n<!-- end -->\n"
@@ -165,6 +179,7 @@ def test_page_gets_the_figures_and_keeps_what_was_not_measured() -> None:
 def test_every_place_of_the_page_is_known() -> None:
     assert PLACE.findall((ROOT / "docs/performance.md").read_text()) == [
         "machine",
+        "aims",
         "graph",
         "alone",
         "waiting",
