@@ -18,7 +18,6 @@ from posor_estimator.ros.node import PosorNode
 from posor_estimator.ros.parameters import help_text
 from posor_estimator.ros.qos import RAW_TOPIC, RELIABLE_QOS, sensor_qos
 from posor_estimator.ros.wire import Outlet
-from rclpy.duration import Duration
 from rclpy.serialization import serialize_message
 
 from posor_drivers.conditioned_scans import conditioned
@@ -180,12 +179,8 @@ class DriverNode(PosorNode[DriverParameters]):
         """Wait until every reliable subscription has all messages."""
         deadline = time.monotonic() + DELIVERY_S
         for output in self._outputs.values():
-            while not output.wait_for_all_acked(Duration(seconds=0.1)):
-                if self._stopping:
-                    return
-                if time.monotonic() > deadline:
-                    self.get_logger().warning(f"not all messages of {output.topic_name} were received")
-                    break
+            if not output.deliver(deadline - time.monotonic(), lambda: self._stopping) and not self._stopping:
+                self.get_logger().warning(f"not all messages of {output.topic_name} were received")
 
     def _refresh(self) -> None:
         """Bring the diagnostics up to date, and begin anew where the time has become simulated, or is no longer."""

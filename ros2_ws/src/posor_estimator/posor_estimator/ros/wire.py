@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 DELIVERY_S = 2.0
 """How long a topic that is closed waits for its reliable subscriptions to have all messages."""
+LOOK_S = 2e-3
+"""Time between two looks at whether they have."""
 PATIENCE_S = 60.0
 """How long a subscription may make a publisher wait that keeps everything; one that has died is forgotten sooner."""
 
@@ -134,9 +136,22 @@ class Outlet:
                 return True
         return False
 
-    def wait_for_all_acked(self, timeout: Duration) -> bool:
-        """Wait until every reliable subscription over DDS has all messages; return whether they have."""
-        return bool(self._publisher.wait_for_all_acked(timeout))
+    def deliver(self, within_s: float, given_up: Callable[[], bool] = lambda: False) -> bool:
+        """Wait until every reliable subscription over DDS has all messages; return whether they have.
+
+        Other threads go on meanwhile; rclpy's own way to wait would hold them all up.
+
+        Args:
+            within_s: How long to wait at most [s].
+            given_up: Asked again and again: whether to wait no longer.
+
+        """
+        deadline = time.monotonic() + within_s
+        while not self._publisher.wait_for_all_acked(Duration()):
+            if given_up() or time.monotonic() > deadline:
+                return False
+            time.sleep(LOOK_S)
+        return True
 
     def destroy(self) -> None:
         """Close the topic; inlets of this process then listen to other processes.
@@ -144,7 +159,7 @@ class Outlet:
         Messages that are still on their way to reliable subscriptions are waited for.
         """
         self._exchange.remove_outlet(self)
-        if not self.wait_for_all_acked(Duration(seconds=DELIVERY_S)):
+        if not self.deliver(DELIVERY_S):
             self._node.get_logger().warning(f"not all messages of {self.topic_name} were received")
         self._in_use.close()
         self._node.destroy_lifecycle_publisher(self._publisher)

@@ -107,6 +107,9 @@ def test_a_subscription_that_takes_nothing_is_waited_for_and_then_named(
         asked.clear()
         assert not outlet.publish(MESSAGES[0])
         assert len(asked) == 1
+        answers = iter([False, False, True])
+        assert not outlet.deliver(60.0, lambda: next(answers))
+        assert list(answers) == []
         monkeypatch.setattr(wire, "DELIVERY_S", 0.1)
         outlet.destroy()
         assert "not all messages of /joint/raw were received" in capfd.readouterr().err
