@@ -145,7 +145,7 @@ class Replay:
         self._driver = start(self.plan.driver())
         self._nodes = [start(program) for program in (self.plan.posor(), self.plan.chain())]
         self._recorder = start(self.plan.recorder())
-        self._change(Transition.TRANSITION_CONFIGURE, "configure")
+        self._change(Transition.TRANSITION_CONFIGURE, "configure", "inactive")
         self.connect()
 
     def connect(self) -> None:
@@ -165,8 +165,10 @@ class Replay:
             if int(self.collector.value(f"{node}: {STATUS}", topic) or 0) < wanted
         ]
 
-    def _change(self, transition: int, name: str) -> None:
-        """Ask the driver for a transition of its lifecycle.
+    def _change(self, transition: int, name: str, goal: str) -> None:
+        """Ask the driver for a transition of its lifecycle and wait until it says yes, or is in the state of the goal.
+
+        A service drops its answer where it has not found the client's reader yet, so the diagnostics count as well.
 
         Raises:
             ProcessError: It refuses.
@@ -175,9 +177,12 @@ class Replay:
         client = self.collector.create_client(ChangeState, f"/{JOINT}/driver_node/change_state")
         self.wait(client.service_is_ready, lambda: "the driver's lifecycle service")
         answer = client.call_async(ChangeState.Request(transition=Transition(id=transition)))
-        self.wait(answer.done, lambda: "the driver's answer")
+        driver = f"/{JOINT}/driver_node: lifecycle"
+        self.wait(
+            lambda: answer.done() or self.collector.value(driver, "message") == goal, lambda: "the driver's answer"
+        )
         self.collector.destroy_client(client)
-        if not answer.result().success:
+        if answer.done() and not answer.result().success:
             raise ProcessError(f"cannot {name}: {self._driver.last_sentence()}", where="driver_node")
 
     def begin(self) -> None:
@@ -187,7 +192,7 @@ class Replay:
             ProcessError: It refuses, or a program ended as it should not.
 
         """
-        self._change(Transition.TRANSITION_ACTIVATE, "activate")
+        self._change(Transition.TRANSITION_ACTIVATE, "activate", "active")
 
     def complete(self) -> None:
         """Wait until the driver has published all and everything that follows has arrived.
