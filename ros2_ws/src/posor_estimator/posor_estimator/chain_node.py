@@ -54,6 +54,10 @@ if TYPE_CHECKING:
     from posor_estimator.ros.wire import Outlet
 
 
+LOOK_S = 0.5
+"""Longest time between two looks for joints that are late; each takes Python's lock from the thread of the scans."""
+
+
 class ChainParameters(NodeParameters):
     """Parameters of chain_node."""
 
@@ -137,8 +141,7 @@ class ChainNode(PosorNode[ChainParameters]):
             self.when_cleaned_up(self._destroy, inlet)
             self._inlets.append(inlet)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        # No oftener: each time takes Python's lock from the thread of the scans.
-        timer = self.create_timer(self.parameters.max_wait, self._give_up_late, clock=steady)
+        timer = self.create_timer(min(self.parameters.max_wait, LOOK_S), self._give_up_late, clock=steady)
         self.when_cleaned_up(self.destroy_timer, timer)
         service = self.create_service(Trigger, "~/set_home", self._set_home)
         self.when_cleaned_up(self.destroy_service, service)
@@ -150,7 +153,8 @@ class ChainNode(PosorNode[ChainParameters]):
 
     def _close(self, outlet: Outlet) -> None:
         with self._lock:
-            outlet.destroy()
+            pass  # a transform that is being answered is answered first
+        outlet.destroy()
 
     def _destroy(self, inlet: Inlet) -> None:
         self._inlets.remove(inlet)

@@ -91,9 +91,9 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
                 self.when_cleaned_up(self.destroy_service, service)
 
     def _close(self) -> None:
-        with self._lock:
-            self._outlet.destroy()
+        with self._lock:  # a scan that is being answered is answered first
             self._lane = self._last = None
+        self._outlet.destroy()
 
     def _read(self) -> tuple[Calibration, Calibration]:
         """Return what the calibration file says now, whole and with the session applied."""

@@ -65,7 +65,7 @@ def _made(kernel: Kernel, **options: bool | str) -> Kernel:
 
 
 def compiled(kernel: Kernel) -> Kernel:
-    """Return the kernel compiled: for those that make arrays."""
+    """Return the kernel compiled: for those that make arrays, and those that nothing is gained for by the others."""
     return _made(kernel)
 
 

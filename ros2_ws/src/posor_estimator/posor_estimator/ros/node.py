@@ -204,6 +204,11 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         self.exit_requested = True
         return result
 
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Undo what was configured, after a hook has raised what is no PosorError: the node is unconfigured then."""
+        self._undo.close()
+        return super().on_error(state)
+
     def _transition(self, goal: str, *steps: Callable[[], object]) -> TransitionCallbackReturn:
         try:
             for step in steps:

@@ -35,8 +35,10 @@ if TYPE_CHECKING:
 
     from posor_estimator.ros.node import PosorNode
 
-DELIVERY_S = 2.0
-"""How long a topic that is closed waits for its reliable subscriptions to have all messages."""
+DELIVERY_S = 5.0
+"""How long a topic that keeps everything waits, when it is closed, for its reliable subscriptions to have it.
+
+Longer than Fast DDS takes by itself to ask them, 3 s."""
 LOOK_S = 2e-3
 """Time between two looks at whether they have."""
 PATIENCE_S = 60.0
@@ -156,10 +158,10 @@ class Outlet:
     def destroy(self) -> None:
         """Close the topic; inlets of this process then listen to other processes.
 
-        Messages that are still on their way to reliable subscriptions are waited for.
+        Where everything is kept, messages that are still on their way to reliable subscriptions are waited for.
         """
         self._exchange.remove_outlet(self)
-        if not self.deliver(DELIVERY_S):
+        if self._keeps_all and not self.deliver(DELIVERY_S):
             self._node.get_logger().warning(f"not all messages of {self.topic_name} were received")
         self._in_use.close()
         self._node.destroy_lifecycle_publisher(self._publisher)

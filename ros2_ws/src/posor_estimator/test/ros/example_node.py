@@ -15,7 +15,9 @@ from rcl_interfaces.msg import Log
 
 
 class ExampleParameters(NodeParameters):
-    fail: Literal["never", "configure", "late", "activate", "bug"] = Field(default="never", description="where to fail")
+    fail: Literal["never", "configure", "late", "activate", "bug", "active bug"] = Field(
+        default="never", description="where to fail"
+    )
     gain: Annotated[float, Field(ge=0.0, le=5.0), ChangeableAtRunTime()] = Field(default=1.0, description="a gain")
     names: tuple[str, ...] = Field(default=(), description="names")
     count: Annotated[int, Field(ge=1, le=9)] = Field(default=2, description="a count")
@@ -47,6 +49,8 @@ class ExampleNode(PosorNode[ExampleParameters]):
 
     def activate(self) -> None:
         print(f"activate, publisher active: {self.output.is_activated}", flush=True)
+        if self.parameters.fail == "active bug":
+            raise KeyError("a bug")
         if self.parameters.fail == "activate":
             raise CalibrationError("is wrong", where="some.yaml")
         self.status.report(Level.WARN, "first", {"number": 1, "flag": True, "real": 0.1})

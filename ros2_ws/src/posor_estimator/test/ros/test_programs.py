@@ -148,6 +148,17 @@ def test_what_a_refused_configuration_had_opened_is_closed_again() -> None:
         assert node.stdout == ["configure", "cleanup"] * 2
 
 
+def test_what_a_node_had_opened_is_closed_after_a_bug() -> None:
+    with example(autostart=False, fail="active bug") as node, Graph() as graph:
+        for _ in range(2):
+            assert graph.change_state("/example", Transition.TRANSITION_CONFIGURE)
+            assert not graph.change_state("/example", Transition.TRANSITION_ACTIVATE)
+            assert graph.state("/example") == "unconfigured"
+            graph.wait_until(lambda: graph.node.count_publishers("/output") == 0, "the publisher's end")
+        assert node.end() == 0
+        assert [line for line in node.stdout if line == "cleanup"] == ["cleanup"] * 2
+
+
 def test_refused_activation_leaves_no_publisher_active() -> None:
     with example(autostart=False, fail="activate") as node, Graph() as graph:
         assert graph.change_state("/example", Transition.TRANSITION_CONFIGURE)
@@ -176,7 +187,7 @@ def test_descriptors_tell_type_text_range_and_read_only() -> None:
         assert (names_.type, names_.read_only) == (ParameterType.PARAMETER_STRING_ARRAY, True)
         (span,) = count.integer_range
         assert (span.from_value, span.to_value, count.read_only) == (1, 9, True)
-        assert fail.additional_constraints == "one of 'never', 'configure', 'late', 'activate', 'bug'"
+        assert fail.additional_constraints == "one of 'never', 'configure', 'late', 'activate', 'bug', 'active bug'"
 
 
 def test_parameter_changes_at_run_time() -> None:
