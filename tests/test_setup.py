@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import pytest
 from cmake_paths import rewrite_cmake_paths
 from environment import THIS, SetupError, Workspace
-from freshness import what_is_missing
+from freshness import build_inputs, what_is_missing
 
 from tests.miniature import BASE_PYTHON, Miniature, clean_environ
 
@@ -78,6 +78,16 @@ def test_the_watch_sees_what_a_set_up_starts(checkout: Miniature) -> None:
 
 def test_this_checkout_is_up_to_date() -> None:
     assert not any(what_is_missing(THIS, {}, official=json.loads(THIS.environment_stamp.read_text())["official"]))
+
+
+@pytest.mark.parametrize("name", ["compiled.py", "kernels/gap.py"])
+def test_kernels_and_what_compiles_them_are_compiled_by_the_set_up(tmp_path: Path, name: str) -> None:
+    file = tmp_path / "ros2_ws/src/posor_estimator/posor_estimator/core" / name
+    file.parent.mkdir(parents=True)
+    file.write_text("former = 1\n", encoding="utf-8")
+    before = build_inputs(Workspace(tmp_path))
+    file.write_text("former = 2\n", encoding="utf-8")
+    assert build_inputs(Workspace(tmp_path)) != before
 
 
 def test_python_and_data_files_need_no_build(checkout: Miniature) -> None:

@@ -20,6 +20,7 @@ WHEEL_LOCKS = (*NAMED_LOCKS, "ros-jazzy.txt", "typing.txt")
 BUILD_FILES = {"CMakeLists.txt", "package.xml", "setup.cfg", "setup.py"}
 SOURCES_CHANGED = "sources changed"
 KERNELS = "src/posor_estimator/posor_estimator/core/kernels/*.py"
+COMPILER = "src/posor_estimator/posor_estimator/core/compiled.py"
 INTERFACES = {".action", ".idl", ".msg", ".srv"}
 
 
@@ -43,8 +44,9 @@ def build_inputs(workspace: Workspace) -> str:
         digest.update(f"{file.relative_to(workspace.ros2)}\0".encode())
         if file.suffix in INTERFACES or file.name in BUILD_FILES:
             digest.update(file.read_bytes())
-    for kernel in sorted(workspace.ros2.glob(KERNELS)):
-        digest.update(kernel.read_bytes())
+    for pattern in (COMPILER, KERNELS):
+        for file in sorted(workspace.ros2.glob(pattern)):
+            digest.update(file.read_bytes())
     return digest.hexdigest()
 
 
