@@ -14,7 +14,7 @@ import numpy as np
 from posor_estimator.core import compiled
 from posor_estimator.core.designs import DesignName, design
 from posor_estimator.core.forward import scans_at
-from posor_estimator.core.kernels import chain, chain_motion, cholesky, solve, vector
+from posor_estimator.core.kernels import blocks, chain, chain_motion, cholesky, solve, vector
 from posor_estimator.core.kernels.rows import GAP, RING, SPOT_X, SPOT_Y, evaluate_row, row_parameters
 from posor_estimator.core.native import rotation_from_native
 from posor_estimator.core.posor import Posor
@@ -70,6 +70,9 @@ def one_by_one(rng: np.random.Generator) -> list[float]:
         out += [*rotation.ravel(), *translation]
     matrix = np.cov(rng.normal(size=(6, 20)))
     right = rng.normal(size=6)
+    weights, nothing = rng.uniform(0.5, 2.0, 8), np.zeros((8, 6))
+    for jacobian in (rng.normal(size=(8, 6)), np.eye(8, 6), nothing):  # of the last no unknown is left
+        out.append(blocks.factor(blocks.normal_matrix(jacobian, weights, 8))[1])
     out.append(cholesky.factor(matrix))
     cholesky.halve(matrix, right)
     return [*out, *np.tril(matrix).ravel(), *right]

@@ -8,6 +8,7 @@ Factors are ``L diag(pivots) L'`` with ones on the diagonal of L: no roots, and 
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, TypeAlias
 
 from posor_estimator.core.compiled import inlined
@@ -59,17 +60,23 @@ def normal_matrix(jacobian: FloatArray, weights: FloatArray, count: int) -> Symm
 
 
 @inlined
+def reciprocal(pivot: float) -> float:
+    """Return the reciprocal of a pivot, NaN where it is not positive."""
+    return 1.0 / pivot if pivot > 0.0 else math.nan
+
+
+@inlined
 def factor_three(a: Matrix) -> tuple[Lower, float, float, float]:
     """Return the factor of a symmetric matrix and its pivots."""
     first = a[0][0]
-    by_first = 1.0 / first
+    by_first = reciprocal(first)
     l10, l20 = a[1][0] * by_first, a[2][0] * by_first
     second = a[1][1] - l10 * a[1][0]
-    by_second = 1.0 / second
+    by_second = reciprocal(second)
     rest = a[2][1] - l20 * a[1][0]
     l21 = rest * by_second
     third = a[2][2] - l20 * a[2][0] - l21 * rest
-    return ((l10, l20, l21), (by_first, by_second, 1.0 / third)), first, second, third
+    return ((l10, l20, l21), (by_first, by_second, reciprocal(third))), first, second, third
 
 
 @inlined
