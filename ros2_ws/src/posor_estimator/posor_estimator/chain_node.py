@@ -135,10 +135,11 @@ class ChainNode(PosorNode[ChainParameters]):
         self._pose = self._outlet(PoseStamped, ENDPOINT_TOPIC)
         self._full_pose = self._outlet(PoseWithCovarianceStamped, ENDPOINT_COVARIANCE_TOPIC)
         self._joint_states = self._outlet(JointState, JOINT_STATES_TOPIC)
+        self.when_cleaned_up(self._fall_silent)
         qos = sensor_qos(self.parameters)
         for joint in chain.joints:
             inlet = Inlet(self, JointTransform, f"{joint.name}/{TRANSFORM_TOPIC}", qos, partial(self._take, joint))
-            self.when_cleaned_up(self._destroy, inlet)
+            self.when_cleaned_up(inlet.destroy)
             self._inlets.append(inlet)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         timer = self.create_timer(min(self.parameters.max_wait, LOOK_S), self._give_up_late, clock=steady)
@@ -148,17 +149,13 @@ class ChainNode(PosorNode[ChainParameters]):
 
     def _outlet(self, message_type: type[Any], topic: str) -> Outlet:
         outlet = self._listeners.outlet(message_type, topic, result_qos(self.parameters))
-        self.when_cleaned_up(self._close, outlet)
+        self.when_cleaned_up(outlet.destroy)
         return outlet
 
-    def _close(self, outlet: Outlet) -> None:
+    def _fall_silent(self) -> None:
+        """Say no more of joints, once a transform that is being answered has been."""
         with self._lock:
-            pass  # a transform that is being answered is answered first
-        outlet.destroy()
-
-    def _destroy(self, inlet: Inlet) -> None:
-        self._inlets.remove(inlet)
-        inlet.destroy()
+            self._inlets = []
 
     def _refresh(self) -> None:
         """Bring the counts up to date, and say which joints nobody measures, once a second."""

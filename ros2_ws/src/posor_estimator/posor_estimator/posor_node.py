@@ -82,7 +82,8 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self._status.report(Level.STALE, "no scan yet")
         qos = sensor_qos(self.parameters)
         self._outlet = self._listeners.outlet(JointTransform, TRANSFORM_TOPIC, qos)
-        self.when_cleaned_up(self._close)
+        self.when_cleaned_up(self._outlet.destroy)
+        self.when_cleaned_up(self._fall_silent)
         inlet = Inlet(self, RawScan, RAW_TOPIC, qos, self._take)
         self.when_cleaned_up(inlet.destroy)
         for name, action in (("reload", self._reload), ("home", self._count_from_home), ("zero", self._zero)):
@@ -90,10 +91,10 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
                 service = self.create_service(Trigger, f"~/{name}", partial(self._serve, action))
                 self.when_cleaned_up(self.destroy_service, service)
 
-    def _close(self) -> None:
-        with self._lock:  # a scan that is being answered is answered first
+    def _fall_silent(self) -> None:
+        """Forget the scans, once one that is being answered has been."""
+        with self._lock:
             self._lane = self._last = None
-        self._outlet.destroy()
 
     def _read(self) -> tuple[Calibration, Calibration]:
         """Return what the calibration file says now, whole and with the session applied."""

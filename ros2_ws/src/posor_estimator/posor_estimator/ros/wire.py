@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from posor_estimator.ros.node import PosorNode
 
-DELIVERY_S = 5.0
+LINGER_S = 5.0
 """How long a topic that keeps everything waits, when it is closed, for its reliable subscriptions to have it.
 
 Longer than Fast DDS takes by itself to ask them, 3 s."""
@@ -161,7 +161,7 @@ class Outlet:
         Where everything is kept, messages that are still on their way to reliable subscriptions are waited for.
         """
         self._exchange.remove_outlet(self)
-        if self._keeps_all and not self.deliver(DELIVERY_S):
+        if self._keeps_all and not self.deliver(LINGER_S):
             self._node.get_logger().warning(f"not all messages of {self.topic_name} were received")
         self._in_use.close()
         self._node.destroy_lifecycle_publisher(self._publisher)
@@ -212,19 +212,19 @@ class Inlet:
         self._qos = qos
         self._callback = callback
         self._subscription: Any = None
-        self._failed = False
+        self._deaf = False
         self._exchange = _exchange_of(node.context)
         self._exchange.check(self)
         self._exchange.add_inlet(self)
 
     def take(self, data: bytes) -> None:
         """Receive a message from an outlet of this process."""
-        if self._failed:
+        if self._deaf:
             return
         try:
             self._callback(data)
         except Exception as error:  # noqa: BLE001  it ends the program, from the main thread
-            self._failed = True
+            self._deaf = True
             self._node.request_exit(error)
 
     def listen(self, *, over_dds: bool) -> None:
@@ -238,7 +238,8 @@ class Inlet:
             self._subscription = None
 
     def destroy(self) -> None:
-        """Hear nothing any more."""
+        """Hear nothing any more, not even from a publisher that is about to."""
+        self._deaf = True
         self._exchange.remove_inlet(self)
         self.listen(over_dds=False)
 

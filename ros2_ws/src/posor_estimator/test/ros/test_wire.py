@@ -110,7 +110,7 @@ def test_a_subscription_that_takes_nothing_is_waited_for_and_then_named(
         answers = iter([False, False, True])
         assert not outlet.deliver(60.0, lambda: next(answers))
         assert list(answers) == []
-        monkeypatch.setattr(wire, "DELIVERY_S", 0.1)
+        monkeypatch.setattr(wire, "LINGER_S", 0.1)
         outlet.destroy()
         assert "not all messages of /joint/raw were received" in capfd.readouterr().err
 
