@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from posor_estimator.core.calibrate.fit import Fit, fit, telling, weak_directions
+from posor_estimator.core.calibrate.directions import telling, weak_directions
+from posor_estimator.core.calibrate.fit import Fit, fit
 from posor_estimator.errors import FitError
 from scipy.stats import chi2
 

@@ -11,7 +11,8 @@ from pydantic import Field
 from posor_estimator.core.calibrate.bundle_data import BundleData, Joining, bundle_data
 from posor_estimator.core.calibrate.bundle_problem import BundleProblem, OutOfRangeError
 from posor_estimator.core.calibrate.checks import check_enough, check_spread
-from posor_estimator.core.calibrate.fit import BLIND, Direction, Fit, Loss, fit, weak_directions
+from posor_estimator.core.calibrate.directions import BLIND, Direction, weak_directions
+from posor_estimator.core.calibrate.fit import Fit, Loss, fit
 from posor_estimator.core.calibrate.identify import telling_poses
 from posor_estimator.core.calibrate.procedure import Options, Outcome, Procedure, Table
 from posor_estimator.core.calibrate.recording import DIODES_ESTIMATED, PROBES_ESTIMATED, SATURATED

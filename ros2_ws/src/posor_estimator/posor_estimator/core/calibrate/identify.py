@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from posor_estimator.core.calibrate.bundle_problem import POSE, BundleProblem, PoseReference
-from posor_estimator.core.calibrate.fit import Direction, telling
+from posor_estimator.core.calibrate.directions import Direction, telling
 from posor_estimator.core.calibrate.procedure import Table
 from posor_estimator.core.forward import scans_at
 from posor_estimator.core.native import native_from_rotation, rotation_from_native

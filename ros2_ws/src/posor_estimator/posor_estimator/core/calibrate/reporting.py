@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from posor_estimator.core.calibrate.fit import weak_directions
+from posor_estimator.core.calibrate.directions import weak_directions
 from posor_estimator.core.calibrate.procedure import Table
 
 if TYPE_CHECKING:

@@ -24,7 +24,8 @@ from pydantic import Field
 
 from posor_estimator.core.calibrate.bundle_problem import UNKNOWN, BundleProblem, OutOfRangeError, PoseReference
 from posor_estimator.core.calibrate.checks import check_alive, check_enough, check_spread
-from posor_estimator.core.calibrate.fit import UNTOLD, Fit, Loss, fit
+from posor_estimator.core.calibrate.directions import UNTOLD
+from posor_estimator.core.calibrate.fit import Fit, Loss, fit
 from posor_estimator.core.calibrate.parameters import the_sensor
 from posor_estimator.core.calibrate.procedure import Figure, Options, Outcome, Procedure, Table
 from posor_estimator.core.calibrate.recording import PROBES_ESTIMATED, SATURATED, SCALAR
