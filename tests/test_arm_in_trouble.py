@@ -42,7 +42,7 @@ def test_a_killed_node_ends_the_demo_with_a_sentence(output: Path) -> None:
         os.kill(victim, signal.SIGKILL)
         assert exit_code(program) == 1
         (sentence,) = program.stderr
-        assert sentence.startswith("joint1/posor_node: was ended by SIGKILL: ")
+        assert sentence.startswith("joint1/posor_node: was ended by SIGKILL; until then: ")
 
 
 @pytest.mark.parametrize("moment", ["starting 3 nodes", RUNNING])

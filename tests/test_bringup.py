@@ -95,7 +95,7 @@ def test_a_killed_node_is_named_and_the_others_end(tmp_path: Path, rig: Path, pi
         os.kill(started["joint1/posor_node"], signal.SIGKILL)
         assert program.wait() == 1
         assert len(program.stderr) == 1
-        assert program.stderr[0].startswith("joint1/posor_node: was ended by SIGKILL: ")
+        assert program.stderr[0].startswith("joint1/posor_node: was ended by SIGKILL; until then: ")
 
 
 def test_a_node_that_refuses_is_quoted(tmp_path: Path, rig: Path, pids: list[int]) -> None:

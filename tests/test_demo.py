@@ -138,7 +138,7 @@ def test_a_node_that_dies_is_reported(demo: list[subprocess.Popen[str]], tmp_pat
     os.kill(victims[0], signal.SIGKILL)
     _, err = process.communicate()
     assert process.returncode == 1
-    assert err.startswith("posor_node: was ended by SIGKILL: ")
+    assert err.startswith("posor_node: was ended by SIGKILL; until then: ")
     assert err.count("\n") == 1
 
 

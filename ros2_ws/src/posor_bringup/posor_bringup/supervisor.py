@@ -125,8 +125,14 @@ class RunningProgram:
         code = self.process.poll()
         if code is None or (code == 0 and (self.program.ends or asked_to_end)):
             return
-        how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
-        raise ProcessError(f"{how}: {self.last_sentence()}", where=self.program.name)
+        last = self.last_sentence()
+        # Who is ended by a signal has had no time to say why: its last words are of before.
+        how = (
+            f"was ended by {signal.Signals(-code).name}; until then: {last}"
+            if code < 0
+            else f"ended with exit code {code}: {last}"
+        )
+        raise ProcessError(how, where=self.program.name)
 
 
 class Supervisor:

@@ -92,7 +92,7 @@ def test_a_failed_program_is_reported_with_its_own_sentence(watched: Supervisor)
 
 def test_a_crash_is_named_by_its_signal(watched: Supervisor) -> None:
     watched.start(program("crashing")).process.wait()
-    with pytest.raises(ProcessError, match="crashing: was ended by SIGSEGV: it wrote nothing"):
+    with pytest.raises(ProcessError, match="crashing: was ended by SIGSEGV; until then: it wrote nothing"):
         watched.check()
     watched._running.clear()
 
