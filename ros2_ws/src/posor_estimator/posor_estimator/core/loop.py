@@ -160,7 +160,7 @@ class Loop:
         """Put a start into the memory; the motion to it says nothing."""
         layout.remember(self.memory, rotation, translation)
         self.memory[layout.KNOWN] = self.memory[layout.GIVEN] = 1.0
-        self.memory[layout.RATE] = self.memory[layout.COUNTED] = 0.0
+        self.memory[layout.RATE] = self.memory[layout.COUNTED] = self.memory[layout.INTERVAL] = 0.0
         self.memory[layout.THETA] = native_from_rotation(rotation)[2]
         if not self.counting:
             self.memory[layout.COUNTED] = 1.0

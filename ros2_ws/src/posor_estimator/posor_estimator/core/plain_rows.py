@@ -24,6 +24,7 @@ from posor_estimator.core.kernels.tables import (
     MEMORY,
     PREPARED,
     READINGS,
+    REACH,
     ROWS,
     SETTINGS,
     TALLY,
@@ -73,6 +74,7 @@ class PlainRows:
         kinds[:m], rows[:m] = pool.kinds[chosen], pool.rows[chosen]
         lines[VALUES, :m], lines[VARIANCES, :m] = batch.values[0], batch.variances[0]
         tables.of_ints(TALLY)[:] = 0  # all that is systematic is worked out here
+        tables.of_ints(REACH)[:] = 0, m
         rotation, translation = out.rotations[n], out.translations[n]
 
         def locate_from(begin: FloatArray) -> FloatArray:

@@ -99,6 +99,7 @@ def _rooms(m: int, width: int, length: int, deviates: int) -> Made:
         layout.GAIN: (m, 6),
         layout.SPOT: (4, 2),
         layout.BASIS: (4, length),
+        layout.FACTORS: (7, 3),
     }
     ints = {
         layout.KINDS: (1, room),
@@ -109,6 +110,7 @@ def _rooms(m: int, width: int, length: int, deviates: int) -> Made:
         layout.DEVIATES: (deviates, 3),
         layout.CHOSEN: (1, m),
         layout.EPOCH: (1, 2),
+        layout.REACH: (m, 2),
     }
     return {which: np.zeros(shape) for which, shape in floats.items()} | {
         which: np.zeros(shape, dtype=np.int64) for which, shape in ints.items()

@@ -113,6 +113,23 @@ def test_contradicting_readings_are_settled_by_their_weights(
     np.testing.assert_allclose(pull / size, np.zeros(6), rtol=0.0, atol=1e-6)
 
 
+@pytest.mark.parametrize("off", [1e-2, 1e-3, 1e-5, 3e-6, 1e-6, 3e-7, 1e-9, 0.0])
+def test_derivatives_are_those_at_the_solution_from_wherever_it_was_found(
+    off: float, problem: Problem, pose: pin.SE3, rng: np.random.Generator
+) -> None:
+    values = problem.readings(pose) + rng.normal(scale=1e-7, size=7)
+    best = problem.solve(values, pose).pose
+    solution = problem.solve(values, best * pin.exp6(off * np.array([0.05, -0.03, 0.02, 1.0, -0.7, 0.4])))
+    assert solution.outcome == solve.CONVERGED
+    np.testing.assert_allclose(pin.log6(best.actInv(solution.pose)).vector, np.zeros(6), rtol=0.0, atol=1e-15)
+    derivative = np.empty((7, 6))
+    rotation, translation = solution.pose.rotation.copy(), solution.pose.translation.copy()
+    for kind, row, out in zip(problem.kinds, problem.rows, derivative, strict=True):
+        evaluate_row(kind, row, rotation, translation, np.zeros(6), out)
+    np.testing.assert_allclose(solution.jacobian, derivative, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(solution.residuals, values - problem.readings(solution.pose), rtol=0.0, atol=1e-18)
+
+
 def test_the_solution_does_not_depend_on_the_scale_of_the_weights(problem: Problem, pose: pin.SE3) -> None:
     values = problem.readings(pose) + 1e-5 * np.arange(7)
     small = Problem(problem.kinds, problem.rows, problem.weights * 1e-18)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from posor_estimator.core.compiled import inlined
 from posor_estimator.core.kernels.matrix import Matrix, applied, row_times, transposed
-from posor_estimator.core.kernels.vector import Vector, dot, minus, plus, times, within
+from posor_estimator.core.kernels.vector import Vector, dot, minus, plus, put, times, within
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray
@@ -132,6 +132,26 @@ def solve(factors: Factors, a: Vector, d: Vector) -> tuple[Vector, Vector]:
     half = forward(upper, a)
     d = back(lower, by_pivots(lower, forward(lower, minus(d, applied(joint, half)))))
     return back(upper, minus(by_pivots(upper, half), row_times(d, joint))), d
+
+
+@inlined
+def keep_factors(factors: Factors, kept: FloatArray) -> None:
+    """Write factors into an array (7, 3)."""
+    upper, joint, lower = factors
+    put(kept, 0, 0, upper[0])
+    put(kept, 1, 0, upper[1])
+    put(kept, 2, 0, joint[0])
+    put(kept, 3, 0, joint[1])
+    put(kept, 4, 0, joint[2])
+    put(kept, 5, 0, lower[0])
+    put(kept, 6, 0, lower[1])
+
+
+@inlined
+def kept_factors(kept: FloatArray) -> Factors:
+    """Return the factors that ``keep_factors`` has written."""
+    joint = within(kept, 2), within(kept, 3), within(kept, 4)
+    return (within(kept, 0), within(kept, 1)), joint, (within(kept, 5), within(kept, 6))
 
 
 @inlined

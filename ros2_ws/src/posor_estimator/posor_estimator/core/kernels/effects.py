@@ -26,6 +26,7 @@ from posor_estimator.core.kernels.tables import (
     HERE,
     PARTS,
     POOL_IDS,
+    REACH,
     READINGS,
     READOUT_IDS,
     ROOT,
@@ -50,13 +51,14 @@ def find_shares(  # noqa: C901, PLR0912  loops over plain numbers, to be compile
 ) -> None:
     """Find out which derivatives count for the rows in HERE, and what each of them adds to.
 
-    What of EFFECTS none of them reaches is zero from here on.
+    What of EFFECTS none of them reaches is zero from here on; REACH says which readings they correlate.
     """
     effects = table(places, floats, EFFECTS)
     pool_ids, here = table(places, ints, POOL_IDS), line(places, ints, HERE, 0)
     readout_ids, parts = table(places, ints, READOUT_IDS), table(places, ints, PARTS)
     shares, blocks = table(places, ints, SHARES), table(places, ints, BLOCKS)
     deviates, tally = table(places, ints, DEVIATES), line(places, ints, TALLY, 0)
+    reach = table(places, ints, REACH)
     m, width, length = here.shape[0], pool_ids.shape[1], readout_ids.shape[1]
     for d in range(deviates.shape[0]):
         deviates[d, USES], deviates[d, COLUMN] = 0, -1
@@ -103,6 +105,12 @@ def find_shares(  # noqa: C901, PLR0912  loops over plain numbers, to be compile
                 count += 1
         tally[together] = count
     tally[COLUMNS] = found
+    for r in range(m):
+        reach[r, 0], reach[r, 1] = r, r + 1
+        for b in range(found):
+            if blocks[b, 2] <= r <= blocks[b, 3]:
+                reach[r, 0] = min(reach[r, 0], blocks[b, 2])
+                reach[r, 1] = max(reach[r, 1], blocks[b, 3] + 1)
 
 
 @inlined

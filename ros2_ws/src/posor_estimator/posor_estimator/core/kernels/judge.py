@@ -20,9 +20,8 @@ from posor_estimator.core.compiled import inlined
 from posor_estimator.core.kernels.blocks import (
     NONE,
     NOTHING,
-    factor,
     inverse,
-    normal_matrix,
+    kept_factors,
     product_transposed,
     times_symmetric,
     whole,
@@ -33,10 +32,12 @@ from posor_estimator.core.kernels.cholesky import halve
 from posor_estimator.core.kernels.matrix import matrix, row_times
 from posor_estimator.core.kernels.tables import (
     BLIND,
+    FACTORS,
     GAIN,
     JACOBIAN,
     LINES,
     READINGS,
+    REACH,
     RESIDUALS,
     SPREAD,
     WEIGHTS,
@@ -54,22 +55,22 @@ if TYPE_CHECKING:
 @inlined
 def covariances(
     places: IntArray,
+    ints: IntArray,
     floats: FloatArray,
     m: int,
-    used: int,
     rotation: FloatArray,
     random: FloatArray,
     systematic: FloatArray,
 ) -> None:
     """Write the random and the systematic covariance of the pose, ROS order, into the last two arrays (6, 6).
 
-    JACOBIAN and the weights hold those of the ``used`` rows at the solution, READINGS S of the m readings, which come
-    first; GAIN is written.
+    JACOBIAN, the weights and FACTORS hold those at the solution, READINGS S of the m readings, which come first; GAIN is
+    written.
     """
     jacobian, weights = table(places, floats, JACOBIAN), line(places, floats, LINES, WEIGHTS)
     gain, systematic_readings = table(places, floats, GAIN), table(places, floats, READINGS)
-    axes = matrix(rotation, 0)
-    local = inverse(factor(normal_matrix(jacobian, weights, used))[0])
+    reach, axes = table(places, ints, REACH), matrix(rotation, 0)
+    local = inverse(kept_factors(table(places, floats, FACTORS)))
     to_parent(local, axes, random)
     for r in range(m):
         v, w = times_symmetric(local, within(jacobian, r, 0), within(jacobian, r, 3))
@@ -78,7 +79,7 @@ def covariances(
     a, b, d = NONE, NONE, NONE
     for r in range(m):
         v, w = NOTHING, NOTHING
-        for q in range(m):
+        for q in range(reach[r, 0], reach[r, 1]):
             v = plus(v, times(systematic_readings[r, q], within(gain, q, 0)))
             w = plus(w, times(systematic_readings[r, q], within(gain, q, 3)))
         a = with_outer(a, within(gain, r, 0), v)
@@ -113,7 +114,7 @@ def to_parent(local: Symmetric, axes: Matrix, out: FloatArray) -> None:
 
 
 @inlined
-def chi_square(places: IntArray, floats: FloatArray, m: int) -> float:
+def chi_square(places: IntArray, ints: IntArray, floats: FloatArray, m: int) -> float:
     """Return the chi-square of the m redundant readings, their whole uncertainty taken into account.
 
     The residuals e of the fit lie, as far as no pose explains them, along as many directions Z as readings are
@@ -122,7 +123,7 @@ def chi_square(places: IntArray, floats: FloatArray, m: int) -> float:
     """
     residuals, systematic_readings = line(places, floats, LINES, RESIDUALS), table(places, floats, READINGS)
     directions, spread = table(places, floats, BLIND), table(places, floats, SPREAD)
-    along = directions[:, m]
+    along, reach = directions[:, m], table(places, ints, REACH)
     if not find_directions(places, floats, m):
         return math.nan
     for t in range(directions.shape[0]):
@@ -133,7 +134,7 @@ def chi_square(places: IntArray, floats: FloatArray, m: int) -> float:
         for r in range(m):
             along[t] += directions[t, r] * residuals[r]
             pushed = 0.0
-            for q in range(m):
+            for q in range(reach[r, 0], reach[r, 1]):
                 pushed += systematic_readings[r, q] * directions[t, q]
             for s in range(t + 1):
                 spread[t, s] += directions[s, r] * pushed

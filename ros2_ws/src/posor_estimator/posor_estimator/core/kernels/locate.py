@@ -14,6 +14,7 @@ from posor_estimator.core.kernels.memory import (
     BUMP,
     COUNTED,
     GIVEN,
+    INTERVAL,
     KNOWN,
     LAGGING,
     LIMIT,
@@ -22,7 +23,9 @@ from posor_estimator.core.kernels.memory import (
     STAMP,
     THETA,
     bumps_off,
+    carry_on,
     remember,
+    remember_motion,
     theta_of,
     theta_remembered,
     turn_about_z,
@@ -33,6 +36,7 @@ from posor_estimator.core.kernels.rows import by_parameters, turn_row
 from posor_estimator.core.kernels.solve import CONVERGED, ILL_CONDITIONED, ITERATIONS, NOT_CONVERGED, newton
 from posor_estimator.core.kernels.tables import (
     BY_ROW,
+    FACTORS,
     JACOBIAN,
     KINDS,
     LINES,
@@ -101,6 +105,7 @@ def solve_scan(
             table(places, floats, JACOBIAN),
             line(places, floats, LINES, RESIDUALS),
             line(places, floats, MOVED, 0),
+            table(places, floats, FACTORS),
             least_share,
         )
         if outcome != CONVERGED or not math.isfinite(lag_from):
@@ -157,7 +162,7 @@ def locate_scan(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in orde
     m: int,
     stamp: float,
     at_home: bool,  # noqa: FBT001  kernels take no keywords
-    lag: bool,  # noqa: FBT001
+    carried_on: bool,  # noqa: FBT001
     rotation: FloatArray,
     translation: FloatArray,
     random: FloatArray,
@@ -176,7 +181,8 @@ def locate_scan(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in orde
         m: Number of readings.
         stamp: Time of the scan [s].
         at_home: Whether the scan saw the home mark.
-        lag: Whether the tilts may be turned by the theta of the scan before, where the settings say so.
+        carried_on: Whether the start is the memory's: then the motion before is taken to go on, and the tilts are turned
+            by the theta of the scan before where the settings say so.
         rotation: Start and result, shape (3, 3).
         translation: Start and result [m], shape (3,).
         random: Random covariance to write, shape (6, 6).
@@ -199,8 +205,10 @@ def locate_scan(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in orde
     start = table(places, floats, START)
     keep(rotation, translation, start)
     predicted = theta_of(rotation) if counting else 0.0
-    lag_from = theta_remembered(memory) if lag and settings[LAGGING] > 0.0 and moving else math.nan
+    lag_from = theta_remembered(memory) if carried_on and settings[LAGGING] > 0.0 and moving else math.nan
     carried = moving and settings[MOTION_TRANSLATION] < math.inf
+    if carried_on and moving:
+        carry_on(elapsed, settings, memory, rotation, translation)
     used = m
     faults = 0
     least = WEAK if carried else SINGULAR
@@ -230,10 +238,10 @@ def locate_scan(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in orde
         memory[COUNTED] = 1.0
     by_parameters(kinds, rows, prepared, m, rotation, translation, table(places, floats, BY_ROW))
     reading_covariance(places, ints, floats)
-    covariances(places, floats, m, used, rotation, random, systematic)
+    covariances(places, ints, floats, m, rotation, random, systematic)
     figures[RESIDUAL] = 0.0
     if m > 6 and used == m:  # noqa: PLR2004  six unknowns
-        figures[RESIDUAL] = chi_square(places, floats, m)
+        figures[RESIDUAL] = chi_square(places, ints, floats, m)
     if not figures[RESIDUAL] <= settings[LIMIT]:
         faults |= FAULT_RESIDUAL
     theta = theta_of(rotation)
@@ -250,7 +258,8 @@ def locate_scan(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in orde
     if memory[KNOWN] > 0.0:
         theta = memory[THETA] + wrapped(theta - memory[THETA])
     if moving:
-        memory[RATE] = (theta - memory[THETA]) / elapsed
+        remember_motion(elapsed, theta, translation, memory)
+    memory[INTERVAL] = elapsed if moving else 0.0
     write_pose(rotation, translation, figures)
     write_native(rotation, translation, theta, figures, NATIVE)
     memory[KNOWN] = 1.0

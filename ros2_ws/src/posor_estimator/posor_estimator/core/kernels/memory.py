@@ -22,7 +22,12 @@ COUNTED = 4  # 1 where theta is counted from the home mark, or needs no count
 GIVEN = 5  # 1 where the caller has just given the last pose as a start
 ROTATION = 6  # nine entries, row by row
 TRANSLATION = 15  # three entries [m]
-MEMORY = 18
+VELOCITY = 18  # of the translation, three entries [m/s]
+INTERVAL = 21  # time over which rate and velocity were found [s]; zero: not known
+MEMORY = 22
+
+LONGEST_GAP = 3.5
+"""Intervals of the scans before, over which a motion is taken to go on."""
 
 # Layout of the settings.
 LIMIT = 0  # largest chi-square of the redundant readings
@@ -89,6 +94,30 @@ def start_from_memory(
     recall(memory, rotation, translation)
     if settings[BUMP] > 0.0 and memory[GIVEN] == 0.0:
         turn_about_z(rotation, memory[RATE] * (stamp - memory[STAMP]))
+
+
+@inlined
+def carry_on(
+    elapsed: float, settings: FloatArray, memory: FloatArray, rotation: FloatArray, translation: FloatArray
+) -> None:
+    """Move a start from ``start_from_memory`` on as the target moved before the last scan, for ``elapsed`` [s].
+
+    So the solution is near and found in fewer steps. Over a longer gap the motion before it says nothing.
+    """
+    if elapsed > LONGEST_GAP * memory[INTERVAL]:
+        return
+    for i in range(3):
+        translation[i] += memory[VELOCITY + i] * elapsed
+    if settings[BUMP] == 0.0:
+        turn_about_z(rotation, memory[RATE] * elapsed)
+
+
+@inlined
+def remember_motion(elapsed: float, theta: float, translation: FloatArray, memory: FloatArray) -> None:
+    """Keep how the target has moved since the last pose, which the memory still holds, in ``elapsed`` [s]."""
+    memory[RATE] = (theta - memory[THETA]) / elapsed
+    for i in range(3):
+        memory[VELOCITY + i] = (translation[i] - memory[TRANSLATION + i]) / elapsed
 
 
 @in_place

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posor_estimator.core.compiled import compiled, inlined
-from posor_estimator.core.kernels.blocks import NOTHING, factor, normal_matrix, solve
+from posor_estimator.core.kernels.blocks import NOTHING, factor, keep_factors, normal_matrix, solve
 from posor_estimator.core.kernels.gap import PREPARED
 from posor_estimator.core.kernels.rows import evaluate, prepare_rows
-from posor_estimator.core.kernels.vector import move, orthonormalise, plus, times, within
+from posor_estimator.core.kernels.vector import dot, move, orthonormalise, plus, times, within
 
 if TYPE_CHECKING:
     from posor_estimator.core.kernels.vector import Vector
@@ -29,6 +29,8 @@ LENGTH = 0.05
 """Lever [m] that makes a rotation comparable to a translation where the size of a step is judged."""
 TOLERANCE = 1e-9
 """A last step below this [m] leaves an error of about its square over LENGTH, far below a picometre."""
+SHARP = 1e-11
+"""After a last step below this [m] the derivatives are those before it, to about 1e-10 of their size."""
 ITERATIONS = 25
 
 
@@ -62,6 +64,7 @@ def newton(
     jacobian: FloatArray,
     residuals: FloatArray,
     moved: FloatArray,
+    kept: FloatArray,
     least_share: float,
 ) -> int:
     """Move the pose (in place) to the weighted least-squares solution of the first ``count`` rows.
@@ -78,6 +81,7 @@ def newton(
         jacobian: Result: derivatives of the rows at the solution, shape (m, 6).
         residuals: Result: reading minus prediction at the solution [m], shape (m,).
         moved: Result: sum of all steps, shape (6,).
+        kept: Result: factors of the normal matrix at the solution (``kernels.blocks.keep_factors``), shape (7, 3).
         least_share: Share of an unknown that the others must leave unexplained (``kernels.blocks``).
 
     Returns:
@@ -91,11 +95,12 @@ def newton(
         evaluate(kinds, rows, prepared, count, rotation, translation, moved, residuals, jacobian)
         for r in range(count):
             residuals[r] = values[r] - residuals[r]
-        if settled:
-            return CONVERGED
         factors, weakest = factor(normal_matrix(jacobian, weights, count))
         if not weakest > least_share:
             return ILL_CONDITIONED
+        if settled:
+            keep_factors(factors, kept)
+            return CONVERGED
         v, w = right_side(jacobian, weights, residuals, count)
         v, w = solve(factors, v, w)
         largest = max(largest_of(v), LENGTH * largest_of(w))
@@ -107,6 +112,11 @@ def newton(
         move(rotation, translation, v, w)
         orthonormalise(rotation)
         settled = largest < TOLERANCE
+        if largest < SHARP:
+            for r in range(count):
+                residuals[r] -= dot(within(jacobian, r, 0), v) + dot(within(jacobian, r, 3), w)
+            keep_factors(factors, kept)
+            return CONVERGED
     return NOT_CONVERGED
 
 
@@ -138,5 +148,6 @@ def gauss_newton(
         jacobian,
         residuals,
         moved,
+        np.empty((7, 3)),
         least_share,
     )

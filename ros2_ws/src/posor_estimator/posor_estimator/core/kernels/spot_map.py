@@ -68,21 +68,21 @@ def _tensor(
     x = y = x_u = x_v = y_u = y_v = 0.0
     for i in range(n):
         fu, du = basis[0, i], basis[1, i]
+        along_x = along_y = across_x = across_y = 0.0
         for j in range(m):
             fv, dv = basis[2, j], basis[3, j]
             k = i * m + j
-            of_x, of_y = parameters[k] * fu, parameters[half + k] * fu
-            x += of_x * fv
-            y += of_y * fv
-            x_u += parameters[k] * du * fv
-            y_u += parameters[half + k] * du * fv
-            x_v += of_x * dv
-            y_v += of_y * dv
-    for i in range(n):
-        less = -basis[0, i]
-        for j in range(m):
-            k = i * m + j
-            less_by[0, k] = less_by[1, half + k] = less * basis[2, j]
+            along_x += parameters[k] * fv
+            along_y += parameters[half + k] * fv
+            across_x += parameters[k] * dv
+            across_y += parameters[half + k] * dv
+            less_by[0, k] = less_by[1, half + k] = -fu * fv
+        x += along_x * fu
+        y += along_y * fu
+        x_u += along_x * du
+        y_u += along_y * du
+        x_v += across_x * fu
+        y_v += across_y * fu
     position[0], position[1] = x, y
     slope[0, 0], slope[0, 1] = x_u / frame[2], x_v / frame[3]
     slope[1, 0], slope[1, 1] = y_u / frame[2], y_v / frame[3]

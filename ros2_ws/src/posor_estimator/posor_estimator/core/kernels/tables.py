@@ -60,7 +60,9 @@ MAPS = 31  # whole numbers, of the POSOR: kind and lengths of each diode's map (
 SPOT = 32  # floats: see kernels.diode (4, 2)
 BASIS = 33  # floats: see kernels.spot_map (4, longest)
 EPOCH = 34  # whole numbers that stay: 1 where it is known, from which time the memory counts [ns] (1, 2)
-TABLES = 35
+FACTORS = 35  # floats: those of the normal matrix at the solution, see kernels.blocks (7, 3)
+REACH = 36  # whole numbers: from which to before which reading each is correlated with others (m, 2)
+TABLES = 37
 
 VALUES, VARIANCES, WEIGHTS, RESIDUALS = 0, 1, 2, 3
 
