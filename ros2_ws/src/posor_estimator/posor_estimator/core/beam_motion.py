@@ -24,7 +24,7 @@ class BeamMotion:
     Attributes:
         kept: The window [ns] and the scans in it, see ``core.kernels.chain_motion``.
         seen_ns: Their times, and room for more, (room,).
-        seen: The beams' centres then [m], (room, b, 3), axes of the base.
+        seen: The beams' centres then [m], (room, 3 b), axes of the base.
 
     """
 
@@ -34,7 +34,7 @@ class BeamMotion:
         self.kept[kernel.WINDOW] = round(window_s * 1e9)
         room = ROOM if window_s else 0
         self.seen_ns: IntArray = np.zeros(room, dtype=np.int64)
-        self.seen: FloatArray = np.zeros((room, beams, 3))
+        self.seen: FloatArray = np.zeros((room, 3 * beams))
 
     @property
     def looks(self) -> bool:

@@ -104,7 +104,8 @@ class ChainLane:
         room = np.zeros((1, len(joints), 7)), np.zeros((1, len(joints), 6, 6)), np.full((1, len(joints)), np.nan)
         self.poses, self.covariances, self.thetas = room[0][0], room[1][0], room[2][0]
         self.poses[:, 6] = 1.0
-        self.accelerations: FloatArray = np.zeros((len(layout.beams), 3))
+        self._accelerations, self._centres = np.zeros(3 * len(layout.beams)), np.empty(3 * len(layout.beams))
+        self.accelerations: FloatArray = self._accelerations.reshape(-1, 3)
         found = Endpoints.room(1, len(joints))
         self.pose, self.covariance = found.poses[0], found.covariances[0]
         self.angles, self.faults = found.angles[0], found.faults[0]
@@ -221,7 +222,8 @@ class ChainLane:
             self._motion.kept,
             self._motion.seen_ns,
             self._motion.seen,
-            self.accelerations,
+            self._accelerations,
+            self._centres,
             begin,
             stamps_ns,
             poses,

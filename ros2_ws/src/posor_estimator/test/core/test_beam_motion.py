@@ -25,12 +25,12 @@ class Motion(BeamMotion):
         kernel.begin_anew(stamp_ns, self.kept, self.seen_ns)
         if not kernel.has_room(self.kept, self.seen_ns, self.seen):
             self.make_room()
-        kernel.take(stamp_ns, centres, self.kept, self.seen_ns, self.seen)
+        kernel.take(stamp_ns, np.ravel(centres), self.kept, self.seen_ns, self.seen)
 
     def accelerations(self) -> np.ndarray:
-        found = np.empty(self.seen.shape[1:])
+        found = np.empty(self.seen.shape[1])
         kernel.accelerations(self.kept, self.seen_ns, self.seen, found)
-        return found
+        return found.reshape(-1, 3)
 
 
 def test_a_parabola_gives_its_acceleration() -> None:

@@ -127,7 +127,7 @@ def test_derivatives_are_those_at_the_solution_from_wherever_it_was_found(
     for kind, row, out in zip(problem.kinds, problem.rows, derivative, strict=True):
         evaluate_row(kind, row, rotation, translation, np.zeros(6), out)
     np.testing.assert_allclose(solution.jacobian, derivative, rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(solution.residuals, values - problem.readings(solution.pose), rtol=0.0, atol=1e-18)
+    np.testing.assert_allclose(solution.residuals, values - problem.readings(solution.pose), rtol=0.0, atol=2e-17)
 
 
 def test_the_solution_does_not_depend_on_the_scale_of_the_weights(problem: Problem, pose: pin.SE3) -> None:

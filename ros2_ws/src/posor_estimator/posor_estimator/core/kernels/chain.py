@@ -13,9 +13,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from posor_estimator.core.compiled import compiled
+from posor_estimator.core.compiled import in_place, inlined
 from posor_estimator.core.kernels.chain_covariance import (
     NOTHING,
     carried,
@@ -26,7 +24,7 @@ from posor_estimator.core.kernels.chain_covariance import (
 from posor_estimator.core.kernels.chain_motion import WINDOW, accelerations, begin_anew, has_room, take
 from posor_estimator.core.kernels.chain_pose import fault_of, rotation_of, write_pose
 from posor_estimator.core.kernels.matrix import Matrix, applied, matrix, product, row_times, transposed, turned_by
-from posor_estimator.core.kernels.vector import Vector, at, minus, plus, put, times, within
+from posor_estimator.core.kernels.vector import Vector, at, minus, plus, times, within
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray, IntArray
@@ -39,7 +37,7 @@ BEAM_ROWS = 19
 UNTURNED: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
-@compiled
+@inlined
 def go_along_beam(beam: FloatArray, force: Vector, rotation: Matrix, translation: Vector) -> tuple[Matrix, Vector]:
     """Go from the plate at a beam's start to that at its end, both moved by the sag under a specific force [m/s^2]."""
     rotation = turned_by(rotation, times(-1.0, applied(matrix(beam, START_GAIN), force)))
@@ -49,7 +47,7 @@ def go_along_beam(beam: FloatArray, force: Vector, rotation: Matrix, translation
     return turned_by(rotation, applied(matrix(beam, END_GAIN), force)), translation
 
 
-@compiled
+@inlined
 def walk(
     sources: IntArray,
     frames: FloatArray,
@@ -59,7 +57,6 @@ def walk(
     poses: FloatArray,
     covariances: FloatArray,
     acceleration: FloatArray,
-    work: FloatArray,
     centres: FloatArray,
     pose: FloatArray,
     covariance: FloatArray,
@@ -74,9 +71,8 @@ def walk(
         gravity: [m/s^2], (3,), axes of the base.
         poses: Of the joints, receiving plate to target plate, (j, 7): x, y, z [m], quaternion x, y, z, w.
         covariances: Of the same, (j, 6, 6), ROS order, axes of the receiving plate.
-        acceleration: Of the beams [m/s^2], (b, 3), axes of the base.
-        work: Scratch, (4, 3).
-        centres: Centres of the beams on the way to write [m], (b, 3), axes of the base.
+        acceleration: Of the beams [m/s^2], (3 b,), axes of the base.
+        centres: Centres of the beams on the way to write [m], (3 b,), axes of the base.
         pose: Of the endpoint in the base to write, (7,).
         covariance: Of the endpoint to write, (6, 6), ROS order, axes of the base.
 
@@ -93,15 +89,16 @@ def walk(
         source = sources[element]
         if source >= 0:
             translation = plus(translation, applied(rotation, within(poses, source)))
-            turn = rotation_of(poses, source)
+            turn = rotation_of(poses[source])
             rotation, straight = product(rotation, turn), product(straight, turn)
             blocks = with_turned(carried(blocks, minus(translation, last)), parent, covariances[source])
         else:
             # How a beam lies under gravity is reckoned as if no beam before it sagged: the rest is of second order.
             b = -1 - source
             beam = beams[b]
-            put(centres, b, 0, plus(translation, times(0.5, applied(rotation, within(beam, SPAN + 3)))))
-            f = row_times(minus(at(gravity, 0), within(acceleration, b)), straight)
+            centre = plus(translation, times(0.5, applied(rotation, within(beam, SPAN + 3))))
+            centres[3 * b], centres[3 * b + 1], centres[3 * b + 2] = centre
+            f = row_times(minus(at(gravity, 0), at(acceleration, 3 * b)), straight)
             rotation, translation = go_along_beam(beam, f, rotation, translation)
             straight = product(straight, matrix(beam, SPAN))
             blocks = with_turned(carried(blocks, minus(translation, last)), parent, beam_covariances[b])
@@ -111,20 +108,10 @@ def walk(
     frame = frames[sources.shape[0]]
     translation = plus(translation, applied(rotation, within(frame, 3)))
     write_covariance(carried(blocks, minus(translation, last)), covariance)
-    _write_pose(product(rotation, matrix(frame, 0)), translation, work, pose)
+    write_pose(product(rotation, matrix(frame, 0)), translation, pose)
 
 
-@compiled
-def _write_pose(rotation: Matrix, translation: Vector, work: FloatArray, pose: FloatArray) -> None:
-    """Write a transform as a pose, (7,); ``work`` is scratch, (4, 3)."""
-    put(work, 0, 0, rotation[0])
-    put(work, 1, 0, rotation[1])
-    put(work, 2, 0, rotation[2])
-    put(work, 3, 0, translation)
-    write_pose(work[:3], work[3], pose)
-
-
-@compiled
+@inlined
 def joint_angle(poses: FloatArray, origins: FloatArray, j: int, theta: float) -> float:
     """Return how far a joint is turned about its nominal axis [rad]: the heading of its target's Y axis about that.
 
@@ -137,7 +124,7 @@ def joint_angle(poses: FloatArray, origins: FloatArray, j: int, theta: float) ->
         theta: Counted [rad]; NaN: not counted, the angle is in (-pi, pi].
 
     """
-    turn = rotation_of(poses, j)
+    turn = rotation_of(poses[j])
     heading = turn[0][1], turn[1][1], turn[2][1]
     x, y, _ = row_times(heading, matrix(origins[j], 0))
     if math.isnan(theta):
@@ -145,7 +132,7 @@ def joint_angle(poses: FloatArray, origins: FloatArray, j: int, theta: float) ->
     return theta + math.atan2(y * heading[0] - x * heading[1], y * heading[1] + x * heading[0])
 
 
-@compiled
+@in_place
 def endpoints(
     sources: IntArray,
     frames: FloatArray,
@@ -157,6 +144,7 @@ def endpoints(
     seen_ns: IntArray,
     seen: FloatArray,
     acceleration: FloatArray,
+    centres: FloatArray,
     begin: int,
     stamps_ns: IntArray,
     poses: FloatArray,
@@ -182,6 +170,7 @@ def endpoints(
         seen_ns: See ``chain_motion``.
         seen: See ``chain_motion``.
         acceleration: See ``walk``.
+        centres: See ``walk``; room.
         begin: The scan to begin with.
         stamps_ns: Of the scans, (n,).
         poses: (n, j, 7).
@@ -196,8 +185,6 @@ def endpoints(
         n when done; the number of the scan for which ``seen`` must be made larger.
 
     """
-    work = np.empty((4, 3))
-    centres = np.zeros(acceleration.shape)
     moving = kept[WINDOW] > 0
     count: int = stamps_ns.shape[0]
     for n in range(begin, count):
@@ -206,9 +193,7 @@ def endpoints(
             faults[n, j] = fault_of(poses[n, j], covariances[n, j])
             sound = sound and faults[n, j] == 0
         if not sound:
-            found[n] = math.nan
-            found_covariances[n] = math.nan
-            angles[n] = math.nan
+            write_none(found[n], found_covariances[n], angles[n])
             continue
         if moving:
             if not has_room(kept, seen_ns, seen):
@@ -224,7 +209,6 @@ def endpoints(
             poses[n],
             covariances[n],
             acceleration,
-            work,
             centres,
             found[n],
             found_covariances[n],
@@ -236,15 +220,25 @@ def endpoints(
     return count
 
 
-@compiled
+@in_place
+def write_none(pose: FloatArray, covariance: FloatArray, angles: FloatArray) -> None:
+    """Make every number of a scan NaN: there is no endpoint."""
+    for i in range(7):
+        pose[i] = math.nan
+    for i in range(6):
+        for j in range(6):
+            covariance[i, j] = math.nan
+    for i in range(angles.shape[0]):
+        angles[i] = math.nan
+
+
+@in_place
 def relative_to(
     home: FloatArray, poses: FloatArray, covariances: FloatArray, found: FloatArray, found_covariances: FloatArray
 ) -> None:
     """Write poses (n, 7) and their covariances (n, 6, 6) in the axes of another, home (7,), which counts as exact."""
-    work = np.empty((4, 3))
-    homes = home.reshape((1, 7))
-    back = transposed(rotation_of(homes, 0))
+    back = transposed(rotation_of(home))
     for n in range(poses.shape[0]):
-        place = applied(back, minus(within(poses, n), within(homes, 0)))
-        _write_pose(product(back, rotation_of(poses, n)), place, work, found[n])
+        place = applied(back, minus(within(poses, n), at(home, 0)))
+        write_pose(product(back, rotation_of(poses[n])), place, found[n])
         write_covariance(with_turned(NOTHING, back, covariances[n]), found_covariances[n])

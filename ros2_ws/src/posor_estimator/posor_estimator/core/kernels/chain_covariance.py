@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, TypeAlias
 
-from posor_estimator.core.compiled import compiled
+from posor_estimator.core.compiled import inlined
 from posor_estimator.core.kernels.matrix import Matrix, applied, transposed
 from posor_estimator.core.kernels.vector import Vector, cross, plus, put, times
 
@@ -23,7 +23,7 @@ NO_HALF: Half = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 NOTHING: Blocks = (NO_HALF, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), NO_HALF)
 
 
-@compiled
+@inlined
 def carried(blocks: Blocks, lever: Vector) -> Blocks:
     """Return it for another point of the same body, ``lever`` [m] away.
 
@@ -48,7 +48,7 @@ def carried(blocks: Blocks, lever: Vector) -> Blocks:
     return place, (x, y, z), turn
 
 
-@compiled
+@inlined
 def with_turned(blocks: Blocks, rotation: Matrix, own: FloatArray) -> Blocks:
     """Return it with that of one more transform, ``own`` (6, 6), whose axes ``rotation`` turns to the base's.
 
@@ -78,14 +78,14 @@ def with_turned(blocks: Blocks, rotation: Matrix, own: FloatArray) -> Blocks:
     return place, cross_block, _with(turn, add)
 
 
-@compiled
+@inlined
 def _turned(rotation: Matrix, x: Vector, y: Vector, z: Vector) -> Matrix:
     """Return ``rotation @ block @ rotation.T``; x, y, z are the columns of the block."""
     a, b, c = transposed((applied(rotation, x), applied(rotation, y), applied(rotation, z)))
     return applied(rotation, a), applied(rotation, b), applied(rotation, c)
 
 
-@compiled
+@inlined
 def _with(half: Half, add: Matrix) -> Half:
     """Return a symmetric block with another added."""
     a, b, c, d, e, f = half
@@ -93,7 +93,7 @@ def _with(half: Half, add: Matrix) -> Half:
     return a + x[0], b + x[1], c + x[2], d + y[1], e + y[2], f + z[2]
 
 
-@compiled
+@inlined
 def with_one_along(blocks: Blocks, shift: Vector, turn: Vector) -> Blocks:
     """Return it with that of one standard deviation along a shift [m] and a turn [rad], axes of the base."""
     place, cross_block, turns = blocks
@@ -105,7 +105,7 @@ def with_one_along(blocks: Blocks, shift: Vector, turn: Vector) -> Blocks:
     )
 
 
-@compiled
+@inlined
 def write_covariance(blocks: Blocks, covariance: FloatArray) -> None:
     """Write it as a matrix, (6, 6)."""
     place, cross_block, turn = blocks

@@ -1,13 +1,13 @@
 """How the beams accelerate: parabolas through their centres over a window of time that ends with the last scan.
 
-``kept`` holds the window [ns] and which of the scans in ``seen_ns`` (room,) and ``seen`` (room, b, 3) are in it.
+``kept`` holds the window [ns] and which of the scans in ``seen_ns`` (room,) and ``seen`` (room, 3 b) are in it.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from posor_estimator.core.compiled import compiled
+from posor_estimator.core.compiled import inlined
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray, IntArray
@@ -18,7 +18,7 @@ LEAST_SCANS = 5
 """Fewer scans say more of the readings' noise than of an acceleration."""
 
 
-@compiled
+@inlined
 def has_room(kept: IntArray, seen_ns: IntArray, seen: FloatArray) -> bool:
     """Return whether one more scan can be taken; move the window to the front where that is cheap and makes room."""
     begin, end = kept[BEGIN], kept[END]
@@ -28,13 +28,14 @@ def has_room(kept: IntArray, seen_ns: IntArray, seen: FloatArray) -> bool:
         return False
     for n in range(begin, end):
         seen_ns[n - begin] = seen_ns[n]
-        seen[n - begin] = seen[n]
+        for k in range(seen.shape[1]):
+            seen[n - begin, k] = seen[n, k]
     kept[BEGIN] = 0
     kept[END] = end - begin
     return True
 
 
-@compiled
+@inlined
 def begin_anew(stamp_ns: int, kept: IntArray, seen_ns: IntArray) -> None:
     """Forget all scans if time has gone back since the last one, or gone on for longer than the window."""
     if kept[END] > kept[BEGIN]:
@@ -43,25 +44,27 @@ def begin_anew(stamp_ns: int, kept: IntArray, seen_ns: IntArray) -> None:
             kept[BEGIN] = kept[END]
 
 
-@compiled
+@inlined
 def take(stamp_ns: int, centres: FloatArray, kept: IntArray, seen_ns: IntArray, seen: FloatArray) -> None:
-    """Take where the beams' centres are [m], (b, 3), axes of the base; there must be room."""
+    """Take where the beams' centres are [m], (3 b,), axes of the base; there must be room."""
     end = kept[END]
     seen_ns[end] = stamp_ns
-    seen[end] = centres
+    for k in range(centres.shape[0]):
+        seen[end, k] = centres[k]
     kept[END] = end + 1
     while stamp_ns - seen_ns[kept[BEGIN]] > kept[WINDOW]:
         kept[BEGIN] += 1
 
 
-@compiled
+@inlined
 def accelerations(kept: IntArray, seen_ns: IntArray, seen: FloatArray, found: FloatArray) -> None:
-    """Write each beam's acceleration [m/s^2], (b, 3), axes of the base; zero while scans are too few.
+    """Write each beam's acceleration [m/s^2], (3 b,), axes of the base; zero while scans are too few.
 
     The parabola is that of least squares. Each centre is weighed with what is left of the square of its time when the
     mean and the slope over all stamps are taken away: the orthogonal polynomial of second degree.
     """
-    found[:] = 0.0
+    for k in range(found.shape[0]):
+        found[k] = 0.0
     begin, end = kept[BEGIN], kept[END]
     count = end - begin
     if count < LEAST_SCANS:
@@ -80,14 +83,13 @@ def accelerations(kept: IntArray, seen_ns: IntArray, seen: FloatArray, found: Fl
     skew = third / second
     offset = second / count
     whole = 0.0
-    sums, centres = found.ravel(), seen.ravel()
-    size = sums.shape[0]
-    first = centres[begin * size : begin * size + size]
+    first = seen[begin]
     for n in range(begin, end):
         t = (seen_ns[n] - last) * 1e-9 - mean
         weight = t * t - skew * t - offset
         whole += weight * weight
-        now = centres[n * size : n * size + size]
-        for k in range(size):
-            sums[k] += weight * (now[k] - first[k])
-    found *= 2.0 / whole
+        now = seen[n]
+        for k in range(found.shape[0]):
+            found[k] += weight * (now[k] - first[k])
+    for k in range(found.shape[0]):
+        found[k] *= 2.0 / whole

@@ -36,8 +36,8 @@ from posor_estimator.core.kernels.tables import (
     GAIN,
     JACOBIAN,
     LINES,
-    READINGS,
     REACH,
+    READINGS,
     RESIDUALS,
     SPREAD,
     WEIGHTS,
@@ -64,8 +64,8 @@ def covariances(
 ) -> None:
     """Write the random and the systematic covariance of the pose, ROS order, into the last two arrays (6, 6).
 
-    JACOBIAN, the weights and FACTORS hold those at the solution, READINGS S of the m readings, which come first; GAIN is
-    written.
+    JACOBIAN, the weights and FACTORS hold those at the solution, READINGS S of the m readings, which come first. GAIN
+    is written.
     """
     jacobian, weights = table(places, floats, JACOBIAN), line(places, floats, LINES, WEIGHTS)
     gain, systematic_readings = table(places, floats, GAIN), table(places, floats, READINGS)

@@ -10,6 +10,7 @@ from posor_estimator.core.fault import Fault, State
 from posor_estimator.core.kernels.chain_pose import write_pose
 from posor_estimator.core.kernels.effects import reading_covariance
 from posor_estimator.core.kernels.judge import chi_square, covariances
+from posor_estimator.core.kernels.matrix import matrix
 from posor_estimator.core.kernels.memory import (
     BUMP,
     COUNTED,
@@ -53,6 +54,7 @@ from posor_estimator.core.kernels.tables import (
     line,
     table,
 )
+from posor_estimator.core.kernels.vector import at
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray, IntArray
@@ -181,8 +183,8 @@ def locate_scan(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in orde
         m: Number of readings.
         stamp: Time of the scan [s].
         at_home: Whether the scan saw the home mark.
-        carried_on: Whether the start is the memory's: then the motion before is taken to go on, and the tilts are turned
-            by the theta of the scan before where the settings say so.
+        carried_on: Whether the start is the memory's: then the motion before is taken to go on, and the tilts are
+            turned by the theta of the scan before where the settings say so.
         rotation: Start and result, shape (3, 3).
         translation: Start and result [m], shape (3,).
         random: Random covariance to write, shape (6, 6).
@@ -260,7 +262,7 @@ def locate_scan(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in orde
     if moving:
         remember_motion(elapsed, theta, translation, memory)
     memory[INTERVAL] = elapsed if moving else 0.0
-    write_pose(rotation, translation, figures)
+    write_pose(matrix(rotation, 0), at(translation, 0), figures)
     write_native(rotation, translation, theta, figures, NATIVE)
     memory[KNOWN] = 1.0
     memory[GIVEN] = 0.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, TypeAlias
 
-from posor_estimator.core.compiled import compiled
+from posor_estimator.core.compiled import inlined
 from posor_estimator.core.kernels.vector import SERIES_BELOW, Vector, cross, dot, plus, times, within
 
 if TYPE_CHECKING:
@@ -14,26 +14,26 @@ if TYPE_CHECKING:
 Matrix: TypeAlias = tuple[Vector, Vector, Vector]
 
 
-@compiled
+@inlined
 def matrix(rows: FloatArray, r: int, start: int = 0) -> Matrix:
     """Return a matrix that begins in row r of an array, at an entry of it."""
     return within(rows, r, start), within(rows, r + 1, start), within(rows, r + 2, start)
 
 
-@compiled
+@inlined
 def transposed(m: Matrix) -> Matrix:
     """Return the transpose."""
     a, b, c = m
     return (a[0], b[0], c[0]), (a[1], b[1], c[1]), (a[2], b[2], c[2])
 
 
-@compiled
+@inlined
 def applied(m: Matrix, v: Vector) -> Vector:
     """Return ``m @ v``."""
     return dot(m[0], v), dot(m[1], v), dot(m[2], v)
 
 
-@compiled
+@inlined
 def row_times(v: Vector, m: Matrix) -> Vector:
     """Return ``v @ m``."""
     a, b, c = v
@@ -44,20 +44,20 @@ def row_times(v: Vector, m: Matrix) -> Vector:
     )
 
 
-@compiled
+@inlined
 def product(m: Matrix, n: Matrix) -> Matrix:
     """Return ``m @ n``."""
     return row_times(m[0], n), row_times(m[1], n), row_times(m[2], n)
 
 
-@compiled
+@inlined
 def turned_row(row: Vector, w: Vector, s: float, c: float) -> Vector:
     """Return a row of ``m @ exp3(w)``: exp(-w) applied to that of m; s and c are those of ``turned_by``."""
     w_row = cross(w, row)
     return plus(row, plus(times(-s, w_row), times(c, cross(w, w_row))))
 
 
-@compiled
+@inlined
 def turned_by(m: Matrix, w: Vector) -> Matrix:
     """Return ``m @ exp3(w)``, w [rad] in the axes of m: what ``apply_tangent`` does where nothing is shifted."""
     x = dot(w, w)
