@@ -11,12 +11,15 @@ from time import process_time
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from posor_estimator.core.designs import design
 from posor_estimator.core.estimate import Estimate
 from posor_estimator.core.fault import Fault
-from posor_estimator.core.scan import Scans
-from posor_estimator.ros.cdr import NS, STAMP
-from posor_estimator.ros.cdr_scan import RAW_SCAN, ScanReader, ScanTemplate, scan_of
-from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM, Lost, TransformReader, TransformWriter
+from posor_estimator.core.forward import scans_at
+from posor_estimator.core.posor import Posor
+from posor_estimator.ros.byte_lane import ByteLane
+from posor_estimator.ros.cdr import NS
+from posor_estimator.ros.cdr_scan import RAW_SCAN, ScanTemplate
+from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM, TransformReader
 from posor_estimator.ros.messages import pose_from_message, scan_from_message, transform_message
 from posor_msgs.msg import JointTransform, RawScan
 from rclpy.serialization import deserialize_message, serialize_message
@@ -41,24 +44,25 @@ class Way(NamedTuple):
     by_rclpy: Callable[[], object]
 
 
-def a_scan() -> RawScan:
-    """Return a scan of a POSOR with three gap probes and two diodes."""
-    scan = RawScan(scan=7, samples=1)
-    scan.header.frame_id = "posor_receiving"
-    scan.gap_voltages, scan.diode_currents = [0.1, 0.2, 0.3], [1e-5] * 8
-    scan.lit_sources = [0, 1]
+def a_scan(posor: Posor) -> RawScan:
+    """Return a scan of a POSOR with three gap probes and two diodes, as it reads in its middle."""
+    made = scans_at(posor.stack, np.eye(3)[None], np.array([[0.0, 0.0, 0.7e-3]]), np.array([1], dtype=np.int64))[0]
+    scan = RawScan(scan=7, samples=1, lit_sources=list(made.lit_sources))
+    scan.header.frame_id, scan.header.stamp.nanosec = posor.calibration.frames.parent, 1
+    scan.gap_voltages, scan.diode_currents = made.gap_voltages, made.diode_currents.ravel()
+    scan.supply_voltage, scan.temperature = made.supply_voltage, made.temperature
     return scan
 
 
 def ways() -> list[Way]:
     """Return what is compared."""
-    scan = a_scan()
+    posor = Posor(design("triad_diodes"))
+    scan = a_scan(posor)
     raw = RAW_SCAN.serialize(scan)
-    reader = ScanReader(raw, Scans.of([scan_of(raw)]))
     template = ScanTemplate(raw)
     estimate = Estimate.lost(7, Fault.NONE, "")
-    frames = ("posor_receiving", "posor_target")
-    writer = TransformWriter(*frames, "total", Lost())
+    frames = posor.calibration.frames.parent, posor.calibration.frames.child
+    lane, other = ByteLane(posor, raw, "total"), Posor(posor.calibration)
     transform = JOINT_TRANSFORM.serialize(transform_message(scan, estimate, *frames, "total"))
     transforms = TransformReader(transform)
     pose, covariance = np.empty(7), np.empty((6, 6))
@@ -68,6 +72,10 @@ def ways() -> list[Way]:
         scan.header.stamp.sec, scan.scan = 1, 2
         return bytes(serialize_message(scan))
 
+    def answered() -> bytes:
+        estimate = other.locate(scan_from_message(deserialize_message(raw, RawScan)))
+        return bytes(serialize_message(transform_message(scan, estimate, *frames, "total")))
+
     def measured() -> None:
         reading = transforms.read(transform)
         if reading is not None:
@@ -76,14 +84,9 @@ def ways() -> list[Way]:
     return [
         Way("driver: a prepared scan, its stamp and number set", lambda: template.at(NS, 2), stamped),
         Way(
-            "posor_node: read a scan",
-            lambda: reader.read(raw),
-            lambda: scan_from_message(deserialize_message(raw, RawScan)),
-        ),
-        Way(
-            "posor_node: write a transform",
-            lambda: writer.write(raw[STAMP], 7, 0),
-            lambda: serialize_message(transform_message(scan, estimate, *frames, "total")),
+            "posor_node: from a scan to its transform",
+            lambda: lane.answer(raw),
+            answered,
         ),
         Way(
             "chain_node: read a transform",

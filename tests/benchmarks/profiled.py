@@ -27,13 +27,12 @@ STAGES = (
     ("posor_drivers.ticker", "Beat", "go_on", "driver: take turns, all else"),
     ("posor_estimator.ros.cdr_scan", "ScanTemplate", "at", "driver: stamp into the scan"),
     ("posor_estimator.posor_node", "PosorEstimatorNode", "_take", "posor_node: all else"),
-    ("posor_estimator.ros.cdr_scan", "ScanReader", "read", "posor_node: read the scan"),
-    ("posor_estimator.core.lane", "Lane", "run", "posor_node: locate"),
-    ("posor_estimator.ros.byte_lane", "ByteLane", "write", "posor_node: write the transform, all else"),
+    ("posor_estimator.ros.byte_lane", "ByteLane", "answer", "posor_node: bytes of the scan and the transform"),
+    ("posor_estimator.core.records", "RecordLane", "run", "posor_node: read, locate, write"),
     ("posor_estimator.chain_node", "ChainNode", "_take", "chain_node: join, all else"),
     ("posor_estimator.ros.cdr_transform", "TransformReader", "read", "chain_node: read the transform"),
     ("posor_estimator.core.chain_lane", "ChainLane", "run", "chain_node: endpoint"),
-    ("posor_estimator.ros.cdr_writer", "MessageWriter", "write", "both nodes: numbers into bytes"),
+    ("posor_estimator.ros.cdr_writer", "MessageWriter", "write", "chain_node: numbers into bytes"),
 )
 """Module, class, method and name of each stage; publishing is one more for each type of message."""
 SCAN, POSE = "RawScan", "PoseStamped"

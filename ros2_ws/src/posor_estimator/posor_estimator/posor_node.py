@@ -26,9 +26,7 @@ from posor_estimator.core.scan import Scans
 from posor_estimator.errors import CalibrationError, ParameterError, PosorError, TopicError
 from posor_estimator.posor_parameters import PosorParameters
 from posor_estimator.ros.byte_lane import ByteLane
-from posor_estimator.ros.cdr import STAMP
 from posor_estimator.ros.cdr_scan import RAW_SCAN, scan_of
-from posor_estimator.ros.cdr_transform import Lost, Results, TransformWriter
 from posor_estimator.ros.diagnostics import Level
 from posor_estimator.ros.listeners import Listeners
 from posor_estimator.ros.main import run
@@ -42,6 +40,7 @@ if TYPE_CHECKING:
     from posor_estimator.core.calibration.model import Calibration
 
 
+LOST = int(State.LOST)
 HEALTH = {State.OK: Level.OK, State.DEGRADED: Level.WARN}
 """What the diagnostics make of a state; of any other, an error."""
 
@@ -60,7 +59,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
     _lane: ByteLane | None
     _recent: deque[bytes]
     _told: tuple[int, int] | None
-    _last: tuple[Results, int, Callable[[], str]] | None
+    _last: ByteLane | None
 
     def __init__(self, **options: Any) -> None:
         """Create the node; ``options`` go to rclpy."""
@@ -75,7 +74,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         """Read the calibration file, say which one it is, and open the topics."""
         self._scans = self._scans_lost = self._messages_refused = 0
         self._recent = deque(maxlen=self.parameters.zero_scans if self.parameters.home_pose else 0)
-        self._recent_lit: tuple[int, ...] = ()
+        self._taken = 0
         self._count_from_next = False
         self._told = self._last = None
         self._take_calibration(*self._read())
@@ -119,14 +118,10 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
     def _use(self, calibration: Calibration) -> None:
         """Estimate by a calibration from the next scan on, which goes on from the last pose if there is one."""
         posor = Posor(calibration, false_alarm=self.parameters.false_alarm)
-        frames = calibration.frames
-        lost = Lost()
-        writer = TransformWriter(frames.parent, frames.child, self.parameters.covariance, lost)
         with self._lock:
             if self._last is not None:
                 posor.go_on_from(self._posor)
             self._posor, self._calibration, self._lane = posor, calibration, None
-            self._lost, self._lost_writer = lost, writer
 
     def _serve(
         self, action: Callable[[], str], _request: Trigger.Request, response: Trigger.Response
@@ -160,7 +155,10 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
                 where=f"calibration '{self._calibration.name}'",
                 expected="a bumpy ring; ~/set_home of the chain makes poses relative to home",
             )
-        self._count_from_next = True
+        with self._lock:
+            self._count_from_next = True
+            if self._lane is not None:
+                self._lane.count_from_next()
         return "theta is counted from the next scan, which is taken to be within half a bump of the home mark"
 
     def _zero(self) -> str:
@@ -185,70 +183,53 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             if not self._outlet.is_activated:
                 return
             lane = self._lane
-            if lane is not None and lane.reader.read(data):
-                self._locate(lane, data)
-            else:
-                self._take_another_kind(data)
+            answer = None if lane is None else lane.answer(data)
+            if lane is None or answer is None:
+                lane, answer = self._take_another_kind(data)
+            if lane is None or answer is None:
+                return
+            self._outlet.publish(answer)
+            self._note(lane, data)
 
-    def _locate(self, lane: ByteLane, data: bytes) -> None:
-        """Publish the transform of a scan of this POSOR, which its lane has read."""
-        reader, results = lane.reader, lane.lane
-        if reader.stamp_ns == 0:
-            reason = "the stamp is zero; expected the time of exposure."
-            self._lose(data, reader.number, reader.status, reason)
-            return
-        if self._count_from_next:
-            results.scans.at_home[0] = 1
-            self._count_from_next = False
-        lost = results.run() == State.LOST
-        self._outlet.publish(lane.write(data))
-        self.timing.note(reader.stamp_ns)
-        self._remember(data, reader.lit, lost=lost)
-        self._report(results, reader.number, lane.reason, lost=lost)
-
-    def _take_another_kind(self, data: bytes) -> None:
+    def _take_another_kind(self, data: bytes) -> tuple[ByteLane | None, bytes | None]:
         """Answer a raw scan that is not like those before: make another lane for it, or say what is wrong with it."""
         try:
             data = RAW_SCAN.normal(data)
-            values = RAW_SCAN.values(data)
+            lane = ByteLane(self._posor, data, self.parameters.covariance)
         except TopicError as error:
             self._messages_refused += 1
             self._told = None
             self._status.report(Level.ERROR, f"no estimate: {error}", {"messages_refused": self._messages_refused})
-            return
-        frame, parent = values["header.frame_id"], self._calibration.frames.parent
-        if frame != parent:
-            reason = f"comes from frame '{frame}'; expected '{parent}', as in the calibration."
-            self._lose(data, values["scan"], values["status"], reason)
-            return
+            return None, None
         if self._lane is not None:
             self._recent.clear()
-        self._lane = ByteLane(self._posor, data, self.parameters.covariance)
-        self._lane.reader.read(data)
-        self._locate(self._lane, data)
+        self._lane = lane
+        if self._count_from_next:
+            lane.count_from_next()
+        return lane, lane.answer(data)
 
-    def _lose(self, data: bytes, number: int, status: int, reason: str) -> None:
-        """Publish that a scan is lost which is not one of this POSOR's, or has no time."""
-        self._outlet.publish(self._lost_writer.write(data[STAMP], number, status))
-        self._report(self._lost, number, lambda: f"scan {number}: {reason}", lost=True)
+    def _note(self, lane: ByteLane, data: bytes) -> None:
+        """Count a scan that has been answered, keep a sound one for a digital zero, say how it went where it is news.
 
-    def _remember(self, data: bytes, lit: tuple[int, ...], *, lost: bool) -> None:
-        """Keep a sound scan for a digital zero; one without a pose, or of another kind, breaks the row."""
-        if lost or lit != self._recent_lit:
+        One without a pose, or of another kind, breaks the row of those that are kept.
+        """
+        if lane.stamp_ns:
+            self.timing.note(lane.stamp_ns)
+        verdict, taken = lane.verdict, lane.taken
+        lost = verdict[0] == LOST
+        if lost or taken != self._taken:
             self._recent.clear()
-            self._recent_lit = lit
+            self._taken = taken
         if not lost:
             self._recent.append(data)
-
-    def _report(self, results: Results, number: int, reason: Callable[[], str], *, lost: bool) -> None:
-        """Count a scan, and say how it went where that is news."""
         self._scans += 1
         self._scans_lost += lost
-        self._last = results, number, reason
-        verdict = results.state, results.faults
+        self._last = lane
+        if self._count_from_next:
+            self._count_from_next = lane.counts_from_next
         if verdict != self._told:
             self._told = verdict
-            state, faults = State(results.state), Fault(results.faults)
+            state, faults = State(verdict[0]), Fault(verdict[1])
             said = faults.name if faults else "none"
             self._status.report(
                 HEALTH.get(state, Level.ERROR), f"{state.name.lower()}: {said}", {"faults": str(said), **self._values()}
@@ -262,16 +243,16 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
 
     def _values(self) -> dict[str, str | int | float]:
         """Return what is to be said of the last scan, beside its verdict."""
-        if self._last is None:
+        lane = self._last
+        if lane is None:
             return {}
-        results, number, reason = self._last
         return {
             "scans": self._scans,
             "scans_lost": self._scans_lost,
-            "last_scan": number,
-            "reason": reason(),
-            "residual": results.residual,
-            "redundancy": results.redundancy,
+            "last_scan": lane.number,
+            "reason": lane.reason(),
+            "residual": lane.residual,
+            "redundancy": lane.redundancy,
         }
 
 

@@ -93,6 +93,11 @@ class TableLayout:
         """Return room for messages."""
         return Table(self, np.empty((count, len(self.row)), dtype=np.uint8))
 
+    def offset(self, path: str) -> int:
+        """Return at which byte of a message a field is, or begins."""
+        fields: Any = self.dtype.fields
+        return int(fields[path][1]) - LEAD
+
     def column(self, path: str) -> int:
         """Return which float64 number of a row a field is, or begins with."""
         fields: Any = self.dtype.fields

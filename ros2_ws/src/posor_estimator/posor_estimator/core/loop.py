@@ -9,9 +9,10 @@ import numpy as np
 
 from posor_estimator.core.fault import State
 from posor_estimator.core.kernels import memory as layout
-from posor_estimator.core.kernels import scans as kernel
 from posor_estimator.core.kernels.locate import SINGULAR, deserves_retry
 from posor_estimator.core.kernels.readout import FAULTS
+from posor_estimator.core.kernels.scan import write_lost
+from posor_estimator.core.kernels.scans import locate_many
 from posor_estimator.core.kernels.solve import CONVERGED, gauss_newton
 from posor_estimator.core.kernels.tables import EPOCH, MEMORY, SETTINGS
 from posor_estimator.core.native import native_from_rotation
@@ -42,6 +43,7 @@ class Loop:
     Attributes:
         settings: See ``kernels.memory``.
         memory: See ``kernels.memory``.
+        tables: What the kernels work on.
         epoch: 1 where it is known, and from which time the memory counts [ns].
         plain: The stack's plain sensors.
         known_theta: For a counted theta: what it is to half a bump in the next start [rad]; None: not known.
@@ -51,11 +53,11 @@ class Loop:
     def __init__(self, stack: Stack, root: Root, settings: FloatArray) -> None:
         """Make the loop for a stack whose parameters are made of ``root``; ``settings`` as in ``kernels.memory``."""
         self._stack = stack
-        self._tables = Tables(stack, root)
-        self.settings = self._tables.of_floats(SETTINGS)[0]
+        self.tables = Tables(stack, root)
+        self.settings = self.tables.of_floats(SETTINGS)[0]
         self.settings[:] = settings
-        self.memory = self._tables.of_floats(MEMORY)[0]
-        self.epoch = self._tables.of_ints(EPOCH)[0]
+        self.memory = self.tables.of_floats(MEMORY)[0]
+        self.epoch = self.tables.of_ints(EPOCH)[0]
         self.plain = PlainRows(stack)
         self.known_theta: float | None = None
 
@@ -67,18 +69,18 @@ class Loop:
     @property
     def compiled(self) -> bool:
         """Whether the compiled loop can do all; else scans are located in Python, one by one."""
-        return self._tables.complete
+        return self.tables.complete
 
     def arguments(self, scans: Scans, out: Estimates, begin: int, end: int) -> tuple[Any, ...]:
         """Return what ``kernels.scans.locate_scans`` is called with."""
         return (
-            self._tables.places,
-            self._tables.ints,
-            self._tables.floats,
+            self.tables.places,
+            self.tables.ints,
+            self.tables.floats,
             scans.stamps_ns,
             scans.gap_voltages,
             scans.ring_voltages,
-            scans.diode_currents,
+            scans.diode_currents.reshape(scans.diode_currents.shape[0], math.prod(scans.diode_currents.shape[1:])),
             scans.lit_sources,
             scans.supply_voltages,
             scans.temperatures,
@@ -120,21 +122,14 @@ class Loop:
     def _step(self, scans: Scans, out: Estimates, begin: int, end: int) -> int:
         """Locate scans ``begin`` to ``end`` as far as no start is wanted; see ``kernels.scans.locate_scans``."""
         if self.compiled:
-            return kernel.locate_many(*self.arguments(scans, out, begin, end))
+            return locate_many(*self.arguments(scans, out, begin, end))
         for n in range(begin, end):
             if self.epoch[0] == 0:
                 self.epoch[:] = 1, scans.stamps_ns[n]
             codes, batch = self._stack.linearise(scans.part(n, n + 1))
             out.outcomes[n] = State.LOST, 0, *codes[0]
             out.figures[n] = np.nan
-            kernel.write_lost(
-                n,
-                out.rotations,
-                out.translations,
-                out.covariances_random,
-                out.covariances_systematic,
-                out.figures,
-            )
+            _lose(out, n)
             if codes.any():
                 continue
             stamp = float((scans.stamps_ns[n] - self.epoch[1]) * 1e-9)
@@ -142,16 +137,9 @@ class Loop:
             if self.memory[layout.KNOWN] == 0.0:
                 return n
             warm = self.memory[layout.GIVEN] == 0.0
-            self.plain.locate(scans, batch, n, stamp, self._tables, out)
+            self.plain.locate(scans, batch, n, stamp, self.tables, out)
             if out.states[n] == State.LOST:
-                kernel.write_lost(
-                    n,
-                    out.rotations,
-                    out.translations,
-                    out.covariances_random,
-                    out.covariances_systematic,
-                    out.figures,
-                )
+                _lose(out, n)
             if deserves_retry(int(out.states[n]), int(out.faults[n]), warm):
                 return -1 - n
         return end
@@ -192,3 +180,10 @@ class Loop:
                 self._give(*((rotation, translation) if settled else (pose.rotation, pose.translation)))
         if known is not None:
             self.memory[layout.COUNTED] = 1.0
+
+
+def _lose(out: Estimates, n: int) -> None:
+    """Make every number of scan n NaN, but for its chi-square."""
+    write_lost(
+        out.rotations[n], out.translations[n], out.covariances_random[n], out.covariances_systematic[n], out.figures[n]
+    )

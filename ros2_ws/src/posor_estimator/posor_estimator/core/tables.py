@@ -8,6 +8,7 @@ import numpy as np
 
 from posor_estimator.core.kernels import tables as layout
 from posor_estimator.core.kernels.gap import PREPARED
+from posor_estimator.core.kernels.locate import FIGURES
 from posor_estimator.core.kernels.memory import MEMORY, SETTINGS
 from posor_estimator.core.kernels.readout import SPOTS
 from posor_estimator.core.kernels.reshaped import viewed
@@ -53,7 +54,8 @@ class Tables:
             layout.PARTS: root.parts,
             **_of_readouts(stack, readouts),
         }
-        made |= _rooms(stack.readings, stack.pool.rows.shape[1], made[layout.READOUT_IDS].shape[1], root.deviates)
+        width, length = stack.pool.rows.shape[1], made[layout.READOUT_IDS].shape[1]
+        made |= _rooms(stack.readings, width, length, root.deviates, len(stack.sensors))
         made[layout.HERE][:] = -1
         self.places = np.zeros((layout.TABLES, 3), dtype=np.int64)
         self.ints: IntArray = self._laid(made, np.int64)
@@ -78,7 +80,7 @@ class Tables:
         return viewed(self.floats, *self.places[which])
 
 
-def _rooms(m: int, width: int, length: int, deviates: int) -> Made:
+def _rooms(m: int, width: int, length: int, deviates: int, sensors: int) -> Made:
     """Return the room for work; sizes as in ``kernels.tables``."""
     room, redundant = m + 6, max(m - 6, 0)
     floats = {
@@ -100,6 +102,11 @@ def _rooms(m: int, width: int, length: int, deviates: int) -> Made:
         layout.SPOT: (4, 2),
         layout.BASIS: (4, length),
         layout.FACTORS: (7, 3),
+        layout.ROTATION: (3, 3),
+        layout.TRANSLATION: (1, 3),
+        layout.RANDOM: (6, 6),
+        layout.SYSTEMATIC: (6, 6),
+        layout.FIGURES: (1, FIGURES),
     }
     ints = {
         layout.KINDS: (1, room),
@@ -111,6 +118,8 @@ def _rooms(m: int, width: int, length: int, deviates: int) -> Made:
         layout.CHOSEN: (1, m),
         layout.EPOCH: (1, 2),
         layout.REACH: (m, 2),
+        layout.TAKEN: (1, 1),
+        layout.OUTCOME: (1, 2 + sensors),
     }
     return {which: np.zeros(shape) for which, shape in floats.items()} | {
         which: np.zeros(shape, dtype=np.int64) for which, shape in ints.items()

@@ -1,25 +1,30 @@
-"""The estimator's lane with bytes at both ends: raw scans in, joint transforms out."""
+"""The estimator's way from the bytes of a raw scan to those of its joint transform."""
 
 from __future__ import annotations
 
+import struct
 from typing import TYPE_CHECKING
 
-from posor_estimator.ros.cdr import STAMP
-from posor_estimator.ros.cdr_scan import ScanReader, scan_of
-from posor_estimator.ros.cdr_transform import TransformWriter
+import numpy as np
+
+from posor_estimator.bulk.columns import records_of, transform_layout
+from posor_estimator.bulk.layout import LEAD, TableLayout
+from posor_estimator.core.kernels.readout import FAULTS, STATE
+from posor_estimator.ros.cdr_scan import RAW_SCAN
 
 if TYPE_CHECKING:
     from posor_estimator.core.posor import Posor
     from posor_estimator.ros.messages import CovarianceKind
+
+_NUMBER = struct.Struct("<Q")
 
 
 class ByteLane:
     """One POSOR's way for raw scans of one kind: the same frame, the same numbers of readings.
 
     Attributes:
-        lane: The estimator's.
-        reader: Of raw scans.
-        reason: Returns the sentence on what was wrong with the last scan, empty where nothing was.
+        frame: Of the scans.
+        fit: Whether that is the receiving plate; else every scan is LOST.
 
     """
 
@@ -35,12 +40,75 @@ class ByteLane:
             TopicError: The example is no raw scan.
 
         """
-        self.lane = posor.lane(scan_of(example))
-        self.reason = self.lane.reason
-        self.reader = ScanReader(example, self.lane.scans)
         frames = posor.calibration.frames
-        self._writer = TransformWriter(frames.parent, frames.child, kind, self.lane)
+        raw, transform = TableLayout.of(example, RAW_SCAN), transform_layout(frames.parent, frames.child, kind)
+        self._records = records = records_of(posor, raw, transform)
+        self.frame, self.fit = raw.strings["header.frame_id"], records.fit
+        self._parent = frames.parent
+        self._size, self._number_at = raw.size, raw.offset("scan")
+        row, out = raw.row[None].copy(), transform.row[None].copy()
+        self._lane = records.lane(row, out, np.stack([raw.row, raw.fixed]))
+        self._into, self._from = row[0, LEAD : LEAD + raw.size].data, out[0, LEAD : LEAD + transform.size].data
+        self._outcome, self._stamp_ns, self._taken = records.outcome.data, records.stamp_ns.data, records.taken.data
+        self._last = example
 
-    def write(self, data: bytes) -> bytes:
-        """Return the transform of the scan that was read and located last; ``data`` are its bytes."""
-        return self._writer.write(data[STAMP], self.reader.number, self.reader.status)
+    def answer(self, data: bytes) -> bytes | None:
+        """Return the transform of a raw scan; None where it is not of this kind, then nothing has been done."""
+        if len(data) < self._size:
+            return None
+        self._into[:] = data if len(data) == self._size else data[: self._size]
+        if not self._lane.run():
+            return None
+        self._last = data
+        return bytes(self._from)
+
+    def count_from_next(self) -> None:
+        """Take the next scan for one that has seen the home mark."""
+        self._records.count_from_next()
+
+    @property
+    def counts_from_next(self) -> bool:
+        """Whether that scan has yet to come."""
+        return self._records.counts_from_next
+
+    @property
+    def verdict(self) -> tuple[int, int]:
+        """``State`` and ``Fault`` of the last scan, plain numbers."""
+        return self._outcome[STATE], self._outcome[FAULTS]
+
+    @property
+    def stamp_ns(self) -> int:
+        """Stamp of the last scan [ns]."""
+        return int(self._stamp_ns[0])
+
+    @property
+    def taken(self) -> int:
+        """How often a scan has read other rows than the one before, as where another source is lit."""
+        return int(self._taken[0])
+
+    @property
+    def number(self) -> int:
+        """Number of the last scan."""
+        return int(_NUMBER.unpack_from(self._last, self._number_at)[0])
+
+    @property
+    def residual(self) -> float:
+        """Chi-square of the redundant readings of the last scan; NaN where it is LOST."""
+        return self._records.residual
+
+    @property
+    def redundancy(self) -> int:
+        """Degrees of freedom of the residual; zero of a LOST scan."""
+        return self._records.redundancy
+
+    def reason(self) -> str:
+        """Return the sentence on what was wrong with the last scan, empty where nothing was."""
+        if not self.fit:
+            said = f"comes from frame '{self.frame}'; expected '{self._parent}', as in the calibration."
+        elif self.stamp_ns == 0:
+            said = "the stamp is zero; expected the time of exposure."
+        else:
+            row = np.zeros_like(self._lane.row)
+            row[LEAD : LEAD + self._size] = np.frombuffer(self._last, dtype=np.uint8)[: self._size]
+            return self._records.reason(row)
+        return f"scan {self.number}: {said}"

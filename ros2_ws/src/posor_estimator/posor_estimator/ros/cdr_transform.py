@@ -1,24 +1,14 @@
-"""Joint transforms as bytes: written from the estimator's results, and read for the chain."""
+"""Joint transforms as bytes, read for the chain."""
 
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, field
-from math import nan
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import NamedTuple
 
-import numpy as np
 from posor_msgs.msg import JointTransform
 
-from posor_estimator.core.fault import Fault, State
 from posor_estimator.ros.cdr import NS, Schema
 from posor_estimator.ros.cdr_walk import LITTLE_ENDIAN
-from posor_estimator.ros.cdr_writer import MessageWriter
-from posor_estimator.ros.messages import COVARIANCE_KINDS
-
-if TYPE_CHECKING:
-    from posor_estimator.core.types import FloatArray
-    from posor_estimator.ros.messages import CovarianceKind
 
 JOINT_TRANSFORM = Schema.of(JointTransform)
 POSE = 7
@@ -29,82 +19,6 @@ _VERDICT = struct.Struct("<dBB2xII")
 """Residual, redundancy, state, faults and the scan's status, which follow one another."""
 _THETA = 10
 """Where the last of the native coordinates stands among what is unpacked."""
-
-
-class Results(Protocol):
-    """What is written of a scan; the arrays stay the same from scan to scan. ``core.lane.Lane`` is one."""
-
-    pose: FloatArray
-    native: FloatArray
-    random: FloatArray
-    systematic: FloatArray
-    residual: float
-    redundancy: int
-    state: int
-    faults: int
-
-
-@dataclass
-class Lost:
-    """Results of scans that never come to an estimate: no number, and a fault."""
-
-    pose: FloatArray = field(default_factory=lambda: np.full(7, nan))
-    native: FloatArray = field(default_factory=lambda: np.full(6, nan))
-    random: FloatArray = field(default_factory=lambda: np.full((6, 6), nan))
-    systematic: FloatArray = field(default_factory=lambda: np.full((6, 6), nan))
-    residual: float = nan
-    redundancy: int = 0
-    state: int = int(State.LOST)
-    faults: int = int(Fault.BAD_READING)
-
-
-class TransformWriter:
-    """Writes results as joint transforms."""
-
-    def __init__(self, parent: str, child: str, kind: CovarianceKind, results: Results) -> None:
-        """Prepare.
-
-        Args:
-            parent: Frame of the receiving plate.
-            child: Frame of the target plate.
-            kind: Which part of the covariance to write.
-            results: What is written, as it is at that time.
-
-        """
-        prototype = JointTransform(child_frame_id=child, covariance_kind=COVARIANCE_KINDS[kind])
-        prototype.header.frame_id = parent
-        arrays = {"pose.position.x": results.pose, "native": results.native}
-        if kind != "total":
-            arrays["covariance"] = results.random if kind == "random" else results.systematic
-        self._writer = MessageWriter(prototype, arrays)
-        self._total = self._writer.view("covariance", COVARIANCE).reshape(6, 6) if kind == "total" else None
-        self._results = results
-        self._number = self._writer.layout["scan"].offset
-        self._verdict = self._writer.layout["residual"].offset
-
-    def write(self, stamp: bytes, number: int, scan_status: int) -> bytes:
-        """Return the transform that the present results make.
-
-        Args:
-            stamp: Of the scan, in the eight bytes in which it came.
-            number: Of the scan.
-            scan_status: Its status flags.
-
-        """
-        results, writer = self._results, self._writer
-        if self._total is not None:
-            np.add(results.random, results.systematic, out=self._total)
-        _NUMBER.pack_into(writer.bytes, self._number, number)
-        _VERDICT.pack_into(
-            writer.bytes,
-            self._verdict,
-            results.residual,
-            results.redundancy,
-            results.state,
-            results.faults,
-            scan_status,
-        )
-        return writer.write(stamp)
 
 
 class Reading(NamedTuple):

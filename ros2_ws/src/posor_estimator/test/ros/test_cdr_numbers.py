@@ -12,14 +12,13 @@ import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from posor_estimator.core.estimate import Estimate
 from posor_estimator.core.fault import Fault, State
-from posor_estimator.core.scan import Scan, Scans
 from posor_estimator.errors import TopicError
 from posor_estimator.ros.cdr import NS, STAMP, Schema
-from posor_estimator.ros.cdr_scan import RAW_SCAN, ScanReader, ScanTemplate, scan_of
-from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM, Lost, Reading, TransformReader, TransformWriter
+from posor_estimator.ros.cdr_scan import RAW_SCAN, ScanTemplate
+from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM, Reading, TransformReader
 from posor_estimator.ros.cdr_writer import MessageWriter
-from posor_estimator.ros.messages import CovarianceKind, scan_from_message, transform_message
-from posor_msgs.msg import JointTransform, RawScan
+from posor_estimator.ros.messages import scan_from_message, transform_message
+from posor_msgs.msg import RawScan
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
@@ -46,49 +45,6 @@ def scans(shape: tuple[int, int, int], spreads: tuple[float, ...] = ()) -> Itera
         if gaps:
             scan.gap_voltages[0] = chance.choice([math.nan, 1.0])
         yield scan
-
-
-def bits(scan: Scan) -> tuple[Any, ...]:
-    """Return all that a scan says, numbers bit by bit."""
-    numbers = (scan.gap_voltages, scan.ring_voltages, scan.diode_currents, scan.supply_voltage, scan.temperature)
-    arrays = [np.asarray(each, dtype=float) for each in numbers]
-    told = (scan.number, scan.stamp_ns, scan.lit_sources, scan.at_home)
-    return (*told, *((each.shape, each.tobytes()) for each in arrays))
-
-
-@pytest.mark.parametrize("shape", SHAPES)
-def test_scans_are_read_into_arrays_as_rclpy_reads_them(shape: tuple[int, int, int]) -> None:
-    reader = room = None
-    for message in scans(shape):
-        data = serialize_message(message)
-        if reader is None or room is None:
-            room = Scans.of([scan_of(data)])
-            reader = ScanReader(data, room)
-        assert reader.read(data)
-        expected = scan_from_message(message)
-        assert bits(room[0]) == bits(expected) == bits(scan_of(data))
-        assert (reader.frame, reader.number, reader.status) == ("posor_receiving", message.scan, message.status)
-        assert (reader.stamp_ns, reader.lit) == (expected.stamp_ns, expected.lit_sources)
-
-
-def test_a_scan_of_another_kind_is_not_read_and_changes_nothing() -> None:
-    first, *_ = scans((3, 0, 8))
-    data = RAW_SCAN.serialize(first)
-    room = Scans.of([scan_of(data)])
-    reader = ScanReader(data, room)
-    assert reader.read(data)
-    before = bits(room[0])
-    foreign, short, spread = (
-        deserialize_message(data, RawScan),
-        *(next(scans(shape)) for shape in ((2, 0, 8), (3, 0, 8))),
-    )
-    foreign.header.frame_id = "another_receiving"[:15]
-    spread.gap_voltage_spreads = [1e-3]
-    others = [RAW_SCAN.serialize(message) for message in (foreign, short, spread)]
-    for other in [*others, data[:-1], b"", b"\x00\x00" + data[2:], b"\x00\x07" + data[2:]]:
-        assert not reader.read(other)
-        assert bits(room[0]) == before
-    assert reader.read(data + b"surplus bytes at the end")
 
 
 def test_a_template_is_the_scan_but_for_stamp_number_and_status() -> None:
@@ -123,36 +79,6 @@ def estimates() -> Iterator[Estimate]:
                 residual=chance.normal(),
                 redundancy=int(chance.integers(200)),
             )
-
-
-def put(estimate: Estimate, results: Lost) -> None:
-    """Put an estimate where the estimator's lane would."""
-    results.pose[:] = math.nan if estimate.T_R_T is None else pin.SE3ToXYZQUAT(estimate.T_R_T)
-    results.native[:] = estimate.native
-    results.random[:] = estimate.covariance_random
-    results.systematic[:] = estimate.covariance_systematic
-    results.residual, results.redundancy = estimate.residual, estimate.redundancy
-    results.state, results.faults = int(estimate.state), int(estimate.faults)
-
-
-@pytest.mark.parametrize("kind", ["random", "systematic", "total"])
-def test_transforms_are_written_as_their_messages_are(kind: CovarianceKind) -> None:
-    results = Lost()
-    writer = TransformWriter("plate_r", "plate_t of a long name", kind, results)
-    for scan, estimate in zip(scans((3, 0, 8)), estimates(), strict=False):
-        put(estimate, results)
-        message = transform_message(scan, estimate, "plate_r", "plate_t of a long name", kind)
-        data = writer.write(RAW_SCAN.serialize(scan)[STAMP], scan.scan, scan.status)
-        assert data == JOINT_TRANSFORM.serialize(message)
-
-
-def test_what_never_comes_to_an_estimate_is_lost_without_a_number() -> None:
-    scan = next(scans((3, 0, 8)))
-    data = TransformWriter("plate_r", "plate_t", "total", Lost()).write(RAW_SCAN.serialize(scan)[STAMP], 7, 64)
-    message = deserialize_message(data, JointTransform)
-    assert (message.scan, message.scan_status) == (7, 64)
-    assert (message.state, message.faults) == (JointTransform.STATE_LOST, JointTransform.FAULT_BAD_READING)
-    assert np.isnan([*message.covariance, *message.native, message.residual, message.pose.orientation.w]).all()
 
 
 def test_a_transform_is_read_for_the_chain() -> None:

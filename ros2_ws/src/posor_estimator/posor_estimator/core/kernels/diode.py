@@ -19,6 +19,8 @@ from posor_estimator.core.kernels.vector import square
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray, IntArray
 
+CONTACTS = 4
+
 FINE = 0
 NOT_FINITE = 1
 DARK = 2
@@ -34,7 +36,6 @@ SUMS, DOMAIN, NOISES, FRAME, MAP = 0, 2, 6, 8, 12
 @inlined
 def linearise_spots(
     currents: FloatArray,
-    n: int,
     diodes: FloatArray,
     shapes: IntArray,
     begin: int,
@@ -45,11 +46,10 @@ def linearise_spots(
     room: FloatArray,
     basis: FloatArray,
 ) -> int:
-    """Linearise the currents of scan n into readings ``first`` and following: x and y of each diode in turn.
+    """Linearise the currents of one scan into readings ``first`` and following: x and y of each diode in turn.
 
     Args:
-        currents: A, B, C, D of each diode [A], shape (scans, d, 4).
-        n: Which scan.
+        currents: A, B, C, D of each diode in turn [A], shape (4 d,).
         diodes: Numbers of each diode, see the module, shape (D, 12 + p).
         shapes: See ``spot_position``, shape (D, 3).
         begin: Which of these the first diode is.
@@ -66,10 +66,10 @@ def linearise_spots(
 
     """
     ratios, slope = room[0], room[2:4]
-    for i in range(currents.shape[1]):
+    for i in range(currents.shape[0] // CONTACTS):
         d, offset = begin + i, CODES * i
         for axis in range(2):
-            plus, minus = currents[n, i, axis], currents[n, i, axis + 2]
+            plus, minus = currents[CONTACTS * i + axis], currents[CONTACTS * i + axis + 2]
             total = plus + minus
             if not math.isfinite(total):
                 return NOT_FINITE + offset
@@ -110,11 +110,11 @@ def linearise_all(
     first: int,
     codes: IntArray,
 ) -> None:
-    """Do ``linearise_spots`` for every scan whose code is zero so far; values and variances have an axis of scans."""
+    """Do ``linearise_spots`` for every scan whose code is zero so far; readings have a leading axis of scans."""
     less_by = np.empty((values.shape[1], diodes.shape[1]))
     room, basis = np.empty((4, 2)), np.empty((4, diodes.shape[1]))
     for n in range(currents.shape[0]):
         if codes[n] == 0:
             codes[n] = linearise_spots(
-                currents, n, diodes, shapes, 0, values[n], variances[n], less_by, first, room, basis
+                currents[n], diodes, shapes, 0, values[n], variances[n], less_by, first, room, basis
             )

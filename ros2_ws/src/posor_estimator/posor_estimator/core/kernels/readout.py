@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from posor_estimator.core.compiled import inlined
-from posor_estimator.core.kernels.diode import linearise_spots
+from posor_estimator.core.kernels.diode import CONTACTS, linearise_spots
 from posor_estimator.core.kernels.tables import (
     BASIS,
     BY_READOUT,
@@ -45,18 +45,18 @@ WRONG_SOURCE = -3
 
 @inlined
 def choose_spots(
-    currents: FloatArray, lit: IntArray, n: int, count: int, sources: int, offset: int, chosen: IntArray, first: int
+    currents: FloatArray, lit: IntArray, count: int, sources: int, offset: int, chosen: IntArray, first: int
 ) -> int:
-    """Write which rows of the pool scan n reads, by the sources lit; return zero or what is wrong with the scan."""
-    if currents.shape[1] != count or currents.shape[2] != 4:  # noqa: PLR2004  contacts
+    """Write which rows of the pool a scan reads, by the sources lit; return zero or what is wrong with the scan."""
+    if currents.shape[0] != CONTACTS * count:
         return WRONG_COUNT
-    if lit.shape[1] != count:
+    if lit.shape[0] != count:
         return WRONG_SOURCES
     for i in range(count):
-        if lit[n, i] < 0 or lit[n, i] >= sources:
+        if lit[i] < 0 or lit[i] >= sources:
             return WRONG_SOURCE - i
         for axis in range(2):
-            chosen[first + 2 * i + axis] = offset + 2 * (i * sources + lit[n, i]) + axis
+            chosen[first + 2 * i + axis] = offset + 2 * (i * sources + lit[i]) + axis
     return 0
 
 
@@ -65,37 +65,35 @@ def read_out(
     places: IntArray,
     ints: IntArray,
     floats: FloatArray,
-    n: int,
     gap_voltages: FloatArray,
     ring_voltages: FloatArray,
     currents: FloatArray,
     lit: IntArray,
     supply: float,
     temperature: float,
-    outcomes: IntArray,
+    outcome: IntArray,
 ) -> bool:
-    """Linearise scan n; return whether it is fit.
+    """Linearise one scan; return whether it is fit.
 
     Args:
         places: See ``kernels.tables``.
         ints: See ``kernels.tables``; CHOSEN is written.
         floats: See ``kernels.tables``; values, variances and BY_READOUT are written.
-        n: Which scan.
-        gap_voltages: Gap probes' outputs [V], shape (scans, p).
-        ring_voltages: Ring probes' outputs [V], shape (scans, p).
-        currents: Contact currents [A], shape (scans, d, 4).
-        lit: Which source was lit for each diode, shape (scans, d).
+        gap_voltages: Gap probes' outputs [V], shape (p,).
+        ring_voltages: Ring probes' outputs [V], shape (p,).
+        currents: Contact currents [A], shape (4 d,).
+        lit: Which source was lit for each diode, shape (d,).
         supply: Supply voltage [V] or NaN.
         temperature: Temperature [K] or NaN.
-        outcomes: What is wrong with each sensor to write from column 2 on, shape (scans, 2 + sensors); after the first
-            that is unfit none is looked at.
+        outcome: What is wrong with each sensor to write from entry 2 on, shape (2 + sensors,); after the first that is
+            unfit none is looked at.
 
     """
     readouts, chosen = table(places, ints, READOUTS), line(places, ints, CHOSEN, 0)
     values, variances = line(places, floats, LINES, VALUES), line(places, floats, LINES, VARIANCES)
     by_readout = table(places, floats, BY_READOUT)
     for s in range(readouts.shape[0]):
-        outcomes[n, CODES + s] = 0
+        outcome[CODES + s] = 0
     for s in range(readouts.shape[0]):
         source, first, begin, count, offset = (
             readouts[s, 0],
@@ -105,24 +103,22 @@ def read_out(
             readouts[s, 4],
         )
         if source == SPOTS:
-            code = choose_spots(currents, lit, n, count, readouts[s, 5], offset, chosen, first)
+            code = choose_spots(currents, lit, count, readouts[s, 5], offset, chosen, first)
             if code == 0:
                 diodes, maps = table(places, floats, DIODES), table(places, ints, MAPS)
                 room, basis = table(places, floats, SPOT), table(places, floats, BASIS)
-                code = linearise_spots(
-                    currents, n, diodes, maps, begin, values, variances, by_readout, first, room, basis
-                )
+                code = linearise_spots(currents, diodes, maps, begin, values, variances, by_readout, first, room, basis)
         else:
             volts = gap_voltages if source == GAP_VOLTAGES else ring_voltages
             for i in range(count):
                 chosen[first + i] = offset + i
             code = WRONG_COUNT
-            if volts.shape[1] == count:
+            if volts.shape[0] == count:
                 channels = table(places, floats, CHANNELS)
                 code = linearise_voltages(
-                    volts, n, supply, temperature, channels, begin, values, variances, by_readout, first
+                    volts, supply, temperature, channels, begin, values, variances, by_readout, first
                 )
         if code != 0:
-            outcomes[n, CODES + s] = code
+            outcome[CODES + s] = code
             return False
     return True

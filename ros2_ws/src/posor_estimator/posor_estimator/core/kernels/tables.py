@@ -62,7 +62,15 @@ BASIS = 33  # floats: see kernels.spot_map (4, longest)
 EPOCH = 34  # whole numbers that stay: 1 where it is known, from which time the memory counts [ns] (1, 2)
 FACTORS = 35  # floats: those of the normal matrix at the solution, see kernels.blocks (7, 3)
 REACH = 36  # whole numbers: from which to before which reading each is correlated with others (m, 2)
-TABLES = 37
+TAKEN = 37  # whole numbers that stay: how often other rows of the pool have been taken (1, 1)
+# Room for one estimate.
+OUTCOME = 38  # whole numbers, see kernels.readout (1, 2 + sensors)
+ROTATION = 39  # floats (3, 3)
+TRANSLATION = 40  # floats (1, 3)
+RANDOM = 41  # floats (6, 6)
+SYSTEMATIC = 42  # floats (6, 6)
+FIGURES = 43  # floats, see kernels.locate (1, 14)
+TABLES = 44
 
 VALUES, VARIANCES, WEIGHTS, RESIDUALS = 0, 1, 2, 3
 

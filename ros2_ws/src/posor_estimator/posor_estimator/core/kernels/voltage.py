@@ -44,7 +44,6 @@ def polynomial(channel: FloatArray, order: int, volt: float) -> tuple[float, flo
 @inlined
 def linearise_voltages(
     volts: FloatArray,
-    n: int,
     supply: float,
     temperature: float,
     channels: FloatArray,
@@ -54,11 +53,10 @@ def linearise_voltages(
     less_by: FloatArray,
     first: int,
 ) -> int:
-    """Linearise the voltages of scan n into readings ``first`` and following.
+    """Linearise the voltages of one scan into readings ``first`` and following.
 
     Args:
-        volts: Outputs of the probes [V], shape (scans, p).
-        n: Which scan.
+        volts: Outputs of the probes [V], shape (p,).
         supply: Supply voltage [V] or NaN.
         temperature: Temperature [K] or NaN.
         channels: Of each channel its parameters, lowest and highest shifted voltage [V], and the standard deviation of
@@ -74,9 +72,9 @@ def linearise_voltages(
 
     """
     order = channels.shape[1] - COLUMNS
-    for i in range(volts.shape[1]):
+    for i in range(volts.shape[0]):
         c, r = begin + i, first + i
-        volt = volts[n, i] + channels[c, order]
+        volt = volts[i] + channels[c, order]
         if not math.isfinite(volt):
             return NOT_FINITE + 2 * i
         if volt < channels[c, order + LOWEST] or volt > channels[c, order + HIGHEST]:
@@ -112,7 +110,7 @@ def linearise_all(
     less_by = np.empty((values.shape[1], channels.shape[1]))
     for n in range(volts.shape[0]):
         codes[n] = linearise_voltages(
-            volts, n, supplies[n], temperatures[n], channels, 0, values[n], variances[n], less_by, first
+            volts[n], supplies[n], temperatures[n], channels, 0, values[n], variances[n], less_by, first
         )
 
 
@@ -120,9 +118,9 @@ def linearise_all(
 def gap_derivatives(
     volts: FloatArray, supply: float, temperature: float, channels: FloatArray, by_parameter: FloatArray
 ) -> None:
-    """Write the derivatives of the gaps of one scan's voltages (1, p) into ``by_parameter`` (p, n + 5)."""
-    p = volts.shape[1]
-    linearise_voltages(volts, 0, supply, temperature, channels, 0, np.empty(p), np.empty(p), by_parameter, 0)
+    """Write the derivatives of the gaps of one scan's voltages (p,) into ``by_parameter`` (p, n + 5)."""
+    p = volts.shape[0]
+    linearise_voltages(volts, supply, temperature, channels, 0, np.empty(p), np.empty(p), by_parameter, 0)
     for i in range(p):
         for k in range(by_parameter.shape[1]):
             by_parameter[i, k] = -by_parameter[i, k]
@@ -141,7 +139,7 @@ def gap_sigmas(
     p = volts.shape[1]
     values, variances, less_by = np.empty(p), np.empty(p), np.empty(parameter_sigmas.shape)
     for n in range(volts.shape[0]):
-        linearise_voltages(volts, n, supplies[n], temperatures[n], channels, 0, values, variances, less_by, 0)
+        linearise_voltages(volts[n], supplies[n], temperatures[n], channels, 0, values, variances, less_by, 0)
         for i in range(p):
             total = 0.0
             for k in range(parameter_sigmas.shape[1]):

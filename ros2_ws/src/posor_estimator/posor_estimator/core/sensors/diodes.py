@@ -232,7 +232,7 @@ class Diodes(RowSensor):
             lit = np.where(known, lit, 0)
         batch.chosen[:, first : first + 2 * count] = offset + self._rows_of(lit)
         codes.linearise_all(
-            np.ascontiguousarray(scans.diode_currents),
+            np.ascontiguousarray(scans.diode_currents).reshape(len(scans), 4 * count),
             self._diodes,
             self._map_shapes,
             batch.values,

@@ -190,7 +190,7 @@ class Channels:
     def jacobian(self, volts: FloatArray, scan: Scan, size: int) -> FloatArray:
         """Return d(gap)/d(parameter) of each probe, shape (p, size of the parameter vector)."""
         derivatives = np.empty(self.ids.shape)
-        voltage.gap_derivatives(volts[None], scan.supply_voltage, scan.temperature, self.numbers, derivatives)
+        voltage.gap_derivatives(volts, scan.supply_voltage, scan.temperature, self.numbers, derivatives)
         out = np.zeros((len(self.names), size))
         np.put_along_axis(out, self.ids, derivatives, axis=1)
         return out

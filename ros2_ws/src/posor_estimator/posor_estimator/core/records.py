@@ -1,0 +1,236 @@
+"""From messages with raw readings to messages with poses, without taking them apart; what they are is not known here.
+
+A message is a row of bytes whose numbers lie at multiples of their size; ``core.columns`` says what stands where.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from posor_estimator.core.compiled import code_for
+from posor_estimator.core.estimate import Estimates
+from posor_estimator.core.kernels import records as kernel
+from posor_estimator.core.kernels.locate import LOST
+from posor_estimator.core.kernels.readout import CODES, FAULTS, STATE
+from posor_estimator.core.kernels.scan import RETRY, START, UNFIT
+from posor_estimator.core.kernels.tables import (
+    FIGURES,
+    OUTCOME,
+    RANDOM,
+    ROTATION,
+    SYSTEMATIC,
+    TAKEN,
+    TRANSLATION,
+)
+from posor_estimator.core.scan import Scans
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from posor_estimator.core.columns import Columns
+    from posor_estimator.core.posor import Posor
+    from posor_estimator.core.types import FloatArray, WordArray
+
+    ByteArray: TypeAlias = NDArray[np.uint8]
+    Views: TypeAlias = tuple[FloatArray, WordArray, FloatArray, FloatArray, WordArray]
+
+CONTACTS = 4
+STOPPED = {START: 0, RETRY: -1, UNFIT: 1}
+"""Where a loop over one scan would have stopped, by what is left to do for it."""
+NOTHING_LIKE: WordArray = np.zeros((2, 0), dtype=np.int32)
+"""For rows that are known to be of the right kind."""
+
+
+class Records:
+    """A POSOR's way from rows of readings to rows of poses; what the estimate of the last of them is, stays to be read.
+
+    Attributes:
+        outcome: State, faults and codes of the last scan, shape (2 + sensors,).
+        stamp_ns: Its stamp [ns], shape (1,).
+        taken: How often a scan has read other rows of the pool than the one before, as where another source is lit,
+            shape (1,).
+
+    """
+
+    def __init__(self, posor: Posor, columns: Columns, template: ByteArray, *, fit: bool = True) -> None:
+        """Prepare.
+
+        Args:
+            posor: The estimator.
+            columns: Where the rows have what.
+            template: A row of a pose, for what is the same in all, shape (k,).
+            fit: Whether the readings may be used; else every scan is LOST, its readings bad.
+
+        """
+        self._posor = posor
+        self._loop = posor.loop
+        self._columns = columns
+        self._template = template.view(np.float64)
+        self._record = columns.record(posor.redundancy)
+        self._record[kernel.FIT] = fit
+        tables = posor.loop.tables
+        self._tables = tables.places, tables.ints, tables.floats
+        self.outcome = tables.of_ints(OUTCOME)[0]
+        self.stamp_ns = self._record[kernel.STAMP_NS : kernel.STAMP_NS + 1]
+        self.taken = tables.of_ints(TAKEN)[0]
+        self._room = Estimates(
+            scans=np.zeros(1, dtype=np.uint64),
+            outcomes=tables.of_ints(OUTCOME),
+            rotations=tables.of_floats(ROTATION)[None],
+            translations=tables.of_floats(TRANSLATION),
+            covariances_random=tables.of_floats(RANDOM)[None],
+            covariances_systematic=tables.of_floats(SYSTEMATIC)[None],
+            figures=tables.of_floats(FIGURES),
+            redundancy=posor.redundancy,
+        )
+
+    @property
+    def compiled(self) -> bool:
+        """Whether the compiled loop can do all; else scans are located in Python, one by one."""
+        return self._loop.compiled
+
+    @property
+    def fit(self) -> bool:
+        """Whether readings may be used; else every scan is LOST."""
+        return bool(self._record[kernel.FIT])
+
+    @property
+    def residual(self) -> float:
+        """Chi-square of the redundant readings of the last scan; NaN where it is LOST."""
+        return math.nan if self.outcome[STATE] == LOST else float(self._room.residuals[0])
+
+    @property
+    def redundancy(self) -> int:
+        """Degrees of freedom of the residual; zero of a LOST scan."""
+        return 0 if self.outcome[STATE] == LOST else self._room.redundancy
+
+    def count_from_next(self) -> None:
+        """Take the next scan for one that has seen the home mark."""
+        self._record[kernel.AT_HOME] = 1
+
+    @property
+    def counts_from_next(self) -> bool:
+        """Whether that scan has yet to come."""
+        return bool(self._record[kernel.AT_HOME])
+
+    def locate(self, raw: ByteArray, out: ByteArray) -> None:
+        """Locate the scans in rows (n, w), from the last pose on, and write rows of poses (n, k)."""
+        views, count, done = self._views(raw, out), len(raw), 0
+        while done < count:
+            if self.compiled:
+                done = kernel.locate_many_records(*self._tables, self._record, NOTHING_LIKE, *views, done, count)
+            if done < count:
+                self._finish(raw, views, done)
+                done += 1
+
+    def lane(self, raw: ByteArray, out: ByteArray, like: ByteArray) -> RecordLane:
+        """Return the way for one scan at a time, always in the same two rows, (1, w) and (1, k).
+
+        Args:
+            raw: Row of readings, to be filled in place.
+            out: Row of its pose, written in place.
+            like: What every row of readings must be like: one, and which of its bits must be equal, shape (2, w).
+
+        """
+        return RecordLane(self, raw, out, like)
+
+    def arguments(self, raw: ByteArray, out: ByteArray, like: ByteArray) -> tuple[object, ...]:
+        """Return what ``kernels.records.locate_records`` is called with for one row."""
+        return *self._tables, self._record, like.view(np.int32), *self._views(raw, out), 0, 1
+
+    def finish(self, raw: ByteArray, out: ByteArray, like: ByteArray) -> bool:
+        """Do what was left to do for the only row; return whether it is one of readings of this kind."""
+        views = self._views(raw, out)
+        if self.compiled:
+            of_this_kind = self._record[kernel.LEFT] != kernel.OTHER
+        else:
+            of_this_kind = kernel.is_like(views[1][0], like.view(np.int32))
+        if of_this_kind:
+            self._finish(raw, views, 0)
+        return bool(of_this_kind)
+
+    def reason(self, row: ByteArray) -> str:
+        """Return the sentence on what was wrong with the last scan, whose row (w,) this is; empty where nothing was."""
+        if self.outcome[FAULTS] == 0:
+            return ""
+        residual = float(self._room.residuals[0])
+        return self._posor.reason(self.scans(row[None])[0], self.outcome[CODES:], int(self.outcome[FAULTS]), residual)
+
+    def scans(self, raw: ByteArray) -> Scans:
+        """Return the scans in rows of readings (n, w)."""
+        columns, count = self._columns, len(raw)
+        floats, words = raw.view(np.float64), raw.view(np.int32)
+        gaps, rings, currents = (
+            np.ascontiguousarray(floats[:, begin // 8 : begin // 8 + length])
+            for begin, length in (columns.gaps, columns.rings, columns.currents)
+        )
+        width = CONTACTS if currents.shape[1] % CONTACTS == 0 else 1
+        begin, length = columns.lit
+        seconds = words[:, columns.seconds // 4].astype(np.int64)
+        nanoseconds = words[:, columns.seconds // 4 + 1].astype(np.int64) & 0xFFFFFFFF
+        return Scans(
+            numbers=raw.view(np.uint64)[:, columns.number // 8].copy(),
+            stamps_ns=seconds * kernel.NS + nanoseconds,
+            gap_voltages=gaps,
+            ring_voltages=rings,
+            diode_currents=currents.reshape(count, currents.shape[1] // width, width),
+            lit_sources=raw[:, begin : begin + length].astype(np.int64),
+            supply_voltages=floats[:, columns.supply // 8].copy(),
+            temperatures=floats[:, columns.temperature // 8].copy(),
+            at_home=((words[:, columns.status // 4] & columns.home) != 0).astype(np.int64),
+        )
+
+    def _scan(self, row: ByteArray) -> Scans:
+        """Return the scan in a row (1, w), which may count as having seen the home mark."""
+        scans = self.scans(row)
+        scans.at_home[0] |= self._record[kernel.AT_HOME]
+        return scans
+
+    def _views(self, raw: ByteArray, out: ByteArray) -> Views:
+        return (
+            raw.view(np.float64),
+            raw.view(np.int32),
+            self._template,
+            out.view(np.float64),
+            out.view(np.int32),
+        )
+
+    def _finish(self, raw: ByteArray, views: Views, n: int) -> None:
+        """Do for the scan in row n what was left to do, and write its pose."""
+        scans = self._scan(raw[n : n + 1])
+        if self.compiled:
+            self._loop.finish(scans, self._room, STOPPED[self._record.item(kernel.LEFT)])
+        else:
+            self._record[kernel.STAMP_NS] = scans.stamps_ns[0]
+            if self.fit and scans.stamps_ns[0]:
+                self._loop.run(scans, self._room)
+            else:
+                kernel.lose_record(*self._tables)
+        self._record[kernel.AT_HOME] = 0
+        _, words, template, written, written_words = views
+        kernel.write_one(*self._tables, self._record, words, template, written, written_words, n)
+
+
+class RecordLane:
+    """One scan after the other in the same two rows.
+
+    Attributes:
+        row: Of readings, shape (w,).
+
+    """
+
+    def __init__(self, records: Records, raw: ByteArray, out: ByteArray, like: ByteArray) -> None:
+        """Prepare; see ``Records.lane``."""
+        self._records, self._rows = records, (raw, out, like)
+        self.row = raw[0]
+        self._arguments = records.arguments(raw, out, like)
+        self._locate = code_for(kernel.locate_records, self._arguments) if records.compiled else None
+
+    def run(self) -> bool:
+        """Locate the scan in the row of readings; return False where it is not of this kind, and nothing was done."""
+        if self._locate is not None and self._locate(*self._arguments) == 1:
+            return True
+        return self._records.finish(*self._rows)
