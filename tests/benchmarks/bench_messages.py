@@ -19,7 +19,7 @@ from posor_estimator.core.posor import Posor
 from posor_estimator.ros.byte_lane import ByteLane
 from posor_estimator.ros.cdr import NS
 from posor_estimator.ros.cdr_scan import RAW_SCAN, ScanTemplate
-from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM, TransformReader
+from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM, TransformKind, stamp_ns_of
 from posor_estimator.ros.messages import pose_from_message, scan_from_message, transform_message
 from posor_msgs.msg import JointTransform, RawScan
 from rclpy.serialization import deserialize_message, serialize_message
@@ -64,9 +64,8 @@ def ways() -> list[Way]:
     frames = posor.calibration.frames.parent, posor.calibration.frames.child
     lane, other = ByteLane(posor, raw, "total"), Posor(posor.calibration)
     transform = JOINT_TRANSFORM.serialize(transform_message(scan, estimate, *frames, "total"))
-    transforms = TransformReader(transform)
-    pose, covariance = np.empty(7), np.empty((6, 6))
-    pose_bytes, covariance_bytes = pose.data.cast("B"), covariance.data.cast("B")
+    kind = TransformKind(*frames)
+    row = np.zeros(kind.size, dtype=np.uint8).data
 
     def stamped() -> bytes:
         scan.header.stamp.sec, scan.scan = 1, 2
@@ -76,10 +75,9 @@ def ways() -> list[Way]:
         estimate = other.locate(scan_from_message(deserialize_message(raw, RawScan)))
         return bytes(serialize_message(transform_message(scan, estimate, *frames, "total")))
 
-    def measured() -> None:
-        reading = transforms.read(transform)
-        if reading is not None:
-            pose_bytes[:], covariance_bytes[:] = transform[reading.pose], transform[reading.covariance]
+    def read(data: bytes) -> None:
+        if kind.takes(data) and stamp_ns_of(data):
+            row[:] = data
 
     return [
         Way("driver: a prepared scan, its stamp and number set", lambda: template.at(NS, 2), stamped),
@@ -90,7 +88,7 @@ def ways() -> list[Way]:
         ),
         Way(
             "chain_node: read a transform",
-            measured,
+            lambda: read(transform),
             lambda: _read(deserialize_message(transform, JointTransform)),
         ),
     ]

@@ -29,9 +29,9 @@ STAGES = (
     ("posor_estimator.posor_node", "PosorEstimatorNode", "_take", "posor_node: all else"),
     ("posor_estimator.ros.byte_lane", "ByteLane", "answer", "posor_node: bytes of the scan and the transform"),
     ("posor_estimator.core.records", "RecordLane", "run", "posor_node: read, locate, write"),
-    ("posor_estimator.chain_node", "ChainNode", "_take", "chain_node: join, all else"),
-    ("posor_estimator.ros.cdr_transform", "TransformReader", "read", "chain_node: read the transform"),
-    ("posor_estimator.core.chain_lane", "ChainLane", "run", "chain_node: endpoint"),
+    ("posor_estimator.chain_node", "ChainNode", "_take", "chain_node: all else"),
+    ("posor_estimator.core.joining", "ScanJoiner", "add", "chain_node: join"),
+    ("posor_estimator.core.chain_records", "ChainRecords", "run", "chain_node: read the transforms, endpoint"),
     ("posor_estimator.ros.cdr_writer", "MessageWriter", "write", "chain_node: numbers into bytes"),
 )
 """Module, class, method and name of each stage; publishing is one more for each type of message."""

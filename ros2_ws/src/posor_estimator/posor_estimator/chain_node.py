@@ -24,13 +24,15 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
+from posor_estimator.bulk.layout import LEAD
 from posor_estimator.core.chain import load_chain
+from posor_estimator.core.chain_records import ChainRecords
 from posor_estimator.core.fault import State
 from posor_estimator.core.joining import MOST_OPEN, ScanJoiner
 from posor_estimator.errors import TopicError
 from posor_estimator.ros.cdr import STAMP
 from posor_estimator.ros.cdr_endpoint import EndpointWriter
-from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM, Reading, TransformReader
+from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM, TransformKind, stamp_ns_of
 from posor_estimator.ros.diagnostics import Level
 from posor_estimator.ros.listeners import Listeners
 from posor_estimator.ros.main import run
@@ -92,8 +94,8 @@ class ChainNode(PosorNode[ChainParameters]):
     Parameters = ChainParameters
 
     _lane: ChainLane
-    _joiner: ScanJoiner[Reading]
-    _readers: dict[str, TransformReader]
+    _joiner: ScanJoiner[bytes]
+    _kinds: dict[str, TransformKind]
     _home: FloatArray | None
     _last: FloatArray | None
     _told: object
@@ -118,12 +120,12 @@ class ChainNode(PosorNode[ChainParameters]):
         # Where everything is kept, one joint may be ahead of another by a whole replay.
         most_open = MOST_OPEN if self.parameters.qos_depth else math.inf
         self._joiner = ScanJoiner(names, most_open, self.parameters.max_wait)
-        self._readers = {}
+        self._kinds = {joint.name: TransformKind(joint.parent, joint.child) for joint in chain.joints}
+        self._records = ChainRecords(self._lane, [self._kinds[name].columns for name in names])
         self._room = [
-            (pose.data.cast("B"), covariance.data.cast("B"))
-            for pose, covariance in zip(self._lane.poses, self._lane.covariances, strict=True)
+            (name, self._kinds[name].size, row[LEAD : LEAD + self._kinds[name].size].data)
+            for name, row in zip(names, self._records.rows, strict=True)
         ]
-        self._thetas = self._lane.thetas.data.cast("B").cast("d")
         self._home = self._last = self._told = None
         self._poses = self._scans_refused = self._scans_incomplete = 0
         self._status.report(
@@ -171,40 +173,37 @@ class ChainNode(PosorNode[ChainParameters]):
         with self._lock:
             if not self._pose.is_activated:
                 return
-            reader = self._readers.get(joint.name)
-            reading = reader.read(data) if reader is not None else None
-            reading = self._another_kind(joint, data) if reading is None else reading
-            if reading is None:
+            if not self._kinds[joint.name].takes(data) and not (data := self._normal(joint, data)):
                 return
-            if reading.stamp_ns == 0:  # to the joiner it would be time that has gone back
+            stamp_ns = stamp_ns_of(data)
+            if stamp_ns == 0:  # to the joiner it would be time that has gone back
                 self._scans_refused += 1
                 self._say_no(f"{joint.name}: the stamp of a transform is zero; expected the time of exposure")
                 return
-            scan = self._joiner.add(joint.name, reading.stamp_ns, reading, time.monotonic())
+            scan = self._joiner.add(joint.name, stamp_ns, data, time.monotonic())
             if self._joiner.has_given_up:
                 self._report_given_up()
             if scan is not None:
-                self._fuse(scan)
+                self._fuse(scan, stamp_ns)
 
-    def _another_kind(self, joint: FreeJoint, data: bytes) -> Reading | None:
-        """Read a transform whose names are not those of the one before; None where it is not this joint's."""
+    def _normal(self, joint: FreeJoint, data: bytes) -> bytes:
+        """Return a transform in plain CDR; nothing where it is not this joint's, which is said."""
         try:
             data = JOINT_TRANSFORM.normal(data)
-            reader = TransformReader(data)
+            values = JOINT_TRANSFORM.values(data)
         except TopicError as error:
             self._scans_refused += 1
             self._say_no(f"{joint.name}: {error}")
-            return None
-        parent, child = reader.frames
-        if reader.frames != (joint.parent, joint.child):
+            return b""
+        frames = (str(values["header.frame_id"]), str(values["child_frame_id"]))
+        if frames != (joint.parent, joint.child):
             self._scans_refused += 1
             self._say_no(
-                f"{joint.name}: transforms from '{parent}' to '{child}' arrive; "
+                f"{joint.name}: transforms from '{frames[0]}' to '{frames[1]}' arrive; "
                 f"expected '{joint.parent}' to '{joint.child}', as in the URDF"
             )
-            return None
-        self._readers[joint.name] = reader
-        return reader.read(data)
+            return b""
+        return data
 
     def _give_up_late(self) -> None:
         """Give up scans that have waited long enough for a late joint."""
@@ -218,43 +217,43 @@ class ChainNode(PosorNode[ChainParameters]):
             if self._told != (told := ("missing", missing)):
                 self._say_no(f"{', '.join(missing)}: transform missing from a scan that the other joints sent", told)
 
-    def _fuse(self, scan: dict[str, Reading]) -> None:
+    def _fuse(self, scan: dict[str, bytes], stamp_ns: int) -> None:
         """Publish the endpoint of one complete scan, unless a joint's pose may not be used."""
-        lane, worst = self._lane, 0
-        for number, name in enumerate(lane.joints):
-            reading = scan[name]
-            pose, covariance = self._room[number]
-            pose[:], covariance[:] = reading.data[reading.pose], reading.data[reading.covariance]
-            self._thetas[number] = reading.theta
-            worst = max(worst, reading.state)
-        if worst > State.DEGRADED or not lane.run(reading.stamp_ns):
+        for name, size, row in self._room:
+            data = scan[name]
+            row[:] = data if len(data) == size else data[:size]
+        worst = self._records.run(stamp_ns)
+        if worst < 0:
             self._refuse(scan)
             return
+        lane = self._lane
         if self.parameters.reference == "home":
             self._last = lane.pose.copy()
             self._home = self._last if self._home is None else self._home
             lane.find_relative_to(self._home)
-        stamp, writer = reading.data[STAMP], self._writer
+        stamp, writer = data[STAMP], self._writer
         self._pose.publish(writer.pose.write(stamp))
-        self._full_pose.publish(writer.pose_with_covariance.write(stamp))
-        self._joint_states.publish(writer.joint_states.write(stamp))
-        self.timing.note(reading.stamp_ns)
+        if self._full_pose.is_wanted:
+            self._full_pose.publish(writer.pose_with_covariance.write(stamp))
+        if self._joint_states.is_wanted:
+            self._joint_states.publish(writer.joint_states.write(stamp))
+        self.timing.note(stamp_ns)
         self._poses += 1
-        degraded = tuple(name for name in lane.joints if scan[name].state == State.DEGRADED) if worst else ()
+        degraded = () if worst == State.OK else tuple(name for name, verdict in self._verdicts(scan) if verdict[0])
         if self._told != (told := ("sound", degraded)):
             level, text = (Level.WARN, f"degraded: {', '.join(degraded)}") if degraded else (Level.OK, "ok")
             self._status.report(level, text, self._counts())
             self._told = told
 
-    def _refuse(self, scan: dict[str, Reading]) -> None:
+    def _verdicts(self, scan: dict[str, bytes]) -> list[tuple[str, tuple[int, int]]]:
+        """Return what the joints say of their poses, state and faults, by their names in the chain's order."""
+        return [(name, self._kinds[name].verdict(scan[name])) for name in self._lane.joints]
+
+    def _refuse(self, scan: dict[str, bytes]) -> None:
         """Say why a complete scan gives no pose, where that is news."""
         self._scans_refused += 1
-        readings = [(name, scan[name]) for name in self._lane.joints]
-        verdicts = tuple((reading.state, reading.faults) for _, reading in readings)
-        if self._told != (told := ("unusable", verdicts, self._lane.faults.tolist())):
-            said = [
-                (name, why_unusable(deserialize_message(reading.data, JointTransform))) for name, reading in readings
-            ]
+        if self._told != (told := ("unusable", self._verdicts(scan), self._lane.faults.tolist())):
+            said = [(name, why_unusable(deserialize_message(scan[name], JointTransform))) for name in self._lane.joints]
             self._say_no("; ".join(f"{name} {why}" for name, why in said if why), told)
 
     def _say_no(self, reason: str, told: object = None) -> None:

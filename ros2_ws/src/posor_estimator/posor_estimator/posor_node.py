@@ -213,10 +213,10 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
 
         One without a pose, or of another kind, breaks the row of those that are kept.
         """
-        if lane.stamp_ns:
-            self.timing.note(lane.stamp_ns)
-        verdict, taken = lane.verdict, lane.taken
-        lost = verdict[0] == LOST
+        stamp_ns, state, faults, taken = lane.said()
+        if stamp_ns:
+            self.timing.note(stamp_ns)
+        lost = state == LOST
         if lost or taken != self._taken:
             self._recent.clear()
             self._taken = taken
@@ -227,13 +227,11 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self._last = lane
         if self._count_from_next:
             self._count_from_next = lane.counts_from_next
-        if verdict != self._told:
-            self._told = verdict
-            state, faults = State(verdict[0]), Fault(verdict[1])
-            said = faults.name if faults else "none"
-            self._status.report(
-                HEALTH.get(state, Level.ERROR), f"{state.name.lower()}: {said}", {"faults": str(said), **self._values()}
-            )
+        if (state, faults) != self._told:
+            self._told = (state, faults)
+            said = Fault(faults).name if faults else "none"
+            level, name = HEALTH.get(State(state), Level.ERROR), State(state).name.lower()
+            self._status.report(level, f"{name}: {said}", {"faults": str(said), **self._values()})
 
     def _refresh(self) -> None:
         """Bring the values up to date, once a second."""

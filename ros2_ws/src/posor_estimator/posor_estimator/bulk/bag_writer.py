@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
     from rosbags.interfaces import Connection
 
-    from posor_estimator.bulk.layout import ByteArray
-    from posor_estimator.core.types import IntArray
+    from posor_estimator.core.types import ByteArray, IntArray
 
 METADATA_VERSION: Literal[9] = 9
 MESSAGE, CHUNK, MESSAGE_INDEX = 0x05, 0x06, 0x07

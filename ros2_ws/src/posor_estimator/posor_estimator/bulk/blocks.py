@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from rosbags.rosbag2 import Reader
     from rosbags.rosbag2.storage_mcap import ChunkInfo
 
-    from posor_estimator.bulk.layout import ByteArray
-    from posor_estimator.core.types import IntArray
+    from posor_estimator.core.types import ByteArray, IntArray
 
 BLOCK = 4 << 20
 """Bytes that are read at a time, about; a single chunk may be larger."""

@@ -15,10 +15,9 @@ from posor_estimator.ros.cdr_fields import Kind
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from posor_estimator.core.types import BoolArray, FloatArray, IntArray
+    from posor_estimator.core.types import BoolArray, ByteArray, FloatArray, IntArray
 
-ByteArray: TypeAlias = NDArray[np.uint8]
-WordArray: TypeAlias = NDArray[np.uint64]
+LongArray: TypeAlias = NDArray[np.uint64]
 
 LEAD = 4
 """Bytes before a message in its row: its body, which begins four bytes later, is then aligned in memory too."""

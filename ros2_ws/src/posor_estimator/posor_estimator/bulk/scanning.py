@@ -9,8 +9,8 @@ import numpy as np
 from posor_estimator.core.compiled import compiled
 
 if TYPE_CHECKING:
-    from posor_estimator.bulk.layout import ByteArray, WordArray
-    from posor_estimator.core.types import IntArray
+    from posor_estimator.bulk.layout import LongArray
+    from posor_estimator.core.types import ByteArray, IntArray
 
 MESSAGE = 0x05
 """Opcode of a message record in a chunk of an MCAP file."""
@@ -70,9 +70,9 @@ def gather(
     data: ByteArray,
     starts: IntArray,
     lengths: IntArray,
-    template: WordArray,
-    fixed: WordArray,
-    words: WordArray,
+    template: LongArray,
+    fixed: LongArray,
+    words: LongArray,
     out: ByteArray,
 ) -> int:
     """Copy messages to the rows of a table as long as they have its layout: its length at least, its bytes that decide.

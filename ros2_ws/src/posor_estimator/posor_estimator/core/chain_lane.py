@@ -92,6 +92,8 @@ class ChainLane:
         faults: Of the joints, (j,): zero, or a key of ``WHY``.
         relative_pose: Of the endpoint in its axes at home, (7,), written by ``find_relative_to``.
         relative_covariance: Of the same, (6, 6).
+        stamp_ns: Time of the scan [ns], (1,); ``run`` writes it.
+        arguments: What ``kernels.chain.endpoints`` is called with for the scan.
 
     """
 
@@ -100,7 +102,7 @@ class ChainLane:
         self.joints = joints
         self._layout = layout
         self._motion = BeamMotion(window_s, len(layout.beams))
-        self._stamp_ns: IntArray = np.zeros(1, dtype=np.int64)
+        self.stamp_ns: IntArray = np.zeros(1, dtype=np.int64)
         room = np.zeros((1, len(joints), 7)), np.zeros((1, len(joints), 6, 6)), np.full((1, len(joints)), np.nan)
         self.poses, self.covariances, self.thetas = room[0][0], room[1][0], room[2][0]
         self.poses[:, 6] = 1.0
@@ -115,8 +117,8 @@ class ChainLane:
         self._relative = np.full((1, 7), np.nan), np.full((1, 6, 6), np.nan)
         self.relative_pose, self.relative_covariance = self._relative[0][0], self._relative[1][0]
         self._found = found
-        self._one = self._stamp_ns, *room, found
-        self._prepared = self._arguments(0, *self._one)
+        self._one = self.stamp_ns, *room, found
+        self.arguments = self._arguments(0, *self._one)
 
     def take(self, measured: Mapping[str, MeasuredJoint]) -> None:
         """Fill ``poses`` and ``covariances`` with measurements by joint name.
@@ -142,9 +144,9 @@ class ChainLane:
             stamp_ns: Time of the scan, for the beams' accelerations. One that goes back begins their motion anew.
 
         """
-        self._stamp_ns[0] = stamp_ns
-        while kernel.endpoints(*self._prepared) == 0:
-            self._make_room()
+        self.stamp_ns[0] = stamp_ns
+        while kernel.endpoints(*self.arguments) == 0:
+            self.make_room()
         return not math.isnan(self.pose[0])
 
     def endpoints(
@@ -190,7 +192,7 @@ class ChainLane:
         )
         done = 0
         while (done := kernel.endpoints(*self._arguments(done, stamps_ns, poses, covariances, thetas, found))) < count:
-            self._make_room()
+            self.make_room()
         return found
 
     def find_relative_to(self, home: FloatArray) -> None:
@@ -203,9 +205,10 @@ class ChainLane:
             f"{name} {WHY[fault]}" for name, fault in zip(self.joints, self.faults.tolist(), strict=True) if fault
         )
 
-    def _make_room(self) -> None:
+    def make_room(self) -> None:
+        """Make room for more scans of the window, as the kernels ask for it."""
         self._motion.make_room()
-        self._prepared = self._arguments(0, *self._one)
+        self.arguments = self._arguments(0, *self._one)
 
     def _arguments(
         self,

@@ -22,19 +22,15 @@ from posor_estimator.core.kernels.tables import (
     RANDOM,
     ROTATION,
     SYSTEMATIC,
-    TAKEN,
     TRANSLATION,
 )
 from posor_estimator.core.scan import Scans
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from posor_estimator.core.columns import Columns
     from posor_estimator.core.posor import Posor
-    from posor_estimator.core.types import FloatArray, WordArray
+    from posor_estimator.core.types import ByteArray, FloatArray, WordArray
 
-    ByteArray: TypeAlias = NDArray[np.uint8]
     Views: TypeAlias = tuple[FloatArray, WordArray, FloatArray, FloatArray, WordArray]
 
 CONTACTS = 4
@@ -49,9 +45,8 @@ class Records:
 
     Attributes:
         outcome: State, faults and codes of the last scan, shape (2 + sensors,).
-        stamp_ns: Its stamp [ns], shape (1,).
-        taken: How often a scan has read other rows of the pool than the one before, as where another source is lit,
-            shape (1,).
+        said: Its stamp [ns], state and faults, and how often, up to it, a scan has read other rows than the one before,
+            as where another source is lit, shape (4,).
 
     """
 
@@ -74,8 +69,7 @@ class Records:
         tables = posor.loop.tables
         self._tables = tables.places, tables.ints, tables.floats
         self.outcome = tables.of_ints(OUTCOME)[0]
-        self.stamp_ns = self._record[kernel.STAMP_NS : kernel.STAMP_NS + 1]
-        self.taken = tables.of_ints(TAKEN)[0]
+        self.said = self._record[kernel.STAMP_NS : kernel.SAID_TAKEN + 1]
         self._room = Estimates(
             scans=np.zeros(1, dtype=np.uint64),
             outcomes=tables.of_ints(OUTCOME),

@@ -6,11 +6,12 @@ Numba keeps the compiled code on disk beside the sources. Without numba there is
 from __future__ import annotations
 
 import sys
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
 from posor_estimator.core.chain import Chain
+from posor_estimator.core.chain_records import ChainRecords, JointColumns, read_records
 from posor_estimator.core.columns import Columns
 from posor_estimator.core.compiled import COMPILING
 from posor_estimator.core.designs import DesignName, design
@@ -18,6 +19,9 @@ from posor_estimator.core.fault import State
 from posor_estimator.core.forward import scans_at
 from posor_estimator.core.posor import Posor
 from posor_estimator.core.records import Records
+
+if TYPE_CHECKING:
+    from posor_estimator.core.chain_lane import ChainLane
 
 ARM = """<robot name="arm"><link name="base"/><link name="plate"/><link name="endpoint"/>
 <joint name="joint" type="floating"><parent link="base"/><child link="plate"/></joint>
@@ -31,6 +35,7 @@ def warm_up() -> None:
         message = "an arm of one joint has no endpoint"
         raise AssertionError(message)
     lane.find_relative_to(lane.pose)
+    warm_up_chain_records(lane)
     for name in get_args(DesignName):
         posor = Posor(design(name))
         rotations, translations = np.tile(np.eye(3), (2, 1, 1)), np.tile([0.0, 0.0, 0.7e-3], (2, 1))
@@ -39,6 +44,18 @@ def warm_up() -> None:
             message = f"design {name} does not locate its own scans"
             raise AssertionError(message)
     warm_up_records()
+
+
+def warm_up_chain_records(lane: ChainLane) -> None:
+    """Run an arm of one joint over a measurement that is a row of numbers, alone and as one of many."""
+    columns = JointColumns(pose=0, theta=56, covariance=64, state=352, size=360)
+    records = ChainRecords(lane, [columns])
+    numbers = records.rows.view(np.float64)
+    numbers[0, 6] = 1.0
+    read_records(records.rows, columns, 0, np.empty((1, 1, 7)), np.empty((1, 1, 6, 6)), np.empty((1, 1)))
+    if records.run(0) != State.OK:
+        message = "a joint's measurement in a row gives no endpoint"
+        raise AssertionError(message)
 
 
 def warm_up_records() -> None:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from rosbags.interfaces import Connection, Qos
 
-    from posor_estimator.bulk.layout import ByteArray
+    from posor_estimator.core.types import ByteArray
     from posor_estimator.reprocess.endpoint import Endpoints
     from posor_estimator.reprocess.transforms import Transforms
 

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from posor_estimator.core.chain_records import read_records
 from posor_estimator.core.fault import State
 from posor_estimator.errors import ChainError
 from posor_estimator.reprocess.joined import BlockJoiner
-from posor_estimator.reprocess.rows import read_numbers
+from posor_estimator.ros.cdr_transform import columns_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -145,9 +146,7 @@ class EndpointReprocessor:
             np.empty((count, joints)),
         )
         for j, each in enumerate(complete):
-            layout = each.table.layout
-            columns = np.array([layout.column(name) for name in ("pose.position.x", "native", "covariance")])
-            read_numbers(each.table.rows.view(np.float64), columns, j, poses, covariances, thetas)
+            read_records(each.table.rows, columns_of(each.table.layout), j, poses, covariances, thetas)
         return self._lane.endpoints(poses, covariances, stamps, thetas)
 
     def _published(self, complete: Sequence[Transforms], found: Found) -> Endpoints:

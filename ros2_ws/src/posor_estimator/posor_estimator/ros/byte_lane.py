@@ -9,7 +9,6 @@ import numpy as np
 
 from posor_estimator.bulk.columns import records_of, transform_layout
 from posor_estimator.bulk.layout import LEAD, TableLayout
-from posor_estimator.core.kernels.readout import FAULTS, STATE
 from posor_estimator.ros.cdr_scan import RAW_SCAN
 
 if TYPE_CHECKING:
@@ -49,7 +48,8 @@ class ByteLane:
         row, out = raw.row[None].copy(), transform.row[None].copy()
         self._lane = records.lane(row, out, np.stack([raw.row, raw.fixed]))
         self._into, self._from = row[0, LEAD : LEAD + raw.size].data, out[0, LEAD : LEAD + transform.size].data
-        self._outcome, self._stamp_ns, self._taken = records.outcome.data, records.stamp_ns.data, records.taken.data
+        self._said = records.said.data
+        self._run = self._lane.run
         self._last = example
 
     def answer(self, data: bytes) -> bytes | None:
@@ -57,7 +57,7 @@ class ByteLane:
         if len(data) < self._size:
             return None
         self._into[:] = data if len(data) == self._size else data[: self._size]
-        if not self._lane.run():
+        if not self._run():
             return None
         self._last = data
         return bytes(self._from)
@@ -71,20 +71,17 @@ class ByteLane:
         """Whether that scan has yet to come."""
         return self._records.counts_from_next
 
-    @property
-    def verdict(self) -> tuple[int, int]:
-        """``State`` and ``Fault`` of the last scan, plain numbers."""
-        return self._outcome[STATE], self._outcome[FAULTS]
+    def said(self) -> list[int]:
+        """Return of the last scan stamp [ns], ``State``, ``Fault``, and ``taken``.
+
+        The latter is how often a scan has read other rows than the one before, as where another source is lit.
+        """
+        return self._said.tolist()
 
     @property
     def stamp_ns(self) -> int:
         """Stamp of the last scan [ns]."""
-        return int(self._stamp_ns[0])
-
-    @property
-    def taken(self) -> int:
-        """How often a scan has read other rows than the one before, as where another source is lit."""
-        return int(self._taken[0])
+        return int(self._said[0])
 
     @property
     def number(self) -> int:

@@ -1,72 +1,72 @@
-"""Joint transforms as bytes, read for the chain."""
+"""Joint transforms as bytes: what they are, told without reading them for the chain."""
 
 from __future__ import annotations
 
 import struct
-from typing import NamedTuple
 
 from posor_msgs.msg import JointTransform
 
-from posor_estimator.ros.cdr import NS, Schema
+from posor_estimator.bulk.layout import LEAD, TableLayout
+from posor_estimator.core.chain_records import JointColumns
+from posor_estimator.ros.cdr import NS, STAMP, Schema
 from posor_estimator.ros.cdr_walk import LITTLE_ENDIAN
 
 JOINT_TRANSFORM = Schema.of(JointTransform)
-POSE = 7
-COVARIANCE = 36
 
-_NUMBER = struct.Struct("<Q")
-_VERDICT = struct.Struct("<dBB2xII")
-"""Residual, redundancy, state, faults and the scan's status, which follow one another."""
-_THETA = 10
-"""Where the last of the native coordinates stands among what is unpacked."""
+_STAMP = struct.Struct("<iI")
+_FAULTS = struct.Struct("<I")
+_THETA = 5
+"""Which of the native coordinates it is."""
 
 
-class Reading(NamedTuple):
-    """What the chain needs of one transform."""
-
-    data: bytes
-    pose: slice
-    """Where in the bytes the pose lies: x, y, z [m], unit quaternion x, y, z, w."""
-    covariance: slice
-    """Where the covariance lies, row by row."""
-    stamp_ns: int
-    theta: float
-    """The large rotation, counted [rad]."""
-    state: int
-    faults: int
+def stamp_ns_of(data: bytes) -> int:
+    """Return the stamp [ns] of a message that begins with a header."""
+    seconds, nanoseconds = _STAMP.unpack_from(data, STAMP.start)
+    return int(seconds * NS + nanoseconds)
 
 
-class TransformReader:
-    """Reads joint transforms between two plates.
+def columns_of(layout: TableLayout) -> JointColumns:
+    """Return where rows of transforms have what the chain takes."""
+    return JointColumns(
+        pose=LEAD + layout.offset("pose.position.x"),
+        theta=LEAD + layout.offset("native") + 8 * _THETA,
+        covariance=LEAD + layout.offset("covariance"),
+        state=LEAD + layout.offset("state"),
+        size=LEAD + layout.size,
+    )
+
+
+class TransformKind:
+    """Transforms between two plates.
 
     Attributes:
-        frames: Names of the plates, parent and child.
+        size: Of such a message [bytes]; surplus bytes at its end mean nothing.
+        columns: Where its row has what.
 
     """
 
-    def __init__(self, example: bytes) -> None:
-        """Read transforms like an example, in plain CDR.
-
-        Raises:
-            TopicError: The example is no joint transform.
-
-        """
+    def __init__(self, parent: str, child: str) -> None:
+        """Tell transforms from the plate ``parent`` to the plate ``child`` from others."""
+        message = JointTransform(child_frame_id=child)
+        message.header.frame_id = parent
+        example = JOINT_TRANSFORM.serialize(message)
         layout = JOINT_TRANSFORM.layout(example)
-        values = JOINT_TRANSFORM.values(example, layout)
-        self.frames = (str(values["header.frame_id"]), str(values["child_frame_id"]))
-        paths = ("header.stamp.sec", "header.stamp.nanosec", "header.frame_id", "child_frame_id", "native")
-        self._unpack = layout.unpacker((*paths, "state", "faults")).unpack_from
-        self._named = self._unpack(example)[3:5]
-        self._size = layout.size
-        begin = layout["pose.position.x"].offset
-        self._parts = slice(begin, begin + 8 * POSE), layout["covariance"].part
+        self.columns = columns_of(TableLayout.of(example, JOINT_TRANSFORM))
+        self.size = layout.size
+        self._names = slice(STAMP.stop, layout["scan"].offset)
+        self._usual = example[self._names]
+        self._unpack = layout.unpacker(("header.frame_id", "child_frame_id")).unpack_from
+        self._told = self._unpack(example)
+        self._state, self._faults = layout["state"].offset, layout["faults"].offset
 
-    def read(self, data: bytes) -> Reading | None:
-        """Return what a transform says, None where it is not between the same plates or is none at all."""
-        if len(data) < self._size:
-            return None
-        said = self._unpack(data)
-        if said[0] != LITTLE_ENDIAN or said[3:5] != self._named:
-            return None
-        pose, covariance = self._parts
-        return Reading(data, pose, covariance, said[1] * NS + said[2], said[_THETA], said[11], said[12])
+    def takes(self, data: bytes) -> bool:
+        """Return whether a message is such a transform."""
+        if len(data) < self.size:
+            return False
+        if data[self._names] == self._usual and data[:2] == LITTLE_ENDIAN:
+            return True
+        return bool(self._unpack(data) == self._told)  # what fills the gaps after the names may be anything
+
+    def verdict(self, data: bytes) -> tuple[int, int]:
+        """Return ``State`` and ``Fault`` of one, plain numbers."""
+        return data[self._state], int(_FAULTS.unpack_from(data, self._faults)[0])

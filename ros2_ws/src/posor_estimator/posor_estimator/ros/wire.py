@@ -100,6 +100,11 @@ class Outlet:
         """How many listeners the topic has: subscriptions over DDS and inlets of this process."""
         return int(self._handle.get_subscription_count()) + len(self._inlets)
 
+    @property
+    def is_wanted(self) -> bool:
+        """Whether anybody listens: else a message need not be made."""
+        return bool(self._inlets) or bool(self._handle.get_subscription_count())
+
     def publish(self, data: bytes) -> bool:
         """Hand a serialised message to the inlets of this process, then send it to all others.
 

@@ -132,7 +132,7 @@ def test_what_the_last_scan_was_can_be_asked() -> None:
         data = RAW_SCAN.serialize(message)
         lane.answer(data)
         estimate = other.locate(scan_of(data))
-        assert lane.verdict == (estimate.state, estimate.faults)
+        assert lane.said()[:3] == [scan_of(data).stamp_ns, estimate.state, estimate.faults]
         assert lane.stamp_ns == scan_of(data).stamp_ns
         assert (lane.number, lane.redundancy) == (message.scan, estimate.redundancy)
         assert lane.residual == pytest.approx(estimate.residual, nan_ok=True, rel=0.0, abs=0.0)
@@ -148,7 +148,7 @@ def test_other_rows_are_told_where_another_source_is_lit() -> None:
         messages[0].header.stamp.nanosec += 1
         messages[0].lit_sources = lit
         lane.answer(RAW_SCAN.serialize(messages[0]))
-        seen.append(lane.taken)
+        seen.append(lane.said()[3])
     assert seen == [1, 1, 2, 2, 3]
 
 
@@ -172,7 +172,7 @@ def test_a_scan_of_another_kind_is_not_answered_and_changes_nothing() -> None:
     others = [RAW_SCAN.serialize(foreign), changed(gap_voltages=[0.1, 0.2]), changed(gap_voltage_spreads=[1e-3] * 3)]
     for other in [*others, first[:-1], b"", b"\x00\x00" + first[2:], b"\x00\x07" + first[2:]]:
         assert lane.answer(other) is None
-        assert (lane.number, lane.verdict[0]) == (messages[0].scan, State.OK)
+        assert (lane.number, lane.said()[1]) == (messages[0].scan, State.OK)
         assert lane.reason() == ""
     assert lane.answer(second + b"surplus bytes at the end") == wanted[1]
 
@@ -196,7 +196,7 @@ def test_scans_that_may_not_be_used_are_lost_without_a_number(spoil: str) -> Non
     assert np.isnan(
         [*lost.covariance, *lost.native, lost.residual, lost.pose.position.x, lost.pose.orientation.w]
     ).all()
-    assert lane.verdict == (State.LOST, Fault.BAD_READING)
+    assert tuple(lane.said()[1:3]) == (State.LOST, Fault.BAD_READING)
     assert math.isnan(lane.residual)
     assert lane.reason() == f"scan {message.scan}: {reason}"
 

@@ -10,12 +10,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from posor_estimator.bulk.layout import LEAD
+from posor_estimator.core.chain_records import read_records
 from posor_estimator.core.estimate import Estimate
 from posor_estimator.core.fault import Fault, State
 from posor_estimator.errors import TopicError
 from posor_estimator.ros.cdr import NS, STAMP, Schema
 from posor_estimator.ros.cdr_scan import RAW_SCAN, ScanTemplate
-from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM, Reading, TransformReader
+from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM, TransformKind, stamp_ns_of
 from posor_estimator.ros.cdr_writer import MessageWriter
 from posor_estimator.ros.messages import scan_from_message, transform_message
 from posor_msgs.msg import RawScan
@@ -81,32 +83,47 @@ def estimates() -> Iterator[Estimate]:
             )
 
 
-def test_a_transform_is_read_for_the_chain() -> None:
-    scan, reader = next(scans((3, 0, 8))), None
-    for estimate in estimates():
-        message = transform_message(scan, estimate, "plate_r", "plate_t", "total")
+def test_a_transform_is_told_and_read_for_the_chain() -> None:
+    scan = next(scans((3, 0, 8)))
+    kind = TransformKind("plate_r", "plate_t")
+    every = list(estimates())
+    poses, covariances, thetas = (np.zeros((len(every), 1, *shape)) for shape in ((7,), (6, 6), ()))
+    rows = np.zeros((len(every), -(-(LEAD + kind.size) // 8) * 8), dtype=np.uint8)
+    messages = [transform_message(scan, estimate, "plate_r", "plate_t", "total") for estimate in every]
+    for row, message in zip(rows, messages, strict=True):
         data = serialize_message(message)
-        reader = reader or TransformReader(data)
-        assert reader.frames == ("plate_r", "plate_t")
-        reading = reader.read(data)
-        assert reading is not None
-        assert (reading.state, reading.faults) == (message.state, message.faults)
-        assert repr(reading.theta) == repr(float(message.native[5]))
-        assert reading.stamp_ns == scan_from_message(scan).stamp_ns
+        assert kind.takes(data)
+        assert kind.verdict(data) == (message.state, message.faults)
+        assert stamp_ns_of(data) == scan_from_message(scan).stamp_ns
+        row[LEAD : LEAD + kind.size] = np.frombuffer(data, dtype=np.uint8)[: kind.size]
+    read_records(rows, kind.columns, 0, poses, covariances, thetas)
+    for n, message in enumerate(messages):
         p, q = message.pose.position, message.pose.orientation
-        assert data[reading.pose] == np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w]).tobytes()
-        assert data[reading.covariance] == np.asarray(message.covariance).tobytes()
+        assert poses[n, 0].tobytes() == np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w]).tobytes()
+        assert covariances[n, 0].tobytes() == np.asarray(message.covariance).tobytes()
+        assert repr(float(thetas[n, 0])) == repr(float(message.native[5]))
+        assert rows[n, kind.columns.state] == message.state
 
 
-def test_a_transform_between_other_plates_is_not_read() -> None:
+def test_a_transform_between_other_plates_is_not_taken() -> None:
     scan, estimate = next(scans((3, 0, 8))), next(estimates())
     own, other, longer = (
         JOINT_TRANSFORM.serialize(transform_message(scan, estimate, "plate_r", child, "total"))
         for child in ("plate_t", "plate_s", "another plate")
     )
-    reader = TransformReader(own)
-    assert isinstance(reader.read(own), Reading)
-    assert [reader.read(data) for data in (other, longer, own[:-1], b"", b"\x00\x00" + own[2:])] == [None] * 5
+    kind = TransformKind("plate_r", "plate_t")
+    assert kind.takes(own + b"surplus")
+    others = (other, longer, own[:-1], b"", b"\x00\x00" + own[2:], b"\x00\x07" + own[2:])
+    assert [kind.takes(data) for data in others] == [False] * 6
+
+
+def test_a_transform_is_taken_whatever_its_padding_holds() -> None:
+    scan, estimate = next(scans((3, 0, 8))), next(estimates())
+    own = JOINT_TRANSFORM.serialize(transform_message(scan, estimate, "r", "t", "total"))
+    gap = own.index(b"r\x00", 12) + 2
+    padded = own[:gap] + b"\xaa" * (-gap % 4) + own[gap + (-gap % 4) :]
+    assert padded != own
+    assert TransformKind("r", "t").takes(padded)
 
 
 def test_a_writer_writes_what_its_arrays_say_at_that_time() -> None:

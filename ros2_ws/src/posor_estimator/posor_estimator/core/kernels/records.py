@@ -14,7 +14,17 @@ from posor_estimator.core.fault import Fault
 from posor_estimator.core.kernels.locate import LOST, NATIVE, POSE, RESIDUAL
 from posor_estimator.core.kernels.readout import FAULTS, STATE
 from posor_estimator.core.kernels.scan import DONE, locate_one, write_lost
-from posor_estimator.core.kernels.tables import FIGURES, OUTCOME, RANDOM, ROTATION, SYSTEMATIC, TRANSLATION, line, table
+from posor_estimator.core.kernels.tables import (
+    FIGURES,
+    OUTCOME,
+    RANDOM,
+    ROTATION,
+    SYSTEMATIC,
+    TAKEN,
+    TRANSLATION,
+    line,
+    table,
+)
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray, IntArray, WordArray
@@ -37,8 +47,10 @@ FIT = 26  # 0: the readings are not to be used, every scan is LOST
 # Of the scan at hand.
 AT_HOME = 27  # 1: it counts as having seen the home mark, whatever its status says
 STAMP_NS = 28  # its stamp
-LEFT = 29  # what is left to do for it
-RECORD = 30  # and after it room for the sources lit
+SAID_STATE, SAID_FAULTS = 29, 30  # what was written of it
+SAID_TAKEN = 31  # how often, up to it, other rows of the pool have been taken than for the scan before
+LEFT = 32  # what is left to do for it
+RECORD = 33  # and after it room for the sources lit
 
 KIND_RANDOM, KIND_SYSTEMATIC, KIND_TOTAL = 0, 1, 2
 OTHER = 4
@@ -73,7 +85,7 @@ def write_record(
         places: See ``kernels.tables``, as ``ints`` and ``floats``.
         ints: OUTCOME is read.
         floats: FIGURES and the covariances are read.
-        record: See the module.
+        record: See the module; what is said of the scan is written.
         words: The row of readings, shape (w,): stamp, number and status are copied.
         template: A row of an estimate, for what is the same in all, shape (k,).
         out: Row to write, shape (k,).
@@ -81,6 +93,8 @@ def write_record(
 
     """
     outcome, figures = line(places, ints, OUTCOME, 0), line(places, floats, FIGURES, 0)
+    taken = line(places, ints, TAKEN, 0)
+    record[SAID_STATE], record[SAID_FAULTS], record[SAID_TAKEN] = outcome[STATE], outcome[FAULTS], taken[0]
     random, systematic = table(places, floats, RANDOM), table(places, floats, SYSTEMATIC)
     lost = outcome[STATE] == LOST
     for k in range(template.shape[0]):
