@@ -45,8 +45,7 @@ class Pace:
         beat = None if self._run is None else self._run.beat
         if beat is not None:
             due_ns, begun_ns = beat.late.take()
-            if due_ns.size:
-                values |= figures("lateness", begun_ns - due_ns)
+            values |= figures("lateness", begun_ns - due_ns)
             time = beat.time
             steps = time.steps - beat.steps_before
             values |= {"clock_steps": steps, "last_clock_step": time.step_s if steps else 0.0}

@@ -6,8 +6,9 @@ import sys
 from threading import Lock, Thread
 from typing import TYPE_CHECKING
 
-from posor_estimator.ros.moments import Moments
+from posor_estimator.ros.moments import NEVER_NS, Moments
 from posor_estimator.ros.process import SWITCH_S
+from posor_estimator.ros.turns import Turn
 
 from posor_drivers.ros_time import RosTime, SimulatedTime, WallTime, is_simulated, wake_exactly
 from posor_drivers.timeline import Pause
@@ -103,10 +104,11 @@ class Beat:
 class Ticker:
     """A thread that lets each of its drivers go on when that is due, in the order in which they came."""
 
-    def __init__(self, key: Hashable, time: RosTime) -> None:
+    def __init__(self, key: Hashable, time: RosTime, rate: float) -> None:
         """Wait for the first."""
         self.time = time
         self._key = key
+        self._rate = rate
         self._beats: tuple[Beat, ...] = ()
         self._thread = Thread(target=self._run, name="ticks", daemon=True)
 
@@ -125,7 +127,7 @@ class Ticker:
         key = (rate, clock if simulated else None)
         with _lock:
             if key not in _tickers:
-                _tickers[key] = cls(key, SimulatedTime(clock) if simulated else WallTime(spin_ns))
+                _tickers[key] = cls(key, SimulatedTime(clock) if simulated else WallTime(spin_ns), rate)
             ticker = _tickers[key]
             if isinstance(ticker.time, WallTime):
                 ticker.time.spin_ns = max(spin_ns, ticker.time.spin_ns)
@@ -154,6 +156,7 @@ class Ticker:
                 del _tickers[self._key]
 
     def _run(self) -> None:
+        self._turn = Turn(self._rate)
         try:
             self._tick()
         except Exception as error:  # noqa: BLE001  it ends the program, from the main thread
@@ -162,15 +165,20 @@ class Ticker:
                 self._go_on_without(beat)
                 beat.fail(error)
         finally:
+            self._turn.end()
             sys.setswitchinterval(SWITCH_S)
             self.time.close()
 
     def _tick(self) -> None:
         wake_exactly()
-        time = self.time
+        time, turn = self.time, self._turn
+        by_the_wall = isinstance(time, WallTime)
         while beats := self._beats:
             sys.setswitchinterval(EAGER_S)
-            time.wait(min([beat.due_ns for beat in beats]))
+            due_ns = min([beat.due_ns for beat in beats])
+            turn.due_ns = due_ns if by_the_wall else NEVER_NS
+            time.wait(due_ns)
+            turn.due_ns = 0
             sys.setswitchinterval(UNDISTURBED_S)
             now_ns = time.turn_ns = time.now_ns
             for beat in beats:

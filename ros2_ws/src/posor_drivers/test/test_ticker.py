@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 from posor_drivers.ticker import Beat, Ticker
 from posor_drivers.timeline import Due, Pause
+from posor_estimator.ros.turns import between_ticks
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
@@ -25,6 +26,7 @@ class Driver:
     def __init__(self, clock: Clock, log: list[tuple[str, int]], name: str, count: int, rate: float = 500.0) -> None:
         self.log, self.name, self.count = log, name, count
         self.threads = set[int]()
+        self.waited = False
         self.ended = Event()
         self.error: Exception | None = None
         self.failure: Exception | None = None
@@ -71,6 +73,32 @@ def test_drivers_of_one_rate_share_a_thread_and_go_in_turn(clock: Clock) -> None
     due_ns, begun_ns = first.beat.late.take()
     assert due_ns.size == 20
     assert (begun_ns >= due_ns - 100_000).all()
+
+
+def test_what_can_wait_waits_for_the_drivers_and_goes_on_between_their_ticks(
+    clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("posor_estimator.ros.turns.PATIENCE", 10**9)  # else a busy machine makes it go on anyway
+    log = list[tuple[str, int]]()
+    at_work, done = Event(), Event()
+
+    class Slow(Driver):
+        def publish(self, due: Due) -> None:
+            if not self.threads:
+                super().publish(due)
+                at_work.set()
+                assert not done.wait(0.05)
+                self.waited = True
+            super().publish(due)
+
+    driver = Slow(clock, log, "slow", 10**9)
+    assert at_work.wait(30.0)
+    assert between_ticks()
+    assert driver.waited
+    done.set()
+    assert driver.beat.end()
+    driver.ticker.remove(driver.beat)
+    assert between_ticks()
 
 
 def test_drivers_of_other_rates_have_other_threads(clock: Clock) -> None:

@@ -161,7 +161,7 @@ class ChainNode(PosorNode[ChainParameters]):
 
     def _refresh(self) -> None:
         """Bring the counts up to date, and say which joints nobody measures, once a second."""
-        silent = [inlet.topic_name for inlet in self._inlets if not self.count_publishers(inlet.topic_name)]
+        silent = [inlet.topic_name for inlet in self._inlets if not inlet.has_publisher()]
         with self._lock:
             if self._inlets:
                 self._status.update(self._counts())

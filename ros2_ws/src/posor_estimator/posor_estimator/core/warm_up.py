@@ -17,6 +17,7 @@ from posor_estimator.core.compiled import COMPILING
 from posor_estimator.core.designs import DesignName, design
 from posor_estimator.core.fault import State
 from posor_estimator.core.forward import scans_at
+from posor_estimator.core.kernels.moments import FIGURES, figures_of
 from posor_estimator.core.posor import Posor
 from posor_estimator.core.records import Records
 
@@ -44,6 +45,7 @@ def warm_up() -> None:
             message = f"design {name} does not locate its own scans"
             raise AssertionError(message)
     warm_up_records()
+    figures_of(np.array([1, 2]), 3, np.empty(FIGURES))
 
 
 def warm_up_chain_records(lane: ChainLane) -> None:

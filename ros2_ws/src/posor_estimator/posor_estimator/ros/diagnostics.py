@@ -11,6 +11,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
 from posor_estimator.ros.qos import DIAGNOSTICS_TOPIC, RELIABLE_QOS
+from posor_estimator.ros.turns import between_ticks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -99,6 +100,7 @@ class Diagnostics:
         self._statuses: list[Status] = []
         self._refreshers: list[Callable[[], None]] = []
         self._lock = RLock()
+        self._number = 0
         self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS_TOPIC, RELIABLE_QOS)
         self._timer = node.create_timer(PERIOD_S, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -115,15 +117,29 @@ class Diagnostics:
 
     def _tick(self) -> None:
         for refresh in self._refreshers:
+            between_ticks()
             refresh()
-        self._publish()
+        between_ticks()
+        with self._lock:
+            number, message = self._number, self._message()
+        between_ticks()
+        with self._lock:
+            if number == self._number:  # else something newer has gone out meanwhile
+                self._send(message)
 
     def _now_s(self) -> float:
         return float(self._node.get_clock().now().nanoseconds) * 1e-9
 
     def _publish(self) -> None:
         with self._lock:
-            name = self._node.get_fully_qualified_name()
-            message = DiagnosticArray(status=[status.to_message(name, self._hardware_id) for status in self._statuses])
-            message.header.stamp = self._node.get_clock().now().to_msg()
-            self._publisher.publish(message)
+            self._send(self._message())
+
+    def _message(self) -> DiagnosticArray:
+        name = self._node.get_fully_qualified_name()
+        message = DiagnosticArray(status=[status.to_message(name, self._hardware_id) for status in self._statuses])
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        return message
+
+    def _send(self, message: DiagnosticArray) -> None:
+        self._number += 1
+        self._publisher.publish(message)

@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from posor_estimator.core.kernels.moments import FIGURES, figures_of
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from posor_estimator.core.types import IntArray
-    from posor_estimator.ros.diagnostics import Value
 
 NS = 1_000_000_000
+NEVER_NS = 2**63 - 1
 ROOM = 1 << 14
 """Moments that are remembered; of more than these between two looks, the last ones."""
 
@@ -26,13 +28,14 @@ class Moments:
     times are written.
     """
 
-    __slots__ = ("_happened", "_noted", "_taken", "_told", "now_ns")
+    __slots__ = ("_arrays", "_happened", "_noted", "_taken", "_told", "now_ns")
 
     def __init__(self, now_ns: Callable[[], int] = time_ns) -> None:
         """Remember nothing yet; ``now_ns`` is the clock, and may be exchanged."""
         self.now_ns = now_ns
         self._told = array("q", bytes(8 * ROOM))
         self._happened = array("q", bytes(8 * ROOM))
+        self._arrays = np.frombuffer(self._told, np.int64), np.frombuffer(self._happened, np.int64)
         self._noted = self._taken = 0
 
     def note(self, told_ns: int) -> None:
@@ -48,18 +51,21 @@ class Moments:
         end = self._noted
         begin = max(self._taken, end - ROOM)
         self._taken = end
+        told, happened = self._arrays
+        first, last = begin & (ROOM - 1), end & (ROOM - 1)
+        if first <= last and end - begin < ROOM:
+            return told[first:last].copy(), happened[first:last].copy()
         places = np.arange(begin, end) & (ROOM - 1)
-        return np.frombuffer(self._told, np.int64)[places], np.frombuffer(self._happened, np.int64)[places]
+        return told[places], happened[places]
 
 
-def figures(name: str, values_ns: IntArray) -> dict[str, Value]:
-    """Return mean, standard deviation, least and greatest [s] of times [ns], (n,), at least one."""
-    seconds = values_ns * 1e-9
-    mean = seconds.mean()
-    spread = float(np.sqrt(((seconds - mean) ** 2).sum() / max(1, seconds.size - 1)))
-    return {
-        f"{name}_mean": float(mean),
-        f"{name}_sd": spread,
-        f"{name}_min": float(seconds.min()),
-        f"{name}_max": float(seconds.max()),
-    }
+def figures(name: str, values_ns: IntArray, limit_ns: int = NEVER_NS) -> dict[str, float]:
+    """Return mean, standard deviation, least and greatest [s] of times [ns], (n,).
+
+    Times as far from zero as the limit, or farther, do not count; where none does, there are no figures.
+    """
+    out = np.empty(FIGURES)
+    if not figures_of(values_ns, limit_ns, out):
+        return {}
+    mean, deviation, least, greatest = (out * 1e-9).tolist()
+    return {f"{name}_mean": mean, f"{name}_sd": deviation, f"{name}_min": least, f"{name}_max": greatest}

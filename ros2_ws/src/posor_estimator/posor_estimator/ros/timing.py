@@ -76,16 +76,15 @@ class Timing:
 
     def _tell(self, periods_ns: IntArray, latencies_ns: IntArray) -> None:
         limits, late = self._limits(), []
-        values: dict[str, Value] = {}
-        latencies_ns = latencies_ns[np.abs(latencies_ns) < OF_THE_PRESENT_NS]
-        if latencies_ns.size:
-            values |= figures("latency", latencies_ns)
-            if latencies_ns.max() > limits.latency * NS:
-                late.append(f"latency above {limits.latency:g} s")
-        if periods_ns.size:
-            values |= figures("period", periods_ns)
-            if np.abs(periods_ns - periods_ns.mean()).max() > limits.jitter * NS:
+        latency = figures("latency", latencies_ns, OF_THE_PRESENT_NS)
+        if latency and latency["latency_max"] > limits.latency:
+            late.append(f"latency above {limits.latency:g} s")
+        period = figures("period", periods_ns)
+        if period:
+            mean = period["period_mean"]
+            if max(mean - period["period_min"], period["period_max"] - mean) > limits.jitter:
                 late.append(f"period off its mean by more than {limits.jitter:g} s")
+        values: dict[str, Value] = {**latency, **period}
         self._status.report(Level.WARN if late else Level.OK, "; ".join(late) or "in time", values)
 
     def _simulated_ns(self) -> int:

@@ -222,6 +222,10 @@ class Inlet:
         self._exchange.check(self)
         self._exchange.add_inlet(self)
 
+    def has_publisher(self) -> bool:
+        """Return whether anybody publishes the topic."""
+        return self._subscription is None or self._node.count_publishers(self.topic_name) > 0
+
     def take(self, data: bytes) -> None:
         """Receive a message from an outlet of this process."""
         if self._deaf:

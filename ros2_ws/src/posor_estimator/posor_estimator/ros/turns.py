@@ -1,0 +1,58 @@
+"""Turns: what can wait is done between the ticks of this process, not while a scan is on its way.
+
+Python lets one thread run at a time. One that is at something when a tick is due holds the tick up, and one that waits
+for its turn takes it in the middle of a tick; so the diagnostics of a dozen nodes, a millisecond each, cost a tick each
+time they come. A tick thread says when it is due (`Turn`); whoever can wait calls `between_ticks` before each piece of
+what it does.
+"""
+
+from __future__ import annotations
+
+from time import monotonic_ns, sleep, time_ns
+
+ROOM = 0.3
+"""Share of a period that must be left until the next tick: one or two tenths of a millisecond where it counts."""
+PATIENCE = 4
+"""Periods after which a piece is done nevertheless."""
+LOOK_S = 5e-5
+"""Time between two looks."""
+NS = 1_000_000_000
+
+_turns: tuple[Turn, ...] = ()
+
+
+class Turn:
+    """A thread that has something to do at every tick.
+
+    Attributes:
+        due_ns: When its next tick is due [ns of the wall's clock]; 0: it is at one.
+
+    """
+
+    __slots__ = ("due_ns", "period_ns", "room_ns")
+
+    def __init__(self, rate: float) -> None:
+        """Have ticks from now on, so many a second."""
+        global _turns  # noqa: PLW0603  one process, one lock of Python
+        self.period_ns = int(NS / rate)
+        self.room_ns = int(ROOM * self.period_ns)
+        self.due_ns = 0
+        _turns = (*_turns, self)
+
+    def end(self) -> None:
+        """Have no more ticks."""
+        global _turns  # noqa: PLW0603
+        _turns = tuple(turn for turn in _turns if turn is not self)
+
+
+def between_ticks() -> bool:
+    """Wait until no tick is under way, nor due soon; return whether there was such a time.
+
+    Where there is none, as where ticks take all of their period, it waits no longer than for some of them.
+    """
+    until_ns = monotonic_ns() + PATIENCE * max((turn.period_ns for turn in _turns), default=0)
+    while not all(turn.due_ns - time_ns() > turn.room_ns for turn in _turns):
+        if monotonic_ns() > until_ns:
+            return False
+        sleep(LOOK_S)
+    return True

@@ -1,0 +1,80 @@
+"""What can wait is done between the ticks of a process."""
+
+from __future__ import annotations
+
+from threading import Event, Thread
+from time import time_ns
+from typing import TYPE_CHECKING
+
+import pytest
+from posor_estimator.ros.turns import NS, Turn, between_ticks
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+SLOW = 1e-3
+"""Ticks a second, so few that nothing is given up before a test is over."""
+
+
+@pytest.fixture
+def turn() -> Iterator[Turn]:
+    """Return the turn of a thread whose ticks are far apart."""
+    turn = Turn(SLOW)
+    yield turn
+    turn.end()
+
+
+class Waiting:
+    """Somebody who can wait, in a thread."""
+
+    def __init__(self) -> None:
+        self.begun, self.done = Event(), Event()
+        self.found: bool | None = None
+        self.thread = Thread(target=self._wait)
+        self.thread.start()
+
+    def _wait(self) -> None:
+        self.begun.set()
+        self.found = between_ticks()
+        self.done.set()
+
+
+def test_nobody_waits_where_there_are_no_ticks() -> None:
+    assert between_ticks()
+
+
+def test_there_is_time_long_before_a_tick(turn: Turn) -> None:
+    turn.due_ns = time_ns() + turn.period_ns
+    assert between_ticks()
+
+
+@pytest.mark.parametrize("before_ns", [None, 100 * NS, -NS])
+def test_a_tick_that_is_under_way_due_soon_or_late_is_waited_for(turn: Turn, before_ns: int | None) -> None:
+    turn.due_ns = 0 if before_ns is None else time_ns() + before_ns
+    waiting = Waiting()
+    assert waiting.begun.wait(30.0)
+    assert not waiting.done.wait(0.05)
+    turn.due_ns = time_ns() + turn.period_ns
+    assert waiting.done.wait(30.0)
+    assert waiting.found
+    waiting.thread.join()
+
+
+def test_every_thread_of_ticks_is_waited_for(turn: Turn) -> None:
+    turn.due_ns = time_ns() + turn.period_ns
+    other = Turn(SLOW)
+    waiting = Waiting()
+    assert waiting.begun.wait(30.0)
+    assert not waiting.done.wait(0.05)
+    other.end()
+    assert waiting.done.wait(30.0)
+    assert waiting.found
+    waiting.thread.join()
+
+
+def test_where_there_is_never_time_it_is_taken_after_some_ticks() -> None:
+    turn = Turn(1e4)
+    assert turn.due_ns == 0
+    assert not between_ticks()
+    turn.end()
+    assert between_ticks()
