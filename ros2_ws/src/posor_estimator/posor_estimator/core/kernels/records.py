@@ -52,7 +52,8 @@ SAID_TAKEN = 31  # how often, up to it, other rows of the pool have been taken t
 LEFT = 32  # what is left to do for it
 RECORD = 33  # and after it room for the sources lit
 
-KIND_RANDOM, KIND_SYSTEMATIC, KIND_TOTAL = 0, 1, 2
+KIND_SYSTEMATIC, KIND_TOTAL = 1, 2
+"""The third, zero, is the random one."""
 OTHER = 4
 """Left to do, beside those of ``kernels.scan``: all, since the row is not one of readings of this kind."""
 NS = 1_000_000_000
@@ -106,20 +107,20 @@ def write_record(
     out_words[record[TO_STATUS]] = words[record[STATUS]]
     out_words[record[TO_VERDICT]] = (0 if lost else record[REDUNDANCY]) | outcome[STATE] << 8
     out_words[record[TO_FAULTS]] = outcome[FAULTS]
+    pose, native, covariance, kind = record[TO_POSE], record[TO_NATIVE], record[TO_COVARIANCE], record[KIND]
     for k in range(NATIVE - POSE):
-        out[record[TO_POSE] + k] = figures[POSE + k]
+        out[pose + k] = figures[POSE + k]
     for k in range(RESIDUAL - NATIVE):
-        out[record[TO_NATIVE] + k] = figures[NATIVE + k]
+        out[native + k] = figures[NATIVE + k]
     out[record[TO_RESIDUAL]] = math.nan if lost else figures[RESIDUAL]
-    to = record[TO_COVARIANCE]
+    there = out[covariance : covariance + 36]
     for i in range(6):
         for j in range(6):
-            if record[KIND] == KIND_RANDOM:
-                out[to + 6 * i + j] = random[i, j]
-            elif record[KIND] == KIND_SYSTEMATIC:
-                out[to + 6 * i + j] = systematic[i, j]
-            else:
-                out[to + 6 * i + j] = random[i, j] + systematic[i, j]
+            there[6 * i + j] = systematic[i, j] if kind == KIND_SYSTEMATIC else random[i, j]
+    if kind == KIND_TOTAL:
+        for i in range(6):
+            for j in range(6):
+                there[6 * i + j] += systematic[i, j]
 
 
 @inlined
