@@ -1,8 +1,8 @@
 """Speed of the core: ``./run posor_estimator bench_core`` (``make bench-core``).
 
-For each design, of processor time: microseconds for one scan with its covariances in a lane, as a node locates it, and
+For each design, of processor time: microseconds for one scan with its covariances in a lane, from arrays to arrays, and
 from a scan to an estimate of its own (``Posor.locate``); scans per second in one call. The floor in the same run is the
-loop that fills the lane and does not run it.
+loop that fills the lane and does not run it. A node's way, from bytes to bytes, is timed by ``bench_messages.py``.
 """
 
 from __future__ import annotations
