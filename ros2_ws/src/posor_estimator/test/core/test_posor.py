@@ -56,6 +56,28 @@ def test_closure_over_the_full_range(stack: DesignName) -> None:
 
 
 @pytest.mark.parametrize("stack", STACKS)
+def test_a_pose_is_the_same_wherever_the_solver_came_from(stack: DesignName) -> None:
+    """Noise contradicts itself, and a bumpy ring is far from linear: there each step leaves a share of itself."""
+    posor = Posor(design(stack))
+    scans, _ = sweep(posor, 0.05 + 2e-3 * np.arange(80), np.random.default_rng(4))
+    every, others = posor.locate_all(scans), [np.arange(0, 80, 2), np.arange(0, 80, 7)]
+    for some in others:
+        posor.reset()
+        found = posor.locate_all(scans.chosen(some))
+        np.testing.assert_allclose(found.translations, every.translations[some], rtol=0.0, atol=1e-15)
+        np.testing.assert_allclose(found.rotations, every.rotations[some], rtol=0.0, atol=2e-12)
+        for name in ("covariances_random", "covariances_systematic"):
+            one, other = getattr(found, name), getattr(every, name)[some]
+            sigmas = np.sqrt(np.diagonal(other, axis1=1, axis2=2))
+            np.testing.assert_allclose(
+                one / sigmas[:, :, None] / sigmas[:, None, :],
+                other / sigmas[:, :, None] / sigmas[:, None, :],
+                rtol=0.0,
+                atol=1e-8,
+            )
+
+
+@pytest.mark.parametrize("stack", STACKS)
 def test_normalised_errors_are_in_their_band(stack: DesignName) -> None:
     figures = nees(stack, 1000, SEED)
     assert figures.low < figures.mean < figures.high

@@ -27,10 +27,14 @@ ILL_CONDITIONED = 2
 
 LENGTH = 0.05
 """Lever [m] that makes a rotation comparable to a translation where the size of a step is judged."""
+EXACT = 1e-15
+"""The solution is found where the next step would be below this [m], going by how much the last one has shrunk."""
 TOLERANCE = 1e-9
-"""A last step below this [m] leaves an error of about its square over LENGTH, far below a picometre."""
+"""Below this [m] it is also found where a step is not much smaller than the former: rounding makes up the rest."""
+STALLED = 0.1
+"""What is not much smaller; of the first step it is not known, and taken to be this."""
 SHARP = 1e-11
-"""After a last step below this [m] the derivatives are those before it, to about 1e-10 of their size."""
+"""After a last step below this [m] the derivatives are those before it, to 1e-9 of their size or less."""
 ITERATIONS = 25
 
 
@@ -90,7 +94,7 @@ def newton(
     """
     for i in range(6):
         moved[i] = 0.0
-    settled = False
+    settled, before = False, math.nan
     for _ in range(ITERATIONS):
         evaluate(kinds, rows, prepared, count, rotation, translation, moved, residuals, jacobian)
         for r in range(count):
@@ -111,8 +115,10 @@ def newton(
             moved[3 + i] += w[i]
         move(rotation, translation, v, w)
         orthonormalise(rotation)
-        settled = largest < TOLERANCE
-        if largest < SHARP:
+        rate = min(1.0, largest / before) if before > 0.0 else STALLED
+        settled = largest * rate < EXACT or (largest < TOLERANCE and rate > STALLED)
+        before = largest
+        if settled and largest < SHARP:
             for r in range(count):
                 residuals[r] -= dot(within(jacobian, r, 0), v) + dot(within(jacobian, r, 3), w)
             keep_factors(factors, kept)
