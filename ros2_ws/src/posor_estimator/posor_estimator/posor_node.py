@@ -122,6 +122,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             if self._last is not None:
                 posor.go_on_from(self._posor)
             self._posor, self._calibration, self._lane = posor, calibration, None
+            self._taken = 0  # of another POSOR the count begins anew; the scans that were kept go with its first one
 
     def _serve(
         self, action: Callable[[], str], _request: Trigger.Request, response: Trigger.Response

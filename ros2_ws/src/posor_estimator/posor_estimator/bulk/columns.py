@@ -31,12 +31,12 @@ def records_of(posor: Posor, raw: TableLayout, transforms: TableLayout) -> Recor
         seconds=where["header.stamp.sec"],
         number=where["scan"],
         status=where["status"],
-        gaps=(where["gap_voltages"], _length(raw, "gap_voltages")),
-        rings=(where["ring_voltages"], _length(raw, "ring_voltages")),
-        currents=(where["diode_currents"], _length(raw, "diode_currents")),
+        gaps=_sequence(raw, "gap_voltages"),
+        rings=_sequence(raw, "ring_voltages"),
+        currents=_sequence(raw, "diode_currents"),
         supply=where["supply_voltage"],
         temperature=where["temperature"],
-        lit=(where["lit_sources"], _length(raw, "lit_sources")),
+        lit=_sequence(raw, "lit_sources"),
         home=RawScan.STATUS_HOME_BUMP,
         to_stamp=to["header.stamp.sec"],
         to_number=to["scan"],
@@ -57,6 +57,8 @@ def _offsets(layout: TableLayout) -> dict[str, int]:
     return {name: LEAD + layout.offset(name) for name in layout.dtype.names or ()}
 
 
-def _length(layout: TableLayout, path: str) -> int:
+def _sequence(layout: TableLayout, path: str) -> tuple[int, int]:
+    """Return where a sequence begins, and its length; an empty one has no place, and where it stands is not aligned."""
     fields: Any = layout.dtype.fields
-    return int(fields[path][0].shape[0])
+    length = int(fields[path][0].shape[0])
+    return (LEAD + layout.offset(path) if length else 0), length

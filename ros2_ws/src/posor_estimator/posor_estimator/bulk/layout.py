@@ -66,7 +66,7 @@ class TableLayout:
         for path, span in layout.spans.items():
             field = schema.by_path[path]
             if field.code == "s":
-                fixed[LEAD + span.part.start : LEAD + span.part.stop] = EVERY_BIT
+                fixed[LEAD + span.part.start : LEAD + span.part.stop + 1] = EVERY_BIT  # with the zero at its end
                 strings[path] = data[span.part].decode("utf-8", "replace")
                 continue
             names.append(path)

@@ -38,7 +38,12 @@ class JointColumns:
 
     @property
     def array(self) -> IntArray:
-        """What the kernels work by, shape (4,)."""
+        """What the kernels work by, shape (4,).
+
+        Raises:
+            ValueError: A number does not lie at a multiple of its size.
+
+        """
         if any(offset % 8 for offset in (self.pose, self.theta, self.covariance)):
             message = "a number does not lie at a multiple of its size"
             raise ValueError(message)

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 class Columns:
     """Where the rows of readings have what, and the rows of poses: offsets in bytes, and how many numbers there are.
 
+    What there is none of has the offset zero.
+
     Attributes:
         seconds: Of the stamp; nanoseconds follow, each of four bytes.
         number: Of the scan, eight bytes.
@@ -63,7 +65,12 @@ class Columns:
     kind: int
 
     def record(self, redundancy: int) -> IntArray:
-        """Return what ``kernels.records`` works by, for a POSOR of so many redundant readings."""
+        """Return what ``kernels.records`` works by, for a POSOR of so many redundant readings.
+
+        Raises:
+            ValueError: A number does not lie at a multiple of its size.
+
+        """
         words = {
             kernel.SECONDS: self.seconds,
             kernel.NANOSECONDS: self.seconds + 4,

@@ -1,4 +1,7 @@
-"""One scan at servo rate: room for its readings and its results, made once and filled in place scan after scan."""
+"""One scan at a time from arrays to arrays: room for its readings and its results, made once and filled in place.
+
+Nodes go from bytes to bytes (``core.records``).
+"""
 
 from __future__ import annotations
 

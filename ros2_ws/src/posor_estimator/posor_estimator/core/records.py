@@ -59,6 +59,9 @@ class Records:
             template: A row of a pose, for what is the same in all, shape (k,).
             fit: Whether the readings may be used; else every scan is LOST, its readings bad.
 
+        Raises:
+            ValueError: A number does not lie at a multiple of its size.
+
         """
         self._posor = posor
         self._loop = posor.loop
@@ -195,15 +198,16 @@ class Records:
     def _finish(self, raw: ByteArray, views: Views, n: int) -> None:
         """Do for the scan in row n what was left to do, and write its pose."""
         scans = self._scan(raw[n : n + 1])
-        if self.compiled:
-            self._loop.finish(scans, self._room, STOPPED[self._record.item(kernel.LEFT)])
-        else:
+        if not self.compiled:
             self._record[kernel.STAMP_NS] = scans.stamps_ns[0]
-            if self.fit and scans.stamps_ns[0]:
-                self._loop.run(scans, self._room)
+        if self.fit and scans.stamps_ns[0]:
+            if self.compiled:
+                self._loop.finish(scans, self._room, STOPPED[self._record.item(kernel.LEFT)])
             else:
-                kernel.lose_record(*self._tables)
-        self._record[kernel.AT_HOME] = 0
+                self._loop.run(scans, self._room)
+            self._record[kernel.AT_HOME] = 0
+        else:
+            kernel.lose_record(*self._tables)
         _, words, template, written, written_words = views
         kernel.write_one(*self._tables, self._record, words, template, written, written_words, n)
 

@@ -8,17 +8,19 @@ what it does.
 
 from __future__ import annotations
 
+from threading import Lock
 from time import monotonic_ns, sleep, time_ns
 
-ROOM = 0.3
-"""Share of a period that must be left until the next tick: one or two tenths of a millisecond where it counts."""
-PATIENCE = 4
-"""Periods after which a piece is done nevertheless."""
+ROOM, MOST_ROOM_NS = 0.3, 200_000
+"""What must be left until the next tick: a share of the period, but no more than a piece takes [ns]."""
+PATIENCE, MOST_PATIENCE_NS = 4, 5_000_000
+"""When a piece is done nevertheless: after so many periods, or a time [ns], since others wait for whoever waits."""
 LOOK_S = 5e-5
 """Time between two looks."""
 NS = 1_000_000_000
 
 _turns: tuple[Turn, ...] = ()
+_lock = Lock()
 
 
 class Turn:
@@ -35,22 +37,25 @@ class Turn:
         """Have ticks from now on, so many a second."""
         global _turns  # noqa: PLW0603  one process, one lock of Python
         self.period_ns = int(NS / rate)
-        self.room_ns = int(ROOM * self.period_ns)
+        self.room_ns = min(int(ROOM * self.period_ns), MOST_ROOM_NS)
         self.due_ns = 0
-        _turns = (*_turns, self)
+        with _lock:
+            _turns = (*_turns, self)
 
     def end(self) -> None:
         """Have no more ticks."""
         global _turns  # noqa: PLW0603
-        _turns = tuple(turn for turn in _turns if turn is not self)
+        with _lock:
+            _turns = tuple(turn for turn in _turns if turn is not self)
 
 
 def between_ticks() -> bool:
     """Wait until no tick is under way, nor due soon; return whether there was such a time.
 
-    Where there is none, as where ticks take all of their period, it waits no longer than for some of them.
+    Where there is none, as where ticks take all of their period, it waits for some of them, or milliseconds, at most.
     """
-    until_ns = monotonic_ns() + PATIENCE * max((turn.period_ns for turn in _turns), default=0)
+    longest_ns = max((turn.period_ns for turn in _turns), default=0)
+    until_ns = monotonic_ns() + min(PATIENCE * longest_ns, MOST_PATIENCE_NS)
     while not all(turn.due_ns - time_ns() > turn.room_ns for turn in _turns):
         if monotonic_ns() > until_ns:
             return False

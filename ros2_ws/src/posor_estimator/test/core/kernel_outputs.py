@@ -12,12 +12,18 @@ from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 from posor_estimator.core import compiled
+from posor_estimator.core.chain import Chain
+from posor_estimator.core.chain_records import ChainRecords, JointColumns
+from posor_estimator.core.columns import Columns
 from posor_estimator.core.designs import DesignName, design
 from posor_estimator.core.forward import scans_at
 from posor_estimator.core.kernels import blocks, chain, chain_motion, cholesky, solve, vector
+from posor_estimator.core.kernels.moments import FIGURES, figures_of
 from posor_estimator.core.kernels.rows import GAP, RING, SPOT_X, SPOT_Y, evaluate_row, row_parameters
 from posor_estimator.core.native import rotation_from_native
 from posor_estimator.core.posor import Posor
+from posor_estimator.core.records import Records
+from posor_estimator.core.warm_up import ARM
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray
@@ -159,6 +165,54 @@ def raw_scans(name: DesignName) -> FloatArray:
     return np.concatenate([array.reshape(count, -1) for array in arrays], axis=1)
 
 
+def records(name: DesignName) -> FloatArray:
+    """Return the bytes that scans make which are rows of bytes, and the endpoint of an arm of one such joint."""
+    posor = Posor(design(name, motion=True))
+    count, stamps = 6, np.arange(1, 7, dtype=np.int64) * 1_000_000 - 2**31 * 10**9
+    rotations = np.array([rotation_from_native(1e-4, -2e-4, 2e-3 * n) for n in range(count)])
+    scans = scans_at(posor.stack, rotations, np.tile([2e-5, 1e-5, 0.7e-3], (count, 1)), stamps)
+    probes, rings, currents = (each[0].size for each in (scans.gap_voltages, scans.ring_voltages, scans.diode_currents))
+    raw, out = np.zeros((count, 24)), np.zeros((count, 56))
+    words, octets = raw.view(np.int32), raw.view(np.uint8)
+    words[:, 0], words[:, 1] = stamps // 10**9, stamps % 10**9
+    raw.view(np.uint64)[:, 1], words[:, 4] = 2**64 - 1, -(2**31) + 1
+    raw[:, 3 : 3 + probes], raw[:, 6 : 6 + rings] = scans.gap_voltages, scans.ring_voltages
+    raw[:, 10 : 10 + currents] = scans.diode_currents.reshape(count, currents)
+    raw[:, 18], raw[:, 19] = scans.supply_voltages, scans.temperatures
+    octets[:, 160 : 160 + currents // 4] = scans.lit_sources
+    raw[3, 3] = math.nan
+    words[4, :2] = 0
+    columns = Columns(
+        seconds=0,
+        number=8,
+        status=16,
+        gaps=(24, probes),
+        rings=(48, rings),
+        currents=(80, currents),
+        supply=144,
+        temperature=152,
+        lit=(160, currents // 4),
+        home=1,
+        to_stamp=0,
+        to_number=8,
+        to_status=16,
+        to_redundancy=20,
+        to_faults=24,
+        to_pose=32,
+        to_native=88,
+        to_residual=136,
+        to_covariance=144,
+        kind=2,
+    )
+    Records(posor, columns, np.zeros(448, dtype=np.uint8)).locate(octets, out.view(np.uint8))
+    lane = Chain(ARM, "endpoint").lane()
+    chain = ChainRecords(lane, [JointColumns(pose=32, theta=128, covariance=144, state=21, size=448)])
+    chain.rows[0] = out[1].view(np.uint8)
+    worst, times = chain.run(1), np.empty(FIGURES)
+    counted = figures_of(stamps // 1000, 2**62, times)
+    return np.concatenate([out.ravel(), [worst, counted], times, lane.pose, lane.covariance.ravel(), lane.angles])
+
+
 def main(file: Path) -> None:
     """Save the outputs, and whether the kernels were compiled."""
     rng = np.random.default_rng(1985)
@@ -166,7 +220,14 @@ def main(file: Path) -> None:
     scans = [whole_scan(rng) for _ in range(CASES)]
     arms = [arm(rng) for _ in range(CASES)]
     raw = [raw_scans(name) for name in get_args(DesignName)]
-    outputs = {"rows": np.array(rows), "scans": np.array(scans), "arms": np.array(arms), "raw": np.array(raw)}
+    of_records = [records(name) for name in get_args(DesignName)]
+    outputs = {
+        "rows": np.array(rows),
+        "scans": np.array(scans),
+        "arms": np.array(arms),
+        "raw": np.array(raw),
+        "records": np.array(of_records),
+    }
     np.savez(file, allow_pickle=False, compiling=np.array(compiled.COMPILING), **outputs)
 
 

@@ -46,7 +46,7 @@ def test_kernels_are_compiled_where_numba_is_installed(fast: dict[str, FloatArra
     assert bool(fast["compiling"]) == (importlib.util.find_spec("numba") is not None)
 
 
-@pytest.mark.parametrize("which", ["rows", "scans", "arms", "raw"])
+@pytest.mark.parametrize("which", ["rows", "scans", "arms", "raw", "records"])
 def test_compiled_or_not_the_kernels_give_the_same_bits(
     which: str, plain: dict[str, FloatArray], fast: dict[str, FloatArray]
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -169,7 +170,14 @@ def test_a_scan_of_another_kind_is_not_answered_and_changes_nothing() -> None:
 
     foreign = deserialize_message(first, RawScan)
     foreign.header.frame_id = "receiveng"
-    others = [RAW_SCAN.serialize(foreign), changed(gap_voltages=[0.1, 0.2]), changed(gap_voltage_spreads=[1e-3] * 3)]
+    unended = bytearray(first)
+    unended[first.index(b"receiving\x00") + 9] = 0x41
+    others = [
+        bytes(unended),
+        RAW_SCAN.serialize(foreign),
+        changed(gap_voltages=[0.1, 0.2]),
+        changed(gap_voltage_spreads=[1e-3] * 3),
+    ]
     for other in [*others, first[:-1], b"", b"\x00\x00" + first[2:], b"\x00\x07" + first[2:]]:
         assert lane.answer(other) is None
         assert (lane.number, lane.said()[1]) == (messages[0].scan, State.OK)
@@ -218,13 +226,45 @@ def test_wrong_numbers_of_readings_are_lost_with_a_sentence() -> None:
         assert lane.reason() == other.locate(scan_of(data)).reason
 
 
+SOME = {
+    "gap_voltages": 3,
+    "gap_voltage_spreads": 3,
+    "ring_voltages": 4,
+    "ring_voltage_spreads": 4,
+    "diode_currents": 8,
+    "diode_current_spreads": 8,
+    "lit_sources": 2,
+}
+"""How many of each a scan may have, or none."""
+
+
+@pytest.mark.parametrize("given", list(product([False, True], repeat=len(SOME))))
+def test_whatever_a_scan_lacks_it_is_answered(given: tuple[bool, ...]) -> None:
+    """An empty sequence is not aligned; spreads come from a driver that averages samples."""
+    calibration = design("triad_diodes")
+    message = moving(Posor(calibration))[0]
+    for (name, count), there in zip(SOME.items(), given, strict=True):
+        if not there:
+            setattr(message, name, [])
+        elif not len(getattr(message, name)):
+            setattr(message, name, [1e-3] * count)
+    data = RAW_SCAN.serialize(message)
+    lane = ByteLane(Posor(calibration), data, "total")
+    assert [lane.answer(data)] == expected(Posor(calibration), [message], "total")
+
+
 def test_bytes_that_are_no_scan_are_refused() -> None:
     with pytest.raises(TopicError, match=r"^RawScan: a message of 7 bytes ends within 'header\.stamp\.sec'"):
         ByteLane(Posor(design("triad_diodes")), b"\x00\x01\x00\x00abc", "total")
 
 
-def test_theta_is_counted_from_the_next_scan_that_is_one() -> None:
+@pytest.mark.parametrize("compiled", [True, False])
+def test_theta_is_counted_from_the_next_scan_that_is_one(compiled: bool) -> None:  # noqa: FBT001
     """The scan that asks for a start, the scan after a start, and one that is lost before."""
+
+    def estimator() -> Posor:
+        return Posor(calibration) if compiled else in_python(Posor(calibration))
+
     calibration = design("triad_bumpy_ring", motion=True)
     messages = moving(Posor(calibration), start=0.0)
     for message in messages:
@@ -233,7 +273,7 @@ def test_theta_is_counted_from_the_next_scan_that_is_one() -> None:
     messages[0].header.stamp.sec = messages[0].header.stamp.nanosec = 0
     without_time = RAW_SCAN.serialize(messages[0])
     for before in ([], raw[:1], [without_time]):
-        lane = ByteLane(Posor(calibration), raw[0], "total")
+        lane = ByteLane(estimator(), raw[0], "total")
         for data in before:
             assert told(lane.answer(data)).state in (State.UNCOUNTED, State.LOST)
         lane.count_from_next()

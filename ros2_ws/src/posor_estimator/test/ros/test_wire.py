@@ -124,6 +124,7 @@ def test_an_inlet_hears_other_processes_while_its_own_has_no_outlet(process: Pro
     listener = plain(process, "/posor")
     taken: list[bytes] = []
     inlet = Inlet(listener, RawScan, "/joint/raw", KEEP_ALL_QOS, taken.append)
+    assert not inlet.has_publisher()
     with Graph() as graph:
         abroad = graph.node.create_publisher(RawScan, "/joint/raw", KEEP_ALL_QOS)
 
@@ -135,12 +136,14 @@ def test_an_inlet_hears_other_processes_while_its_own_has_no_outlet(process: Pro
         graph.wait_until(lambda: taken == MESSAGES[:1], "a message over DDS", process.turn)
         outlet = outlet_of(plain(process, "/joint"))
         subscriptions(0)
+        assert inlet.has_publisher()
         outlet.publish(MESSAGES[1])
         assert taken == MESSAGES[:2]
         outlet.destroy()
         subscriptions(1)
         abroad.publish(MESSAGES[2])
         graph.wait_until(lambda: taken == MESSAGES, "a message over DDS again", process.turn)
+        graph.wait_until(inlet.has_publisher, "the publisher in the graph", process.turn)
         inlet.destroy()
         subscriptions(0)
 
@@ -164,14 +167,18 @@ def test_an_inactive_publisher_hands_on_nothing(process: Process) -> None:
 def test_who_listens_is_told_as_they_come_and_go(process: Process) -> None:
     counts: list[int] = []
     outlet = outlet_of(plain(process, "/joint"), on_count=counts.append)
+    assert not outlet.is_wanted
     inlet = Inlet(plain(process, "/posor"), RawScan, "/joint/raw", KEEP_ALL_QOS, print)
     with Graph() as graph:
         graph.collect(RawScan, "/joint/raw")
         graph.wait_until(lambda: counts == [1, 2], "two listeners", process.turn)
+        assert outlet.is_wanted
         inlet.destroy()
         assert counts == [1, 2, 1]
         assert outlet.count == 1
+        assert outlet.is_wanted
     wait_until(lambda: len(counts) == 4, "the listener's end", process.turn)
+    assert not outlet.is_wanted
     assert counts == [1, 2, 1, 0]
 
 

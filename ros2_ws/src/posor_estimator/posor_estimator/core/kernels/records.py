@@ -156,7 +156,7 @@ def locate_records(
 ) -> int:
     """Locate the scans in rows ``begin`` to ``end``, as far as nothing else is left to do for one.
 
-    A scan without a time, or that is not to be used, is LOST, its readings bad.
+    A scan without a time, or that is not to be used, is LOST, its readings bad; AT_HOME waits for one that is.
 
     Args:
         places: See ``kernels.tables``, as ``ints`` and ``floats``.

@@ -34,7 +34,7 @@ READOUT_IDS = 7  # which parameter each derivative of a reading's linearisation 
 PARTS = 8  # of each parameter: its first deviate, how many, where their factors begin in ROOT (parameters, 3)
 READOUTS = 9  # see kernels.readout (readouts, 6)
 # Room that keeps its contents from scan to scan.
-MEMORY = 10  # floats, see kernels.memory (1, 18)
+MEMORY = 10  # floats, see kernels.memory (1, 22)
 ROWS = 11  # floats: the rows of the scan, then the prior's (M, W)
 PREPARED = 12  # floats: see kernels.rows (M, PREPARED)
 KINDS = 13  # (1, M)
