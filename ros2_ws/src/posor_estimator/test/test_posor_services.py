@@ -154,6 +154,17 @@ def test_zero_makes_the_present_place_home_and_says_the_shifts_with_their_uncert
     assert values_of(status_with(bench.graph, "/posor_node: estimate", "zero", "as in the file"))
 
 
+def test_zero_takes_no_scans_of_another_light_source_not_even_across_a_reload(tmp_path: Path) -> None:
+    with Bench(tmp_path, "triad_light_ring", home_pose=[GAP, 0.0, 0.0], zero_scans=SCANS) as bench:
+        for reloaded in (True, False):
+            assert {transform.state for transform in bench.send(SCANS)} == {JointTransform.STATE_OK}
+            if reloaded:
+                assert bench.call("reload")[0]
+            [elsewhere] = bench.send(1, (0.0, 0.0, GAP, 0.0, 0.0, 1.0))
+            assert elsewhere.state == JointTransform.STATE_OK
+            assert bench.call("zero") == (False, f"zero: 1 sound scans so far; expected {SCANS}.")
+
+
 def test_zero_is_refused_before_there_are_scans_and_while_the_target_moves_and_home_is_no_count(bench: Bench) -> None:
     assert bench.call("zero") == (False, f"zero: 0 sound scans so far; expected {SCANS}.")
     bench.send(7)
