@@ -104,11 +104,11 @@ class Beat:
 class Ticker:
     """A thread that lets each of its drivers go on when that is due, in the order in which they came."""
 
-    def __init__(self, key: Hashable, time: RosTime, rate: float) -> None:
-        """Wait for the first."""
+    def __init__(self, rate: float, clock: Clock | None, time: RosTime) -> None:
+        """Wait for the first; ``clock`` is the simulated one that ``time`` follows, if any."""
         self.time = time
-        self._key = key
         self._rate = rate
+        self._key = (rate, clock)
         self._beats: tuple[Beat, ...] = ()
         self._thread = Thread(target=self._run, name="ticks", daemon=True)
 
@@ -127,7 +127,7 @@ class Ticker:
         key = (rate, clock if simulated else None)
         with _lock:
             if key not in _tickers:
-                _tickers[key] = cls(key, SimulatedTime(clock) if simulated else WallTime(spin_ns), rate)
+                _tickers[key] = cls(*key, SimulatedTime(clock) if simulated else WallTime(spin_ns))
             ticker = _tickers[key]
             if isinstance(ticker.time, WallTime):
                 ticker.time.spin_ns = max(spin_ns, ticker.time.spin_ns)
@@ -156,22 +156,22 @@ class Ticker:
                 del _tickers[self._key]
 
     def _run(self) -> None:
-        self._turn = Turn(self._rate)
+        turn = Turn(self._rate)
         try:
-            self._tick()
+            self._tick(turn)
         except Exception as error:  # noqa: BLE001  it ends the program, from the main thread
             while self._beats:
                 beat = self._beats[0]
                 self._go_on_without(beat)
                 beat.fail(error)
         finally:
-            self._turn.end()
+            turn.end()
             sys.setswitchinterval(SWITCH_S)
             self.time.close()
 
-    def _tick(self) -> None:
+    def _tick(self, turn: Turn) -> None:
         wake_exactly()
-        time, turn = self.time, self._turn
+        time = self.time
         by_the_wall = isinstance(time, WallTime)
         while beats := self._beats:
             sys.setswitchinterval(EAGER_S)

@@ -12,6 +12,7 @@ from rclpy.serialization import deserialize_message
 from posor_estimator.core.calibrate.recording import Recording
 from posor_estimator.core.calibrate.track import Track
 from posor_estimator.core.kernels.chain_pose import UNIT_WITHIN
+from posor_estimator.core.kernels.diode import CONTACTS
 from posor_estimator.core.scan import Scan, Scans
 from posor_estimator.errors import BagError, TrackError
 from posor_estimator.ros.bag_reader import check_filled, checked_type, counted_messages, opened_bag, scan_topic
@@ -110,7 +111,7 @@ def _scans(messages: Sequence[Any], where: str) -> Scans:
     """Return the scans of messages, all with the same readings, in the order of their stamps."""
     scans = [scan_from_message(message) for message in messages]
     for scan in scans:
-        if scan.diode_currents.size and scan.diode_currents.shape[1] != _CONTACTS:
+        if scan.diode_currents.size and scan.diode_currents.shape[1] != CONTACTS:
             raise BagError(
                 f"scan {scan.number} has {scan.diode_currents.size} diode currents",
                 where=where,
@@ -181,7 +182,6 @@ def _of_transform(message: Any) -> list[float]:
     return [moved.x, moved.y, moved.z, turned.x, turned.y, turned.z, turned.w]
 
 
-_CONTACTS = 4
 _READINGS = ("gap_voltages", "ring_voltages", "diode_currents", "lit_sources")
 _READERS: dict[str, Callable[[Any], list[float]]] = {
     POINT_STAMPED: lambda message: [message.point.x, message.point.y, message.point.z],

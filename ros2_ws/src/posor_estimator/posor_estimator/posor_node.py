@@ -183,16 +183,14 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         with self._lock:
             if not self._outlet.is_activated:
                 return
-            lane = self._lane
-            answer = None if lane is None else lane.answer(data)
-            if lane is None or answer is None:
-                lane, answer = self._take_another_kind(data)
-            if lane is None or answer is None:
-                return
-            self._outlet.publish(answer)
-            self._note(lane, data)
+            answer = None if self._lane is None else self._lane.answer(data)
+            if answer is None:
+                answer = self._answer_another_kind(data)
+            if answer is not None and self._lane is not None:
+                self._outlet.publish(answer)
+                self._note(self._lane, data)
 
-    def _take_another_kind(self, data: bytes) -> tuple[ByteLane | None, bytes | None]:
+    def _answer_another_kind(self, data: bytes) -> bytes | None:
         """Answer a raw scan that is not like those before: make another lane for it, or say what is wrong with it."""
         try:
             data = RAW_SCAN.normal(data)
@@ -201,13 +199,13 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             self._messages_refused += 1
             self._told = None
             self._status.report(Level.ERROR, f"no estimate: {error}", {"messages_refused": self._messages_refused})
-            return None, None
+            return None
         if self._lane is not None:
             self._recent.clear()
         self._lane = lane
         if self._count_from_next:
             lane.count_from_next()
-        return lane, lane.answer(data)
+        return lane.answer(data)
 
     def _note(self, lane: ByteLane, data: bytes) -> None:
         """Count a scan that has been answered, keep a sound one for a digital zero, say how it went where it is news.

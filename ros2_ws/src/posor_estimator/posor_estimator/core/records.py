@@ -24,7 +24,7 @@ from posor_estimator.core.kernels.tables import (
     SYSTEMATIC,
     TRANSLATION,
 )
-from posor_estimator.core.scan import Scans
+from posor_estimator.core.scan import Scans, by_diode
 
 if TYPE_CHECKING:
     from posor_estimator.core.columns import Columns
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
     Views: TypeAlias = tuple[FloatArray, WordArray, FloatArray, FloatArray, WordArray]
 
-CONTACTS = 4
 STOPPED = {START: 0, RETRY: -1, UNFIT: 1}
 """Where a loop over one scan would have stopped, by what is left to do for it."""
 NOTHING_LIKE: WordArray = np.zeros((2, 0), dtype=np.int32)
@@ -158,13 +157,12 @@ class Records:
 
     def scans(self, raw: ByteArray) -> Scans:
         """Return the scans in rows of readings (n, w)."""
-        columns, count = self._columns, len(raw)
+        columns = self._columns
         floats, words = raw.view(np.float64), raw.view(np.int32)
         gaps, rings, currents = (
             np.ascontiguousarray(floats[:, begin // 8 : begin // 8 + length])
             for begin, length in (columns.gaps, columns.rings, columns.currents)
         )
-        width = CONTACTS if currents.shape[1] % CONTACTS == 0 else 1
         begin, length = columns.lit
         seconds = words[:, columns.seconds // 4].astype(np.int64)
         nanoseconds = words[:, columns.seconds // 4 + 1].astype(np.int64) & 0xFFFFFFFF
@@ -173,7 +171,7 @@ class Records:
             stamps_ns=seconds * kernel.NS + nanoseconds,
             gap_voltages=gaps,
             ring_voltages=rings,
-            diode_currents=currents.reshape(count, currents.shape[1] // width, width),
+            diode_currents=by_diode(currents),
             lit_sources=raw[:, begin : begin + length].astype(np.int64),
             supply_voltages=floats[:, columns.supply // 8].copy(),
             temperatures=floats[:, columns.temperature // 8].copy(),
@@ -209,7 +207,7 @@ class Records:
         else:
             kernel.lose_record(*self._tables)
         _, words, template, written, written_words = views
-        kernel.write_one(*self._tables, self._record, words, template, written, written_words, n)
+        kernel.write_record(*self._tables, self._record, words[n], template, written[n], written_words[n])
 
 
 class RecordLane:

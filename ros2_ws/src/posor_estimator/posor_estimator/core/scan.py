@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray  # noqa: TC002  read by dataclasses
 
+from posor_estimator.core.kernels.diode import CONTACTS
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -18,6 +20,13 @@ NO_SOURCE = 255
 
 def _empty() -> FloatArray:
     return np.empty(0)
+
+
+def by_diode(currents: FloatArray) -> FloatArray:
+    """Return the contact currents of n scans (n, k) by diode, (n, k / 4, 4); as (n, k, 1) where they are no diodes'."""
+    count, size = currents.shape
+    width = CONTACTS if size % CONTACTS == 0 else 1
+    return currents.reshape(count, size // width, width)
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,14 @@ from posor_estimator.core.designs import DesignName, design
 from posor_estimator.core.fault import State
 from posor_estimator.core.forward import scans_at
 from posor_estimator.core.kernels.moments import FIGURES, figures_of
+from posor_estimator.core.kernels.records import NS
 from posor_estimator.core.posor import Posor
 from posor_estimator.core.records import Records
 
 if TYPE_CHECKING:
     from posor_estimator.core.chain_lane import ChainLane
+    from posor_estimator.core.scan import Scans
+    from posor_estimator.core.types import ByteArray
 
 ARM = """<robot name="arm"><link name="base"/><link name="plate"/><link name="endpoint"/>
 <joint name="joint" type="floating"><parent link="base"/><child link="plate"/></joint>
@@ -36,7 +39,6 @@ def warm_up() -> None:
         message = "an arm of one joint has no endpoint"
         raise AssertionError(message)
     lane.find_relative_to(lane.pose)
-    warm_up_chain_records(lane)
     for name in get_args(DesignName):
         posor = Posor(design(name))
         rotations, translations = np.tile(np.eye(3), (2, 1, 1)), np.tile([0.0, 0.0, 0.7e-3], (2, 1))
@@ -44,42 +46,30 @@ def warm_up() -> None:
         if State.LOST in [posor.locate(scans[n]).state for n in range(len(scans))]:
             message = f"design {name} does not locate its own scans"
             raise AssertionError(message)
-    warm_up_records()
+    warm_up_records(lane)
     figures_of(np.array([1, 2]), 3, np.empty(FIGURES))
 
 
-def warm_up_chain_records(lane: ChainLane) -> None:
-    """Run an arm of one joint over a measurement that is a row of numbers, alone and as one of many."""
-    columns = JointColumns(pose=0, theta=56, covariance=64, state=352, size=360)
-    records = ChainRecords(lane, [columns])
-    numbers = records.rows.view(np.float64)
-    numbers[0, 6] = 1.0
-    read_records(records.rows, columns, 0, np.empty((1, 1, 7)), np.empty((1, 1, 6, 6)), np.empty((1, 1)))
-    if records.run(0) != State.OK:
-        message = "a joint's measurement in a row gives no endpoint"
-        raise AssertionError(message)
-
-
-def warm_up_records() -> None:
-    """Run a design over two scans that are rows of numbers, one by one and both at once."""
-    posor = Posor(design("triad_diodes"))
-    rotations, translations = np.tile(np.eye(3), (2, 1, 1)), np.tile([0.0, 0.0, 0.7e-3], (2, 1))
-    scans = scans_at(posor.stack, rotations, translations, np.array([1, 2], dtype=np.int64))
-    raw, out = np.zeros((2, 19)), np.zeros((2, 56))
-    raw.view(np.int32)[:, 1] = scans.stamps_ns
-    raw[:, 3:6], raw[:, 6:14] = scans.gap_voltages, scans.diode_currents.reshape(2, -1)
-    raw[:, 14], raw[:, 15] = scans.supply_voltages, scans.temperatures
-    raw.view(np.uint8)[:, 128:130] = scans.lit_sources
+def rows_of(scans: Scans) -> tuple[ByteArray, Columns]:
+    """Return scans as rows of bytes (n, 192), and where these and rows of poses, see ``OF_A_POSE``, have what."""
+    count, (gaps, rings) = len(scans), (scans.gap_voltages.shape[1], scans.ring_voltages.shape[1])
+    currents, lit = scans.diode_currents.reshape(count, -1), scans.lit_sources.shape[1]
+    raw = np.zeros((count, 24))
+    raw.view(np.int32)[:, 0], raw.view(np.int32)[:, 1] = scans.stamps_ns // NS, scans.stamps_ns % NS
+    raw[:, 3 : 3 + gaps], raw[:, 6 : 6 + rings] = scans.gap_voltages, scans.ring_voltages
+    raw[:, 10 : 10 + currents.shape[1]] = currents
+    raw[:, 18], raw[:, 19] = scans.supply_voltages, scans.temperatures
+    raw.view(np.uint8)[:, 160 : 160 + lit] = scans.lit_sources
     columns = Columns(
         seconds=0,
         number=8,
         status=16,
-        gaps=(24, 3),
-        rings=(136, 0),
-        currents=(48, 8),
-        supply=112,
-        temperature=120,
-        lit=(128, 2),
+        gaps=(24, gaps),
+        rings=(48, rings),
+        currents=(80, currents.shape[1]),
+        supply=144,
+        temperature=152,
+        lit=(160, lit),
         home=1,
         to_stamp=0,
         to_number=8,
@@ -92,16 +82,32 @@ def warm_up_records() -> None:
         to_covariance=144,
         kind=2,
     )
-    records = Records(posor, columns, np.zeros(8 * out.shape[1], dtype=np.uint8))
-    records.locate(raw.view(np.uint8), out.view(np.uint8))
-    row, pose = raw[:1].view(np.uint8).copy(), out[:1].view(np.uint8).copy()
-    lane = records.lane(row, pose, np.zeros((2, row.shape[1]), dtype=np.uint8))
+    return raw.view(np.uint8), columns
+
+
+OF_A_POSE = JointColumns(pose=32, theta=128, covariance=144, state=21, size=448)
+"""Where the rows of poses have what, for the chain."""
+
+
+def warm_up_records(lane: ChainLane) -> None:
+    """Run a design over two scans that are rows, one by one and both at once, and an arm over the first one's pose."""
+    posor = Posor(design("triad_diodes"))
+    rotations, translations = np.tile(np.eye(3), (2, 1, 1)), np.tile([0.0, 0.0, 0.7e-3], (2, 1))
+    raw, columns = rows_of(scans_at(posor.stack, rotations, translations, np.array([1, 2], dtype=np.int64)))
+    out = np.zeros((2, OF_A_POSE.size), dtype=np.uint8)
+    records = Records(posor, columns, out[0].copy())
+    records.locate(raw, out)
+    row, pose = raw[:1].copy(), out[:1].copy()
+    one_by_one = records.lane(row, pose, np.zeros((2, row.shape[1]), dtype=np.uint8))
     posor.reset()
-    for scan in raw.view(np.uint8):
+    for scan in raw:
         row[0] = scan
-        lane.run()
-    if pose.tobytes() != out[1].tobytes() or records.outcome[0] == State.LOST:
-        message = "scans in rows are not located, one by one as at once"
+        one_by_one.run()
+    chain = ChainRecords(lane, [OF_A_POSE])
+    chain.rows[0] = out[0]
+    read_records(out, OF_A_POSE, 0, np.empty((2, 1, 7)), np.empty((2, 1, 6, 6)), np.empty((2, 1)))
+    if pose.tobytes() != out[1].tobytes() or chain.run(0) != State.OK:
+        message = "scans in rows are not located, one by one as at once, or give no endpoint"
         raise AssertionError(message)
 
 

@@ -12,7 +12,7 @@ from posor_msgs.msg import JointTransform, RawScan
 from posor_estimator.core.chain_lane import WHY
 from posor_estimator.core.fault import Fault, State
 from posor_estimator.core.kernels.chain_pose import fault_of
-from posor_estimator.core.scan import Scan
+from posor_estimator.core.scan import Scan, by_diode
 
 if TYPE_CHECKING:
     from posor_estimator.core.estimate import Estimate
@@ -35,7 +35,7 @@ def scan_from_message(message: RawScan) -> Scan:
         stamp_ns=stamp_ns(message),
         gap_voltages=np.array(message.gap_voltages, dtype=float),
         ring_voltages=np.array(message.ring_voltages, dtype=float),
-        diode_currents=currents.reshape(-1, 4) if currents.size % 4 == 0 else currents.reshape(-1, 1),
+        diode_currents=by_diode(currents[None])[0],
         lit_sources=tuple(message.lit_sources),
         supply_voltage=message.supply_voltage,
         temperature=message.temperature,

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, get_args
 import numpy as np
 from posor_estimator.core import compiled
 from posor_estimator.core.chain import Chain
-from posor_estimator.core.chain_records import ChainRecords, JointColumns
-from posor_estimator.core.columns import Columns
+from posor_estimator.core.chain_records import ChainRecords
 from posor_estimator.core.designs import DesignName, design
 from posor_estimator.core.forward import scans_at
 from posor_estimator.core.kernels import blocks, chain, chain_motion, cholesky, solve, vector
@@ -23,7 +22,7 @@ from posor_estimator.core.kernels.rows import GAP, RING, SPOT_X, SPOT_Y, evaluat
 from posor_estimator.core.native import rotation_from_native
 from posor_estimator.core.posor import Posor
 from posor_estimator.core.records import Records
-from posor_estimator.core.warm_up import ARM
+from posor_estimator.core.warm_up import ARM, OF_A_POSE, rows_of
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray
@@ -170,47 +169,20 @@ def records(name: DesignName) -> FloatArray:
     posor = Posor(design(name, motion=True))
     count, stamps = 6, np.arange(1, 7, dtype=np.int64) * 1_000_000 - 2**31 * 10**9
     rotations = np.array([rotation_from_native(1e-4, -2e-4, 2e-3 * n) for n in range(count)])
-    scans = scans_at(posor.stack, rotations, np.tile([2e-5, 1e-5, 0.7e-3], (count, 1)), stamps)
-    probes, rings, currents = (each[0].size for each in (scans.gap_voltages, scans.ring_voltages, scans.diode_currents))
-    raw, out = np.zeros((count, 24)), np.zeros((count, 56))
-    words, octets = raw.view(np.int32), raw.view(np.uint8)
-    words[:, 0], words[:, 1] = stamps // 10**9, stamps % 10**9
-    raw.view(np.uint64)[:, 1], words[:, 4] = 2**64 - 1, -(2**31) + 1
-    raw[:, 3 : 3 + probes], raw[:, 6 : 6 + rings] = scans.gap_voltages, scans.ring_voltages
-    raw[:, 10 : 10 + currents] = scans.diode_currents.reshape(count, currents)
-    raw[:, 18], raw[:, 19] = scans.supply_voltages, scans.temperatures
-    octets[:, 160 : 160 + currents // 4] = scans.lit_sources
-    raw[3, 3] = math.nan
-    words[4, :2] = 0
-    columns = Columns(
-        seconds=0,
-        number=8,
-        status=16,
-        gaps=(24, probes),
-        rings=(48, rings),
-        currents=(80, currents),
-        supply=144,
-        temperature=152,
-        lit=(160, currents // 4),
-        home=1,
-        to_stamp=0,
-        to_number=8,
-        to_status=16,
-        to_redundancy=20,
-        to_faults=24,
-        to_pose=32,
-        to_native=88,
-        to_residual=136,
-        to_covariance=144,
-        kind=2,
-    )
-    Records(posor, columns, np.zeros(448, dtype=np.uint8)).locate(octets, out.view(np.uint8))
+    raw, columns = rows_of(scans_at(posor.stack, rotations, np.tile([2e-5, 1e-5, 0.7e-3], (count, 1)), stamps))
+    raw.view(np.uint64)[:, 1], raw.view(np.int32)[:, 4] = 2**64 - 1, -(2**31) + 1
+    raw.view(np.float64)[3, 3] = math.nan
+    raw.view(np.int32)[4, :2] = 0
+    out = np.zeros((count, OF_A_POSE.size), dtype=np.uint8)
+    Records(posor, columns, out[0].copy()).locate(raw, out)
     lane = Chain(ARM, "endpoint").lane()
-    chain = ChainRecords(lane, [JointColumns(pose=32, theta=128, covariance=144, state=21, size=448)])
-    chain.rows[0] = out[1].view(np.uint8)
+    chain = ChainRecords(lane, [OF_A_POSE])
+    chain.rows[0] = out[1]
     worst, times = chain.run(1), np.empty(FIGURES)
     counted = figures_of(stamps // 1000, 2**62, times)
-    return np.concatenate([out.ravel(), [worst, counted], times, lane.pose, lane.covariance.ravel(), lane.angles])
+    return np.concatenate(
+        [out.view(np.float64).ravel(), [worst, counted], times, lane.pose, lane.covariance.ravel(), lane.angles]
+    )
 
 
 def main(file: Path) -> None:

@@ -12,6 +12,8 @@ import pytest
 from posor_estimator.core.arm import load_arm
 from posor_estimator.core.beam_motion import ROOM
 from posor_estimator.core.chain import Chain, Endpoint, MeasuredJoint
+from posor_estimator.core.chain_records import ChainRecords, JointColumns
+from posor_estimator.core.fault import State
 from posor_estimator.core.kernels.chain_motion import LEAST_SCANS
 from posor_estimator.core.native import native_from_rotation
 from posor_estimator.errors import ChainError
@@ -343,3 +345,40 @@ def test_arrays_that_may_not_be_written_are_read(chain: Chain, poses: FloatArray
     for array in (poses, covariances):
         array.flags.writeable = False
     assert_bits(chain.endpoints(poses, covariances).poses, expected)
+
+
+def test_rows_of_measurements_give_the_bits_of_the_lane(chain: Chain, covariances: FloatArray) -> None:
+    """A window of more scans than there is room for at first, and joints whose rows begin elsewhere."""
+    scans = ROOM + 40
+    poses, stamps = swinging(chain, scans)
+    lane, other = (chain.lane(scans * PERIOD_NS * 1e-9) for _ in range(2))
+    columns = [
+        JointColumns(pose=8 * (j + 1), theta=8 * (j + 8), covariance=8 * (j + 9), state=3, size=400)
+        for j in range(JOINTS)
+    ]
+    records = ChainRecords(lane, columns)
+    numbers = records.rows.view(np.float64)
+    thetas = np.linspace(-20.0, 20.0, scans)
+    for n in range(scans):
+        states = [int(State.DEGRADED) if n % 7 == j else int(State.OK) for j in range(JOINTS)]
+        bad = n in (20, 21, 22)
+        states[1] = {20: int(State.LOST), 21: int(State.UNCOUNTED)}.get(n, states[1])
+        for j in range(JOINTS):
+            row = numbers[j]
+            row[j + 1 : j + 8], row[j + 8] = poses[n, j], thetas[n]
+            row[j + 9 : j + 45] = covariances[n % len(covariances), j].ravel()
+            records.rows[j, 3] = states[j]
+        if n == 22:
+            numbers[0, 1] = math.nan
+        worst = records.run(int(stamps[n]))
+        if bad:
+            assert worst < 0
+            assert bool(lane.faults.any()) == (n == 22)
+            continue
+        assert worst == max(states)
+        other.poses[:], other.covariances[:] = poses[n], covariances[n % len(covariances)]
+        other.thetas[:] = thetas[n]
+        assert other.run(int(stamps[n]))
+        for name in ("pose", "covariance", "angles", "accelerations"):
+            assert_bits(getattr(lane, name), getattr(other, name))
+    assert other.accelerations.any()

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from posor_estimator.core.types import ByteArray, FloatArray, IntArray
 
 POSE, THETA, COVARIANCE, STATE = 0, 1, 2, 3
-COLUMNS = 4
 UNUSABLE, NO_ROOM = -1, -2
 """Instead of the worst state of the joints: there is no endpoint; nothing was done, ``seen`` must be made larger."""
 DEGRADED = int(State.DEGRADED)

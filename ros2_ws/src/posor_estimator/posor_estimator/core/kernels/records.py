@@ -222,19 +222,3 @@ def locate_records(
 def locate_many_records(*arguments: Any) -> int:
     """Do ``locate_records`` while other threads run: for many scans. For one, taking the lock back costs more."""
     return locate_records(*arguments)
-
-
-@in_place
-def write_one(
-    places: IntArray,
-    ints: IntArray,
-    floats: FloatArray,
-    record: IntArray,
-    words: WordArray,
-    template: FloatArray,
-    out: FloatArray,
-    out_words: WordArray,
-    n: int,
-) -> None:
-    """Do ``write_record`` for row n of (n, k)."""
-    write_record(places, ints, floats, record, words[n], template, out[n], out_words[n])
