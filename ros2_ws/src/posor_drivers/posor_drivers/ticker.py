@@ -178,7 +178,6 @@ class Ticker:
             due_ns = min([beat.due_ns for beat in beats])
             turn.due_ns = due_ns if by_the_wall else NEVER_NS
             time.wait(due_ns)
-            turn.due_ns = 0
             sys.setswitchinterval(UNDISTURBED_S)
             now_ns = time.turn_ns = time.now_ns
             for beat in beats:

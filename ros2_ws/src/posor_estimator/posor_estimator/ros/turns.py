@@ -27,7 +27,7 @@ class Turn:
     """A thread that has something to do at every tick.
 
     Attributes:
-        due_ns: When its next tick is due [ns of the wall's clock]; 0: it is at one.
+        due_ns: When its next tick is due [ns of the wall's clock]; once that has passed, it is at it.
 
     """
 

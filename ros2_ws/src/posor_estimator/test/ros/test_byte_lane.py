@@ -185,10 +185,14 @@ def test_a_scan_of_another_kind_is_not_answered_and_changes_nothing() -> None:
     assert lane.answer(second + b"surplus bytes at the end") == wanted[1]
 
 
+@pytest.mark.parametrize("known", [False, True])
 @pytest.mark.parametrize("spoil", ["frame", "stamp"])
-def test_scans_that_may_not_be_used_are_lost_without_a_number(spoil: str) -> None:
-    calibration = design("triad_diodes")
-    message = moving(Posor(calibration))[0]
+def test_scans_that_may_not_be_used_are_lost_without_a_number(spoil: str, known: bool) -> None:  # noqa: FBT001
+    posor = Posor(design("triad_diodes"))
+    sound, message = (moving(posor)[n] for n in range(2))
+    before = RAW_SCAN.serialize(sound)
+    if known:
+        assert told(ByteLane(posor, before, "total").answer(before)).state == State.OK
     reason = "the stamp is zero; expected the time of exposure."
     if spoil == "frame":
         message.header.frame_id = "elsewhere"
@@ -196,7 +200,7 @@ def test_scans_that_may_not_be_used_are_lost_without_a_number(spoil: str) -> Non
     else:
         message.header.stamp.sec = message.header.stamp.nanosec = 0
     data = RAW_SCAN.serialize(message)
-    lane = ByteLane(Posor(calibration), data, "total")
+    lane = ByteLane(posor, data, "total")
     lost = told(lane.answer(data))
     assert (lost.scan, lost.scan_status, lost.header.stamp) == (message.scan, message.status, message.header.stamp)
     assert (lost.header.frame_id, lost.child_frame_id) == ("receiving", "target")
@@ -207,6 +211,27 @@ def test_scans_that_may_not_be_used_are_lost_without_a_number(spoil: str) -> Non
     assert tuple(lane.said()[1:3]) == (State.LOST, Fault.BAD_READING)
     assert math.isnan(lane.residual)
     assert lane.reason() == f"scan {message.scan}: {reason}"
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_scans_that_may_not_be_used_leave_count_and_last_pose_alone(compiled: bool) -> None:  # noqa: FBT001
+    posor = Posor(design("triad_bumpy_ring", motion=True))
+    posor = posor if compiled else in_python(posor)
+    messages = moving(posor, start=0.0)[:6]
+    raw = [RAW_SCAN.serialize(message) for message in messages]
+    undisturbed = ByteLane(posor, raw[0], "total")
+    wanted = [undisturbed.answer(data) for data in raw]
+    assert told(wanted[-1]).state == State.OK
+    posor.reset()
+    lane = ByteLane(posor, raw[0], "total")
+    messages[0].header.stamp.sec = messages[0].header.stamp.nanosec = 0
+    without_time = RAW_SCAN.serialize(messages[0])
+    messages[1].header.frame_id = "elsewhere"
+    foreign = RAW_SCAN.serialize(messages[1])
+    for data, expected_answer in zip(raw, wanted, strict=True):
+        assert lane.answer(data) == expected_answer
+        assert told(lane.answer(without_time)).state == State.LOST
+        assert told(ByteLane(posor, foreign, "total").answer(foreign)).state == State.LOST
 
 
 def test_wrong_numbers_of_readings_are_lost_with_a_sentence() -> None:
