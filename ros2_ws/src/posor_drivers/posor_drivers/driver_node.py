@@ -101,9 +101,7 @@ class DriverNode(PosorNode[DriverParameters]):
 
     def _output(self, topic: str) -> Outlet:
         qos = sensor_qos(self.parameters) if topic == RAW_TOPIC else RELIABLE_QOS
-        output = Outlet(self, self._classes[topic], topic, qos, given_up=lambda: self._stopping)
-        self.when_cleaned_up(output.destroy)
-        return output
+        return Outlet(self, self._classes[topic], topic, qos, given_up=lambda: self._stopping)
 
     def activate(self) -> None:
         """Begin the replay, or the scans of a live source."""

@@ -141,7 +141,6 @@ class ChainNode(PosorNode[ChainParameters]):
         qos = sensor_qos(self.parameters)
         for joint in chain.joints:
             inlet = Inlet(self, JointTransform, f"{joint.name}/{TRANSFORM_TOPIC}", qos, partial(self._take, joint))
-            self.when_cleaned_up(inlet.destroy)
             self._inlets.append(inlet)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         timer = self.create_timer(min(self.parameters.max_wait, LOOK_S), self._give_up_late, clock=steady)
@@ -150,9 +149,7 @@ class ChainNode(PosorNode[ChainParameters]):
         self.when_cleaned_up(self.destroy_service, service)
 
     def _outlet(self, message_type: type[Any], topic: str) -> Outlet:
-        outlet = self._listeners.outlet(message_type, topic, result_qos(self.parameters))
-        self.when_cleaned_up(outlet.destroy)
-        return outlet
+        return self._listeners.outlet(message_type, topic, result_qos(self.parameters))
 
     def _fall_silent(self) -> None:
         """Say no more of joints, once a transform that is being answered has been."""

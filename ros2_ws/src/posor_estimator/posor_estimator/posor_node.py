@@ -81,10 +81,8 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self._status.report(Level.STALE, "no scan yet")
         qos = sensor_qos(self.parameters)
         self._outlet = self._listeners.outlet(JointTransform, TRANSFORM_TOPIC, qos)
-        self.when_cleaned_up(self._outlet.destroy)
         self.when_cleaned_up(self._fall_silent)
-        inlet = Inlet(self, RawScan, RAW_TOPIC, qos, self._take)
-        self.when_cleaned_up(inlet.destroy)
+        Inlet(self, RawScan, RAW_TOPIC, qos, self._take)
         for name, action in (("reload", self._reload), ("home", self._count_from_home), ("zero", self._zero)):
             if name != "zero" or self.parameters.home_pose:
                 service = self.create_service(Trigger, f"~/{name}", partial(self._serve, action))

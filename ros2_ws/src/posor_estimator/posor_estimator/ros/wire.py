@@ -9,6 +9,8 @@ nothing is given to it either.
 Within a process nothing is ever lost on the way or out of order, whatever the quality of service, and the publisher
 goes on when the listener is done. Publishers in other processes are not heard where the same topic has an outlet here.
 
+Both close with their node, when what it has configured is undone, if nobody destroys them before.
+
 What a listener raises is its own failure, as in a callback of rclpy: its node asks for the end of the program with that
 exception (`PosorNode.request_exit`) and hears nothing more; the publisher and the other listeners go on.
 """
@@ -89,6 +91,8 @@ class Outlet:
         self._in_use = ExitStack()
         self._in_use.enter_context(self._handle)
         self._exchange.add_outlet(self)
+        self._is_open = True
+        node.when_cleaned_up(self.destroy)
 
     @property
     def is_activated(self) -> bool:
@@ -165,6 +169,9 @@ class Outlet:
 
         Where everything is kept, messages that are still on their way to reliable subscriptions are waited for.
         """
+        if not self._is_open:
+            return
+        self._is_open = False
         self._exchange.remove_outlet(self)
         if self._keeps_all and not self.deliver(LINGER_S):
             self._node.get_logger().warning(f"not all messages of {self.topic_name} were received")
@@ -221,6 +228,7 @@ class Inlet:
         self._exchange = _exchange_of(node.context)
         self._exchange.check(self)
         self._exchange.add_inlet(self)
+        node.when_cleaned_up(self.destroy)
 
     def has_publisher(self) -> bool:
         """Return whether anybody publishes the topic."""

@@ -148,6 +148,22 @@ def test_an_inlet_hears_other_processes_while_its_own_has_no_outlet(process: Pro
         subscriptions(0)
 
 
+def test_topics_close_with_their_nodes() -> None:
+    with Graph() as graph:
+
+        def ends(publishers: int, subscriptions: int) -> bool:
+            node = graph.node
+            return (
+                node.count_publishers("/joint/raw") == publishers and node.count_subscribers("/heard") == subscriptions
+            )
+
+        with Process() as process:
+            outlet_of(plain(process, "/joint"), "raw")
+            Inlet(plain(process, "/posor"), RawScan, "/heard", KEEP_ALL_QOS, print)
+            graph.wait_until(lambda: ends(1, 1), "both")
+        graph.wait_until(lambda: ends(0, 0), "neither")
+
+
 def test_an_inactive_publisher_hands_on_nothing(process: Process) -> None:
     taken: list[bytes] = []
     outlet = outlet_of(plain(process, "/joint"))
