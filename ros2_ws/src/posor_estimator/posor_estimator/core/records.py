@@ -43,6 +43,9 @@ class Records:
     """A POSOR's way from rows of readings to rows of poses; what the estimate of the last of them is, stays to be read.
 
     Attributes:
+        columns: Where the rows have what.
+        record: The same and more for the kernels, see ``kernels.records``.
+        tables: The POSOR's numbers.
         outcome: State, faults and codes of the last scan, shape (2 + sensors,).
         said: Its stamp [ns], state and faults, and how often, up to it, a scan has read other rows than the one before,
             as where another source is lit, shape (4,).
@@ -64,14 +67,14 @@ class Records:
         """
         self._posor = posor
         self._loop = posor.loop
-        self._columns = columns
+        self.columns = columns
         self._template = template.view(np.float64)
-        self._record = columns.record(posor.redundancy)
-        self._record[kernel.FIT] = fit
-        tables = posor.loop.tables
+        self.record = columns.record(posor.redundancy)
+        self.record[kernel.FIT] = fit
+        self.tables = tables = posor.loop.tables
         self._tables = tables.places, tables.ints, tables.floats
         self.outcome = tables.of_ints(OUTCOME)[0]
-        self.said = self._record[kernel.STAMP_NS : kernel.SAID_TAKEN + 1]
+        self.said = self.record[kernel.STAMP_NS : kernel.SAID_TAKEN + 1]
         self._room = Estimates(
             scans=np.zeros(1, dtype=np.uint64),
             outcomes=tables.of_ints(OUTCOME),
@@ -91,7 +94,7 @@ class Records:
     @property
     def fit(self) -> bool:
         """Whether readings may be used; else every scan is LOST."""
-        return bool(self._record[kernel.FIT])
+        return bool(self.record[kernel.FIT])
 
     @property
     def residual(self) -> float:
@@ -105,19 +108,19 @@ class Records:
 
     def count_from_next(self) -> None:
         """Take the next scan for one that has seen the home mark."""
-        self._record[kernel.AT_HOME] = 1
+        self.record[kernel.AT_HOME] = 1
 
     @property
     def counts_from_next(self) -> bool:
         """Whether that scan has yet to come."""
-        return bool(self._record[kernel.AT_HOME])
+        return bool(self.record[kernel.AT_HOME])
 
     def locate(self, raw: ByteArray, out: ByteArray) -> None:
         """Locate the scans in rows (n, w), from the last pose on, and write rows of poses (n, k)."""
-        views, count, done = self._views(raw, out), len(raw), 0
+        views, count, done = self.views(raw, out), len(raw), 0
         while done < count:
             if self.compiled:
-                done = kernel.locate_many_records(*self._tables, self._record, NOTHING_LIKE, *views, done, count)
+                done = kernel.locate_many_records(*self._tables, self.record, NOTHING_LIKE, *views, done, count)
             if done < count:
                 self._finish(raw, views, done)
                 done += 1
@@ -135,13 +138,13 @@ class Records:
 
     def arguments(self, raw: ByteArray, out: ByteArray, like: ByteArray) -> tuple[object, ...]:
         """Return what ``kernels.records.locate_records`` is called with for one row."""
-        return *self._tables, self._record, like.view(np.int32), *self._views(raw, out), 0, 1
+        return *self._tables, self.record, like.view(np.int32), *self.views(raw, out), 0, 1
 
     def finish(self, raw: ByteArray, out: ByteArray, like: ByteArray) -> bool:
         """Do what was left to do for the only row; return whether it is one of readings of this kind."""
-        views = self._views(raw, out)
+        views = self.views(raw, out)
         if self.compiled:
-            of_this_kind = self._record[kernel.LEFT] != kernel.OTHER
+            of_this_kind = self.record[kernel.LEFT] != kernel.OTHER
         else:
             of_this_kind = kernel.is_like(views[1][0], like.view(np.int32))
         if of_this_kind:
@@ -157,7 +160,7 @@ class Records:
 
     def scans(self, raw: ByteArray) -> Scans:
         """Return the scans in rows of readings (n, w)."""
-        columns = self._columns
+        columns = self.columns
         floats, words = raw.view(np.float64), raw.view(np.int32)
         gaps, rings, currents = (
             np.ascontiguousarray(floats[:, begin // 8 : begin // 8 + length])
@@ -181,10 +184,11 @@ class Records:
     def _scan(self, row: ByteArray) -> Scans:
         """Return the scan in a row (1, w), which may count as having seen the home mark."""
         scans = self.scans(row)
-        scans.at_home[0] |= self._record[kernel.AT_HOME]
+        scans.at_home[0] |= self.record[kernel.AT_HOME]
         return scans
 
-    def _views(self, raw: ByteArray, out: ByteArray) -> Views:
+    def views(self, raw: ByteArray, out: ByteArray) -> Views:
+        """Return rows of readings and of poses as the kernels take them."""
         return (
             raw.view(np.float64),
             raw.view(np.int32),
@@ -197,17 +201,17 @@ class Records:
         """Do for the scan in row n what was left to do, and write its pose."""
         scans = self._scan(raw[n : n + 1])
         if not self.compiled:
-            self._record[kernel.STAMP_NS] = scans.stamps_ns[0]
+            self.record[kernel.STAMP_NS] = scans.stamps_ns[0]
         if self.fit and scans.stamps_ns[0]:
             if self.compiled:
-                self._loop.finish(scans, self._room, STOPPED[self._record.item(kernel.LEFT)])
+                self._loop.finish(scans, self._room, STOPPED[self.record.item(kernel.LEFT)])
             else:
                 self._loop.run(scans, self._room)
-            self._record[kernel.AT_HOME] = 0
+            self.record[kernel.AT_HOME] = 0
         else:
             kernel.lose_record(*self._tables)
         _, words, template, written, written_words = views
-        kernel.write_record(*self._tables, self._record, words[n], template, written[n], written_words[n])
+        kernel.write_record(*self._tables, self.record, words[n], template, written[n], written_words[n])
 
 
 class RecordLane:

@@ -55,8 +55,10 @@ class Tables:
             **_of_readouts(stack, readouts),
         }
         width, length = stack.pool.rows.shape[1], made[layout.READOUT_IDS].shape[1]
-        made |= _rooms(stack.readings, width, length, root.deviates, len(stack.sensors))
+        factors = _most_factors(made, stack.readings)
+        made |= _rooms(stack.readings, width, length, root.deviates, factors, len(stack.sensors))
         made[layout.HERE][:] = -1
+        made = {which: made[which] for which in (*layout.COMMON, *made)}
         self.places = np.zeros((layout.TABLES, 3), dtype=np.int64)
         self.ints: IntArray = self._laid(made, np.int64)
         self.floats: FloatArray = self._laid(made, np.float64)
@@ -80,7 +82,14 @@ class Tables:
         return viewed(self.floats, *self.places[which])
 
 
-def _rooms(m: int, width: int, length: int, deviates: int, sensors: int) -> Made:
+def _most_factors(made: Made, m: int) -> int:
+    """Return how many factors of ROOT the parameters of m readings have at most."""
+    counts = np.append(made[layout.PARTS][:, 1], 0)  # the last one for no parameter, -1
+    of_rows, of_readouts = (counts[made[which]].sum(axis=1) for which in (layout.POOL_IDS, layout.READOUT_IDS))
+    return m * int(of_rows.max(initial=0)) + int(of_readouts.sum())
+
+
+def _rooms(m: int, width: int, length: int, deviates: int, factors: int, sensors: int) -> Made:
     """Return the room for work; sizes as in ``kernels.tables``."""
     room, redundant = m + 6, max(m - 6, 0)
     floats = {
@@ -95,7 +104,8 @@ def _rooms(m: int, width: int, length: int, deviates: int, sensors: int) -> Made
         layout.START: (4, 3),
         layout.BY_ROW: (m, width),
         layout.BY_READOUT: (m, length),
-        layout.EFFECTS: (m, deviates),
+        layout.EFFECTS: (m, min(deviates, factors)),
+        layout.TAKEN_ROOT: (1, factors),
         layout.READINGS: (m, m),
         layout.BLIND: (redundant, m + 1),
         layout.GAIN: (m, 6),
@@ -111,7 +121,7 @@ def _rooms(m: int, width: int, length: int, deviates: int, sensors: int) -> Made
     ints = {
         layout.KINDS: (1, room),
         layout.HERE: (1, m),
-        layout.SHARES: (m * (width + length), 4),
+        layout.SHARES: (m * (width + length), 3),
         layout.BLOCKS: (deviates, 4),
         layout.TALLY: (1, 3),
         layout.DEVIATES: (deviates, 3),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,16 +14,38 @@ from posor_estimator.core.posor import Posor
 from posor_estimator.reprocess.transforms import Transforms
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Sequence
 
     from posor_estimator.bulk.layout import Table, TableLayout
     from posor_estimator.bulk.pieces import Piece
     from posor_estimator.core.calibration.model import Calibration
+    from posor_estimator.core.records import Records
     from posor_estimator.ros.messages import CovarianceKind
 
 
+@dataclass(frozen=True)
+class Work:
+    """A piece of a joint's scans that are to be located.
+
+    Attributes:
+        piece: The scans.
+        records: The way from them to transforms.
+        out: Room for these.
+
+    """
+
+    piece: Piece
+    records: Records
+    out: Table
+
+    def locate(self, begin: int = 0) -> None:
+        """Locate the scans from one on."""
+        if begin < len(self.out):
+            self.records.locate(self.piece.table.rows[begin:], self.out.rows[begin:])
+
+
 class JointReprocessor:
-    """Estimates the poses of one joint, piece after piece of its recorded scans.
+    """Turns one joint's recorded scans into transforms, piece after piece.
 
     Attributes:
         layout: Of the transforms.
@@ -47,18 +70,18 @@ class JointReprocessor:
         self.scans = self.lost = 0
         self.faults: Counter[str] = Counter()
 
-    def transforms(self, pieces: Iterable[Piece]) -> Transforms:
-        """Return the transforms of a block's scans; every number is NaN where a scan gives no pose."""
-        parts = [Transforms.of(piece.times_ns, piece.places, self._of_scans(piece.table)) for piece in pieces]
-        return Transforms.joined(parts) if parts else Transforms.none(self.layout)
+    def work(self, piece: Piece) -> Work:
+        """Return what is to be done for a piece, with room for its transforms."""
+        if self._raw is not piece.table.layout:
+            self._raw, self._records = piece.table.layout, records_of(self._posor, piece.table.layout, self.layout)
+        return Work(piece, self._records, self.layout.empty(len(piece.table)))
 
-    def _of_scans(self, raw: Table) -> Table:
-        out = self.layout.empty(len(raw))
-        if self._raw is not raw.layout:
-            self._raw, self._records = raw.layout, records_of(self._posor, raw.layout, self.layout)
-        self._records.locate(raw.rows, out.rows)
-        self._count(out)
-        return out
+    def transforms(self, done: Sequence[Work]) -> Transforms:
+        """Return the transforms of a block's scans, once they are located; NaN where a scan gives no pose."""
+        for work in done:
+            self._count(work.out)
+        parts = [Transforms.of(work.piece.times_ns, work.piece.places, work.out) for work in done]
+        return Transforms.joined(parts) if parts else Transforms.none(self.layout)
 
     def _count(self, out: Table) -> None:
         self.scans += len(out)

@@ -22,6 +22,7 @@ from posor_estimator.errors import BagError
 from posor_estimator.reprocess.bag_output import BagOutput, EndpointTopics
 from posor_estimator.reprocess.endpoint import EndpointReprocessor
 from posor_estimator.reprocess.joint import JointReprocessor
+from posor_estimator.reprocess.joints import Joints
 from posor_estimator.reprocess.output import Output, Told, made
 from posor_estimator.reprocess.task import EndpointSummary, JointSummary, Settings, Summary, Task
 from posor_estimator.reprocess.topics import BagTopics, topics_of
@@ -54,6 +55,7 @@ def reprocess(task: Task, progress: Callable[[int], object] = lambda _: None) ->
         for name, joint in settings.joints.items()
     }
     layouts = {name: joint.layout for name, joint in joints.items()}
+    together = Joints(joints)
     endpoint = _endpoint(settings, layouts)
     topics = topics_of(task.bag, settings.joints)
     where = str(task.bag)
@@ -67,7 +69,7 @@ def reprocess(task: Task, progress: Callable[[int], object] = lambda _: None) ->
             folder = stack.enter_context(made(task.output, force=task.force))
             output = Told(task.output, partial(_output, task, folder, topics, endpoint))
         for block in _blocks(task.bag, list(topics.raw.values())):
-            transforms = {name: joint.transforms(readers[name].pieces(block)) for name, joint in joints.items()}
+            transforms = together.transforms({name: readers[name].pieces(block) for name in joints})
             endpoints = None if endpoint is None else endpoint.endpoints(transforms)
             if output is not None:
                 output.write(transforms, endpoints)

@@ -12,6 +12,7 @@ import math
 from typing import TYPE_CHECKING, TypeAlias
 
 from posor_estimator.core.compiled import inlined
+from posor_estimator.core.kernels.eight import chosen, everywhere
 from posor_estimator.core.kernels.matrix import Matrix, applied, row_times, transposed
 from posor_estimator.core.kernels.vector import Vector, dot, minus, plus, put, times, within
 
@@ -62,7 +63,7 @@ def normal_matrix(jacobian: FloatArray, weights: FloatArray, count: int) -> Symm
 @inlined
 def reciprocal(pivot: float) -> float:
     """Return the reciprocal of a pivot, NaN where it is not positive."""
-    return 1.0 / pivot if pivot > 0.0 else math.nan
+    return 1.0 / chosen(pivot > 0.0, pivot, math.nan)
 
 
 @inlined
@@ -119,9 +120,12 @@ def factor(matrix: Symmetric) -> tuple[Factors, float]:
     )
     lower, d_0, d_1, d_2 = factor_three(left)
     weakest = 0.0
-    if a_0 > 0.0 and a_1 > 0.0 and a_2 > 0.0 and d_0 > 0.0 and d_1 > 0.0 and d_2 > 0.0:
-        of_translation = min(1.0, a_1 / a[1][1], a_2 / a[2][2])
-        weakest = min(of_translation, d_0 / d[0][0], d_1 / d[1][1], d_2 / d[2][2])
+    if everywhere((a_0 > 0.0) & (a_1 > 0.0) & (a_2 > 0.0) & (d_0 > 0.0) & (d_1 > 0.0) & (d_2 > 0.0)):
+        weakest = min(1.0, a_1 / a[1][1])
+        weakest = min(weakest, a_2 / a[2][2])
+        weakest = min(weakest, d_0 / d[0][0])
+        weakest = min(weakest, d_1 / d[1][1])
+        weakest = min(weakest, d_2 / d[2][2])
     return (upper, joint, lower), weakest
 
 

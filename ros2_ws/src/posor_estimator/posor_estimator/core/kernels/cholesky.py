@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from posor_estimator.core.compiled import in_place
+from posor_estimator.core.kernels.eight import everywhere
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray
@@ -26,7 +27,7 @@ def factor(matrix: FloatArray) -> float:
         pivot = whole
         for k in range(j):
             pivot -= matrix[j, k] * matrix[j, k]
-        if not pivot > 0.0:
+        if not everywhere(pivot > 0.0):
             return 0.0
         weakest = min(weakest, pivot / whole)
         root = math.sqrt(pivot)

@@ -94,10 +94,16 @@ def linearise_spots(
         )
         if outcome != INSIDE:
             return OUTSIDE_X + outcome - 1 + offset
-        for axis in range(2):
-            by_x, by_y = slope[axis, 0] * diodes[d, NOISES], slope[axis, 1] * diodes[d, NOISES + 1]
-            variances[row + axis] = square(by_x) + square(by_y)
+        write_variances(diodes, d, slope, variances, row)
     return FINE
+
+
+@inlined
+def write_variances(diodes: FloatArray, d: int, slope: FloatArray, variances: FloatArray, row: int) -> None:
+    """Write the variances of the position on diode d [m^2] from its slopes (2, 2), into entry ``row`` and the next."""
+    for axis in range(2):
+        by_x, by_y = slope[axis, 0] * diodes[d, NOISES], slope[axis, 1] * diodes[d, NOISES + 1]
+        variances[row + axis] = square(by_x) + square(by_y)
 
 
 @compiled

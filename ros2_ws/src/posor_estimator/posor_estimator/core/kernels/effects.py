@@ -7,9 +7,10 @@ reading adds to that reading's variance and needs no column of B. What is to be 
 is found out once for the rows that a scan reads, and holds as long as it reads the same; it is written down as places
 in ``floats``.
 
-Shares (4 numbers): place of a derivative, of its first factor, and of what it adds to, how many factors; negative where
-it is the first to come there, and does not add. A share of a single reading adds its square to the reading's variance:
-those come first. Blocks (4): first column of B, how many, first and last reading that they reach.
+Shares (3 numbers): place of a derivative, and of what it adds to, how many factors; negative where it is the first to
+come there, and does not add. The factors stand in the same order in TAKEN_ROOT. A share of a single reading adds its
+square to the reading's variance: those come first. Blocks (4): first column of B, how many, first and last reading that
+they reach.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from posor_estimator.core.kernels.tables import (
     READOUT_IDS,
     ROOT,
     SHARES,
+    TAKEN_ROOT,
     TALLY,
     line,
     table,
@@ -58,7 +60,7 @@ def find_shares(  # noqa: C901, PLR0912  loops over plain numbers, to be compile
     readout_ids, parts = table(places, ints, READOUT_IDS), table(places, ints, PARTS)
     shares, blocks = table(places, ints, SHARES), table(places, ints, BLOCKS)
     deviates, tally = table(places, ints, DEVIATES), line(places, ints, TALLY, 0)
-    reach = table(places, ints, REACH)
+    reach, root, taken = table(places, ints, REACH), line(places, floats, ROOT, 0), line(places, floats, TAKEN_ROOT, 0)
     m, width, length = here.shape[0], pool_ids.shape[1], readout_ids.shape[1]
     for d in range(deviates.shape[0]):
         deviates[d, USES], deviates[d, COLUMN] = 0, -1
@@ -71,7 +73,7 @@ def find_shares(  # noqa: C901, PLR0912  loops over plain numbers, to be compile
     for r in range(m):
         for d in range(effects.shape[1]):
             effects[r, d] = 0.0
-    count, columns, found = 0, 0, 0
+    count, columns, found, next_factor = 0, 0, 0, 0
     for together in range(2):
         for r in range(m):
             for k in range(width + length):
@@ -97,11 +99,13 @@ def find_shares(  # noqa: C901, PLR0912  loops over plain numbers, to be compile
                 shares[count, 0] = places[BY_ROW, 0] + r * width + k
                 if k >= width:
                     shares[count, 0] = places[BY_READOUT, 0] + r * length + k - width
-                shares[count, 1], shares[count, 2] = places[ROOT, 0] + parts[p, 2], to
-                shares[count, 3] = parts[p, 1]
+                shares[count, 1], shares[count, 2] = to, parts[p, 1]
                 if not alone and floats[to] == 0.0:
-                    shares[count, 3] = -parts[p, 1]
+                    shares[count, 2] = -parts[p, 1]
                     floats[to] = 1.0
+                for f in range(parts[p, 1]):
+                    taken[next_factor + f] = root[parts[p, 2] + f]
+                next_factor += parts[p, 1]
                 count += 1
         tally[together] = count
     tally[COLUMNS] = found
@@ -123,28 +127,33 @@ def reading_covariance(  # noqa: C901, PLR0912  loops over plain numbers, to be 
     """
     shares, blocks, tally = table(places, ints, SHARES), table(places, ints, BLOCKS), line(places, ints, TALLY, 0)
     effects, out = table(places, floats, EFFECTS), table(places, floats, READINGS)
+    factors = line(places, floats, TAKEN_ROOT, 0)
     total, to = 0.0, -1
     for s in range(tally[ALONE]):
-        if shares[s, 2] != to:
+        if shares[s, 1] != to:
             if to >= 0:
                 floats[to] += total
-            total, to = 0.0, shares[s, 2]
-        effect = floats[shares[s, 0]] * floats[shares[s, 1]]
+            total, to = 0.0, shares[s, 1]
+        effect = floats[shares[s, 0]] * factors[s]
         total += effect * effect
     if to >= 0:
         floats[to] += total
+    first = tally[ALONE]
     for s in range(tally[ALONE], tally[TOGETHER]):
-        derivative, factors, to, count = floats[shares[s, 0]], shares[s, 1], shares[s, 2], shares[s, 3]
+        derivative, to, count = floats[shares[s, 0]], shares[s, 1], shares[s, 2]
         if count == -1:
-            floats[to] = derivative * floats[factors]
+            floats[to] = derivative * factors[first]
+            first += 1
         elif count < 0:
-            cells, row = floats[to : to - count], floats[factors : factors - count]
+            cells, row = floats[to : to - count], factors[first : first - count]
             for c in range(-count):
                 cells[c] = derivative * row[c]
+            first -= count
         else:
-            cells, row = floats[to : to + count], floats[factors : factors + count]
+            cells, row = floats[to : to + count], factors[first : first + count]
             for c in range(count):
                 cells[c] += derivative * row[c]
+            first += count
     for b in range(tally[COLUMNS]):
         for i in range(blocks[b, 2], blocks[b, 3] + 1):
             for j in range(blocks[b, 2], i + 1):

@@ -29,6 +29,7 @@ from posor_estimator.core.kernels.blocks import (
 )
 from posor_estimator.core.kernels.cholesky import factor as factor_table
 from posor_estimator.core.kernels.cholesky import halve
+from posor_estimator.core.kernels.eight import chosen, everywhere
 from posor_estimator.core.kernels.matrix import matrix, row_times
 from posor_estimator.core.kernels.tables import (
     BLIND,
@@ -49,6 +50,7 @@ from posor_estimator.core.kernels.vector import dot, plus, put, times, within
 if TYPE_CHECKING:
     from posor_estimator.core.kernels.blocks import Symmetric
     from posor_estimator.core.kernels.matrix import Matrix
+    from posor_estimator.core.kernels.vector import Vector
     from posor_estimator.core.types import FloatArray, IntArray
 
 
@@ -138,7 +140,7 @@ def chi_square(places: IntArray, ints: IntArray, floats: FloatArray, m: int) -> 
                 pushed += systematic_readings[r, q] * directions[t, q]
             for s in range(t + 1):
                 spread[t, s] += directions[s, r] * pushed
-    if not factor_table(spread) > 0.0:
+    if not everywhere(factor_table(spread) > 0.0):
         return math.nan
     halve(spread, along)
     out = 0.0
@@ -157,26 +159,49 @@ def find_directions(places: IntArray, floats: FloatArray, m: int) -> bool:
     jacobian, weights = table(places, floats, JACOBIAN), line(places, floats, LINES, WEIGHTS)
     gain, directions = table(places, floats, GAIN), table(places, floats, BLIND)
     for t in range(directions.shape[0]):
-        largest, chosen = 0.0, -1
+        largest, which, weight, v, w = 0.0, -1.0, 0.0, NOTHING, NOTHING
         for r in range(m):
-            left = 1.0 - explained(jacobian, gain, r, r)
+            own_v, own_w = within(jacobian, r, 0), within(jacobian, r, 3)
+            left = 1.0 - explained(own_v, own_w, gain, r)
             for s in range(t):
                 left -= directions[s, r] * directions[s, r] / weights[r]
-            if left > largest:
-                largest, chosen = left, r
-        if chosen < 0:
+            more = left > largest
+            largest, which, weight = (
+                chosen(more, left, largest),
+                chosen(more, r, which),
+                chosen(more, weights[r], weight),
+            )
+            v, w = chosen_of(more, own_v, v), chosen_of(more, own_w, w)
+        if not everywhere(largest > 0.0):
             return False
-        scale = math.sqrt(weights[chosen] / largest)
+        scale = math.sqrt(weight / largest)
         for r in range(m):
-            left = (1.0 if r == chosen else 0.0) - explained(jacobian, gain, chosen, r)
+            left = chosen(which == r, 1.0, 0.0) - explained(v, w, gain, r)
             for s in range(t):
-                left -= directions[s, r] * directions[s, chosen] / weights[chosen]
+                left -= directions[s, r] * entry_of(which, directions, s, m) / weight
             directions[t, r] = scale * left
     return True
 
 
 @inlined
-def explained(jacobian: FloatArray, gain: FloatArray, row: int, by: int) -> float:
-    """Return how far reading ``row`` follows, by the pose, when reading ``by`` changes: an entry of ``J G``."""
-    of_translation = dot(within(jacobian, row, 0), within(gain, by, 0))
-    return of_translation + dot(within(jacobian, row, 3), within(gain, by, 3))
+def chosen_of(condition: bool, a: Vector, b: Vector) -> Vector:  # noqa: FBT001  kernels take no keywords
+    """Return one of two vectors."""
+    return chosen(condition, a[0], b[0]), chosen(condition, a[1], b[1]), chosen(condition, a[2], b[2])
+
+
+@inlined
+def entry_of(which: float, rows: FloatArray, row: int, count: int) -> float:
+    """Return entry ``which``, one of the first ``count``, of a row."""
+    out = 0.0
+    for r in range(count):
+        out = chosen(which == r, rows[row, r], out)
+    return out
+
+
+@inlined
+def explained(v: Vector, w: Vector, gain: FloatArray, by: int) -> float:
+    """Return how far a reading with derivatives v and w follows, by the pose, when reading ``by`` changes.
+
+    It is an entry of ``J G``.
+    """
+    return dot(v, within(gain, by, 0)) + dot(w, within(gain, by, 3))

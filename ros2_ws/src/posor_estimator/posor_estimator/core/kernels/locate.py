@@ -25,6 +25,7 @@ from posor_estimator.core.kernels.memory import (
     THETA,
     bumps_off,
     carry_on,
+    goes_on,
     remember,
     remember_motion,
     theta_of,
@@ -32,7 +33,7 @@ from posor_estimator.core.kernels.memory import (
     turn_about_z,
     wrapped,
 )
-from posor_estimator.core.kernels.motion import moved_too_far, prior_rows
+from posor_estimator.core.kernels.motion import prior_rows, share_moved
 from posor_estimator.core.kernels.rows import by_parameters, turn_row
 from posor_estimator.core.kernels.solve import CONVERGED, ILL_CONDITIONED, ITERATIONS, NOT_CONVERGED, newton
 from posor_estimator.core.kernels.tables import (
@@ -209,7 +210,7 @@ def locate_scan(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in orde
     predicted = theta_of(rotation) if counting else 0.0
     lag_from = theta_remembered(memory) if carried_on and settings[LAGGING] > 0.0 and moving else math.nan
     carried = moving and settings[MOTION_TRANSLATION] < math.inf
-    if carried_on and moving:
+    if carried_on and moving and goes_on(elapsed, memory):
         carry_on(elapsed, settings, memory, rotation, translation)
     used = m
     faults = 0
@@ -248,7 +249,8 @@ def locate_scan(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in orde
         faults |= FAULT_RESIDUAL
     theta = theta_of(rotation)
     if moving:
-        if moved_too_far(settings, elapsed, random, rotation, translation, theta, memory):
+        limited = settings[MOTION_TRANSLATION] < math.inf
+        if limited and share_moved(settings, elapsed, random, rotation, translation, theta, memory) > 1.0:
             faults |= FAULT_INNOVATION
         if counting:
             reach = max(abs(memory[RATE]) * elapsed, abs(wrapped(theta - predicted)))

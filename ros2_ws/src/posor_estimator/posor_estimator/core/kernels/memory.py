@@ -9,6 +9,7 @@ import math
 from typing import TYPE_CHECKING
 
 from posor_estimator.core.compiled import in_place, inlined
+from posor_estimator.core.kernels.eight import everywhere
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray
@@ -97,18 +98,23 @@ def start_from_memory(
 
 
 @inlined
+def goes_on(elapsed: float, memory: FloatArray) -> bool:
+    """Return whether, ``elapsed`` [s] after the last scan, the motion before it still says something."""
+    going: bool = elapsed <= LONGEST_GAP * memory[INTERVAL]
+    return going
+
+
+@inlined
 def carry_on(
     elapsed: float, settings: FloatArray, memory: FloatArray, rotation: FloatArray, translation: FloatArray
 ) -> None:
     """Move a start from ``start_from_memory`` on as the target moved before the last scan, for ``elapsed`` [s].
 
-    So the solution is near and found in fewer steps. Over a longer gap the motion before it says nothing.
+    So the solution is near and found in fewer steps.
     """
-    if elapsed > LONGEST_GAP * memory[INTERVAL]:
-        return
     for i in range(3):
         translation[i] += memory[VELOCITY + i] * elapsed
-    if settings[BUMP] == 0.0:
+    if everywhere(settings[BUMP] == 0.0):
         turn_about_z(rotation, memory[RATE] * elapsed)
 
 

@@ -49,7 +49,7 @@ def prior_rows(
 
 
 @inlined
-def moved_too_far(
+def share_moved(
     settings: FloatArray,
     elapsed: float,
     random: FloatArray,
@@ -57,10 +57,8 @@ def moved_too_far(
     translation: FloatArray,
     theta: float,
     memory: FloatArray,
-) -> bool:
-    """Return whether a pose, theta [rad] its heading, is further from the last one than the target can have moved."""
-    if settings[MOTION_TRANSLATION] == math.inf:
-        return False
+) -> float:
+    """Return how far a pose is from the last one, as a share of what the target can have moved; theta its heading."""
     across = 0.0
     for i in range(3):
         allowed = settings[MOTION_TRANSLATION] * elapsed + NOISE_ALLOWANCE * math.sqrt(2.0 * random[i, i])
@@ -71,5 +69,5 @@ def moved_too_far(
         across = max(across, leaned / (settings[MOTION_LEAN] * elapsed + NOISE_ALLOWANCE * math.sqrt(2.0 * spread)))
     turned = abs(wrapped(theta - theta_remembered(memory)))
     allowed = settings[MOTION_THETA] * elapsed + NOISE_ALLOWANCE * math.sqrt(2.0 * random[5, 5])
-    across = max(across, turned / allowed)
-    return bool(across > 1.0)
+    share: float = max(across, turned / allowed)
+    return share

@@ -70,6 +70,26 @@ def is_like(words: WordArray, like: WordArray) -> bool:
 
 
 @inlined
+def stamp_of(record: IntArray, words: WordArray) -> int:
+    """Return the stamp of a row of readings [ns]."""
+    return int(words[record[SECONDS]]) * NS + (int(words[record[NANOSECONDS]]) & 0xFFFFFFFF)
+
+
+@inlined
+def is_at_home(record: IntArray, words: WordArray) -> bool:
+    """Return whether a row of readings has seen the home mark, or counts as having seen it."""
+    return bool(record[AT_HOME] != 0 or int(words[record[STATUS]]) & record[HOME] != 0)
+
+
+@inlined
+def read_lit(record: IntArray, words: WordArray, lit: IntArray) -> None:
+    """Write which sources were lit."""
+    for i in range(record[LIT + 1]):
+        byte = record[LIT] + i
+        lit[i] = int(words[byte // 4]) >> (8 * (byte % 4)) & 0xFF
+
+
+@inlined
 def write_record(
     places: IntArray,
     ints: IntArray,
@@ -182,15 +202,13 @@ def locate_records(
         if not is_like(whole, like):
             record[LEFT] = OTHER
             return n
-        stamp_ns = int(whole[record[SECONDS]]) * NS + (int(whole[record[NANOSECONDS]]) & 0xFFFFFFFF)
+        stamp_ns = stamp_of(record, whole)
         record[STAMP_NS] = stamp_ns
         if stamp_ns == 0 or record[FIT] == 0:
             lose_record(places, ints, floats)
             write_record(places, ints, floats, record, whole, template, out[n], out_words[n])
             continue
-        for i in range(record[LIT + 1]):
-            byte = record[LIT] + i
-            lit[i] = int(whole[byte // 4]) >> (8 * (byte % 4)) & 0xFF
+        read_lit(record, whole, lit)
         left = locate_one(
             places,
             ints,
@@ -202,7 +220,7 @@ def locate_records(
             lit,
             row[record[SUPPLY]],
             row[record[TEMPERATURE]],
-            record[AT_HOME] != 0 or int(whole[record[STATUS]]) & record[HOME] != 0,
+            is_at_home(record, whole),
             line(places, ints, OUTCOME, 0),
             table(places, floats, ROTATION),
             line(places, floats, TRANSLATION, 0),

@@ -103,15 +103,8 @@ def evaluate(
         kind = kinds[r]
         if kind == GAP:
             predicted[r] = gap(rows, r, prepared, rotation, translation, jacobian)
-        elif kind in (SPOT, SPOT_X):
-            predicted[r], y, along, for_x, for_y = meet(rows, r, prepared, rotation, translation)
-            spot_tangent(rows, r, prepared, rotation, along, for_x, jacobian, r)
-            if kind == SPOT:
-                predicted[r + 1] = y
-                spot_tangent(rows, r, prepared, rotation, along, for_y, jacobian, r + 1)
-        elif kind == SPOT_Y:
-            _, predicted[r], along, _, for_y = meet(rows, r, prepared, rotation, translation)
-            spot_tangent(rows, r, prepared, rotation, along, for_y, jacobian, r)
+        elif kind in (SPOT, SPOT_X, SPOT_Y):
+            evaluate_spot(kind, rows, r, prepared, rotation, translation, predicted, jacobian)
         elif kind == RING:
             predicted[r] = ring_gap(rows, r, prepared, rotation, translation, jacobian)
         elif kind == AFFINE:
@@ -120,6 +113,28 @@ def evaluate(
                 jacobian[r, i] = rows[r, 1 + i]
                 reading += rows[r, 1 + i] * moved[i]
             predicted[r] = reading
+
+
+@inlined
+def evaluate_spot(
+    kind: int,
+    rows: FloatArray,
+    r: int,
+    prepared: FloatArray,
+    rotation: FloatArray,
+    translation: FloatArray,
+    predicted: FloatArray,
+    jacobian: FloatArray,
+) -> None:
+    """Do ``evaluate`` for row r, of kind SPOT_X or SPOT_Y, or for it and the next, of kind SPOT."""
+    x, y, along, for_x, for_y = meet(rows, r, prepared, rotation, translation)
+    if kind != SPOT_Y:
+        predicted[r] = x
+        spot_tangent(rows, r, prepared, rotation, along, for_x, jacobian, r)
+    if kind != SPOT_X:
+        to = r + 1 if kind == SPOT else r
+        predicted[to] = y
+        spot_tangent(rows, r, prepared, rotation, along, for_y, jacobian, to)
 
 
 @inlined
@@ -141,14 +156,28 @@ def by_parameters(
         if kind == GAP:
             gap_parameters(rows, r, prepared, rotation, translation, jacobian)
         elif kind in (SPOT, SPOT_X, SPOT_Y):
-            x, y, along, for_x, for_y = meet(rows, r, prepared, rotation, translation)
-            if kind != SPOT_Y:
-                spot_parameters(rows, r, prepared, rotation, x, y, along, for_x, jacobian, r)
-            if kind != SPOT_X:
-                to = r + 1 if kind == SPOT else r
-                spot_parameters(rows, r, prepared, rotation, x, y, along, for_y, jacobian, to)
+            spot_by_parameters(kind, rows, r, prepared, rotation, translation, jacobian)
         elif kind == RING:
             ring_parameters(rows, r, prepared, rotation, translation, jacobian)
+
+
+@inlined
+def spot_by_parameters(
+    kind: int,
+    rows: FloatArray,
+    r: int,
+    prepared: FloatArray,
+    rotation: FloatArray,
+    translation: FloatArray,
+    jacobian: FloatArray,
+) -> None:
+    """Do ``by_parameters`` for row r, of kind SPOT_X or SPOT_Y, or for it and the next, of kind SPOT."""
+    x, y, along, for_x, for_y = meet(rows, r, prepared, rotation, translation)
+    if kind != SPOT_Y:
+        spot_parameters(rows, r, prepared, rotation, x, y, along, for_x, jacobian, r)
+    if kind != SPOT_X:
+        to = r + 1 if kind == SPOT else r
+        spot_parameters(rows, r, prepared, rotation, x, y, along, for_y, jacobian, to)
 
 
 @compiled

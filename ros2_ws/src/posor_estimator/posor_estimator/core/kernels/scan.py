@@ -106,15 +106,10 @@ def locate_one(
     if memory[KNOWN] == 0.0:
         return START
     kinds, rows, prepared = line(places, ints, KINDS, 0), table(places, floats, ROWS), table(places, floats, PREPARED)
-    here, chosen = line(places, ints, HERE, 0), table(places, ints, CHOSEN)
     whole = table(places, floats, READINGS)
-    m = here.shape[0]
-    if not are_here(chosen, 0, here):
-        pool_kinds, pool = line(places, ints, POOL_KINDS, 0), table(places, floats, POOL)
-        take_rows(pool_kinds, pool, chosen, 0, here, kinds, rows, prepared)
-        find_shares(places, ints, floats)
-        taken = line(places, ints, TAKEN, 0)
-        taken[0] += 1
+    m = line(places, ints, HERE, 0).shape[0]
+    if not are_here(table(places, ints, CHOSEN), 0, line(places, ints, HERE, 0)):
+        take_up(places, ints, floats)
     elif settings[LAGGING] > 0.0:
         for r in range(m):
             turn_row(kinds[r], 0.0, rows, r, prepared)
@@ -141,6 +136,17 @@ def locate_one(
     if state == LOST:
         write_lost(rotation, translation, random, systematic, figures)
     return RETRY if deserves_retry(state, fault, warm) else DONE
+
+
+@in_place
+def take_up(places: IntArray, ints: IntArray, floats: FloatArray) -> None:
+    """Take the rows in CHOSEN out of the pool, and find out what their parameters share."""
+    kinds, rows, prepared = line(places, ints, KINDS, 0), table(places, floats, ROWS), table(places, floats, PREPARED)
+    pool_kinds, pool = line(places, ints, POOL_KINDS, 0), table(places, floats, POOL)
+    take_rows(pool_kinds, pool, table(places, ints, CHOSEN), 0, line(places, ints, HERE, 0), kinds, rows, prepared)
+    find_shares(places, ints, floats)
+    taken = line(places, ints, TAKEN, 0)
+    taken[0] += 1
 
 
 @in_place

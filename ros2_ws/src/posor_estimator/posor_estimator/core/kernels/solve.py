@@ -13,6 +13,7 @@ import numpy as np
 
 from posor_estimator.core.compiled import compiled, inlined
 from posor_estimator.core.kernels.blocks import NOTHING, factor, keep_factors, normal_matrix, solve
+from posor_estimator.core.kernels.eight import chosen
 from posor_estimator.core.kernels.gap import PREPARED
 from posor_estimator.core.kernels.rows import evaluate, prepare_rows
 from posor_estimator.core.kernels.vector import dot, move, orthonormalise, plus, times, within
@@ -51,8 +52,28 @@ def right_side(jacobian: FloatArray, weights: FloatArray, residuals: FloatArray,
 @inlined
 def largest_of(a: Vector) -> float:
     """Return the largest absolute value of three; infinite where one is no number."""
-    largest = max(abs(a[0]), abs(a[1]), abs(a[2]))
-    return largest if math.isfinite(a[0] + a[1] + a[2]) else math.inf
+    largest = max(abs(a[0]), abs(a[1]))
+    largest = max(largest, abs(a[2]))
+    return chosen(abs(a[0] + a[1] + a[2]) < math.inf, largest, math.inf)
+
+
+@inlined
+def size_of(v: Vector, w: Vector) -> float:
+    """Return the size of a step [m]; infinite where one of its numbers is none."""
+    return max(largest_of(v), LENGTH * largest_of(w))
+
+
+@inlined
+def has_settled(largest: float, rate: float) -> bool:
+    """Return whether the pose is found after a step of this size [m], which has shrunk to ``rate`` of the former."""
+    return (largest * rate < EXACT) | ((largest < TOLERANCE) & (rate > STALLED))
+
+
+@inlined
+def follow(jacobian: FloatArray, residuals: FloatArray, count: int, v: Vector, w: Vector) -> None:
+    """Take what a last step explains off the residuals of the first ``count`` rows, by their derivatives."""
+    for r in range(count):
+        residuals[r] -= dot(within(jacobian, r, 0), v) + dot(within(jacobian, r, 3), w)
 
 
 @inlined
@@ -107,7 +128,7 @@ def newton(
             return CONVERGED
         v, w = right_side(jacobian, weights, residuals, count)
         v, w = solve(factors, v, w)
-        largest = max(largest_of(v), LENGTH * largest_of(w))
+        largest = size_of(v, w)
         if not largest < math.inf:
             return NOT_CONVERGED
         for i in range(3):
@@ -116,11 +137,10 @@ def newton(
         move(rotation, translation, v, w)
         orthonormalise(rotation)
         rate = min(1.0, largest / before) if before > 0.0 else STALLED
-        settled = largest * rate < EXACT or (largest < TOLERANCE and rate > STALLED)
+        settled = has_settled(largest, rate)
         before = largest
         if settled and largest < SHARP:
-            for r in range(count):
-                residuals[r] -= dot(within(jacobian, r, 0), v) + dot(within(jacobian, r, 3), w)
+            follow(jacobian, residuals, count, v, w)
             keep_factors(factors, kept)
             return CONVERGED
     return NOT_CONVERGED

@@ -50,7 +50,7 @@ def _basis(kind: int, value: float, count: int, basis: FloatArray, row: int) -> 
 
 
 @inlined
-def _tensor(
+def tensor(
     kind: int,
     shape: IntArray,
     frame: FloatArray,
@@ -61,6 +61,7 @@ def _tensor(
     less_by: FloatArray,
     basis: FloatArray,
 ) -> None:
+    """Do ``spot_position`` for a map that is no CURVES."""
     n, m = shape[1], shape[2]
     _basis(kind, (ratios[0] - frame[0]) / frame[2], n, basis, 0)
     _basis(kind, (ratios[1] - frame[1]) / frame[3], m, basis, 2)
@@ -202,7 +203,7 @@ def spot_position(
     """
     if shape[0] == CURVES:
         return _curves(shape, parameters, ratios, position, slope, less_by, basis)
-    _tensor(shape[0], shape, frame, parameters, ratios, position, slope, less_by, basis)
+    tensor(shape[0], shape, frame, parameters, ratios, position, slope, less_by, basis)
     return INSIDE
 
 

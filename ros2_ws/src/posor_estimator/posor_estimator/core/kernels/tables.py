@@ -3,7 +3,11 @@
 ``places`` (n, 3) says where each table stands: start, rows, columns. One array of floats and one of whole numbers,
 since every array that a compiled function is called with costs as much as the arithmetic of a row. ``core.tables``
 makes them. Sizes: m readings; M = m + 6, with room for the prior; K rows in the pool of width W; L parameters at most
-in the linearisation of a reading; C standard deviates that the calibration's parameters are made of.
+in the linearisation of a reading; C standard deviates that the calibration's parameters are made of; F factors that
+those of a scan's readings have at most, and S deviates that they share at most.
+
+The tables of floats whose size the number of light sources does not change stand in front, ``COMMON``: where POSORs of
+one design have them is the same.
 """
 
 from __future__ import annotations
@@ -39,7 +43,7 @@ ROWS = 11  # floats: the rows of the scan, then the prior's (M, W)
 PREPARED = 12  # floats: see kernels.rows (M, PREPARED)
 KINDS = 13  # (1, M)
 HERE = 14  # which rows of the pool stand in ROWS (1, m)
-SHARES = 15  # see kernels.effects (m (W + L), 4)
+SHARES = 15  # see kernels.effects (m (W + L), 3)
 BLOCKS = 16  # see kernels.effects (C, 4)
 TALLY = 17  # see kernels.effects (1, 3)
 DEVIATES = 18  # see kernels.effects (C, 3)
@@ -52,7 +56,7 @@ SPREAD = 23  # floats: what the residuals spread by along the directions of BLIN
 START = 24  # floats: the pose from which a scan starts, rotation and translation (4, 3)
 BY_ROW = 25  # floats: derivatives of prediction less reading by the rows' parameters (m, W)
 BY_READOUT = 26  # floats: the same by the linearisation's parameters (m, L)
-EFFECTS = 27  # floats: what each shared deviate does to each reading, its zeros kept from scan to scan (m, C)
+EFFECTS = 27  # floats: what each shared deviate does to each reading, its zeros kept from scan to scan (m, S)
 READINGS = 28  # floats: the readings' systematic covariance (m, m)
 BLIND = 29  # floats: directions of the readings that no pose explains, and the residuals along them (m - 6, m + 1)
 GAIN = 30  # floats: change of the pose for one of each reading (m, 6)
@@ -63,16 +67,46 @@ EPOCH = 34  # whole numbers that stay: 1 where it is known, from which time the 
 FACTORS = 35  # floats: those of the normal matrix at the solution, see kernels.blocks (7, 3)
 REACH = 36  # whole numbers: from which to before which reading each is correlated with others (m, 2)
 TAKEN = 37  # whole numbers that stay: how often other rows of the pool have been taken (1, 1)
+TAKEN_ROOT = 38  # floats: factors of ROOT that the scan needs, in the order of SHARES (1, F)
 # Room for one estimate.
-OUTCOME = 38  # whole numbers, see kernels.readout (1, 2 + sensors)
-ROTATION = 39  # floats (3, 3)
-TRANSLATION = 40  # floats (1, 3)
-RANDOM = 41  # floats (6, 6)
-SYSTEMATIC = 42  # floats (6, 6)
-FIGURES = 43  # floats, see kernels.locate (1, 14)
-TABLES = 44
+OUTCOME = 39  # whole numbers, see kernels.readout (1, 2 + sensors)
+ROTATION = 40  # floats (3, 3)
+TRANSLATION = 41  # floats (1, 3)
+RANDOM = 42  # floats (6, 6)
+SYSTEMATIC = 43  # floats (6, 6)
+FIGURES = 44  # floats, see kernels.locate (1, 14)
+TABLES = 45
 
 VALUES, VARIANCES, WEIGHTS, RESIDUALS = 0, 1, 2, 3
+
+COMMON = (
+    TAKEN_ROOT,
+    CHANNELS,
+    DIODES,
+    SETTINGS,
+    MEMORY,
+    ROWS,
+    PREPARED,
+    LINES,
+    JACOBIAN,
+    MOVED,
+    SPREAD,
+    START,
+    BY_ROW,
+    BY_READOUT,
+    EFFECTS,
+    READINGS,
+    BLIND,
+    GAIN,
+    SPOT,
+    BASIS,
+    FACTORS,
+    ROTATION,
+    TRANSLATION,
+    RANDOM,
+    SYSTEMATIC,
+    FIGURES,
+)
 
 
 @written_out

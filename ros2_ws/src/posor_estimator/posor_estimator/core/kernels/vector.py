@@ -9,6 +9,7 @@ import math
 from typing import TYPE_CHECKING, TypeAlias
 
 from posor_estimator.core.compiled import in_place, inlined
+from posor_estimator.core.kernels.eight import everywhere
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray
@@ -82,7 +83,7 @@ def cross(a: Vector, b: Vector) -> Vector:
 @in_place
 def turned(a: Vector, angle: float) -> Vector:
     """Return a vector turned about Z by ``angle`` [rad]."""
-    if angle == 0.0:
+    if everywhere(angle == 0.0):
         return a
     c, s = math.cos(angle), math.sin(angle)
     return c * a[0] - s * a[1], s * a[0] + c * a[1], a[2]
@@ -122,16 +123,27 @@ def move(rotation: FloatArray, translation: FloatArray, v: Vector, w: Vector) ->
     """
     angle_squared = dot(w, w)
     if angle_squared < SERIES_BELOW:
-        # One minus a cosine would cancel its digits; the terms left out are below 1e-18.
-        x = angle_squared
-        s = 1.0 - x / 6.0 * (1.0 - x / 20.0 * (1.0 - x / 42.0 * (1.0 - x / 72.0)))
-        c = 0.5 * (1.0 - x / 12.0 * (1.0 - x / 30.0 * (1.0 - x / 56.0 * (1.0 - x / 90.0))))
-        d = (1.0 - x / 20.0 * (1.0 - x / 42.0 * (1.0 - x / 72.0 * (1.0 - x / 110.0)))) / 6.0
+        shares = series(angle_squared)
     else:
         angle = math.sqrt(angle_squared)
         s = math.sin(angle) / angle
-        c = (1.0 - math.cos(angle)) / angle_squared
-        d = (1.0 - s) / angle_squared
+        shares = s, (1.0 - math.cos(angle)) / angle_squared, (1.0 - s) / angle_squared
+    move_by(rotation, translation, v, w, shares)
+
+
+@inlined
+def series(x: float) -> Vector:
+    """Return sin a / a, (1 - cos a) / a^2 and (a - sin a) / a^3 of an angle whose square x is below SERIES_BELOW."""
+    # One minus a cosine would cancel its digits; the terms left out are below 1e-18.
+    s = 1.0 - x / 6.0 * (1.0 - x / 20.0 * (1.0 - x / 42.0 * (1.0 - x / 72.0)))
+    c = 0.5 * (1.0 - x / 12.0 * (1.0 - x / 30.0 * (1.0 - x / 56.0 * (1.0 - x / 90.0))))
+    return s, c, (1.0 - x / 20.0 * (1.0 - x / 42.0 * (1.0 - x / 72.0 * (1.0 - x / 110.0)))) / 6.0
+
+
+@inlined
+def move_by(rotation: FloatArray, translation: FloatArray, v: Vector, w: Vector, shares: Vector) -> None:
+    """Do ``move``; ``shares`` are those of ``series`` for the angle of w."""
+    s, c, d = shares
     w_v = cross(w, v)
     shift = rotate(rotation, plus(v, plus(times(c, w_v), times(d, cross(w, w_v)))))
     for i in range(3):

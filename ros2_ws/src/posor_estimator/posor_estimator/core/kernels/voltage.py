@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posor_estimator.core.compiled import compiled, in_place, inlined
+from posor_estimator.core.kernels.eight import chosen
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray, IntArray
@@ -79,20 +80,37 @@ def linearise_voltages(
             return NOT_FINITE + 2 * i
         if volt < channels[c, order + LOWEST] or volt > channels[c, order + HIGHEST]:
             return OUT_OF_RANGE + 2 * i
-        value, slope = polynomial(channels[c], order, volt)
-        above_supply = supply - channels[c, order + 2] if math.isfinite(supply) else 0.0
-        above_temperature = temperature - channels[c, order + 4] if math.isfinite(temperature) else 0.0
-        values[r] = value + channels[c, order + 1] * above_supply + channels[c, order + 3] * above_temperature
-        noise = channels[c, order + NOISE]
-        variances[r] = slope * slope * noise * noise
-        power = -1.0
-        for k in range(order):
-            less_by[r, k] = power
-            power *= volt
-        less_by[r, order] = -slope
-        less_by[r, order + 1], less_by[r, order + 2] = -above_supply, channels[c, order + 1]
-        less_by[r, order + 3], less_by[r, order + 4] = -above_temperature, channels[c, order + 3]
+        write_gap(volt, supply, temperature, channels, c, values, variances, less_by, r)
     return FINE
+
+
+@inlined
+def write_gap(
+    volt: float,
+    supply: float,
+    temperature: float,
+    channels: FloatArray,
+    c: int,
+    values: FloatArray,
+    variances: FloatArray,
+    less_by: FloatArray,
+    r: int,
+) -> None:
+    """Write reading r from the shifted voltage of channel c [V], which is fit; others as ``linearise_voltages``."""
+    order = channels.shape[1] - COLUMNS
+    value, slope = polynomial(channels[c], order, volt)
+    above_supply = chosen(abs(supply) < math.inf, supply - channels[c, order + 2], 0.0)
+    above_temperature = chosen(abs(temperature) < math.inf, temperature - channels[c, order + 4], 0.0)
+    values[r] = value + channels[c, order + 1] * above_supply + channels[c, order + 3] * above_temperature
+    noise = channels[c, order + NOISE]
+    variances[r] = slope * slope * noise * noise
+    power = -1.0
+    for k in range(order):
+        less_by[r, k] = power
+        power *= volt
+    less_by[r, order] = -slope
+    less_by[r, order + 1], less_by[r, order + 2] = -above_supply, channels[c, order + 1]
+    less_by[r, order + 3], less_by[r, order + 4] = -above_temperature, channels[c, order + 3]
 
 
 @compiled

@@ -1,0 +1,60 @@
+"""All joints of an arm, block after block: those whose POSORs are of one design are located abreast."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from posor_estimator.core.abreast import LEAST, Abreast, design_of
+from posor_estimator.core.kernels.eight import EIGHT
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from posor_estimator.bulk.pieces import Piece
+    from posor_estimator.core.abreast import Design
+    from posor_estimator.core.records import Records
+    from posor_estimator.reprocess.joint import JointReprocessor, Work
+    from posor_estimator.reprocess.transforms import Transforms
+
+
+class Joints:
+    """Turns the recorded scans of all joints into transforms."""
+
+    def __init__(self, joints: Mapping[str, JointReprocessor]) -> None:
+        """Begin with joints that have done nothing yet."""
+        self._joints = joints
+        self._abreast: dict[tuple[Records, ...], Abreast] = {}
+
+    def transforms(self, pieces: Mapping[str, Iterable[Piece]]) -> dict[str, Transforms]:
+        """Return the transforms of a block's scans, by joint; every number is NaN where a scan gives no pose."""
+        works = {name: [self._joints[name].work(piece) for piece in pieces[name]] for name in pieces}
+        self._locate(works.values())
+        return {name: self._joints[name].transforms(done) for name, done in works.items()}
+
+    def _locate(self, works: Iterable[Sequence[Work]]) -> None:
+        """Locate the scans of each joint in order: together with others as long as these have any."""
+        begun: dict[Records, int] = {}
+        for group in _groups([joint[0] for joint in works if joint]):
+            count = min(len(work.out) for work in group)
+            records = tuple(work.records for work in group)
+            if records not in self._abreast:
+                self._abreast[records] = Abreast(records)
+            raw, out = [work.piece.table.rows[:count] for work in group], [work.out.rows[:count] for work in group]
+            self._abreast[records].locate(raw, out)
+            begun |= dict.fromkeys(records, count)
+        for joint in works:
+            for number, work in enumerate(joint):
+                work.locate(begun.get(work.records, 0) if number == 0 else 0)
+
+
+def _groups(works: Iterable[Work]) -> Iterator[list[Work]]:
+    """Yield pieces whose scans can be located abreast, and are worth it."""
+    designs: dict[Design, list[Work]] = {}
+    for work in works:
+        if (design := design_of(work.records)) is not None:
+            designs.setdefault(design, []).append(work)
+    for alike in designs.values():
+        for begin in range(0, len(alike), EIGHT):
+            group = alike[begin : begin + EIGHT]
+            if len(group) >= LEAST:
+                yield group
