@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from posor_estimator.core.compiled import COMPILING
 from posor_estimator.core.kernels import tables as layout
 from posor_estimator.core.kernels.abreast import FOUND, locate_abreast
 from posor_estimator.core.kernels.abreast_read import VOLTAGES
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 
 LEAST = 3
 """POSORs that are worth it: two take as long alone."""
-AT_ONCE = 64
+AT_ONCE = 256
 """Scans of each that are on their way together: what is read and found of them stays in the processor's cache."""
 LONGEST_ALONE = 64
 """Scans of each that are located one by one at most before the next try."""
@@ -47,14 +48,20 @@ def design_of(records: Records) -> Design | None:
     settings = tables.of_floats(layout.SETTINGS)[0]
     sources, counts = readouts[:, 0].tolist(), readouts[:, 3].tolist()
     wanted = {GAP_VOLTAGES: columns.gaps[1], SPOTS: columns.currents[1] // CONTACTS}
-    if not records.compiled or not records.fit or set(sources) != set(wanted) or len(sources) != len(wanted):
+    if (
+        not COMPILING
+        or not records.compiled
+        or not records.fit
+        or set(sources) != set(wanted)
+        or len(sources) != len(wanted)
+    ):
         return None
     if any(wanted[source] != count for source, count in zip(sources, counts, strict=True)):
         return None
     if settings[BUMP] > 0.0 or settings[LAGGING] > 0.0 or CURVES in maps[:, 0]:
         return None
     places = tables.places[list(layout.COMMON)]
-    return places.tobytes(), readouts[:, :4].tobytes(), maps.tobytes()
+    return places.tobytes(), readouts[:, :4].tobytes(), maps.tobytes(), bytes([columns.kind])
 
 
 class Abreast:
@@ -67,7 +74,7 @@ class Abreast:
         m = records[0].tables.of_ints(layout.HERE).size
         self._numbers, self._trial = _room(max(common)), _room(OF_A_ROW * m + OF_ALL)
         self._readings, self._found = _room(AT_ONCE * width).ravel(), _room(AT_ONCE * FOUND).ravel()
-        self._width = width
+        self._width, self._kind = width, records[0].columns.kind
         self._lanes = [_Lane(each, turn, len(records), self._numbers) for turn, each in enumerate(records)]
 
     def locate(self, raw: Sequence[ByteArray], out: Sequence[ByteArray]) -> None:
@@ -108,7 +115,8 @@ class Abreast:
             return 0, 0
         places, ints, tried = first.tables.places, first.tables.ints, end - begin
         numbers, trial = self._numbers.ravel(), self._trial.ravel()
-        located = locate_abreast(places, ints, numbers, trial, self._readings, self._found, self._width, tried)
+        of_scans = self._readings, self._found, self._width, self._kind, tried
+        located = locate_abreast(places, ints, numbers, trial, *of_scans)
         for lane in self._lanes:
             lane.give_out(self._found, begin, begin + located)
         return tried, located
@@ -139,8 +147,10 @@ class _Lane:
 
     def is_known(self) -> bool:
         """Return whether there is a pose to go on from that is not a mere start."""
-        memory = self.tables.of_floats(layout.MEMORY)[0]
-        return self._abreast or bool(memory[KNOWN] == 1.0 and memory[GIVEN] == 0.0)
+        if self._abreast:
+            return True
+        memory = self.tables.floats[self._memory]
+        return bool(memory[KNOWN] == 1.0 and memory[GIVEN] == 0.0)
 
     def take_in(self, readings: FloatArray, begin: int, end: int) -> int:
         """Write scans to where they are read; return the row after the last that can be tried."""

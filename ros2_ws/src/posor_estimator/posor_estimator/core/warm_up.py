@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
+from posor_estimator.core.abreast import LEAST, Abreast, design_of
 from posor_estimator.core.chain import Chain
 from posor_estimator.core.chain_records import ChainRecords, JointColumns, read_records
 from posor_estimator.core.columns import Columns
@@ -47,6 +48,7 @@ def warm_up() -> None:
             message = f"design {name} does not locate its own scans"
             raise AssertionError(message)
     warm_up_records(lane)
+    warm_up_abreast()
     figures_of(np.array([1, 2]), 3, np.empty(FIGURES))
 
 
@@ -108,6 +110,23 @@ def warm_up_records(lane: ChainLane) -> None:
     read_records(out, OF_A_POSE, 0, np.empty((2, 1, 7)), np.empty((2, 1, 6, 6)), np.empty((2, 1)))
     if pose.tobytes() != out[1].tobytes() or chain.run(0) != State.OK:
         message = "scans in rows are not located, one by one as at once, or give no endpoint"
+        raise AssertionError(message)
+
+
+def warm_up_abreast() -> None:
+    """Run three POSORs of a design over some scans at once, where that is possible."""
+    scans, of_posors = 4, [Posor(design("triad_diodes")) for _ in range(LEAST)]
+    rotations, translations = np.tile(np.eye(3), (scans, 1, 1)), np.tile([0.0, 0.0, 0.7e-3], (scans, 1))
+    raw, columns = rows_of(scans_at(of_posors[0].stack, rotations, translations, np.arange(1, scans + 1)))
+    out = np.zeros((LEAST + 1, scans, OF_A_POSE.size), dtype=np.uint8)
+    records = [Records(posor, columns, out[0, 0].copy()) for posor in of_posors]
+    if design_of(records[0]) is None:
+        return
+    Abreast(records).locate([raw] * LEAST, list(out[:LEAST]))
+    of_posors[0].reset()
+    records[0].locate(raw, out[LEAST])
+    if any(poses.tobytes() != out[LEAST].tobytes() for poses in out):
+        message = "scans are not located abreast as alone"
         raise AssertionError(message)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import zip_longest
 from typing import TYPE_CHECKING
 
 from posor_estimator.core.abreast import LEAST, Abreast, design_of
@@ -28,23 +29,22 @@ class Joints:
     def transforms(self, pieces: Mapping[str, Iterable[Piece]]) -> dict[str, Transforms]:
         """Return the transforms of a block's scans, by joint; every number is NaN where a scan gives no pose."""
         works = {name: [self._joints[name].work(piece) for piece in pieces[name]] for name in pieces}
-        self._locate(works.values())
+        for side_by_side in zip_longest(*works.values()):
+            self._locate([work for work in side_by_side if work is not None])
         return {name: self._joints[name].transforms(done) for name, done in works.items()}
 
-    def _locate(self, works: Iterable[Sequence[Work]]) -> None:
-        """Locate the scans of each joint in order: together with others as long as these have any."""
-        begun: dict[Records, int] = {}
-        for group in _groups([joint[0] for joint in works if joint]):
-            count = min(len(work.out) for work in group)
-            records = tuple(work.records for work in group)
+    def _locate(self, works: Sequence[Work]) -> None:
+        """Locate the scans of some joints: together with others as long as these have any, then alone."""
+        done: dict[Records, int] = {}
+        for group in _groups(works):
+            count, records = min(len(work.out) for work in group), tuple(work.records for work in group)
             if records not in self._abreast:
                 self._abreast[records] = Abreast(records)
             raw, out = [work.piece.table.rows[:count] for work in group], [work.out.rows[:count] for work in group]
             self._abreast[records].locate(raw, out)
-            begun |= dict.fromkeys(records, count)
-        for joint in works:
-            for number, work in enumerate(joint):
-                work.locate(begun.get(work.records, 0) if number == 0 else 0)
+            done |= dict.fromkeys(records, count)
+        for work in works:
+            work.locate(done.get(work.records, 0))
 
 
 def _groups(works: Iterable[Work]) -> Iterator[list[Work]]:

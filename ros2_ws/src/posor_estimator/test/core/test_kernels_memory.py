@@ -17,6 +17,7 @@ from posor_estimator.core.kernels.memory import (
     THETA,
     VELOCITY,
     carry_on,
+    goes_on,
     remember,
     remember_motion,
     theta_of,
@@ -48,7 +49,8 @@ def carried(memory: FloatArray, elapsed: float, bump: float = 0.0) -> tuple[floa
     settings[BUMP] = bump
     rotation, translation = np.eye(3), np.zeros(3)
     turn_about_z(rotation, 0.3)
-    carry_on(elapsed, settings, memory, rotation, translation)
+    if goes_on(elapsed, memory):
+        carry_on(elapsed, settings, memory, rotation, translation)
     return theta_of(rotation) - 0.3, translation
 
 

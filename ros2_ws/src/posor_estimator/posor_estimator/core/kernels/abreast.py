@@ -33,14 +33,17 @@ from posor_estimator.core.kernels.memory import (
     wrapped,
 )
 from posor_estimator.core.kernels.motion import share_moved
+from posor_estimator.core.kernels.records import write_covariance
 from posor_estimator.core.kernels.reshaped import part
 from posor_estimator.core.kernels.tables import (
     HERE,
     LINES,
     MEMORY,
+    RANDOM,
     READINGS,
     ROTATION,
     SETTINGS,
+    SYSTEMATIC,
     TRANSLATION,
     VARIANCES,
     WEIGHTS,
@@ -52,13 +55,19 @@ if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray, IntArray
 
 # What is found of a scan, eights.
-FOUND_ROTATION, FOUND_TRANSLATION, FOUND_RANDOM, FOUND_SYSTEMATIC, FOUND_RESIDUAL, FOUND_THETA = 0, 9, 12, 48, 84, 85
-FOUND = 86
+FOUND_ROTATION, FOUND_TRANSLATION, FOUND_COVARIANCE, FOUND_RESIDUAL, FOUND_THETA = 0, 9, 12, 48, 49
+FOUND = 50
 
 
 @inlined
 def locate_eight(
-    places: IntArray, ints: IntArray, floats: FloatArray, trial: FloatArray, readings: FloatArray, found: FloatArray
+    places: IntArray,
+    ints: IntArray,
+    floats: FloatArray,
+    trial: FloatArray,
+    readings: FloatArray,
+    found: FloatArray,
+    kind: int,
 ) -> bool:
     """Locate a scan of each from the pose before on; return whether all are ordinary, else nothing is remembered.
 
@@ -69,11 +78,12 @@ def locate_eight(
         trial: Room, see ``newton_abreast``, eights.
         readings: See ``kernels.abreast_read``, eights.
         found: What is found to write, see FOUND, eights.
+        kind: Which covariance is wanted, see ``kernels.records``.
 
     """
     settings, memory = line(places, floats, SETTINGS, 0), line(places, floats, MEMORY, 0)
-    rotation, translation = part(found, FOUND_ROTATION, 3, 3), found[FOUND_TRANSLATION:FOUND_RANDOM]
-    random, systematic = part(found, FOUND_RANDOM, 6, 6), part(found, FOUND_SYSTEMATIC, 6, 6)
+    rotation, translation = part(found, FOUND_ROTATION, 3, 3), found[FOUND_TRANSLATION:FOUND_COVARIANCE]
+    random, systematic = table(places, floats, RANDOM), table(places, floats, SYSTEMATIC)
     m = line(places, ints, HERE, 0).shape[0]
     elapsed = readings[TIME] - memory[STAMP]
     ordinary = (elapsed > 0.0) & goes_on(elapsed, memory) & read_abreast(places, ints, floats, readings)
@@ -103,6 +113,7 @@ def locate_eight(
     moved = chosen(limited, share_moved(settings, elapsed, random, rotation, translation, theta, memory), 0.0)
     if not everywhere((found[FOUND_RESIDUAL] <= settings[LIMIT]) & (moved <= 1.0)):
         return False
+    write_covariance(kind, random, systematic, part(found, FOUND_COVARIANCE, 6, 6))
     theta = memory[THETA] + wrapped(theta - memory[THETA])
     found[FOUND_THETA] = theta
     remember_motion(elapsed, theta, translation, memory)
@@ -122,6 +133,7 @@ def locate_abreast(
     readings: FloatArray,
     found: FloatArray,
     width: int,
+    kind: int,
     count: int,
 ) -> int:
     """Locate scan after scan of eight POSORs, as long as all are ordinary; return how many.
@@ -134,12 +146,13 @@ def locate_abreast(
         readings: See ``kernels.abreast_read``.
         found: What is found to write, see FOUND.
         width: How many numbers are read of a scan.
+        kind: See ``locate_eight``.
         count: How many scans there are of each.
 
     """
     floats, room, reads, out = eights(numbers), eights(trial), eights(readings), eights(found)
     for n in range(count):
         read, to_find = reads[n * width : n * width + width], out[n * FOUND : n * FOUND + FOUND]
-        if not locate_eight(places, ints, floats, room, read, to_find):
+        if not locate_eight(places, ints, floats, room, read, to_find, kind):
             return n
     return count

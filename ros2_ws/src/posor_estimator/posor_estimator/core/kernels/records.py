@@ -13,6 +13,7 @@ from posor_estimator.core.compiled import in_place, inlined, without_lock
 from posor_estimator.core.fault import Fault
 from posor_estimator.core.kernels.locate import LOST, NATIVE, POSE, RESIDUAL
 from posor_estimator.core.kernels.readout import FAULTS, STATE
+from posor_estimator.core.kernels.reshaped import part
 from posor_estimator.core.kernels.scan import DONE, locate_one, write_lost
 from posor_estimator.core.kernels.tables import (
     FIGURES,
@@ -113,10 +114,38 @@ def write_record(
         out_words: The same, as whole numbers, shape (2 k,).
 
     """
+    write_all_but_covariance(places, ints, floats, record, words, template, out, out_words)
+    random, systematic = table(places, floats, RANDOM), table(places, floats, SYSTEMATIC)
+    write_covariance(record[KIND], random, systematic, part(out, record[TO_COVARIANCE], 6, 6))
+
+
+@inlined
+def write_covariance(kind: int, random: FloatArray, systematic: FloatArray, covariance: FloatArray) -> None:
+    """Write the covariance that is wanted, of two others (6, 6)."""
+    for i in range(6):
+        for j in range(6):
+            covariance[i, j] = systematic[i, j] if kind == KIND_SYSTEMATIC else random[i, j]
+    if kind == KIND_TOTAL:
+        for i in range(6):
+            for j in range(6):
+                covariance[i, j] += systematic[i, j]
+
+
+@inlined
+def write_all_but_covariance(
+    places: IntArray,
+    ints: IntArray,
+    floats: FloatArray,
+    record: IntArray,
+    words: WordArray,
+    template: FloatArray,
+    out: FloatArray,
+    out_words: WordArray,
+) -> None:
+    """Do ``write_record`` but for the covariance."""
     outcome, figures = line(places, ints, OUTCOME, 0), line(places, floats, FIGURES, 0)
     taken = line(places, ints, TAKEN, 0)
     record[SAID_STATE], record[SAID_FAULTS], record[SAID_TAKEN] = outcome[STATE], outcome[FAULTS], taken[0]
-    random, systematic = table(places, floats, RANDOM), table(places, floats, SYSTEMATIC)
     lost = outcome[STATE] == LOST
     for k in range(template.shape[0]):
         out[k] = template[k]
@@ -127,20 +156,12 @@ def write_record(
     out_words[record[TO_STATUS]] = words[record[STATUS]]
     out_words[record[TO_VERDICT]] = (0 if lost else record[REDUNDANCY]) | outcome[STATE] << 8
     out_words[record[TO_FAULTS]] = outcome[FAULTS]
-    pose, native, covariance, kind = record[TO_POSE], record[TO_NATIVE], record[TO_COVARIANCE], record[KIND]
+    pose, native = record[TO_POSE], record[TO_NATIVE]
     for k in range(NATIVE - POSE):
         out[pose + k] = figures[POSE + k]
     for k in range(RESIDUAL - NATIVE):
         out[native + k] = figures[NATIVE + k]
     out[record[TO_RESIDUAL]] = math.nan if lost else figures[RESIDUAL]
-    there = out[covariance : covariance + 36]
-    for i in range(6):
-        for j in range(6):
-            there[6 * i + j] = systematic[i, j] if kind == KIND_SYSTEMATIC else random[i, j]
-    if kind == KIND_TOTAL:
-        for i in range(6):
-            for j in range(6):
-                there[6 * i + j] += systematic[i, j]
 
 
 @inlined

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING
 from posor_estimator.core.compiled import in_place, inlined
 from posor_estimator.core.kernels.abreast import (
     FOUND,
-    FOUND_RANDOM,
+    FOUND_COVARIANCE,
     FOUND_RESIDUAL,
     FOUND_ROTATION,
-    FOUND_SYSTEMATIC,
     FOUND_THETA,
     FOUND_TRANSLATION,
 )
@@ -26,10 +25,11 @@ from posor_estimator.core.kernels.records import (
     GAPS,
     RECORD,
     STAMP_NS,
+    TO_COVARIANCE,
     is_at_home,
     read_lit,
     stamp_of,
-    write_record,
+    write_all_but_covariance,
 )
 from posor_estimator.core.kernels.records import SUPPLY as SUPPLY_COLUMN
 from posor_estimator.core.kernels.records import TEMPERATURE as TEMPERATURE_COLUMN
@@ -41,10 +41,8 @@ from posor_estimator.core.kernels.tables import (
     FIGURES,
     HERE,
     OUTCOME,
-    RANDOM,
     READOUTS,
     ROTATION,
-    SYSTEMATIC,
     TRANSLATION,
     line,
     table,
@@ -153,7 +151,7 @@ def give_out(
     """Write the rows of poses of one POSOR from what was found of eight; see ``take_in`` and ``write_record``."""
     outcome, figures = line(places, ints, OUTCOME, 0), line(places, floats, FIGURES, 0)
     rotation, translation = table(places, floats, ROTATION), line(places, floats, TRANSLATION, 0)
-    random, systematic = table(places, floats, RANDOM), table(places, floats, SYSTEMATIC)
+    covariance = record[TO_COVARIANCE]
     for k in range(outcome.shape[0]):
         outcome[k] = 0
     outcome[STATE], outcome[FAULTS] = OK, 0
@@ -163,12 +161,10 @@ def give_out(
             translation[i] = scan[(FOUND_TRANSLATION + i) * EIGHT + lane]
             for j in range(3):
                 rotation[i, j] = scan[(FOUND_ROTATION + 3 * i + j) * EIGHT + lane]
-        for i in range(6):
-            for j in range(6):
-                random[i, j] = scan[(FOUND_RANDOM + 6 * i + j) * EIGHT + lane]
-                systematic[i, j] = scan[(FOUND_SYSTEMATIC + 6 * i + j) * EIGHT + lane]
         figures[RESIDUAL] = scan[FOUND_RESIDUAL * EIGHT + lane]
         write_pose(matrix(rotation, 0), at(translation, 0), figures)
         write_native(rotation, translation, scan[FOUND_THETA * EIGHT + lane], figures, NATIVE)
         record[STAMP_NS] = stamp_of(record, words[n])
-        write_record(places, ints, floats, record, words[n], template, out[n], out_words[n])
+        write_all_but_covariance(places, ints, floats, record, words[n], template, out[n], out_words[n])
+        for k in range(36):
+            out[n, covariance + k] = scan[(FOUND_COVARIANCE + k) * EIGHT + lane]
