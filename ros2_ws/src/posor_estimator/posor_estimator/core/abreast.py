@@ -56,7 +56,7 @@ def design_of(records: Records) -> Design | None:
         or len(sources) != len(wanted)
     ):
         return None
-    if any(wanted[source] != count for source, count in zip(sources, counts, strict=True)):
+    if columns.lit[1] != wanted[SPOTS] or any(wanted[s] != count for s, count in zip(sources, counts, strict=True)):
         return None
     if settings[BUMP] > 0.0 or settings[LAGGING] > 0.0 or CURVES in maps[:, 0]:
         return None

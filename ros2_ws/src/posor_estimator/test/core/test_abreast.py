@@ -1,0 +1,319 @@
+"""Scans of several POSORs at once: the same bytes as of each alone, whatever happens to any of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from posor_estimator.core.abreast import AT_ONCE, LEAST, LONGEST_ALONE, Abreast, design_of
+from posor_estimator.core.compiled import COMPILING
+from posor_estimator.core.designs import design, sized_design
+from posor_estimator.core.fault import State
+from posor_estimator.core.forward import scans_at
+from posor_estimator.core.kernels.eight import EIGHT
+from posor_estimator.core.kernels.tables import MEMORY
+from posor_estimator.core.native import rotation_from_native
+from posor_estimator.core.posor import Posor
+from posor_estimator.core.records import Records
+from posor_estimator.core.warm_up import OF_A_POSE, rows_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from posor_estimator.core.calibration.model import Calibration
+    from posor_estimator.core.columns import Columns
+    from posor_estimator.core.types import ByteArray, FloatArray
+
+pytestmark = pytest.mark.skipif(not COMPILING, reason="without numba every POSOR is located alone")
+
+TICK_NS = 1_000_000
+COUNT = 2 * AT_ONCE + 90
+FRAMES = ("plate", "target")
+GAPS, CURRENTS, LIT = 3, 10, 160
+"""Where the rows of ``rows_of`` have them: gaps and currents in floats, sources lit in bytes."""
+
+
+@dataclass
+class Joints:
+    """Some POSORs with their scans, to be located abreast and alone.
+
+    Attributes:
+        calibrations: Of each POSOR.
+        raw: Rows of readings of each, (n, w).
+        columns: Of each, where the rows have what.
+
+    """
+
+    calibrations: list[Calibration]
+    raw: list[ByteArray] = field(default_factory=list)
+    columns: list[Columns] = field(default_factory=list)
+
+    def records(self) -> list[Records]:
+        """Return each POSOR's way, anew."""
+        template = np.zeros(OF_A_POSE.size, dtype=np.uint8)
+        return [
+            Records(Posor(calibration), columns, template)
+            for calibration, columns in zip(self.calibrations, self.columns, strict=True)
+        ]
+
+    def located(self, monkeypatch: pytest.MonkeyPatch, counts: tuple[int, ...] = (COUNT,)) -> tuple[FloatArray, int]:
+        """Locate all scans abreast, so many at a time, and alone; both must come out alike.
+
+        Returns:
+            States by POSOR and scan, (k, n), and how many scans of each were located one by one.
+
+        """
+        alone, abreast = self.records(), self.records()
+        rooms = np.zeros((2, len(alone), len(self.raw[0]), OF_A_POSE.size), dtype=np.uint8)
+        for records, raw, out in zip(alone, self.raw, rooms[0], strict=True):
+            records.locate(raw, out)
+        one_by_one = 0
+        locate = Records.locate
+
+        def counted(records: Records, raw: ByteArray, out: ByteArray) -> None:
+            nonlocal one_by_one
+            one_by_one += len(raw)
+            locate(records, raw, out)
+
+        together, begin = Abreast(abreast), 0
+        with monkeypatch.context() as patched:
+            patched.setattr(Records, "locate", counted)
+            while begin < len(self.raw[0]):
+                for count in counts:
+                    end = begin + count
+                    together.locate([raw[begin:end] for raw in self.raw], [out[begin:end] for out in rooms[1]])
+                    begin = end
+        for turn, (one, other) in enumerate(zip(*rooms, strict=True)):
+            differ = np.flatnonzero((one != other).any(axis=1))
+            assert not len(differ), f"POSOR {turn} differs from scan {differ[0]} on"
+        for one_alone, one_abreast in zip(alone, abreast, strict=True):
+            both = [records.tables.of_floats(MEMORY).tobytes() for records in (one_alone, one_abreast)]
+            assert both[0] == both[1]
+        return rooms[0][:, :, OF_A_POSE.state], one_by_one // len(alone)
+
+
+def joints(
+    calibrations: list[Calibration],
+    count: int = COUNT,
+    spin: float = 0.4,
+    change: Callable[[int, Any], Any] = lambda _, s: s,
+) -> Joints:
+    """Return POSORs whose targets turn, each at its own speed [rad/s], with noise in their readings.
+
+    ``change`` is given the number of a POSOR and its scans, and returns other scans.
+    """
+    made = Joints(calibrations)
+    times = np.arange(1, count + 1) * TICK_NS * 1e-9
+    for number, calibration in enumerate(calibrations):
+        thetas = 0.005 * number + 0.05 * np.sin(spin / 0.05 * (0.5 + 0.2 * number) * times)
+        rotations = np.array([rotation_from_native(1e-4, -2e-4, theta) for theta in thetas])
+        across = 1e-5 * np.sin((3.0 + number) * times)
+        translations = np.stack([across, 2e-5 - across, 0.7e-3 + across], axis=1)
+        stamps = np.arange(1, count + 1, dtype=np.int64) * TICK_NS + 10**9
+        stack = Posor(calibration).stack
+        scans = scans_at(stack, rotations, translations, stamps, noise=np.random.default_rng(number))
+        raw, columns = rows_of(change(number, scans))
+        made.raw.append(raw)
+        made.columns.append(columns)
+    return made
+
+
+def sized(diameters: tuple[float, ...] = (8.0, 6.0, 5.0, 4.0)) -> list[Calibration]:
+    """Return POSORs of some outside diameters [in], with as many light sources as each needs."""
+    return [
+        sized_design("triad_light_ring", diameter * 0.0254, frames=FRAMES, title=f"{diameter} in")
+        for diameter in diameters
+    ]
+
+
+@pytest.mark.parametrize("number", [LEAST, 5, EIGHT])
+@pytest.mark.parametrize("motion", [False, True], ids=["free", "limited"])
+def test_scans_abreast_give_the_bytes_of_scans_alone(
+    monkeypatch: pytest.MonkeyPatch,
+    number: int,
+    motion: bool,  # noqa: FBT001  a parameter of the test
+) -> None:
+    made = joints([design("triad_diodes", motion=motion)] * number)
+    states, alone = made.located(monkeypatch)
+    assert (states == State.OK).all()
+    assert alone <= LEAST
+
+
+def test_posors_of_other_sizes_and_with_other_sources_lit_go_abreast(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = joints(sized(), spin=2.2)
+    lit = [raw[:, LIT : LIT + 2] for raw in made.raw]
+    assert sum(np.count_nonzero(np.diff(each, axis=0).any(axis=1)) for each in lit) > 4
+    assert len({each[0].tobytes() for each in lit}) > 2
+    states, alone = made.located(monkeypatch)
+    assert (states == State.OK).all()
+    assert alone <= LEAST
+
+
+def nan_voltage(raw: ByteArray) -> None:
+    raw.view(np.float64)[100, GAPS + 1] = math.nan
+
+
+def voltage_out_of_range(raw: ByteArray) -> None:
+    raw.view(np.float64)[100:103, GAPS] = 50.0
+
+
+def dark(raw: ByteArray) -> None:
+    raw.view(np.float64)[100, CURRENTS : CURRENTS + 4] = 0.0
+
+
+def moved_spot(raw: ByteArray) -> None:
+    raw.view(np.float64)[100, CURRENTS] *= 1.2
+
+
+def beyond_the_map(raw: ByteArray) -> None:
+    raw.view(np.float64)[100, CURRENTS] *= 60.0
+
+
+def jump(raw: ByteArray) -> None:
+    raw.view(np.float64)[100:, GAPS : GAPS + 3] += 0.4
+
+
+def no_stamp(raw: ByteArray) -> None:
+    raw.view(np.int32)[100, :2] = 0
+
+
+def stamps_stand_still(raw: ByteArray) -> None:
+    raw.view(np.int32)[101, :2] = raw.view(np.int32)[100, :2]
+
+
+def stamps_go_back(raw: ByteArray) -> None:
+    raw.view(np.int32)[100:, 0] -= 1
+
+
+def gap_in_time(raw: ByteArray) -> None:
+    raw.view(np.int32)[100:, 0] += 2
+
+
+def home_seen(raw: ByteArray) -> None:
+    raw.view(np.int32)[100, 4] = 1
+
+
+def other_status(raw: ByteArray) -> None:
+    raw.view(np.int32)[100, 4] = 2
+
+
+def unknown_source(raw: ByteArray) -> None:
+    raw[100, LIT] = 200
+
+
+def other_source(raw: ByteArray) -> None:
+    raw[100, LIT] = 1
+
+
+def long_fault(raw: ByteArray) -> None:
+    raw.view(np.float64)[60:400, GAPS] = math.nan
+
+
+def measured_supply(raw: ByteArray) -> None:
+    raw.view(np.float64)[:, 18] = 15.01
+    raw.view(np.float64)[::3, 19] = 294.0
+    raw.view(np.float64)[::7, 18] = math.inf
+
+
+FAULTS = [
+    nan_voltage,
+    voltage_out_of_range,
+    dark,
+    moved_spot,
+    beyond_the_map,
+    jump,
+    no_stamp,
+    stamps_stand_still,
+    stamps_go_back,
+    gap_in_time,
+    home_seen,
+    other_status,
+    unknown_source,
+    other_source,
+    long_fault,
+    measured_supply,
+]
+HARMLESS = {gap_in_time, home_seen, other_status, measured_supply, stamps_go_back, stamps_stand_still}
+LASTING = {jump, long_fault}
+
+
+@pytest.mark.parametrize("victim", [0, 2])
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_is_wrong_with_one_is_said_of_it_as_alone_and_harms_no_other(
+    monkeypatch: pytest.MonkeyPatch, fault: Callable[[ByteArray], None], victim: int
+) -> None:
+    made = joints([design("triad_diodes", motion=True)] * 4)
+    fault(made.raw[victim])
+    states, alone = made.located(monkeypatch)
+    others = np.delete(states, victim, axis=0)
+    assert (others == State.OK).all()
+    assert (states[victim] != State.OK).any() == (fault not in HARMLESS)
+    assert alone < (COUNT if fault in LASTING else 24)
+
+
+def test_a_long_stretch_of_faults_is_located_alone_in_few_calls(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = joints([design("triad_diodes")] * LEAST)
+    for raw in made.raw:
+        raw.view(np.float64)[:, GAPS] = math.nan
+    calls = 0
+    locate = Records.locate
+
+    def counted(records: Records, raw: ByteArray, out: ByteArray) -> None:
+        nonlocal calls
+        calls += 1
+        locate(records, raw, out)
+
+    records, out = made.records(), np.zeros((LEAST, COUNT, OF_A_POSE.size), dtype=np.uint8)
+    monkeypatch.setattr(Records, "locate", counted)
+    Abreast(records).locate(made.raw, list(out))
+    assert calls <= LEAST * (COUNT // LONGEST_ALONE + 8)
+    assert (out[:, :, OF_A_POSE.state] == State.LOST).all()
+
+
+def test_scans_come_in_as_many_calls_as_one_likes(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = joints(sized(), count=300)
+    made.raw[1].view(np.float64)[37, GAPS] = math.nan
+    states, _ = made.located(monkeypatch, counts=(1, 7, 0, 42, 50))
+    assert np.count_nonzero(states == State.LOST) == 1
+
+
+@pytest.mark.parametrize("kind", [0, 1, 2], ids=["random", "systematic", "total"])
+def test_the_covariance_is_of_the_kind_that_is_wanted(monkeypatch: pytest.MonkeyPatch, kind: int) -> None:
+    made = joints([design("triad_diodes")] * LEAST, count=60)
+    made.columns = [replace(columns, kind=kind) for columns in made.columns]
+    made.located(monkeypatch, counts=(60,))
+
+
+def test_posors_go_abreast_with_those_of_their_design_only() -> None:
+    made = joints([*sized((8.0, 4.0)), design("triad_diodes"), design("triad_diodes", motion=True)], count=1)
+    designs = [design_of(records) for records in made.records()]
+    assert None not in designs
+    assert designs[0] == designs[1]
+    assert designs[2] == designs[3] != designs[0]
+
+
+def unfit(made: Joints) -> Records:
+    return Records(Posor(made.calibrations[0]), made.columns[0], np.zeros(OF_A_POSE.size, dtype=np.uint8), fit=False)
+
+
+def of_another_kind(made: Joints, **changed: Any) -> Records:
+    columns = replace(made.columns[0], **changed)
+    return Records(Posor(made.calibrations[0]), columns, np.zeros(OF_A_POSE.size, dtype=np.uint8))
+
+
+@pytest.mark.parametrize(
+    "records",
+    [
+        unfit,
+        lambda made: of_another_kind(made, gaps=(24, 2)),
+        lambda made: of_another_kind(made, currents=(80, 4)),
+        lambda made: of_another_kind(made, lit=(160, 1)),
+        lambda _: joints([design("triad_bumpy_ring")], count=1).records()[0],
+    ],
+    ids=["unfit", "gaps", "currents", "lit", "ring"],
+)
+def test_where_scans_are_not_ordinary_or_theta_is_counted_each_goes_alone(records: Callable[[Joints], Records]) -> None:
+    assert design_of(records(joints([design("triad_diodes")], count=1))) is None
