@@ -13,8 +13,10 @@ from posor_estimator.core.compiled import COMPILING
 from posor_estimator.core.designs import design, sized_design
 from posor_estimator.core.fault import State
 from posor_estimator.core.forward import scans_at
+from posor_estimator.core.kernels.diode import DOMAIN, SUMS
 from posor_estimator.core.kernels.eight import EIGHT
-from posor_estimator.core.kernels.tables import MEMORY
+from posor_estimator.core.kernels.tables import CHANNELS, DIODES, MEMORY
+from posor_estimator.core.kernels.voltage import COLUMNS, LOWEST
 from posor_estimator.core.native import rotation_from_native
 from posor_estimator.core.posor import Posor
 from posor_estimator.core.records import Records
@@ -44,20 +46,25 @@ class Joints:
         calibrations: Of each POSOR.
         raw: Rows of readings of each, (n, w).
         columns: Of each, where the rows have what.
+        limits: Numbers of the first POSOR to be set: table, row, column, number.
 
     """
 
     calibrations: list[Calibration]
     raw: list[ByteArray] = field(default_factory=list)
     columns: list[Columns] = field(default_factory=list)
+    limits: list[tuple[int, int, int, float]] = field(default_factory=list)
 
     def records(self) -> list[Records]:
         """Return each POSOR's way, anew."""
         template = np.zeros(OF_A_POSE.size, dtype=np.uint8)
-        return [
+        made = [
             Records(Posor(calibration), columns, template)
             for calibration, columns in zip(self.calibrations, self.columns, strict=True)
         ]
+        for which, row, column, number in self.limits:
+            made[0].tables.of_floats(which)[row, column] = number
+        return made
 
     def located(self, monkeypatch: pytest.MonkeyPatch, counts: tuple[int, ...] = (COUNT,)) -> tuple[FloatArray, int]:
         """Locate all scans abreast, so many at a time, and alone; both must come out alike.
@@ -165,7 +172,7 @@ def dark(raw: ByteArray) -> None:
 
 
 def moved_spot(raw: ByteArray) -> None:
-    raw.view(np.float64)[100, CURRENTS] *= 1.2
+    raw.view(np.float64)[100, CURRENTS : CURRENTS + 2] *= 1.2
 
 
 def beyond_the_map(raw: ByteArray) -> None:
@@ -241,17 +248,41 @@ LASTING = {jump, long_fault}
 
 
 @pytest.mark.parametrize("victim", [0, 2])
+@pytest.mark.parametrize("motion", [False, True], ids=["free", "limited"])
 @pytest.mark.parametrize("fault", FAULTS)
 def test_what_is_wrong_with_one_is_said_of_it_as_alone_and_harms_no_other(
-    monkeypatch: pytest.MonkeyPatch, fault: Callable[[ByteArray], None], victim: int
+    monkeypatch: pytest.MonkeyPatch,
+    fault: Callable[[ByteArray], None],
+    motion: bool,  # noqa: FBT001  a parameter of the test
+    victim: int,
 ) -> None:
-    made = joints([design("triad_diodes", motion=True)] * 4)
+    made = joints([design("triad_diodes", motion=motion)] * 4)
     fault(made.raw[victim])
     states, alone = made.located(monkeypatch)
     others = np.delete(states, victim, axis=0)
     assert (others == State.OK).all()
-    assert (states[victim] != State.OK).any() == (fault not in HARMLESS)
+    assert (states[victim] != State.OK).any() == (fault not in HARMLESS and (motion or fault is not jump))
     assert alone < (COUNT if fault in LASTING else 24)
+
+
+@pytest.mark.parametrize("which", ["least volts", "most volts", "least sum", "most sum", "least ratio", "most ratio"])
+def test_a_range_ends_for_all_where_it_ends_for_one(monkeypatch: pytest.MonkeyPatch, which: str) -> None:
+    made = joints([design("triad_diodes")] * LEAST, count=80)
+    raw = made.raw[0].view(np.float64)
+    plus, minus = raw[:, CURRENTS + 1], raw[:, CURRENTS + 3]
+    tables = made.records()[0].tables
+    order = tables.of_floats(CHANNELS).shape[1] - COLUMNS
+    shift = float(tables.of_floats(CHANNELS)[1, order])
+    found, *place = {
+        "volts": (raw[:, GAPS + 1] + shift, CHANNELS, 1, order + LOWEST),
+        "sum": (plus + minus, DIODES, 0, SUMS),
+        "ratio": ((plus - minus) / (plus + minus), DIODES, 0, DOMAIN + 2),
+    }[which.split()[1]]
+    first = int(which.startswith("most"))
+    made.limits = [(place[0], place[1], place[2] + first, float(np.median(found)))]
+    states, _ = made.located(monkeypatch, counts=(80,))
+    assert 20 < np.count_nonzero(states[0] == State.LOST) < 60
+    assert (states[1:] == State.OK).all()
 
 
 def test_a_long_stretch_of_faults_is_located_alone_in_few_calls(monkeypatch: pytest.MonkeyPatch) -> None:
