@@ -1,8 +1,8 @@
 """Scans of several POSORs of one design at once: as many as the processor computes with together (``kernels.eight``).
 
 The poses are those that each POSOR finds alone, to the last bit. A scan that is not ordinary (``kernels.abreast``), and
-those of the other POSORs that have their turn with it, are located one by one; as many more then as were found so
-before, so that long stretches of such scans take hardly longer than without all this.
+those of the other POSORs that have their turn with it, are located one by one. So are twice as many more with every
+further one that comes soon, so that stretches in which many are take hardly longer than without all this.
 """
 
 from __future__ import annotations
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 LEAST = 3
 """POSORs that are worth it: two take as long alone."""
+WORTH = 16
+"""Scans of each that are worth it: where fewer stand between two that are not ordinary, these go alone as well."""
 AT_ONCE = 256
 """Scans of each that are on their way together: what is read and found of them stays in the processor's cache."""
 LONGEST_ALONE = 64
@@ -65,7 +67,10 @@ def design_of(records: Records) -> Design | None:
 
 
 class Abreast:
-    """Locates the scans of three to eight POSORs of one design (``design_of``)."""
+    """Locates the scans of three to eight POSORs of one design (``design_of``).
+
+    Of the last scan each POSOR keeps the pose, from which the next one starts, but not the covariances.
+    """
 
     def __init__(self, records: Sequence[Records]) -> None:
         """Make room for them; ``records`` is each POSOR's way from rows of readings to rows of poses."""
@@ -85,21 +90,26 @@ class Abreast:
             out: Rows of poses to write, (n, k).
 
         """
-        count, done, alone = len(raw[0]), 0, 1
         for lane, readings, poses in zip(self._lanes, raw, out, strict=True):
             lane.work_on(readings, poses)
+        try:
+            self._locate(len(raw[0]))
+        finally:
+            for lane in self._lanes:
+                lane.rest()
+
+    def _locate(self, count: int) -> None:
+        done, alone = 0, 1
         while done < count:
             tried, located = self._step(done, min(done + AT_ONCE, count))
             done += located
-            if tried and located == tried:
+            if located == tried and located >= WORTH:
                 alone = 1
                 continue
             end = min(done + alone, count)
             for lane in self._lanes:
                 lane.locate_alone(done, end)
             done, alone = end, min(2 * alone, LONGEST_ALONE)
-        for lane in self._lanes:
-            lane.rest()
 
     def _step(self, begin: int, end: int) -> tuple[int, int]:
         """Try to locate scans of each, up to the first that is not ordinary; return how many were tried, and located.

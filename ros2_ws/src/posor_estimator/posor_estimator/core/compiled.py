@@ -43,6 +43,8 @@ def _cache_folder() -> str:
 def _numba_njit() -> Any | None:
     if os.environ.get("POSOR_COMPILE", "1") == "0":
         return None
+    # Intel's library for several sines at once, where it is found, has other last digits than the one for a single one.
+    os.environ.setdefault("NUMBA_DISABLE_INTEL_SVML", "1")
     try:
         from numba import config, njit  # noqa: PLC0415  optional, and slow to import
     except ImportError:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import zip_longest
 from typing import TYPE_CHECKING
 
-from posor_estimator.core.abreast import LEAST, Abreast, design_of
+from posor_estimator.core.abreast import LEAST, WORTH, Abreast, design_of
 from posor_estimator.core.kernels.eight import EIGHT
 
 if TYPE_CHECKING:
@@ -34,14 +34,19 @@ class Joints:
         return {name: self._joints[name].transforms(done) for name, done in works.items()}
 
     def _locate(self, works: Sequence[Work]) -> None:
-        """Locate the scans of some joints: together with others as long as these have any, then alone."""
+        """Locate the scans of some joints: together with others as long as these have any, then alone.
+
+        Of the rooms that were made for the pieces before only those are kept that are used again.
+        """
+        former, self._abreast = self._abreast, {}
         done: dict[Records, int] = {}
         for group in _groups(works):
             count, records = min(len(work.out) for work in group), tuple(work.records for work in group)
-            if records not in self._abreast:
-                self._abreast[records] = Abreast(records)
+            if count < WORTH:
+                continue
+            abreast = self._abreast[records] = former.get(records) or Abreast(records)
             raw, out = [work.piece.table.rows[:count] for work in group], [work.out.rows[:count] for work in group]
-            self._abreast[records].locate(raw, out)
+            abreast.locate(raw, out)
             done |= dict.fromkeys(records, count)
         for work in works:
             work.locate(done.get(work.records, 0))

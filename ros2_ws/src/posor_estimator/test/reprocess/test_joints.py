@@ -99,3 +99,13 @@ def test_each_joint_gets_what_it_would_get_alone(number: int, monkeypatch: pytes
     for name, (_, reprocessor) in made.items():
         assert (reprocessor.scans, reprocessor.lost) == (alone[name].scans, alone[name].lost)
     assert (abreast > 0) == (COMPILING and number > 2)
+
+
+def test_joints_keep_no_room_for_layouts_that_are_gone() -> None:
+    made = {f"joint_{n}": joint("triad_diodes") for n in range(3)}
+    together = Joints({name: reprocessor for name, (_, reprocessor) in made.items()})
+    for block in range(4):
+        # Each piece has a layout of its own, as where readings come and go.
+        pieces = {name: [piece(calibration, 20 * block, 20)] for name, (calibration, _) in made.items()}
+        together.transforms(pieces)
+    assert len(together._abreast) == int(COMPILING)

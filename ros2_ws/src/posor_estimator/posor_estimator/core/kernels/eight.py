@@ -49,7 +49,7 @@ def eights(numbers: FloatArray) -> FloatArray:
 
 
 if COMPILING:
-    from posor_estimator.core import eight_functions, eights_in_numba
+    from posor_estimator.core.kernels import eight_functions, eights_in_numba
 
     eight_functions.register(chosen, everywhere, anywhere, opposite)
     eights = eights_in_numba.eights

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from posor_estimator.core.eights_in_numba import (
+from posor_estimator.core.kernels.eights_in_numba import (
     EIGHT,
     INDEX,
     VECTOR,
