@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING, Any, Self
 
 import rclpy
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 LOSSLESS = KEEP_ALL_QOS
 """Receives everything that a reliable publisher sends."""
 
+ANSWER_S = 10.0
+"""After which a service is asked again."""
 BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
@@ -88,13 +91,25 @@ class Graph:
         return publisher
 
     def call(self, service_type: type[Any], name: str, request: Any) -> Any:
-        """Call a service once it is there and return its response."""
+        """Call a service once it is there and return its response.
+
+        A service that has not found its client yet drops the answer, and nobody can see whether it has; so an answer
+        that does not come is asked for again.
+        """
         client = self.node.create_client(service_type, name)
         self.wait_until(client.service_is_ready, f"service {name}")
-        future = client.call_async(request)
-        self.wait_until(future.done, f"an answer from {name}")
+        asked = [client.call_async(request)]
+        deadline = time.monotonic() + ANSWER_S
+
+        def ask_again() -> None:
+            nonlocal deadline
+            if time.monotonic() > deadline:
+                asked.append(client.call_async(request))
+                deadline = time.monotonic() + ANSWER_S
+
+        self.wait_until(lambda: any(future.done() for future in asked), f"an answer from {name}", ask_again)
         self.node.destroy_client(client)
-        return future.result()
+        return next(future for future in asked if future.done()).result()
 
     def change_state(self, node: str, transition: int) -> bool:
         """Ask a lifecycle node for a transition; return whether it succeeded."""
