@@ -1,9 +1,9 @@
 """Eight numbers abreast, which the processor computes with at once: the kernels' arithmetic for eight POSORs together.
 
 A kernel that asks nothing of its numbers but by the functions of this module, and that calls no other function of
-numbers than ``abs``, ``min`` and ``max`` of two, and those of ``math`` that are named below, is compiled for single
-numbers and for eights alike. Each of the eight comes out as it would alone, to the last bit: the same operations in the
-same order.
+numbers than ``abs``, ``min`` and ``max`` of two, and those of ``math`` that ``eight_functions`` names, is compiled for
+single numbers and for eights alike. Each of the eight comes out as it would alone, to the last bit: the same operations
+in the same order.
 
 Where kernels are not compiled there are no eights, and these functions are what they are for single numbers.
 """
