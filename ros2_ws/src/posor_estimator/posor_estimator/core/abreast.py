@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from posor_estimator.core.compiled import COMPILING
+from posor_estimator.core.compiled import COMPILING, EIGHT
 from posor_estimator.core.kernels import tables as layout
 from posor_estimator.core.kernels.abreast import FOUND, locate_abreast
 from posor_estimator.core.kernels.abreast_read import VOLTAGES
 from posor_estimator.core.kernels.abreast_solve import OF_A_ROW, OF_ALL
 from posor_estimator.core.kernels.diode import CONTACTS
 from posor_estimator.core.kernels.effects import COLUMNS, TOGETHER
-from posor_estimator.core.kernels.eight import ALIGNED, EIGHT
+from posor_estimator.core.kernels.eight import ALIGNED
 from posor_estimator.core.kernels.memory import BUMP, GIVEN, KNOWN, LAGGING
 from posor_estimator.core.kernels.readout import GAP_VOLTAGES, SPOTS
 from posor_estimator.core.kernels.spot_map import CURVES
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from posor_estimator.core.records import Records
-    from posor_estimator.core.tables import Tables
     from posor_estimator.core.types import ByteArray, FloatArray
 
     Design: TypeAlias = tuple[bytes, ...]
@@ -48,17 +47,11 @@ def design_of(records: Records) -> Design | None:
     tables, columns = records.tables, records.columns
     readouts, maps = tables.of_ints(layout.READOUTS), tables.of_ints(layout.MAPS)
     settings = tables.of_floats(layout.SETTINGS)[0]
-    sources, counts = readouts[:, 0].tolist(), readouts[:, 3].tolist()
-    wanted = {GAP_VOLTAGES: columns.gaps[1], SPOTS: columns.currents[1] // CONTACTS}
-    if (
-        not COMPILING
-        or not records.compiled
-        or not records.fit
-        or set(sources) != set(wanted)
-        or len(sources) != len(wanted)
-    ):
+    if not (COMPILING and records.compiled and records.fit):
         return None
-    if columns.lit[1] != wanted[SPOTS] or any(wanted[s] != count for s, count in zip(sources, counts, strict=True)):
+    # Gap probes and diodes, once each, as many as the scans have readings of.
+    wanted = [[GAP_VOLTAGES, columns.gaps[1]], [SPOTS, columns.currents[1] // CONTACTS]]
+    if sorted(readouts[:, [0, 3]].tolist()) != wanted or columns.lit[1] != wanted[1][1]:
         return None
     if settings[BUMP] > 0.0 or settings[LAGGING] > 0.0 or CURVES in maps[:, 0]:
         return None
@@ -74,7 +67,7 @@ class Abreast:
 
     def __init__(self, records: Sequence[Records]) -> None:
         """Make room for them; ``records`` is each POSOR's way from rows of readings to rows of poses."""
-        common = [_end(records[0].tables, which) for which in layout.COMMON]
+        common = [records[0].tables.place(which).stop for which in layout.COMMON]
         width = records[0].columns.gaps[1] + records[0].columns.currents[1] + VOLTAGES
         m = records[0].tables.of_ints(layout.HERE).size
         self._numbers, self._trial = _room(max(common)), _room(OF_A_ROW * m + OF_ALL)
@@ -146,7 +139,8 @@ class _Lane:
         self._spare = turns if turn == 0 else EIGHT
         self._turns = [turn, *range(self._spare, EIGHT)]
         self._numbers = numbers
-        self._memory = slice(_begin(self.tables, layout.MEMORY), _end(self.tables, layout.MEMORY))
+        self._memory = self.tables.place(layout.MEMORY)
+        self._of_posor = *self.tables.arrays, records.record
         self._taken = self.tables.of_ints(layout.TAKEN)[0]
         self._taken_here = -1
         self._abreast = False
@@ -165,8 +159,7 @@ class _Lane:
     def take_in(self, readings: FloatArray, begin: int, end: int) -> int:
         """Write scans to where they are read; return the row after the last that can be tried."""
         raw, words, *_ = self._views
-        of_posor = self.tables.places, self.tables.ints, self.tables.floats, self._records.record
-        end = take_in(*of_posor, raw, words, readings, self._turn, self._spare, begin, end)
+        end = take_in(*self._of_posor, raw, words, readings, self._turn, self._spare, begin, end)
         if self._taken[0] != self._taken_here:
             self.remember()
             self._taken_here = int(self._taken[0])
@@ -179,8 +172,7 @@ class _Lane:
     def give_out(self, found: FloatArray, begin: int, end: int) -> None:
         """Write rows of poses."""
         _, words, template, out, out_words = self._views
-        of_posor = self.tables.places, self.tables.ints, self.tables.floats, self._records.record
-        give_out(*of_posor, words, template, out, out_words, found, self._turn, begin, end)
+        give_out(*self._of_posor, words, template, out, out_words, found, self._turn, begin, end)
 
     def remember(self) -> None:
         """Keep the last pose with the POSOR itself."""
@@ -206,15 +198,6 @@ class _Lane:
         blocks = tables.of_ints(layout.BLOCKS)[: tally[COLUMNS]]
         kinds = tables.of_ints(layout.KINDS)[0, : tables.of_ints(layout.HERE).size]
         return tuple(each.tobytes() for each in (kinds, tally, shares, blocks, tables.of_ints(layout.REACH)))
-
-
-def _begin(tables: Tables, which: int) -> int:
-    return int(tables.places[which, 0])
-
-
-def _end(tables: Tables, which: int) -> int:
-    """Return where a table ends."""
-    return int(tables.places[which, 0] + tables.places[which, 1] * tables.places[which, 2])
 
 
 def _room(count: int) -> FloatArray:

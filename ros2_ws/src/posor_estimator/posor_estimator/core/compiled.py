@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 Kernel = TypeVar("Kernel", bound="Callable[..., Any]")
 
+EIGHT = 8
+"""How many numbers abreast kernels may compute with at once, see ``kernels.eight``."""
+
 _HERE = Path(__file__).resolve().parent
 
 

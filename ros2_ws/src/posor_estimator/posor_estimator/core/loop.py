@@ -74,9 +74,7 @@ class Loop:
     def arguments(self, scans: Scans, out: Estimates, begin: int, end: int) -> tuple[Any, ...]:
         """Return what ``kernels.scans.locate_scans`` is called with."""
         return (
-            self.tables.places,
-            self.tables.ints,
-            self.tables.floats,
+            *self.tables.arrays,
             scans.stamps_ns,
             scans.gap_voltages,
             scans.ring_voltages,

@@ -84,9 +84,7 @@ class PlainRows:
             readings[:m, :m] = systematic
             memory[:] = begin
             out.outcomes[n, STATE], out.outcomes[n, FAULTS] = kernel.locate_scan(
-                tables.places,
-                tables.ints,
-                tables.floats,
+                *tables.arrays,
                 m,
                 stamp,
                 bool(scans.at_home[n]),

@@ -72,7 +72,7 @@ class Records:
         self.record = columns.record(posor.redundancy)
         self.record[kernel.FIT] = fit
         self.tables = tables = posor.loop.tables
-        self._tables = tables.places, tables.ints, tables.floats
+        self._arrays = tables.arrays
         self.outcome = tables.of_ints(OUTCOME)[0]
         self.said = self.record[kernel.STAMP_NS : kernel.SAID_TAKEN + 1]
         self._room = Estimates(
@@ -120,7 +120,7 @@ class Records:
         views, count, done = self.views(raw, out), len(raw), 0
         while done < count:
             if self.compiled:
-                done = kernel.locate_many_records(*self._tables, self.record, NOTHING_LIKE, *views, done, count)
+                done = kernel.locate_many_records(*self._arrays, self.record, NOTHING_LIKE, *views, done, count)
             if done < count:
                 self._finish(raw, views, done)
                 done += 1
@@ -138,7 +138,7 @@ class Records:
 
     def arguments(self, raw: ByteArray, out: ByteArray, like: ByteArray) -> tuple[object, ...]:
         """Return what ``kernels.records.locate_records`` is called with for one row."""
-        return *self._tables, self.record, like.view(np.int32), *self.views(raw, out), 0, 1
+        return *self._arrays, self.record, like.view(np.int32), *self.views(raw, out), 0, 1
 
     def finish(self, raw: ByteArray, out: ByteArray, like: ByteArray) -> bool:
         """Do what was left to do for the only row; return whether it is one of readings of this kind."""
@@ -209,9 +209,9 @@ class Records:
                 self._loop.run(scans, self._room)
             self.record[kernel.AT_HOME] = 0
         else:
-            kernel.lose_record(*self._tables)
+            kernel.lose_record(*self._arrays)
         _, words, template, written, written_words = views
-        kernel.write_record(*self._tables, self.record, words[n], template, written[n], written_words[n])
+        kernel.write_record(*self._arrays, self.record, words[n], template, written[n], written_words[n])
 
 
 class RecordLane:

@@ -73,6 +73,16 @@ class Tables:
                 end += table.size
         return np.concatenate(pieces)
 
+    @property
+    def arrays(self) -> tuple[IntArray, IntArray, FloatArray]:
+        """What kernels are called with: places, whole numbers, floats."""
+        return self.places, self.ints, self.floats
+
+    def place(self, which: int) -> slice:
+        """Return where in its array a table stands."""
+        start, rows, columns = self.places[which].tolist()
+        return slice(start, start + rows * columns)
+
     def of_ints(self, which: int) -> IntArray:
         """Return a table of whole numbers, to be written to as well."""
         return viewed(self.ints, *self.places[which])

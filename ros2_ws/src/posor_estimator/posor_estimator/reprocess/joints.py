@@ -6,7 +6,7 @@ from itertools import zip_longest
 from typing import TYPE_CHECKING
 
 from posor_estimator.core.abreast import LEAST, WORTH, Abreast, design_of
-from posor_estimator.core.kernels.eight import EIGHT
+from posor_estimator.core.compiled import EIGHT
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence

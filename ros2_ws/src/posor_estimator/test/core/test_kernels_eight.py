@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from posor_estimator.core.compiled import COMPILING
-from posor_estimator.core.kernels.eight import ALIGNED, EIGHT, anywhere, chosen, eights, everywhere, opposite
+from posor_estimator.core.compiled import COMPILING, EIGHT
+from posor_estimator.core.kernels.eight import ALIGNED, anywhere, chosen, eights, everywhere, opposite
 from posor_estimator.core.kernels.reshaped import part
 
 if TYPE_CHECKING:

@@ -10,11 +10,10 @@ import pytest
 from posor_estimator.bulk.layout import TableLayout
 from posor_estimator.bulk.pieces import Piece
 from posor_estimator.core.abreast import Abreast
-from posor_estimator.core.compiled import COMPILING
+from posor_estimator.core.compiled import COMPILING, EIGHT
 from posor_estimator.core.designs import design
 from posor_estimator.core.fault import State
 from posor_estimator.core.forward import scans_at
-from posor_estimator.core.kernels.eight import EIGHT
 from posor_estimator.core.native import rotation_from_native
 from posor_estimator.core.posor import Posor
 from posor_estimator.reprocess.joint import JointReprocessor

@@ -12,12 +12,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from posor_estimator.core.compiled import COMPILING
+from posor_estimator.core.compiled import COMPILING, EIGHT
 
 if TYPE_CHECKING:
     from posor_estimator.core.types import FloatArray
 
-EIGHT = 8
 ALIGNED = 8 * EIGHT
 """A multiple of what the address of an array of eights must be [bytes]."""
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+from posor_estimator.core.compiled import EIGHT
 from posor_estimator.core.kernels.eights_in_numba import (
-    EIGHT,
     INDEX,
     VECTOR,
     Conditions,

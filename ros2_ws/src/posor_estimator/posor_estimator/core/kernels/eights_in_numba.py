@@ -9,6 +9,8 @@ import operator
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from posor_estimator.core.compiled import EIGHT
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -21,7 +23,6 @@ typeconv: Any = import_module("numba.core.typeconv")
 extending: Any = import_module("numba.extending")
 arrayobj: Any = import_module("numba.np.arrayobj")
 
-EIGHT = 8
 VECTOR = ir.VectorType(ir.DoubleType(), EIGHT)
 CONDITIONS = ir.VectorType(ir.IntType(1), EIGHT)
 INDEX = ir.IntType(32)

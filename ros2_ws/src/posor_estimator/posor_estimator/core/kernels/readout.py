@@ -61,6 +61,17 @@ def choose_spots(
 
 
 @inlined
+def choose_rows(readouts: IntArray, s: int, currents: FloatArray, lit: IntArray, chosen: IntArray) -> int:
+    """Write which rows of the pool sensor s reads; return zero or what is wrong with the scan."""
+    first, count, offset = readouts[s, 1], readouts[s, 3], readouts[s, 4]
+    if readouts[s, 0] == SPOTS:
+        return choose_spots(currents, lit, count, readouts[s, 5], offset, chosen, first)
+    for i in range(count):
+        chosen[first + i] = offset + i
+    return 0
+
+
+@inlined
 def read_out(
     places: IntArray,
     ints: IntArray,
@@ -95,23 +106,15 @@ def read_out(
     for s in range(readouts.shape[0]):
         outcome[CODES + s] = 0
     for s in range(readouts.shape[0]):
-        source, first, begin, count, offset = (
-            readouts[s, 0],
-            readouts[s, 1],
-            readouts[s, 2],
-            readouts[s, 3],
-            readouts[s, 4],
-        )
+        source, first, begin, count = readouts[s, 0], readouts[s, 1], readouts[s, 2], readouts[s, 3]
+        code = choose_rows(readouts, s, currents, lit, chosen)
         if source == SPOTS:
-            code = choose_spots(currents, lit, count, readouts[s, 5], offset, chosen, first)
             if code == 0:
                 diodes, maps = table(places, floats, DIODES), table(places, ints, MAPS)
                 room, basis = table(places, floats, SPOT), table(places, floats, BASIS)
                 code = linearise_spots(currents, diodes, maps, begin, values, variances, by_readout, first, room, basis)
         else:
             volts = gap_voltages if source == GAP_VOLTAGES else ring_voltages
-            for i in range(count):
-                chosen[first + i] = offset + i
             code = WRONG_COUNT
             if volts.shape[0] == count:
                 channels = table(places, floats, CHANNELS)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from posor_estimator.core.compiled import in_place, inlined
+from posor_estimator.core.compiled import EIGHT, in_place, inlined
 from posor_estimator.core.kernels.abreast import (
     FOUND,
     FOUND_COVARIANCE,
@@ -15,10 +15,9 @@ from posor_estimator.core.kernels.abreast import (
 )
 from posor_estimator.core.kernels.abreast_read import SUPPLY, TEMPERATURE, TIME, VOLTAGES
 from posor_estimator.core.kernels.chain_pose import write_pose
-from posor_estimator.core.kernels.eight import EIGHT
 from posor_estimator.core.kernels.locate import NATIVE, OK, RESIDUAL, write_native
 from posor_estimator.core.kernels.matrix import matrix
-from posor_estimator.core.kernels.readout import FAULTS, SPOTS, STATE, choose_spots
+from posor_estimator.core.kernels.readout import FAULTS, STATE, choose_rows
 from posor_estimator.core.kernels.records import (
     CURRENTS,
     FIT,
@@ -58,15 +57,10 @@ def reads_on(places: IntArray, ints: IntArray, record: IntArray, words: WordArra
     """Choose the rows that a scan reads, as ``read_out`` does; return whether its sources are known."""
     readouts, chosen, lit = table(places, ints, READOUTS), line(places, ints, CHOSEN, 0), record[RECORD:]
     read_lit(record, words, lit)
+    known = True
     for s in range(readouts.shape[0]):
-        source, first, count, offset = readouts[s, 0], readouts[s, 1], readouts[s, 3], readouts[s, 4]
-        if source == SPOTS:
-            if choose_spots(currents, lit, count, readouts[s, 5], offset, chosen, first) != 0:
-                return False
-        else:
-            for i in range(count):
-                chosen[first + i] = offset + i
-    return True
+        known &= choose_rows(readouts, s, currents, lit, chosen) == 0
+    return known
 
 
 @in_place
