@@ -1,4 +1,4 @@
-"""Speed of reprocessing alone: a long bag of scans, made of a short one, and the plain loops over its messages.
+"""Speed of reprocessing alone: a long bag of scans, made of a short one, and the plain loop over its messages.
 
 The processor time of a program of its own is measured, so that the figures are per core, and its memory.
 """
@@ -24,7 +24,7 @@ from posor_estimator.ros.message_types import RAW_SCAN, MessageTypes
 from posor_estimator.ros.qos import RAW_TOPIC
 from posor_msgs.msg import RawScan
 
-from tests.benchmarks.plain_loop import reading, working
+from tests.benchmarks.plain_loop import check_same, plain_loop, reading
 
 if TYPE_CHECKING:
     from posor_estimator.core.arm import Arm
@@ -55,18 +55,24 @@ def offline_figures(
     Returns:
         ``offline_scans_per_s``, into a bag, and ``offline_summary_scans_per_s``, without results, both per second of
         processor time; ``offline_runs_scans_per_s``, of every round; ``offline_wall_scans_per_s``, into a bag;
-        ``offline_memory_mb``, the largest; ``plain_loop_scans_per_s``, of the loop over all messages that only
-        deserialises each; and ``one_by_one_scans_per_s``, of the one that does the work (``plain_loop``).
+        ``offline_memory_mb``, the largest; ``plain_loop_scans_per_s``, of the loop over the messages whose results are
+        the same; and ``reading_messages_per_s``, of rosbags reading and decoding them, and no more (``plain_loop``).
 
     Raises:
         OSError: There is too little room for the bag.
+        BagError: The plain loop has come to other results.
 
     """
     folder.mkdir(parents=True, exist_ok=True)
-    long = folder / "long"
+    long, plain, reprocessed = folder / "long", folder / "plain", folder / "reprocessed"
     try:
         repeat(arm, bag, long, seconds)
-        runs = [_run(arm, long, folder / "reprocessed") for _ in range(rounds)]
+        plainly = plain_loop(arm, long, plain)
+        runs = []
+        for _ in range(rounds):
+            shutil.rmtree(reprocessed, ignore_errors=True)
+            runs.append(_run(arm, long, reprocessed))
+        check_same(plain, reprocessed)
         written, alone = min(runs, key=lambda run: run["cpu_s"]), _run(arm, long, None)
         return {
             "offline_scans": written["scans"],
@@ -75,11 +81,11 @@ def offline_figures(
             "offline_wall_scans_per_s": written["scans"] / written["wall_s"],
             "offline_summary_scans_per_s": alone["scans"] / alone["cpu_s"],
             "offline_memory_mb": max(run["memory_mb"] for run in (*runs, alone)),
-            "plain_loop_scans_per_s": reading(long),
-            "one_by_one_scans_per_s": working(arm, long, folder / "one_by_one"),
+            "plain_loop_scans_per_s": plainly,
+            "reading_messages_per_s": reading(long),
         }
     finally:
-        for made in (long, folder / "reprocessed", folder / "one_by_one"):
+        for made in (long, plain, reprocessed):
             shutil.rmtree(made, ignore_errors=True)
 
 
@@ -128,8 +134,6 @@ def _run(arm: Arm, bag: Path, output: Path | None) -> dict[str, float]:
     places = [bag, arm.path, *([] if output is None else [output])]
     command = [sys.executable, "-m", "tests.benchmarks.offline", *(str(place.resolve()) for place in places)]
     said = subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT).stdout
-    if output is not None:
-        shutil.rmtree(output)
     return dict(json.loads(said.splitlines()[-1]))
 
 

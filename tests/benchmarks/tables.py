@@ -28,8 +28,8 @@ SINGLE = {
     "kernel_us": "estimator, many scans in one call, us a scan",
     "scan_us": "estimator, scan by scan, us a scan",
     "offline_scans_per_s": "reprocessing, scans/s per core",
-    "plain_loop_scans_per_s": "plain message loop that only reads, scans/s",
-    "one_by_one_scans_per_s": "plain message loop that does the same work, scans/s",
+    "plain_loop_scans_per_s": "plain message loop, scans/s",
+    "reading_messages_per_s": "rosbags reading and decoding messages, and no more, messages/s",
     "offline_memory_mb": "reprocessing, memory, MB",
 }
 """Single figures by their keys, and what to call them."""
