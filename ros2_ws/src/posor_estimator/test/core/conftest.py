@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 import pytest
+import yaml
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -66,3 +67,15 @@ def central_difference() -> Callable[[Callable[[FloatArray], float], int], Float
 def rig_calibrations() -> dict[str, Path]:
     """The calibration files of the 1985 rig: ``printed`` and ``section84``."""
     return {name: RIG_CALIBRATIONS / f"slocum1985_{name}.yaml" for name in ("printed", "section84")}
+
+
+@pytest.fixture
+def content(rig_calibrations: dict[str, Path]) -> dict[str, Any]:
+    """What the rig's file ``printed`` says, as plain data."""
+    return dict(yaml.safe_load(rig_calibrations["printed"].read_text(encoding="utf-8")))
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    """Where a test may write a calibration file."""
+    return tmp_path / "rig.yaml"
