@@ -2,101 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from posor_estimator.accuracy.poses import readable, readable_poses
+from posor_estimator.accuracy.poses import STACKS, readable, readable_poses
 from posor_estimator.core.calibrate.bundle import BundleOptions, fit_bundle, solve
-from posor_estimator.core.calibrate.explain import explained
-from posor_estimator.core.calibrate.unknowns import Unknowns
-from posor_estimator.core.calibration.entries import entries_of
 from posor_estimator.core.calibration.load import load_calibration
 from posor_estimator.core.calibration.quantity import Quantity
-from posor_estimator.core.designs import design
 from posor_estimator.core.forward import scans_at
 from posor_estimator.core.posor import Posor
-from posor_estimator.core.stack import Stack
-from posor_estimator.errors import CalibrationError, FitError, TrackError
+from posor_estimator.errors import FitError, TrackError
 from posor_estimator.testing.drawn_posor import DrawnPosor, pose_track
-from scipy.stats import kstest
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from posor_estimator.core.calibration.model import Calibration
     from posor_estimator.core.designs import DesignName
 
-NAMES: tuple[DesignName, ...] = ("triad_diodes", "triad_light_ring", "triad_bumpy_ring")
 PROBES = "sensors[0].probes[*].*"
-
-
-# Which number of the file each parameter is.
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_every_parameter_is_found_in_the_file(name: DesignName) -> None:
-    calibration = design(name)
-    stack = Stack([sensor.build() for sensor in calibration.sensors])
-    entries = entries_of(calibration)
-    assert len(entries) == stack.parameters
-    for value, sigma, entry in zip(stack.parameter_values, stack.parameter_sigmas, entries, strict=True):
-        if entry is None:
-            assert (value, sigma) == (0.0, 0.0)
-        else:
-            assert (entry.quantity.array[entry.index], entry.quantity.sigmas[entry.index]) == (value, sigma)
-    named = {entry.name for entry in entries if entry is not None}
-    assert "sensors[0].probes[2].tip[1]" in named
-    assert "sensors[0].target_plane.tilt[0]" in named
-    assert not any(".noise" in name or ".range" in name for name in named)
-
-
-def test_what_a_session_replaces_is_found_there(rig_calibrations: dict[str, Path]) -> None:
-    calibration = load_calibration(rig_calibrations["section84"])
-    keys = {entry.key for entry in entries_of(calibration, "ymo") if entry is not None}
-    assert "sessions.ymo.zero_shifts" in keys
-    assert "sensors[0].probes[0].zero_shift" not in keys
-    with pytest.raises(CalibrationError, match="session 'none' is unknown"):
-        entries_of(calibration, "none")
-
-
-# What may change.
-
-
-def test_directions_keep_their_length_and_their_derivatives_are_right(rng: np.random.Generator) -> None:
-    unknowns = Unknowns(design("triad_diodes"))
-    moved = unknowns.start + 5.0 * unknowns.sigmas * rng.normal(size=len(unknowns))
-    stack = Stack([sensor.build() for sensor in design("triad_diodes").sensors])
-    values = unknowns.values(moved)
-    for sensor in stack.with_parameter_values(values).sensors:
-        for name in ("axes", "x_axes", "y_axes", "source_directions"):
-            if name in sensor._slices:
-                np.testing.assert_allclose(np.linalg.norm(sensor._array(name), axis=1), 1.0, atol=1e-12)
-    np.testing.assert_allclose(unknowns.values(unknowns.start), stack.parameter_values, atol=1e-15)
-    step = 1e-4 * unknowns.sigmas
-    by_steps = [
-        (unknowns.values(moved + shift) - unknowns.values(moved - shift)) / (2.0 * step[i])
-        for i, shift in enumerate(np.diag(step))
-    ]
-    np.testing.assert_allclose(unknowns.basis(moved), np.array(by_steps).T, atol=1e-6)
-    assert any(name == "sensors[0].probes[0].axis turn 1" for name in unknowns.names)
-
-
-def test_only_what_is_asked_for_and_uncertain_may_change() -> None:
-    calibration = design("triad_diodes")
-    some = Unknowns(calibration, "", ("sensors[0].probes[*].tip", "sensors[0].target_plane.tilt"))
-    assert {name.partition("[0].")[2].split("[")[0] for name in some.names} == {"probes", "target_plane.tilt"}
-    assert np.all(some.sigmas > 0.0)
-    with pytest.raises(FitError, match=r"^calibration 'triad_diodes': '\*\.nose' fits no quantity that has an uncerta"):
-        Unknowns(calibration, "", ("*.nose",))
 
 
 # What is found.
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", STACKS)
 @pytest.mark.parametrize("with_reference", [True, False])
 def test_derivatives_agree_with_differences(name: DesignName, with_reference: bool) -> None:  # noqa: FBT001  a case
     campaign = DrawnPosor(name, 12, 5, turning=name == "triad_bumpy_ring")
@@ -115,7 +46,7 @@ def test_derivatives_agree_with_differences(name: DesignName, with_reference: bo
         assert (up - down) / 0.2 == pytest.approx(gradient[i], abs=0.01 * (abs(gradient[i]) + abs(bend) + 1e-3))
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", STACKS)
 @pytest.mark.parametrize("with_reference", [True, False])
 def test_what_was_drawn_is_found_within_its_stated_uncertainty(
     name: DesignName,
@@ -308,47 +239,3 @@ def test_scans_at_the_edge_of_the_range_are_left_out_and_said() -> None:
     assert any("1 scans count for nothing" in warning for warning in outcome.warnings) or any(
         "outliers" in warning for warning in outcome.warnings
     )
-
-
-# Whether a calibration still holds.
-
-
-def with_shift(calibration: Calibration, shift: float) -> Calibration:
-    """Return the calibration with the zero shift of one probe changed."""
-    gap: Any = calibration.sensors[0]
-    probe = gap.probes[1]
-    moved = Quantity(value=probe.zero_shift.number + shift, sigma=probe.zero_shift.sigma, unit="V")
-    probes = [*gap.probes[:1], probe.model_copy(update={"zero_shift": moved}), *gap.probes[2:]]
-    sensors = [gap.model_copy(update={"probes": probes}), *calibration.sensors[1:]]
-    return calibration.model_copy(update={"sensors": sensors})
-
-
-def test_drifts_of_a_calibration_that_holds_are_standard_normal() -> None:
-    drifts, alarms = [], 0
-    for seed in range(8):
-        campaign = DrawnPosor("triad_diodes", 40, 100 + seed)
-        found = explained(campaign.recording(), campaign.calibration, BundleOptions())
-        drifts.extend(list(found.drifts.values())[::5])
-        alarms += not found.explains
-        assert found.noise_ratio > 1.5  # what is left is the calibration's own uncertainty
-        assert f"'triad_diodes' {'explains' if found.explains else 'does not explain'} bench" in found.verdict
-    assert alarms == 0
-    assert kstest(drifts, "norm").pvalue > 1e-3
-
-
-def test_a_parameter_that_has_drifted_is_named() -> None:
-    campaign = DrawnPosor("triad_diodes", 60, 71, drawn=0.3)
-    found = explained(campaign.recording(), with_shift(campaign.calibration, 0.1), BundleOptions())
-    assert not found.explains
-    assert "does not explain" in found.verdict
-    assert "sensors[0].probes[1]" in str(found.table.rows[0][0])
-    assert found.drifts["sensors[0].probes[1].zero_shift"] < -found.limit
-
-
-def test_a_recording_without_a_reference_still_tells_of_a_contradiction() -> None:
-    campaign = DrawnPosor("triad_diodes", 120, 72, drawn=0.3)
-    assert explained(campaign.recording(tracks={}), campaign.calibration, BundleOptions()).explains
-    currents = campaign.scans.diode_currents.copy()
-    currents[:, 1, 1] *= 1.005  # dirt on one contact
-    campaign.scans = replace(campaign.scans, diode_currents=currents)
-    assert not explained(campaign.recording(tracks={}), campaign.calibration, BundleOptions()).explains
