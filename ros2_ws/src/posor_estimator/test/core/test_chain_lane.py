@@ -1,22 +1,21 @@
-"""Endpoints of one scan and of many by the compiled walk: against pinocchio, against one another, and bad input."""
+"""Endpoints of one scan and of many by the compiled walk: against pinocchio, and against one another."""
 
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from posor_estimator.core.arm import load_arm
 from posor_estimator.core.beam_motion import ROOM
-from posor_estimator.core.chain import Chain, Endpoint, MeasuredJoint
+from posor_estimator.core.chain import Chain, Endpoint
 from posor_estimator.core.chain_records import ChainRecords, JointColumns
 from posor_estimator.core.fault import State
 from posor_estimator.core.kernels.chain_motion import LEAST_SCANS
 from posor_estimator.core.native import native_from_rotation
-from posor_estimator.errors import ChainError
+
+from .six_axis import FOLDER, JOINTS, PERIOD_NS, SCANS, WINDOW_S, assert_bits, six_axis_chain, swinging
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,25 +23,16 @@ if TYPE_CHECKING:
     from posor_estimator.core.chain_lane import Endpoints
     from posor_estimator.core.types import FloatArray, IntArray
 
-ARMS = Path(__file__).resolve().parents[3] / "posor_bringup" / "arms"
-JOINTS = 6
-SCANS = 40
-PERIOD_NS = 500_000
-WINDOW_S = 0.01
-"""Of the scans here, 20 periods."""
-
 
 @pytest.fixture(scope="module")
 def chain() -> Chain:
-    """Six joints, six beams of which five sag, none exact."""
-    return load_arm(ARMS / "six_axis" / "arm.yaml").chain()
+    return six_axis_chain()
 
 
 @pytest.fixture(scope="module")
 def straight() -> Chain:
     """The same arm with beams that are straight and exact."""
-    folder = ARMS / "six_axis"
-    return Chain((folder / "six_axis.urdf").read_text(encoding="utf-8"), "endpoint")
+    return Chain((FOLDER / "six_axis.urdf").read_text(encoding="utf-8"), "endpoint")
 
 
 @pytest.fixture
@@ -59,19 +49,6 @@ def poses(random_rotation: Callable[[], FloatArray], rng: np.random.Generator) -
 def covariances(rng: np.random.Generator) -> FloatArray:
     root = rng.normal(size=(SCANS, JOINTS, 6, 6)) * 1e-6
     return np.asarray(root @ np.swapaxes(root, -1, -2))
-
-
-def swinging(chain: Chain, scans: int, amplitude: float = 0.3) -> tuple[FloatArray, IntArray]:
-    """Return poses of joints that swing at 3 Hz and more, and the stamps."""
-    stamps = np.arange(1, scans + 1) * PERIOD_NS
-    angles = amplitude * np.sin(stamps[:, None] * 1e-9 * 2.0 * math.pi * np.linspace(3.0, 5.0, JOINTS))
-    names = [joint.name for joint in chain.joints]
-    return (
-        np.array(
-            [[pin.SE3ToXYZQUAT(chain.nominal_joint(n, a)) for n, a in zip(names, row, strict=True)] for row in angles]
-        ),
-        stamps,
-    )
 
 
 def pinocchio_endpoint(
@@ -104,10 +81,6 @@ def pinocchio_endpoint(
     jacobian = pin.computeFrameJacobian(model, data, q, robot.endpoint, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
     pose = pin.updateFramePlacement(model, data, robot.endpoint)
     return Endpoint(pin.SE3(pose), jacobian @ covariance @ jacobian.T)
-
-
-def assert_bits(one: object, other: object) -> None:
-    np.testing.assert_array_equal(np.asarray(one).view(np.uint64), np.asarray(other).view(np.uint64))
 
 
 def one_by_one(
@@ -153,8 +126,7 @@ def test_the_sag_is_there_and_so_is_its_uncertainty(
 
 def test_a_link_between_two_joints_can_be_the_endpoint(poses: FloatArray, covariances: FloatArray) -> None:
     """The joints beyond it are looked at, but have no part in it."""
-    folder = ARMS / "six_axis"
-    text = (folder / "six_axis.urdf").read_text(encoding="utf-8")
+    text = (FOLDER / "six_axis.urdf").read_text(encoding="utf-8")
     link = Chain(text, "endpoint").joints[3].parent
     arm = Chain(text, link)
     found = arm.endpoints(poses, covariances)
@@ -260,83 +232,6 @@ def test_a_quaternion_that_is_a_little_too_long_turns_all_the_same(chain: Chain,
     np.testing.assert_allclose(
         chain.endpoints(longer, covariances).poses, chain.endpoints(poses, covariances).poses, rtol=0.0, atol=3e-15
     )
-
-
-WRONG = {
-    "shoulder has a pose that is not finite": ("poses", (1, 0), math.nan),
-    "shoulder has a pose that is not finite ": ("poses", (1, 6), math.inf),
-    "elbow has an orientation that is no unit quaternion": ("poses", (2, slice(3, 7)), 0.6),
-    "tool_roll has a covariance that is not finite": ("covariances", (5, 4, 2), math.nan),
-}
-
-
-@pytest.mark.parametrize("sentence", WRONG)
-def test_a_joint_without_sound_numbers_gives_no_endpoint_and_is_named(chain: Chain, sentence: str) -> None:
-    which, where, value = WRONG[sentence]
-    poses, stamps = swinging(chain, SCANS)
-    covariances = np.zeros((SCANS, JOINTS, 6, 6))
-    bad = SCANS // 2
-    others = np.arange(SCANS) != bad
-    without = chain.endpoints(poses[others], covariances[others], stamps[others], acceleration_window=WINDOW_S)
-    {"poses": poses, "covariances": covariances}[which][bad][where] = value
-    found = chain.endpoints(poses, covariances, stamps, acceleration_window=WINDOW_S)
-    assert np.flatnonzero(~found.sound).tolist() == [bad]
-    assert np.isnan(found.poses[bad]).all()
-    assert np.isnan(found.covariances[bad]).all()
-    assert np.isnan(found.angles[bad]).all()
-    # The others are as if it had never been, those after it in motion too.
-    assert_bits(found.poses[others], without.poses)
-    lane = chain.lane()
-    lane.poses[:], lane.covariances[:] = poses[bad], covariances[bad]
-    assert not lane.run()
-    assert np.isnan(lane.pose).all()
-    assert lane.reason() == sentence.strip()
-    lane.poses[:], lane.covariances[:] = poses[0], covariances[0]
-    assert lane.run()
-    assert lane.reason() == ""
-
-
-def test_numbers_that_are_none_are_refused_by_name(chain: Chain) -> None:
-    sound = {joint.name: MeasuredJoint(pin.SE3.Identity(), np.zeros((6, 6))) for joint in chain.joints}
-    with pytest.raises(ChainError) as caught:
-        chain.endpoint({**sound, "elbow": MeasuredJoint(pin.SE3.Identity(), np.full((6, 6), np.nan))})
-    assert str(caught.value) == (
-        "the chain: elbow has a covariance that is not finite; expected finite numbers and unit quaternions."
-    )
-    del sound["elbow"]
-    with pytest.raises(ChainError, match="joint 'elbow' has no measurement; expected one of each of base_turn, "):
-        chain.endpoint(sound)
-
-
-@pytest.mark.parametrize(
-    ("name", "shape"),
-    [("poses", (3, 5, 7)), ("covariances", (3, 6, 36)), ("stamps_ns", (2,)), ("thetas", (3, 5))],
-)
-def test_arrays_of_the_wrong_shape_are_refused(chain: Chain, name: str, shape: tuple[int, ...]) -> None:
-    shapes: dict[str, tuple[int, ...]] = {
-        "poses": (3, JOINTS, 7),
-        "covariances": (3, JOINTS, 6, 6),
-        "stamps_ns": (3,),
-        "thetas": (3, JOINTS),
-    }
-    expected = shapes[name]
-    shapes[name] = shape
-    stamps = np.zeros(shapes["stamps_ns"], dtype=np.int64)
-    with pytest.raises(ChainError) as caught:
-        chain.lane().endpoints(
-            np.zeros(shapes["poses"]), np.zeros(shapes["covariances"]), stamps, np.zeros(shapes["thetas"])
-        )
-    assert str(caught.value) == f"the chain: {name} of shape {shape}; expected {expected}."
-
-
-def test_a_moving_arm_needs_stamps(chain: Chain) -> None:
-    with pytest.raises(ChainError, match="the endpoints of an arm in motion need stamps; expected 3 of them"):
-        chain.lane(WINDOW_S).endpoints(np.zeros((3, JOINTS, 7)), np.zeros((3, JOINTS, 6, 6)))
-
-
-def test_no_scans_give_no_endpoints(chain: Chain) -> None:
-    found = chain.lane(WINDOW_S).endpoints(np.zeros((0, 6, 7)), np.zeros((0, 6, 6, 6)), np.zeros(0, dtype=np.int64))
-    assert len(found.poses) == len(found.sound) == 0
 
 
 def test_arrays_that_may_not_be_written_are_read(chain: Chain, poses: FloatArray, covariances: FloatArray) -> None:
