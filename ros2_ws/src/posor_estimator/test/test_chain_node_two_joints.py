@@ -1,0 +1,172 @@
+"""chain_node with an arm of two joints: which scans it joins, and what the beam between them does to the pose."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from posor_estimator.chain_node import ChainNode
+from posor_estimator.core.chain import MeasuredJoint, load_chain
+from posor_estimator.testing.graph import Graph, values_of
+from posor_estimator.testing.refusal import refusal
+from posor_estimator.testing.stamped import seconds_of
+from posor_msgs.msg import JointTransform
+
+from .chain_program import LOSSLESS, Arm, chain_node, lost_transform, transform_of
+
+pytestmark = pytest.mark.usefixtures("ros_domain")
+
+TWO_JOINTS = """<robot name="two">
+  <link name="base"/><link name="t1"/><link name="r2"/><link name="t2"/>
+  <joint name="shoulder" type="floating"><parent link="base"/><child link="t1"/></joint>
+  <joint name="beam" type="fixed"><parent link="t1"/><child link="r2"/><origin xyz="0.5 0 0" rpy="0 0 0"/></joint>
+  <joint name="elbow" type="floating"><parent link="r2"/><child link="t2"/></joint>
+</robot>
+"""
+
+
+@pytest.fixture(scope="module")
+def two_joints(tmp_path_factory: pytest.TempPathFactory) -> str:
+    urdf = tmp_path_factory.mktemp("two_joints") / "two.urdf"
+    urdf.write_text(TWO_JOINTS, encoding="utf-8")
+    return str(urdf)
+
+
+def test_only_whole_scans_of_sound_transforms_are_joined_and_what_is_amiss_is_named(two_joints: str) -> None:
+    with chain_node(urdf=two_joints, endpoint_frame="t2", **LOSSLESS), Graph() as graph:
+        arm = Arm(graph)
+        shoulder, elbow = arm.joint("shoulder"), arm.joint("elbow")
+        first, second = ("base", "t1"), ("r2", "t2")
+        # Transforms of two scans.
+        shoulder.publish(transform_of(1, plates=first))
+        elbow.publish(transform_of(2, plates=second))
+        shoulder.publish(transform_of(3, pin.SE3(np.eye(3), np.array([0.0, 1e-3, 0.0])), plates=first))
+        elbow.publish(transform_of(3, pin.SE3(np.eye(3), np.array([0.0, 0.0, 1e-3])), plates=second))
+        arm.wait_for(1)
+        assert seconds_of(arm.poses) == [3]
+        position = arm.poses[0].pose.position
+        np.testing.assert_allclose([position.x, position.y, position.z], [0.5, 1e-3, 1e-3], rtol=0.0, atol=1e-12)
+        assert list(arm.joint_states[0].name) == ["shoulder", "elbow"]
+        status = graph.wait_for_status("/chain_node: endpoint", "ok")
+        assert values_of(status)["scans_incomplete"] == "2"
+        named = [status.message for status in graph.diagnostics if status.name == "/chain_node: endpoint"]
+        for joint in ("shoulder", "elbow"):
+            assert f"no pose: {joint}: transform missing from a scan that the other joints sent" in named
+        # One joint lost.
+        shoulder.publish(transform_of(4, plates=first))
+        elbow.publish(lost_transform(4, JointTransform.FAULT_OUT_OF_RANGE, plates=second))
+        arm.wait_for_no("no pose: elbow is lost (OUT_OF_RANGE)")
+        assert seconds_of(arm.poses) == [3]
+        # A transform without a stamp stops nothing.
+        unstamped = transform_of(6, plates=first)
+        unstamped.header.stamp.sec = unstamped.header.stamp.nanosec = 0
+        for message in (transform_of(5, plates=first), unstamped):
+            shoulder.publish(message)
+        arm.wait_for_no("no pose: shoulder: the stamp of a transform is zero; expected the time of exposure")
+        for seconds in (6, 7):
+            shoulder.publish(transform_of(seconds, plates=first))
+        for seconds in (5, 6, 7):
+            elbow.publish(transform_of(seconds, plates=second))
+        arm.wait_for(4)
+        assert seconds_of(arm.poses) == [3, 5, 6, 7]
+        values = values_of(graph.wait_for_status("/chain_node: endpoint", "ok"))
+        assert (values["scans_refused"], values["scans_incomplete"]) == ("2", "2")
+
+
+def test_a_joint_that_nobody_measures_is_named_and_a_late_one_is_waited_for(two_joints: str) -> None:
+    waiting = {**LOSSLESS, "max_wait": 0.2}
+    with chain_node(urdf=two_joints, endpoint_frame="t2", **waiting), Graph() as graph:
+        arm = Arm(graph)
+        shoulder = arm.joint("shoulder")
+        arm.wait_for_no("no pose: nobody publishes /elbow/transform")
+        status = next(s for s in graph.diagnostics if s.message == "no pose: nobody publishes /elbow/transform")
+        assert float(values_of(status)["since"]) > 0.0
+        elbow = arm.joint("elbow")
+        shoulder.publish(transform_of(1, plates=("base", "t1")))
+        arm.wait_for_no("no pose: elbow: transform missing from a scan that the other joints sent")
+        elbow.publish(transform_of(1, plates=("r2", "t2")))
+        later = iter(range(2, 1000))
+
+        def both() -> None:
+            second = next(later)
+            shoulder.publish(transform_of(second, plates=("base", "t1")))
+            elbow.publish(transform_of(second, plates=("r2", "t2")))
+
+        graph.wait_until(lambda: bool(arm.poses), "a pose of a scan that is whole", both)
+        assert 1 not in seconds_of(arm.poses)
+
+
+BEAMS = """format: posor_beams
+version: 1
+name: two
+provenance: {source: test, method: none, date: none}
+gravity: {value: [0.0, 0.0, -10.0], unit: m/s^2}
+beams:
+  - joint: beam
+    uncertainty:
+      position: {value: [3.0e-6, 0.0, 0.0], unit: m}
+      orientation: {value: [0.0, 0.0, 0.0], unit: rad}
+    sag:
+      tube:
+        outer_diameter: {value: 0.05, unit: m}
+        inner_diameter: {value: 0.04, unit: m}
+        modulus: {value: 69.0e9, unit: Pa}
+        density: {value: 2700, unit: kg/m^3}
+      gimbals: {value: [0.0, 0.2], unit: m}
+      uncertainty: {value: 0.0, unit: "1"}
+"""
+
+
+def test_a_beams_file_brings_sag_and_uncertainty_into_the_pose(two_joints: str, tmp_path: Path) -> None:
+    beams = tmp_path / "beams.yaml"
+    beams.write_text(BEAMS, encoding="utf-8")
+    chain = load_chain(Path(two_joints), "t2", beams)
+    still = MeasuredJoint(pin.SE3.Identity(), np.zeros((6, 6)))
+    sag = chain.endpoint({"shoulder": still, "elbow": still}).T_base_endpoint.translation[2]
+    assert sag < -1e-6
+    with chain_node(urdf=two_joints, endpoint_frame="t2", beams=str(beams), **LOSSLESS), Graph() as graph:
+        arm = Arm(graph)
+        arm.joint("shoulder").publish(transform_of(1, plates=("base", "t1")))
+        arm.joint("elbow").publish(transform_of(1, plates=("r2", "t2")))
+        arm.wait_for(1)
+        assert arm.poses[0].pose.position.z == sag
+        covariance = np.reshape(arm.with_covariance[0].pose.covariance, (6, 6))
+        assert covariance[0, 0] == pytest.approx(2e-12 + 9e-12, rel=1e-6)
+        assert values_of(graph.wait_for_status("/chain_node: endpoint", "ok"))["beams"] == str(beams)
+
+
+def test_beams_in_motion_sag_otherwise_than_at_rest(two_joints: str, tmp_path: Path) -> None:
+    """The shoulder rises ever faster, so the beam weighs a little more than at rest."""
+    beams = tmp_path / "beams.yaml"
+    beams.write_text(BEAMS, encoding="utf-8")
+    moving = {**LOSSLESS, "beams": str(beams), "acceleration_window": 10.0}
+    chain = load_chain(Path(two_joints), "t2", beams)
+    elbow_at = MeasuredJoint(pin.SE3.Identity(), np.zeros((6, 6)))
+    acceleration = 2e-3
+    with chain_node(urdf=two_joints, endpoint_frame="t2", **moving), Graph() as graph:
+        arm = Arm(graph)
+        shoulder, elbow = arm.joint("shoulder"), arm.joint("elbow")
+        scans = 8
+        for second in range(scans):
+            up = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.5 * acceleration * second**2]))
+            shoulder.publish(transform_of(second + 1, up, plates=("base", "t1")))
+            elbow.publish(transform_of(second + 1, plates=("r2", "t2")))
+        arm.wait_for(scans)
+        joints = {"shoulder": MeasuredJoint(up, np.zeros((6, 6))), "elbow": elbow_at}
+        heavier = chain.endpoint(joints, {"beam": np.array([0.0, 0.0, acceleration])}).T_base_endpoint
+        at_rest = chain.endpoint(joints).T_base_endpoint
+        found = arm.poses[-1].pose.position.z
+        assert at_rest.translation[2] - heavier.translation[2] > 1e-10
+        assert found == pytest.approx(heavier.translation[2], abs=1e-14)
+
+
+def test_a_beams_file_that_does_not_fit_is_refused(
+    two_joints: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    beams = tmp_path / "beams.yaml"
+    beams.write_text(BEAMS.replace("joint: beam", "joint: boom"), encoding="utf-8")
+    sentence = f"URDF {two_joints}: has no fixed joint 'boom', which the beams file names; expected one of beam."
+    parameters = {"urdf": two_joints, "endpoint_frame": "t2", "beams": str(beams)}
+    assert refusal(ChainNode, parameters, capfd) == (1, [sentence])
