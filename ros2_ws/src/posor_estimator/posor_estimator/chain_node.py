@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from posor_estimator.core.chain_lane import ChainLane
     from posor_estimator.core.robot_model import FreeJoint
     from posor_estimator.core.types import FloatArray
+    from posor_estimator.ros.diagnostics import Value, Words
     from posor_estimator.ros.wire import Outlet
 
 
@@ -104,7 +105,7 @@ class ChainNode(PosorNode[ChainParameters]):
         """Create the node; ``options`` go to rclpy."""
         super().__init__(**options)
         self._lock = RLock()
-        self._status = self.diagnostics.add("endpoint")
+        self._status = self.diagnostics.add("endpoint", logged=True)
         self._listeners = Listeners(self)
         self._inlets: list[Inlet] = []
         self._poses = self._scans_refused = self._scans_incomplete = 0
@@ -250,15 +251,15 @@ class ChainNode(PosorNode[ChainParameters]):
         """Say why a complete scan gives no pose, where that is news."""
         self._scans_refused += 1
         if self._told != (told := ("unusable", self._verdicts(scan), self._lane.faults.tolist())):
-            said = [(name, why_unusable(deserialize_message(scan[name], JointTransform))) for name in self._lane.joints]
-            self._say_no("; ".join(f"{name} {why}" for name, why in said if why), told)
+            self._told = told
+            self._status.report_news(Level.ERROR, partial(_why_not, {**scan}, self._lane.joints, self._counts()))
 
     def _say_no(self, reason: str, told: object = None) -> None:
         """Report why there is no pose; ``told`` stands for the reason, so that it need not be put into words again."""
-        self._status.report(Level.ERROR, f"no pose: {reason}", self._counts())
+        self._status.report(Level.ERROR, _no_pose(reason), self._counts())
         self._told = told
 
-    def _counts(self) -> dict[str, int]:
+    def _counts(self) -> dict[str, Value]:
         return {"poses": self._poses, "scans_refused": self._scans_refused, "scans_incomplete": self._scans_incomplete}
 
     def _set_home(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -271,6 +272,16 @@ class ChainNode(PosorNode[ChainParameters]):
             self._home = self._last
             response.success, response.message = True, "home is the endpoint's last pose"
         return response
+
+
+def _why_not(scan: dict[str, bytes], joints: tuple[str, ...], counts: dict[str, Value]) -> Words:
+    """Say which joints of a complete scan have no usable pose, and why."""
+    said = [(name, why_unusable(deserialize_message(scan[name], JointTransform))) for name in joints]
+    return _no_pose("; ".join(f"{name} {why}" for name, why in said if why)), counts
+
+
+def _no_pose(reason: str) -> str:
+    return f"no pose: {reason}"
 
 
 def main() -> int:

@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from posor_estimator.core.calibration.model import Calibration
+    from posor_estimator.ros.byte_lane import Answered
+    from posor_estimator.ros.diagnostics import Value, Words
 
 
 LOST = int(State.LOST)
@@ -65,7 +67,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         """Create the node; ``options`` go to rclpy."""
         super().__init__(**options)
         self._lock = RLock()
-        self._status = self.diagnostics.add("estimate")
+        self._status = self.diagnostics.add("estimate", logged=True)
         self._listeners = Listeners(self)
         self._last = None
         self.diagnostics.before_each(self._refresh)
@@ -226,29 +228,35 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             self._count_from_next = lane.counts_from_next
         if (state, faults) != self._told:
             self._told = (state, faults)
-            said = Fault(faults).name if faults else "none"
-            level, name = HEALTH.get(State(state), Level.ERROR), State(state).name.lower()
-            self._status.report(level, f"{name}: {said}", {"faults": str(said), **self._values()})
+            level = HEALTH.get(State(state), Level.ERROR)
+            self._status.report_news(level, partial(_verdict_in_words, state, faults, self._counts(), lane.answered()))
+
+    def _counts(self) -> dict[str, Value]:
+        return {"scans": self._scans, "scans_lost": self._scans_lost}
 
     def _refresh(self) -> None:
         """Bring the values up to date, once a second."""
         with self._lock:
-            if self._last is not None:
-                self._status.update(self._values())
+            if self._last is None:
+                return
+            counts, last = self._counts(), self._last.answered()
+        self._status.update(_values_of(counts, last))
 
-    def _values(self) -> dict[str, str | int | float]:
-        """Return what is to be said of the last scan, beside its verdict."""
-        lane = self._last
-        if lane is None:
-            return {}
-        return {
-            "scans": self._scans,
-            "scans_lost": self._scans_lost,
-            "last_scan": lane.number,
-            "reason": lane.reason(),
-            "residual": lane.residual,
-            "redundancy": lane.redundancy,
-        }
+
+def _verdict_in_words(state: int, faults: int, counts: dict[str, Value], scan: Answered) -> Words:
+    said = Fault(faults).name if faults else "none"
+    return f"{State(state).name.lower()}: {said}", {"faults": str(said), **_values_of(counts, scan)}
+
+
+def _values_of(counts: dict[str, Value], scan: Answered) -> dict[str, Value]:
+    """Return what is to be said of a scan, beside its state and faults."""
+    return {
+        **counts,
+        "last_scan": scan.number,
+        "reason": scan.reason,
+        "residual": scan.verdict.residual,
+        "redundancy": scan.verdict.redundancy,
+    }
 
 
 def _listed(numbers: Iterable[float]) -> str:

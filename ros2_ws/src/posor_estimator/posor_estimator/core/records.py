@@ -6,7 +6,7 @@ A message is a row of bytes whose numbers lie at multiples of their size; ``core
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from posor_estimator.core.scan import Scans, by_diode
 if TYPE_CHECKING:
     from posor_estimator.core.columns import Columns
     from posor_estimator.core.posor import Posor
-    from posor_estimator.core.types import ByteArray, FloatArray, WordArray
+    from posor_estimator.core.types import ByteArray, FloatArray, IntArray, WordArray
 
     Views: TypeAlias = tuple[FloatArray, WordArray, FloatArray, FloatArray, WordArray]
 
@@ -37,6 +37,31 @@ STOPPED = {START: 0, RETRY: -1, UNFIT: 1}
 """Where a loop over one scan would have stopped, by what is left to do for it."""
 NOTHING_LIKE: WordArray = np.zeros((2, 0), dtype=np.int32)
 """For rows that are known to be of the right kind."""
+
+
+class Verdict(NamedTuple):
+    """How a scan went.
+
+    Attributes:
+        outcome: State, faults and codes, see ``kernels.tables``.
+        chi_square: Of the redundant readings; NaN where there is none.
+        degrees: Of freedom of a chi-square.
+
+    """
+
+    outcome: IntArray
+    chi_square: float
+    degrees: int
+
+    @property
+    def residual(self) -> float:
+        """Chi-square of the redundant readings; NaN where the scan is LOST."""
+        return math.nan if self.outcome[STATE] == LOST else self.chi_square
+
+    @property
+    def redundancy(self) -> int:
+        """Degrees of freedom of the residual; zero of a LOST scan."""
+        return 0 if self.outcome[STATE] == LOST else self.degrees
 
 
 class Records:
@@ -96,16 +121,6 @@ class Records:
         """Whether readings may be used; else every scan is LOST."""
         return bool(self.record[kernel.FIT])
 
-    @property
-    def residual(self) -> float:
-        """Chi-square of the redundant readings of the last scan; NaN where it is LOST."""
-        return math.nan if self.outcome[STATE] == LOST else float(self._room.residuals[0])
-
-    @property
-    def redundancy(self) -> int:
-        """Degrees of freedom of the residual; zero of a LOST scan."""
-        return 0 if self.outcome[STATE] == LOST else self._room.redundancy
-
     def count_from_next(self) -> None:
         """Take the next scan for one that has seen the home mark."""
         self.record[kernel.AT_HOME] = 1
@@ -151,12 +166,16 @@ class Records:
             self._finish(raw, views, 0)
         return bool(of_this_kind)
 
-    def reason(self, row: ByteArray) -> str:
-        """Return the sentence on what was wrong with the last scan, whose row (w,) this is; empty where nothing was."""
-        if self.outcome[FAULTS] == 0:
+    def verdict(self) -> Verdict:
+        """Return how the last scan went."""
+        return Verdict(self.outcome.copy(), float(self._room.residuals[0]), self._room.redundancy)
+
+    def reason(self, row: ByteArray, verdict: Verdict) -> str:
+        """Return the sentence on what was wrong with a scan, whose row (w,) this is; empty where nothing was."""
+        outcome = verdict.outcome
+        if outcome[FAULTS] == 0:
             return ""
-        residual = float(self._room.residuals[0])
-        return self._posor.reason(self.scans(row[None])[0], self.outcome[CODES:], int(self.outcome[FAULTS]), residual)
+        return self._posor.reason(self.scans(row[None])[0], outcome[CODES:], int(outcome[FAULTS]), verdict.chi_square)
 
     def scans(self, raw: ByteArray) -> Scans:
         """Return the scans in rows of readings (n, w)."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from posor_estimator.ros.cdr_scan import RAW_SCAN
 
 if TYPE_CHECKING:
     from posor_estimator.core.posor import Posor
+    from posor_estimator.core.records import Verdict
     from posor_estimator.ros.messages import CovarianceKind
 
 _NUMBER = struct.Struct("<Q")
@@ -78,34 +79,49 @@ class ByteLane:
         """
         return self._said.tolist()
 
-    @property
-    def stamp_ns(self) -> int:
-        """Stamp of the last scan [ns]."""
-        return int(self._said[0])
+    def answered(self) -> Answered:
+        """Return the last scan and how it went."""
+        return Answered(self, self._last, int(self._said[0]), self._records.verdict())
 
-    @property
-    def number(self) -> int:
-        """Number of the last scan."""
-        return int(_NUMBER.unpack_from(self._last, self._number_at)[0])
+    def number_of(self, data: bytes) -> int:
+        """Return the number of a scan of this kind."""
+        return int(_NUMBER.unpack_from(data, self._number_at)[0])
 
-    @property
-    def residual(self) -> float:
-        """Chi-square of the redundant readings of the last scan; NaN where it is LOST."""
-        return self._records.residual
-
-    @property
-    def redundancy(self) -> int:
-        """Degrees of freedom of the residual; zero of a LOST scan."""
-        return self._records.redundancy
-
-    def reason(self) -> str:
-        """Return the sentence on what was wrong with the last scan, empty where nothing was."""
+    def reason(self, scan: Answered) -> str:
+        """Return the sentence on what was wrong with a scan, empty where nothing was; may be asked in any thread."""
         if not self.fit:
             said = f"comes from frame '{self.frame}'; expected '{self._parent}', as in the calibration."
-        elif self.stamp_ns == 0:
+        elif scan.stamp_ns == 0:
             said = "the stamp is zero; expected the time of exposure."
         else:
             row = np.zeros_like(self._lane.row)
-            row[LEAD : LEAD + self._size] = np.frombuffer(self._last, dtype=np.uint8)[: self._size]
-            return self._records.reason(row)
-        return f"scan {self.number}: {said}"
+            row[LEAD : LEAD + self._size] = np.frombuffer(scan.data, dtype=np.uint8)[: self._size]
+            return self._records.reason(row, scan.verdict)
+        return f"scan {scan.number}: {said}"
+
+
+class Answered(NamedTuple):
+    """A scan that a lane has answered, and how it went.
+
+    Attributes:
+        lane: The lane.
+        data: The scan.
+        stamp_ns: Its stamp [ns].
+        verdict: How it went.
+
+    """
+
+    lane: ByteLane
+    data: bytes
+    stamp_ns: int
+    verdict: Verdict
+
+    @property
+    def number(self) -> int:
+        """The scan's number."""
+        return self.lane.number_of(self.data)
+
+    @property
+    def reason(self) -> str:
+        """The sentence on what was wrong with it, empty where nothing was."""
+        return self.lane.reason(self)

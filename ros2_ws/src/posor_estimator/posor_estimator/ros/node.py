@@ -165,6 +165,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         """Shut down through the lifecycle and destroy the node."""
         if not self._finalized:
             self.trigger_shutdown()
+        self.diagnostics.close()
         self.destroy_node()
         # rclpy leaves this to the garbage collector; until then the node stays in the graph.
         self._state_machine.destroy_when_not_in_use()

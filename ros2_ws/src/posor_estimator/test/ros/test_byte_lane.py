@@ -134,10 +134,11 @@ def test_what_the_last_scan_was_can_be_asked() -> None:
         lane.answer(data)
         estimate = other.locate(scan_of(data))
         assert lane.said()[:3] == [scan_of(data).stamp_ns, estimate.state, estimate.faults]
-        assert lane.stamp_ns == scan_of(data).stamp_ns
-        assert (lane.number, lane.redundancy) == (message.scan, estimate.redundancy)
-        assert lane.residual == pytest.approx(estimate.residual, nan_ok=True, rel=0.0, abs=0.0)
-        assert lane.reason() == estimate.reason
+        answered = lane.answered()
+        assert answered.stamp_ns == scan_of(data).stamp_ns
+        assert (answered.number, answered.verdict.redundancy) == (message.scan, estimate.redundancy)
+        assert answered.verdict.residual == pytest.approx(estimate.residual, nan_ok=True, rel=0.0, abs=0.0)
+        assert lane.answered().reason == estimate.reason
 
 
 def test_other_rows_are_told_where_another_source_is_lit() -> None:
@@ -180,8 +181,8 @@ def test_a_scan_of_another_kind_is_not_answered_and_changes_nothing() -> None:
     ]
     for other in [*others, first[:-1], b"", b"\x00\x00" + first[2:], b"\x00\x07" + first[2:]]:
         assert lane.answer(other) is None
-        assert (lane.number, lane.said()[1]) == (messages[0].scan, State.OK)
-        assert lane.reason() == ""
+        assert (lane.answered().number, lane.said()[1]) == (messages[0].scan, State.OK)
+        assert lane.answered().reason == ""
     assert lane.answer(second + b"surplus bytes at the end") == wanted[1]
 
 
@@ -209,8 +210,8 @@ def test_scans_that_may_not_be_used_are_lost_without_a_number(spoil: str, known:
         [*lost.covariance, *lost.native, lost.residual, lost.pose.position.x, lost.pose.orientation.w]
     ).all()
     assert tuple(lane.said()[1:3]) == (State.LOST, Fault.BAD_READING)
-    assert math.isnan(lane.residual)
-    assert lane.reason() == f"scan {message.scan}: {reason}"
+    assert math.isnan(lane.answered().verdict.residual)
+    assert lane.answered().reason == f"scan {message.scan}: {reason}"
 
 
 @pytest.mark.parametrize("compiled", [True, False])
@@ -247,8 +248,8 @@ def test_wrong_numbers_of_readings_are_lost_with_a_sentence() -> None:
         data = RAW_SCAN.serialize(message)
         lane, other = ByteLane(Posor(calibration), data, "total"), Posor(calibration)
         assert told(lane.answer(data)).state == State.LOST
-        assert said in lane.reason()
-        assert lane.reason() == other.locate(scan_of(data)).reason
+        assert said in lane.answered().reason
+        assert lane.answered().reason == other.locate(scan_of(data)).reason
 
 
 SOME = {
