@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Sequence
 
-SECTIONS = ("graph", "waiting", "layouts", "growth", "highest", "profile", "kernel", "offline")
+SECTIONS = ("graph", "faults", "waiting", "layouts", "growth", "highest", "profile", "kernel", "offline")
 USUAL = tuple(name for name in SECTIONS if name != "profile")
 QUICK = ("graph", "growth", "kernel", "offline")
 """What --quick leaves of them."""

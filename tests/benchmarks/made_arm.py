@@ -6,6 +6,8 @@ there are, so that all arms play one bag: the simulator's, from the home marks a
 
 from __future__ import annotations
 
+import math
+import struct
 from copy import deepcopy
 from itertools import count
 from typing import TYPE_CHECKING, Any
@@ -20,6 +22,7 @@ from posor_drivers.simulated_messages import SimulatedMessages
 from posor_drivers.simulator.arm import ArmSimulation
 from posor_drivers.simulator.switches import Switches
 from posor_estimator.core.arm import Arm, load_arm
+from posor_estimator.ros.cdr_scan import RAW_SCAN as RAW_SCAN_SCHEMA
 from posor_estimator.ros.message_types import RAW_SCAN, MessageTypes
 from posor_estimator.ros.parameters import NodeParameters
 from posor_estimator.ros.qos import RAW_TOPIC, sensor_qos
@@ -81,19 +84,34 @@ def made_arm(folder: Path, joints: int, scans: Path) -> Arm:
     return load_arm(folder / "arm.yaml")
 
 
-def record(arm: Arm, path: Path) -> None:
-    """Write the scans of one cycle of an arm's scenario into a new bag."""
+def record(arm: Arm, path: Path, bad_every: int = 0) -> None:
+    """Write the scans of one cycle of an arm's scenario into a new bag.
+
+    Args:
+        arm: The arm.
+        path: Of the bag.
+        bad_every: Of so many scans of the first joint one lacks a reading; 0: none.
+
+    """
     simulation, types = ArmSimulation(arm, SIMULATED), MessageTypes()
     make, ticks = SimulatedMessages(types, simulation), np.arange(1, TICKS + 1)
     qos = [kept_in_bag(sensor_qos(NodeParameters()))]
     with BagWriter(path) as bag:
-        for joint in simulation.joints:
+        for number, joint in enumerate(simulation.joints):
             topic = f"/{arm.name}/{joint}/{RAW_TOPIC}"
             bag.add_topic(topic, RAW_SCAN, types.definition(RAW_SCAN), qos)
             scans = simulation.scans(joint, ticks)
             for n in range(TICKS):
                 message = make.raw(joint, scans, n)
-                bag.write(topic, message.time_ns, message.data)
+                bad = number == 0 and bad_every > 0 and n % bad_every == bad_every // 2
+                bag.write(topic, message.time_ns, _without_a_reading(message.data) if bad else message.data)
+
+
+def _without_a_reading(data: bytes) -> bytes:
+    """Return a raw scan with a gap voltage that is none."""
+    spoiled = bytearray(data)
+    struct.pack_into("<d", spoiled, RAW_SCAN_SCHEMA.layout(data)["gap_voltages"].offset, math.nan)
+    return bytes(spoiled)
 
 
 class _Chain:

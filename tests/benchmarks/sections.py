@@ -26,6 +26,8 @@ MEGA = 1_000_000
 LONGEST_SPIN_US = 1000
 PRIORITY = 50
 """SCHED_FIFO priority that is tried; where the system refuses it, the figures are those without."""
+BAD_EVERY = 100
+"""Of so many scans of the first joint one is bad, where faults are measured."""
 LADDER = (500, 1000, 1500, 2000, 2500, 3000, 3500, 4000, 5000, 6000, 8000, 10_000)
 """Rates among which the highest that holds is looked for [Hz]."""
 
@@ -83,6 +85,12 @@ class Arms:
         if joints not in self._made:
             self._made[joints] = made_arm(self._folder / f"arm_{joints}", joints, self.bag)
         return self._made[joints]
+
+    def with_faults(self, joints: int) -> Arm:
+        """Return an arm whose scans are those, but for some of the first joint that lack a reading."""
+        bag = self._folder / "faults"
+        record(self[joints], bag, BAD_EVERY)
+        return made_arm(self._folder / f"arm_{joints}_faults", joints, bag)
 
 
 def highest_rate(lost: Callable[[int], float], share: float) -> int | None:
@@ -163,6 +171,13 @@ class Sections:
             load = Load(self._arms[plan.joints], "graph", plan.layout, plan.rate, spin_us, priority)
             told[way] = figures([self._bench.run(load, plan.point_s)])
         return {"waiting": told}
+
+    def faults(self) -> dict[str, Any]:
+        """Measure the main graph while one joint's scan lacks a reading now and then: what is said of it costs time."""
+        plan = self._plan
+        self._say(f"graph, one scan in {BAD_EVERY} of one joint bad: {plan.point_s:g} s")
+        load = Load(self._arms.with_faults(plan.joints), "graph", plan.layout, plan.rate)
+        return {"faults": figures([self._bench.run(load, plan.point_s)])}
 
     def growth(self) -> dict[str, Any]:
         """Measure the cost by joints and by rate."""

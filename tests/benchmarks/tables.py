@@ -9,6 +9,7 @@ from rich.table import Table
 
 from tests.benchmarks.aims import judged
 from tests.benchmarks.layouts import LAYOUTS
+from tests.benchmarks.sections import BAD_EVERY
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -74,6 +75,8 @@ def tables(results: Mapping[str, Any]) -> dict[str, Shown]:
     name = next((key.removeprefix(GRAPH) for key in results if key.startswith(GRAPH)), "")
     if name:
         rows = [("graph", results[f"graph_{name}"]), ("floor: nothing computed", results[f"floor_{name}"])]
+        if "faults" in results:
+            rows.insert(1, (f"graph, one scan in {BAD_EVERY} of one joint bad", results["faults"]))
         made["graph"] = _latencies(f"{name} Hz: from a scan's stamp to the endpoint's pose in another process", rows)
     if "alone" in results:
         made["alone"] = _alone(results["alone"])
@@ -90,12 +93,21 @@ def tables(results: Mapping[str, Any]) -> dict[str, Shown]:
     single = [(text, _figure(results[key])) for key, text in SINGLE.items() if key in results]
     if single:
         made["single"] = Shown("Single figures", ("", "figure"), single)
-    aims = [
-        (aim.text, aim.wanted, _figure(found), "yes" if aim.holds(found) else "no") for aim, found in judged(results)
-    ]
-    if aims:
-        made["aims"] = Shown("What was aimed at", ("", "wanted", "found", "holds"), aims)
+    aims = aims_of([results])
+    if aims is not None:
+        made["aims"] = aims
     return made
+
+
+def aims_of(runs: Sequence[Mapping[str, Any]]) -> Shown | None:
+    """Return what was aimed at and found in each of some runs; None: nothing of it was measured."""
+    rows = []
+    for aim, found in judged(runs):
+        held = sum(map(aim.holds, found))
+        verdict = {len(runs): "yes", 0: "no"}.get(held, f"in {held} of {len(runs)}")
+        rows.append((aim.text, aim.wanted, *map(_figure, found), verdict))
+    names = ["found"] if len(runs) == 1 else [f"run {number}" for number in range(1, len(runs) + 1)]
+    return Shown("What was aimed at", ("", "wanted", *names, "holds"), rows) if rows else None
 
 
 def _figure(value: float | None) -> str:

@@ -10,12 +10,12 @@ from posor_drivers.simulator.ticks import stamp_of
 from posor_estimator.errors import ParameterError, PosorError
 
 from tests.benchmarks.accounts import COUNTERS, NothingReceived, Run, Window, account, figures
-from tests.benchmarks.aims import judged
 from tests.benchmarks.alone import lateness
 from tests.benchmarks.bench import ROOT
 from tests.benchmarks.growth import figure, line, series
 from tests.benchmarks.page import PLACE, filled
 from tests.benchmarks.sections import LADDER, highest_rate
+from tests.benchmarks.tables import aims_of
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -137,22 +137,46 @@ def test_highest_rate_is_found_in_few_steps(holds_to: float, share: float, found
     assert set(tried) <= set(LADDER)
 
 
-def test_aims_are_judged_by_what_was_measured() -> None:
-    told = figures([accounted(noted(np.arange(FIRST, FIRST + 999)))])
-    results = {
-        "graph_6x2000": told,
-        "ratio_p50": 1.5,
-        "offline_scans_per_s": 4e5,
+def run_with(lost: int, p50_us: float, scans_per_s: float) -> dict[str, Any]:
+    """Return the figures of a run that is long enough."""
+    return {
+        "graph_6x2000": {"expected": 120_100, "lost": lost, "p99_us": 900.0, "p50_us": p50_us},
+        "floor_6x2000": {"p50_us": 100.0},
+        "offline_scans": 3_600_000,
+        "offline_scans_per_s": scans_per_s,
         "plain_loop_scans_per_s": 2e4,
+        "offline_memory_mb": 400.0,
     }
-    assert [(aim.text, found, aim.holds(found)) for aim, found in judged(results)] == [
-        ("six joints at 2 kHz: ticks lost", 1.0, False),
-        ("p99, us", 150.0, True),
-        ("p50, graph to floor", 1.5, True),
-        ("reprocessing, scans/s per core", 4e5, False),
-        ("reprocessing to the plain message loop, whose results are the same", 20.0, True),
+
+
+def test_aims_are_judged_by_what_was_measured_in_all_runs() -> None:
+    slow, quick = run_with(1, 151.0, 4e5), run_with(0, 150.0, 6e5)
+    shown = aims_of([quick, slow, quick])
+    assert shown is not None
+    assert shown.header == ("", "wanted", "run 1", "run 2", "run 3", "holds")
+    assert shown.rows == [
+        ("six joints at 2 kHz: ticks lost", "at most 0", "0.00", "1.00", "0.00", "in 2 of 3"),
+        ("p99, us", "at most 1,000", "900.00", "900.00", "900.00", "yes"),
+        ("p50, graph to floor", "at most 1.5", "1.50", "1.51", "1.50", "in 2 of 3"),
+        ("reprocessing, scans/s per core", "at least 500,000", "600,000", "400,000", "600,000", "in 2 of 3"),
+        (
+            "reprocessing to the plain message loop, whose results are the same",
+            "at least 20",
+            *("30.00", "20.00", "30.00", "yes"),
+        ),
+        ("reprocessing, memory, MB", "at most 500", "400.00", "400.00", "400.00", "yes"),
     ]
-    assert judged({"graph_2x200": told}) == []
+    alone = aims_of([slow])
+    assert alone is not None
+    assert alone.header == ("", "wanted", "found", "holds")
+    assert alone.rows[0] == ("six joints at 2 kHz: ticks lost", "at most 0", "1.00", "no")
+
+
+def test_nothing_is_said_of_aims_where_less_was_measured() -> None:
+    brief = {**run_with(0, 100.0, 6e5), "offline_scans": 120_000}
+    brief["graph_6x2000"]["expected"] = 12_000
+    assert aims_of([brief]) is None
+    assert aims_of([{"graph_2x200": {}}]) is None
 
 
 def test_page_gets_the_figures_and_keeps_what_was_not_measured() -> None:
@@ -170,15 +194,17 @@ def test_page_gets_the_figures_and_keeps_what_was_not_measured() -> None:
         "load": 0.1,
     }
     results = {"machine": told_machine, "graph_6x2000": told, "floor_6x2000": told}
-    result = filled(page, results)
+    result = filled(page, [results])
     assert result.startswith(
         "Text.\n<!-- machine -->\n2 cores (P), Linux 6, Python 3, r, kernels compiled.\n<!-- end -->\n"
     )
     assert "| graph | 150 | 150 | 150 | 150 | 0 of 1000 | 0.50 | 100 |\n" in result
     assert result.endswith("<!-- growth -->\nold\n<!-- end -->\n")
-    assert filled(result, results) == result
+    assert filled(result, [results]) == result
+    others = [{**results, "graph_6x2000": {**told, "p50_us": latency}} for latency in (1.0, 170.0, 160.0)]
+    assert "| graph | 160 | 150 |" in filled(page, others)
     with pytest.raises(ParameterError, match="'<!-- grpah -->' is no place"):
-        filled("<!-- grpah -->\n<!-- end -->\n", results)
+        filled("<!-- grpah -->\n<!-- end -->\n", [results])
 
 
 def test_every_place_of_the_page_is_known() -> None:

@@ -30,7 +30,7 @@ from tests.benchmarks.stopwatch import Stopwatches
         (["--layout", "none"], "argument --layout: invalid choice: 'none'"),
         (
             ["--only", "graph,nothing"],
-            "argument --only: 'nothing' is no section; expected some of graph, waiting, layouts",
+            "argument --only: 'nothing' is no section; expected some of graph, faults, waiting, layouts",
         ),
         (["--fast"], "unrecognized arguments: --fast"),
     ],
@@ -86,12 +86,18 @@ def test_cost_of_the_stopwatches_is_taken_off() -> None:
 @pytest.mark.timeout(300)
 def test_small_run_gives_all_figures(tmp_path: Path) -> None:
     output = tmp_path / "bench.json"
-    said = bench(output, "--only", "graph,kernel,offline", "--profile", "--layout", "drivers_apart")
+    said = bench(output, "--only", "graph,faults,kernel,offline", "--profile", "--layout", "drivers_apart")
     results = json.loads(output.read_text())
     assert results["machine"]["cores"] >= 1
     check_graph(results)
     check_rest(results)
-    for text in ("2x200 Hz: from a scan's stamp", "floor: nothing computed", "us a tick", "estimator, scan by scan"):
+    for text in (
+        "2x200 Hz: from a scan's stamp",
+        "floor: nothing computed",
+        "one scan in 100 of one joint bad",
+        "us a tick",
+        "estimator, scan by scan",
+    ):
         assert text in said
 
 
@@ -129,6 +135,9 @@ def check_graph(results: dict[str, Any]) -> None:
         assert 0 <= told["missed"] <= told["expected"]
         assert 0 <= told["p50_us"] <= told["p99_us"] <= told["max_us"]
         assert told["stolen_s"] >= 0
+    faults = results["faults"]
+    assert 0 < faults["not_published"] <= faults["lost"] < 0.1 * faults["expected"]
+    assert 0 < faults["p50_us"] <= faults["max_us"]
     for share in ("p50", "p99"):
         expected = results["graph_2x200"][f"{share}_us"] / results["floor_2x200"][f"{share}_us"]
         assert results[f"ratio_{share}"] == expected
