@@ -29,6 +29,7 @@ from posor_estimator.core.chain import load_chain
 from posor_estimator.core.chain_records import ChainRecords
 from posor_estimator.core.fault import State
 from posor_estimator.core.joining import MOST_OPEN, ScanJoiner
+from posor_estimator.core.kernels.stamps import NO_TIME
 from posor_estimator.errors import TopicError
 from posor_estimator.ros.cdr import STAMP
 from posor_estimator.ros.cdr_endpoint import EndpointWriter
@@ -176,7 +177,7 @@ class ChainNode(PosorNode[ChainParameters]):
             stamp_ns = stamp_ns_of(data)
             if stamp_ns == 0:  # to the joiner it would be time that has gone back
                 self._scans_refused += 1
-                self._say_no(f"{joint.name}: the stamp of a transform is zero; expected the time of exposure")
+                self._say_no(f"{joint.name}: the stamp of a transform {NO_TIME}; expected the time of exposure")
                 return
             scan = self._joiner.add(joint.name, stamp_ns, data, time.monotonic())
             if self._joiner.has_given_up:

@@ -16,6 +16,7 @@ from posor_estimator.core.kernels import records as kernel
 from posor_estimator.core.kernels.locate import LOST
 from posor_estimator.core.kernels.readout import CODES, FAULTS, STATE
 from posor_estimator.core.kernels.scan import RETRY, START, UNFIT
+from posor_estimator.core.kernels.stamps import times_ns
 from posor_estimator.core.kernels.tables import (
     FIGURES,
     OUTCOME,
@@ -190,7 +191,7 @@ class Records:
         nanoseconds = words[:, columns.seconds // 4 + 1].astype(np.int64) & 0xFFFFFFFF
         return Scans(
             numbers=raw.view(np.uint64)[:, columns.number // 8].copy(),
-            stamps_ns=seconds * kernel.NS + nanoseconds,
+            stamps_ns=times_ns(seconds, nanoseconds),
             gap_voltages=gaps,
             ring_voltages=rings,
             diode_currents=by_diode(currents),

@@ -19,7 +19,7 @@ from posor_estimator.core.designs import DesignName, design
 from posor_estimator.core.fault import State
 from posor_estimator.core.forward import scans_at
 from posor_estimator.core.kernels.moments import FIGURES, figures_of
-from posor_estimator.core.kernels.records import NS
+from posor_estimator.core.kernels.stamps import NS
 from posor_estimator.core.posor import Posor
 from posor_estimator.core.records import Records
 

@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState
 
 from posor_estimator.bulk.bag_writer import BulkWriter, Part
 from posor_estimator.bulk.layout import TableLayout
-from posor_estimator.reprocess.transforms import NS
+from posor_estimator.core.kernels.stamps import NS
 from posor_estimator.ros.message_types import (
     JOINT_STATE,
     JOINT_TRANSFORM,

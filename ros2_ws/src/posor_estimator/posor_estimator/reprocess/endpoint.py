@@ -57,7 +57,7 @@ class EndpointReprocessor:
         joiner: What joins the transforms, with its counts.
         poses: How many poses there have been.
         degraded: How many of these rest on a joint whose state is DEGRADED.
-        unusable: Complete stamps that gave no pose, and transforms without a stamp.
+        unusable: Complete stamps that gave no pose, and transforms whose stamp is no time.
         refused: The same, by the joint whose transform may not be used.
 
     """

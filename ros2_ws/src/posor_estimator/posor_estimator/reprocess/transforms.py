@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posor_estimator.bulk.layout import Table
+from posor_estimator.core.kernels.stamps import times_ns
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -15,12 +16,11 @@ if TYPE_CHECKING:
     from posor_estimator.bulk.layout import TableLayout
     from posor_estimator.core.types import BoolArray, IntArray
 
-NS = 1_000_000_000
-
 
 def stamps_of(table: Table) -> IntArray:
-    """Return the stamps of messages with a header [ns], shape (n,)."""
-    return np.asarray(table["header.stamp.sec"].astype(np.int64) * NS + table["header.stamp.nanosec"])
+    """Return the stamps of messages with a header [ns], shape (n,); 0 where one is no time."""
+    seconds, nanoseconds = (table[f"header.stamp.{part}"].astype(np.int64) for part in ("sec", "nanosec"))
+    return times_ns(seconds, nanoseconds)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 
 from posor_estimator.bulk.columns import records_of, transform_layout
 from posor_estimator.bulk.layout import LEAD, TableLayout
+from posor_estimator.core.kernels.stamps import NO_TIME
 from posor_estimator.ros.cdr_scan import RAW_SCAN
 
 if TYPE_CHECKING:
@@ -92,7 +93,7 @@ class ByteLane:
         if not self.fit:
             said = f"comes from frame '{self.frame}'; expected '{self._parent}', as in the calibration."
         elif scan.stamp_ns == 0:
-            said = "the stamp is zero; expected the time of exposure."
+            said = f"the stamp {NO_TIME}; expected the time of exposure."
         else:
             row = np.zeros_like(self._lane.row)
             row[LEAD : LEAD + self._size] = np.frombuffer(scan.data, dtype=np.uint8)[: self._size]

@@ -8,7 +8,8 @@ from posor_msgs.msg import JointTransform
 
 from posor_estimator.bulk.layout import LEAD, TableLayout
 from posor_estimator.core.chain_records import JointColumns
-from posor_estimator.ros.cdr import NS, STAMP, Schema
+from posor_estimator.core.kernels.stamps import time_ns
+from posor_estimator.ros.cdr import STAMP, Schema
 from posor_estimator.ros.cdr_walk import LITTLE_ENDIAN
 
 JOINT_TRANSFORM = Schema.of(JointTransform)
@@ -20,9 +21,8 @@ _THETA = 5
 
 
 def stamp_ns_of(data: bytes) -> int:
-    """Return the stamp [ns] of a message that begins with a header."""
-    seconds, nanoseconds = _STAMP.unpack_from(data, STAMP.start)
-    return int(seconds * NS + nanoseconds)
+    """Return the stamp [ns] of a message that begins with a header; 0 where it is no time."""
+    return time_ns(*_STAMP.unpack_from(data, STAMP.start))
 
 
 def columns_of(layout: TableLayout) -> JointColumns:

@@ -12,6 +12,7 @@ from posor_msgs.msg import JointTransform, RawScan
 from posor_estimator.core.chain_lane import WHY
 from posor_estimator.core.fault import Fault, State
 from posor_estimator.core.kernels.chain_pose import fault_of
+from posor_estimator.core.kernels.stamps import time_ns
 from posor_estimator.core.scan import Scan, by_diode
 
 if TYPE_CHECKING:
@@ -119,6 +120,6 @@ def is_usable(message: JointTransform) -> bool:
 
 
 def stamp_ns(message: RawScan | JointTransform) -> int:
-    """Return the header's stamp in nanoseconds."""
+    """Return the header's stamp in nanoseconds; 0 where it is no time."""
     stamp = message.header.stamp
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+    return time_ns(stamp.sec, stamp.nanosec)

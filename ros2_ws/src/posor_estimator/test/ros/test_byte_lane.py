@@ -187,19 +187,21 @@ def test_a_scan_of_another_kind_is_not_answered_and_changes_nothing() -> None:
 
 
 @pytest.mark.parametrize("known", [False, True])
-@pytest.mark.parametrize("spoil", ["frame", "stamp"])
+@pytest.mark.parametrize("spoil", ["frame", "stamp", "nanoseconds"])
 def test_scans_that_may_not_be_used_are_lost_without_a_number(spoil: str, known: bool) -> None:  # noqa: FBT001
     posor = Posor(design("triad_diodes"))
     sound, message = (moving(posor)[n] for n in range(2))
     before = RAW_SCAN.serialize(sound)
     if known:
         assert told(ByteLane(posor, before, "total").answer(before)).state == State.OK
-    reason = "the stamp is zero; expected the time of exposure."
+    reason = "the stamp is zero, or its nanoseconds are a second or more; expected the time of exposure."
     if spoil == "frame":
         message.header.frame_id = "elsewhere"
         reason = "comes from frame 'elsewhere'; expected 'receiving', as in the calibration."
-    else:
+    elif spoil == "stamp":
         message.header.stamp.sec = message.header.stamp.nanosec = 0
+    else:
+        message.header.stamp.nanosec = 1_000_000_000
     data = RAW_SCAN.serialize(message)
     lane = ByteLane(posor, data, "total")
     lost = told(lane.answer(data))

@@ -15,6 +15,7 @@ from posor_estimator.core.kernels.locate import LOST, NATIVE, POSE, RESIDUAL
 from posor_estimator.core.kernels.readout import FAULTS, STATE
 from posor_estimator.core.kernels.reshaped import part
 from posor_estimator.core.kernels.scan import DONE, locate_one, write_lost
+from posor_estimator.core.kernels.stamps import time_in_kernel
 from posor_estimator.core.kernels.tables import (
     FIGURES,
     OUTCOME,
@@ -57,7 +58,6 @@ KIND_SYSTEMATIC, KIND_TOTAL = 1, 2
 """The third, zero, is the random one."""
 OTHER = 4
 """Left to do, beside those of ``kernels.scan``: all, since the row is not one of readings of this kind."""
-NS = 1_000_000_000
 BAD_READING = int(Fault.BAD_READING)
 
 
@@ -72,8 +72,8 @@ def is_like(words: WordArray, like: WordArray) -> bool:
 
 @inlined
 def stamp_of(record: IntArray, words: WordArray) -> int:
-    """Return the stamp of a row of readings [ns]."""
-    return int(words[record[SECONDS]]) * NS + (int(words[record[NANOSECONDS]]) & 0xFFFFFFFF)
+    """Return the stamp of a row of readings [ns]; 0 where it is no time."""
+    return time_in_kernel(int(words[record[SECONDS]]), int(words[record[NANOSECONDS]]) & 0xFFFFFFFF)
 
 
 @inlined
