@@ -90,7 +90,9 @@ def _topic(joint: str, connections: Sequence[Connection], where: str) -> str:
         return found[0]
     if found:
         what, expected = f"scans of joint {joint} may be on {', '.join(found)}", f"--topic {joint}=ONE of them"
+    elif names:
+        what = f"there are no scans of joint {joint} on .../{joint}/{RAW_TOPIC}"
+        expected = f"one of {', '.join(names)}"
     else:
-        listed = ", ".join(names) or "none, it holds no raw scans"
-        what, expected = f"there are no scans of joint {joint} on .../{joint}/{RAW_TOPIC}", f"one of {listed}"
+        what, expected = f"there are no raw scans of joint {joint}, nor of any other", "a bag of recorded raw scans"
     raise BagError(what, where=where, expected=expected)
