@@ -198,24 +198,6 @@ def test_a_calibration_between_other_frames_is_refused(capsys: pytest.CaptureFix
     )
 
 
-def test_results_are_replaced_only_if_told_to_and_only_results(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    output = tmp_path / "out"
-    assert main([YMO, *CALIBRATION, "--output", str(output)]) == 0
-    assert "out: exists already; expected another name, or --force" in refused(
-        capsys, YMO, *CALIBRATION, "--output", str(output)
-    )
-    assert main([YMO, *CALIBRATION, "--output", str(output), "--force", "--format", "csv"]) == 0
-    assert [path.name for path in output.iterdir()] == ["joint1.csv"]
-    (output / "thesis.tex").touch()
-    assert "out: holds thesis.tex, which is no result; expected another name." in refused(
-        capsys, YMO, *CALIBRATION, "--output", str(output), "--force"
-    )
-    assert sorted(path.name for path in output.iterdir()) == ["joint1.csv", "thesis.tex"]
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
-
-
 def test_a_full_disk_is_told_of_the_output_and_leaves_what_was_there(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -279,7 +261,7 @@ def test_an_interrupt_leaves_nothing(tmp_path: Path) -> None:
         [*installed("posor_estimator", "reprocess"), str(tmp_path / "long"), *ARM, "--output", str(output)]
     ) as run:
         wait_until(
-            lambda: any(output.parent.glob(f"{MAKING}*/out/*.mcap")), "a bag in the making", lambda: time.sleep(0.01)
+            lambda: any(output.parent.glob(f"{MAKING}*/new/out/*.mcap")), "a bag in the making", lambda: time.sleep(0.01)
         )
         assert run.end(signal.SIGTERM) == 130
         assert run.stderr[-1] == "reprocess: interrupted; what was not finished is not there."

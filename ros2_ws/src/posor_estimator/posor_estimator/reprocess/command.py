@@ -8,6 +8,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
+from uuid import uuid4
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -15,7 +16,8 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from posor_estimator.core.arm import load_arm
 from posor_estimator.errors import ParameterError, PosorError
 from posor_estimator.reporting.command_line import Parser
-from posor_estimator.reprocess.output import refuse
+from posor_estimator.reprocess.output import clear_unfinished
+from posor_estimator.reprocess.place import refuse, refuse_among
 from posor_estimator.reprocess.several import in_processes, on_cluster
 from posor_estimator.reprocess.show import show
 from posor_estimator.reprocess.task import FORMATS, JointSettings, Settings, Summary, Task
@@ -63,12 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; the exit code is 0 where all bags were reprocessed."""
     former = signal.signal(signal.SIGTERM, _interrupt)
     try:
-        options = parser().parse_args(arguments)
-        tasks = tasks_of(options)
-        _check(options, tasks)
-        console = Console(width=WIDTH)
-        for summary in _summaries(options, tasks):
-            show(summary, console)
+        _run(parser().parse_args(arguments))
     except PosorError as error:
         sys.stderr.write(f"{error}\n")
         return error.exit_code
@@ -82,6 +79,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _interrupt(_number: int, _frame: object) -> NoReturn:
     raise KeyboardInterrupt
+
+
+def _run(options: argparse.Namespace) -> None:
+    tasks = tasks_of(options)
+    _check(options, tasks)
+    console = Console(width=WIDTH)
+    try:
+        for summary in _summaries(options, tasks):
+            show(summary, console)
+    finally:
+        for task in tasks:
+            if task.output is not None:
+                clear_unfinished(task.output.parent, task.run)
 
 
 def tasks_of(options: argparse.Namespace) -> list[Task]:
@@ -102,8 +112,11 @@ def tasks_of(options: argparse.Namespace) -> list[Task]:
     outputs: list[Path | None] = [options.output] * len(names)
     if options.output is not None and len(names) > 1:
         outputs = [options.output / name for name in names]
+    run = uuid4().hex
     return [
-        Task(_absolute(bag), settings, None if output is None else _absolute(output), options.format, options.force)
+        Task(
+            _absolute(bag), settings, None if output is None else _absolute(output), options.format, options.force, run
+        )
         for bag, output in zip(options.bags, outputs, strict=True)
     ]
 
@@ -167,6 +180,7 @@ def _check(options: argparse.Namespace, tasks: Sequence[Task]) -> None:
         raise ParameterError("both are given", where="options --jobs and --scheduler", expected="one of them")
     for task in tasks:
         if task.output is not None:
+            refuse_among(task.output, options.bags)
             refuse(task.output, force=task.force)
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from posor_estimator.errors import OutputError
+from posor_estimator.reprocess.place import mark, refuse, writing
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from posor_estimator.reprocess.endpoint import Endpoints
     from posor_estimator.reprocess.transforms import Transforms
 
-MADE = {".yaml", ".mcap", ".parquet", ".csv"}
-"""Kinds of files that results consist of; a folder that holds anything else is not replaced."""
 MAKING = ".making-"
-"""How the name of a folder begins in which results are being made."""
+"""How the name of a folder begins in which results are being made; the name of the run follows."""
+NEW, FORMER = "new", "former"
+"""Where in it the results are, and those that they replace."""
 
 
 class Output(Protocol):
@@ -43,81 +43,60 @@ class Told:
 
         """
         self._place = place
-        with _writing(place):
+        with writing(place):
             self._output = make()
 
     def write(self, transforms: Mapping[str, Transforms], endpoints: Endpoints | None) -> None:
         """Write what a block has given."""
-        with _writing(self._place):
+        with writing(self._place):
             self._output.write(transforms, endpoints)
 
     def close(self) -> None:
         """Write what belongs at the end."""
-        with _writing(self._place):
+        with writing(self._place):
             self._output.close()
 
 
-def refuse(output: Path, *, force: bool) -> None:
-    """Refuse a place for results.
-
-    Raises:
-        OutputError: There is something, and it may not be replaced; or it is nothing that this program has made.
-
-    """
-    if not output.exists() and not output.is_symlink():
-        return
-    if not force:
-        raise OutputError("exists already", where=str(output), expected="another name, or --force to replace it")
-    if not output.is_dir() or output.is_symlink():
-        raise OutputError("is no folder of results", where=str(output), expected="another name")
-    for entry in sorted(output.iterdir()):
-        if not entry.is_file() or entry.suffix not in MADE:
-            raise OutputError(f"holds {entry.name}, which is no result", where=str(output), expected="another name")
-
-
 @contextmanager
-def made(output: Path, *, force: bool) -> Iterator[Path]:
+def made(output: Path, run: str, *, force: bool) -> Iterator[Path]:
     """Yield a folder, not yet there, that takes the place of ``output`` once the block has ended well.
 
+    Args:
+        output: The place.
+        run: To which the results belong; see ``clear_unfinished``.
+        force: Whether results that are there may be replaced.
+
     Raises:
-        OutputError: There is something already; or the system refuses.
+        OutputError: There is something that may not be replaced; or the system refuses.
 
     """
     refuse(output, force=force)
     with ExitStack() as stack:
-        with _writing(output):
+        with writing(output):
             output.parent.mkdir(parents=True, exist_ok=True)
-            making = Path(tempfile.mkdtemp(dir=output.parent, prefix=f"{MAKING}{output.name}-"))
-        stack.callback(shutil.rmtree, making, ignore_errors=True)
-        yield making / output.name
+            making = Path(tempfile.mkdtemp(dir=output.parent, prefix=f"{MAKING}{run}-"))
+            stack.callback(_discard, making)
+            for folder in (NEW, FORMER):
+                (making / folder).mkdir()
+        yield making / NEW / output.name
         refuse(output, force=force)
-        with _writing(output):
-            _replace(output, making)
+        with writing(output):
+            mark(making / NEW / output.name)
+            if output.exists():
+                output.rename(making / FORMER / output.name)
+            (making / NEW / output.name).rename(output)
 
 
-def _replace(output: Path, making: Path) -> None:
-    """Put the new folder into its place; where that fails the former one is there again."""
-    former = making / "former"
-    if output.exists():
-        output.rename(former)
-    try:
-        (making / output.name).rename(output)
-    except OSError:
-        if former.exists():
-            former.rename(output)
-        raise
+def clear_unfinished(folder: Path, run: str) -> None:
+    """Remove what processes of a run that were ended have left in a folder of results."""
+    for making in folder.glob(f"{MAKING}{run}-*"):
+        _discard(making)
 
 
-@contextmanager
-def _writing(output: Path) -> Iterator[None]:
-    """Say of what the system refuses that the output cannot be written."""
-    try:
-        yield
-    except OSError as error:
-        raise OutputError(f"cannot be written, {error.strerror}", where=str(output)) from error
-
-
-def clear_unfinished(output: Path) -> None:
-    """Remove what a run that was killed has left of ``output``."""
-    for left in output.parent.glob(f"{MAKING}{output.name}-*"):
-        shutil.rmtree(left, ignore_errors=True)
+def _discard(making: Path) -> None:
+    """Remove a folder in which results were made; former ones go back unless new ones have taken their place."""
+    with suppress(OSError):
+        for former in (making / FORMER).iterdir():
+            if not (making.parent / former.name).exists():
+                former.rename(making.parent / former.name)
+        shutil.rmtree(making, ignore_errors=True)

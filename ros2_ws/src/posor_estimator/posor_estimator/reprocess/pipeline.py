@@ -66,7 +66,7 @@ def reprocess(task: Task, progress: Callable[[int], object] = lambda _: None) ->
     with ExitStack() as stack:
         output = None
         if task.output is not None:
-            folder = stack.enter_context(made(task.output, force=task.force))
+            folder = stack.enter_context(made(task.output, task.run, force=task.force))
             output = Told(task.output, partial(_output, task, folder, topics, endpoint))
         for block in _blocks(task.bag, list(topics.raw.values())):
             transforms = together.transforms({name: readers[name].pieces(block) for name in joints})

@@ -9,7 +9,6 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 from posor_estimator.errors import ParameterError
-from posor_estimator.reprocess.output import clear_unfinished
 from posor_estimator.reprocess.pipeline import reprocess
 
 if TYPE_CHECKING:
@@ -79,9 +78,6 @@ def on_cluster(tasks: Sequence[Task], scheduler: str) -> Iterator[Summary]:
                 yield future.result()
         finally:
             client.cancel(futures)
-    for task in tasks:
-        if task.output is not None:
-            clear_unfinished(task.output)
 
 
 _said: Any = None

@@ -72,6 +72,7 @@ class Task:
         output: Folder for the results; None: only the summary is wanted.
         format: Of the results.
         force: Whether results that are there may be replaced.
+        run: What tells this call of the program from others that write into the same folder.
 
     """
 
@@ -80,6 +81,7 @@ class Task:
     output: Path | None = None
     format: Format = "bag"
     force: bool = False
+    run: str = ""
 
 
 @dataclass(frozen=True)
