@@ -6,8 +6,7 @@
 from __future__ import annotations
 
 import resource
-import signal
-import time
+import socket
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +20,11 @@ from posor_bringup.arms import checked_arm, find_arm
 from posor_bringup.installed import calibration_path, urdf_path
 from posor_estimator.core.fault import State
 from posor_estimator.reprocess.command import main
-from posor_estimator.reprocess.output import MAKING
 from posor_estimator.ros.messages import pose_from_message
-from posor_estimator.testing.program import Program, installed, wait_until
 from posor_msgs.msg import JointTransform
 from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
-from tests.benchmarks.offline import repeat
 from tests.graphs import all_bits, bits, located, placed, recorded, rig
 
 BAGS = Path(__file__).resolve().parents[1] / "bags"
@@ -137,8 +133,9 @@ def test_several_bags_at_a_time_give_the_same_bytes(tmp_path: Path, capsys: pyte
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     assert main(list(arguments)) != 0
-    said = capsys.readouterr().err.strip()
-    assert said.count("\n") == 0
+    said = capsys.readouterr().err.removesuffix("\n")
+    assert said
+    assert "\n" not in said
     return said
 
 
@@ -177,7 +174,21 @@ YMO = str(BAGS / "ymo")
         ),
         (
             [YMO, *CALIBRATION, "--scheduler", "tcp://127.0.0.1:9"],
-            "option --scheduler: no Dask scheduler answers at tcp:",
+            "option --scheduler: no Dask scheduler answers at tcp://127.0.0.1:9; expected an address such as tcp://host:87",
+        ),
+        *(
+            (
+                [YMO, *CALIBRATION, "--scheduler", each],
+                f"--scheduler: '{each}'; expected an address such as tcp://host:8",
+            )
+            for each in (
+                "localhost",
+                "localhost:8786",
+                "tcp://host",
+                "tcp://:8786",
+                "http://host:8786",
+                "tcp://host:99999",
+            )
         ),
         ([str(BAG), *ARM, *CALIBRATION], "there are no scans of joint joint1"),
     ],
@@ -186,8 +197,25 @@ YMO = str(BAGS / "ymo")
 def test_what_cannot_be_is_refused_in_one_sentence(
     arguments: list[str], said: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("posor_estimator.reprocess.several.CONNECT_WITHIN_S", 1)
+    monkeypatch.setattr("posor_estimator.reprocess.cluster.CONNECT_WITHIN_S", 1)
     assert said in refused(capsys, *arguments)
+
+
+def test_a_server_that_does_not_answer_is_no_scheduler(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("posor_estimator.reprocess.cluster.CONNECT_WITHIN_S", 1)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        said = refused(capsys, YMO, *CALIBRATION, "--scheduler", address)
+    assert said.startswith(f"option --scheduler: no Dask scheduler answers at {address}; expected an address such as")
+
+
+def test_a_bag_of_results_holds_no_raw_scans(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert refused(capsys, str(made / "bag"), *ARM) == (
+        f"{made / 'bag'}: there are no raw scans of joint base_swivel, nor of any other; "
+        "expected a bag of recorded raw scans."
+    )
 
 
 def test_a_calibration_between_other_frames_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
@@ -252,17 +280,3 @@ def test_a_bag_that_is_cut_short_leaves_nothing(tmp_path: Path, capsys: pytest.C
     said = refused(capsys, str(bag), *ARM, "--output", str(tmp_path / "out"))
     assert "cut: the bag cannot be read" in said
     assert [path.name for path in tmp_path.iterdir()] == ["cut"]
-
-
-def test_an_interrupt_leaves_nothing(tmp_path: Path) -> None:
-    repeat(checked_arm("five_axis"), BAG, tmp_path / "long", 60)
-    output = tmp_path / "results" / "out"
-    with Program(
-        [*installed("posor_estimator", "reprocess"), str(tmp_path / "long"), *ARM, "--output", str(output)]
-    ) as run:
-        wait_until(
-            lambda: any(output.parent.glob(f"{MAKING}*/new/out/*.mcap")), "a bag in the making", lambda: time.sleep(0.01)
-        )
-        assert run.end(signal.SIGTERM) == 130
-        assert run.stderr[-1] == "reprocess: interrupted; what was not finished is not there."
-    assert list(output.parent.iterdir()) == []

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 from uuid import uuid4
 
 from rich.console import Console
@@ -16,9 +15,11 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from posor_estimator.core.arm import load_arm
 from posor_estimator.errors import ParameterError, PosorError
 from posor_estimator.reporting.command_line import Parser
+from posor_estimator.reprocess.cluster import on_cluster
+from posor_estimator.reprocess.interrupts import interruptible
 from posor_estimator.reprocess.output import clear_unfinished
 from posor_estimator.reprocess.place import refuse, refuse_among
-from posor_estimator.reprocess.several import in_processes, on_cluster
+from posor_estimator.reprocess.processes import in_processes
 from posor_estimator.reprocess.show import show
 from posor_estimator.reprocess.task import FORMATS, JointSettings, Settings, Summary, Task
 from posor_estimator.reprocess.topics import topics_of
@@ -63,22 +64,16 @@ def parser() -> Parser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; the exit code is 0 where all bags were reprocessed."""
-    former = signal.signal(signal.SIGTERM, _interrupt)
     try:
-        _run(parser().parse_args(arguments))
+        with interruptible():
+            _run(parser().parse_args(arguments))
     except PosorError as error:
         sys.stderr.write(f"{error}\n")
         return error.exit_code
     except KeyboardInterrupt:
         sys.stderr.write("reprocess: interrupted; what was not finished is not there.\n")
         return INTERRUPTED
-    finally:
-        signal.signal(signal.SIGTERM, former)
     return 0
-
-
-def _interrupt(_number: int, _frame: object) -> NoReturn:
-    raise KeyboardInterrupt
 
 
 def _run(options: argparse.Namespace) -> None:

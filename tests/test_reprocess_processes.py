@@ -1,0 +1,159 @@
+"""Interrupted and killed: what processes of reprocess leave, which is nothing but bags that are whole."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from posor_bringup.arms import checked_arm, find_arm
+from posor_estimator.reprocess.output import MAKING
+from posor_estimator.testing.program import Program, installed, wait_until
+
+from tests.benchmarks.offline import repeat
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+BAG = Path(__file__).resolve().parents[1] / "bags" / "five_axis"
+ARM = ["--arm", str(find_arm("five_axis"))]
+INTERRUPTED = "reprocess: interrupted; what was not finished is not there."
+LONG = ("b", "c", "d")
+WAYS = pytest.mark.parametrize(
+    ("number", "to"), [(signal.SIGINT, "group"), (signal.SIGINT, "parent"), (signal.SIGTERM, "parent")]
+)
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder of bags: one is soon done, the others are not."""
+    folder = tmp_path_factory.mktemp("bags")
+    repeat(checked_arm("five_axis"), BAG, folder / "a", 1)
+    for name in LONG:
+        repeat(checked_arm("five_axis"), BAG, folder / name, 40)
+    return folder
+
+
+def program(bags: Path, names: tuple[str, ...], output: Path) -> Program:
+    """Start the program on some bags, two at a time, as a shell does: in the foreground, where Ctrl-C is heard."""
+    given = [*(str(bags / name) for name in names), *ARM, "--output", str(output), "--jobs", "2"]
+    former = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        return Program(["setsid", *installed("posor_estimator", "reprocess"), *given])
+    finally:
+        signal.signal(signal.SIGINT, former)
+
+
+def children(run: Program) -> list[int]:
+    """Return the processes that the program has started and that are not ended."""
+    pid = run.process.pid
+    try:
+        return [int(each) for each in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    except FileNotFoundError:
+        return []
+
+
+def workers(run: Program) -> list[int]:
+    """Return those of them that reprocess bags."""
+    return [pid for pid in children(run) if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+
+
+def at_work(run: Program) -> list[int]:
+    """Return those that are writing results."""
+
+    def writes(pid: int) -> bool:
+        try:
+            return any(MAKING in str(entry.readlink()) for entry in Path(f"/proc/{pid}/fd").iterdir())
+        except FileNotFoundError:  # closed, or ended, meanwhile
+            return False
+
+    return [pid for pid in workers(run) if writes(pid)]
+
+
+def until(condition: Callable[[], bool], what: str) -> None:
+    wait_until(condition, what, lambda: time.sleep(0.005))
+
+
+def there(output: Path) -> list[str]:
+    return sorted(path.name for path in output.iterdir())
+
+
+def send(run: Program, number: signal.Signals, to: str) -> None:
+    (os.killpg if to == "group" else os.kill)(run.process.pid, number)
+
+
+@WAYS
+def test_an_interrupt_ends_all_at_once(bags: Path, tmp_path: Path, number: signal.Signals, to: str) -> None:
+    output = tmp_path / "out"
+    with program(bags, ("a", *LONG), output) as run:
+        run.wait_for_line(f"written to {output / 'a'}")
+        until(lambda: len(at_work(run)) == 2, "two bags in the making after the first")
+        pids = children(run)
+        send(run, number, to)
+        assert run.wait() == 130
+        assert run.stderr == [INTERRUPTED]
+        assert [line for line in run.stdout if "written to" in line] == [f"written to {output / 'a'}"]
+    assert there(output) == ["a"]
+    until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in pids), "the end of all processes")
+
+
+@WAYS
+def test_so_does_one_while_the_processes_begin(bags: Path, tmp_path: Path, number: signal.Signals, to: str) -> None:
+    with program(bags, LONG, tmp_path / "out") as run:
+        until(lambda: len(workers(run)) == 2, "two processes")
+        send(run, number, to)
+        assert run.wait() == 130
+        assert run.stderr == [INTERRUPTED]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_impatient_user_does_not_disturb_the_tidying(bags: Path, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    with program(bags, LONG, output) as run:
+        until(lambda: len(at_work(run)) == 2, "two bags in the making")
+        for _ in range(5):
+            send(run, signal.SIGINT, "group")
+        assert run.wait() == 130
+        assert run.stderr == [INTERRUPTED]
+    assert there(output) == []
+
+
+def test_an_interrupt_of_one_bag_leaves_nothing(bags: Path, tmp_path: Path) -> None:
+    output = tmp_path / "results" / "out"
+    with program(bags, ("b",), output) as run:
+        until(lambda: any(output.parent.glob(f"{MAKING}*/new/out/*.mcap")), "a bag in the making")
+        assert run.end(signal.SIGTERM) == 130
+        assert run.stderr == [INTERRUPTED]
+    assert there(output.parent) == []
+
+
+def test_a_process_that_is_killed_is_told_with_the_bags_that_are_not_finished(bags: Path, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    with program(bags, LONG, output) as run:
+        until(lambda: len(at_work(run)) == 2, "two bags in the making")
+        os.kill(at_work(run)[0], signal.SIGKILL)
+        assert run.wait() == 1
+        (said,) = run.stderr
+        finished = there(output)
+        assert [line for line in run.stdout if "written to" in line] == [f"written to {output / finished[0]}"]
+    (lost,) = {"b", "c"} - set(finished)
+    assert finished == sorted({"b", "c"} - {lost})
+    assert said == (
+        f"{bags / lost}, {bags / 'd'}: not finished, since a process of the program was ended by signal 9, Killed; "
+        "expected memory for as many bags at a time, or a smaller --jobs."
+    )
+
+
+def test_processes_end_when_the_program_is_killed(bags: Path, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    with program(bags, LONG, output) as run:
+        until(lambda: len(at_work(run)) == 2, "two bags in the making")
+        pids = workers(run)
+        send(run, signal.SIGKILL, "parent")
+        assert run.wait() == -signal.SIGKILL
+        until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in pids), "the end of all processes")
+        assert run.stderr == []
+    assert there(output) == []
