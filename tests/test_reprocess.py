@@ -266,6 +266,21 @@ def test_a_scan_without_a_stamp_costs_its_own_pose_only(made: Path, tmp_path: Pa
     assert found == whole - 1
 
 
+def test_a_topic_that_holds_another_type_too_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with (
+        Reader(BAGS / "ymo") as reader,
+        Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer,
+    ):
+        for each in reader.connections:
+            to = writer.add_connection("/joint1/raw", each.msgtype, msgdef=each.msgdef.data, rihs01=each.digest)
+            for _, time_ns, data in reader.messages([each]):
+                writer.write(to, time_ns, data)
+    assert refused(capsys, str(tmp_path / "bag"), *CALIBRATION) == (
+        f"{tmp_path / 'bag'}: topic /joint1/raw holds messages of several types, geometry_msgs/msg/PointStamped, "
+        "posor_msgs/msg/RawScan; expected only posor_msgs/msg/RawScan."
+    )
+
+
 def cut_short(bag: Path, folder: Path) -> Path:
     """Return a copy of a bag whose last messages are not there, as its index still says."""
     whole = (bag / "five_axis.mcap").read_bytes()

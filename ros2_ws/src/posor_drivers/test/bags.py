@@ -75,12 +75,13 @@ def write_bag(path: Path, records: Iterable[Record], *, sqlite: bool = False, ty
     with Writer(path, version=9, storage_plugin=plugin) as writer:
         connections = {}
         for record in records:
-            if record.topic not in connections:
+            key = record.topic, record.type_name
+            if key not in connections:
                 definition = TYPES.definition(record.type_name)
-                connections[record.topic] = writer.add_connection(
+                connections[key] = writer.add_connection(
                     record.topic, record.type_name, msgdef=definition.text, rihs01=type_hash or definition.type_hash
                 )
-            writer.write(connections[record.topic], record.time_ns, record.data)
+            writer.write(connections[key], record.time_ns, record.data)
     return path
 
 

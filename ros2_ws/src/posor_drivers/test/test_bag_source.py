@@ -102,6 +102,18 @@ def test_topic_of_another_type_is_refused(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize("sqlite", [False, True])
+@pytest.mark.parametrize("topic", ["/joint1/raw", "/truth/machining_centre"])
+def test_topic_of_several_types_is_refused(tmp_path: Path, topic: str, *, sqlite: bool) -> None:
+    bag = write_bag(tmp_path / "bag", [*RECORDS, text(800, topic)], sqlite=sqlite)
+    several = {
+        "/joint1/raw": "posor_msgs/msg/RawScan, std_msgs/msg/String; expected only posor_msgs/msg/RawScan.",
+        "/truth/machining_centre": "geometry_msgs/msg/PointStamped, std_msgs/msg/String; expected only one.",
+    }
+    others = () if topic == "/joint1/raw" else (topic,)
+    assert refusal(bag, other_topics=others) == f"BAG: topic {topic} holds messages of several types, {several[topic]}"
+
+
 def test_joints_own_topic_is_no_other_topic(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag", RECORDS)
     assert refusal(bag, other_topics=("/joint1/raw",)) == (

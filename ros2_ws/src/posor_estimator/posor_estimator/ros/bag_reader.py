@@ -73,7 +73,9 @@ def scan_topic(connections: Sequence[Connection], wanted: str, where: str, setti
 def checked_type(
     connections: Sequence[Connection], topic: str, where: str, types: MessageTypes, allowed: Collection[str] = ()
 ) -> str:
-    """Return the type of a recorded topic, after checking that its version is the one installed.
+    """Return the type of a recorded topic, after checking that it has one only, in the version that is installed.
+
+    A bag may hold several connections of one topic, such as of several publishers; all of them count.
 
     Args:
         connections: Of the bag.
@@ -83,22 +85,28 @@ def checked_type(
         allowed: Types that it may have; empty: any.
 
     Raises:
-        BagError: There is no such topic, its type is another one, or another version of it.
+        BagError: There is no such topic, its type is another one, or another version of it, or it has several types.
 
     """
-    found = next((connection for connection in connections if connection.topic == topic), None)
-    if found is None:
+    found = [connection for connection in connections if connection.topic == topic]
+    if not found:
         raise BagError(f"there is no topic {topic}", where=where, expected=f"one of {_listed(connections)}")
-    if allowed and found.msgtype not in allowed:
-        raise BagError(f"topic {topic} is of type {found.msgtype}", where=where, expected=" or ".join(sorted(allowed)))
-    installed = types.definition(found.msgtype).type_hash
-    if found.digest and found.digest != installed:
+    first, *others = sorted({connection.msgtype for connection in found})
+    right = " or ".join(sorted(allowed))
+    if others:
+        listed = ", ".join([first, *others])
         raise BagError(
-            f"topic {topic} was recorded with another version of {found.msgtype}, {found.digest}",
-            where=where,
-            expected=installed,
+            f"topic {topic} holds messages of several types, {listed}", where=where, expected=f"only {right or 'one'}"
         )
-    return found.msgtype
+    if allowed and first not in allowed:
+        raise BagError(f"topic {topic} is of type {first}", where=where, expected=right)
+    installed = types.definition(first).type_hash
+    for digest in sorted({connection.digest for connection in found}):
+        if digest and digest != installed:
+            raise BagError(
+                f"topic {topic} was recorded with another version of {first}, {digest}", where=where, expected=installed
+            )
+    return first
 
 
 def check_filled(connections: Sequence[Connection], topic: str, where: str) -> None:
