@@ -123,18 +123,21 @@ def test_complaints(
     code: int,
     sentence: str,
 ) -> None:
-    assert main([str(calibration), "--output", str(tmp_path), *options]) == code
+    assert main([str(calibration), "--output", str(tmp_path / "none"), *options]) == code
     out, err = capsys.readouterr()
     assert err.startswith(sentence)
     assert err.count("\n") == 1
     assert not out
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_missing_file_and_an_unwritable_folder_are_named(
-    calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    calibration: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main([str(tmp_path / "none.yaml"), "--output", str(tmp_path)]) == 1
-    assert f"calibration file {tmp_path / 'none.yaml'}: cannot be read" in capsys.readouterr().err
+    monkeypatch.chdir(tmp_path)
+    assert main(["none.yaml"]) == 1
+    assert "calibration file none.yaml: cannot be read" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
     (tmp_path / "file").write_text("", encoding="utf-8")
-    assert main([str(calibration), "--output", str(tmp_path / "file" / "x")]) == 2
+    assert main([str(calibration), "--draws", "20000", "--output", str(tmp_path / "file" / "x")]) == 2
     assert f"budget, --output, {tmp_path / 'file' / 'x'}: cannot be made: Not a directory" in capsys.readouterr().err

@@ -125,11 +125,10 @@ def told_budget(options: argparse.Namespace, progress: Progress) -> ToldBudget:
 
 
 def _folder(options: argparse.Namespace) -> Path:
+    """Make the folder of the results, now that there are some."""
     folder: Path = options.output or Path("build/budget") / options.calibration.stem
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for name in MADE_HERE:
-            (folder / name).unlink(missing_ok=True)
     except OSError as error:
         raise ParameterError(
             f"cannot be made: {error.strerror}", where=f"budget, --output, {folder}", expected="a folder to write to"
@@ -141,10 +140,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; the exit code is 0 when the budget could be made."""
     try:
         options = parse(arguments)
-        folder = _folder(options)
         console = Console(stderr=True)
         with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
             told = told_budget(options, progress)
+        folder = _folder(options)
         write_csv(folder / MADE_HERE[0], told)
         write_json(folder / MADE_HERE[1], told)
         (folder / MADE_HERE[2]).write_text(page(told), encoding="utf-8")
