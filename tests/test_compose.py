@@ -293,8 +293,17 @@ def test_a_node_that_fails_later_ends_all(tmp_path: Path) -> None:
             "version: 1\nrealtime: {cpus: [0, -1]}",
             "line 3, key realtime.cpus: [0, -1] is wrong; expected numbers of processors, at least 0.",
         ),
-        ("version: 1", "version: 1\nrealtime: {prio: 5}", "line 3, key realtime.prio: "),
-        ("version: 1", "version: 1\nrealtime: {priority: 100}", "line 3, key realtime.priority: "),
+        (
+            "version: 1",
+            "version: 1\nrealtime: {priorty: 0}",
+            "line 3, key realtime.priorty: unknown key 'priorty'; expected 'priority'.",
+        ),
+        ("version: 1", "version: 1\nrealtime: 5", "line 3, key realtime: 5; expected a mapping."),
+        (
+            "version: 1",
+            "version: 1\nrealtime: {priority: 100}",
+            "line 3, key realtime.priority: 100; expected at most 99.",
+        ),
     ],
 )
 def test_a_wrong_file_is_one_sentence_with_line_and_key(tmp_path: Path, old: str, new: str, sentence: str) -> None:

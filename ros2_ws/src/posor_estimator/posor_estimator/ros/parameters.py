@@ -17,6 +17,7 @@ import annotated_types
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 from pydantic_core import PydanticUndefined
 
+from posor_estimator.core.calibration.part import FrozenModel
 from posor_estimator.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -29,10 +30,10 @@ class ChangeableAtRunTime:
     """Marker in a field's ``Annotated[...]``: may be set while the node runs. All other parameters are read-only."""
 
 
-class ParameterGroup(BaseModel):
+class ParameterGroup(FrozenModel):
     """Base of parameter models: frozen, strict (an integer is accepted for a float, nothing else is converted)."""
 
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(strict=True, allow_inf_nan=False)
 
 
 _Limit = Annotated[float, Field(gt=0.0, allow_inf_nan=True), ChangeableAtRunTime()]

@@ -1,4 +1,4 @@
-"""What all parts of a calibration file have in common."""
+"""What all parts of a calibration file, and of any other file of its manner, have in common."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from posor_estimator.core.calibration.entry import TEXT, EntryError, shown
 
 
 class FrozenModel(BaseModel):
-    """Base of everything in a calibration file: immutable, and a key that is not known is an error."""
+    """Base of everything in such a file: immutable, and a key that is not known is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", ignored_types=(cached_property,))
 
