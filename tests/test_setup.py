@@ -159,6 +159,26 @@ def test_interrupted_by_the_user(checkout: Miniature) -> None:
     assert checkout.set_up().returncode == 0
 
 
+def test_run_interrupted_while_it_sets_up(checkout: Miniature) -> None:
+    shutil.rmtree(checkout.install)
+    command = [checkout.root / "run", "miniature", "tell"]
+    with subprocess.Popen(
+        command,
+        env=checkout.environ(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as process:
+        wait_for(checkout.install / "miniature", process)
+        os.killpg(process.pid, signal.SIGINT)
+        _, err = process.communicate()
+    assert process.returncode == 130
+    assert "Traceback" not in err
+    assert "posor run: interrupted.\n" in err
+    assert checkout.set_up().returncode == 0
+
+
 def test_removed_package_is_installed_again(checkout: Miniature) -> None:
     shutil.rmtree(checkout.install / "miniature")
     done = checkout.set_up()

@@ -39,6 +39,9 @@ def main() -> int:
     except OSError as error:
         sys.stderr.write(f"posor run: {error.filename}: {error.strerror}.\n")
         return 2
+    except KeyboardInterrupt:
+        sys.stderr.write("posor run: interrupted.\n")
+        return 130
     ros2 = shutil.which("ros2")
     program = [ros2, "run", package, name] if ros2 else [str(executable)]
     return os.execve(program[0], [*program, *arguments], environ)  # noqa: S606 - no shell in between is the point

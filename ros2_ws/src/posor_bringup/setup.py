@@ -44,13 +44,13 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            "arm = posor_bringup.arm:main",
-            "arm_budget = posor_bringup.arm_budget:main",
-            "bringup = posor_bringup.bringup:main",
-            "budgets = posor_bringup.budgets:main",
-            "calibrate_demo = posor_bringup.calibrate_demo:main",
-            "demo = posor_bringup.demo:main",
-            "zero_drift_1985 = posor_bringup.zero_drift_1985:main",
+            "arm = posor_bringup.programs:arm",
+            "arm_budget = posor_bringup.programs:arm_budget",
+            "bringup = posor_bringup.programs:bringup",
+            "budgets = posor_bringup.programs:budgets",
+            "calibrate_demo = posor_bringup.programs:calibrate_demo",
+            "demo = posor_bringup.programs:demo",
+            "zero_drift_1985 = posor_bringup.programs:zero_drift_1985",
         ],
     },
 )

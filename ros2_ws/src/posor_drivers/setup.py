@@ -25,8 +25,8 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            "driver_node = posor_drivers.driver_node:main",
-            "record = posor_drivers.record:main",
+            "driver_node = posor_drivers.programs:driver_node",
+            "record = posor_drivers.programs:record",
         ],
         "posor_estimator.nodes": ["driver_node = posor_drivers.driver_node:DriverNode"],
         "posor_drivers.sources": [

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Self
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from posor_estimator.errors import PosorError
+from posor_estimator.starting import INTERRUPTED
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 
 END_TIMEOUT_S = 20.0
 """How long a program may take to end after SIGINT before it is killed; a recorder has files to close."""
+
+STOPPED = (0, INTERRUPTED, -signal.SIGINT)
+"""How a program may end that was asked to."""
 
 _LOG_PREFIX = re.compile(r"^\[\w+\] \[[\d.]+\] \[[^\]]+\]: ")
 
@@ -123,7 +127,8 @@ class RunningProgram:
 
         """
         code = self.process.poll()
-        if code is None or (code == 0 and (self.program.ends or asked_to_end)):
+        # SIGINT may have come before the program could do more than break off.
+        if code is None or code in (STOPPED if asked_to_end else (0,) if self.program.ends else ()):
             return
         last = self.last_sentence()
         # Who is ended by a signal has had no time to say why: its last words are of before.
@@ -187,7 +192,7 @@ class Supervisor:
         """End programs by SIGINT, all at the same time, and wait until they have ended.
 
         Raises:
-            ProcessError: One did not end, or not with exit code 0.
+            ProcessError: One did not end, or not as ``STOPPED`` says.
 
         """
         programs = list(programs)

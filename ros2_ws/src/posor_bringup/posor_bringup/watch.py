@@ -6,6 +6,7 @@ import time
 from typing import TYPE_CHECKING
 
 from posor_estimator.errors import PosorError
+from posor_estimator.starting import INTERRUPTED
 
 from posor_bringup.supervisor import ProcessError
 
@@ -22,7 +23,7 @@ PATIENCE_S = 60.0
 class InterruptedRunError(PosorError):
     """SIGINT or SIGTERM came during a run."""
 
-    exit_code = 130
+    exit_code = INTERRUPTED
 
 
 class Watch:

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 SCRIPTS = {
     "obedient": 'trap "exit 0" INT; echo started; while :; do sleep 0.05; done',
     "sulking": 'trap "echo good bye; exit 3" INT; echo started; while :; do sleep 0.05; done',
+    "young": 'trap "echo young: interrupted. >&2; exit 130" INT; echo started; while :; do sleep 0.05; done',
+    "unborn": "echo started; while :; do sleep 0.05; done",
     "stubborn": 'trap "" INT; echo started; while :; do sleep 0.05; done',
     "brief": "echo done",
     "failing": 'echo working; echo "[ERROR] [1795235842.1] [some.node]: the sky is green; expected blue." >&2; exit 4',
@@ -60,6 +62,16 @@ def test_a_program_is_ended_by_sigint(watched: Supervisor) -> None:
     watched.check()
     watched.end([running])
     assert running.process.returncode == 0
+
+
+@pytest.mark.parametrize(("name", "code"), [("young", 130), ("unborn", -2)])
+def test_a_program_that_breaks_off_while_it_starts_has_ended_as_asked(
+    watched: Supervisor, name: str, code: int
+) -> None:
+    running = watched.start(program(name))
+    wait_for_line(running, "started")
+    watched.end([running])
+    assert running.process.returncode == code
 
 
 def test_leaving_ends_all(programs: Path) -> None:

@@ -23,6 +23,7 @@ from posor_estimator.reprocess.processes import in_processes
 from posor_estimator.reprocess.show import show
 from posor_estimator.reprocess.task import FORMATS, JointSettings, Settings, Summary, Task
 from posor_estimator.reprocess.topics import topics_of
+from posor_estimator.starting import INTERRUPTED
 
 if TYPE_CHECKING:
     import argparse
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from posor_estimator.core.arm import ParameterValue
 
 WIDTH = 118
-INTERRUPTED = 130
 COVARIANCES = ("total", "random", "systematic")
 
 
