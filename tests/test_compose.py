@@ -246,19 +246,88 @@ def refusal(capfd: pytest.CaptureFixture[str]) -> Callable[[Path], tuple[int, li
 def test_a_node_that_cannot_start_is_named_and_ends_all(
     tmp_path: Path, refusal: Callable[[Path], tuple[int, list[str]]]
 ) -> None:
-    with Program([*COMPOSE, str(composition(tmp_path, RIG.replace("session: ymo}", "session: nmo}")))]) as program:
+    path = composition(tmp_path, RIG.replace("session: ymo}", "session: nmo}"))
+    with Program([*COMPOSE, str(path)]) as program:
         assert program.wait() == 1
         (sentence,) = complaint(program.stderr)
-        assert sentence.startswith("node /rig/joint1/posor_node: ")
+        assert sentence.startswith(f"{path}, line 7, key nodes[1], node /rig/joint1/posor_node: ")
         assert "'nmo'" in sentence
-    code, (sentence,) = refusal(composition(tmp_path, RIG.replace("loop: true", "loop: maybe")))
-    assert code == 2
-    assert sentence == "node /rig/joint1/driver_node, parameter 'loop': 'maybe' is wrong; expected true or false."
     code, (sentence,) = refusal(composition(tmp_path, RIG.replace("restamp: true", "realtime: {priority: 5}")))
     assert code == 2
     assert sentence == (
-        "node /rig/joint1/driver_node: parameters 'realtime.*' are of the whole process; "
-        "expected them under the key 'realtime' of the composition file."
+        f"{path}, line 10, key nodes[2]: node /rig/joint1/driver_node: parameters 'realtime.*' are of the whole "
+        "process; expected them under the key 'realtime' of the composition file."
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "node", "parameter", "fault"),
+    [
+        ("loop: true", "loop: maybe", 12, 2, "loop", "'maybe' is wrong; expected true or false."),
+        (
+            ", session: ymo}",
+            ",\n      calibraton: x}",
+            *(10, 1, "calibraton", "there is no such parameter; expected perhaps 'calibration'."),
+        ),
+        (
+            ", session: ymo}",
+            ",\n      limits: {jitter: 1.0,\n       latency: fast}}",
+            *(11, 1, "limits.latency", "'fast' is wrong; expected a number greater than 0.0."),
+        ),
+        (
+            ", session: ymo}",
+            ",\n      limits.latency: fast}",
+            *(10, 1, "limits.latency", "'fast' is wrong; expected a number greater than 0.0."),
+        ),
+    ],
+)
+def test_a_wrong_parameter_is_told_with_its_line(
+    tmp_path: Path,
+    refusal: Callable[[Path], tuple[int, list[str]]],
+    old: str,
+    new: str,
+    line: int,
+    node: int,
+    parameter: str,
+    fault: str,
+) -> None:
+    path = composition(tmp_path, RIG.replace(old, new))
+    place = f"{path}, line {line}, key nodes[{node}].parameters.{parameter}"
+    assert refusal(path) == (2, [f"{place}: node {NODES[node]}, parameter '{parameter}': {fault}"])
+
+
+def test_a_missing_parameter_is_told_with_the_line_of_its_node(
+    tmp_path: Path, refusal: Callable[[Path], tuple[int, list[str]]]
+) -> None:
+    path = composition(tmp_path, RIG.replace(f"calibration: {calibration_path('printed')}, ", ""))
+    code, (said,) = refusal(path)
+    assert code == 2
+    assert said.startswith(
+        f"{path}, line 7, key nodes[1]: node {NODES[1]}, parameter 'calibration': is not set; expected"
+    )
+
+
+def test_a_missing_file_is_told_with_the_line_of_the_node_that_wants_it(
+    tmp_path: Path, refusal: Callable[[Path], tuple[int, list[str]]]
+) -> None:
+    path = composition(tmp_path, RIG.replace(str(calibration_path("printed")), "none.yaml"))
+    code, (said,) = refusal(path)
+    assert code == 1
+    assert said.startswith(f"{path}, line 7, key nodes[1], node {NODES[1]}: calibration file none.yaml: cannot be read")
+    alone = "\n".join(RIG.splitlines()[:6]).replace(str(urdf_path()), "none.urdf")
+    path = composition(tmp_path, alone)
+    code, (said,) = refusal(path)
+    assert code == 1
+    assert said.startswith(f"{path}, line 4, key nodes[0], node /rig/chain_node: ")
+
+
+def test_a_parameter_that_the_command_line_gives_is_told_with_the_line_of_its_node(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = composition(tmp_path, RIG)
+    assert main(["compose", str(path), "--ros-args", "-p", "gian:=1"]) == 2
+    assert complaint(capfd.readouterr().err.splitlines())[0].startswith(
+        f"{path}, line 4, key nodes[0]: node /rig/chain_node, parameter 'gian': there is no such parameter; expected"
     )
 
 

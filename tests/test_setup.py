@@ -161,7 +161,7 @@ def test_interrupted_by_the_user(checkout: Miniature) -> None:
 
 def test_run_interrupted_while_it_sets_up(checkout: Miniature) -> None:
     shutil.rmtree(checkout.install)
-    command = [checkout.root / "run", "miniature", "tell"]
+    command = [str(checkout.root / "run"), "miniature", "tell"]
     with subprocess.Popen(
         command,
         env=checkout.environ(),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from posor_estimator.arm_chain import chain_parameters
 from posor_estimator.chain_node import ChainParameters
 from posor_estimator.core.posor import Posor
 from posor_estimator.ros.messages import is_usable, scan_from_message, stamp_ns, transform_message
@@ -43,11 +44,11 @@ def endpoints(arm: Arm, scans: Mapping[str, Sequence[RawScan]]) -> Iterator[tupl
     Raises:
         CalibrationError: A calibration or the beams file cannot be used.
         ChainError: The URDF cannot be used.
-        ParameterError: The arm file gives chain_node parameters that it does not take.
+        NodeError: The arm file gives chain_node parameters that it does not take.
 
     """
     chain = arm.chain()
-    told = validate(ChainParameters, {"urdf": str(arm.urdf), **arm.chain_parameters}, node="chain_node")
+    told = validate(ChainParameters, chain_parameters(arm), node="chain_node")
     lane = chain.lane(told.acceleration_window)
     located = {
         joint.name: {stamp_ns(message): message for message in transforms(arm, joint.name, scans[joint.name])}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
+from posor_estimator.arm_chain import chain_parameters
 from posor_estimator.errors import ParameterError
 
 from posor_bringup.supervisor import Program
@@ -37,6 +38,7 @@ def arm_programs(
         parameters: ROS parameters for every node, such as ``use_sim_time``.
 
     Raises:
+        NodeError: The arm file gives chain_node parameters that it does not take.
         ParameterError: A parameter of the arm file names something in braces that is neither arm, joint nor folder.
 
     """
@@ -49,11 +51,8 @@ def arm_programs(
 
 
 def _chain(arm: Arm, overrides: Mapping[str, Parameter]) -> Program:
-    parameters: dict[str, Parameter] = {"urdf": str(arm.urdf), "endpoint_frame": arm.endpoint_frame}
-    if arm.beams is not None:
-        parameters["beams"] = str(arm.beams)
-    parameters |= arm.chain_parameters
-    return Program("chain_node", "posor_estimator", "chain_node", (), f"/{arm.name}", {**parameters, **overrides})
+    parameters = {**chain_parameters(arm), **overrides}
+    return Program("chain_node", "posor_estimator", "chain_node", (), f"/{arm.name}", parameters)
 
 
 def _posor(arm: Arm, joint: str, every: Mapping[str, Parameter]) -> Program:

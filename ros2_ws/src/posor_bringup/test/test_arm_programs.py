@@ -9,7 +9,8 @@ from posor_bringup.arm_programs import arm_programs
 from posor_bringup.arms import checked_arm, find_arm, installed_arms
 from posor_bringup.installed import share
 from posor_estimator.core.arm import load_arm
-from posor_estimator.errors import CalibrationError, ChainError, ParameterError
+from posor_estimator.errors import CalibrationError, ChainError, NodeError, ParameterError
+from posor_estimator.reprocess.command import parser, tasks_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -107,6 +108,24 @@ def test_text_of_the_arm_file_is_filled_in_for_every_joint(own: Path) -> None:
     change(own, r"\{joint\}", "{joints}")
     with pytest.raises(ParameterError, match=r"key driver\.parameters\.bag\.path: '\{joints\}' stands for nothing; "):
         arm_programs(load_arm(own / "arm.yaml"))
+
+
+def test_a_parameter_that_chain_node_does_not_take_is_told_with_its_line(own: Path) -> None:
+    path = own / "arm.yaml"
+    change(own, "^joints:", "chain:\n  parameters:\n    aceleration_window: 0.1\njoints:")
+    line = path.read_text(encoding="utf-8").splitlines().index("    aceleration_window: 0.1") + 1
+    with pytest.raises(NodeError) as caught:
+        arm_programs(load_arm(path))
+    place = f"{path}, line {line}, key chain.parameters.aceleration_window"
+    assert str(caught.value) == (
+        f"{place}: node chain_node, parameter 'aceleration_window': there is no such parameter; "
+        "expected perhaps 'acceleration_window'."
+    )
+    assert caught.value.exit_code == 2
+    with pytest.raises(NodeError, match=re.escape(place)):
+        tasks_of(parser().parse_args(["bag", "--arm", str(path)]))
+    change(own, "aceleration_window: 0.1", "use_sim_time: true")
+    assert arm_programs(load_arm(path))[0].parameters["use_sim_time"] is True
 
 
 def test_an_arm_is_found_by_name_file_or_folder(own: Path) -> None:

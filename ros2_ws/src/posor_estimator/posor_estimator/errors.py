@@ -45,9 +45,18 @@ def _received(kind: type[PosorError], sentence: str, attributes: dict[str, Any])
 
 
 class ParameterError(PosorError):
-    """A node parameter or command-line option is wrong."""
+    """A node parameter or command-line option is wrong.
+
+    Attributes:
+        parameter: Name of the node's parameter at fault; empty where it is none, or not one alone.
+
+    """
 
     exit_code = 2
+
+    def __init__(self, what: str, *, where: str = "", expected: str = "", parameter: str = "") -> None:
+        super().__init__(what, where=where, expected=expected)
+        self.parameter = parameter
 
 
 class CalibrationError(PosorError):
@@ -71,10 +80,11 @@ class TopicError(PosorError):
 
 
 class NodeError(PosorError):
-    """One of several nodes of a process has failed; its sentence, and which node it is."""
+    """A node has failed; its sentence, which node it is, and where a file asks for it."""
 
-    def __init__(self, error: PosorError, node: str) -> None:
-        super().__init__(str(error).rstrip("."), where="" if node in str(error) else f"node {node}")
+    def __init__(self, error: PosorError, node: str, place: str = "") -> None:
+        named = "" if node in str(error) else f"node {node}"
+        super().__init__(str(error).rstrip("."), where=", ".join(filter(None, (place, named))))
         self.exit_code = error.exit_code
 
 

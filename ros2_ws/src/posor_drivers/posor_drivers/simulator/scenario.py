@@ -193,4 +193,4 @@ def load_scenario(path: Path) -> Scenario:
 
     """
     keys = "format, version, name, provenance, seed, rate, duration, joints, motion, electronics"
-    return load_document(path, "scenario file", keys, VERSION, Scenario.model_validate)
+    return load_document(path, "scenario file", keys, VERSION, Scenario.model_validate)[0]

@@ -99,7 +99,8 @@ class Arm:
         beams: Path of the beams file; None: straight and exact beams.
         calibrations: Path of each joint's calibration file, in the order of the chain.
         sessions: Session of each joint's calibration.
-        chain_parameters: ROS parameters of chain_node.
+        chain_parameters: ROS parameters of chain_node, beside the files that the arm file names.
+        chain_places: Where in the arm file each of them stands.
         driver: Source and parameters of the drivers.
         scenario: Path of the simulator's scenario; None where there is none.
 
@@ -113,6 +114,7 @@ class Arm:
     calibrations: Mapping[str, Path]
     sessions: Mapping[str, str]
     chain_parameters: Mapping[str, ParameterValue]
+    chain_places: Mapping[str, str]
     driver: DriverFile
     scenario: Path | None
 
@@ -150,7 +152,7 @@ def load_arm(path: Path) -> Arm:
 
     """
     keys = "format, version, name, provenance, urdf, joints, driver"
-    said = load_document(path, "arm file", keys, VERSION, ArmFile.model_validate)
+    said, places = load_document(path, "arm file", keys, VERSION, ArmFile.model_validate)
     folder = path.resolve().parent
     return Arm(
         path=path,
@@ -161,6 +163,7 @@ def load_arm(path: Path) -> Arm:
         calibrations={name: folder / joint.calibration for name, joint in said.joints.items()},
         sessions={name: joint.session for name, joint in said.joints.items()},
         chain_parameters=said.chain.parameters,
+        chain_places={name: places.of("chain", "parameters", name) for name in said.chain.parameters},
         driver=said.driver,
         scenario=folder / said.scenario if said.scenario else None,
     )

@@ -132,4 +132,4 @@ def load_beams(path: Path) -> BeamsFile:
 
     """
     keys = "format, version, name, provenance, beams"
-    return load_document(path, "beams file", keys, VERSION, BeamsFile.model_validate)
+    return load_document(path, "beams file", keys, VERSION, BeamsFile.model_validate)[0]

@@ -12,6 +12,7 @@ from uuid import uuid4
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from posor_estimator.arm_chain import chain_parameters
 from posor_estimator.core.arm import load_arm
 from posor_estimator.errors import ParameterError, PosorError
 from posor_estimator.reporting.command_line import Parser
@@ -95,6 +96,7 @@ def tasks_of(options: argparse.Namespace) -> list[Task]:
     Raises:
         ParameterError: Options that do not go together.
         CalibrationError: The arm file cannot be used.
+        NodeError: The arm file gives chain_node parameters that it does not take.
 
     """
     settings = _settings(options)
@@ -122,8 +124,7 @@ def _settings(options: argparse.Namespace) -> Settings:
     if options.arm is not None:
         arm = load_arm(options.arm)
         joints = {name: JointSettings(path, arm.sessions[name]) for name, path in arm.calibrations.items()}
-        chain = {"urdf": str(arm.urdf), "endpoint_frame": arm.endpoint_frame, "beams": str(arm.beams or "")}
-        chain |= dict(arm.chain_parameters)
+        chain = chain_parameters(arm)
     for joint, file in _by_joint("--calibration", options.calibration).items():
         joints[joint] = JointSettings(_absolute(Path(file)))
     if not joints:

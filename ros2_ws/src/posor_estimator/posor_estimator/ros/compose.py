@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from posor_estimator.errors import ParameterError
-from posor_estimator.ros.composition import load_composition
+from posor_estimator.errors import NodeError, ParameterError, PosorError
+from posor_estimator.ros.composition import load_composition, place_of
 from posor_estimator.ros.main import Nodes, exit_code_of, own_arguments, ros
 from posor_estimator.ros.registry import node_entries
 
@@ -45,8 +46,12 @@ def _compose(arguments: Sequence[str]) -> None:
             return
         if len(own) != 1:
             raise ParameterError(f"{len(own)} arguments", where="compose", expected="one, a composition file")
-        composition = load_composition(Path(own[0]))
+        composition, places = load_composition(Path(own[0]))
         with Nodes(composition.realtime) as nodes:
-            for entry in composition.nodes:
-                nodes.add(entry.create())
+            for number, entry in enumerate(composition.nodes):
+                place = partial(place_of, places, number, entry)
+                try:
+                    nodes.add(entry.create(), place)
+                except PosorError as error:
+                    raise NodeError(error, entry.full_name, place(error)) from error
             nodes.run(lambda: stop.requested)

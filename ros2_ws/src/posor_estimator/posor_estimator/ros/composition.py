@@ -17,6 +17,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from posor_estimator.core.calibration.entry import EntryError, shown
 from posor_estimator.core.calibration.load import load_document
 from posor_estimator.core.calibration.part import FrozenModel
+from posor_estimator.errors import ParameterError
 from posor_estimator.ros.parameters import RealtimeParameters
 from posor_estimator.ros.registry import node_class, node_entries
 
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from posor_estimator.core.calibration.places import Places
+    from posor_estimator.errors import PosorError
     from posor_estimator.ros.node import PosorNode
 
 VERSION = 1
@@ -134,8 +137,22 @@ class Composition(FrozenModel):
         return self
 
 
-def load_composition(path: Path) -> Composition:
-    """Read a composition file.
+def place_of(places: Places, number: int, entry: NodeEntry, error: PosorError) -> str:
+    """Return where the file asks for what cannot be: the line of the parameter at fault, or else of the node.
+
+    Args:
+        places: Of the file.
+        number: Of the node's entry.
+        entry: What it says.
+        error: Of the node.
+
+    """
+    parameter = error.parameter if isinstance(error, ParameterError) else ""
+    return places.of("nodes", number, *(("parameters", parameter) if parameter in entry.parameters else ()))
+
+
+def load_composition(path: Path) -> tuple[Composition, Places]:
+    """Read a composition file; return also where what it says stands.
 
     Raises:
         CalibrationError: It cannot be read, is not YAML, or says something that cannot be.

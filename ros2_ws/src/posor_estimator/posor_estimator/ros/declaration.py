@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
-_ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 """Parameters (or groups) that rclpy declares by itself on any node."""
 
 _SCALARS = {
@@ -39,7 +39,7 @@ def take_overrides(node: Node) -> dict[str, object]:
     The node must have been made with ``automatically_declare_parameters_from_overrides``: that is rclpy's only public
     way to see an override nobody declared, such as a misspelt one. rclpy's own parameters are left where they are.
     """
-    names = [name for name in node.get_parameters_by_prefix("") if not name.startswith(_ROS_OWN)]
+    names = [name for name in node.get_parameters_by_prefix("") if not name.startswith(ROS_OWN)]
     overrides = {name: node.get_parameter(name).value for name in names}
     for name in overrides:
         node.undeclare_parameter(name)

@@ -115,6 +115,11 @@ def spin(node: Node, done: Callable[[], bool]) -> None:
             executor.spin_once(timeout_sec=WAKE_S)
 
 
+def _nowhere(_error: PosorError) -> str:
+    """Return that no file asks for a node."""
+    return ""
+
+
 class Nodes:
     """The nodes of this process; leaving the ``with`` block stops them, the last one first."""
 
@@ -127,6 +132,7 @@ class Nodes:
         """
         self._realtime = realtime
         self._nodes: list[PosorNode[Any]] = []
+        self._places: dict[PosorNode[Any], Callable[[PosorError], str]] = {}
         self._health: ProcessHealth | None = None
 
     def __enter__(self) -> Self:
@@ -144,14 +150,19 @@ class Nodes:
                 everything.callback(node.stop)
             self._nodes = []
 
-    def add(self, node: PosorNode[Any]) -> None:
+    def add(self, node: PosorNode[Any], place: Callable[[PosorError], str] = _nowhere) -> None:
         """Take a node into the process.
+
+        Args:
+            node: The node.
+            place: Tells where a file asks for what keeps the node from starting.
 
         Raises:
             ParameterError: It asks for itself what is the process's to ask.
 
         """
         self._nodes.append(node)
+        self._places[node] = place
         if self._realtime is not None and node.parameters.realtime != RealtimeParameters():
             raise ParameterError(
                 "parameters 'realtime.*' are of the whole process",
@@ -166,7 +177,7 @@ class Nodes:
         so is this.
 
         Raises:
-            NodeError: One of several nodes cannot start, or has failed; names it.
+            NodeError: One of several nodes, or one that a file asks for, cannot start or has failed; names it.
             PosorError: The only one cannot start, or has failed.
             SystemRefusal: The system refuses what is required of it.
 
@@ -175,7 +186,7 @@ class Nodes:
         self._watch_process()
         with executor_of(self._nodes) as executor:
             for node in self._nodes:
-                with _named(node, several=several):
+                with _named(node, several=several, place=self._places[node]):
                     node.start()
             settle()
             while self._nodes and not stop():
@@ -198,14 +209,15 @@ class Nodes:
 
 
 @contextmanager
-def _named(node: PosorNode[Any], *, several: bool) -> Iterator[None]:
-    """Say which of several nodes an error is of."""
+def _named(node: PosorNode[Any], *, several: bool, place: Callable[[PosorError], str] = _nowhere) -> Iterator[None]:
+    """Say which of several nodes an error is of, and what place in a file it is due to."""
     name = node.get_fully_qualified_name()
     try:
         yield
     except PosorError as error:
-        if several:
-            raise NodeError(error, name) from error
+        where = place(error)
+        if several or where:
+            raise NodeError(error, name, where) from error
         raise
     except Exception as error:
         if several:

@@ -230,7 +230,10 @@ def validate(model: type[ParametersT], values: Mapping[str, object], *, node: st
         if name not in known:
             nearest = difflib.get_close_matches(name, known, n=1, cutoff=0.0)[0]
             raise ParameterError(
-                "there is no such parameter", where=f"node {node}, parameter '{name}'", expected=f"perhaps '{nearest}'"
+                "there is no such parameter",
+                where=f"node {node}, parameter '{name}'",
+                expected=f"perhaps '{nearest}'",
+                parameter=name,
             )
     tree: dict[str, Any] = {}
     for name in known:
@@ -256,11 +259,12 @@ def _refusal(error: ValidationError, known: Mapping[str, ParameterSpec], node: s
     name = ".".join(path)
     where = f"node {node}, parameter '{name}'" if name else f"node {node}"
     if first["type"] == "value_error":
-        return ParameterError(str(first["ctx"]["error"]), where=where)
+        return ParameterError(str(first["ctx"]["error"]), where=where, parameter=name)
     spec = known[name]
     if first["type"] == "missing":
-        return ParameterError("is not set", where=where, expected=f"{spec.constraint}: {spec.field.description}")
-    return ParameterError(f"{first['input']!r} is wrong", where=where, expected=spec.constraint)
+        expected = f"{spec.constraint}: {spec.field.description}"
+        return ParameterError("is not set", where=where, expected=expected, parameter=name)
+    return ParameterError(f"{first['input']!r} is wrong", where=where, expected=spec.constraint, parameter=name)
 
 
 def help_text(model: type[BaseModel], prefix: str = "") -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from posor_estimator.core.calibration.places import place
+from posor_estimator.core.calibration.places import Places
 from posor_estimator.core.calibration.strict_yaml import StrictDumper, read_yaml
 from posor_estimator.errors import CalibrationError
 
@@ -105,7 +105,7 @@ def _splice(text: str, source: str, root: yaml.Node | None, steps: tuple[str | i
         flow = flow or _in_flow(parent)
         found = _entry(parent, step)
         if found is None:
-            raise CalibrationError(f"key '{step}' is missing", where=place(source, root, steps))
+            raise CalibrationError(f"key '{step}' is missing", where=Places(source, root).of(*steps))
         parent = found[1]
     flow = flow or _in_flow(parent)
     found = _entry(parent, steps[-1])
@@ -118,7 +118,7 @@ def _splice(text: str, source: str, root: yaml.Node | None, steps: tuple[str | i
         indent = name.start_mark.column + 2
         return _Splice(name.end_mark.index, end, _after_key(new, indent, flow=flow))
     if not isinstance(parent, yaml.MappingNode) or not isinstance(steps[-1], str):
-        raise CalibrationError(f"entry {steps[-1]} is missing", where=place(source, root, steps))
+        raise CalibrationError(f"entry {steps[-1]} is missing", where=Places(source, root).of(*steps))
     key = _written(steps[-1], 0, flow=True)
     end = _end(text, parent)
     if _in_flow(parent):

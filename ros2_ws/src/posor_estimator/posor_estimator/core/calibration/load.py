@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from posor_estimator.core.calibration.entry import shown
 from posor_estimator.core.calibration.model import FORMER_VERSIONS, VERSION, Calibration, calibration_from
-from posor_estimator.core.calibration.places import place
+from posor_estimator.core.calibration.places import Places
 from posor_estimator.core.calibration.sentences import first_complaint
 from posor_estimator.core.calibration.strict_yaml import read_yaml
 from posor_estimator.errors import CalibrationError
@@ -35,7 +35,7 @@ def load_calibration(path: Path) -> Calibration:
 def calibration_of(text: str, source: str) -> Calibration:
     """Read a calibration as ``load_calibration`` does, from text; ``source`` is what to call it in complaints."""
     keys = "format, version, name, provenance, frames, sensors"
-    return document_of(text, source, keys, VERSION, calibration_from, former=FORMER_VERSIONS)
+    return document_of(text, source, keys, VERSION, calibration_from, former=FORMER_VERSIONS)[0]
 
 
 def load_document(
@@ -44,8 +44,8 @@ def load_document(
     keys: str,
     version: int,
     validate: Callable[[dict[str, Any]], Document],
-) -> Document:
-    """Read a YAML file that states its version, and validate what it says.
+) -> tuple[Document, Places]:
+    """Read a YAML file that states its version, and validate what it says; return that, and where it stands.
 
     Args:
         path: The file.
@@ -85,7 +85,7 @@ def document_of(
     validate: Callable[[dict[str, Any]], Document],
     *,
     former: tuple[int, ...] = (),
-) -> Document:
+) -> tuple[Document, Places]:
     """Read a document as ``load_document`` does, from text.
 
     Args:
@@ -101,6 +101,7 @@ def document_of(
 
     """
     root, content = read_yaml(text, source)
+    places = Places(source, root)
     if not isinstance(content, dict):
         raise CalibrationError("is not a mapping", where=f"{source}, line 1", expected=keys)
     said = content.get("version")
@@ -108,10 +109,10 @@ def document_of(
     if type(said) is not int or said not in (version, *former):
         what = f"version {shown(said)}" if "version" in content else "key 'version' is missing"
         known = " or ".join(str(number) for number in (*former, version))
-        raise CalibrationError(what, where=place(source, root, ("version",)), expected=known)
+        raise CalibrationError(what, where=places.of("version"), expected=known)
     try:
-        return validate(content)
+        return validate(content), places
     except ValidationError as error:
         complaint = first_complaint(error)
-        where = place(source, root, complaint.location)
+        where = places.of(*complaint.location)
         raise CalibrationError(complaint.what, where=where, expected=complaint.expected) from error
