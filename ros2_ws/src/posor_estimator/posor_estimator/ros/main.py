@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import sys
 from contextlib import ExitStack, contextmanager
@@ -89,7 +90,15 @@ def own_arguments(arguments: Sequence[str]) -> list[str]:
         raise _not_understood(error) from None
 
 
+_RULE = re.compile(r"(parameter|remap)\b[^']* rule: '(-\S+) (.*)'\. Error:", re.DOTALL)
+"""How rcl tells which of the arguments it cannot read; why, it tells by numbers of its own parser."""
+_RULES = {"parameter": "NAME:=VALUE, the value in YAML", "remap": "OLD:=NEW"}
+
+
 def _not_understood(error: RuntimeError) -> ParameterError:
+    if rule := _RULE.search(str(error)):
+        kind, option, given = rule.groups()
+        return ParameterError(f"'{given}' cannot be understood", where=f"ROS argument {option}", expected=_RULES[kind])
     reason = " ".join(str(error).split(", at ")[0].split()).rstrip(".")
     return ParameterError(f"cannot be understood, {reason}", where="ROS arguments")
 

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 from lifecycle_msgs.msg import Transition
+from posor_estimator.errors import ParameterError
+from posor_estimator.ros.main import own_arguments
 from posor_estimator.testing.graph import Graph, values_of
 from posor_estimator.testing.program import Program, ros_arguments, script
 from rcl_interfaces.msg import ParameterDescriptor, ParameterType
@@ -80,11 +82,26 @@ def test_bug_in_a_hook_shows_its_traceback() -> None:
 def test_arguments_that_nobody_understands_are_refused() -> None:
     code, stderr, _ = refusal("--calibration", "x.yaml")
     assert (code, stderr) == (2, ["example: argument '--calibration' is unknown; expected --ros-args -p name:=value."])
-    for arguments in (["-p", "gain"], ["--params-file", "nowhere.yaml"], ["-x"]):
+    for arguments in (["-p"], ["--params-file", "nowhere.yaml"], ["-x"]):
         code, stderr, _ = refusal("--ros-args", *arguments)
         assert code == 2
         assert len(stderr) == 1
         assert stderr[0].startswith("ROS arguments: cannot be understood, ")
+
+
+@pytest.mark.parametrize(
+    ("option", "given", "expected"),
+    [
+        ("-p", "gain=1.0", "NAME:=VALUE, the value in YAML"),
+        ("--param", "gain", "NAME:=VALUE, the value in YAML"),
+        ("-p", "gain:=[1", "NAME:=VALUE, the value in YAML"),
+        ("-r", "__ns=/joint1", "OLD:=NEW"),
+    ],
+)
+def test_an_argument_that_is_no_rule_is_named(option: str, given: str, expected: str) -> None:
+    with pytest.raises(ParameterError) as caught:
+        own_arguments(["example", "--ros-args", option, given])
+    assert str(caught.value) == f"ROS argument {option}: '{given}' cannot be understood; expected {expected}."
 
 
 def test_impossible_namespace_is_refused() -> None:
