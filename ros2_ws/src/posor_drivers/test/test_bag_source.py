@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 EXPECTED = "expected a rosbag2 bag, MCAP or SQLite, that was closed properly."
+EXPECTED_MCAP = (
+    "expected a rosbag2 bag, MCAP or SQLite, that was closed properly; "
+    "'mcap recover' mends a file that was cut off, then 'ros2 bag reindex' makes metadata.yaml anew."
+)
 RECORDS = [scan(1, 100), point(100), scan(2, 300), text(400), scan(3, 500), point(600)]
 
 
@@ -171,7 +175,7 @@ def test_storage_that_was_cut_short_or_is_something_else_is_refused(
     spoil(storage)
     sentence = refusal(storage if alone else bag)
     assert sentence.startswith(("BAG: ", "BAG/bag.db3: "))
-    assert sentence.endswith(EXPECTED)
+    assert sentence.endswith(EXPECTED if sqlite else EXPECTED_MCAP)
 
 
 @pytest.mark.parametrize("sqlite", [False, True])
@@ -190,9 +194,11 @@ def test_metadata_that_are_missing_or_wrong_are_refused(tmp_path: Path) -> None:
         metadata.write_text(wrong)
         sentence = refusal(bag)
         assert sentence.startswith("BAG: the bag cannot be read, ")
-        assert sentence.endswith(EXPECTED)
+        assert sentence.endswith(EXPECTED_MCAP)
     metadata.unlink()
-    assert refusal(bag).startswith("BAG: the bag cannot be read, ")
+    assert refusal(bag) == (
+        "BAG: metadata.yaml is missing in the folder of the bag; expected it, as 'ros2 bag reindex' makes it."
+    )
 
 
 def test_path_that_is_no_bag_is_refused(tmp_path: Path) -> None:
@@ -200,4 +206,4 @@ def test_path_that_is_no_bag_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "notes.txt"
     file.write_text("no bag")
     assert refusal(file).startswith("BAG: the bag cannot be read, ")
-    assert refusal(tmp_path).startswith("BAG: the bag cannot be read, ")
+    assert refusal(tmp_path) == f"BAG: the folder holds no bag; {EXPECTED}"

@@ -19,7 +19,11 @@ if TYPE_CHECKING:
 
     from posor_estimator.ros.message_types import MessageTypes
 
+METADATA = "metadata.yaml"
 EXPECTED = "a rosbag2 bag, MCAP or SQLite, that was closed properly"
+EXPECTED_MCAP = (
+    f"{EXPECTED}; 'mcap recover' mends a file that was cut off, then 'ros2 bag reindex' makes {METADATA} anew"
+)
 SQLITE_MAGIC = b"SQLite format 3\0"
 
 
@@ -33,6 +37,7 @@ def opened_bag(path: Path) -> Iterator[Reader]:
     """
     if not path.exists():
         raise BagError("does not exist", where=str(path), expected=EXPECTED)
+    _check_metadata(path)
     try:
         _check_size(path)
         with Reader(path) as reader:
@@ -42,7 +47,8 @@ def opened_bag(path: Path) -> Iterator[Reader]:
         raise
     except Exception as error:
         reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-        raise BagError(f"the bag cannot be read, {reason}", where=str(path), expected=EXPECTED) from error
+        expected = EXPECTED_MCAP if _storage(path, ".mcap") else EXPECTED
+        raise BagError(f"the bag cannot be read, {reason}", where=str(path), expected=expected) from error
 
 
 def scan_topic(connections: Sequence[Connection], wanted: str, where: str, setting: str) -> str:
@@ -143,6 +149,25 @@ def _listed(connections: Sequence[Connection]) -> str:
     return ", ".join(sorted({f"{connection.topic} ({connection.msgtype})" for connection in connections})) or "none"
 
 
+def _storage(path: Path, *suffixes: str) -> list[Path]:
+    """Return the files of a bag, given as a folder or as its only file, that have one of these endings."""
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    return [file for file in files if file.suffix in suffixes]
+
+
+def _check_metadata(path: Path) -> None:
+    """Refuse a folder without the file that says what is in it."""
+    if not path.is_dir() or (path / METADATA).exists():
+        return
+    if not _storage(path, ".mcap", ".db3"):
+        raise BagError("the folder holds no bag", where=str(path), expected=EXPECTED)
+    raise BagError(
+        f"{METADATA} is missing in the folder of the bag",
+        where=str(path),
+        expected="it, as 'ros2 bag reindex' makes it",
+    )
+
+
 def _check_not_empty(reader: Reader, path: Path) -> None:
     if not reader.message_count:
         raise BagError("holds no messages", where=str(path))
@@ -150,7 +175,7 @@ def _check_not_empty(reader: Reader, path: Path) -> None:
 
 def _check_size(bag: Path) -> None:
     """Refuse an SQLite file that lacks its end; SQLite itself notices only where it happens to read there."""
-    for path in sorted(bag.glob("*.db3")) if bag.is_dir() else [bag]:
+    for path in _storage(bag, ".db3") if bag.is_dir() else [bag]:
         with path.open("rb") as file:
             head = file.read(32)
         if len(head) == len(SQLITE_MAGIC) + 16 and head.startswith(SQLITE_MAGIC):
