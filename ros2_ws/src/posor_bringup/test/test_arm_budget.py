@@ -164,7 +164,7 @@ def test_the_program_prints_the_budget_and_writes_it(tmp_path: Path, capsys: pyt
         (["--draws", "0"], "arm_budget: --draws 0; expected 1 or more."),
         (["--draws", "many"], "arm_budget: argument --draws: invalid int value: 'many'; expected options as"),
         (["--arms", "x"], "arm_budget: unrecognized arguments: --arms x; expected options as"),
-        (["--arm", "no/arm.yaml"], "arm file no/arm.yaml: cannot be read: No such file or directory; expected"),
+        (["--arm", "no/arm.yaml"], "arm file no/arm.yaml: there is no such file; expected the path of an arm file"),
     ],
 )
 def test_a_wrong_command_line_is_refused_with_a_sentence(

@@ -18,7 +18,7 @@ from posor_estimator.core.calibration.load import load_calibration, load_documen
 from posor_estimator.core.calibration.model import Calibration, Provenance
 from posor_estimator.core.calibration.part import FrozenModel
 from posor_estimator.core.chain import Chain, load_chain
-from posor_estimator.errors import ChainError
+from posor_estimator.errors import CalibrationError, ChainError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -151,6 +151,12 @@ def load_arm(path: Path) -> Arm:
         CalibrationError: The file cannot be read, is not YAML, or says something that cannot be.
 
     """
+    if path.is_dir() or not path.exists():
+        raise CalibrationError(
+            "there is no such file",
+            where=f"arm file {path}",
+            expected="the path of an arm file, such as share/posor_bringup/arms/five_axis/arm.yaml",
+        )
     keys = "format, version, name, provenance, urdf, joints, driver"
     said, places = load_document(path, "arm file", keys, VERSION, ArmFile.model_validate)
     folder = path.resolve().parent

@@ -78,11 +78,13 @@ def test_a_wrong_arm_file_is_refused_with_its_line(path: Path, old: str, new: st
     assert sentence in str(caught.value)
 
 
-def test_an_arm_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["five_axis", "none.yaml", "."])
+def test_an_arm_file_that_is_not_there_is_named(tmp_path: Path, name: str) -> None:
     with pytest.raises(CalibrationError) as caught:
-        load_arm(tmp_path / "none.yaml")
+        load_arm(tmp_path / name)
     assert str(caught.value) == (
-        f"arm file {tmp_path / 'none.yaml'}: cannot be read: No such file or directory; expected a YAML arm file."
+        f"arm file {tmp_path / name}: there is no such file; expected the path of an arm file, "
+        "such as share/posor_bringup/arms/five_axis/arm.yaml."
     )
 
 
