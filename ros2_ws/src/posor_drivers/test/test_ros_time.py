@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from itertools import pairwise
-from threading import Event, Thread
+from threading import Event, Semaphore, Thread
 from typing import Any
 
 import pytest
@@ -139,17 +139,23 @@ class Waiter:
 
     def __init__(self, simulated: SimulatedTime, time_ns: int) -> None:
         self.came = Event()
-        self._begun = Event()
+        self._looked = Semaphore(0)
         self._thread = Thread(target=self._run, args=(simulated, time_ns), daemon=True)
         self._thread.start()
-        assert self._begun.wait(30.0)
+        assert self.waits()
 
     def _run(self, simulated: SimulatedTime, time_ns: int) -> None:
-        self._begun.set()
         epoch = simulated.epoch
         while simulated.now_ns < time_ns and simulated.epoch == epoch:
+            self._looked.release()
             simulated.wait(time_ns)
         self.came.set()
+        self._looked.release()
+
+    def waits(self) -> bool:
+        """Return whether it goes on waiting after it has looked at the time once more."""
+        assert self._looked.acquire(timeout=30.0)
+        return not self.came.is_set()
 
 
 def test_simulated_time_is_waited_for(clock: Any) -> None:
@@ -157,7 +163,7 @@ def test_simulated_time_is_waited_for(clock: Any) -> None:
     simulated = SimulatedTime(clock)
     waiter = Waiter(simulated, 2000)
     at(clock, 1999)
-    assert not waiter.came.is_set()
+    assert waiter.waits()
     at(clock, 2000)
     assert waiter.came.wait(30.0)
     assert simulated.epoch == 0

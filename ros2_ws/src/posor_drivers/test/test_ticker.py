@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from threading import Event, get_ident
+from threading import Event, Semaphore, get_ident
+from time import sleep
 from typing import TYPE_CHECKING
 
 import pytest
@@ -81,22 +82,26 @@ def test_what_can_wait_waits_for_the_drivers_and_goes_on_between_their_ticks(
     for name in ("PATIENCE", "MOST_PATIENCE_NS"):
         monkeypatch.setattr(f"posor_estimator.ros.turns.{name}", 10**18)  # else it goes on anyway
     log = list[tuple[str, int]]()
-    at_work, done = Event(), Event()
+    at_work, looked = Event(), Semaphore(0)
+
+    def look_again(seconds: float) -> None:
+        looked.release()
+        sleep(seconds)
+
+    monkeypatch.setattr("posor_estimator.ros.turns.sleep", look_again)
 
     class Slow(Driver):
         def publish(self, due: Due) -> None:
             if not self.threads:
                 super().publish(due)
                 at_work.set()
-                assert not done.wait(0.05)
-                self.waited = True
+                self.waited = all(looked.acquire(timeout=30.0) for _ in range(3))
             super().publish(due)
 
     driver = Slow(clock, log, "slow", 10**9)
     assert at_work.wait(30.0)
     assert between_ticks()
     assert driver.waited
-    done.set()
     assert driver.beat.end()
     driver.ticker.remove(driver.beat)
     assert between_ticks()

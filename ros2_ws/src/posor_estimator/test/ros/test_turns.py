@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from threading import Event, Thread
-from time import time_ns
+from threading import Event, Semaphore, Thread
+from time import sleep, time_ns
 from typing import TYPE_CHECKING
 
 import pytest
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 SLOW = 1.0
 """Ticks a second."""
+LOOKS = 3
 
 
 @pytest.fixture
@@ -30,16 +31,28 @@ def turn(monkeypatch: pytest.MonkeyPatch) -> Iterator[Turn]:
 class Waiting:
     """Somebody who can wait, in a thread."""
 
-    def __init__(self) -> None:
-        self.begun, self.done = Event(), Event()
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(module, "sleep", self._sleep)
+        self.done = Event()
         self.found: bool | None = None
+        self._looked = Semaphore(0)
         self.thread = Thread(target=self._wait)
         self.thread.start()
 
+    def _sleep(self, seconds: float) -> None:
+        self._looked.release()
+        sleep(seconds)
+
     def _wait(self) -> None:
-        self.begun.set()
         self.found = between_ticks()
         self.done.set()
+        self._looked.release(LOOKS)
+
+    def waits(self) -> bool:
+        """Return whether it still waits after it has looked a few times more."""
+        for _ in range(LOOKS):
+            assert self._looked.acquire(timeout=30.0)
+        return not self.done.is_set()
 
 
 def test_nobody_waits_where_there_are_no_ticks() -> None:
@@ -52,11 +65,12 @@ def test_there_is_time_long_before_a_tick(turn: Turn) -> None:
 
 
 @pytest.mark.parametrize("before_ns", [None, -NS])
-def test_a_tick_that_is_under_way_or_late_is_waited_for(turn: Turn, before_ns: int | None) -> None:
+def test_a_tick_that_is_under_way_or_late_is_waited_for(
+    turn: Turn, before_ns: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
     turn.due_ns = 0 if before_ns is None else time_ns() + before_ns
-    waiting = Waiting()
-    assert waiting.begun.wait(30.0)
-    assert not waiting.done.wait(0.05)
+    waiting = Waiting(monkeypatch)
+    assert waiting.waits()
     turn.due_ns = time_ns() + turn.period_ns
     assert waiting.done.wait(30.0)
     assert waiting.found
@@ -67,21 +81,19 @@ def test_a_tick_that_is_due_soon_is_waited_for(turn: Turn, monkeypatch: pytest.M
     now_ns = time_ns()
     monkeypatch.setattr(module, "time_ns", lambda: now_ns)
     turn.due_ns = now_ns + MOST_ROOM_NS
-    waiting = Waiting()
-    assert waiting.begun.wait(30.0)
-    assert not waiting.done.wait(0.05)
+    waiting = Waiting(monkeypatch)
+    assert waiting.waits()
     turn.due_ns = now_ns + MOST_ROOM_NS + 1
     assert waiting.done.wait(30.0)
     assert waiting.found
     waiting.thread.join()
 
 
-def test_every_thread_of_ticks_is_waited_for(turn: Turn) -> None:
+def test_every_thread_of_ticks_is_waited_for(turn: Turn, monkeypatch: pytest.MonkeyPatch) -> None:
     turn.due_ns = time_ns() + turn.period_ns
     other = Turn(SLOW)
-    waiting = Waiting()
-    assert waiting.begun.wait(30.0)
-    assert not waiting.done.wait(0.05)
+    waiting = Waiting(monkeypatch)
+    assert waiting.waits()
     other.end()
     assert waiting.done.wait(30.0)
     assert waiting.found
