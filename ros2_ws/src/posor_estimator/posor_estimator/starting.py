@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 INTERRUPTED = 130
 """Exit code of what was interrupted before its end, as shells have it."""
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+"""What interrupts a program."""
 
 
 class Starter:
@@ -38,13 +40,14 @@ class Starter:
 
         While it is being loaded, a signal ends the process at once: libraries catch what a handler raises in them, or
         make another error of it, and there is nothing to tidy up yet. Then it raises KeyboardInterrupt, unless the
-        program has handlers of its own.
+        program has handlers of its own. What it was started to ignore, as by a shell in the background, stays ignored.
         """
-        for number in (signal.SIGINT, signal.SIGTERM):
+        heeded = [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
+        for number in heeded:
             signal.signal(number, self._leave)
         program = import_module(self.module).main
         try:
-            for number in (signal.SIGINT, signal.SIGTERM):
+            for number in heeded:
                 signal.signal(number, signal.default_int_handler)
             return int(program())
         except KeyboardInterrupt:

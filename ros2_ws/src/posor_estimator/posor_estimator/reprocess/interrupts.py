@@ -7,11 +7,11 @@ from contextlib import contextmanager
 from multiprocessing import Pipe
 from typing import TYPE_CHECKING, NoReturn
 
+from posor_estimator.starting import SIGNALS
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from multiprocessing.connection import Connection
-
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 @contextmanager
