@@ -18,17 +18,14 @@ from posor_estimator.ros.cdr import Schema
 from posor_estimator.ros.message_types import RAW_SCAN, MessageTypes
 from posor_msgs.msg import RawScan
 from rclpy.serialization import deserialize_message, serialize_message
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
-from rosbags.rosbag2.storage_mcap import McapWriter
+from rosbags.rosbag2 import CompressionMode, Reader, StoragePlugin
+
+from .bags import TOPICS, WANTED, Record, by_rosbags, damaged, in_bulk, in_chunks, write
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-TOPICS = ("/one/raw", "/two/raw", "/other/raw")
-WANTED = list(TOPICS[:2])
 RANDOM = np.random.default_rng(11)
-Record = tuple[str, int, bytes]
 
 
 def scan(number: int, *, frame: str = "plate", diodes: int = 2) -> RawScan:
@@ -48,34 +45,6 @@ def records(count: int) -> list[Record]:
     return [(TOPICS[n % 3], int(times[n]), serialize_message(scan(n))) for n in range(count)]
 
 
-def write(path: Path, given: Sequence[Record], storage: StoragePlugin, mode: CompressionMode) -> None:
-    types = MessageTypes()
-    text, type_hash = types.definition(RAW_SCAN)
-    writer = Writer(path, version=9, storage_plugin=storage)
-    writer.set_compression(mode, CompressionFormat.ZSTD)
-    with writer:
-        connections = {topic: writer.add_connection(topic, RAW_SCAN, msgdef=text, rihs01=type_hash) for topic in TOPICS}
-        for topic, time_ns, data in given:
-            writer.write(connections[topic], time_ns, data)
-            if isinstance(writer.storage, McapWriter) and writer.storage.chunk.bio.tell() > 20_000:
-                writer.storage.close_chunk()
-
-
-def by_rosbags(path: Path) -> list[Record]:
-    with Reader(path) as reader:
-        chosen = [connection for connection in reader.connections if connection.topic in WANTED]
-        return [(connection.topic, time_ns, bytes(data)) for connection, time_ns, data in reader.messages(chosen)]
-
-
-def in_bulk(path: Path) -> Iterator[Record]:
-    with opened_bag(path) as reader:
-        for block in blocks(reader, WANTED, str(path)):
-            for topic, time_ns, start, length in zip(
-                block.topics, block.times_ns, block.starts, block.lengths, strict=True
-            ):
-                yield WANTED[topic], int(time_ns), block.data[start : start + length].tobytes()
-
-
 @pytest.mark.parametrize("block", [8 << 20, 30_000], ids=["one block", "many blocks"])
 @pytest.mark.parametrize(
     ("storage", "mode"),
@@ -93,16 +62,13 @@ def test_blocks_hold_the_messages_that_rosbags_reads_in_the_same_order(
 ) -> None:
     monkeypatch.setattr(bulk, "BLOCK", block)
     monkeypatch.setattr(bulk, "MESSAGES", 333)
-    write(tmp_path / "bag", records(1000), storage, mode)
-    expected, found = by_rosbags(tmp_path / "bag"), list(in_bulk(tmp_path / "bag"))
-    assert [time_ns for _, time_ns, _ in found] == [time_ns for _, time_ns, _ in expected]
-    for topic in WANTED:
-        assert [one for one in found if one[0] == topic] == [one for one in expected if one[0] == topic]
+    write(tmp_path / "bag", in_chunks(records(1000), 20_000), storage, mode)
+    assert list(in_bulk(tmp_path / "bag")) == by_rosbags(tmp_path / "bag")
 
 
 def test_a_file_without_an_index_is_read_too(tmp_path: Path) -> None:
     ordered = sorted(records(60), key=lambda one: one[1])
-    write(tmp_path / "bag", ordered, StoragePlugin.MCAP, CompressionMode.NONE)
+    write(tmp_path / "bag", [ordered])
     path = tmp_path / "bag" / "bag.mcap"
     whole = path.read_bytes()
     summary = struct.unpack("<Q", whole[-28:-20])[0]
@@ -110,14 +76,8 @@ def test_a_file_without_an_index_is_read_too(tmp_path: Path) -> None:
     assert list(in_bulk(path)) == by_rosbags(path) == [one for one in ordered if one[0] in WANTED]
 
 
-def damaged(path: Path, at: int, data: bytes) -> None:
-    whole = bytearray(path.read_bytes())
-    whole[at : at + len(data)] = data
-    path.write_bytes(whole)
-
-
 def test_a_record_that_runs_beyond_its_chunk_is_told(tmp_path: Path) -> None:
-    write(tmp_path / "bag", records(90), StoragePlugin.MCAP, CompressionMode.NONE)
+    write(tmp_path / "bag", [records(90)])
     path = tmp_path / "bag" / "bag.mcap"
     begin = path.read_bytes().index(by_rosbags(path)[5][2]) - 31
     damaged(path, begin + 1, struct.pack("<Q", 10**6))
@@ -126,7 +86,7 @@ def test_a_record_that_runs_beyond_its_chunk_is_told(tmp_path: Path) -> None:
 
 
 def test_fewer_messages_than_the_index_says_are_told(tmp_path: Path) -> None:
-    write(tmp_path / "bag", records(90), StoragePlugin.MCAP, CompressionMode.NONE)
+    write(tmp_path / "bag", [records(90)])
     path = tmp_path / "bag" / "bag.mcap"
     damaged(path, path.read_bytes().index(by_rosbags(path)[5][2]) - 31, b"\x7f")
     with pytest.raises(BagError, match=r"holds 59 messages of /one/raw, /two/raw; expected 60, as its index says\."):
@@ -155,7 +115,7 @@ def test_tables_hold_what_rclpy_reads_whatever_the_layout(tmp_path: Path) -> Non
         (WANTED[0], 100 + n, big_endian(message) if n in (0, 45) else serialize_message(message) + bytes(n % 2))
         for n, message in enumerate(messages)
     ]
-    write(tmp_path / "bag", given, StoragePlugin.MCAP, CompressionMode.NONE)
+    write(tmp_path / "bag", [given])
     found = pieces(tmp_path / "bag")
     assert len(found) < 30
     n = 0
@@ -177,7 +137,7 @@ def test_tables_hold_what_rclpy_reads_whatever_the_layout(tmp_path: Path) -> Non
 def test_a_message_that_is_cut_short_is_told_with_topic_and_time(cut: int, tmp_path: Path) -> None:
     given = [(WANTED[0], 100 + n, serialize_message(scan(n))) for n in range(20)]
     given[7] = (*given[7][:2], given[7][2][:cut])
-    write(tmp_path / "bag", given, StoragePlugin.MCAP, CompressionMode.NONE)
+    write(tmp_path / "bag", [given])
     with pytest.raises(BagError, match=r"^the bag, topic /one/raw, logged at 107 ns: .*; expected a message that is"):
         pieces(tmp_path / "bag")
 
