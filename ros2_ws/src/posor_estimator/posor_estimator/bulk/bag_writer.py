@@ -60,7 +60,7 @@ class _ChunkWriter(McapWriter):
         self._room: ByteArray = np.empty(0, dtype=np.uint8)
 
     def write_chunk(self, parts: Sequence[Part]) -> None:
-        """Write messages as one chunk, each topic's in the order of its part."""
+        """Write messages as one chunk, each topic's in the order of its part; of a topic there is one part at most."""
         first = min(int(part.times_ns[0]) for part in parts)
         last = max(int(part.times_ns[-1]) for part in parts)
         begun = self.chunk.bio.getvalue()  # schemas and channels, before the first message

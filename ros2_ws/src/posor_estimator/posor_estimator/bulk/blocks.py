@@ -1,70 +1,38 @@
-"""The messages of some topics of a bag, thousands at a time, in the order of their log times.
+"""The messages of some topics of a bag, thousands at a time, in the order in which rosbags reads them.
 
-rosbags opens the bag and knows its files, chunks and topics. The records of whole chunks of an MCAP file are found by a
-compiled loop; of every other kind of bag (SQLite, MCAP without an index, messages compressed one by one) rosbags reads
-message by message.
+rosbags opens the bag and knows its files, chunks and topics. MCAP files are read a whole chunk at a time; every other
+kind of bag (SQLite, MCAP without an index, messages compressed one by one) is read message by message by rosbags.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
 from rosbags.rosbag2.reader import DirectoryReader
-from rosbags.rosbag2.storage_mcap import McapReader, decompress, read_exact
+from rosbags.rosbag2.storage_mcap import McapReader
 
-from posor_estimator.bulk.scanning import MESSAGE_HEAD, RECORD_HEAD, index_messages
+from posor_estimator.bulk.block import Block
+from posor_estimator.bulk.chunks import Chunks
+from posor_estimator.bulk.waiting import Waiting
 from posor_estimator.errors import BagError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from rosbags.rosbag2 import Reader
-    from rosbags.rosbag2.storage_mcap import ChunkInfo
-
-    from posor_estimator.core.types import ByteArray, IntArray
 
 BLOCK = 4 << 20
 """Bytes that are read at a time, about; a single chunk may be larger."""
 MESSAGES = 16_384
 """Messages that are read at a time where rosbags reads them one by one."""
-CHUNK_HEAD = 9 + 40
-"""Bytes of a chunk record before its compression's name and its records, as rosbags counts them."""
-CRC_AT = 9 + 24
-
-
-@dataclass(frozen=True)
-class Block:
-    """Messages, n of them, in the order of their log times.
-
-    Attributes:
-        data: Where their bytes lie.
-        topics: Of each message, which of the wanted topics it is of, shape (n,).
-        times_ns: Log times, shape (n,).
-        starts: Where each begins in ``data``, shape (n,).
-        lengths: How many bytes each has, shape (n,).
-
-    """
-
-    data: ByteArray
-    topics: IntArray
-    times_ns: IntArray
-    starts: IntArray
-    lengths: IntArray
-
-    def __len__(self) -> int:
-        """Return the number of messages."""
-        return len(self.times_ns)
-
-    def chosen(self, which: IntArray | slice) -> Block:
-        """Return some of the messages, which share their bytes with this block."""
-        return Block(self.data, self.topics[which], self.times_ns[which], self.starts[which], self.lengths[which])
 
 
 def blocks(reader: Reader, topics: Sequence[str], where: str) -> Iterator[Block]:
-    """Yield the messages of some topics; log times never go back within a file of the bag, as rosbags has it.
+    """Yield the messages of some topics in the very order of ``reader.messages``.
+
+    In a file of the bag, that is by log time; those of equal log time in the order in which they lie in it.
 
     Args:
         reader: The bag, opened.
@@ -72,8 +40,8 @@ def blocks(reader: Reader, topics: Sequence[str], where: str) -> Iterator[Block]
         where: What to call the bag.
 
     Raises:
-        BagError: A chunk is cut short or damaged; at the end, when there were fewer or more messages than the bag's
-            index says.
+        BagError: A chunk is cut short or damaged, or chunks overlap so much that too many messages wait; at the end,
+            when there were fewer or more messages than the bag's index says.
 
     """
     promised = sum(connection.msgcount for connection in reader.connections if connection.topic in topics)
@@ -114,56 +82,10 @@ def _one_by_one(reader: Reader, topics: Sequence[str]) -> Iterator[Block]:
 
 def _of_chunks(file: McapReader, topics: Sequence[str], where: str) -> Iterator[Block]:
     """Yield the messages of an MCAP file; those that a later chunk may precede wait for it."""
-    numbers = np.full(1 << 16, -1, dtype=np.int64)
-    for connection in file.connections:
-        if connection.topic in topics:
-            numbers[connection.id] = topics.index(connection.topic)
-    chunks = [chunk for chunk in file.chunks if any(numbers[channel] >= 0 for channel in chunk.channel_count)]
-    chunks.sort(key=lambda chunk: (chunk.message_start_time, chunk.chunk_start_offset))
-    waiting = b""
+    chunks, waiting = Chunks(file, topics, where), Waiting(BLOCK, topics, where)
     while chunks:
         size = 0
-        several: list[ChunkInfo] = []
-        while chunks and (not several or size + chunks[0].uncompressed_size <= BLOCK):
-            several.append(chunks.pop(0))
-            size += several[-1].uncompressed_size
-        records = [_records(file, each) for each in several]  # a single one is not copied when it is joined
-        data = b"".join([waiting, *records] if waiting else records)
-        block = _sorted(_found(np.frombuffer(data, np.uint8), numbers, where))
-        ready = len(block)
-        if chunks:
-            ready = int(np.searchsorted(block.times_ns, chunks[0].message_start_time, side="left"))
-        waiting = b"".join(
-            block.data[start - MESSAGE_HEAD - RECORD_HEAD : start + length].tobytes()
-            for start, length in zip(block.starts[ready:].tolist(), block.lengths[ready:].tolist(), strict=True)
-        )
-        yield block.chosen(slice(ready))
-
-
-def _records(file: McapReader, chunk: ChunkInfo) -> bytes:
-    """Return the records of a chunk, decompressed."""
-    bio = file.bio
-    if bio is None:
-        message = "the file is closed"
-        raise ValueError(message)
-    bio.seek(chunk.chunk_start_offset + CRC_AT)
-    crc = int.from_bytes(read_exact(bio, 4), "little")
-    bio.seek(chunk.chunk_start_offset + CHUNK_HEAD + len(chunk.compression))
-    return decompress(read_exact(bio, chunk.compressed_size), chunk.compression, chunk.uncompressed_size, crc)
-
-
-def _found(data: ByteArray, numbers: IntArray, where: str) -> Block:
-    """Return the messages of wanted topics among the records of chunks; ``numbers`` are these topics', by channel."""
-    most = len(data) // (RECORD_HEAD + MESSAGE_HEAD) + 1
-    topics, times, starts, lengths = (np.empty(most, dtype=np.int64) for _ in range(4))
-    count, end = index_messages(data, numbers, topics, times, starts, lengths)
-    if end != len(data):
-        when = f", after the message logged at {times[count - 1]} ns" if count else ""
-        raise BagError(f"a chunk holds a record that runs beyond its end{when}", where=where, expected="whole records")
-    return Block(data, topics[:count], times[:count], starts[:count], lengths[:count])
-
-
-def _sorted(block: Block) -> Block:
-    if np.all(block.times_ns[1:] >= block.times_ns[:-1]):
-        return block
-    return block.chosen(np.argsort(block.times_ns, kind="stable"))
+        while chunks and (not size or size + chunks.size <= BLOCK):
+            size += chunks.size
+            waiting.add(*chunks.read())
+        yield from waiting.before(chunks.first)

@@ -13,7 +13,7 @@ from posor_estimator.errors import BagError, TopicError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from posor_estimator.bulk.blocks import Block
+    from posor_estimator.bulk.block import Block
     from posor_estimator.core.types import IntArray
     from posor_estimator.ros.cdr import Schema
 

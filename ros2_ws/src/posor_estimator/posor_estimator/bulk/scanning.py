@@ -24,10 +24,10 @@ MESSAGE_HEAD = 22
 def index_messages(
     data: ByteArray, numbers: IntArray, topics: IntArray, times: IntArray, starts: IntArray, lengths: IntArray
 ) -> tuple[int, int]:
-    """Find the messages of some topics among the records of decompressed chunks, in their order.
+    """Find the messages of some topics among the records of a decompressed chunk, in their order.
 
     Args:
-        data: The chunks' records, shape (b,).
+        data: The chunk's records, shape (b,).
         numbers: Of each channel the number of its topic, negative where it is not wanted, shape (65536,).
         topics: Number of each message's topic, to write; entries for all messages that there may be, b / 31 at most.
         times: Log time of each [ns], to write.
@@ -35,7 +35,7 @@ def index_messages(
         lengths: How many bytes it has, to write.
 
     Returns:
-        The number of messages, and where reading ended: b, or the record that does not end within the chunks.
+        The number of messages, and where reading ended: b, or the record that does not end within the chunk.
 
     """
     size, count, at = data.shape[0], 0, 0
@@ -63,6 +63,26 @@ def index_messages(
                 count += 1
         at = begin + length
     return count, at
+
+
+@compiled
+def copy_messages(data: ByteArray, starts: IntArray, lengths: IntArray, out: ByteArray) -> None:
+    """Copy messages, one behind the other.
+
+    Args:
+        data: Where they lie, shape (b,).
+        starts: Where each begins, shape (n,).
+        lengths: How many bytes each has, shape (n,).
+        out: To write, as long as all of them.
+
+    """
+    at = 0
+    for n in range(starts.shape[0]):
+        size = lengths[n]
+        message, copy = data[starts[n] : starts[n] + size], out[at : at + size]
+        for k in range(size):
+            copy[k] = message[k]
+        at += size
 
 
 @compiled

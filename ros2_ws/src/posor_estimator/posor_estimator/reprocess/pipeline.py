@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from posor_msgs.msg import RawScan
 
-from posor_estimator.bulk.blocks import Block, blocks
+from posor_estimator.bulk.blocks import blocks
 from posor_estimator.bulk.pieces import TopicReader
 from posor_estimator.chain_node import ChainParameters
 from posor_estimator.core.chain import load_chain
@@ -33,6 +33,7 @@ from posor_estimator.ros.parameters import validate
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
+    from posor_estimator.bulk.block import Block
     from posor_estimator.bulk.layout import TableLayout
 
 
