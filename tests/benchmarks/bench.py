@@ -100,7 +100,7 @@ def plan_of(options: Namespace) -> Plan:
         rate=options.rate,
         layout=options.layout,
         seconds=options.seconds or (6.0 if quick else 60.0),
-        rounds=1 if quick else 2,
+        rounds=1 if quick else 6,
         point_s=min(options.seconds or 60.0, 2.0 if quick else 5.0),
         offline_s=QUICK_OFFLINE_S if quick else SECONDS,
         growth_joints=QUICK_JOINTS if quick else GROWTH_JOINTS,
