@@ -15,9 +15,9 @@ from posor_estimator.core.designs import design
 from posor_estimator.core.estimate import Estimate
 from posor_estimator.core.fault import Fault
 from posor_estimator.core.forward import scans_at
+from posor_estimator.core.kernels.stamps import NS
 from posor_estimator.core.posor import Posor
 from posor_estimator.ros.byte_lane import ByteLane
-from posor_estimator.ros.cdr import NS
 from posor_estimator.ros.cdr_scan import RAW_SCAN, ScanTemplate
 from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM, TransformKind, stamp_ns_of
 from posor_estimator.ros.messages import pose_from_message, scan_from_message, transform_message

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from geometry_msgs.msg import Point, Pose, PoseStamped, PoseWithCovarianceStamped, Quaternion
 from posor_drivers.bag_writer import BagWriter
 from posor_drivers.offered_qos import kept_in_bag
+from posor_estimator.arm_chain import chain_parameters
 from posor_estimator.chain_node import ChainParameters
 from posor_estimator.core.chain import MeasuredJoint
 from posor_estimator.core.posor import Posor
@@ -66,7 +67,7 @@ def plain_loop(arm: Arm, bag: Path, output: Path) -> float:
     posors = {joint: Posor(calibration) for joint, calibration in calibrations.items()}
     joints = {f"/{arm.name}/{joint}/{RAW_TOPIC}": joint for joint in posors}
     chain = arm.chain()
-    told = validate(ChainParameters, {"urdf": str(arm.urdf), **arm.chain_parameters}, node="chain_node")
+    told = validate(ChainParameters, chain_parameters(arm), node="chain_node")
     lane = chain.lane(told.acceleration_window)
     open_scans = dict[int, dict[str, MeasuredJoint]]()
     with opened_bag(bag) as reader, BagWriter(output) as writer:

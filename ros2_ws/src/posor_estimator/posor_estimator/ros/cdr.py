@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 STAMP = slice(4, 12)
 """Where every message that begins with a header has its stamp: seconds (int32), then nanoseconds (uint32)."""
-NS = 1_000_000_000
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 from posor_msgs.msg import RawScan
 from rclpy.serialization import deserialize_message
 
-from posor_estimator.ros.cdr import NS, STAMP, Schema
+from posor_estimator.core.kernels.stamps import NS
+from posor_estimator.ros.cdr import STAMP, Schema
 from posor_estimator.ros.messages import scan_from_message
 
 if TYPE_CHECKING:

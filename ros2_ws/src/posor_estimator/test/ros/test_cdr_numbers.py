@@ -14,8 +14,9 @@ from posor_estimator.bulk.layout import LEAD
 from posor_estimator.core.chain_records import read_records
 from posor_estimator.core.estimate import Estimate
 from posor_estimator.core.fault import Fault, State
+from posor_estimator.core.kernels.stamps import NS
 from posor_estimator.errors import TopicError
-from posor_estimator.ros.cdr import NS, STAMP, Schema
+from posor_estimator.ros.cdr import STAMP, Schema
 from posor_estimator.ros.cdr_scan import RAW_SCAN, ScanTemplate
 from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM, TransformKind, stamp_ns_of
 from posor_estimator.ros.cdr_writer import MessageWriter
