@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import resource
 import socket
+import struct
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -26,6 +27,9 @@ from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from tests.graphs import all_bits, bits, located, placed, recorded, rig
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 BAGS = Path(__file__).resolve().parents[1] / "bags"
 BAG = BAGS / "five_axis"
@@ -243,8 +247,8 @@ def test_a_full_disk_is_told_of_the_output_and_leaves_what_was_there(
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-def without_stamp(bag: Path, topic: str, number: int, folder: Path) -> Path:
-    """Return a copy of a bag in which one message of a topic has the stamp zero."""
+def without_stamp(bag: Path, topic: str, number: int, stamp: Callable[[bytes], bytes], folder: Path) -> Path:
+    """Return a copy of a bag in which one message of a topic has another stamp, made of its own."""
     with Reader(bag) as reader, Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         to = {
             each.id: writer.add_connection(each.topic, each.msgtype, msgdef=each.msgdef.data, rihs01=each.digest)
@@ -254,12 +258,17 @@ def without_stamp(bag: Path, topic: str, number: int, folder: Path) -> Path:
         for each, time_ns, data in reader.messages():
             seen += each.topic == topic
             unstamped = each.topic == topic and seen == number
-            writer.write(to[each.id], time_ns, data[:4] + bytes(8) + data[12:] if unstamped else data)
+            writer.write(to[each.id], time_ns, data[:4] + stamp(data[4:12]) + data[12:] if unstamped else data)
     return folder
 
 
-def test_a_scan_without_a_stamp_costs_its_own_pose_only(made: Path, tmp_path: Path) -> None:
-    bag = without_stamp(BAG, "/five_axis/elbow/raw", 500, tmp_path / "bag")
+@pytest.mark.parametrize(
+    "stamp", [lambda _own: bytes(8), lambda own: own[:4] + struct.pack("<I", 1_000_000_000)], ids=["zero", "no time"]
+)
+def test_a_scan_without_a_stamp_costs_its_own_pose_only(
+    made: Path, stamp: Callable[[bytes], bytes], tmp_path: Path
+) -> None:
+    bag = without_stamp(BAG, "/five_axis/elbow/raw", 500, stamp, tmp_path / "bag")
     assert main([str(bag), *ARM, "--output", str(tmp_path / "out")]) == 0
     topic = "/five_axis/endpoint/pose"
     whole, found = (len(recorded(each)[topic]) for each in (made / "bag", tmp_path / "out"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from contextlib import ExitStack
 from pathlib import Path
 from threading import Event, Thread
@@ -12,9 +13,11 @@ import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from posor_estimator.chain_node import ChainNode
 from posor_estimator.posor_node import PosorEstimatorNode
+from posor_estimator.ros import diagnostics
 from posor_estimator.ros.cdr import STAMP
 from posor_estimator.ros.cdr_scan import RAW_SCAN, ScanTemplate
 from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM
+from posor_estimator.ros.diagnostics import Diagnostics
 from posor_estimator.ros.message_types import RAW_SCAN as RAW_SCAN_TYPE
 from posor_estimator.ros.message_types import MessageTypes
 from posor_estimator.ros.node import PosorNode
@@ -25,6 +28,7 @@ from posor_estimator.testing.graph import Graph, values_of
 from posor_estimator.testing.process import Process
 from posor_estimator.testing.program import wait_until
 from posor_msgs.msg import JointTransform, RawScan
+from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -162,6 +166,36 @@ def test_bytes_that_are_no_message_are_refused_and_told_and_the_next_scan_is_fou
         assert not any(arm.taken.values())
         arm.raw.publish(scans[0])
         assert [len(messages) for messages in arm.taken.values()] == [1, 1, 1]
+
+
+def test_what_is_wrong_is_said_in_the_executors_thread_and_logged_where_it_lasts(
+    scans: list[bytes], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    spoiled = deserialize_message(scans[1], RawScan)
+    spoiled.gap_voltages[0] = math.nan
+    publish, published = Diagnostics._publish, list[Diagnostics]()
+
+    def noted(told: Diagnostics) -> None:
+        published.append(told)
+        publish(told)
+
+    monkeypatch.setattr(diagnostics, "LASTING_S", 0.0)
+    with Process() as process:
+        arm = Arm([process])
+        monkeypatch.setattr(Diagnostics, "_publish", noted)
+        thread = Thread(target=lambda: [arm.raw.publish(data) for data in (scans[0], RAW_SCAN.serialize(spoiled))])
+        thread.start()
+        thread.join()
+        assert published == []
+        said = [""]
+
+        def logged() -> bool:
+            said[0] += capfd.readouterr().err
+            return "endpoint: no pose: joint1 is lost (BAD_READING)" in said[0] and "voltage nan" in said[0]
+
+        wait_until(logged, "both errors in the log", arm.turn)
+        assert "[joint1.posor_node]: estimate: lost: BAD_READING; scan 2, gap probe probe_1: voltage nan" in said[0]
+        assert {arm.posor.diagnostics, arm.chain.diagnostics} <= set(published)
 
 
 def test_a_scan_in_the_other_byte_order_is_located_alike(scans: list[bytes]) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from posor_estimator.ros import diagnostics as module
-from posor_estimator.ros.diagnostics import MOST_WAITING, Diagnostics, Level, Log, Said
+from posor_estimator.ros.diagnostics import LEAST_S, MOST_WAITING, Diagnostics, Level, Log, Said
 from posor_estimator.ros.qos import DIAGNOSTICS_TOPIC, RELIABLE_QOS
 from posor_estimator.testing.graph import Graph, values_of
 
@@ -92,6 +92,33 @@ def test_a_state_that_comes_and_goes_at_every_scan_costs_a_few_messages_and_none
         graph.wait_until(holds, "what holds now", other.receive)
         assert told == list(range(FLAPS - MOST_WAITING + 1, FLAPS))
         assert [message.status[0].message for message in messages][: MOST_WAITING - 1] == [f"lost {n}" for n in told]
+
+
+def test_changes_wait_until_the_least_time_since_the_last_publication_has_gone_by(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now_s, looks = 100.0, 0
+
+    def monotonic() -> float:
+        nonlocal looks
+        looks += 1
+        return now_s
+
+    monkeypatch.setattr(module, "monotonic", monotonic)
+    monkeypatch.setattr(module, "PERIOD_S", 1000.0)
+    with Graph() as graph, Graph() as other:
+        diagnostics = Diagnostics(other.node)
+        messages = heard(graph, other)
+        line = diagnostics.add("line")
+        line.report(Level.OK, "ok")
+        graph.wait_until(lambda: bool(messages), "the first message", other.receive)
+        line.report(Level.WARN, "degraded")
+        before = looks
+        graph.wait_until(lambda: looks >= before + 3, "three looks at a clock that stands", other.receive)
+        assert [message.status[0].message for message in messages] == ["ok"]
+        now_s += LEAST_S
+        graph.wait_until(lambda: len(messages) > 1, "the second message", other.receive)
+        assert messages[1].status[0].message == "degraded"
 
 
 def test_what_has_not_been_said_yet_is_said_when_the_node_ends() -> None:
