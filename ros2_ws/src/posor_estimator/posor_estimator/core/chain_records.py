@@ -72,12 +72,21 @@ class ChainRecords:
         floats = np.zeros((len(columns), width))
         self.rows: ByteArray = floats.view(np.uint8)
         self._rows = np.stack([each.array for each in columns]), floats, self.rows
-        self._run = code_for(kernel.endpoint_of_records, (*self._rows, *lane.arguments))
+        self._take_arguments()
+        self._run = code_for(kernel.endpoint_of_records, self._arguments)
 
     def run(self, stamp_ns: int) -> int:
         """Find the endpoint of the rows; return the worst state of its joints, negative where there is no endpoint."""
         lane = self._lane
         lane.stamp_ns[0] = stamp_ns
-        while (worst := self._run(*self._rows, *lane.arguments)) == kernel.NO_ROOM:
+        while True:
+            if lane.arguments is not self._of_lane:  # somebody has made room
+                self._take_arguments()
+            worst = self._run(*self._arguments)
+            if worst != kernel.NO_ROOM:
+                return worst
             lane.make_room()
-        return worst
+
+    def _take_arguments(self) -> None:
+        self._of_lane = self._lane.arguments
+        self._arguments = *self._rows, *self._of_lane

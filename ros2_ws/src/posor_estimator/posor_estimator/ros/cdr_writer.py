@@ -30,7 +30,7 @@ class MessageWriter:
         schema = Schema.of(type(prototype))
         data = schema.serialize(prototype)
         self._layout = schema.layout(data)
-        self._bytes = bytearray(data)
+        self._into = memoryview(bytearray(data))
         self._copies = tuple(self._copy(path, array) for path, array in (arrays or {}).items() if array.size)
 
     def write(self, stamp: bytes) -> bytes:
@@ -40,12 +40,12 @@ class MessageWriter:
             stamp: Its stamp, in the eight bytes in which it came (``STAMP``).
 
         """
-        data = self._bytes
+        data = self._into
         data[STAMP] = stamp
         for part, numbers in self._copies:
-            data[part] = numbers
-        return bytes(data)
+            part[:] = numbers
+        return data.tobytes()
 
-    def _copy(self, path: str, array: FloatArray) -> tuple[slice, memoryview]:
+    def _copy(self, path: str, array: FloatArray) -> tuple[memoryview, memoryview]:
         begin = self._layout[path].offset
-        return slice(begin, begin + array.nbytes), array.data.cast("B")
+        return self._into[begin : begin + array.nbytes], array.data.cast("B")
