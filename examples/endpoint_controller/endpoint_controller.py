@@ -124,12 +124,12 @@ class EndpointController(PosorNode[ControllerParameters]):
         self._newest_ns[topic] = stamp_ns(message)
         scan = self._joiner.add(topic, stamp_ns(message), message, 0.0)
         self._incomplete += len(self._joiner.take_given_up())
-        if scan is not None and self._output.is_activated:
+        if scan is not None and self.may_publish:
             self._control(*(scan[name] for name in INPUTS))
 
     def _look_out(self) -> None:
         """Notice that something does not come any more."""
-        if self._output.is_activated and (why := self._out_of_date()):
+        if self.may_publish and (why := self._out_of_date()):
             self._hold(why)
 
     def _out_of_date(self) -> str:

@@ -18,6 +18,7 @@ from posor_estimator.core.forward import scans_at
 from posor_estimator.core.kernels.stamps import NS
 from posor_estimator.core.posor import Posor
 from posor_estimator.ros.byte_lane import ByteLane
+from posor_estimator.ros.cdr import STAMP
 from posor_estimator.ros.cdr_scan import RAW_SCAN, ScanTemplate
 from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM, TransformKind, stamp_ns_of
 from posor_estimator.ros.messages import pose_from_message, scan_from_message, transform_message
@@ -82,7 +83,7 @@ def ways() -> list[Way]:
         return bytes(serialize_message(transform_message(scan, estimate, *frames, "total")))
 
     def read(data: bytes) -> None:
-        if kind.takes(data) and stamp_ns_of(data):
+        if kind.takes(data) and stamp_ns_of(data[STAMP]):
             row[:] = data
 
     return [

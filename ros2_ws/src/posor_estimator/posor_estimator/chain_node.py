@@ -133,17 +133,17 @@ class ChainNode(PosorNode[ChainParameters]):
         self._status.report(
             Level.STALE, "no complete scan yet", {"joints": ", ".join(names), "urdf": str(path), "beams": beams}
         )
-        relative = self.parameters.reference == "home"
-        frame = f"{self.parameters.endpoint_frame}_home" if relative else chain.base_frame
-        self._writer = EndpointWriter(self._lane, frame, relative=relative)
+        self._relative = self.parameters.reference == "home"
+        frame = f"{self.parameters.endpoint_frame}_home" if self._relative else chain.base_frame
+        self._writer = EndpointWriter(self._lane, frame, relative=self._relative)
         self._pose = self._outlet(PoseStamped, ENDPOINT_TOPIC)
         self._full_pose = self._outlet(PoseWithCovarianceStamped, ENDPOINT_COVARIANCE_TOPIC)
         self._joint_states = self._outlet(JointState, JOINT_STATES_TOPIC)
         self.when_cleaned_up(self._fall_silent)
         qos = sensor_qos(self.parameters)
         for joint in chain.joints:
-            inlet = Inlet(self, JointTransform, f"{joint.name}/{TRANSFORM_TOPIC}", qos, partial(self._take, joint))
-            self._inlets.append(inlet)
+            take = partial(self._take, joint, self._kinds[joint.name])
+            self._inlets.append(Inlet(self, JointTransform, f"{joint.name}/{TRANSFORM_TOPIC}", qos, take))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         timer = self.create_timer(min(self.parameters.max_wait, LOOK_S), self._give_up_late, clock=steady)
         self.when_cleaned_up(self.destroy_timer, timer)
@@ -167,20 +167,20 @@ class ChainNode(PosorNode[ChainParameters]):
             if silent:
                 self._say_no(f"nobody publishes {', '.join(silent)}")
 
-    def _take(self, joint: FreeJoint, data: bytes) -> None:
+    def _take(self, joint: FreeJoint, kind: TransformKind, data: bytes) -> None:
         """Take one joint's transform."""
         with self._lock:
-            if not self._pose.is_activated:
+            if not self.may_publish:
                 return
-            if not self._kinds[joint.name].takes(data) and not (data := self._normal(joint, data)):
+            if not kind.takes(data) and not (data := self._normal(joint, data)):
                 return
-            stamp_ns = stamp_ns_of(data)
+            stamp_ns = stamp_ns_of(data[STAMP])
             if stamp_ns == 0:  # to the joiner it would be time that has gone back
                 self._scans_refused += 1
                 self._say_no(f"{joint.name}: the stamp of a transform {NO_TIME}; expected the time of exposure")
                 return
             scan = self._joiner.add(joint.name, stamp_ns, data, time.monotonic())
-            if self._joiner.has_given_up:
+            if self._joiner.given_up:
                 self._report_given_up()
             if scan is not None:
                 self._fuse(scan, stamp_ns)
@@ -226,7 +226,7 @@ class ChainNode(PosorNode[ChainParameters]):
             self._refuse(scan)
             return
         lane = self._lane
-        if self.parameters.reference == "home":
+        if self._relative:
             self._last = lane.pose.copy()
             self._home = self._last if self._home is None else self._home
             lane.find_relative_to(self._home)
@@ -265,7 +265,7 @@ class ChainNode(PosorNode[ChainParameters]):
 
     def _set_home(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Take the last pose as home."""
-        if self.parameters.reference != "home":
+        if not self._relative:
             response.message = "reference is 'absolute'; start the node with reference:=home to publish relative poses"
         elif self._last is None:
             response.message = "there is no pose yet to take as home"

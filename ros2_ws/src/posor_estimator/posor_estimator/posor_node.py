@@ -25,7 +25,7 @@ from posor_estimator.core.posor import Posor
 from posor_estimator.core.scan import Scans
 from posor_estimator.errors import CalibrationError, ParameterError, PosorError, TopicError
 from posor_estimator.posor_parameters import PosorParameters
-from posor_estimator.ros.byte_lane import ByteLane
+from posor_estimator.ros.byte_lane import SAID_NEWS, SAID_STAMP, ByteLane
 from posor_estimator.ros.cdr_scan import RAW_SCAN, scan_of
 from posor_estimator.ros.diagnostics import Level
 from posor_estimator.ros.listeners import Listeners
@@ -77,7 +77,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self._scans = self._scans_lost = self._messages_refused = 0
         self._recent = deque(maxlen=self.parameters.zero_scans if self.parameters.home_pose else 0)
         self._taken = 0
-        self._count_from_next = False
+        self._count_from_next = self._lost = False
         self._told = self._last = None
         self._take_calibration(*self._read())
         self._status.report(Level.STALE, "no scan yet")
@@ -181,14 +181,16 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
     def _take(self, data: bytes) -> None:
         """Answer a raw scan."""
         with self._lock:
-            if not self._outlet.is_activated:
+            if not self.may_publish:
                 return
-            answer = None if self._lane is None else self._lane.answer(data)
+            lane = self._lane
+            answer = None if lane is None else lane.answer(data)
             if answer is None:
                 answer = self._answer_another_kind(data)
-            if answer is not None and self._lane is not None:
+                lane = self._lane
+            if answer is not None and lane is not None:
                 self._outlet.publish(answer)
-                self._note(self._lane, data)
+                self._note(lane, data)
 
     def _answer_another_kind(self, data: bytes) -> bytes | None:
         """Answer a raw scan that is not like those before: make another lane for it, or say what is wrong with it."""
@@ -208,28 +210,35 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         return lane.answer(data)
 
     def _note(self, lane: ByteLane, data: bytes) -> None:
-        """Count a scan that has been answered, keep a sound one for a digital zero, say how it went where it is news.
+        """Count a scan that has been answered, keep a sound one for a digital zero, say how it went if it is news."""
+        said = lane.said
+        if stamp_ns := said[SAID_STAMP]:
+            self.timing.note(stamp_ns)
+        self._scans += 1
+        if said[SAID_NEWS] or lane is not self._last or self._told is None:
+            self._note_news(lane)
+        if self._lost:
+            self._scans_lost += 1
+        else:
+            self._recent.append(data)
+        if self._count_from_next:
+            self._count_from_next = lane.counts_from_next
+
+    def _note_news(self, lane: ByteLane) -> None:
+        """Note of a scan what is not as with the one before.
 
         One without a pose, or of another kind, breaks the row of those that are kept.
         """
-        stamp_ns, state, faults, taken = lane.said()
-        if stamp_ns:
-            self.timing.note(stamp_ns)
-        lost = state == LOST
-        if lost or taken != self._taken:
+        _, state, faults, taken, _ = lane.said
+        self._last, self._lost = lane, state == LOST
+        if self._lost or taken != self._taken:
             self._recent.clear()
             self._taken = taken
-        if not lost:
-            self._recent.append(data)
-        self._scans += 1
-        self._scans_lost += lost
-        self._last = lane
-        if self._count_from_next:
-            self._count_from_next = lane.counts_from_next
         if (state, faults) != self._told:
             self._told = (state, faults)
             level = HEALTH.get(State(state), Level.ERROR)
-            self._status.report_news(level, partial(_verdict_in_words, state, faults, self._counts(), lane.answered()))
+            counts = {**self._counts(), "scans_lost": self._scans_lost + self._lost}
+            self._status.report_news(level, partial(_verdict_in_words, state, faults, counts, lane.answered()))
 
     def _counts(self) -> dict[str, Value]:
         return {"scans": self._scans, "scans_lost": self._scans_lost}

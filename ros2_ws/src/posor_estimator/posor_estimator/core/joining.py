@@ -57,6 +57,10 @@ class ScanJoiner(Generic[Item]):
     A member whose stamps go back has started over (a looping replay, a clock set back) and so begins a new round. Items
     of different rounds are never joined. A member that goes on without starting over for MOST_OPEN items after another
     has done so is taken into the new round as it is: then only the other's clock was set back.
+
+    Attributes:
+        given_up: What ``take_given_up`` has to tell.
+
     """
 
     def __init__(self, members: tuple[str, ...], most_open: float = MOST_OPEN, max_wait: float = inf) -> None:
@@ -75,7 +79,7 @@ class ScanJoiner(Generic[Item]):
         self._open: dict[Key, _Scan[Item]] = {}
         self._keys: list[Key] = []
         self._closed: Key = (0, -1)
-        self._given_up: dict[int, tuple[str, ...]] = {}
+        self.given_up: dict[int, tuple[str, ...]] = {}
 
     def add(self, member: str, stamp: int, item: Item, arrived: float) -> dict[str, Item] | None:
         """Add one item; return the complete set of its stamp, or None while members are missing.
@@ -130,14 +134,9 @@ class ScanJoiner(Generic[Item]):
         if late:
             self._give_up_to(max(late))
 
-    @property
-    def has_given_up(self) -> bool:
-        """Whether ``take_given_up`` has anything to tell."""
-        return bool(self._given_up)
-
     def take_given_up(self) -> dict[int, tuple[str, ...]]:
         """Return stamps given up since the last call, with the members that were missing."""
-        given_up, self._given_up = self._given_up, {}
+        given_up, self.given_up = self.given_up, {}
         return given_up
 
     def _give_up_to(self, key: Key) -> None:
@@ -146,7 +145,7 @@ class ScanJoiner(Generic[Item]):
         while keys and keys[0] <= key:
             scan = self._open.pop(older := heappop(keys), None)
             if scan is not None:
-                self._given_up[older[1]] = tuple(member for member in self._members if member not in scan.items)
+                self.given_up[older[1]] = tuple(member for member in self._members if member not in scan.items)
         self._closed = key
 
 

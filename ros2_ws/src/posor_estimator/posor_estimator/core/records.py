@@ -73,8 +73,8 @@ class Records:
         record: The same and more for the kernels, see ``kernels.records``.
         tables: The POSOR's numbers.
         outcome: State, faults and codes of the last scan, shape (2 + sensors,).
-        said: Its stamp [ns], state and faults, and how often, up to it, a scan has read other rows than the one before,
-            as where another source is lit, shape (4,).
+        said: Its stamp [ns], state and faults, how often, up to it, a scan has read other rows than the one before,
+            as where another source is lit, and whether one of the latter three is news, shape (5,).
 
     """
 
@@ -100,7 +100,7 @@ class Records:
         self.tables = tables = posor.loop.tables
         self._arrays = tables.arrays
         self.outcome = tables.of_ints(OUTCOME)[0]
-        self.said = self.record[kernel.STAMP_NS : kernel.SAID_TAKEN + 1]
+        self.said = self.record[kernel.STAMP_NS : kernel.SAID_NEWS + 1]
         self._room = Estimates(
             scans=np.zeros(1, dtype=np.uint64),
             outcomes=tables.of_ints(OUTCOME),

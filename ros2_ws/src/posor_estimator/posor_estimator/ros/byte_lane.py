@@ -18,6 +18,11 @@ if TYPE_CHECKING:
     from posor_estimator.ros.messages import CovarianceKind
 
 _NUMBER = struct.Struct("<Q")
+SAID_STAMP, SAID_STATE, SAID_FAULTS = 0, 1, 2
+"""Where ``ByteLane.said`` has the stamp [ns], ``State`` and ``Fault``."""
+SAID_TAKEN, SAID_NEWS = 3, 4
+"""How often a scan has read other rows than the one before, as where another source is lit; whether that, state or
+faults are other than those of the lane's scan before."""
 
 
 class ByteLane:
@@ -26,6 +31,7 @@ class ByteLane:
     Attributes:
         frame: Of the scans.
         fit: Whether that is the receiving plate; else every scan is LOST.
+        said: Of the last scan, see ``SAID_STAMP`` and those after it.
 
     """
 
@@ -49,8 +55,9 @@ class ByteLane:
         self._size, self._number_at = raw.size, raw.offset("scan")
         row, out = raw.row[None].copy(), transform.row[None].copy()
         self._lane = records.lane(row, out, np.stack([raw.row, raw.fixed]))
-        self._into, self._from = row[0, LEAD : LEAD + raw.size].data, out[0, LEAD : LEAD + transform.size].data
-        self._said = records.said.data
+        self._into = row[0, LEAD : LEAD + raw.size].data
+        self._transform = out[0, LEAD : LEAD + transform.size].data.tobytes
+        self.said: memoryview = records.said.data
         self._run = self._lane.run
         self._last = example
 
@@ -62,7 +69,7 @@ class ByteLane:
         if not self._run():
             return None
         self._last = data
-        return bytes(self._from)
+        return self._transform()
 
     def count_from_next(self) -> None:
         """Take the next scan for one that has seen the home mark."""
@@ -73,16 +80,9 @@ class ByteLane:
         """Whether that scan has yet to come."""
         return self._records.counts_from_next
 
-    def said(self) -> list[int]:
-        """Return of the last scan stamp [ns], ``State``, ``Fault``, and ``taken``.
-
-        The latter is how often a scan has read other rows than the one before, as where another source is lit.
-        """
-        return self._said.tolist()
-
     def answered(self) -> Answered:
         """Return the last scan and how it went."""
-        return Answered(self, self._last, int(self._said[0]), self._records.verdict())
+        return Answered(self, self._last, int(self.said[SAID_STAMP]), self._records.verdict())
 
     def number_of(self, data: bytes) -> int:
         """Return the number of a scan of this kind."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from functools import lru_cache
 
 from posor_msgs.msg import JointTransform
 
@@ -20,9 +21,13 @@ _THETA = 5
 """Which of the native coordinates it is."""
 
 
-def stamp_ns_of(data: bytes) -> int:
-    """Return the stamp [ns] of a message that begins with a header; 0 where it is no time."""
-    return time_ns(*_STAMP.unpack_from(data, STAMP.start))
+@lru_cache(maxsize=16)
+def stamp_ns_of(stamp: bytes) -> int:
+    """Return a stamp as it stands in a message, ``data[STAMP]``, in nanoseconds; 0 where it is no time.
+
+    Remembers some: the joints' messages of one scan have the same.
+    """
+    return time_ns(*_STAMP.unpack(stamp))
 
 
 def columns_of(layout: TableLayout) -> JointColumns:
@@ -53,8 +58,7 @@ class TransformKind:
         layout = JOINT_TRANSFORM.layout(example)
         self.columns = columns_of(TableLayout.of(example, JOINT_TRANSFORM))
         self.size = layout.size
-        self._names = slice(STAMP.stop, layout["scan"].offset)
-        self._usual = example[self._names]
+        self._usual = example[STAMP.stop : layout["scan"].offset]
         self._unpack = layout.unpacker(("header.frame_id", "child_frame_id")).unpack_from
         self._told = self._unpack(example)
         self._state, self._faults = layout["state"].offset, layout["faults"].offset
@@ -63,7 +67,7 @@ class TransformKind:
         """Return whether a message is such a transform."""
         if len(data) < self.size:
             return False
-        if data[self._names] == self._usual and data[:2] == LITTLE_ENDIAN:
+        if data.startswith(self._usual, STAMP.stop) and data.startswith(LITTLE_ENDIAN):
             return True
         return bool(self._unpack(data) == self._told)  # what fills the gaps after the names may be anything
 

@@ -36,6 +36,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         diagnostics: Where the node reports its health.
         timing: Where the node notes the stamp of what it has published, for the figures of its diagnostics.
         exit_requested: Whether the node wants its program to end.
+        may_publish: Whether the node is active, or about to be: outlets say nothing while it is not.
 
     """
 
@@ -58,7 +59,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
             reason = " ".join(str(error).split(", at ")[0].split())
             raise ParameterError(reason, where=f"node {self.NAME}") from None
         self._forgive_impossible_transitions()
-        self.exit_requested = False
+        self.exit_requested = self.may_publish = False
         self._failure: Exception | None = None
         self._refusal: Exception | None = None
         self._starting = False
@@ -124,7 +125,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         """Read files, create publishers, tell ``when_cleaned_up``; raise a PosorError if that is impossible."""
 
     def activate(self) -> None:
-        """Begin to work; publishers made with ``create_lifecycle_publisher`` are active already."""
+        """Begin to work; outlets and publishers made with ``create_lifecycle_publisher`` are active already."""
 
     def deactivate(self) -> None:
         """Stop working; after this nothing is published."""
@@ -180,14 +181,14 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Activate the publishers, then run the hook; if it refuses, the publishers are silent again."""
         self.timing.restart()
-        result = self._transition("active", lambda: super(PosorNode, self).on_activate(state), self.activate)
+        result = self._transition("active", lambda: self._open_up(state), self.activate)
         if result != TransitionCallbackReturn.SUCCESS:
-            super().on_deactivate(state)
+            self._silence(state)
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Run the hook, then deactivate the publishers."""
-        return self._transition("inactive", self.deactivate, lambda: super(PosorNode, self).on_deactivate(state))
+        return self._transition("inactive", self.deactivate, lambda: self._silence(state))
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Undo what was configured, then run the hooks of managed entities."""
@@ -196,7 +197,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Undo what was done, in reverse order; the program then ends."""
         due: dict[str, list[Callable[[], object]]] = {
-            "active": [self.deactivate, lambda: super(PosorNode, self).on_deactivate(state), self._undo.close],
+            "active": [self.deactivate, lambda: self._silence(state), self._undo.close],
             "inactive": [self._undo.close],
         }
         steps = due.get(state.label, [])
@@ -207,8 +208,17 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Undo what was configured, after a hook has raised what is no PosorError: the node is unconfigured then."""
+        self.may_publish = False
         self._undo.close()
         return super().on_error(state)
+
+    def _open_up(self, state: LifecycleState) -> None:
+        super().on_activate(state)
+        self.may_publish = True
+
+    def _silence(self, state: LifecycleState) -> None:
+        self.may_publish = False
+        super().on_deactivate(state)
 
     def _transition(self, goal: str, *steps: Callable[[], object]) -> TransitionCallbackReturn:
         try:

@@ -48,7 +48,7 @@ PATIENCE_S = 60.0
 
 
 class Outlet:
-    """A lifecycle publisher of serialised messages."""
+    """A publisher of serialised messages, silent while its node is not active."""
 
     def __init__(
         self,
@@ -85,7 +85,7 @@ class Outlet:
         self._exchange = _exchange_of(node.context)
         self._exchange.check(self)
         events = None if on_count is None else PublisherEventCallbacks(matched=self._matched)
-        self._publisher = node.create_lifecycle_publisher(message_type, topic, qos, event_callbacks=events)
+        self._publisher = node.create_publisher(message_type, topic, qos, event_callbacks=events)
         self._handle = self._publisher.handle
         # Entered once for all: rclpy enters and leaves it in every call, which costs more than the call.
         self._in_use = ExitStack()
@@ -93,11 +93,6 @@ class Outlet:
         self._exchange.add_outlet(self)
         self._is_open = True
         node.when_cleaned_up(self.destroy)
-
-    @property
-    def is_activated(self) -> bool:
-        """Whether the node is active: else nothing is published."""
-        return bool(self._publisher.is_activated)
 
     @property
     def count(self) -> int:
@@ -119,7 +114,7 @@ class Outlet:
             TopicError: A subscription makes us wait for too long.
 
         """
-        if not self._publisher.is_activated:
+        if not self._node.may_publish:
             return False
         for inlet in self._inlets:
             inlet.take(data)
@@ -141,7 +136,7 @@ class Outlet:
                         where=f"topic {self.topic_name}",
                         expected="one that keeps up, or a qos_depth other than 0",
                     ) from None
-                if not self._publisher.is_activated:
+                if not self._node.may_publish:
                     return False
             else:
                 return True
@@ -176,7 +171,7 @@ class Outlet:
         if self._keeps_all and not self.deliver(LINGER_S):
             self._node.get_logger().warning(f"not all messages of {self.topic_name} were received")
         self._in_use.close()
-        self._node.destroy_lifecycle_publisher(self._publisher)
+        self._node.destroy_publisher(self._publisher)
 
     def connect(self, inlets: tuple[Inlet, ...]) -> None:
         """Take these for the inlets from now on."""

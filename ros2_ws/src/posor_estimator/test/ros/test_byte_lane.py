@@ -17,7 +17,7 @@ from posor_estimator.core.forward import scans_at
 from posor_estimator.core.native import rotation_from_native
 from posor_estimator.core.posor import Posor
 from posor_estimator.errors import TopicError
-from posor_estimator.ros.byte_lane import ByteLane
+from posor_estimator.ros.byte_lane import SAID_FAULTS, SAID_NEWS, SAID_STATE, SAID_TAKEN, ByteLane
 from posor_estimator.ros.cdr_scan import RAW_SCAN, scan_of
 from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM
 from posor_estimator.ros.messages import transform_message
@@ -133,7 +133,7 @@ def test_what_the_last_scan_was_can_be_asked() -> None:
         data = RAW_SCAN.serialize(message)
         lane.answer(data)
         estimate = other.locate(scan_of(data))
-        assert lane.said()[:3] == [scan_of(data).stamp_ns, estimate.state, estimate.faults]
+        assert lane.said[:3].tolist() == [scan_of(data).stamp_ns, estimate.state, estimate.faults]
         answered = lane.answered()
         assert answered.stamp_ns == scan_of(data).stamp_ns
         assert (answered.number, answered.verdict.redundancy) == (message.scan, estimate.redundancy)
@@ -150,8 +150,25 @@ def test_other_rows_are_told_where_another_source_is_lit() -> None:
         messages[0].header.stamp.nanosec += 1
         messages[0].lit_sources = lit
         lane.answer(RAW_SCAN.serialize(messages[0]))
-        seen.append(lane.said()[3])
-    assert seen == [1, 1, 2, 2, 3]
+        seen.append((lane.said[SAID_TAKEN], lane.said[SAID_NEWS]))
+    assert seen == [(1, 1), (1, 0), (2, 1), (2, 0), (3, 1)]
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_another_state_or_another_fault_is_news(compiled: bool) -> None:  # noqa: FBT001
+    posor = Posor(design("triad_diodes"))
+    posor = posor if compiled else in_python(posor)
+    messages = moving(posor)[:7]
+    lane = ByteLane(posor, RAW_SCAN.serialize(messages[0]), "total")
+    messages[3].gap_voltages[0] = messages[4].gap_voltages[0] = math.nan
+    messages[5].diode_currents[0] *= 1.5
+    seen = []
+    for message in messages:
+        lane.answer(RAW_SCAN.serialize(message))
+        seen.append((State(lane.said[SAID_STATE]), Fault(lane.said[SAID_FAULTS]), lane.said[SAID_NEWS]))
+    bad, far = (State.LOST, Fault.BAD_READING), (State.LOST, Fault.RESIDUAL)
+    sound = (State.OK, Fault(0))
+    assert seen[1:] == [(*sound, 0), (*sound, 0), (*bad, 1), (*bad, 0), (*far, 1), (*sound, 1)]
 
 
 def test_a_scan_of_another_kind_is_not_answered_and_changes_nothing() -> None:
@@ -181,7 +198,7 @@ def test_a_scan_of_another_kind_is_not_answered_and_changes_nothing() -> None:
     ]
     for other in [*others, first[:-1], b"", b"\x00\x00" + first[2:], b"\x00\x07" + first[2:]]:
         assert lane.answer(other) is None
-        assert (lane.answered().number, lane.said()[1]) == (messages[0].scan, State.OK)
+        assert (lane.answered().number, lane.said[SAID_STATE]) == (messages[0].scan, State.OK)
         assert lane.answered().reason == ""
     assert lane.answer(second + b"surplus bytes at the end") == wanted[1]
 
@@ -211,7 +228,7 @@ def test_scans_that_may_not_be_used_are_lost_without_a_number(spoil: str, known:
     assert np.isnan(
         [*lost.covariance, *lost.native, lost.residual, lost.pose.position.x, lost.pose.orientation.w]
     ).all()
-    assert tuple(lane.said()[1:3]) == (State.LOST, Fault.BAD_READING)
+    assert tuple(lane.said[1:3]) == (State.LOST, Fault.BAD_READING)
     assert math.isnan(lane.answered().verdict.residual)
     assert lane.answered().reason == f"scan {message.scan}: {reason}"
 

@@ -95,7 +95,7 @@ def test_a_transform_is_told_and_read_for_the_chain() -> None:
         data = serialize_message(message)
         assert kind.takes(data)
         assert kind.verdict(data) == (message.state, message.faults)
-        assert stamp_ns_of(data) == scan_from_message(scan).stamp_ns
+        assert stamp_ns_of(data[STAMP]) == scan_from_message(scan).stamp_ns
         row[LEAD : LEAD + kind.size] = np.frombuffer(data, dtype=np.uint8)[: kind.size]
     read_records(rows, kind.columns, 0, poses, covariances, thetas)
     for n, message in enumerate(messages):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from posor_estimator.errors import TopicError
+from posor_estimator.errors import ParameterError, TopicError
 from posor_estimator.ros import wire
 from posor_estimator.ros.node import PosorNode
 from posor_estimator.ros.parameters import NodeParameters
@@ -43,10 +43,8 @@ def plain(process: Process, namespace: str) -> PlainNode:
 
 
 def outlet_of(node: PlainNode, topic: str = "/joint/raw", **options: Any) -> Outlet:
-    """Return an outlet of an active node, itself active."""
-    outlet = Outlet(node, RawScan, topic, KEEP_ALL_QOS, **options)
-    outlet._publisher.on_activate(None)
-    return outlet
+    """Return an outlet of an active node."""
+    return Outlet(node, RawScan, topic, KEEP_ALL_QOS, **options)
 
 
 @pytest.mark.parametrize("first", ["inlet", "outlet"])
@@ -164,20 +162,51 @@ def test_topics_close_with_their_nodes() -> None:
         graph.wait_until(lambda: ends(0, 0), "neither")
 
 
-def test_an_inactive_publisher_hands_on_nothing(process: Process) -> None:
+def test_an_inactive_node_hands_on_nothing(process: Process) -> None:
     taken: list[bytes] = []
-    outlet = outlet_of(plain(process, "/joint"))
+    node = plain(process, "/joint")
+    outlet = outlet_of(node)
     Inlet(plain(process, "/posor"), RawScan, "/joint/raw", KEEP_ALL_QOS, taken.append)
     with Graph() as graph:
         received = graph.collect(RawScan, "/joint/raw", raw=True)
         graph.wait_until(lambda: outlet.count == 2, "the subscription")
-        outlet._publisher.on_deactivate(None)
-        assert not outlet.is_activated
+        node.trigger_deactivate()
         assert not outlet.publish(MESSAGES[0])
-        outlet._publisher.on_activate(None)
+        node.trigger_activate()
         assert outlet.publish(MESSAGES[1])
-        graph.wait_until(lambda: bool(received), "the message of the active publisher")
+        graph.wait_until(lambda: bool(received), "the message of the active node")
     assert taken == received == [MESSAGES[1]]
+
+
+class FailingNode(PlainNode):
+    """Fails in its hooks once it is told to."""
+
+    failure: Exception | None = None
+
+    def activate(self) -> None:
+        if self.failure is not None:
+            raise self.failure
+
+    deactivate = activate
+
+
+@pytest.mark.parametrize("failure", [ParameterError("refused"), ZeroDivisionError("a bug")])
+@pytest.mark.parametrize("hook", ["activate", "deactivate"])
+def test_a_node_whose_hook_fails_hands_on_nothing_unless_it_stays_active(
+    process: Process, hook: str, failure: Exception
+) -> None:
+    taken: list[bytes] = []
+    node = process.start(FailingNode, "/joint")
+    outlet = outlet_of(node)
+    Inlet(plain(process, "/posor"), RawScan, "/joint/raw", KEEP_ALL_QOS, taken.append)
+    if hook == "activate":
+        node.trigger_deactivate()
+    node.failure = failure
+    getattr(node, f"trigger_{hook}")()
+    stays = hook == "deactivate" and isinstance(failure, ParameterError)
+    assert outlet.publish(MESSAGES[0]) == stays
+    assert taken == MESSAGES[:stays]
+    node.failure = None
 
 
 def test_who_listens_is_told_as_they_come_and_go(process: Process) -> None:

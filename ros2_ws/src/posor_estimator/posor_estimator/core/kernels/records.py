@@ -51,8 +51,9 @@ AT_HOME = 27  # 1: it counts as having seen the home mark, whatever its status s
 STAMP_NS = 28  # its stamp
 SAID_STATE, SAID_FAULTS = 29, 30  # what was written of it
 SAID_TAKEN = 31  # how often, up to it, other rows of the pool have been taken than for the scan before
-LEFT = 32  # what is left to do for it
-RECORD = 33  # and after it room for the sources lit
+SAID_NEWS = 32  # 1: state, faults or that number are other than what was written of the scan before
+LEFT = 33  # what is left to do for it
+RECORD = 34  # and after it room for the sources lit
 
 KIND_SYSTEMATIC, KIND_TOTAL = 1, 2
 """The third, zero, is the random one."""
@@ -145,6 +146,8 @@ def write_all_but_covariance(
     """Do ``write_record`` but for the covariance."""
     outcome, figures = line(places, ints, OUTCOME, 0), line(places, floats, FIGURES, 0)
     taken = line(places, ints, TAKEN, 0)
+    differs = (record[SAID_STATE] ^ outcome[STATE]) | (record[SAID_FAULTS] ^ outcome[FAULTS])
+    record[SAID_NEWS] = 1 if differs | (record[SAID_TAKEN] ^ taken[0]) else 0
     record[SAID_STATE], record[SAID_FAULTS], record[SAID_TAKEN] = outcome[STATE], outcome[FAULTS], taken[0]
     lost = outcome[STATE] == LOST
     for k in range(template.shape[0]):
