@@ -75,6 +75,25 @@ def test_only_whole_scans_of_sound_transforms_are_joined_and_what_is_amiss_is_na
         assert (values["scans_refused"], values["scans_incomplete"]) == ("2", "2")
 
 
+@pytest.mark.parametrize("wrong", [2, 900])
+def test_a_wrong_stamp_of_one_joint_costs_one_pose(two_joints: str, wrong: int) -> None:
+    with chain_node(urdf=two_joints, endpoint_frame="t2", **LOSSLESS), Graph() as graph:
+        arm = Arm(graph)
+        shoulder, elbow = arm.joint("shoulder"), arm.joint("elbow")
+        for second in range(10, 20):
+            shoulder.publish(transform_of(wrong if second == 15 else second, plates=("base", "t1")))
+        for second in range(10, 20):
+            elbow.publish(transform_of(second, plates=("r2", "t2")))
+        arm.wait_for(9)
+        assert seconds_of(arm.poses) == [*range(10, 15), *range(16, 20)]
+
+        def incomplete() -> set[str]:
+            told = [status for status in graph.diagnostics if status.name == "/chain_node: endpoint"]
+            return {values_of(status).get("scans_incomplete", "") for status in told}
+
+        graph.wait_until(lambda: "2" in incomplete(), "a report of the wrong stamp and of the scan that lacks it")
+
+
 def test_a_joint_that_nobody_measures_is_named_and_a_late_one_is_waited_for(two_joints: str) -> None:
     waiting = {**LOSSLESS, "max_wait": 0.2}
     with chain_node(urdf=two_joints, endpoint_frame="t2", **waiting), Graph() as graph:

@@ -24,17 +24,24 @@ MOST_OPEN = 64
 """Scans that may be incomplete at the same time unless told otherwise; beyond that the oldest is given up."""
 
 
-_BEFORE_ALL = -(2**63)
+_BEFORE_ALL, _AFTER_ALL = -(2**63), 2**63 - 1
 
 
 class _Member:
-    """The round that a member is in, its last stamp, and how many items it has sent since it fell a round behind."""
+    """The round that a member is in, its last two stamps, and how many items it has sent since it fell a round behind.
 
-    __slots__ = ("behind", "last", "round")
+    Who has begun a round has a limit: its last stamp of the round before.
+    """
+
+    __slots__ = ("before", "behind", "last", "limit", "round")
 
     def __init__(self) -> None:
         self.round = self.behind = 0
-        self.last = _BEFORE_ALL
+        self.begin()
+
+    def begin(self) -> None:
+        self.before = self.last = _BEFORE_ALL
+        self.limit = _AFTER_ALL
 
 
 class _Scan(Generic[Item]):
@@ -57,6 +64,9 @@ class ScanJoiner(Generic[Item]):
     A member whose stamps go back has started over (a looping replay, a clock set back) and so begins a new round. Items
     of different rounds are never joined. A member that goes on without starting over for MOST_OPEN items after another
     has done so is taken into the new round as it is: then only the other's clock was set back.
+
+    One wrong stamp of a member is not taken for that, and costs no more than its own scan. It has come too early where
+    the member's next one goes on from those before, and too late where that lies between the former two.
 
     Attributes:
         given_up: What ``take_given_up`` has to tell.
@@ -94,9 +104,9 @@ class ScanJoiner(Generic[Item]):
 
         """
         own = self._members[member]
-        if own.round != self._round or stamp < own.last:
-            self._change_round(own, stamp)
-        own.last = stamp
+        if own.round != self._round or not own.last <= stamp <= own.limit:
+            self._change_round(member, own, stamp)
+        own.before, own.last = own.last, stamp
         key = (own.round, stamp)
         if key <= self._closed:
             return None
@@ -117,16 +127,41 @@ class ScanJoiner(Generic[Item]):
             self._give_up_to(self._keys[0])
         return None
 
-    def _change_round(self, own: _Member, stamp: int) -> None:
-        """Begin a new round, or follow the others into theirs, if a member's stamp says so."""
-        if own.round == self._round:
+    def _change_round(self, member: str, own: _Member, stamp: int) -> None:
+        """Begin a new round, or follow the others into theirs, if a member's stamp says so; or forget a wrong one."""
+        if own.round != self._round:
+            own.behind += 1
+            if stamp <= own.last or own.behind > MOST_OPEN:
+                own.begin()
+                own.round, own.behind = self._round, 0
+        elif stamp > own.limit:
+            self._return_from_round(member, own)
+        elif _BEFORE_ALL < own.before < stamp and self._forget(member, (own.round, own.last)):
+            own.last = own.before
+        else:
             self._round += 1
-            own.round = self._round
-            return
-        own.behind += 1
-        if stamp <= own.last or own.behind > MOST_OPEN:
-            own.round = self._round
-            own.behind = 0
+            former = own.last
+            own.begin()
+            own.round, own.limit = self._round, former
+
+    def _return_from_round(self, member: str, own: _Member) -> None:
+        """Undo the round that a member has begun if its first stamp there was the only one; else let it go on."""
+        limit, own.limit = own.limit, _AFTER_ALL
+        if own.before == _BEFORE_ALL and self._forget(member, (own.round, own.last)):
+            self._round -= 1
+            own.round, own.last = self._round, limit
+            for other in self._members.values():
+                other.behind = 0
+
+    def _forget(self, member: str, key: Key) -> bool:
+        """Give up an open scan if it has nothing but a member's item; return whether it had."""
+        scan = self._open.get(key)
+        if scan is None or list(scan.items) != [member]:
+            return False
+        del self._open[key]
+        self._keys = sorted(self._open)
+        self.given_up[key[1]] = tuple(other for other in self._members if other != member)
+        return True
 
     def give_up_before(self, arrived: float) -> None:
         """Give up every set whose first item arrived before a time, and the sets older than those."""

@@ -167,6 +167,84 @@ def test_a_joint_that_was_silent_while_the_others_started_over_is_taken_back(joi
     assert scans[-1] == whole(19 + 2 * MOST_OPEN)
 
 
+@pytest.mark.parametrize("wrong", [1, 7, 9_000])
+@pytest.mark.parametrize("joint", JOINTS)
+def test_a_wrong_stamp_costs_its_own_scan_only(joint: str, wrong: int, joiner: ScanJoiner[str]) -> None:
+    complete = []
+    given_up: dict[int, tuple[str, ...]] = {}
+    others = tuple(other for other in JOINTS if other != joint)
+    for stamp in range(10, 30):
+        for each in JOINTS:
+            said = wrong if (each, stamp) == (joint, 20) else stamp
+            scan = add(joiner, each, said)
+            given_up |= joiner.take_given_up()
+            if scan is not None:
+                assert scan == whole(stamp)
+                complete.append(stamp)
+    assert complete == [stamp for stamp in range(10, 30) if stamp != 20]
+    assert given_up == {20: (joint,), wrong: others}
+
+
+def test_wrong_stamps_now_and_then_cost_their_own_scans(joiner: ScanJoiner[str], rng: np.random.Generator) -> None:
+    complete = []
+    for stamp in range(101, 1100):
+        scan = None
+        for joint in rng.permutation(JOINTS).tolist():
+            wrong = int(rng.integers(1, 5000)) if stamp % 10 == 0 and joint == JOINTS[stamp // 10 % 3] else stamp
+            scan = add(joiner, joint, wrong)
+        complete += [stamp] if scan == whole(stamp) else []
+    assert complete == [stamp for stamp in range(101, 1100) if stamp % 10]
+
+
+def test_any_number_of_wrong_stamps_may_come_after_one_another(joiner: ScanJoiner[str]) -> None:
+    complete = []
+    for stamp in range(100, 100 + 4 * MOST_OPEN):
+        scans = [add(joiner, joint, 1 if joint == "wrist" and stamp % 2 else stamp) for joint in JOINTS]
+        complete += [stamp] if scans[-1] == whole(stamp) else []
+    assert complete == list(range(100, 100 + 4 * MOST_OPEN, 2))
+    assert sorted(joiner._keys) == sorted(joiner._open)  # nothing of them stays
+
+
+def test_what_came_before_a_wrong_stamp_is_remembered(joiner: ScanJoiner[str]) -> None:
+    for stamp in (19, 20):
+        for joint in JOINTS:
+            add(joiner, joint, stamp)
+    for stamp in (7, 21, 15):  # a wrong one, the next one, and a second round
+        add(joiner, "shoulder", stamp)
+    add(joiner, "elbow", 21)
+    assert add(joiner, "wrist", 21) == whole(21)
+    add(joiner, "elbow", 15)
+    assert add(joiner, "wrist", 15) == whole(15)
+
+
+def test_the_same_wrong_stamp_of_two_joints_ends_with_a_new_round(joiner: ScanJoiner[str]) -> None:
+    given_up: dict[int, tuple[str, ...]] = {}
+    for stamp in range(10, 30 + 2 * MOST_OPEN):
+        scans = [add(joiner, joint, 9_000 if joint != "wrist" and stamp == 20 else stamp) for joint in JOINTS]
+        given_up |= joiner.take_given_up()
+    assert scans[-1] == whole(29 + 2 * MOST_OPEN)
+    assert given_up[9_000] == ("wrist",)
+
+
+def test_a_joint_that_starts_over_alone_and_comes_farther_than_before_stays_in_its_round(
+    joiner: ScanJoiner[str],
+) -> None:
+    for stamp in (100, 200):
+        for joint in JOINTS:
+            add(joiner, joint, stamp)
+    for stamp in (100, 300):
+        add(joiner, "wrist", stamp)  # a wrong stamp: what goes on is the first round
+    for stamp in (100, 200, 400):
+        add(joiner, "wrist", stamp)  # a second round
+    assert joiner.take_given_up() == {100: ("shoulder", "elbow")}
+    for stamp in (300, 400):  # of the first round, where the wrist has sent no 400
+        assert add(joiner, "shoulder", stamp) is None
+        assert add(joiner, "elbow", stamp) == (whole(300) if stamp == 300 else None)
+    for stamp in (100, 200, 400):
+        assert add(joiner, "shoulder", stamp) is None
+        assert add(joiner, "elbow", stamp) == whole(stamp)
+
+
 def test_no_more_than_so_many_scans_are_open(joiner: ScanJoiner[str]) -> None:
     """A joint that is off must not make the memory grow; each scan is given up with its name."""
     for stamp in range(1, MOST_OPEN + 1):

@@ -23,8 +23,8 @@ Arrival = tuple[int, int]
 """Joint and stamp."""
 
 
-def arrivals(random: np.random.Generator, count: int, *, restarts: bool) -> list[Arrival]:
-    """Return transforms of scans of which some are lost and some late, in the order of their coming."""
+def arrivals(random: np.random.Generator, count: int, *, restarts: bool, wrong: float) -> list[Arrival]:
+    """Return transforms of scans, in the order of their coming: some are lost, some late, a share has wrong stamps."""
     found: list[tuple[float, int, int]] = []
     for n in range(count):
         present = [joint for joint in range(len(NAMES)) if random.random() > 0.1]
@@ -35,7 +35,7 @@ def arrivals(random: np.random.Generator, count: int, *, restarts: bool) -> list
     for _, joint, stamp in found:  # of one joint they come in order
         if stamp > last[joint]:
             last[joint] = stamp
-            kept.append((joint, stamp + 1))
+            kept.append((joint, stamp + 1 if random.random() >= wrong else int(random.integers(1, 2 * count))))
     if restarts:
         kept += [(joint, stamp - count // 2) for joint, stamp in kept if stamp > count // 2]
     return kept
@@ -83,12 +83,13 @@ def in_blocks(given: Sequence[Arrival], size: int) -> tuple[list[int], int, dict
     return complete, joiner.incomplete, joiner.missing
 
 
+@pytest.mark.parametrize("wrong", [0.0, 0.02])
 @pytest.mark.parametrize("restarts", [False, True])
 @pytest.mark.parametrize("size", [1, 7, 100, 10_000])
-def test_blocks_of_any_size_give_what_the_live_joiner_gives(size: int, restarts: bool) -> None:  # noqa: FBT001
+def test_blocks_of_any_size_give_what_the_live_joiner_gives(size: int, restarts: bool, wrong: float) -> None:  # noqa: FBT001
     random = np.random.default_rng(size)
     for _ in range(4):
-        given = arrivals(random, 120, restarts=restarts)
+        given = arrivals(random, 120, restarts=restarts, wrong=wrong)
         assert in_blocks(given, size) == by_the_live_joiner(given)
 
 
