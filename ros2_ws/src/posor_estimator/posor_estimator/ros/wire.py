@@ -19,20 +19,18 @@ from __future__ import annotations
 
 import time
 from contextlib import ExitStack
-from threading import RLock
 from typing import TYPE_CHECKING, Any
-from weakref import WeakKeyDictionary
 
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import HistoryPolicy
 
 from posor_estimator.errors import TopicError
+from posor_estimator.ros.exchange import exchange_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rclpy.context import Context
     from rclpy.qos import QoSProfile
 
     from posor_estimator.ros.node import PosorNode
@@ -82,7 +80,7 @@ class Outlet:
         self._subscriptions = 0
         self._keeps_all = qos.history == HistoryPolicy.KEEP_ALL
         self._inlets: tuple[Inlet, ...] = ()
-        self._exchange = _exchange_of(node.context)
+        self._exchange = exchange_of(node.context)
         self._exchange.check(self)
         events = None if on_count is None else PublisherEventCallbacks(matched=self._matched)
         self._publisher = node.create_publisher(message_type, topic, qos, event_callbacks=events)
@@ -220,7 +218,7 @@ class Inlet:
         self._callback = callback
         self._subscription: Any = None
         self._deaf = False
-        self._exchange = _exchange_of(node.context)
+        self._exchange = exchange_of(node.context)
         self._exchange.check(self)
         self._exchange.add_inlet(self)
         node.when_cleaned_up(self.destroy)
@@ -254,72 +252,3 @@ class Inlet:
         self._deaf = True
         self._exchange.remove_inlet(self)
         self.listen(over_dds=False)
-
-
-class _Exchange:
-    """Knows the outlets and inlets of one context, and connects them whenever one comes or goes."""
-
-    def __init__(self) -> None:
-        self._outlets: dict[str, tuple[Outlet, ...]] = {}
-        self._inlets: dict[str, tuple[Inlet, ...]] = {}
-        self._lock = RLock()
-
-    def check(self, end: Outlet | Inlet) -> None:
-        """Refuse an end whose topic is known by another type."""
-        with self._lock:
-            ends: tuple[tuple[Outlet | Inlet, ...], ...] = (
-                self._outlets.get(end.topic_name, ()),
-                self._inlets.get(end.topic_name, ()),
-            )
-        known = [other.message_type for others in ends for other in others]
-        if known and known[0] is not end.message_type:
-            raise TopicError(
-                f"is of type {_type_name(end.message_type)} here",
-                where=f"topic {end.topic_name}",
-                expected=f"{_type_name(known[0])}, as another node of this process has it",
-            )
-
-    def add_outlet(self, outlet: Outlet) -> None:
-        with self._lock:
-            self._outlets[outlet.topic_name] = (*self._outlets.get(outlet.topic_name, ()), outlet)
-            self._connect(outlet.topic_name)
-
-    def remove_outlet(self, outlet: Outlet) -> None:
-        with self._lock:
-            left = tuple(other for other in self._outlets.get(outlet.topic_name, ()) if other is not outlet)
-            self._outlets[outlet.topic_name] = left
-            self._connect(outlet.topic_name)
-            outlet.connect(())
-
-    def add_inlet(self, inlet: Inlet) -> None:
-        with self._lock:
-            self._inlets[inlet.topic_name] = (*self._inlets.get(inlet.topic_name, ()), inlet)
-            self._connect(inlet.topic_name)
-
-    def remove_inlet(self, inlet: Inlet) -> None:
-        with self._lock:
-            left = tuple(other for other in self._inlets.get(inlet.topic_name, ()) if other is not inlet)
-            self._inlets[inlet.topic_name] = left
-            self._connect(inlet.topic_name)
-
-    def _connect(self, topic: str) -> None:
-        outlets, inlets = self._outlets.get(topic, ()), self._inlets.get(topic, ())
-        for inlet in inlets:
-            inlet.listen(over_dds=not outlets)
-        for outlet in outlets:
-            outlet.connect(inlets)
-
-
-_exchanges: WeakKeyDictionary[Context, _Exchange] = WeakKeyDictionary()
-_exchanges_lock = RLock()
-
-
-def _exchange_of(context: Context) -> _Exchange:
-    with _exchanges_lock:
-        return _exchanges.setdefault(context, _Exchange())
-
-
-def _type_name(message_type: type[Any]) -> str:
-    """Return the ROS name of a message class, for instance ``posor_msgs/msg/RawScan``."""
-    package, kind, *_ = message_type.__module__.split(".")
-    return f"{package}/{kind}/{message_type.__name__}"
