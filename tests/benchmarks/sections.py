@@ -30,6 +30,8 @@ BAD_EVERY = 100
 """Of so many scans of the first joint one is bad, where faults are measured."""
 LADDER = (500, 1000, 1500, 2000, 2500, 3000, 3500, 4000, 5000, 6000, 8000, 10_000)
 """Rates among which the highest that holds is looked for [Hz]."""
+TRIES = 2
+"""How often a rate is tried before it counts as one that does not hold: the machine may have stumbled."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +99,7 @@ def highest_rate(lost: Callable[[int], float], share: float) -> int | None:
     """Return the highest rate of the ladder at which no more than a share is lost; None: at none.
 
     Args:
-        lost: Measures the share that is lost at a rate [Hz]; asked for half of the ladder's remaining steps each time.
+        lost: Returns the share that is lost at a rate [Hz]; asked for half of the ladder's remaining steps each time.
         share: What may be lost.
 
     """
@@ -109,6 +111,22 @@ def highest_rate(lost: Callable[[int], float], share: float) -> int | None:
         else:
             lowest = middle
     return LADDER[lowest] if lowest >= 0 else None
+
+
+def least_lost(lost: Callable[[int], float], rate: int, share: float, tried: dict[int, list[float]]) -> float:
+    """Return the least share that was lost at a rate, which is tried until no more than a share is, or TRIES times.
+
+    Args:
+        lost: Measures it.
+        rate: [Hz].
+        share: What may be lost.
+        tried: What was lost so far, by rate; written.
+
+    """
+    shares = tried.setdefault(rate, [])
+    while not shares or (min(shares) > share and len(shares) < TRIES):
+        shares.append(lost(rate))
+    return min(shares)
 
 
 class Sections:
@@ -199,23 +217,21 @@ class Sections:
 
     def highest(self) -> dict[str, Any]:
         """Look for the highest rate at which nothing is lost, and at which next to nothing is."""
-        tried: dict[int, float] = {}
+        tried: dict[int, list[float]] = {}
 
-        def lost(rate: int) -> float:
-            if rate not in tried:
-                tried[rate] = self._lost(self._plan.joints, rate)
-            return tried[rate]
+        def highest(share: float) -> int | None:
+            return highest_rate(lambda rate: least_lost(self._lost, rate, share, tried), share)
 
         return {
-            "highest_rate_hz": highest_rate(lost, 0.0),
-            "highest_rate_nearly_hz": highest_rate(lost, FULL),
-            "highest_rate_lost": {str(rate): tried[rate] for rate in sorted(tried)},
+            "highest_rate_hz": highest(0.0),
+            "highest_rate_nearly_hz": highest(FULL),
+            "highest_rate_lost": {str(rate): min(tried[rate]) for rate in sorted(tried)},
         }
 
-    def _lost(self, joints: int, rate: int) -> float:
+    def _lost(self, rate: int) -> float:
         """Return the share of a graph's ticks that are lost."""
         try:
-            run = self._run("graph", self._plan.layout, joints, rate, self._plan.point_s)
+            run = self._run("graph", self._plan.layout, self._plan.joints, rate, self._plan.point_s)
         except NothingReceived:
             return 1.0
         return run.lost / run.expected

@@ -14,7 +14,7 @@ from tests.benchmarks.alone import lateness
 from tests.benchmarks.bench import ROOT
 from tests.benchmarks.growth import figure, line, series
 from tests.benchmarks.page import PLACE, filled
-from tests.benchmarks.sections import LADDER, highest_rate
+from tests.benchmarks.sections import LADDER, highest_rate, least_lost
 from tests.benchmarks.tables import aims_of
 
 if TYPE_CHECKING:
@@ -135,6 +135,19 @@ def test_highest_rate_is_found_in_few_steps(holds_to: float, share: float, found
     assert highest_rate(lost, share) == found
     assert len(tried) <= 4
     assert set(tried) <= set(LADDER)
+
+
+@pytest.mark.parametrize(
+    ("given", "share", "found", "tries"),
+    [([0.0, 9.0], 0.0, 0.0, 1), ([0.3, 0.0], 0.0, 0.0, 2), ([0.3, 0.2, 0.0], 0.1, 0.2, 2), ([0.05, 0.0], 0.1, 0.05, 1)],
+)
+def test_a_rate_is_tried_twice_before_it_counts_as_lost(
+    given: list[float], share: float, found: float, tries: int
+) -> None:
+    left, tried = iter(given), dict[int, list[float]]()
+    for _ in range(2):  # what was found stays
+        assert least_lost(lambda _: next(left), 500, share, tried) == found
+    assert tried == {500: given[:tries]}
 
 
 def run_with(lost: int, p50_us: float, scans_per_s: float) -> dict[str, Any]:
