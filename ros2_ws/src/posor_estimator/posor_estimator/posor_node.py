@@ -22,10 +22,11 @@ from posor_estimator.core.calibrate.digital_zero import digital_zero
 from posor_estimator.core.calibration.load import load_calibration
 from posor_estimator.core.fault import Fault, State
 from posor_estimator.core.posor import Posor
+from posor_estimator.core.records import SAID_FAULTS, SAID_NEWS, SAID_STAMP, SAID_STATE, SAID_TAKEN
 from posor_estimator.core.scan import Scans
 from posor_estimator.errors import CalibrationError, ParameterError, PosorError, TopicError
 from posor_estimator.posor_parameters import PosorParameters
-from posor_estimator.ros.byte_lane import SAID_NEWS, SAID_STAMP, ByteLane
+from posor_estimator.ros.byte_lane import ByteLane
 from posor_estimator.ros.cdr_scan import RAW_SCAN, scan_of
 from posor_estimator.ros.diagnostics import Level
 from posor_estimator.ros.listeners import Listeners
@@ -229,7 +230,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
 
         One without a pose, or of another kind, breaks the row of those that are kept.
         """
-        _, state, faults, taken, _ = lane.said
+        state, faults, taken = (lane.said[column] for column in (SAID_STATE, SAID_FAULTS, SAID_TAKEN))
         self._last, self._lost = lane, state == LOST
         if self._lost or taken != self._taken:
             self._recent.clear()

@@ -36,6 +36,11 @@ if TYPE_CHECKING:
 
 STOPPED = {START: 0, RETRY: -1, UNFIT: 1}
 """Where a loop over one scan would have stopped, by what is left to do for it."""
+SAID_STAMP, SAID_STATE, SAID_FAULTS, SAID_TAKEN, SAID_NEWS = (
+    column - kernel.STAMP_NS
+    for column in (kernel.STAMP_NS, kernel.SAID_STATE, kernel.SAID_FAULTS, kernel.SAID_TAKEN, kernel.SAID_NEWS)
+)
+"""Where ``Records.said`` has what."""
 NOTHING_LIKE: WordArray = np.zeros((2, 0), dtype=np.int32)
 """For rows that are known to be of the right kind."""
 
@@ -74,7 +79,7 @@ class Records:
         tables: The POSOR's numbers.
         outcome: State, faults and codes of the last scan, shape (2 + sensors,).
         said: Its stamp [ns], state and faults, how often, up to it, a scan has read other rows than the one before,
-            as where another source is lit, and whether one of the latter three is news, shape (5,).
+            as where another source is lit, and whether one of the latter three is news, shape (5,), see ``SAID_STAMP``.
 
     """
 

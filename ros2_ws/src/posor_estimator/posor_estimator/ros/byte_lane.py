@@ -10,6 +10,7 @@ import numpy as np
 from posor_estimator.bulk.columns import records_of, transform_layout
 from posor_estimator.bulk.layout import LEAD, TableLayout
 from posor_estimator.core.kernels.stamps import NO_TIME
+from posor_estimator.core.records import SAID_STAMP
 from posor_estimator.ros.cdr_scan import RAW_SCAN
 
 if TYPE_CHECKING:
@@ -18,11 +19,6 @@ if TYPE_CHECKING:
     from posor_estimator.ros.messages import CovarianceKind
 
 _NUMBER = struct.Struct("<Q")
-SAID_STAMP, SAID_STATE, SAID_FAULTS = 0, 1, 2
-"""Where ``ByteLane.said`` has the stamp [ns], ``State`` and ``Fault``."""
-SAID_TAKEN, SAID_NEWS = 3, 4
-"""How often a scan has read other rows than the one before, as where another source is lit; whether that, state or
-faults are other than those of the lane's scan before."""
 
 
 class ByteLane:
@@ -31,7 +27,7 @@ class ByteLane:
     Attributes:
         frame: Of the scans.
         fit: Whether that is the receiving plate; else every scan is LOST.
-        said: Of the last scan, see ``SAID_STAMP`` and those after it.
+        said: Of the last scan, see ``core.records.Records``.
 
     """
 

@@ -16,8 +16,9 @@ from posor_estimator.core.fault import Fault, State
 from posor_estimator.core.forward import scans_at
 from posor_estimator.core.native import rotation_from_native
 from posor_estimator.core.posor import Posor
+from posor_estimator.core.records import SAID_FAULTS, SAID_NEWS, SAID_STATE, SAID_TAKEN
 from posor_estimator.errors import TopicError
-from posor_estimator.ros.byte_lane import SAID_FAULTS, SAID_NEWS, SAID_STATE, SAID_TAKEN, ByteLane
+from posor_estimator.ros.byte_lane import ByteLane
 from posor_estimator.ros.cdr_scan import RAW_SCAN, scan_of
 from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM
 from posor_estimator.ros.messages import transform_message

@@ -13,7 +13,7 @@ from posor_estimator.ros.qos import DIAGNOSTICS_TOPIC, RELIABLE_QOS
 from posor_estimator.testing.graph import Graph, values_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from posor_estimator.ros.diagnostics import Words
 
@@ -22,12 +22,29 @@ pytestmark = pytest.mark.usefixtures("ros_domain")
 FLAPS = 1000
 
 
-def heard(graph: Graph, other: Graph) -> list[DiagnosticArray]:
-    """Return the list into which the other graph's diagnostics come, once they are heard."""
-    messages: list[DiagnosticArray] = graph.collect(DiagnosticArray, DIAGNOSTICS_TOPIC)
-    publisher = other.node.create_publisher(DiagnosticArray, DIAGNOSTICS_TOPIC, RELIABLE_QOS)
-    graph.wait_until(lambda: publisher.get_subscription_count() > 0, "a listener", other.receive)
-    return messages
+class Heard:
+    """A node's diagnostics, and the messages that come of them over DDS."""
+
+    def __init__(self, graph: Graph, other: Graph) -> None:
+        self.graph, self.other = graph, other
+        self.diagnostics = Diagnostics(other.node)
+        self.messages: list[DiagnosticArray] = graph.collect(DiagnosticArray, DIAGNOSTICS_TOPIC)
+        publisher = other.node.create_publisher(DiagnosticArray, DIAGNOSTICS_TOPIC, RELIABLE_QOS)
+        self.wait_until(lambda: publisher.get_subscription_count() > 0, "a listener")
+
+    def wait_until(self, holds: Callable[[], bool], what: str) -> None:
+        """Wait while the node's executor works."""
+        self.graph.wait_until(holds, what, self.other.receive)
+
+    def said(self) -> list[str]:
+        """Return what the first line said in each message."""
+        return [message.status[0].message for message in self.messages]
+
+
+@pytest.fixture
+def heard() -> Iterator[Heard]:
+    with Graph() as graph, Graph() as other:
+        yield Heard(graph, other)
 
 
 def done_in_a_thread(work: Callable[[], None]) -> None:
@@ -37,65 +54,58 @@ def done_in_a_thread(work: Callable[[], None]) -> None:
     thread.join()
 
 
-def test_what_is_said_in_the_thread_of_the_scans_is_put_into_words_and_published_in_the_executors() -> None:
-    with Graph() as graph, Graph() as other:
-        diagnostics = Diagnostics(other.node)
-        messages = heard(graph, other)
-        line = diagnostics.add("line")
-        threads = []
+def test_what_is_said_in_the_thread_of_the_scans_is_put_into_words_and_published_in_the_executors(heard: Heard) -> None:
+    line = heard.diagnostics.add("line")
+    threads = []
 
-        def words() -> Words:
-            threads.append(current_thread())
-            return "lost", {"reason": "a cable"}
+    def words() -> Words:
+        threads.append(current_thread())
+        return "lost", {"reason": "a cable"}
 
-        def scans() -> None:
-            line.report_news(Level.ERROR, words)
-            line.report(Level.OK, "ok", {"scans": 2})
+    def scans() -> None:
+        line.report_news(Level.ERROR, words)
+        line.report(Level.OK, "ok", {"scans": 2})
 
-        done_in_a_thread(scans)
-        assert threads == []
-
-        def said() -> list[str]:
-            return [message.status[0].message for message in messages]
-
-        graph.wait_until(lambda: said()[-1:] == ["ok"], "what holds now", other.receive)
-        assert said() == ["lost", "ok"]
-        assert threads == [current_thread()]
-        assert messages[0].status[0].level == DiagnosticStatus.ERROR
-        assert values_of(messages[0].status[0])["reason"] == "a cable"
-        assert values_of(messages[1].status[0])["scans"] == "2"
+    done_in_a_thread(scans)
+    assert threads == []
+    heard.wait_until(lambda: heard.said()[-1:] == ["ok"], "what holds now")
+    assert heard.said() == ["lost", "ok"]
+    assert threads == [current_thread()]
+    lost, ok = (message.status[0] for message in heard.messages)
+    assert lost.level == DiagnosticStatus.ERROR
+    assert values_of(lost)["reason"] == "a cable"
+    assert values_of(ok)["scans"] == "2"
 
 
-def test_a_state_that_comes_and_goes_at_every_scan_costs_a_few_messages_and_none_of_the_bad_ones_is_hidden() -> None:
-    with Graph() as graph, Graph() as other:
-        diagnostics = Diagnostics(other.node)
-        messages = heard(graph, other)
-        line, last = diagnostics.add("line"), diagnostics.add("last")
-        told = []
+def test_a_state_that_comes_and_goes_at_every_scan_costs_a_few_messages_and_none_of_the_bad_ones_is_hidden(
+    heard: Heard,
+) -> None:
+    line, last = heard.diagnostics.add("line"), heard.diagnostics.add("last")
+    told = []
 
-        def lost(number: int) -> Words:
-            told.append(number)
-            return f"lost {number}", {}
+    def lost(number: int) -> Words:
+        told.append(number)
+        return f"lost {number}", {}
 
-        def scans() -> None:
-            line.report(Level.WARN, "degraded")
-            for number in range(FLAPS):
-                line.report_news(Level.ERROR, lambda number=number: lost(number))  # type: ignore[misc]
-                line.report(Level.OK, "ok")
-            last.report(Level.OK, "done")
+    def scans() -> None:
+        line.report(Level.WARN, "degraded")
+        for number in range(FLAPS):
+            line.report_news(Level.ERROR, lambda number=number: lost(number))  # type: ignore[misc]
+            line.report(Level.OK, "ok")
+        last.report(Level.OK, "done")
 
-        done_in_a_thread(scans)
+    done_in_a_thread(scans)
 
-        def holds() -> bool:
-            return bool(messages) and [status.message for status in messages[-1].status] == ["ok", "done"]
+    def holds() -> bool:
+        return bool(heard.messages) and [status.message for status in heard.messages[-1].status] == ["ok", "done"]
 
-        graph.wait_until(holds, "what holds now", other.receive)
-        assert told == list(range(FLAPS - MOST_WAITING + 1, FLAPS))
-        assert [message.status[0].message for message in messages][: MOST_WAITING - 1] == [f"lost {n}" for n in told]
+    heard.wait_until(holds, "what holds now")
+    assert told == list(range(FLAPS - MOST_WAITING + 1, FLAPS))
+    assert heard.said()[: MOST_WAITING - 1] == [f"lost {n}" for n in told]
 
 
 def test_changes_wait_until_the_least_time_since_the_last_publication_has_gone_by(
-    monkeypatch: pytest.MonkeyPatch,
+    heard: Heard, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now_s, looks = 100.0, 0
 
@@ -106,36 +116,30 @@ def test_changes_wait_until_the_least_time_since_the_last_publication_has_gone_b
 
     monkeypatch.setattr(module, "monotonic", monotonic)
     monkeypatch.setattr(module, "PERIOD_S", 1000.0)
-    with Graph() as graph, Graph() as other:
-        diagnostics = Diagnostics(other.node)
-        messages = heard(graph, other)
-        line = diagnostics.add("line")
-        line.report(Level.OK, "ok")
-        graph.wait_until(lambda: bool(messages), "the first message", other.receive)
-        line.report(Level.WARN, "degraded")
-        before = looks
-        graph.wait_until(lambda: looks >= before + 3, "three looks at a clock that stands", other.receive)
-        assert [message.status[0].message for message in messages] == ["ok"]
-        now_s += LEAST_S
-        graph.wait_until(lambda: len(messages) > 1, "the second message", other.receive)
-        assert messages[1].status[0].message == "degraded"
+    line = heard.diagnostics.add("line")
+    line.report(Level.OK, "ok")
+    heard.wait_until(lambda: bool(heard.messages), "the first message")
+    line.report(Level.WARN, "degraded")
+    before = looks
+    heard.wait_until(lambda: looks >= before + 3, "three looks at a clock that stands")
+    assert heard.said() == ["ok"]
+    now_s += LEAST_S
+    heard.wait_until(lambda: len(heard.messages) > 1, "the second message")
+    assert heard.said()[1] == "degraded"
 
 
-def test_what_has_not_been_said_yet_is_said_when_the_node_ends() -> None:
-    with Graph() as graph, Graph() as other:
-        diagnostics = Diagnostics(other.node)
-        messages = heard(graph, other)
-        line = diagnostics.add("line")
-        line.report(Level.OK, "running")
-        graph.wait_until(lambda: bool(messages), "the first message", other.receive)
-        line.report(Level.WARN, "stopped")
-        line.report(Level.OK, "ended")
-        diagnostics.close()
-        line.report(Level.ERROR, "never")
-        graph.wait_until(lambda: messages[-1].status[0].message == "ended", "the last message")
-        assert [message.status[0].message for message in messages][-2:] == ["stopped", "ended"]
-        other.receive()
-        assert line.message == "never"
+def test_what_has_not_been_said_yet_is_said_when_the_node_ends(heard: Heard) -> None:
+    line = heard.diagnostics.add("line")
+    line.report(Level.OK, "running")
+    heard.wait_until(lambda: bool(heard.messages), "the first message")
+    line.report(Level.WARN, "stopped")
+    line.report(Level.OK, "ended")
+    heard.diagnostics.close()
+    line.report(Level.ERROR, "never")
+    heard.graph.wait_until(lambda: heard.said()[-1] == "ended", "the last message")
+    assert heard.said()[-2:] == ["stopped", "ended"]
+    heard.other.receive()
+    assert line.message == "never"
 
 
 def test_an_error_that_lasts_goes_into_the_log_once_and_so_does_its_end(
@@ -164,26 +168,25 @@ def test_an_error_that_lasts_goes_into_the_log_once_and_so_does_its_end(
     assert end.endswith("[test_graph]: estimate: ok")
 
 
-def test_what_is_new_while_the_rest_waits_is_never_followed_by_what_is_old(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_new_while_the_rest_waits_is_never_followed_by_what_is_old(
+    heard: Heard, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A status changes while the node waits for a time between ticks to say what it said a second ago."""
-    with Graph() as graph, Graph() as other:
-        messages = graph.collect(DiagnosticArray, DIAGNOSTICS_TOPIC)
-        diagnostics = Diagnostics(other.node)
-        line, last = diagnostics.add("line"), diagnostics.add("last")
-        looks = []
+    line, last = heard.diagnostics.add("line"), heard.diagnostics.add("last")
+    looks = []
 
-        def between_ticks() -> bool:
-            looks.append(line.message)
-            if line.message == "old" and len(looks) % 2 == 0:
-                line.report(Level.ERROR, "new")
-            return True
+    def between_ticks() -> bool:
+        looks.append(line.message)
+        if line.message == "old" and len(looks) % 2 == 0:
+            line.report(Level.ERROR, "new")
+        return True
 
-        line.report(Level.OK, "old")
-        graph.wait_until(lambda: bool(messages), "the first message", other.receive)
-        monkeypatch.setattr(module, "between_ticks", between_ticks)
-        graph.wait_until(lambda: line.message == "new", "a second to pass", other.receive)
-        last.report(Level.OK, "the last")
-        graph.wait_until(lambda: messages[-1].status[-1].message == "the last", "the last message", other.receive)
-        said = [message.status[0].message for message in messages]
-        assert said == sorted(said, reverse=True)
-        assert said.count("new") >= 2
+    line.report(Level.OK, "old")
+    heard.wait_until(lambda: bool(heard.messages), "the first message")
+    monkeypatch.setattr(module, "between_ticks", between_ticks)
+    heard.wait_until(lambda: line.message == "new", "a second to pass")
+    last.report(Level.OK, "the last")
+    heard.wait_until(lambda: heard.messages[-1].status[-1].message == "the last", "the last message")
+    said = heard.said()
+    assert said == sorted(said, reverse=True)
+    assert said.count("new") >= 2
