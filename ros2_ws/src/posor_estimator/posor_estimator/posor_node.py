@@ -216,7 +216,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         if stamp_ns := said[SAID_STAMP]:
             self.timing.note(stamp_ns)
         self._scans += 1
-        if said[SAID_NEWS] or lane is not self._last or self._told is None:
+        if said[SAID_NEWS] or self._told is None:
             self._note_news(lane)
         if self._lost:
             self._scans_lost += 1

@@ -148,24 +148,28 @@ def test_bytes_that_are_no_message_are_refused_and_told_and_the_next_scan_is_fou
     with Process() as process, Graph() as graph:
         arm = Arm([process])
         graph.watch_diagnostics()
+
+        def says(data: bytes, words: str) -> None:
+            arm.raw.publish(data)
+            line = "/joint1/posor_node: estimate"
+            graph.wait_until(lambda: words in getattr(graph.latest(line), "message", ""), words, arm.turn)
+
         for data, words in (
             (scans[0][:50], "a message of 50 bytes ends within 'status'; expected at least 52 bytes"),
             (surplus, "a message says that it has 9 gap_voltages; expected at most 8"),
             (b"", "cannot be read"),
         ):
-            arm.raw.publish(data)
-            graph.wait_until(
-                lambda: words in getattr(graph.latest("/joint1/posor_node: estimate"), "message", ""),  # noqa: B023
-                words,
-                arm.turn,
-            )
+            says(data, words)
         assert values_of(graph.latest("/joint1/posor_node: estimate"))["messages_refused"] == "3"
         arm.posor._outlet.publish(JOINT_TRANSFORM.serialize(JointTransform())[:100])
         said = "no pose: joint1: JointTransform: a message of 100 bytes ends within 'covariance'"
         graph.wait_until(lambda: said in getattr(graph.latest("/chain_node: endpoint"), "message", ""), said, arm.turn)
         assert not any(arm.taken.values())
-        arm.raw.publish(scans[0])
+        says(scans[0], "ok: none")
         assert [len(messages) for messages in arm.taken.values()] == [1, 1, 1]
+        # So it is where scans of the same kind came before; what holds again is said again.
+        for data, words in ((b"", "cannot be read"), (scans[1], "ok: none")):
+            says(data, words)
 
 
 def test_what_is_wrong_is_said_in_the_executors_thread_and_logged_where_it_lasts(

@@ -165,6 +165,21 @@ def test_zero_takes_no_scans_of_another_light_source_not_even_across_a_reload(tm
             assert bench.call("zero") == (False, f"zero: 1 sound scans so far; expected {SCANS}.")
 
 
+def test_zero_takes_no_scans_from_before_one_without_a_pose(bench: Bench) -> None:
+    bench.send(SCANS - 1)
+    [lost] = bench.send(1, (0.0, 0.0, 10.0 * GAP, 0.0, 0.0, 0.0))
+    assert lost.state == JointTransform.STATE_LOST
+    bench.send(1)
+    assert bench.call("zero") == (False, f"zero: 1 sound scans so far; expected {SCANS}.")
+
+    def first() -> dict[str, str]:
+        told = (status for status in bench.graph.diagnostics if status.name == "/posor_node: estimate")
+        return next((values_of(status) for status in told if status.message.startswith("lost")), {})
+
+    bench.graph.wait_until(lambda: bool(first()), "a report of it")
+    assert (first()["scans"], first()["scans_lost"]) == (str(SCANS), "1")
+
+
 def test_zero_is_refused_before_there_are_scans_and_while_the_target_moves_and_home_is_no_count(bench: Bench) -> None:
     assert bench.call("zero") == (False, f"zero: 0 sound scans so far; expected {SCANS}.")
     bench.send(7)

@@ -97,6 +97,7 @@ class Columns:
             message = "a number does not lie at a multiple of its size"
             raise ValueError(message)
         record: IntArray = np.zeros(kernel.RECORD + self.lit[1], dtype=np.int64)
+        record[kernel.SAID_STATE] = -1  # there was no scan yet: whatever the first one is like is news
         for which, offset in words.items():
             record[which] = offset // 4
         for which, offset in longs.items():
