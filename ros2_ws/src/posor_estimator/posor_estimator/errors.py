@@ -1,7 +1,7 @@
-"""The one error hierarchy of the POSOR stack.
+"""The error hierarchy of the POSOR stack.
 
-Every error prints one sentence that says what is wrong, where, and what would be right. The place (file, line, key)
-and the offending value are also kept as attributes, so that a caller can act on them.
+Each error prints one sentence: what is wrong, where, and what is expected. Place (file, line, key) and offending value
+are attributes as well, for callers.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from posor_estimator.core.fault import Fault
+    from posor_estimator.model.fault import Fault
 
 
 class PosorError(Exception):
@@ -17,8 +17,8 @@ class PosorError(Exception):
 
     Attributes:
         what: What is wrong, a clause without a full stop.
-        where: File, line, key, topic or parameter at fault; empty when the text already names it.
-        expected: What would be right; empty when it is obvious.
+        where: File, line, key, topic or parameter at fault; empty if the text names it.
+        expected: What is expected; empty if it is obvious.
 
     """
 
@@ -34,11 +34,11 @@ class PosorError(Exception):
         super().__init__(sentence + ".")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Go to another process whole: what is raised there is raised here."""
-        return _received, (type(self), str(self), self.__dict__)
+        """Pickle the error with all attributes, for errors raised in worker processes."""
+        return _unpickle, (type(self), str(self), self.__dict__)
 
 
-def _received(kind: type[PosorError], sentence: str, attributes: dict[str, Any]) -> PosorError:
+def _unpickle(kind: type[PosorError], sentence: str, attributes: dict[str, Any]) -> PosorError:
     error = kind.__new__(kind, sentence)
     error.__dict__.update(attributes)
     return error
@@ -48,7 +48,7 @@ class ParameterError(PosorError):
     """A node parameter or command-line option is wrong.
 
     Attributes:
-        parameter: Name of the node's parameter at fault; empty where it is none, or not one alone.
+        parameter: Name of the node parameter at fault; empty for an option, or if several parameters are at fault.
 
     """
 
@@ -60,11 +60,11 @@ class ParameterError(PosorError):
 
 
 class CalibrationError(PosorError):
-    """A calibration file cannot be read, or says something that cannot be."""
+    """A calibration file cannot be read, or its content is invalid."""
 
 
 class DataFileError(PosorError):
-    """A recorded table cannot be read: missing file, column, or a cell that is not a number."""
+    """A recorded table cannot be read: missing file, missing column, or a cell that is not a number."""
 
 
 class BagError(PosorError):
@@ -72,32 +72,32 @@ class BagError(PosorError):
 
 
 class OutputError(PosorError):
-    """Results cannot be written where they should go."""
+    """Results cannot be written to their destination."""
 
 
 class TopicError(PosorError):
-    """A topic is not what a node takes it for, or a message on it cannot be read."""
+    """A topic has an unexpected type or publisher, or a message on it cannot be decoded."""
 
 
 class NodeError(PosorError):
-    """A node has failed; its sentence, which node it is, and where a file asks for it."""
+    """A node has failed: the sentence of the error, the node's name, and its place in a file."""
 
     def __init__(self, error: PosorError, node: str, place: str = "") -> None:
-        named = "" if node in str(error) else f"node {node}"
-        super().__init__(str(error).rstrip("."), where=", ".join(filter(None, (place, named))))
+        name = "" if node in str(error) else f"node {node}"
+        super().__init__(str(error).rstrip("."), where=", ".join(filter(None, (place, name))))
         self.exit_code = error.exit_code
 
 
 class SystemRefusal(PosorError):
-    """The operating system refuses what a process asks for: a priority, processors, memory."""
+    """The operating system refuses a request of the process: a priority, processors, memory."""
 
 
 class ChainError(PosorError):
-    """The kinematic chain (URDF, frames) does not fit the POSORs that should measure it."""
+    """The kinematic chain (URDF, frames) does not match the POSORs that should measure it."""
 
 
 class ScanError(PosorError):
-    """A scan's readings do not fit the calibration: wrong count, not finite, no light.
+    """The readings of a scan do not match the calibration: wrong count, not finite, no light.
 
     Attributes:
         fault: The flag of ``posor_msgs/JointTransform`` that reports it.
@@ -110,8 +110,15 @@ class ScanError(PosorError):
 
 
 class FitError(PosorError):
-    """Data do not determine what is to be fitted to them, or do not fit the model."""
+    """Data do not determine the fitted parameters, or contradict the model."""
 
 
 class TrackError(PosorError):
-    """A reference measurement cannot be used: no values, stamps that go back, the wrong unit or type."""
+    """A reference measurement cannot be used: no values, decreasing stamps, wrong unit or type."""
+
+
+class ShapeError(PosorError, ValueError):
+    """An array has the wrong shape."""
+
+    def __init__(self, field: str, *, received: tuple[int, ...], expected: str, where: str = "") -> None:
+        super().__init__(f"{field} has shape {received}", where=where, expected=expected)

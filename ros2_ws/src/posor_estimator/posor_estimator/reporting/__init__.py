@@ -1,1 +1,1 @@
-"""What reports are made of: one self-contained page, the look of its figures, the command line that asks for it."""
+"""Building blocks of reports: self-contained HTML pages, figure style, command-line parser."""

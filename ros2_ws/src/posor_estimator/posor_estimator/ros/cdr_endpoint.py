@@ -1,4 +1,4 @@
-"""The endpoint's messages as bytes, written from the chain's lane."""
+"""Writes the endpoint's messages from the arrays of an endpoint estimator."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from sensor_msgs.msg import JointState
 from posor_estimator.ros.cdr_writer import MessageWriter
 
 if TYPE_CHECKING:
-    from posor_estimator.core.chain_lane import ChainLane
+    from posor_estimator.chain.endpoint_estimator import EndpointEstimator
 
 
 class EndpointWriter:
-    """Writes what a lane finds.
+    """Writes the results of an endpoint estimator.
 
     Attributes:
         pose: Of ``PoseStamped``.
@@ -23,20 +23,20 @@ class EndpointWriter:
 
     """
 
-    def __init__(self, lane: ChainLane, frame: str, *, relative: bool) -> None:
+    def __init__(self, estimator: EndpointEstimator, frame: str, *, relative: bool) -> None:
         """Prepare.
 
         Args:
-            lane: The chain's.
-            frame: In which the endpoint is given.
-            relative: Whether to write the endpoint as it is relative to home.
+            estimator: Of the chain.
+            frame: Frame of the endpoint.
+            relative: Whether to write the endpoint relative to home.
 
         """
-        pose = lane.relative_pose if relative else lane.pose
-        covariance = lane.relative_covariance if relative else lane.covariance
+        pose = estimator.relative_pose if relative else estimator.pose
+        covariance = estimator.relative_covariance if relative else estimator.covariance
         plain, full, joints = PoseStamped(), PoseWithCovarianceStamped(), JointState()
         plain.header.frame_id = full.header.frame_id = frame
-        joints.name, joints.position = list(lane.joints), [0.0] * len(lane.joints)
+        joints.name, joints.position = list(estimator.joints), [0.0] * len(estimator.joints)
         self.pose = MessageWriter(plain, {"pose.position.x": pose})
         self.pose_with_covariance = MessageWriter(full, {"pose.pose.position.x": pose, "pose.covariance": covariance})
-        self.joint_states = MessageWriter(joints, {"position": lane.angles})
+        self.joint_states = MessageWriter(joints, {"position": estimator.angles})

@@ -1,4 +1,4 @@
-"""Raw scans as bytes: as the core sees them, and written from a template."""
+"""Serialised raw scans: read as ``Scan``, and written from a template."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING
 from posor_msgs.msg import RawScan
 from rclpy.serialization import deserialize_message
 
-from posor_estimator.core.kernels.stamps import NS
-from posor_estimator.ros.cdr import STAMP, Schema
-from posor_estimator.ros.messages import scan_from_message
+from posor_estimator.bags.cdr_schema import STAMP
+from posor_estimator.numerics.stamps import NS
+from posor_estimator.ros.message_classes import schema_of_class
+from posor_estimator.ros.message_conversion import scan_from_message
 
 if TYPE_CHECKING:
-    from posor_estimator.core.scan import Scan
+    from posor_estimator.model.scan import Scan
 
-RAW_SCAN = Schema.of(RawScan)
+RAW_SCAN = schema_of_class(RawScan)
 
 _STAMP = struct.Struct("<iI")
 _NUMBER = struct.Struct("<Q")
@@ -23,10 +24,10 @@ _STATUS = struct.Struct("<I")
 
 
 def scan_of(data: bytes) -> Scan:
-    """Return a raw scan as the core sees it, however many readings it has.
+    """Return a serialised raw scan with any numbers of readings.
 
     Raises:
-        TopicError: The bytes are no raw scan.
+        TopicError: The bytes are not a raw scan.
 
     """
     data = RAW_SCAN.normal(data)
@@ -35,18 +36,18 @@ def scan_of(data: bytes) -> Scan:
 
 
 class ScanTemplate:
-    """A raw scan to be sent again and again: as it is, but for stamp, scan number and status.
+    """A raw scan that is sent repeatedly with another stamp, scan number and status.
 
     Attributes:
-        status: Status flags of the scan that it was made of.
+        status: Status flags of the original scan.
 
     """
 
     def __init__(self, data: bytes) -> None:
-        """Take a serialised raw scan.
+        """Prepare from a serialised raw scan.
 
         Raises:
-            TopicError: The bytes are no raw scan.
+            TopicError: The bytes are not a raw scan.
 
         """
         data = RAW_SCAN.normal(data)
@@ -56,7 +57,7 @@ class ScanTemplate:
         (self.status,) = _STATUS.unpack_from(data, self._status)
 
     def at(self, stamp_ns: int, number: int, status: int | None = None) -> bytes:
-        """Return the scan with a stamp [ns], a number and status flags; without: those it had."""
+        """Return the scan with a stamp [ns], a number and status flags; None: the original flags."""
         _STAMP.pack_into(self._data, STAMP.start, *divmod(stamp_ns, NS))
         _NUMBER.pack_into(self._data, self._number, number)
         _STATUS.pack_into(self._data, self._status, self.status if status is None else status)

@@ -1,4 +1,4 @@
-"""Joint transforms as bytes: what they are, told without reading them for the chain."""
+"""Serialised joint transforms: checks, stamp and state, without deserialising the messages."""
 
 from __future__ import annotations
 
@@ -7,32 +7,32 @@ from functools import lru_cache
 
 from posor_msgs.msg import JointTransform
 
-from posor_estimator.bulk.layout import LEAD, TableLayout
-from posor_estimator.core.chain_records import JointColumns
-from posor_estimator.core.kernels.stamps import time_ns
-from posor_estimator.ros.cdr import STAMP, Schema
-from posor_estimator.ros.cdr_walk import LITTLE_ENDIAN
+from posor_estimator.bags.cdr_schema import LITTLE_ENDIAN, STAMP
+from posor_estimator.bags.message_table import LEAD, TableLayout
+from posor_estimator.chain.joint_measurements import JointRowLayout
+from posor_estimator.numerics.stamps import time_ns
+from posor_estimator.ros.message_classes import schema_of_class
 
-JOINT_TRANSFORM = Schema.of(JointTransform)
+JOINT_TRANSFORM = schema_of_class(JointTransform)
 
 _STAMP = struct.Struct("<iI")
 _FAULTS = struct.Struct("<I")
 _THETA = 5
-"""Which of the native coordinates it is."""
+"""Index of theta in the native coordinates."""
 
 
 @lru_cache(maxsize=16)
 def stamp_ns_of(stamp: bytes) -> int:
-    """Return a stamp as it stands in a message, ``data[STAMP]``, in nanoseconds; 0 where it is no time.
+    """Return a serialised stamp, ``data[STAMP]``, in nanoseconds; 0 for an invalid stamp.
 
-    Remembers some: the joints' messages of one scan have the same.
+    Cached, because the messages of all joints for one scan have the same stamp.
     """
     return time_ns(*_STAMP.unpack(stamp))
 
 
-def columns_of(layout: TableLayout) -> JointColumns:
-    """Return where rows of transforms have what the chain takes."""
-    return JointColumns(
+def row_layout_of(layout: TableLayout) -> JointRowLayout:
+    """Return the offsets of the fields that the chain reads from rows of transforms."""
+    return JointRowLayout(
         pose=LEAD + layout.offset("pose.position.x"),
         theta=LEAD + layout.offset("native") + 8 * _THETA,
         covariance=LEAD + layout.offset("covariance"),
@@ -41,36 +41,36 @@ def columns_of(layout: TableLayout) -> JointColumns:
     )
 
 
-class TransformKind:
-    """Transforms between two plates.
+class JointTransformFormat:
+    """Format of serialised transforms between two plates.
 
     Attributes:
-        size: Of such a message [bytes]; surplus bytes at its end mean nothing.
-        columns: Where its row has what.
+        size: Of a message [bytes]; surplus bytes at its end are ignored.
+        row_layout: Offsets of the fields in a row with the message.
 
     """
 
     def __init__(self, parent: str, child: str) -> None:
-        """Tell transforms from the plate ``parent`` to the plate ``child`` from others."""
+        """Prepare for transforms from the plate ``parent`` to the plate ``child``."""
         message = JointTransform(child_frame_id=child)
         message.header.frame_id = parent
         example = JOINT_TRANSFORM.serialize(message)
         layout = JOINT_TRANSFORM.layout(example)
-        self.columns = columns_of(TableLayout.of(example, JOINT_TRANSFORM))
+        self.row_layout = row_layout_of(TableLayout.of(example, JOINT_TRANSFORM))
         self.size = layout.size
-        self._usual = example[STAMP.stop : layout["scan"].offset]
+        self._frames = example[STAMP.stop : layout["scan"].offset]
         self._unpack = layout.unpacker(("header.frame_id", "child_frame_id")).unpack_from
-        self._told = self._unpack(example)
+        self._unpacked_frames = self._unpack(example)
         self._state, self._faults = layout["state"].offset, layout["faults"].offset
 
-    def takes(self, data: bytes) -> bool:
-        """Return whether a message is such a transform."""
+    def matches(self, data: bytes) -> bool:
+        """Return whether a message is a transform between these plates."""
         if len(data) < self.size:
             return False
-        if data.startswith(self._usual, STAMP.stop) and data.startswith(LITTLE_ENDIAN):
+        if data.startswith(self._frames, STAMP.stop) and data.startswith(LITTLE_ENDIAN):
             return True
-        return bool(self._unpack(data) == self._told)  # what fills the gaps after the names may be anything
+        return bool(self._unpack(data) == self._unpacked_frames)  # the padding after the names is arbitrary
 
-    def verdict(self, data: bytes) -> tuple[int, int]:
-        """Return ``State`` and ``Fault`` of one, plain numbers."""
+    def read_state(self, data: bytes) -> tuple[int, int]:
+        """Return ``State`` and ``Fault`` of a message as plain numbers."""
         return data[self._state], int(_FAULTS.unpack_from(data, self._faults)[0])

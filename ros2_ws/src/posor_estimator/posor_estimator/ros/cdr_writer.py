@@ -1,46 +1,47 @@
-"""Messages written scan after scan into one place: what stays is written once, only numbers and stamp are changed."""
+"""Writes similar messages scan after scan into one buffer: only stamp and numbers change."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from posor_estimator.ros.cdr import STAMP, Schema
+from posor_estimator.bags.cdr_schema import STAMP
+from posor_estimator.ros.message_classes import schema_of_class
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from posor_estimator.core.types import FloatArray
+    from posor_estimator.numerics.array_types import FloatArray
 
 
 class MessageWriter:
-    """Writes messages of one type that differ in numbers only."""
+    """Writes messages of one type that differ in stamp and numbers only."""
 
     def __init__(self, prototype: Any, arrays: Mapping[str, FloatArray] | None = None) -> None:
         """Prepare for messages like ``prototype``.
 
         Args:
-            prototype: A message with a header whose strings, lengths and constants are right.
-            arrays: Arrays whose numbers every message carries, as they are when it is written, by the path of the field
-                in which they begin: the seven of a pose begin at ``pose.position.x``.
+            prototype: A message with a header, and with the strings, lengths and constants of all messages.
+            arrays: Arrays whose present numbers are written into every message, by the path of the first field: the
+                seven numbers of a pose begin at ``pose.position.x``.
 
         Raises:
             TopicError: A sequence is longer than its bound.
 
         """
-        schema = Schema.of(type(prototype))
+        schema = schema_of_class(type(prototype))
         data = schema.serialize(prototype)
         self._layout = schema.layout(data)
-        self._into = memoryview(bytearray(data))
+        self._buffer = memoryview(bytearray(data))
         self._copies = tuple(self._copy(path, array) for path, array in (arrays or {}).items() if array.size)
 
     def write(self, stamp: bytes) -> bytes:
-        """Return the message with its arrays' present numbers.
+        """Return the message with the present numbers of the arrays.
 
         Args:
-            stamp: Its stamp, in the eight bytes in which it came (``STAMP``).
+            stamp: The eight bytes of its stamp (``STAMP``).
 
         """
-        data = self._into
+        data = self._buffer
         data[STAMP] = stamp
         for part, numbers in self._copies:
             part[:] = numbers
@@ -48,4 +49,4 @@ class MessageWriter:
 
     def _copy(self, path: str, array: FloatArray) -> tuple[memoryview, memoryview]:
         begin = self._layout[path].offset
-        return self._into[begin : begin + array.nbytes], array.data.cast("B")
+        return self._buffer[begin : begin + array.nbytes], array.data.cast("B")

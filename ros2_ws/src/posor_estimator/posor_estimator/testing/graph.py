@@ -1,4 +1,4 @@
-"""A node of the test itself: receives, publishes and calls services in the ROS domain of the environment."""
+"""A node of the test: receives, publishes and calls services in the ROS domain of the environment."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from posor_estimator.ros.qos import DIAGNOSTICS_TOPIC, KEEP_ALL_QOS
+from posor_estimator.ros.qos import KEEP_ALL_QOS
+from posor_estimator.ros_names import DIAGNOSTICS_TOPIC
 from posor_estimator.testing.program import wait_until
 
 if TYPE_CHECKING:
@@ -21,24 +22,23 @@ if TYPE_CHECKING:
     from types import TracebackType
 
 LOSSLESS = KEEP_ALL_QOS
-"""Receives everything that a reliable publisher sends."""
-
-ANSWER_S = 10.0
-"""After which a service is asked again."""
+"""Receives every message of a reliable publisher."""
+RETRY_S = 10.0
+"""Time without a response after which a service is called again."""
 BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class Graph:
-    """A node with its own context; a ``with`` block ends it.
+    """A node with its own context, to be used as a context manager.
 
     Attributes:
-        node: For whatever the methods do not offer.
+        node: The rclpy node.
         diagnostics: All statuses received after ``watch_diagnostics``, in order.
 
     """
 
     def __init__(self) -> None:
-        """Join the graph."""
+        """Create the node."""
         self._context = Context()
         rclpy.init(context=self._context)
         self.node = Node("test_graph", context=self._context, enable_rosout=False)
@@ -53,7 +53,7 @@ class Graph:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Leave the graph."""
+        """Destroy the node."""
         self._executor.remove_node(self.node)
         self._executor.shutdown()
         self.node.destroy_node()
@@ -62,7 +62,7 @@ class Graph:
     def wait_until(
         self, condition: Callable[[], bool], what: str, meanwhile: Callable[[], object] = lambda: None
     ) -> None:
-        """Receive, and do what is to be done ``meanwhile``, until ``condition`` holds."""
+        """Receive messages and call ``meanwhile`` until ``condition`` holds."""
 
         def step() -> None:
             self.receive()
@@ -71,13 +71,13 @@ class Graph:
         wait_until(condition, what, step)
 
     def receive(self) -> None:
-        """Let one event happen, or a short time pass."""
+        """Execute one event, or let a short time pass."""
         self._executor.spin_once(timeout_sec=0.05)
 
     def collect(
         self, message_type: type[Any], topic: str, qos: QoSProfile = LOSSLESS, *, raw: bool = False
     ) -> list[Any]:
-        """Subscribe; return the list into which messages come (bytes if ``raw``)."""
+        """Subscribe; return the list to which messages are appended (bytes if ``raw``)."""
         messages: list[Any] = []
         self.node.create_subscription(message_type, topic, messages.append, qos, raw=raw)
         return messages
@@ -91,28 +91,28 @@ class Graph:
         return publisher
 
     def call(self, service_type: type[Any], name: str, request: Any) -> Any:
-        """Call a service once it is there and return its response.
+        """Call a service once it is available and return its response.
 
-        A service that has not found its client yet drops the answer, and nobody can see whether it has; so an answer
-        that does not come is asked for again.
+        A service that has not discovered its client yet drops the response, which cannot be observed; so a call without
+        a response is repeated.
         """
         client = self.node.create_client(service_type, name)
         self.wait_until(client.service_is_ready, f"service {name}")
-        asked = [client.call_async(request)]
-        deadline = time.monotonic() + ANSWER_S
+        calls = [client.call_async(request)]
+        deadline = time.monotonic() + RETRY_S
 
-        def ask_again() -> None:
+        def call_again() -> None:
             nonlocal deadline
             if time.monotonic() > deadline:
-                asked.append(client.call_async(request))
-                deadline = time.monotonic() + ANSWER_S
+                calls.append(client.call_async(request))
+                deadline = time.monotonic() + RETRY_S
 
-        self.wait_until(lambda: any(future.done() for future in asked), f"an answer from {name}", ask_again)
+        self.wait_until(lambda: any(future.done() for future in calls), f"a response of {name}", call_again)
         self.node.destroy_client(client)
-        return next(future for future in asked if future.done()).result()
+        return next(future for future in calls if future.done()).result()
 
     def change_state(self, node: str, transition: int) -> bool:
-        """Ask a lifecycle node for a transition; return whether it succeeded."""
+        """Request a transition of a lifecycle node; return whether it succeeded."""
         request = ChangeState.Request()
         request.transition.id = transition
         return bool(self.call(ChangeState, f"{node}/change_state", request).success)
@@ -124,10 +124,10 @@ class Graph:
     def watch_diagnostics(self) -> None:
         """Collect all diagnostics from now on."""
 
-        def take(array: Any) -> None:
+        def on_diagnostics(array: Any) -> None:
             self.diagnostics.extend(array.status)
 
-        self.node.create_subscription(DiagnosticArray, DIAGNOSTICS_TOPIC, take, LOSSLESS)
+        self.node.create_subscription(DiagnosticArray, DIAGNOSTICS_TOPIC, on_diagnostics, LOSSLESS)
 
     def latest(self, name: str) -> DiagnosticStatus | None:
         """Return the newest diagnostic status of that name, for instance ``/joint1/driver_node: source``."""
@@ -142,3 +142,25 @@ class Graph:
 def values_of(status: DiagnosticStatus) -> dict[str, str]:
     """Return the key-value pairs of a diagnostic status."""
     return {pair.key: pair.value for pair in status.values}
+
+
+def wait_for_value(graph: Graph, name: str, key: str, text: str) -> DiagnosticStatus:
+    """Return the newest status of that name once its value ``key`` contains ``text``."""
+
+    def has_value() -> bool:
+        latest = graph.latest(name)
+        return latest is not None and text in values_of(latest).get(key, "")
+
+    graph.wait_until(has_value, f"'{text}' in {key} of {name}")
+    return graph.latest(name)
+
+
+def set_stamp(message: Any, seconds: int) -> Any:
+    """Set the stamp of a message to a quarter of a second after ``seconds``; return the message."""
+    message.header.stamp.sec, message.header.stamp.nanosec = seconds, 250_000_000
+    return message
+
+
+def stamp_seconds(messages: list[Any]) -> list[int]:
+    """Return the whole seconds of the messages' stamps."""
+    return [message.header.stamp.sec for message in messages]

@@ -1,4 +1,4 @@
-"""Runs one program in a process of its own and waits for what it writes."""
+"""Runs one program in a process of its own and waits for its output."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from types import TracebackType
 
-PATIENCE_S = 60.0
-"""A net, not a pace: how long to wait for something that ought to happen at once."""
+TIMEOUT_S = 60.0
+"""Longest wait for an event that should happen at once; not a pace."""
 
 
 def installed(package: str, executable: str) -> list[str]:
@@ -39,19 +39,19 @@ def ros_arguments(parameters: Mapping[str, object], namespace: str = "") -> list
     if namespace:
         arguments += ["-r", f"__ns:={namespace}"]
     for name, value in parameters.items():
-        text = ".inf" if value == math.inf else json.dumps(value)  # YAML, which JSON is but for infinity
+        text = ".inf" if value == math.inf else json.dumps(value)  # JSON is YAML, except for infinity
         arguments += ["-p", f"{name}:={text}"]
     return arguments
 
 
 class Program:
-    """A running program; leaving the ``with`` block kills it if it has not ended."""
+    """A running program; leaving the ``with`` block kills a program that has not ended."""
 
     def __init__(self, command: Sequence[str], environment: Mapping[str, str] | None = None) -> None:
-        """Start it.
+        """Start the program.
 
         Args:
-            command: Program and arguments.
+            command: The program and its arguments.
             environment: Variables to add to those of this process.
 
         """
@@ -79,7 +79,7 @@ class Program:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Kill what is still running."""
+        """Kill the program if it is still running."""
         if self.process.poll() is None:
             self.process.kill()
         self.wait()
@@ -109,13 +109,13 @@ class Program:
         return self.process.poll() is not None
 
     def wait_for_line(self, text: str) -> str:
-        """Return the first line on either stream that contains ``text``, as soon as there is one.
+        """Return the first line of either stream that contains ``text``, once there is one.
 
         Raises:
-            AssertionError: the program ended without, or it took too long.
+            AssertionError: The program ended without this line, or the wait timed out.
 
         """
-        deadline = time.monotonic() + PATIENCE_S
+        deadline = time.monotonic() + TIMEOUT_S
         with self._condition:
             while True:
                 ended = self.ended and not any(reader.is_alive() for reader in self._readers)
@@ -127,10 +127,10 @@ class Program:
                 self._condition.wait(0.2)
 
     def wait(self) -> int:
-        """Wait for the program's end and return its exit code; all it wrote is there then."""
-        code = self.process.wait(PATIENCE_S)
+        """Wait for the end of the program, and of its output; return the exit code."""
+        code = self.process.wait(TIMEOUT_S)
         for reader in self._readers:
-            reader.join(PATIENCE_S)
+            reader.join(TIMEOUT_S)
         return code
 
     def end(self, number: signal.Signals = signal.SIGINT) -> int:
@@ -143,10 +143,10 @@ def wait_until(condition: Callable[[], bool], what: str, meanwhile: Callable[[],
     """Call ``meanwhile`` until ``condition`` holds.
 
     Raises:
-        AssertionError: it took too long; says what was waited for.
+        AssertionError: The wait for ``what`` timed out.
 
     """
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + TIMEOUT_S
     while not condition():
         if time.monotonic() > deadline:
             raise AssertionError(f"waited in vain for {what}")

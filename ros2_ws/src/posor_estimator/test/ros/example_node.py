@@ -1,4 +1,4 @@
-"""A node that tests start as a program: says on stdout which of its hooks ran, and fails where its parameter says."""
+"""A node that tests start as a program: it prints each hook that runs, and fails in the hook named by a parameter."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import sys
 from typing import Annotated, Literal
 
 from posor_estimator.errors import CalibrationError, ParameterError
+from posor_estimator.node_parameters import NodeParameters
+from posor_estimator.parameter_model import ChangeableAtRunTime
 from posor_estimator.ros.diagnostics import Level
-from posor_estimator.ros.main import run
-from posor_estimator.ros.node import PosorNode
-from posor_estimator.ros.parameters import ChangeableAtRunTime, NodeParameters
+from posor_estimator.ros.lifecycle_node import PosorNode
+from posor_estimator.ros.node_program import run_node
 from pydantic import Field
 from rcl_interfaces.msg import Log
 
@@ -36,12 +37,12 @@ class ExampleNode(PosorNode[ExampleParameters]):
         if self.parameters.fail == "bug":
             raise KeyError("a bug")
         self.output = self.create_lifecycle_publisher(Log, "output", 10)
-        self.when_cleaned_up(self.undo)
+        self.add_cleanup(self.undo)
         if self.parameters.fail == "late":
             raise CalibrationError("is wrong", where="some.yaml", expected="a right one")
-        self.status = self.diagnostics.add("work")
+        self.status = self.diagnostics.add_status("work")
         self.refreshed = 0
-        self.diagnostics.before_each(self.refresh)
+        self.diagnostics.add_refresh(self.refresh)
 
     def refresh(self) -> None:
         self.refreshed += 1
@@ -69,9 +70,9 @@ class ExampleNode(PosorNode[ExampleParameters]):
         if parameters.gain == 4.0:
             raise ParameterError("four is not wanted", where="gain")
 
-    def parameters_changed(self, parameters: ExampleParameters) -> None:
+    def on_parameters_changed(self, parameters: ExampleParameters) -> None:
         print(f"gain is now {parameters.gain!r}", flush=True)
 
 
 if __name__ == "__main__":
-    sys.exit(run(ExampleNode))
+    sys.exit(run_node(ExampleNode))

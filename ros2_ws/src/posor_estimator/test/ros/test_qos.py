@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from posor_estimator.ros.parameters import NodeParameters
+from posor_estimator.node_parameters import NodeParameters
 from posor_estimator.ros.qos import RELIABLE_QOS, result_qos, sensor_qos
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 

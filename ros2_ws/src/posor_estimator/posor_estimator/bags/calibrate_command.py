@@ -1,0 +1,268 @@
+"""calibrate: fit a calibration file from a recorded bag; list the procedures, compare files, check for drift."""
+
+from __future__ import annotations
+
+import datetime as dt
+import sys
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from posor_estimator.bags.calibration_recording import Reference, load_recording
+from posor_estimator.calibration.calibration_file import FILE_KIND, load_calibration, parse_calibration
+from posor_estimator.calibration.fit_record import Instrument
+from posor_estimator.calibration.save import refuse_existing, save_calibration
+from posor_estimator.calibration.yaml_document import read_text
+from posor_estimator.errors import BagError, ParameterError, PosorError
+from posor_estimator.identification.calibration_comparison import compare_calibrations
+from posor_estimator.identification.calibration_update import FitContext, update_text
+from posor_estimator.identification.drift_check import check_drift
+from posor_estimator.identification.option_arguments import add_options, destination, given_options, read_options
+from posor_estimator.identification.outcome_tables import (
+    WIDTH,
+    print_comparison,
+    print_drift_check,
+    print_outcome,
+    print_table,
+)
+from posor_estimator.identification.procedure import Table
+from posor_estimator.identification.procedure_registry import PROCEDURES
+from posor_estimator.identification.procedures.bundle import BundleOptions
+from posor_estimator.identification.recording import POSE
+from posor_estimator.reporting.command_line_parser import CommandLineParser
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from posor_estimator.calibration.calibration_file import Calibration
+    from posor_estimator.identification.procedure import Outcome, Procedure
+    from posor_estimator.identification.recording import Recording
+
+NOT_EXPLAINED = 3
+"""Exit code of ``check`` for a calibration that does not explain the bag."""
+
+
+def make_parser() -> CommandLineParser:
+    """Return the parser of the command line."""
+    parser = CommandLineParser(prog="calibrate", description="Fit a calibration file from recorded bags.")
+    actions = parser.add_subparsers(dest="action", required=True, metavar="PROCEDURE|list|diff|check")
+    actions.add_parser("list", help="list the procedures")
+    diff = actions.add_parser("diff", help="compare two calibration files, in sigmas")
+    diff.add_argument("first", type=Path, metavar="A.yaml")
+    diff.add_argument("second", type=Path, metavar="B.yaml")
+    diff.add_argument("--all", action="store_true", help="show every number that differs")
+    check = actions.add_parser("check", help="check whether a calibration file still explains a bag")
+    check.add_argument("calibration", type=Path, metavar="FILE.yaml")
+    _add_recording_arguments(check)
+    add_options(check, BundleOptions, exclude=("loss", "covariance", "seed"))
+    for procedure in PROCEDURES.values():
+        action = actions.add_parser(procedure.name, help=procedure.summary, description=procedure.summary)
+        _add_recording_arguments(action)
+        action.add_argument("--calibration", type=Path, required=True, metavar="IN.yaml", help="the present file")
+        action.add_argument("--output", type=Path, metavar="OUT.yaml", help="the file to write; default: none")
+        action.add_argument("--force", action="store_true", help="replace OUT.yaml, the old one is kept beside it")
+        add_options(action, procedure.options)
+    return parser
+
+
+def _add_recording_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("bag", type=Path, metavar="BAG", help="folder of a rosbag2 bag, or its .mcap or .db3 file")
+    parser.add_argument("--topic", default="", help="of the raw scans (default: the only one)")
+    text = "standard uncertainty of a reference topic, SI: one number for all columns or one each; of a pose: m,rad"
+    parser.add_argument("--uncertainty", action="append", default=[], metavar="TOPIC=S[,S...]", help=text)
+    text = "instrument of a reference topic, for the file; may be repeated"
+    parser.add_argument("--instrument", action="append", default=[], metavar="TOPIC=NAME", help=text)
+    parser.add_argument("--all", action="store_true", help="show every line of long tables")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; return 0 on success, 3 if a check fails, else the error's exit code."""
+    try:
+        return _run_action(make_parser().parse_args(arguments), Console(width=WIDTH))
+    except PosorError as error:
+        sys.stderr.write(f"{error}\n")
+        return error.exit_code
+
+
+def _run_action(options: argparse.Namespace, console: Console) -> int:
+    if options.action == "list":
+        rows = tuple((procedure.name, procedure.summary) for procedure in PROCEDURES.values())
+        title = "Calibration procedures; options: calibrate PROCEDURE --help"
+        print_table(Table(title, ("procedure", "purpose"), ("", ""), rows), console)
+        return 0
+    if options.action == "diff":
+        found = compare_calibrations(load_calibration(options.first), load_calibration(options.second))
+        print_comparison(found, console, every=options.all)
+        return 0
+    if options.action == "check":
+        settings: Any = read_options(BundleOptions, options)
+        calibration = load_calibration(options.calibration)
+        with _progress() as report:
+            recording, _ = _read_recording(options, calibration, report)
+            report("fitting")
+            check = check_drift(recording, calibration, settings)
+        print_drift_check(check, console, every=options.all)
+        return 0 if check.explains else NOT_EXPLAINED
+    with _progress() as report:
+        result = calibrate(options, report)
+    write_result(result, options, console)
+    return 0
+
+
+@dataclass(frozen=True)
+class CalibrationResult:
+    """Outcome of a procedure with its inputs."""
+
+    procedure: Procedure[Any]
+    options: Mapping[str, str]  # as given on the command line
+    outcome: Outcome
+    recording: Recording
+    instruments: Sequence[Instrument]
+    text: str  # the calibration file before
+
+
+def calibrate(options: argparse.Namespace, report: Callable[[str], object]) -> CalibrationResult:
+    """Run the procedure of a command line from ``make_parser``; ``report`` receives the current step.
+
+    Raises:
+        PosorError: An option, a file or the recording is invalid.
+
+    """
+    procedure = PROCEDURES[options.action]
+    settings = read_options(procedure.options, options)
+    if options.output is not None:
+        refuse_existing(options.output, force=options.force)
+    text = read_text(options.calibration, FILE_KIND)
+    calibration = parse_calibration(text, str(options.calibration))
+    recording, instruments = _read_recording(options, calibration, report)
+    report(f"{procedure.name}: fitting")
+    given = {
+        name: " ".join(value) if isinstance(value, list) else value
+        for name, value in given_options(procedure.options, options).items()
+    }
+    outcome = procedure.identify(recording, calibration, settings)
+    return CalibrationResult(procedure, given, outcome, recording, instruments, text)
+
+
+def write_result(result: CalibrationResult, options: argparse.Namespace, console: Console) -> None:
+    """Print the outcome, and write the new calibration file if the command line names one.
+
+    Raises:
+        CalibrationError: The file cannot be written.
+
+    """
+    outcome, name = result.outcome, result.procedure.name
+    print_outcome(outcome, console, every=options.all)
+    if options.output is None:
+        console.print("No --output: nothing is written.")
+    elif not outcome.replacements and not outcome.parts:
+        console.print(f"{name} changes nothing in a calibration file: nothing is written.")
+    else:
+        context = FitContext(name, result.options, result.instruments, dt.datetime.now(tz=dt.UTC))
+        text = update_text(result.text, str(options.calibration), outcome, result.recording, context)
+        backup = save_calibration(options.output, text, force=options.force)
+        console.print(f"written to {options.output}" + (f"; the old file is now {backup}" if backup else ""))
+        console.print(f"content hash {parse_calibration(text, str(options.output)).content_hash}")
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str], object]]:
+    """Show the current step from the first report on."""
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    progress = Progress(*columns, console=Console(stderr=True), transient=True)
+
+    def report(step: str) -> None:
+        progress.start()
+        progress.add_task(step)
+
+    try:
+        yield report
+    finally:
+        if progress.live.is_started:
+            progress.stop()
+
+
+def _read_recording(
+    options: argparse.Namespace, calibration: Calibration, report: Callable[[str], object]
+) -> tuple[Recording, list[Instrument]]:
+    """Read the bag; return it with the given uncertainties, and the instruments of its references."""
+    uncertainties = {topic: _parse_sigmas(topic, text) for topic, text in _split("--uncertainty", options.uncertainty)}
+    names = dict(_split("--instrument", options.instrument))
+    wanted = getattr(options, destination("reference"), None)
+    topics = sorted({wanted, *uncertainties, *names}) if wanted else []
+    report(f"reading {options.bag}")
+    found = load_recording(options.bag, topic=options.topic, references=[Reference(topic) for topic in topics])
+    for option, given in (("--uncertainty", uncertainties), ("--instrument", names)):
+        for topic in given:
+            if topic not in found.tracks:
+                expected = ", ".join(found.tracks) or "no option, the bag has no reference"
+                raise ParameterError(f"there is no reference {topic}", where=f"option {option}", expected=expected)
+    tracks = dict(found.tracks)
+    for topic, sigmas in uncertainties.items():
+        columns = tracks[topic].values.shape[1]
+        tracks[topic] = replace(tracks[topic], sigmas=np.array(_to_track_sigmas(topic, sigmas, columns)))
+    instruments = [
+        Instrument(
+            topic=topic, name=names.get(topic, "not stated"), sigmas=_to_record_sigmas(tracks[topic].sigmas.tolist())
+        )
+        for topic in (topics or tracks)
+    ]
+    if found.frame and found.frame != calibration.frames.parent:
+        raise BagError(
+            f"the scans are of the receiving plate '{found.frame}'",
+            where=found.source,
+            expected=f"'{calibration.frames.parent}', that of calibration '{calibration.name}': see the option --topic",
+        )
+    return replace(found, tracks=tracks), instruments
+
+
+def _split(option: str, given: Sequence[str]) -> list[tuple[str, str]]:
+    """Return topic and value of each TOPIC=VALUE."""
+    pairs = []
+    for text in given:
+        topic, equals, value = text.partition("=")
+        if not (topic and equals and value.strip()):
+            raise ParameterError(f"'{text}'", where=f"option {option}", expected="TOPIC=..., such as /cmm/pose=...")
+        pairs.append((topic, value))
+    return pairs
+
+
+def _parse_sigmas(topic: str, text: str) -> list[float]:
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if not numbers or not all(np.isfinite(numbers)) or min(numbers) < 0.0:
+        expected = "standard uncertainties of zero or more, separated by commas"
+        raise ParameterError(f"'{topic}={text}'", where="option --uncertainty", expected=expected)
+    return numbers
+
+
+def _to_track_sigmas(topic: str, sigmas: list[float], columns: int) -> list[float]:
+    """Return the standard uncertainty of each column of a track.
+
+    A pose has two, along [m] and about [rad], or six. Its track holds a quaternion, whose components change by half of
+    a small rotation.
+    """
+    if columns == POSE and len(sigmas) in (2, 6):
+        along, about = np.repeat(sigmas, 3).reshape(2, 3) if len(sigmas) == 2 else np.reshape(sigmas, (2, 3))  # noqa: PLR2004
+        return [*along.tolist(), *(0.5 * about).tolist(), 0.5 * float(np.mean(about))]
+    if columns != POSE and len(sigmas) in (1, columns):
+        return sigmas * (columns // len(sigmas))
+    expected = "2 numbers, m,rad, or 6" if columns == POSE else f"1 or {columns} numbers"
+    raise ParameterError(f"{len(sigmas)} numbers for {topic}", where="option --uncertainty", expected=expected)
+
+
+def _to_record_sigmas(sigmas: list[float]) -> list[float]:
+    """Return the uncertainties of a track for a fit record: those of a pose about its axes [rad]."""
+    return sigmas if len(sigmas) != POSE else [*sigmas[:3], *(2.0 * sigma for sigma in sigmas[3:6])]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

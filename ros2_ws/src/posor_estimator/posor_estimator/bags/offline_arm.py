@@ -1,0 +1,60 @@
+"""An arm for offline use: its joints and endpoint from a bag, in memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from posor_estimator.bags.arm_estimator import ArmEstimator
+from posor_estimator.bags.bag_topics import topics_of
+from posor_estimator.bags.estimate_arrays import ArmEstimates, EndpointEstimates, JointEstimates
+from posor_estimator.bags.offline_pipeline import estimate_bag
+from posor_estimator.bags.reprocess_task import Settings
+from posor_estimator.chain import arm_file
+from posor_estimator.errors import ParameterError
+from posor_estimator.node_parameters import COVARIANCE_KINDS
+
+if TYPE_CHECKING:
+    from posor_estimator.node_parameters import CovarianceKind
+
+
+@dataclass(frozen=True)
+class Arm(arm_file.Arm):
+    """An arm file with its paths resolved, which estimates recorded scans."""
+
+    def estimate(
+        self, bag: Path | str, *, covariance: CovarianceKind = "total", false_alarm: float = 1e-3
+    ) -> ArmEstimates:
+        """Return the poses and covariances of all joints and of the endpoint, as the nodes would have published them.
+
+        Args:
+            bag: Folder with metadata.yaml, or a single .mcap or .db3 file, with scans on topics ``.../<joint>/raw``.
+            covariance: Part of the uncertainty in the covariances: of the readings' noise (random), of the calibration
+                (systematic), or of both (total).
+            false_alarm: Probability that the chi-square test rejects a sound scan.
+
+        Raises:
+            ParameterError: There is no such part of the uncertainty, or ``false_alarm`` is not a probability.
+            PosorError: The bag, a calibration or the kinematic chain cannot be used.
+
+        """
+        if covariance not in COVARIANCE_KINDS:
+            raise ParameterError(
+                f"covariance '{covariance}' is unknown", where="Arm.estimate", expected=", ".join(COVARIANCE_KINDS)
+            )
+        settings = Settings.of_arm(self, covariance=covariance, false_alarm=false_alarm)
+        estimator = ArmEstimator(settings)
+        parts = list(estimate_bag(Path(bag), topics_of(Path(bag), settings.joints), estimator))
+        joints = {name: JointEstimates.concatenate([part.joints[name] for part in parts]) for name in settings.joints}
+        return ArmEstimates(joints, EndpointEstimates.concatenate([part.endpoint for part in parts]), parts[0].chain)
+
+
+def load_arm(path: Path | str) -> Arm:
+    """Read an arm file; the files that it names are read by ``Arm.estimate``.
+
+    Raises:
+        CalibrationError: The file cannot be read, is not YAML, or has invalid content.
+
+    """
+    return Arm(**vars(arm_file.load_arm(Path(path))))

@@ -1,1 +1,0 @@
-"""The command line of calibration: ``calibrate PROCEDURE BAG``, ``list``, ``diff``, ``check``."""

@@ -1,0 +1,214 @@
+"""Calibrations of typical POSORs with realistic uncertainties, for accuracy studies, budgets and simulation.
+
+Sizes follow the thesis: ``design`` its 1985 design (probes at 1.5 and 3 in, table 5.2), ``sized_design`` the POSORs of
+its conceptual robot (section 9.3.1; sensors of 5 microinch), given by their outside diameter. Everything else is
+assumed, and the provenance says so.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal
+
+from posor_estimator.calibration.calibration_file import Calibration, calibration_from
+from posor_estimator.calibration.design_parts import (
+    INCH,
+    DiodeKind,
+    Part,
+    ProbeKind,
+    RingShape,
+    bumpy_ring,
+    diodes,
+    light_ring,
+    quantity_entry,
+    triad,
+)
+from posor_estimator.errors import CalibrationError
+
+DesignName = Literal["triad_diodes", "triad_light_ring", "triad_bumpy_ring"]
+SizedDesignName = Literal["triad_light_ring", "triad_bumpy_ring"]
+
+DIODE_SPAN = 5.5e-3
+"""Half the width of a diode's calibrated surface [m], slightly inside the domain of its map."""
+THETA_OF_TWO_SOURCES = 0.1
+"""Largest theta [rad] with two fixed sources on their diodes, at a runout of 1 mm."""
+SOURCES = 36
+BUMPS = 36
+STANDOFF = 0.735e-3
+"""Gap at which a probe along Z reads 0 V, the nominal distance of the plates [m]."""
+
+PROBE_ACCURACY = 5e-6 * INCH
+"""Accuracy of the probes of section 9.3.1, 5 microinch [m]."""
+SMALLEST_DIAMETER = 3.0 * INCH
+"""Smallest outside diameter of ``sized_design`` [m]."""
+SOURCE_PITCH = 7.7e-3
+"""Largest distance between light sources [m] with one always on each diode."""
+BUMPS_PER_INCH = 24
+"""Bumps per inch of a sized ring's diameter (pitch 3.32 mm). The slopes then resolve theta nearly as section 9.3.1
+assumes, 5 microinch over the ring's radius. The number of bumps is a multiple of four for whole inches."""
+
+_GAP_OF_VOLT = (STANDOFF, -0.118e-3, 1.5e-6, -2e-7, 1e-8)
+_RING_RANGE = 1.5
+"""Range of the ring probes of sized designs over that of others: for bumps of 0.4 mm and motions of 0.5 mm."""
+
+_PROBE = ProbeKind(
+    volts_to_gap=_GAP_OF_VOLT,
+    volts_to_gap_sigmas=(0.13e-6, 5e-8, 5e-9, 0.0, 0.0),
+    noise=1e-3,
+    tip_sigma=(20e-6, 20e-6, 1e-6),
+    axis_sigma=1e-3,
+    zero_shift_sigma=5e-4,
+    supply_sigma=0.01,
+)
+_DIODE = DiodeKind(
+    noise=1e-4,
+    origin_sigma=(5e-6, 5e-6, 20e-6),
+    axis_sigma=(2e-4, 1e-3),
+    map_sigma=0.5e-6,
+    source_sigma=(3e-6, 3e-6, 20e-6),
+    direction_sigma=5e-4,
+)
+_RING = RingShape(
+    bumps=BUMPS,
+    mean_radius=0.0508,
+    cos=(-4e-6, 0.0, 1.6e-4, 2e-7, 9e-6),
+    sin=(0.0, -5e-6, 0.0, -4e-6, 0.0),
+    radius_sigma=1e-6,
+    amplitude_sigma=0.2e-6,
+    tip_radius=0.0516,
+)
+
+# Sized designs are calibrated as assembled, against an index table and an interferometer. The remaining uncertainty is
+# the resolution of the sensors, about 50 nm, not the accuracy of single parts.
+_SIZED_GAP_PROBE = ProbeKind(
+    volts_to_gap=_GAP_OF_VOLT,
+    volts_to_gap_sigmas=(30e-9, 1e-8, 1e-9, 0.0, 0.0),
+    noise=PROBE_ACCURACY / 0.118e-3,
+    tip_sigma=(5e-6, 5e-6, 30e-9),
+    axis_sigma=1e-4,
+    zero_shift_sigma=2e-4,
+    supply_sigma=1e-3,
+)
+_SIZED_RING_PROBE = ProbeKind(
+    volts_to_gap=tuple(_RING_RANGE * coefficient for coefficient in _GAP_OF_VOLT),
+    volts_to_gap_sigmas=(30e-9, 1e-8, 1e-9, 0.0, 0.0),
+    noise=PROBE_ACCURACY / (_RING_RANGE * 0.118e-3),
+    tip_sigma=(30e-9, 30e-9, 5e-6),
+    axis_sigma=2e-5,
+    zero_shift_sigma=2e-4,
+    supply_sigma=1e-3,
+)
+_SIZED_TILT_SIGMA = 0.3e-6
+_SIZED_DIODE = DiodeKind(
+    noise=2e-5,
+    origin_sigma=(0.1e-6, 0.1e-6, 5e-6),
+    axis_sigma=(1e-5, 1e-4),
+    map_sigma=0.1e-6,
+    source_sigma=(0.1e-6, 0.1e-6, 5e-6),
+    direction_sigma=2e-5,
+)
+
+
+def _sized_ring(outside_diameter: float) -> RingShape:
+    radius = 0.5 * outside_diameter - INCH
+    return RingShape(
+        bumps=4 * max(1, round(BUMPS_PER_INCH * 2.0 * radius / INCH / 4.0)),
+        mean_radius=radius,
+        cos=(-4e-6, 0.0, 4e-4, 5e-7, 1e-5),
+        sin=(0.0, -5e-6, 0.0, -1e-5, 0.0),
+        radius_sigma=20e-9,
+        amplitude_sigma=20e-9,
+        tip_radius=radius + _RING_RANGE * 0.8e-3,
+    )
+
+
+def _limits(translation: float) -> Part:
+    return {
+        "translation": quantity_entry(translation, "m/s"),
+        "lean": quantity_entry(0.02, "rad/s"),
+        "theta": quantity_entry(3.0, "rad/s"),
+    }
+
+
+def _calibration(
+    name: str, source: str, notes: tuple[str, ...], frames: tuple[str, str], motion: Part | None, sensors: list[Part]
+) -> Calibration:
+    content: dict[str, Any] = {
+        "format": "posor_calibration",
+        "version": 1,
+        "name": name,
+        "provenance": {"source": source, "method": "core/designs.py", "date": "none", "notes": notes},
+        "frames": {"parent": frames[0], "child": frames[1]},
+        "motion": motion,
+        "sensors": sensors,
+    }
+    return calibration_from(content)
+
+
+def design(
+    name: DesignName,
+    *,
+    ring_probes: int = 4,
+    motion: bool = False,
+    frames: tuple[str, str] = ("receiving", "target"),
+) -> Calibration:
+    """Return the calibration of one of the designs of the 1985 size.
+
+    Args:
+        name: Which stack.
+        ring_probes: Number of probes of a bumpy ring, three or more.
+        motion: Whether to limit the velocity of the target: 1 mm/s, 0.02 rad/s of lean, 3 rad/s of theta.
+        frames: Names of receiving and target plate.
+
+    """
+    tips = ([-0.0762, 0.0, 0.0], [0.0, 0.0381, 0.0], [0.0, -0.0381, 0.0])
+    sensors = [triad(_PROBE, tips, 20e-6)]
+    if name == "triad_diodes":
+        positions = [(-0.0254, 0.0381), (-0.0254, -0.0381)]
+        sensors.append(diodes(_DIODE, positions, positions))
+    elif name == "triad_light_ring":
+        sensors.append(light_ring(_DIODE, 0.044, SOURCES))
+    else:
+        sensors.append(bumpy_ring(_PROBE, _RING, ring_probes))
+    return _calibration(name, "assumed design", (), frames, _limits(1e-3) if motion else None, sensors)
+
+
+def sized_design(name: SizedDesignName, outside_diameter: float, *, frames: tuple[str, str], title: str) -> Calibration:
+    """Return the calibration of a POSOR of an outside diameter D.
+
+    Three probes in an equilateral triangle on a circle of D - 1 in, whose altitude .75 (D - 1 in) is the lever of
+    section 9.3.1; a bumpy ring with four probes, or a ring of light sources, of D - 2 in. Limits of velocity: 20 mm/s,
+    0.02 rad/s of lean, 3 rad/s of theta.
+
+    Args:
+        name: Which stack.
+        outside_diameter: [m].
+        frames: Names of receiving and target plate.
+        title: The calibration's name.
+
+    Raises:
+        CalibrationError: The diameter is too small.
+
+    """
+    if not outside_diameter >= SMALLEST_DIAMETER:
+        raise CalibrationError(
+            f"outside diameter {outside_diameter:g} m", where=title, expected=f"at least {SMALLEST_DIAMETER:g} m"
+        )
+    circle = 0.5 * (outside_diameter - INCH)
+    half_side = circle * math.sqrt(0.75)
+    tips = ([-circle, 0.0, 0.0], [0.5 * circle, half_side, 0.0], [0.5 * circle, -half_side, 0.0])
+    sensors = [triad(_SIZED_GAP_PROBE, tips, _SIZED_TILT_SIGMA)]
+    notes = [
+        "thesis 9.3.1: probes of 5 microinch on a circle of the outside diameter less 1 in, ring of it less 2 in",
+        "assumed: all calibrated as assembled, hence the small uncertainties; the 5 microinch taken for noise",
+        "assumed: linearisation and range of the probes, tilt of the target plane, limits of motion",
+    ]
+    if name == "triad_light_ring":
+        radius = 0.5 * outside_diameter - INCH
+        sensors.append(light_ring(_SIZED_DIODE, radius, 4 * math.ceil(2.0 * math.pi * radius / SOURCE_PITCH / 4.0)))
+        notes.append("assumed: light sources at most 7.7 mm apart, two diodes of 5.5 mm half width, their noise")
+    else:
+        sensors.append(bumpy_ring(_SIZED_RING_PROBE, _sized_ring(outside_diameter), 4))
+        notes.append("assumed: bumps of 0.4 mm every 3.32 mm, ring probes of 1.5 times the range of the others")
+    source = f"assumed design of {outside_diameter / INCH:g} in outside diameter"
+    return _calibration(title, source, tuple(notes), frames, _limits(0.02), sensors)

@@ -1,0 +1,1 @@
+"""From the joints' poses to the endpoint: arm file, beams, sag, time synchroniser."""

@@ -1,0 +1,134 @@
+"""The beams file: uncertainty and sag of an arm's measuring beams, whose transforms are in the URDF.
+
+Versions of the format:
+
+1. First version: ``gravity`` and ``beams``, each with ``uncertainty`` and, where it sags, ``sag``.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from posor_estimator.calibration.calibration_file import Provenance
+from posor_estimator.calibration.file_model import EntryError, FrozenModel
+from posor_estimator.calibration.quantity import Quantity, measured
+from posor_estimator.calibration.yaml_document import load_document
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+VERSION = 1
+STANDARD_GRAVITY = 9.80665
+"""[m/s^2] (ISO 80000-3)."""
+
+
+class TubeFile(FrozenModel):
+    """A round tube."""
+
+    outer_diameter: Annotated[Quantity, measured("m")]
+    inner_diameter: Annotated[Quantity, measured("m")]
+    modulus: Annotated[Quantity, measured("Pa")]
+    density: Annotated[Quantity, measured("kg/m^3")]
+
+    @model_validator(mode="after")
+    def _check_values(self) -> Self:
+        inner, outer = self.inner_diameter.number, self.outer_diameter.number
+        if not 0.0 <= inner < outer:
+            expected = f"0 to less than {outer:g} m, the outer"
+            raise EntryError(f"inner_diameter {inner:g} m", key=("inner_diameter",), expected=expected)
+        for name, quantity in (("modulus", self.modulus), ("density", self.density)):
+            if not quantity.number > 0.0:
+                raise EntryError(f"{name} {quantity.number:g}", key=(name,), expected="more than 0")
+        return self
+
+
+class PlateFile(FrozenModel):
+    """A plate of a POSOR on the beam: its mass and its distance from the beam's start."""
+
+    name: str
+    at: Annotated[Quantity, measured("m")]
+    mass: Annotated[Quantity, measured("kg")]
+
+    @model_validator(mode="after")
+    def _check_values(self) -> Self:
+        if self.mass.number < 0.0:
+            raise EntryError(f"mass {self.mass.number:g} kg", key=("mass",), expected="0 kg or more")
+        return self
+
+
+class SagFile(FrozenModel):
+    """Causes of the sag: tube, plates and gimbals of the beam.
+
+    ``uncertainty`` is the relative standard uncertainty of the sag computed from them.
+    """
+
+    tube: TubeFile
+    gimbals: Annotated[Quantity, measured("m", 2)]
+    plates: tuple[PlateFile, ...] = ()
+    uncertainty: Annotated[Quantity, measured("1")]
+
+    @model_validator(mode="after")
+    def _check_values(self) -> Self:
+        near, far = self.gimbals.array
+        if not near < far:
+            raise EntryError(
+                f"gimbals {self.gimbals.value} m", key=("gimbals",), expected="two distances, the nearer one first"
+            )
+        if self.uncertainty.number < 0.0:
+            raise EntryError(f"uncertainty {self.uncertainty.number:g}", key=("uncertainty",), expected="0 or more")
+        return self
+
+
+class PlacementFile(FrozenModel):
+    """Standard uncertainties of the beam's end relative to its start, axes of the start; the values are in the URDF."""
+
+    position: Annotated[Quantity, measured("m", 3)]
+    orientation: Annotated[Quantity, measured("rad", 3)]
+
+    @model_validator(mode="after")
+    def _check_values(self) -> Self:
+        for name, quantity in (("position", self.position), ("orientation", self.orientation)):
+            if (quantity.array < 0.0).any():
+                raise EntryError(f"{name} {quantity.value}", key=(name,), expected="standard uncertainties, 0 or more")
+        return self
+
+
+class BeamFile(FrozenModel):
+    """One beam; the origin of the fixed URDF joint ``joint`` is its transform."""
+
+    joint: str
+    uncertainty: PlacementFile
+    sag: SagFile | None = None
+
+
+class BeamsFile(FrozenModel):
+    """Content of a beams file. ``gravity`` is in the base frame of the URDF; default: along -Z."""
+
+    format: Literal["posor_beams"]
+    version: Literal[1]
+    name: str
+    provenance: Provenance
+    gravity: Annotated[Quantity, measured("m/s^2", 3)] = Quantity(value=[0.0, 0.0, -STANDARD_GRAVITY], unit="m/s^2")
+    beams: Annotated[list[BeamFile], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _check_duplicates(self) -> Self:
+        seen: set[str] = set()
+        for index, beam in enumerate(self.beams):
+            if beam.joint in seen:
+                raise EntryError(f"duplicate beam '{beam.joint}'", key=("beams", index), expected="each beam once")
+            seen.add(beam.joint)
+        return self
+
+
+def load_beams(path: Path) -> BeamsFile:
+    """Read and validate a beams file (YAML, SI).
+
+    Raises:
+        CalibrationError: The file cannot be read, is not YAML, or has invalid content.
+
+    """
+    keys = "format, version, name, provenance, beams"
+    return load_document(path, "beams file", keys, VERSION, BeamsFile.model_validate)[0]

@@ -1,1 +1,0 @@
-"""Calibration procedures: from recorded readings and a reference to parameters with their uncertainty. No ROS here."""

@@ -1,0 +1,1 @@
+"""From one raw scan to one pose with covariance."""

@@ -1,0 +1,201 @@
+"""Estimates scans of a stack that holds sensors written in plain Python (``PlainSensor``).
+
+Their readings enter the compiled solver as affine rows: value and derivative at one pose. The expansion is repeated at
+each solution until the solution no longer moves, which makes the result exact. Only where the previous pose fills a
+blind direction does the solution stay at the expansion that showed the blindness.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from posor_estimator.estimation.estimate_scan import DONE, LOST, RETRY, START, locate, write_lost
+from posor_estimator.estimation.linearise import linearise_scan
+from posor_estimator.estimation.solver import ITERATIONS, LENGTH, TOLERANCE
+from posor_estimator.estimation.tracking import (
+    restart_where_time_goes_back,
+    theta_of,
+    turn_about_z,
+    wrapped,
+)
+from posor_estimator.model.fault import Fault, State
+from posor_estimator.model.reading_rows import AFFINE, prepare_rows, turn_rows
+from posor_estimator.model.scan import Scans
+from posor_estimator.numerics.compiled import record_view
+
+if TYPE_CHECKING:
+    import pinocchio as pin
+    from numpy.typing import NDArray
+
+    from posor_estimator.estimation.sensor_stack import Stack
+    from posor_estimator.estimation.workspace import Model
+    from posor_estimator.numerics.array_types import FloatArray
+
+TOLERANCE_OF_EXPANSION = 1e-3 * TOLERANCE
+"""The expansion ends where it moves the solution by less [m]."""
+
+
+class PlainSensors:
+    """The plain sensors of a stack, and the loop that serves them.
+
+    Attributes:
+        present: Whether the stack has plain sensors.
+
+    """
+
+    def __init__(self, stack: Stack, model: Model, square_root: FloatArray) -> None:
+        """Find the plain sensors of a stack whose parameters have a covariance with this square root (p, factors)."""
+        self._stack, self._model, self._square_root = stack, model, square_root
+        self._plain = stack.plain_sensors
+        self.present = bool(self._plain)
+
+    def linearise(self, scans: NDArray[np.void], estimates: NDArray[np.void], n: int) -> bool:
+        """Linearise all readings of scan n into the workspace; return whether they are valid."""
+        estimate, workspace = estimates[n], self._model.workspace[0]
+        if not linearise_scan(self._model, scans[n], estimate):
+            return False
+        for number, sensor, readings in self._plain:
+            reading = sensor.try_read(Scans(scans)[n])
+            if reading is None:
+                estimate["sensor"], estimate["code"] = number, 1
+                estimate["faults"] = int(sensor.explain(Scans(scans)[n], 1).fault)
+                return False
+            workspace["values"][readings], workspace["variances"][readings] = reading.values, reading.variances
+            workspace["selected_rows"][readings] = self._stack.affine_rows(number)
+        return True
+
+    def estimate_scans(
+        self, scans: NDArray[np.void], estimates: NDArray[np.void], begin: int, end: int
+    ) -> tuple[int, int]:
+        """Do ``estimate_scan.estimate_scans`` with these sensors."""
+        for n in range(begin, end):
+            left = self._estimate_scan(scans, estimates, n)
+            if left != DONE:
+                return n, left
+        return end, DONE
+
+    def _estimate_scan(self, scans: NDArray[np.void], estimates: NDArray[np.void], n: int) -> int:
+        estimate, tracker = estimates[n], self._model.workspace[0]["tracker"]
+        estimate["number"], estimate["stamp_ns"] = scans[n]["number"], scans[n]["stamp_ns"]
+        if not tracker["epoch_known"]:
+            tracker["epoch_known"], tracker["epoch_ns"] = 1, scans[n]["stamp_ns"]
+        if not self.linearise(scans, estimates, n):
+            estimate["residual"] = np.nan
+            write_lost(estimate, int(estimate["faults"]))
+            return DONE
+        stamp = float((scans[n]["stamp_ns"] - tracker["epoch_ns"]) * 1e-9)
+        restart_where_time_goes_back(tracker, stamp)
+        if not tracker["initialised"]:
+            return START
+        from_previous_pose = not tracker["start_given"]
+        self._locate(scans, estimates, n, stamp)
+        if estimate["state"] != LOST:
+            return DONE
+        write_lost(estimate, int(estimate["faults"]))
+        retry = from_previous_pose and int(estimate["faults"]) & (Fault.RESIDUAL | Fault.NOT_CONVERGED)
+        return RETRY if retry else DONE
+
+    def _locate(self, scans: NDArray[np.void], estimates: NDArray[np.void], n: int, stamp: float) -> None:
+        """Locate scan n, whose readings are linearised, and update the tracker."""
+        import pinocchio as pin  # noqa: PLC0415  50 MB that a node does not need before its first scan
+
+        workspace, estimate, m = self._model.workspace[0], estimates[n], self._stack.readings
+        settings, tracker, pose = workspace["settings"], workspace["tracker"], workspace["pose"]
+        rows = self._activate_rows(workspace, m)
+        scan = Scans(scans)[n]
+
+        def locate_from(begin: Any) -> Any:
+            """Locate with the rows as they are, and return the tracker that ``begin`` becomes."""
+            prepare_rows(record_view(rows))
+            workspace["systematic_readings"][:m, :m] = systematic
+            workspace["tracker"] = begin
+            locate(self._model, stamp, int(scan.at_home), False, estimate)  # noqa: FBT003  kernels take no keywords
+            return workspace["tracker"].copy()
+
+        # Affine rows hold where they were expanded; therefore the lag of the tilts is followed here, not in the kernel.
+        former = tracker.copy()
+        lagging = settings["tilt_lags"] and not former["start_given"]
+        former_theta = float(former["theta"])
+        start = self._start_pose(stamp)
+        pose["rotation"], pose["translation"] = start.rotation, start.translation
+        begin, count_fault, updated = former, 0, former
+        for attempt in range(ITERATIONS):
+            before = pin.SE3(pose["rotation"], pose["translation"])
+            self._stack.expand_plain_rows(rows, before.rotation, before.translation)
+            if lagging:
+                turn_rows(record_view(rows), wrapped(former_theta - theta_of(before.rotation)))
+            effects = self._stack.residual_jacobian(scan, before.rotation, before.translation) @ self._square_root
+            systematic = effects @ effects.T
+            updated = locate_from(begin)
+            faults = int(estimate["faults"])
+            if attempt == 0:
+                # A doubtful count found on the way from the start is not seen from a later expansion.
+                count_fault = faults & int(Fault.COUNT)
+                begin, correction = self._continued(former, count_fault, start.rotation)
+                former_theta += correction
+            elif faults & Fault.ILL_CONDITIONED and estimate["state"] != LOST:
+                # The previous pose fills the blind direction and holds the pose to where the kernel starts: start where
+                # the scan did, with the affine rows moved back there along the tangent.
+                affine = rows["kind"] == AFFINE
+                back = pin.log6(start.actInv(before)).vector
+                rows["value"][affine] -= rows["derivative"][affine] @ back
+                pose["rotation"], pose["translation"] = start.rotation, start.translation
+                updated = locate_from(begin)
+            faults = int(estimate["faults"])
+            if faults & Fault.ILL_CONDITIONED or _distance(before, pose) < TOLERANCE_OF_EXPANSION:
+                break
+        else:
+            estimate["state"], estimate["faults"] = State.LOST, Fault.NOT_CONVERGED
+            updated["initialised"] = updated["counted"] = 0
+        estimate["faults"] |= count_fault
+        if estimate["state"] == State.OK and count_fault:
+            estimate["state"] = State.DEGRADED
+        if estimate["state"] == State.LOST:
+            updated["start_given"] = former["start_given"]
+        workspace["tracker"] = updated
+
+    def _activate_rows(self, workspace: Any, m: int) -> NDArray[np.void]:
+        """Copy the selected rows of the pool into the workspace; all systematic covariance will come from outside."""
+        selected = workspace["selected_rows"][:m]
+        workspace["rows"][:m] = np.asarray(self._stack.pool)[selected]
+        workspace["row_changes"] += bool((workspace["active_rows"][:m] != selected).any())
+        workspace["active_rows"][:m], workspace["rows_active"] = selected, 0
+        workspace["alone_count"] = workspace["contribution_count"] = workspace["block_count"] = 0
+        workspace["first_correlated"][:m], workspace["end_correlated"][:m] = 0, m
+        rows: NDArray[np.void] = workspace["rows"][:m]
+        return rows
+
+    def _start_pose(self, stamp: float) -> pin.SE3:
+        import pinocchio as pin  # noqa: PLC0415  50 MB that a node does not need before its first scan
+
+        workspace = self._model.workspace[0]
+        tracker = workspace["tracker"]
+        rotation = tracker["pose"]["rotation"].copy()
+        if workspace["settings"]["bump_angle"] > 0.0 and not tracker["start_given"]:
+            turn_about_z(rotation, float(tracker["theta_rate"] * (stamp - tracker["stamp"])))
+        return pin.SE3(rotation, tracker["pose"]["translation"])
+
+    def _continued(self, former: Any, count_fault: int, before: FloatArray) -> tuple[Any, float]:
+        """Return the tracker for going on from the first solution of a scan, and the correction of theta [rad].
+
+        Where the home mark has corrected the count by whole bumps, the way from the previous pose is meaningless, and
+        theta is counted; where the count is in doubt, theta is not counted.
+        """
+        workspace, begin = self._model.workspace[0], former.copy()
+        bump = workspace["settings"]["bump_angle"]
+        turned = wrapped(theta_of(np.ascontiguousarray(workspace["pose"]["rotation"])) - theta_of(before))
+        correction = 0.0
+        if bump > 0.0 and abs(turned) > 0.5 * bump:
+            begin["start_given"] = begin["counted"] = 1
+            correction = bump * round(turned / bump)
+        elif count_fault:
+            begin["counted"] = 0
+        return begin, correction
+
+
+def _distance(before: pin.SE3, pose: Any) -> float:
+    """Return how far a pose has moved [m], a rotation by its arc at the solver's lever."""
+    rotated = LENGTH * np.max(np.abs(pose["rotation"] - before.rotation))
+    return float(max(np.max(np.abs(pose["translation"] - before.translation)), rotated))

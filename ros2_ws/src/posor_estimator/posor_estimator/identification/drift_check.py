@@ -1,0 +1,105 @@
+"""Check whether a calibration still explains a recording, and which of its parameters have drifted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.special import ndtri
+
+from posor_estimator.errors import FitError
+from posor_estimator.identification.fit_report import table_row
+from posor_estimator.identification.procedure import Table
+from posor_estimator.identification.procedures.bundle import BundleOptions, solve_bundle
+
+if TYPE_CHECKING:
+    from posor_estimator.calibration.calibration_file import Calibration
+    from posor_estimator.identification.recording import Recording
+
+FALSE_ALARM = 1e-3
+"""Probability that a valid calibration fails, for each of the two tests."""
+LEAST_INFORMATION = 1e-3
+"""Share of a parameter's variance that the recording must remove for its drift to be tested."""
+
+
+@dataclass(frozen=True)
+class DriftCheck:
+    """Result of a check."""
+
+    explains: bool
+    chi_square: float  # of the residuals, with the readings' noise and the calibration's uncertainties
+    freedoms: int
+    probability: float  # of a chi-square at least as large if the calibration holds
+    noise_ratio: float  # root of chi-square over the freedoms with the readings' noise only
+    drifts: dict[str, float]
+    """By parameter: its change in a fit that begins from the calibration, over the standard deviation of this change if
+    the calibration holds."""
+    limit: float  # largest drift that passes
+    table: Table  # of the drifts, the largest first
+    verdict: str  # one sentence
+
+
+def check_drift(recording: Recording, calibration: Calibration, options: BundleOptions) -> DriftCheck:
+    """Check whether a calibration explains a recording.
+
+    All parameters may change within their uncertainties, so chi-square allows for noise and calibration together. If
+    the calibration holds, a parameter with the prior standard uncertainty s0 and the fitted one s1 changes by a
+    quantity of variance s0^2 - s1^2.
+
+    Args:
+        recording: With a pose reference; without one only the redundancy of the readings is tested.
+        calibration: The calibration.
+        options: Of the bundle fit; the loss is always linear.
+
+    Raises:
+        FitError: The recording is unusable, or too uninformative.
+        TrackError: The reference is unusable.
+        CalibrationError: The session is unknown.
+
+    """
+    solved = solve_bundle(recording, calibration, options.model_copy(update={"loss": "linear"}))
+    problem, fit = solved.problem, solved.fit
+    before, after = np.square(problem.scales), np.diag(fit.covariance)
+    tested = np.flatnonzero(1.0 - after / before > LEAST_INFORMATION)
+    if not tested.size:
+        raise FitError(
+            "it determines none of the uncertain parameters of the calibration",
+            where=recording.source,
+            expected="more poses, or a pose reference",
+        )
+    change = fit.values - problem.start
+    drifts = {problem.names[i]: float(change[i] / np.sqrt(before[i] - after[i])) for i in tested}
+    rows = [
+        (
+            *table_row(problem.names[i], (change[i],)),
+            problem.units[i],
+            *map(float, np.sqrt([before[i], after[i]])),
+            drifts[problem.names[i]],
+        )
+        for i in tested
+    ]
+    rows.sort(key=lambda row: -abs(float(row[-1])))
+    limit = float(-ndtri(0.5 * FALSE_ALARM / len(rows)))
+    drifted = [name for name, drift in drifts.items() if abs(drift) > limit]
+    reasons = []
+    if fit.probability < FALSE_ALARM:
+        reasons.append("the residuals are larger than noise and stated uncertainties allow")
+    if drifted:
+        reasons.append(f"{', '.join(drifted)} drifted")
+    chi_square = float(fit.spread**2 * fit.freedoms)
+    figures = f"chi-square {chi_square:.4g} for {fit.freedoms} degrees of freedom, probability {fit.probability:.2g}"
+    explains = "does not explain" if reasons else "explains"
+    ending = f"; {'; '.join(reasons)}" if reasons else ", no parameter has drifted"
+    columns = ("parameter", "change", "unit", "stated sigma", "sigma here", "drift / sigma")
+    return DriftCheck(
+        explains=not reasons,
+        chi_square=chi_square,
+        freedoms=fit.freedoms,
+        probability=fit.probability,
+        noise_ratio=float(np.sqrt(np.mean(np.square(problem.residuals(problem.start))))),
+        drifts=drifts,
+        limit=limit,
+        table=Table("drift of the parameters, the largest first", columns, ("",) * len(columns), tuple(rows)),
+        verdict=f"The calibration '{calibration.name}' {explains} {recording.source}: {figures}{ending}.",
+    )

@@ -1,0 +1,1 @@
+"""The calibration procedures, one module each; ``procedure_registry`` lists them."""

@@ -1,0 +1,1 @@
+"""The measurement model: one file per physical effect, each formula with its derivatives."""

@@ -1,0 +1,147 @@
+"""The parameters of every node, of posor_node and of chain_node; documentation and checks follow from these fields.
+
+This module imports no ROS. Drivers declare their parameters in ``posor_drivers.driver_parameters``, since those depend
+on the source.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal, TypeVar
+
+from pydantic import Field, field_validator
+
+from posor_estimator.parameter_model import ChangeableAtRunTime, ParameterGroup
+
+CovarianceKind = Literal["random", "systematic", "total"]
+"""Which part of a covariance a message carries."""
+COVARIANCE_KINDS: dict[CovarianceKind, int] = {"random": 0, "systematic": 1, "total": 2}
+"""The constants ``COVARIANCE_...`` of ``posor_msgs/JointTransform``."""
+MIN_ZERO_SCANS = 10
+"""Scans below which their scatter is unknown."""
+HOME_COORDINATES = ("gap", "alpha", "beta")
+"""Elements of the parameter ``home_pose``."""
+
+_Limit = Annotated[float, Field(gt=0.0, allow_inf_nan=True), ChangeableAtRunTime()]
+
+
+class LimitParameters(ParameterGroup):
+    """Timing figures beyond which the diagnostics warn."""
+
+    latency: _Limit = Field(
+        default=math.inf, description="warn where a scan was published later than this after its stamp [s]; .inf: never"
+    )
+    jitter: _Limit = Field(
+        default=math.inf,
+        description="warn where the time between two publications differed from its mean by more than this [s]; "
+        ".inf: never",
+    )
+    pause: _Limit = Field(
+        default=math.inf,
+        description="warn where the garbage collector stopped the process for longer than this [s]; .inf: never",
+    )
+
+
+class RealtimeParameters(ParameterGroup):
+    """Requests of the whole process to the operating system, for all of its threads."""
+
+    priority: Annotated[int, Field(ge=0, le=99)] = Field(
+        default=0, description="real-time priority (SCHED_FIFO) of the process; 0: normal scheduling"
+    )
+    cpus: tuple[int, ...] = Field(
+        default=(), description="processors that the process may run on, counted from 0; empty: all"
+    )
+    lock_memory: bool = Field(default=False, description="keep all memory of the process from being swapped out")
+    required: bool = Field(
+        default=False, description="do not start if the system refuses any of this; false: warn in the diagnostics"
+    )
+
+    @field_validator("cpus", mode="before")
+    @classmethod
+    def _to_tuple(cls, cpus: object) -> object:
+        return tuple(cpus) if isinstance(cpus, list) else cpus
+
+    @field_validator("cpus")
+    @classmethod
+    def _check_cpus(cls, cpus: tuple[int, ...]) -> tuple[int, ...]:
+        if any(cpu < 0 for cpu in cpus):
+            message = f"{list(cpus)} is wrong; expected numbers of processors, at least 0"
+            raise ValueError(message)
+        return cpus
+
+
+class NodeParameters(ParameterGroup):
+    """Parameters that every node has."""
+
+    autostart: bool = Field(
+        default=True, description="configure and activate at start; false: wait for the lifecycle services"
+    )
+    hardware_id: str = Field(
+        default="", description="hardware named in the diagnostics; empty: the node's namespace, or its name"
+    )
+    qos_reliability: Literal["best_effort", "reliable"] = Field(
+        default="best_effort", description="reliability of the sensor topics that this node publishes and subscribes to"
+    )
+    qos_depth: Annotated[int, Field(ge=0, le=100_000)] = Field(
+        default=10, description="history depth of the sensor topics in messages; 0: keep all, for replays without loss"
+    )
+    limits: LimitParameters = LimitParameters()
+    realtime: RealtimeParameters = RealtimeParameters()
+
+
+ParametersT = TypeVar("ParametersT", bound=NodeParameters)
+
+
+class PosorParameters(NodeParameters):
+    """Parameters of posor_node."""
+
+    calibration: str = Field(description="path of the calibration file (YAML) of this joint's POSOR")
+    session: str = Field(
+        default="", description="session of the calibration file whose zero shifts and maps apply; empty: none"
+    )
+    covariance: CovarianceKind = Field(
+        default="total",
+        description="which uncertainty to publish: of the readings' noise, of the calibration, or of both",
+    )
+    false_alarm: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(
+        default=1e-3, description="probability that the chi-square test of the redundant readings rejects a sound scan"
+    )
+    home_pose: tuple[float, ...] = Field(
+        default=(),
+        description="gap [m], alpha and beta [rad] of the pose that ~/zero makes home; empty: no such service",
+    )
+    zero_scans: Annotated[int, Field(ge=MIN_ZERO_SCANS, le=100_000)] = Field(
+        default=100, description="number of most recent scans whose mean ~/zero uses"
+    )
+
+    @field_validator("home_pose")
+    @classmethod
+    def _check_home_pose(cls, home: tuple[float, ...]) -> tuple[float, ...]:
+        if len(home) not in (0, len(HOME_COORDINATES)):
+            message = f"{len(home)} numbers; expected 3: {', '.join(HOME_COORDINATES)}, or none"
+            raise ValueError(message)
+        return home
+
+
+class ChainParameters(NodeParameters):
+    """Parameters of chain_node."""
+
+    urdf: str = Field(description="path of the arm's URDF; its floating joints are the POSORs")
+    endpoint_frame: str = Field(default="endpoint", description="link of the URDF whose pose is published")
+    beams: str = Field(
+        default="",
+        description="path of the beams file: uncertainties and sag of the measuring beams; empty: straight and exact",
+    )
+    acceleration_window: Annotated[float, Field(ge=0.0, le=10.0)] = Field(
+        default=0.0,
+        description="motion [s] from which the beams' accelerations are estimated, for their sag; 0: assume rest",
+    )
+    max_wait: Annotated[float, Field(gt=0.0, le=60.0)] = Field(
+        default=0.1,
+        description="how long the first transform of a scan waits for the others [s]; then there is no pose",
+    )
+    reference: Literal["absolute", "home"] = Field(
+        default="absolute",
+        description="publish the endpoint in the URDF's base frame, or relative to its pose at home: at the first "
+        "pose, or at the last call of ~/set_home",
+    )

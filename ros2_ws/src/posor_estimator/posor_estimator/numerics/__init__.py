@@ -1,0 +1,1 @@
+"""Numerical basis: compilation of kernels, three-vectors, 3x3 and 6x6 matrices, time stamps."""

@@ -1,0 +1,79 @@
+"""Self-contained HTML pages of reports, rendered from ``report_page.html.j2``: title, verdict, picture, sections."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from jinja2 import Environment, FileSystemLoader
+from markupsafe import Markup
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+_MACROS = (
+    Environment(loader=FileSystemLoader(Path(__file__).parent), autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    .get_template("report_page.html.j2")
+    .make_module()
+)
+
+
+class Cell(NamedTuple):
+    """A cell of a table with a CSS class: ``holds``, ``fails`` or ``wrapped``."""
+
+    text: str
+    css_class: str
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page under its own heading."""
+
+    heading: str
+    body: Markup
+
+
+def image(png: bytes, alt: str) -> Markup:
+    """Return a picture (PNG) that is embedded in the page, with its alternative text."""
+    return _render("image", base64.b64encode(png).decode("ascii"), alt)
+
+
+def bullet_list(items: Iterable[str]) -> Markup:
+    """Return a list with bullets."""
+    return _render("bullet_list", list(items))
+
+
+def definition_list(terms: Mapping[str, str]) -> Markup:
+    """Return terms and their definitions."""
+    return _render("definition_list", terms)
+
+
+def paragraph(text: str) -> Markup:
+    """Return a paragraph."""
+    return _render("paragraph", text)
+
+
+def table(header: Iterable[str], rows: Iterable[Iterable[str | Cell]], css_class: str = "") -> Markup:
+    """Return a table; with the CSS class ``numbers`` all columns but the last are flush right."""
+    cells = [[cell if isinstance(cell, Cell) else Cell(cell, "") for cell in row] for row in rows]
+    return _render("table", list(header), cells, css_class)
+
+
+def render_page(title: str, verdict: str, *, holds: bool, sections: Sequence[Section], picture: Markup | None) -> str:
+    """Return a page that loads nothing from elsewhere.
+
+    Args:
+        title: Heading; its first line is also the title of the window.
+        verdict: One sentence on the whole report.
+        holds: Whether the verdict is good.
+        sections: Parts of the page, in this order.
+        picture: From ``image``, above the sections; None: no picture.
+
+    """
+    return str(_render("page", title.splitlines(), verdict, holds, picture, sections)).lstrip()
+
+
+def _render(macro: str, *arguments: object) -> Markup:
+    return Markup(getattr(_MACROS, macro)(*arguments))  # noqa: S704  escaped by the template

@@ -1,0 +1,254 @@
+"""Base class of all nodes of the stack: a lifecycle node that starts by itself unless ``autostart`` is false."""
+
+from __future__ import annotations
+
+import traceback
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any, ClassVar, Generic
+
+from lifecycle_msgs.srv import ChangeState
+from rclpy.exceptions import NameValidationException
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+
+from posor_estimator.errors import ParameterError, PosorError
+from posor_estimator.node_parameters import ParametersT
+from posor_estimator.parameter_model import help_text
+from posor_estimator.ros.declared_parameters import DeclaredParameters, take_overrides
+from posor_estimator.ros.diagnostics import Diagnostics, Level
+from posor_estimator.ros.publication_timing import TIMING_STATUS, Timing
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+LISTENERS_STATUS = "listeners"
+"""Name of the status line that counts the subscriptions of each topic.
+
+A volatile publisher sends only to matched subscriptions, and no ROS call tells another program whether they have
+matched. A program that starts a graph can wait for this line and so lose nothing of a replay."""
+
+
+class PosorNode(LifecycleNode, Generic[ParametersT]):
+    """Lifecycle node with declared parameters and diagnostics.
+
+    A subclass sets ``NAME`` and ``Parameters`` and overrides ``configure``, ``activate`` and ``deactivate``. A hook
+    that raises a PosorError refuses the transition: with ``autostart`` this ends the program with the error's sentence,
+    otherwise the node stays in its former state and reports the error. The cleanups that ``configure`` has registered
+    by then are run. Shutting down deactivates and cleans up as far as necessary.
+
+    Attributes:
+        NAME: Default node name.
+        Parameters: Model of the node's parameters.
+        diagnostics: Diagnostics of the node.
+        timing: Records the stamps of published scans, for the status line ``timing``.
+        exit_requested: Whether the node wants its program to end.
+        may_publish: Whether the node is active or being activated; publishers are silent otherwise.
+
+    """
+
+    NAME: ClassVar[str]
+    Parameters: ClassVar[type[Any]]
+
+    def __init__(self, **options: Any) -> None:
+        """Create the node and declare its parameters.
+
+        Args:
+            options: Passed on to rclpy: ``context``, ``namespace``, ``parameter_overrides``...
+
+        Raises:
+            ParameterError: A parameter is wrong, missing or unknown.
+
+        """
+        try:
+            super().__init__(self.NAME, automatically_declare_parameters_from_overrides=True, **options)
+        except (RuntimeError, NameValidationException) as error:
+            reason = " ".join(str(error).split(", at ")[0].split())
+            raise ParameterError(reason, where=f"node {self.NAME}") from None
+        self._answer_impossible_transitions()
+        self.exit_requested = self.may_publish = False
+        self._failure: Exception | None = None
+        self._refusal: Exception | None = None
+        self._starting = False
+        self._finalized = False
+        self._cleanups = ExitStack()
+        try:
+            overrides = take_overrides(self)
+            self._declared: DeclaredParameters[ParametersT] = DeclaredParameters(
+                self,
+                self.parameter_model(overrides),
+                overrides,
+                accept=self.accept_parameters,
+                on_change=self.on_parameters_changed,
+            )
+        except PosorError:
+            self.destroy_node()
+            raise
+        self.diagnostics = Diagnostics(self, self.parameters.hardware_id)
+        self._lifecycle_status = self.diagnostics.add_status("lifecycle")
+        self._lifecycle_status.report(Level.WARN, "unconfigured")
+        timing_status = self.diagnostics.add_status(TIMING_STATUS)
+        self.timing = Timing(timing_status, self.get_clock(), lambda: self.parameters.limits)
+        self.diagnostics.add_refresh(self.timing.report)
+        self._listener_counts: dict[str, int] = {}
+
+    def _answer_impossible_transitions(self) -> None:
+        """Refuse a request for a transition that the present state does not have; rclpy would end the program."""
+        service = next(service for service in self.services if service.srv_type is ChangeState)
+        change_state = service.callback
+
+        def on_change_state(request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
+            try:
+                return change_state(request, response)
+            except RuntimeError as error:
+                self.get_logger().error(f"transition refused: {str(error).split(', at ')[0]}")
+                response.success = False
+                return response
+
+        service.callback = on_change_state
+
+    @property
+    def parameters(self) -> ParametersT:
+        """The parameters in force, an immutable model."""
+        return self._declared.current
+
+    @classmethod
+    def help(cls) -> str:
+        """Return the text of ``--help``, from the class docstring and the declared parameters."""
+        summary = (cls.__doc__ or "").strip().splitlines()[0]
+        return f"{cls.NAME}: {summary}\n\nParameters (--ros-args -p name:=value):\n{help_text(cls.Parameters)}"
+
+    @classmethod
+    def parameter_model(cls, overrides: dict[str, object]) -> type[ParametersT]:
+        """Return the parameter model; a subclass may choose the model by the user's values."""
+        del overrides
+        return cls.Parameters
+
+    def accept_parameters(self, parameters: ParametersT) -> None:
+        """Raise a PosorError to refuse a change at run time that the model itself allows."""
+
+    def on_parameters_changed(self, parameters: ParametersT) -> None:
+        """Use values that were changed at run time."""
+
+    def configure(self) -> None:
+        """Read files, create publishers, register cleanups; raise a PosorError if that is impossible."""
+
+    def activate(self) -> None:
+        """Begin to work; publishers are active already."""
+
+    def deactivate(self) -> None:
+        """Stop working; nothing is published afterwards."""
+
+    def add_cleanup(self, cleanup: Callable[..., object], *arguments: object) -> None:
+        """Register a function that undoes a part of ``configure``; the last one runs first."""
+        self._cleanups.callback(cleanup, *arguments)
+
+    def report_listeners(self, topic: str, count: int) -> None:
+        """Report the number of subscriptions of a topic of this node, in any process."""
+        if not self._listener_counts:
+            self._listeners_status = self.diagnostics.add_status(LISTENERS_STATUS)
+        self._listener_counts[topic] = count
+        counts = ", ".join(f"{topic} {count}" for topic, count in self._listener_counts.items())
+        self._listeners_status.report(Level.OK, f"subscriptions: {counts}", self._listener_counts)
+
+    def request_exit(self, failure: Exception | None = None) -> None:
+        """Request the end of the program, from any thread; ``raise_failure`` raises the first ``failure``."""
+        self._failure = self._failure or failure
+        self.exit_requested = True
+
+    def raise_failure(self) -> None:
+        """Raise the failure passed to ``request_exit``, if any."""
+        if self._failure is not None:
+            raise self._failure
+
+    def start(self) -> None:
+        """Configure and activate the node if ``autostart`` is true.
+
+        Raises:
+            PosorError: A hook refused.
+
+        """
+        if not self.parameters.autostart:
+            return
+        self._starting = True
+        for trigger in (self.trigger_configure, self.trigger_activate):
+            if trigger() != TransitionCallbackReturn.SUCCESS and self._refusal is not None:
+                raise self._refusal
+        self._starting = False
+
+    def stop(self) -> None:
+        """Shut down through the lifecycle and destroy the node."""
+        if not self._finalized:
+            self.trigger_shutdown()
+        self.diagnostics.close()
+        self.destroy_node()
+        # rclpy leaves this to the garbage collector; until then the node stays in the graph.
+        self._state_machine.destroy_when_not_in_use()
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Run ``configure``, then the hooks of managed entities."""
+        result = self._run_steps("inactive", self.configure, lambda: super(PosorNode, self).on_configure(state))
+        if result != TransitionCallbackReturn.SUCCESS:
+            self._cleanups.close()
+        return result
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Activate the publishers, then run ``activate``; if it refuses, the publishers are deactivated."""
+        self.timing.restart()
+        result = self._run_steps("active", lambda: self._activate_publishers(state), self.activate)
+        if result != TransitionCallbackReturn.SUCCESS:
+            self._deactivate_publishers(state)
+        return result
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Run ``deactivate``, then deactivate the publishers."""
+        return self._run_steps("inactive", self.deactivate, lambda: self._deactivate_publishers(state))
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Run the cleanups, then the hooks of managed entities."""
+        return self._run_steps("unconfigured", self._cleanups.close, lambda: super(PosorNode, self).on_cleanup(state))
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Deactivate and clean up as far as the state requires; the program then ends."""
+        steps: dict[str, list[Callable[[], object]]] = {
+            "active": [self.deactivate, lambda: self._deactivate_publishers(state), self._cleanups.close],
+            "inactive": [self._cleanups.close],
+        }
+        result = self._run_steps(
+            "finalized", *steps.get(state.label, []), lambda: super(PosorNode, self).on_shutdown(state)
+        )
+        self._finalized = result == TransitionCallbackReturn.SUCCESS
+        self.exit_requested = True
+        return result
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Clean up after a hook has raised an unexpected exception; the node is then unconfigured."""
+        self.may_publish = False
+        self._cleanups.close()
+        return super().on_error(state)
+
+    def _activate_publishers(self, state: LifecycleState) -> None:
+        super().on_activate(state)
+        self.may_publish = True
+
+    def _deactivate_publishers(self, state: LifecycleState) -> None:
+        self.may_publish = False
+        super().on_deactivate(state)
+
+    def _run_steps(self, goal: str, *steps: Callable[[], object]) -> TransitionCallbackReturn:
+        """Run the steps of a transition and report the state reached, or the refusal."""
+        try:
+            for step in steps:
+                step()
+        except PosorError as error:
+            self._report_refusal(error, str(error))
+            return TransitionCallbackReturn.FAILURE
+        except Exception as error:  # noqa: BLE001  rclpy would discard it silently
+            self._report_refusal(error, traceback.format_exc())
+            return TransitionCallbackReturn.ERROR
+        self._lifecycle_status.report(Level.OK if goal == "active" else Level.WARN, goal)
+        return TransitionCallbackReturn.SUCCESS
+
+    def _report_refusal(self, error: Exception, text: str) -> None:
+        self._refusal = error
+        self._lifecycle_status.report(Level.ERROR, str(error))
+        if not self._starting:
+            self.get_logger().error(text)

@@ -1,0 +1,282 @@
+"""posor_node: estimates six-degree-of-freedom transforms from the raw scans of one joint.
+
+Subscribes to ``raw`` (posor_msgs/RawScan) and publishes ``transform`` (posor_msgs/JointTransform) for every scan. A
+scan without a pose is published with the state LOST and NaN in every number; the diagnostics give the reason.
+
+Services (std_srvs/Trigger): ``~/reload`` reads the calibration file again; ``~/zero`` shifts the zero of the gap probes
+so that the present pose is home; ``~/home`` counts theta from its home mark. A refused request changes nothing.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from functools import partial
+from pathlib import Path
+from threading import RLock
+from typing import TYPE_CHECKING, Any
+
+from posor_msgs.msg import JointTransform, RawScan
+from std_srvs.srv import Trigger
+
+from posor_estimator.calibration.calibration_file import load_calibration
+from posor_estimator.errors import CalibrationError, ParameterError, PosorError, TopicError
+from posor_estimator.estimation.posor import Posor
+from posor_estimator.identification.digital_zero import find_digital_zero
+from posor_estimator.model.fault import Fault, State
+from posor_estimator.model.scan import Scans
+from posor_estimator.node_parameters import PosorParameters
+from posor_estimator.ros.cdr_scan import RAW_SCAN, scan_of
+from posor_estimator.ros.diagnostics import Level
+from posor_estimator.ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
+from posor_estimator.ros.lifecycle_node import PosorNode
+from posor_estimator.ros.node_program import run_node
+from posor_estimator.ros.qos import sensor_qos
+from posor_estimator.ros.raw_scan_stream import RawScanStream
+from posor_estimator.ros_names import RAW_TOPIC, TRANSFORM_TOPIC
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from posor_estimator.calibration.calibration_file import Calibration
+    from posor_estimator.ros.diagnostics import StatusText, Value
+    from posor_estimator.ros.raw_scan_stream import EstimatedScan
+
+
+LOST = int(State.LOST)
+LEVELS = {State.OK: Level.OK, State.DEGRADED: Level.WARN}
+"""Level of the diagnostics by state; ERROR for all other states."""
+
+
+class PosorEstimatorNode(PosorNode[PosorParameters]):
+    """Estimates the pose of one POSOR's target plate from each raw scan.
+
+    Scans and service calls may come in different threads; a lock protects their common state.
+    """
+
+    NAME = "posor_node"
+    Parameters = PosorParameters
+
+    _calibration: Calibration
+    _posor: Posor
+    _stream: RawScanStream | None
+    _last_stream: RawScanStream | None
+    _recent_scans: deque[bytes]
+    _reported: tuple[int, int] | None
+
+    def __init__(self, **options: Any) -> None:
+        """Create the node; ``options`` are passed to rclpy."""
+        super().__init__(**options)
+        self._lock = RLock()
+        self._status = self.diagnostics.add_status("estimate", logged=True)
+        self._last_stream = None
+        self.diagnostics.add_refresh(self._refresh_status)
+
+    def configure(self) -> None:
+        """Read the calibration file, report its identity and open the topics and services."""
+        self._scans = self._scans_lost = self._messages_refused = 0
+        self._recent_scans = deque(maxlen=self.parameters.zero_scans if self.parameters.home_pose else 0)
+        self._source_changes = 0
+        self._count_from_next = self._is_lost = False
+        self._reported = self._last_stream = None
+        self._apply_calibration(*self._load_calibration())
+        self._status.report(Level.STALE, "no scan yet")
+        qos = sensor_qos(self.parameters)
+        self._publisher = IntraProcessPublisher(self, JointTransform, TRANSFORM_TOPIC, qos, count_listeners=True)
+        self.add_cleanup(self._forget_scans)
+        IntraProcessSubscription(self, RawScan, RAW_TOPIC, qos, self._on_raw_scan)
+        services = {"reload": self._reload_calibration, "home": self._count_from_home}
+        if self.parameters.home_pose:
+            services["zero"] = self._zero_gap_probes
+        for name, action in services.items():
+            service = self.create_service(Trigger, f"~/{name}", partial(self._on_request, action))
+            self.add_cleanup(self.destroy_service, service)
+
+    def _forget_scans(self) -> None:
+        """Discard the estimator's streams after the present scan."""
+        with self._lock:
+            self._stream = self._last_stream = None
+
+    def _load_calibration(self) -> tuple[Calibration, Calibration]:
+        """Return the calibration of the file, and the same with the session applied."""
+        calibration = load_calibration(Path(self.parameters.calibration))
+        return calibration, calibration.for_session(self.parameters.session)
+
+    def _apply_calibration(self, calibration: Calibration, session_calibration: Calibration) -> None:
+        """Use a loaded calibration and report its identity."""
+        self._use_calibration(session_calibration)
+        path = self.parameters.calibration
+        self._status.update(
+            {
+                "calibration": calibration.name,
+                "calibration_file": path,
+                "calibration_hash": calibration.content_hash,
+                "session": self.parameters.session,
+                "zero": "as in the file",
+            }
+        )
+        self.get_logger().info(f"calibration '{calibration.name}' from {path}, hash {calibration.content_hash}")
+
+    def _use_calibration(self, calibration: Calibration) -> None:
+        """Use a calibration from the next scan on; the new estimator starts from the last pose, if any."""
+        posor = Posor(calibration, false_alarm=self.parameters.false_alarm)
+        with self._lock:
+            if self._last_stream is not None:
+                posor.continue_from(self._posor)
+            self._posor, self._calibration, self._stream = posor, calibration, None
+            self._source_changes = 0  # the first scan of the new estimator discards the kept scans
+
+    def _on_request(
+        self, action: Callable[[], str], _request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        """Run the action of a service; a refusal changes nothing."""
+        try:
+            response.message = action()
+        except PosorError as error:
+            response.message = str(error)
+            self.get_logger().error(response.message)
+        else:
+            response.success = True
+        return response
+
+    def _reload_calibration(self) -> str:
+        calibration, session_calibration = self._load_calibration()
+        frames = self._calibration.frames
+        if session_calibration.frames != frames:
+            raise CalibrationError(
+                f"its frames are {session_calibration.frames.parent} and {session_calibration.frames.child}",
+                where=f"calibration file {self.parameters.calibration}",
+                expected=f"{frames.parent} and {frames.child} as before, or a restart of the node",
+            )
+        self._apply_calibration(calibration, session_calibration)
+        return f"calibration '{calibration.name}', hash {calibration.content_hash}"
+
+    def _count_from_home(self) -> str:
+        if not self._posor.counting:
+            raise ParameterError(
+                "theta is not counted",
+                where=f"calibration '{self._calibration.name}'",
+                expected="a bumpy ring; ~/set_home of the chain makes poses relative to home",
+            )
+        with self._lock:
+            self._count_from_next = True
+            if self._stream is not None:
+                self._stream.count_from_next()
+        return "theta is counted from the next scan, which is taken to be within half a bump of the home mark"
+
+    def _zero_gap_probes(self) -> str:
+        """Shift the zero of the gap probes by the most recent scans (thesis 8.3.1)."""
+        with self._lock:
+            recent = list(self._recent_scans)
+        if len(recent) < self.parameters.zero_scans:
+            raise ParameterError(
+                f"{len(recent)} sound scans so far", where="zero", expected=f"{self.parameters.zero_scans}"
+            )
+        gap, alpha, beta = self.parameters.home_pose
+        zero = find_digital_zero(self._calibration, Scans.of([scan_of(data) for data in recent]), (gap, alpha, beta))
+        self._use_calibration(zero.calibration)
+        values, sigmas = _format_numbers(zero.shifts.array), _format_numbers(zero.shifts.sigmas)
+        shifts = f"zero_shifts: {{value: {values}, sigma: {sigmas}, unit: V}}"
+        self._status.update({"zero": shifts})
+        text = f"{shifts}, changed by {_format_numbers(zero.changes)} V; in force until the calibration is read again"
+        self.get_logger().info(text)
+        return text
+
+    def _on_raw_scan(self, data: bytes) -> None:
+        """Estimate the transform of a raw scan and publish it."""
+        with self._lock:
+            if not self.may_publish:
+                return
+            stream = self._stream
+            transform = None if stream is None else stream.estimate_message(data)
+            if transform is None:
+                transform = self._estimate_with_new_stream(data)
+                stream = self._stream
+            if transform is not None and stream is not None:
+                self._publisher.publish(transform)
+                self._update_counts(stream, data)
+
+    def _estimate_with_new_stream(self, data: bytes) -> bytes | None:
+        """Make a stream for a scan of another layout and return its transform; None if the message is invalid."""
+        try:
+            data = RAW_SCAN.normal(data)
+            stream = RawScanStream(self._posor, data, self.parameters.covariance)
+        except TopicError as error:
+            self._messages_refused += 1
+            self._reported = None
+            self._status.report(Level.ERROR, f"no estimate: {error}", {"messages_refused": self._messages_refused})
+            return None
+        if self._stream is not None:
+            self._recent_scans.clear()
+        self._stream = stream
+        if self._count_from_next:
+            stream.count_from_next()
+        return stream.estimate_message(data)
+
+    def _update_counts(self, stream: RawScanStream, data: bytes) -> None:
+        """Count an answered scan, keep a sound one for the digital zero, and report a change of the status."""
+        stamp_ns, changed = stream.stamp_and_change()
+        if stamp_ns:
+            self.timing.record(stamp_ns)
+        self._scans += 1
+        if changed or self._reported is None:
+            self._on_status_change(stream)
+        if self._is_lost:
+            self._scans_lost += 1
+        else:
+            self._recent_scans.append(data)
+        if self._count_from_next:
+            self._count_from_next = stream.counts_from_next
+
+    def _on_status_change(self, stream: RawScanStream) -> None:
+        """Handle a scan whose state, faults or light source differ from those of the scan before.
+
+        The digital zero needs consecutive scans of one light source: a LOST scan or another source discards kept scans.
+        """
+        state, faults, source_changes = (stream.status[name].item() for name in ("state", "faults", "row_changes"))
+        self._last_stream, self._is_lost = stream, state == LOST
+        if self._is_lost or source_changes != self._source_changes:
+            self._recent_scans.clear()
+            self._source_changes = source_changes
+        if (state, faults) != self._reported:
+            self._reported = (state, faults)
+            counts = {**self._counts(), "scans_lost": self._scans_lost + self._is_lost}
+            self._status.report_status_change(
+                LEVELS.get(State(state), Level.ERROR),
+                partial(_format_status, state, faults, counts, stream.last_scan()),
+            )
+
+    def _counts(self) -> dict[str, Value]:
+        return {"scans": self._scans, "scans_lost": self._scans_lost}
+
+    def _refresh_status(self) -> None:
+        """Update the values of the status line, once a second."""
+        with self._lock:
+            if self._last_stream is None:
+                return
+            counts, last = self._counts(), self._last_stream.last_scan()
+        self._status.update(_status_values(counts, last))
+
+
+def _format_status(state: int, faults: int, counts: dict[str, Value], scan: EstimatedScan) -> StatusText:
+    fault_names = str(Fault(faults).name) if faults else "none"
+    return f"{State(state).name.lower()}: {fault_names}", {"faults": fault_names, **_status_values(counts, scan)}
+
+
+def _status_values(counts: dict[str, Value], scan: EstimatedScan) -> dict[str, Value]:
+    """Return the values of a scan in the diagnostics, except for state and faults."""
+    return {
+        **counts,
+        "last_scan": scan.number,
+        "reason": scan.reason,
+        "residual": scan.residual,
+        "redundancy": scan.redundancy,
+    }
+
+
+def _format_numbers(numbers: Iterable[float]) -> str:
+    return f"[{', '.join(f'{number:.6g}' for number in numbers)}]"
+
+
+def main() -> int:
+    """Run the node as a program."""
+    return run_node(PosorEstimatorNode)

@@ -1,0 +1,22 @@
+"""Names of topics and message types of the stack. This module imports no ROS."""
+
+from __future__ import annotations
+
+RAW_TOPIC = "raw"
+TRANSFORM_TOPIC = "transform"
+ENDPOINT_TOPIC = "endpoint/pose"
+ENDPOINT_COVARIANCE_TOPIC = "endpoint/pose_with_covariance"
+JOINT_STATES_TOPIC = "joint_states"
+DIAGNOSTICS_TOPIC = "/diagnostics"
+TRUTH_TOPIC = "/truth/machining_centre"
+
+RAW_SCAN = "posor_msgs/msg/RawScan"
+JOINT_TRANSFORM = "posor_msgs/msg/JointTransform"
+POINT_STAMPED = "geometry_msgs/msg/PointStamped"
+POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
+POSE_WITH_COVARIANCE_STAMPED = "geometry_msgs/msg/PoseWithCovarianceStamped"
+VECTOR_STAMPED = "geometry_msgs/msg/Vector3Stamped"
+JOINT_STATE = "sensor_msgs/msg/JointState"
+
+ROS_OWN_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+"""Parameters (or groups of parameters) that rclpy declares on every node."""

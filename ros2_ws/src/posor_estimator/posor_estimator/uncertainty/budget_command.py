@@ -1,0 +1,189 @@
+"""Program ``budget``: error budget of a calibration file as tables, CSV, JSON and a page with charts."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from posor_estimator.calibration.calibration_file import load_calibration
+from posor_estimator.errors import ParameterError, PosorError
+from posor_estimator.estimation.posor import Posor
+from posor_estimator.reporting.command_line_parser import CommandLineParser
+from posor_estimator.uncertainty.budget_page import render_budget_page
+from posor_estimator.uncertainty.budget_poses import middle_pose, pose_from_native, scan_at
+from posor_estimator.uncertainty.budget_quantities import NATIVE, PlatePoint
+from posor_estimator.uncertainty.budget_report import VALIDATION_HEADER, BudgetReport, heading
+from posor_estimator.uncertainty.first_order import Kind, error_budget
+from posor_estimator.uncertainty.monte_carlo import BATCH, COVERAGE, monte_carlo, validate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+SEED = 1985
+OUTPUT_FILES = ("budget.csv", "budget.json", "budget.html")
+
+
+def _numbers(names: Sequence[str]) -> Callable[[str], tuple[float, ...]]:
+    """Return a parser of as many numbers as names, separated by commas."""
+
+    def parse_numbers(text: str) -> tuple[float, ...]:
+        try:
+            numbers = tuple(float(part) for part in text.split(","))
+        except ValueError:
+            numbers = ()
+        if len(numbers) != len(names) or not all(map(math.isfinite, numbers)):
+            raise argparse.ArgumentTypeError(f"'{text}' is not {len(names)} numbers {','.join(names)}")
+        return numbers
+
+    return parse_numbers
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"'{text}' is not a seed (a whole number of at least 0)")
+    return int(text)
+
+
+def _draws(text: str) -> int:
+    if not text.isdecimal() or int(text) < 2 * BATCH:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a number of draws (at least {2 * BATCH})")
+    return int(text)
+
+
+def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Return the options.
+
+    Raises:
+        ParameterError: An option is unknown, or its value is invalid.
+
+    """
+    parser = CommandLineParser(prog="budget", description="Error budget of a POSOR from its calibration file.")
+    parser.add_argument("calibration", type=Path, metavar="CALIBRATION.yaml")
+    parser.add_argument("--session", default="", help="session of the calibration file to apply")
+    names = [name for name, _ in NATIVE]
+    parser.add_argument(
+        "--pose",
+        type=_numbers(names),
+        metavar=",".join(names),
+        help="in m and rad, written --pose=...; default: all sensors in the middle of their ranges",
+    )
+    parser.add_argument(
+        "--point",
+        type=_numbers(("x", "y")),
+        action="append",
+        default=[],
+        metavar="x,y",
+        help="point of the receiving plate [m] whose gap is an output too, written --point=...; may be repeated",
+    )
+    parser.add_argument("--output", type=Path, metavar="FOLDER", help="default: build/budget/<name of the calibration>")
+    parser.add_argument("--draws", type=_draws, default=10 * BATCH, help="largest number of Monte Carlo draws")
+    parser.add_argument("--seed", type=_seed, default=SEED, help=f"seed of the draws (default: {SEED})")
+    return parser.parse_args(arguments)
+
+
+def compute_budget(options: argparse.Namespace, progress: Progress) -> BudgetReport:
+    """Compute the budget for these options.
+
+    Raises:
+        PosorError: The calibration is invalid, or cannot be used at this pose.
+
+    """
+    calibration = load_calibration(options.calibration).for_session(options.session)
+    posor = Posor(calibration)
+    pose = middle_pose(posor) if options.pose is None else pose_from_native(options.pose)
+    scan = scan_at(posor, pose)
+    points = [PlatePoint(*point) for point in options.point]
+    budget = error_budget(posor, scan, pose, points)
+    task = progress.add_task("draws", total=options.draws)
+    drawn = monte_carlo(
+        posor,
+        scan,
+        pose,
+        points,
+        seed=options.seed,
+        max_draws=options.draws,
+        progress=lambda done: progress.update(task, completed=done),
+    )
+    return BudgetReport(
+        calibration=calibration.name,
+        content_hash=calibration.content_hash,
+        session=options.session,
+        budget=budget,
+        drawn=drawn,
+        validations=validate(budget, drawn),
+        seed=options.seed,
+    )
+
+
+def _create_folder(options: argparse.Namespace) -> Path:
+    """Create the folder for the results."""
+    folder: Path = options.output or Path("build/budget") / options.calibration.stem
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ParameterError(
+            f"cannot be created: {error.strerror}", where=f"budget, --output, {folder}", expected="a writable folder"
+        ) from error
+    return folder
+
+
+def print_budget(report: BudgetReport, console: Console) -> None:
+    """Print contributions, totals and validation as tables."""
+    session = f", session {report.session}" if report.session else ""
+    console.print(f"Error budget of '{report.calibration}'{session}")
+    console.print(f"at {report.pose_text}; standard uncertainties, k = 1")
+    table = Table(title="What to improve first: uncertainty and share of the variance", title_justify="left")
+    table.add_column("quantity", overflow="fold")
+    table.add_column("kind")
+    for output in report.budget.outputs:
+        table.add_column(heading(output), justify="right")
+    for name, kind, cells in report.contribution_rows():
+        if name == f"all {Kind.RANDOM}":
+            table.add_section()
+        table.add_row(name, kind, *cells)
+    console.print(table)
+    title = f"First order against draws: ends of the {100 * COVERAGE:g} % intervals (JCGM 101, clause 8)"
+    table = Table(title=title, title_justify="left")
+    for name in VALIDATION_HEADER:
+        table.add_column(name, justify="left" if name == "quantity" else "right")
+    for row in report.validation_rows():
+        table.add_row(*row)
+    console.print(table)
+    for note in (report.verdict, report.correlation_note, report.exact_note):
+        if note:
+            console.print(note)
+    if report.drawn.lost:
+        console.print(f"{report.drawn.lost} of {report.drawn.trials + report.drawn.lost} draws gave no pose.")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; exit code 0: the budget has been computed."""
+    try:
+        options = parse_options(arguments)
+        console = Console(stderr=True)
+        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+            report = compute_budget(options, progress)
+        folder = _create_folder(options)
+        csv_file, json_file, page_file = (folder / name for name in OUTPUT_FILES)
+        report.write_csv(csv_file)
+        json_file.write_text(json.dumps(report.as_json(), indent=2) + "\n", encoding="utf-8")
+        page_file.write_text(render_budget_page(report), encoding="utf-8")
+    except PosorError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
+    console = Console(highlight=False) if sys.stdout.isatty() else Console(highlight=False, width=160)
+    print_budget(report, console)
+    console.print(f"page and files: {folder}", soft_wrap=True, markup=False)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,84 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from posor_estimator.chain.beams_file import load_beams
+from posor_estimator.errors import CalibrationError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+GOOD = """\
+format: posor_beams
+version: 1
+name: one beam
+provenance: {source: test, method: none, date: none}
+beams:
+  - joint: forearm
+    uncertainty:
+      position: {value: [1.0e-6, 1.0e-6, 2.0e-6], unit: m}
+      orientation: {value: [1.0e-6, 1.0e-6, 1.0e-6], unit: rad}
+    sag:
+      tube:
+        outer_diameter: {value: 0.05, unit: m}
+        inner_diameter: {value: 0.04, unit: m}
+        modulus: {value: 69.0e9, unit: Pa}
+        density: {value: 2700, unit: kg/m^3}
+      gimbals: {value: [0.1, 0.4], unit: m}
+      plates:
+        - {name: target, at: {value: 0, unit: m}, mass: {value: 1.2, unit: kg}}
+      uncertainty: {value: 0.03, unit: "1"}
+"""
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "beams.yaml"
+
+
+def test_a_good_file_is_read(path: Path) -> None:
+    path.write_text(GOOD, encoding="utf-8")
+    said = load_beams(path)
+    assert said.gravity.value == [0.0, 0.0, -9.80665]
+    assert said.beams[0].sag is not None
+    assert said.beams[0].sag.plates[0].mass.number == 1.2
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        (
+            "value: 0.04",
+            "value: 0.05",
+            "line 13, key beams[0].sag.tube.inner_diameter: inner_diameter 0.05 m; expected 0",
+        ),
+        (
+            "69.0e9, unit: Pa",
+            "69.0e9, unit: GPa",
+            "line 14, key beams[0].sag.tube.modulus.unit: unit 'GPa'; expected 'Pa'",
+        ),
+        ("69.0e9", "-69.0e9", "beams[0].sag.tube.modulus: modulus -6.9e+10; expected more than 0"),
+        ("[0.1, 0.4]", "[0.4, 0.1]", "gimbals [0.4, 0.1] m; expected two distances, the nearer one first"),
+        ("[0.1, 0.4]", "[0.1]", "value has one number in a list; expected 2 numbers"),
+        ("value: 1.2", "value: -1.2", "mass -1.2 kg; expected 0 kg or more"),
+        ("value: 0.03", "value: -0.03", "uncertainty -0.03; expected 0 or more"),
+        ("[1.0e-6, 1.0e-6, 2.0e-6]", "[1.0e-6, -1.0e-6, 2.0e-6]", "expected standard uncertainties, 0 or more"),
+        ("version: 1", "version: 2", "line 2, key version: version 2; expected 1"),
+        ("format: posor_beams", "format: posor_calibration", "expected 'posor_beams'"),
+        ("    sag:", "    sagg:", "unknown key 'sagg'; expected 'sag'"),
+    ],
+)
+def test_a_wrong_file_is_refused_with_its_line(path: Path, old: str, new: str, sentence: str) -> None:
+    assert GOOD.count(old) >= 1
+    path.write_text(GOOD.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(CalibrationError) as caught:
+        load_beams(path)
+    assert str(path) in str(caught.value)
+    assert sentence in str(caught.value)
+
+
+def test_a_duplicate_beam_is_refused(path: Path) -> None:
+    path.write_text(GOOD + GOOD.partition("beams:\n")[2], encoding="utf-8")
+    with pytest.raises(CalibrationError, match=r"line 20.*duplicate beam 'forearm'; expected each beam once"):
+        load_beams(path)

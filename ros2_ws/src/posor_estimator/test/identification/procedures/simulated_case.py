@@ -1,0 +1,68 @@
+"""A procedure with a recording whose true parameters are known, and changes of the recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from posor_estimator.calibration.calibration_file import Calibration
+    from posor_estimator.errors import PosorError
+    from posor_estimator.identification.procedure import Outcome, Procedure
+    from posor_estimator.identification.recording import Recording, Track
+    from posor_estimator.model.scan import Scans
+    from posor_estimator.numerics.array_types import FloatArray
+
+
+@dataclass(frozen=True)
+class SimulatedCase:
+    """Input of a procedure with one reference, and the truth."""
+
+    procedure: Procedure[Any]
+    calibration: Calibration
+    recording: Recording
+    truth: Any = None
+
+    def identify(self, **options: Any) -> Outcome:
+        return self.procedure.identify(self.recording, self.calibration, self.procedure.options(**options))
+
+    def check_refusal(self, kind: type[PosorError], sentence: str, /, **options: Any) -> None:
+        with pytest.raises(kind, match=sentence):
+            self.identify(**options)
+
+    @property
+    def reference(self) -> Track:
+        [track] = self.recording.tracks.values()
+        return track
+
+    def with_reference(self, **changes: Any) -> SimulatedCase:
+        """Return the case with fields of its reference changed."""
+        [topic] = self.recording.tracks
+        return self.with_recording(tracks={topic: replace(self.reference, **changes)})
+
+    def with_values(self, change: Callable[[FloatArray], FloatArray]) -> SimulatedCase:
+        """Return the case with other values of its reference, (n, k)."""
+        return self.with_reference(values=change(self.reference.values.copy()))
+
+    def with_recording(self, **changes: Any) -> SimulatedCase:
+        return replace(self, recording=replace(self.recording, **changes))
+
+    def with_scans(self, scans: Scans) -> SimulatedCase:
+        return self.with_recording(scans=scans)
+
+    def with_readings(self, kind: str, change: Callable[[FloatArray], None]) -> SimulatedCase:
+        """Return the case with the readings of a kind changed in place."""
+        values = getattr(self.recording.scans, kind).copy()
+        change(values)
+        return self.with_scans(self.recording.scans.with_fields({kind: values}))
+
+
+def check_coverage(normalised: Any, coverage: float, scatter: float) -> None:
+    """Check errors over their standard uncertainties: 95 % within 1.96, standard deviation 1, within tolerances."""
+    assert np.mean(np.abs(normalised) < 1.96) == pytest.approx(0.95, abs=coverage)
+    assert np.std(normalised) == pytest.approx(1.0, abs=scatter)

@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import posor_estimator
+import pytest
+from posor_estimator.estimation import solver as solve
+
+if TYPE_CHECKING:
+    from posor_estimator.numerics.array_types import FloatArray
+
+PROGRAM = Path(__file__).resolve().parent / "kernel_outputs.py"
+
+
+def run(folder: Path, *, compiled: bool) -> dict[str, FloatArray]:
+    """Return what the kernels give in a process of their own."""
+    file = folder / f"compiled_{compiled}.npz"
+    environ = os.environ | {"POSOR_COMPILE": str(int(compiled))}
+    subprocess.run([sys.executable, "-W", "error", str(PROGRAM), str(file)], env=environ, check=True, timeout=110)
+    with np.load(file) as saved:
+        return dict(saved)
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> dict[str, FloatArray]:
+    return run(tmp_path_factory.mktemp("plain"), compiled=False)
+
+
+@pytest.fixture(scope="module")
+def fast(tmp_path_factory: pytest.TempPathFactory) -> dict[str, FloatArray]:
+    return run(tmp_path_factory.mktemp("fast"), compiled=True)
+
+
+def test_the_environment_variable_leaves_kernels_uncompiled(plain: dict[str, FloatArray]) -> None:
+    assert not plain["compiling"]
+
+
+def test_kernels_are_compiled_where_numba_is_installed(fast: dict[str, FloatArray]) -> None:
+    assert bool(fast["compiling"]) == (importlib.util.find_spec("numba") is not None)
+
+
+@pytest.mark.parametrize("which", ["rows", "scans", "arms", "raw", "messages"])
+def test_compiled_or_not_the_kernels_give_the_same_bits(
+    which: str, plain: dict[str, FloatArray], fast: dict[str, FloatArray]
+) -> None:
+    assert plain[which].shape[0] > 0
+    np.testing.assert_array_equal(plain[which].view(np.uint64), fast[which].view(np.uint64))
+
+
+def test_the_inputs_reach_every_end_of_the_solver_that_a_scan_can_take(plain: dict[str, FloatArray]) -> None:
+    assert {solve.CONVERGED, solve.ILL_CONDITIONED} <= {int(outcome) for outcome in plain["scans"][:, 0]}
+    assert np.isfinite(plain["rows"]).all()
+    assert np.isfinite(plain["raw"]).all()
+
+
+PROBE_OVER_PLANE = """
+import numpy as np
+from posor_estimator.model.reading_rows import ROW, evaluate_rows, prepare_rows
+row = np.zeros(1, dtype=ROW)
+row["axis"][0, 2], row["plane_point"][0, 2] = 1.0, 0.001
+prepare_rows(row)
+print(evaluate_rows(row, np.eye(3), np.zeros(3))[0][0])
+"""
+
+
+def test_machine_code_on_disk_is_not_used_once_a_kernel_that_it_calls_has_changed(tmp_path: Path) -> None:
+    """After an update of the package no process may go on with yesterday's formula."""
+    source = Path(posor_estimator.__file__).parent
+    copy = tmp_path / "posor_estimator"
+    shutil.copytree(source, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    environ = {name: value for name, value in os.environ.items() if name not in ("NUMBA_CACHE_DIR", "POSOR_COMPILE")}
+    environ |= {"PYTHONPATH": f"{tmp_path}{os.pathsep}{environ.get('PYTHONPATH', '')}"}
+
+    def read() -> float:
+        command = [sys.executable, "-c", PROBE_OVER_PLANE]
+        run = subprocess.run(command, env=environ, check=True, capture_output=True, text=True, timeout=110)
+        return float(run.stdout)
+
+    assert read() == 0.001
+    kernel = copy / "model" / "gap.py"
+    text = kernel.read_text(encoding="utf-8")
+    assert "    return reading\n" in text
+    kernel.write_text(text.replace("    return reading\n", "    return 2.0 * reading\n"), encoding="utf-8")
+    assert read() == 0.002
