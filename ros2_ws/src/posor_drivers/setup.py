@@ -25,15 +25,15 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            "driver_node = posor_drivers.programs:driver_node",
-            "record = posor_drivers.programs:record",
+            "driver_node = posor_drivers.driver_programs:driver_node",
+            "record = posor_drivers.driver_programs:record",
         ],
         "posor_estimator.nodes": ["driver_node = posor_drivers.driver_node:DriverNode"],
         "posor_drivers.sources": [
-            "bag = posor_drivers.sources.bag:BagSource",
-            "looped = posor_drivers.sources.looped:LoopedSource",
-            "simulated = posor_drivers.sources.simulated:SimulatedSource",
-            "table = posor_drivers.sources.table:TableSource",
+            "bag = posor_drivers.sources.bag_source:BagSource",
+            "looped = posor_drivers.sources.looped_source:LoopedSource",
+            "simulated = posor_drivers.sources.simulated_source:SimulatedSource",
+            "table = posor_drivers.sources.table_source:TableSource",
         ],
     },
 )

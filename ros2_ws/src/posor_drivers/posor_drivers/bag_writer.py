@@ -9,62 +9,67 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Self
 
 from posor_estimator.errors import BagError
+from posor_estimator.numerics.stamps import NS
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.errors import WriterError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-    from types import TracebackType
 
-    from posor_estimator.ros.message_types import Definition
-    from rosbags.interfaces import Connection, Qos
+    from posor_estimator.bags.message_definitions import Definition
+    from rclpy.duration import Duration
+    from rclpy.qos import QoSProfile
+    from rosbags.interfaces import Connection
 
 METADATA_VERSION: Literal[9] = 9
+INFINITE_NS = 2**63 - 1
 
 
 class BagWriter:
-    """A bag being written; a context manager that closes it.
+    """A bag that is being written; as a context manager it closes the bag.
 
-    The same calls give the same bytes.
+    Equal calls give equal bytes.
     """
 
     def __init__(self, path: Path) -> None:
         """Create the bag's folder.
 
         Raises:
-            BagError: it exists already or cannot be created.
+            BagError: The folder exists already or cannot be created.
 
         """
         self.path = path
         self.counts: dict[str, int] = {}
         self._connections: dict[str, Connection] = {}
         if path.exists():
-            raise BagError("exists already", where=str(path), expected="a folder that is yet to be made")
-        with self._told():
+            raise BagError("exists already", where=str(path), expected="a new folder")
+        with self._storage_errors():
             self._writer = Writer(path, version=METADATA_VERSION, storage_plugin=StoragePlugin.MCAP)
             self._writer.open()
 
-    def add_topic(self, name: str, type_name: str, definition: Definition, qos: Sequence[Qos]) -> None:
+    def add_topic(self, name: str, type_name: str, definition: Definition, qos: Sequence[QoSProfile]) -> None:
         """Add a topic; ``qos`` holds the profiles that its publishers offer.
 
         Raises:
-            BagError: the storage fails.
+            BagError: The storage fails.
 
         """
-        with self._told():
+        profiles = [_bag_qos(profile) for profile in qos]
+        with self._storage_errors():
             self._connections[name] = self._writer.add_connection(
-                name, type_name, msgdef=definition.text, rihs01=definition.type_hash, offered_qos_profiles=list(qos)
+                name, type_name, msgdef=definition.text, rihs01=definition.type_hash, offered_qos_profiles=profiles
             )
         self.counts[name] = 0
 
     def write(self, topic: str, time_ns: int, data: bytes) -> None:
-        """Write one serialised message.
+        """Write one serialised message with its log time [ns].
 
         Raises:
-            BagError: the storage fails.
+            BagError: The storage fails.
 
         """
-        with self._told():
+        with self._storage_errors():
             self._writer.write(self._connections[topic], time_ns, data)
         self.counts[topic] += 1
 
@@ -72,15 +77,15 @@ class BagWriter:
         """Write index and metadata.
 
         Raises:
-            BagError: the storage fails.
+            BagError: The storage fails.
 
         """
-        with self._told():
+        with self._storage_errors():
             self._writer.close()
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
-        """Turn what the storage layers raise into one sentence that names the bag."""
+    def _storage_errors(self) -> Iterator[None]:
+        """Turn errors of the storage into a BagError that names the bag."""
         try:
             yield
         except (WriterError, OSError) as error:
@@ -91,26 +96,44 @@ class BagWriter:
         """Return the writer."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close the bag, so that what was written can be read even after an error."""
+    def __exit__(self, *_error: object) -> None:
+        """Close the bag, so that it is readable even after an error."""
         self.close()
 
 
 @contextmanager
-def replacement(bag: Path) -> Iterator[BagWriter]:
-    """Write a bag that takes the place of any of that name, but only once it is whole.
+def replace_bag(bag: Path) -> Iterator[BagWriter]:
+    """Write a bag that replaces an existing bag only once it is complete.
 
     Raises:
         BagError: The storage fails.
 
     """
     bag.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=bag.parent, prefix=".making-") as making:
-        made = Path(making) / bag.name
-        with BagWriter(made) as writer:
+    with tempfile.TemporaryDirectory(dir=bag.parent, prefix=".making-") as folder:
+        new = Path(folder) / bag.name
+        with BagWriter(new) as writer:
             yield writer
         if bag.exists():
             shutil.rmtree(bag)
-        made.rename(bag)
+        new.rename(bag)
+
+
+def _bag_qos(profile: QoSProfile) -> Qos:
+    """Return an offered profile in the form of a bag's metadata."""
+    return Qos(
+        history=QosHistory(int(profile.history)),
+        depth=profile.depth,
+        reliability=QosReliability(int(profile.reliability)),
+        durability=QosDurability(int(profile.durability)),
+        deadline=_bag_time(profile.deadline),
+        lifespan=_bag_time(profile.lifespan),
+        liveliness=QosLiveliness(int(profile.liveliness)),
+        liveliness_lease_duration=_bag_time(profile.liveliness_lease_duration),
+        avoid_ros_namespace_conventions=profile.avoid_ros_namespace_conventions,
+    )
+
+
+def _bag_time(duration: Duration) -> QosTime:
+    """Return a duration; an unspecified one (zero) is infinite."""
+    return QosTime(*divmod(duration.nanoseconds or INFINITE_NS, NS))

@@ -1,132 +1,269 @@
-"""Averages repeated readings of one pose, and tells outliers from noise. Numbers only, no ROS.
-
-A *unit* is what is read at once and is kept or dropped as a whole: the voltage of one probe, or the four contact
-currents of one diode, whose ratios mean something only if all four belong to the same moment.
-
-Source: thesis 7.5 and 8.2, where each voltage is the mean of five readings of which the outlier is dropped. Here a
-reading is dropped only if a test says that noise does not explain it. To drop the most distant one always would make
-the mean of good readings noisier, the published spread too small, and the flag that tells of it worthless.
-"""
+"""Conditioning of raw scans: several scans of a source become one, with mean, spread, background and flags."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from scipy.special import stdtrit
+from posor_estimator.errors import BagError, ParameterError, PosorError
+from posor_estimator.model.scan import CONTACTS
+from posor_estimator.numerics.stamps import NS, time_ns
+from posor_estimator.ros_names import RAW_TOPIC
+from posor_msgs.msg import RawScan
+from rclpy.serialization import deserialize_message
+
+from posor_drivers.sample_average import SampleAverage, average_samples
+from posor_drivers.scheduled_publication import Pause, ScheduledPublication
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from collections.abc import Iterator, Sequence
 
-    FloatArray = NDArray[np.float64]
-    IntArray = NDArray[np.int64]
-    BoolArray = NDArray[np.bool_]
+    from posor_drivers.driver_parameters import ConditioningParameters
 
-ONE_IN = 5
-"""At most one sample in this many is dropped as an outlier, as in 1985; at least one where there are three."""
-LEAST_SAMPLES = 3
-"""With fewer samples none can be told from the others."""
+MAX_SAMPLES = 65_535
+"""Greatest value of ``RawScan.samples``."""
+MAX_DARK_SCANS = 100
+"""Dark scans in a row that count as neighbours of a lit scan; that many end a group, so that it is not delayed."""
+DIODE_CURRENTS = "diode_currents"
+READINGS = {"gap_voltages": 1, "ring_voltages": 1, DIODE_CURRENTS: CONTACTS}
+"""Fields of readings, and how many readings are kept or dropped together."""
+SPREADS = {name: f"{name.removesuffix('s')}_spreads" for name in READINGS}
+"""Fields of their spreads."""
+
+ItemT = TypeVar("ItemT", bound=ScheduledPublication | Pause)
 
 
-@dataclass(frozen=True)
-class Average:
-    """What remains of n samples of u units with w readings each.
+@dataclass
+class ScanGroup:
+    """Scans (posor_msgs/RawScan) that become one, in the order of exposure.
 
     Attributes:
-        means: Mean of the samples kept, in the readings' unit, shape (u, w); NaN where no sample is finite.
-        spreads: Sample standard deviation of one reading, shape (u, w); NaN where it rests on one reading only.
-        counts: Readings averaged in each unit, shape (u,).
-        dropped: Whether a sample of any unit was left out.
+        lit: Scans to average; without background subtraction these are all scans, lit or dark.
+        earlier_dark: Dark scans directly before the first lit scan that also belong to the group before.
+        dark: Dark scans before, between and directly after the lit scans.
+        trailing: Number of dark scans after the last lit scan.
 
     """
 
-    means: FloatArray
-    spreads: FloatArray
-    counts: IntArray
-    dropped: bool
+    lit: list[Any] = field(default_factory=list)
+    earlier_dark: list[Any] = field(default_factory=list)
+    dark: list[Any] = field(default_factory=list)
+    trailing: int = 0
+
+    @property
+    def status(self) -> int:
+        """The flags of all scans; the home mark of a dark scan counts in one group only."""
+        status = 0
+        for scan in self.lit + self.dark:
+            status |= scan.status
+        for scan in self.earlier_dark:
+            status |= scan.status & ~RawScan.STATUS_HOME_BUMP
+        return status
+
+    def next_group(self) -> ScanGroup:
+        """Return the group after this one; the dark scans between two groups are neighbours of both."""
+        return ScanGroup(earlier_dark=self.dark[len(self.dark) - self.trailing :])
 
 
-def average(
-    samples: FloatArray, counts: IntArray, spreads: FloatArray | None = None, significance: float | None = None
-) -> Average:
-    """Average samples, each of which may already be the mean of several readings.
+class ScanGrouper:
+    """Divides a stream of scans into groups of ``size`` lit scans.
 
-    A sample with a reading that is not finite is left out of its unit. Where a unit has no finite sample none is left
-    out, so that its mean is NaN.
+    A group ends early where light source or readings change, the clock steps back, or the stream ends.
+    """
 
-    Args:
-        samples: Shape (n, u, w), n at least 1.
-        counts: Readings behind each sample, shape (n,), at least 1; the samples' weights.
-        spreads: Standard deviation of those readings, shape (n, u, w); not used where the count is 1, and may be left
-            out where all are 1.
-        significance: Probability that a unit without outliers loses a sample, see ``outliers``; None: keep outliers.
+    def __init__(self, size: int, *, subtract_dark: bool) -> None:
+        """Start with an empty group; with ``subtract_dark``, dark scans are background and do not count."""
+        self._size = size
+        self._subtract_dark = subtract_dark
+        self._group = ScanGroup()
+        self._previous: Any = None
+
+    def add_scan(self, scan: Any) -> Iterator[ScanGroup]:
+        """Add a scan and yield the groups that are now complete."""
+        dark = self._subtract_dark and is_dark(scan)
+        group = self._group
+        if self._previous is not None and not _are_comparable(self._previous, scan):
+            yield from self.finish()
+            self._group = ScanGroup()
+        elif group.lit and not dark and (len(group.lit) == self._size or _source(group.lit[-1]) != _source(scan)):
+            yield self._close_group()
+        self._previous = scan
+        if dark:
+            yield from self._add_dark_scan(scan)
+        else:
+            self._group.lit.append(scan)
+            self._group.trailing = 0
+            if len(self._group.lit) == self._size and not self._subtract_dark:
+                yield self._close_group()
+
+    def finish(self) -> Iterator[ScanGroup]:
+        """Yield the incomplete group if it holds a lit scan."""
+        if self._group.lit:
+            yield self._close_group()
+
+    def _add_dark_scan(self, scan: Any) -> Iterator[ScanGroup]:
+        group = self._group
+        group.dark.append(scan)
+        group.trailing += 1
+        if group.lit and group.trailing == MAX_DARK_SCANS:
+            yield self._close_group()
+        elif not group.lit and len(group.earlier_dark) + len(group.dark) > MAX_DARK_SCANS:
+            (group.earlier_dark or group.dark).pop(0)
+
+    def _close_group(self) -> ScanGroup:
+        group, self._group = self._group, self._group.next_group()
+        return group
+
+
+def is_dark(scan: Any) -> bool:
+    """Return whether no light source was lit."""
+    return len(scan.lit_sources) > 0 and all(lit == RawScan.NO_SOURCE for lit in scan.lit_sources)
+
+
+def stamp_ns(scan: Any) -> int:
+    """Return the stamp, the middle of the exposure [ns]."""
+    return time_ns(scan.header.stamp.sec, scan.header.stamp.nanosec)
+
+
+def _are_comparable(before: Any, scan: Any) -> bool:
+    """Return whether two successive scans may belong to one group, or be background of one another."""
+
+    def layout(scan: Any) -> tuple[object, ...]:
+        readings = (scan.gap_voltages, scan.ring_voltages, scan.diode_currents, scan.lit_sources)
+        return (scan.header.frame_id, *map(len, readings))
+
+    earlier, later = stamp_ns(before), stamp_ns(scan)
+    return earlier <= later and (earlier == 0) == (later == 0) and layout(before) == layout(scan)
+
+
+def _source(scan: Any) -> tuple[object, ...]:
+    """Return what must be equal in a group: the lit sources, and whether the background is subtracted already."""
+    return (*scan.lit_sources, scan.status & RawScan.STATUS_DARK_SUBTRACTED)
+
+
+def condition_scans(
+    items: Iterator[ItemT], parameters: ConditioningParameters
+) -> Iterator[ItemT | ScheduledPublication]:
+    """Return what is to be published: groups of scans become one scan, everything else passes unchanged.
+
+    A scan is published with the last scan of its group, or with the first scan that shows that the group is complete.
+    An incomplete group is published at the end, also if the source fails.
+
+    Raises:
+        ParameterError: Dark scans are to be subtracted, but all scans are dark.
+        PosorError: A scan cannot be decoded or is invalid, or the source cannot be read.
 
     """
-    kept: BoolArray = np.asarray(np.isfinite(samples).all(axis=2))
-    unread: BoolArray = np.asarray(~kept.any(axis=0))
-    if significance is not None:
-        kept &= ~outliers(samples, kept, significance)
-    kept[:, unread] = True
-    weights = np.where(kept, counts[:, np.newaxis], 0)
-    total = weights.sum(axis=0)
-    used = np.where(kept[:, :, np.newaxis] & ~unread[:, np.newaxis], samples, 0.0)
-    means = np.einsum("nu,nuw->uw", weights, used) / total[:, np.newaxis]
-    means[unread] = np.nan
-    squares = counts[:, np.newaxis, np.newaxis] * (used - means) ** 2
-    if spreads is not None:
-        several = counts > 1
-        squares[several] += (counts[several] - 1)[:, np.newaxis, np.newaxis] * spreads[several] ** 2
-    scatter = np.where(kept[:, :, np.newaxis], squares, 0.0).sum(axis=0)
-    freedom = np.where(total > 1, total - 1.0, np.nan)
-    return Average(means, np.sqrt(scatter / freedom[:, np.newaxis]), total, bool(not kept.all()))
+    return items if parameters.passes_scans_unchanged else _condition(items, parameters)
 
 
-def outliers(samples: FloatArray, eligible: BoolArray, significance: float) -> BoolArray:
-    """Return which samples are outliers, shape (n, u).
+def _condition(items: Iterator[ItemT], parameters: ConditioningParameters) -> Iterator[ItemT | ScheduledPublication]:
+    grouper = ScanGrouper(parameters.samples, subtract_dark=parameters.subtract_dark)
+    after_s, all_dark, count = 0.0, True, 0
+    failure = None
+    try:
+        for item in items:
+            if isinstance(item, Pause) or item.topic != RAW_TOPIC:
+                yield item
+                continue
+            scan, after_s = _decode(item.content), item.after_s
+            count, all_dark = count + 1, all_dark and is_dark(scan)
+            for group in grouper.add_scan(scan):
+                merged = merge_scans(group, parameters)
+                yield ScheduledPublication(RAW_TOPIC, merged, after_s, stamp_ns(merged) if item.stamp_ns else 0)
+    except PosorError as error:
+        failure = error
+    for group in grouper.finish():
+        yield ScheduledPublication(RAW_TOPIC, merge_scans(group, parameters), after_s)
+    if failure is not None:
+        raise failure
+    if parameters.subtract_dark and all_dark:
+        raise ParameterError(
+            f"no light source was lit in any of the {count} scans",
+            where="parameter 'conditioning.subtract_dark'",
+            expected="false, or lit scans among the dark ones",
+        )
 
-    The generalised extreme studentised deviate test (Rosner 1983; for one outlier the test of Grubbs 1969): the sample
-    most distant from the mean, in standard deviations, is taken away, and so on, up to one in five; outliers are all
-    those taken away until the last one that was more distant than normal noise explains. A unit of several readings
-    is as distant as the most distant of them.
 
-    Args:
-        samples: Shape (n, u, w).
-        eligible: Samples that count, all of them finite, shape (n, u).
-        significance: Probability that a unit of normal noise loses a sample; an upper bound for a unit of several
-            readings.
+def _decode(content: Any) -> Any:
+    """Return a scan as a message.
+
+    Raises:
+        PosorError: The bytes are not a scan, or the scan is the mean of 0 samples.
 
     """
-    left = eligible.copy()
-    found = np.zeros_like(left)
-    taken = np.zeros_like(left)
-    size, (_, units, width) = left.sum(axis=0), samples.shape
-    most = np.where(size >= LEAST_SAMPLES, np.maximum(1, size // ONE_IN), 0)
-    for step in range(int(most.max(initial=0))):
-        distances = _distances(samples, left)
-        worst = distances.argmax(axis=0)
-        is_tested = step < most
-        remaining = np.where(is_tested, size - step, LEAST_SAMPLES)
-        exceeds = is_tested & (distances[worst, np.arange(units)] > _critical(remaining, significance / width))
-        taken[worst[is_tested], np.flatnonzero(is_tested)] = True
-        left &= ~taken
-        found[:, exceeds] = taken[:, exceeds]
-    return found
+    if isinstance(content, bytes):
+        try:
+            content = deserialize_message(content, RawScan)
+        except RuntimeError:
+            what = f"the {len(content)} bytes of a scan cannot be decoded"
+            raise BagError(what, where=f"topic {RAW_TOPIC}") from None
+    if not content.samples:
+        raise PosorError("is the mean of 0 samples", where=f"scan {content.scan}", expected="at least 1")
+    return content
 
 
-def _distances(samples: FloatArray, left: BoolArray) -> FloatArray:
-    """Return how many standard deviations each sample is from the mean of those left, shape (n, u)."""
-    mask = left[:, :, np.newaxis]
-    size = np.maximum(mask.sum(axis=0), 2)
-    deviations = np.where(mask, samples, 0.0)
-    deviations = np.where(mask, deviations - deviations.sum(axis=0) / size, 0.0)
-    deviation = np.sqrt((deviations**2).sum(axis=0) / (size - 1))
-    distances: FloatArray = (np.abs(deviations) / np.where(deviation > 0.0, deviation, np.inf)).max(axis=2)
-    return distances
+def merge_scans(group: ScanGroup, parameters: ConditioningParameters) -> Any:
+    """Return the scan (posor_msgs/RawScan) that a group of scans becomes.
+
+    Its stamp is half-way between the first and the last lit scan, its number that of the middle one (the earlier of two
+    middle ones), so both still refer to the source's scan clock.
+
+    Raises:
+        PosorError: There are more samples than the message can hold.
+
+    """
+    lit, significance = group.lit, parameters.significance if parameters.method == "trimmed" else None
+    first, middle, last = lit[0], lit[(len(lit) - 1) // 2], lit[-1]
+    scan = RawScan(scan=middle.scan, status=group.status, lit_sources=middle.lit_sources)
+    scan.header.frame_id = middle.header.frame_id
+    scan.header.stamp.sec, scan.header.stamp.nanosec = divmod((stamp_ns(first) + stamp_ns(last)) // 2, NS)
+    averages = {name: _average_readings(lit, name, significance) for name in READINGS}
+    means = {name: average.means for name, average in averages.items()}
+    dropped = any(average.dropped for average in averages.values())
+    dark = group.earlier_dark + group.dark
+    if dark and means[DIODE_CURRENTS].size and not scan.status & RawScan.STATUS_DARK_SUBTRACTED:
+        background = _average_readings(dark, DIODE_CURRENTS, significance)
+        means[DIODE_CURRENTS] = means[DIODE_CURRENTS] - background.means
+        scan.status |= RawScan.STATUS_DARK_SUBTRACTED
+        dropped |= background.dropped
+    counts = [int(count) for average in averages.values() for count in average.counts]
+    samples = min(counts, default=sum(sample.samples for sample in lit))
+    if samples > MAX_SAMPLES:
+        where = f"scans {first.scan} to {last.scan}"
+        raise PosorError(f"are the mean of {samples} samples", where=where, expected=f"at most {MAX_SAMPLES}")
+    scan.samples = samples
+    for name, average in averages.items():
+        setattr(scan, name, means[name].ravel().tolist())
+        if samples > 1:
+            setattr(scan, SPREADS[name], average.spreads.ravel().tolist())
+    for name in ("supply_voltage", "temperature"):
+        value, lost = _average_measured(lit, name, significance)
+        setattr(scan, name, value)
+        dropped |= lost
+    scan.status |= RawScan.STATUS_OUTLIERS_DROPPED * dropped
+    return scan
 
 
-def _critical(size: IntArray, significance: float) -> FloatArray:
-    """Return the largest distance, in standard deviations, that noise explains among ``size`` samples."""
-    quantile = stdtrit(size - 2, 1.0 - significance / (2.0 * size))
-    critical: FloatArray = (size - 1) * quantile / np.sqrt((size - 2 + quantile**2) * size)
-    return critical
+def _average_readings(scans: Sequence[Any], name: str, significance: float | None) -> SampleAverage:
+    """Average one field of readings; the spread of a sample that has none is NaN."""
+    unit = READINGS[name]
+    samples = np.array([getattr(scan, name) for scan in scans], dtype=np.float64)
+    size = samples.shape[1]
+    shape = (len(scans), -1, unit) if size and size % unit == 0 else (len(scans), size, 1)
+    known = [getattr(scan, SPREADS[name]) for scan in scans]
+    spreads = np.array([spread if len(spread) == size else np.full(size, np.nan) for spread in known], dtype=np.float64)
+    counts = np.array([scan.samples for scan in scans], dtype=np.int64)
+    return average_samples(samples.reshape(shape), counts, spreads.reshape(shape), significance)
+
+
+def _average_measured(scans: Sequence[Any], name: str, significance: float | None) -> tuple[float, bool]:
+    """Return the mean over the scans that hold a quantity, NaN without any, and whether an outlier was dropped."""
+    measured = [scan for scan in scans if not np.isnan(getattr(scan, name))]
+    if not measured:
+        return float("nan"), False
+    values = np.array([getattr(scan, name) for scan in measured], dtype=np.float64)
+    counts = np.array([scan.samples for scan in measured], dtype=np.int64)
+    average = average_samples(values.reshape(-1, 1, 1), counts, None, significance)
+    return float(average.means[0, 0]), average.dropped

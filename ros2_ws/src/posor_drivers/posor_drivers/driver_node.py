@@ -1,8 +1,8 @@
-"""driver_node: publishes the raw scans of one joint, from whatever source.
+"""driver_node: publishes the raw scans of one joint from a source.
 
-Publishes ``raw`` (posor_msgs/RawScan) in the joint's namespace, for instance ``-r __ns:=/joint1``, and whatever else
-the source holds. What a source recorded is passed on as recorded, unless parameter group ``conditioning`` asks for
-means of several scans: whether a scan is any good is for the POSOR node to judge.
+Publishes ``raw`` (posor_msgs/RawScan) in the joint's namespace, for instance ``-r __ns:=/joint1``, and the other topics
+of the source. Recorded messages are published as recorded unless the parameter group ``conditioning`` asks for means;
+the driver does not judge scans, the POSOR node does.
 """
 
 from __future__ import annotations
@@ -11,46 +11,47 @@ import time
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from posor_estimator.bags.message_definitions import MessageTypes
+from posor_estimator.errors import PosorError
+from posor_estimator.parameter_model import help_text
 from posor_estimator.ros.diagnostics import Level
-from posor_estimator.ros.main import run
-from posor_estimator.ros.message_types import MessageTypes, message_class
-from posor_estimator.ros.node import PosorNode
-from posor_estimator.ros.parameters import help_text
-from posor_estimator.ros.qos import RAW_TOPIC, RELIABLE_QOS, sensor_qos
-from posor_estimator.ros.wire import Outlet
+from posor_estimator.ros.intra_process import IntraProcessPublisher
+from posor_estimator.ros.lifecycle_node import PosorNode
+from posor_estimator.ros.message_classes import message_class
+from posor_estimator.ros.node_program import run_node
+from posor_estimator.ros.qos import RELIABLE_QOS, sensor_qos
+from posor_estimator.ros_names import RAW_TOPIC
 from rclpy.serialization import serialize_message
 
-from posor_drivers.conditioned_scans import conditioned
+from posor_drivers.conditioning import condition_scans
 from posor_drivers.driver_parameters import (
     DriverParameters,
     LiveDriverParameters,
     ReplayDriverParameters,
-    parameters_for,
+    driver_parameters_for,
 )
-from posor_drivers.live import Misses, live
-from posor_drivers.live_run import LiveRun
-from posor_drivers.pace import Pace
-from posor_drivers.replayer import Replayer, ReplayState
-from posor_drivers.source_inputs import SourceInputs
-from posor_drivers.sources.base import LiveSource, RecordedSource
-from posor_drivers.sources.registry import source_class, source_entries
-from posor_drivers.timeline import timeline
+from posor_drivers.live_publisher import LivePublisher, MissedTicks, PaceReport, schedule_ticks
+from posor_drivers.replay_publisher import ReplayPublisher, schedule_replay
+from posor_drivers.scheduled_publication import RunState
+from posor_drivers.sources.source import LiveSource, RecordedSource, load_source_class, registered_sources
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
-    from posor_drivers.ros_time import RosTime
-    from posor_drivers.sources.base import Source
-    from posor_drivers.timeline import Due, Pause
+    from posor_estimator.ros.diagnostics import Status
 
-DELIVERY_S = 10.0
-"""How long to wait, after the last message, for slow reliable subscribers before the program ends."""
+    from posor_drivers.ros_clock import TickClock
+    from posor_drivers.scheduled_publication import Pause, ScheduledPublication
+    from posor_drivers.sources.source import Input, Source
+
+DELIVERY_TIMEOUT_S = 10.0
+"""Longest wait, after the last message, for slow reliable subscribers before the program ends."""
 
 
 class DriverNode(PosorNode[DriverParameters]):
     """Publishes the raw scans of one joint, read from a source.
 
-    Each activation replays a recorded source from its beginning; a live one goes on with the present tick.
+    Each activation replays a recorded source from its beginning; a live source continues with the present tick.
     """
 
     NAME = "driver_node"
@@ -62,136 +63,148 @@ class DriverNode(PosorNode[DriverParameters]):
         """Create the node; ``options`` go to rclpy."""
         super().__init__(**options)
         self._types = MessageTypes()
-        self._outputs: dict[str, Outlet] = {}
+        self._topic_publishers: dict[str, IntraProcessPublisher] = {}
         self._counts: dict[str, int] = {}
-        self._rated = (time.monotonic(), 0)
-        self._run: Replayer | LiveRun | None = None
-        self._pace: Pace | None = None
-        self._inputs = SourceInputs(self)
-        self._status = self.diagnostics.add("source")
-        self.diagnostics.before_each(self._refresh)
+        self._rate_reference = (time.monotonic(), 0)
+        self._run: ReplayPublisher | LivePublisher | None = None
+        self._pace: PaceReport | None = None
+        self._inputs = InputSubscriptions(self)
+        self._status = self.diagnostics.add_status("source")
+        self.diagnostics.add_refresh(self._refresh_diagnostics)
 
     @classmethod
     def parameter_model(cls, overrides: dict[str, object]) -> type[DriverParameters]:
-        """Return the driver's parameters and, as a group, those of the source that the user chose."""
-        return parameters_for(overrides)
+        """Return the driver's parameters with those of the chosen source as a group."""
+        return driver_parameters_for(overrides)
 
     @classmethod
     def help(cls) -> str:
         """Return the help of the node and of every source."""
         sources = [
-            f"Parameters of source '{name}':\n{help_text(source_class(name).Parameters, f'{name}.')}"
-            for name in source_entries()
+            f"Parameters of source '{name}':\n{help_text(load_source_class(name).Parameters, f'{name}.')}"
+            for name in registered_sources()
         ]
         return "\n\n".join([super().help(), *sources])
 
     def configure(self) -> None:
-        """Open the source and make the publishers, so that listeners can match before anything is published."""
+        """Open the source and create all publishers, so subscribers can connect before the first message."""
         name = self.parameters.source
-        self._source = source_class(name)(getattr(self.parameters, name), self._types)
+        self._source = load_source_class(name)(getattr(self.parameters, name), self._types)
         topics = self._source.open()
-        self.when_cleaned_up(self._source.close)
+        self.add_cleanup(self._source.close)
         self._classes = {topic.name: message_class(topic.type_name) for topic in topics}
-        self._outputs = {topic.name: self._output(topic.name) for topic in topics}
+        self._topic_publishers = {topic.name: self._new_publisher(topic.name) for topic in topics}
         if isinstance(self._source, LiveSource):
-            self._pace = self._pace or Pace(self.diagnostics.add("pace"), self.get_logger())
-            self.when_cleaned_up(self._inputs.close)
+            self._pace = self._pace or PaceReport(self, self.diagnostics.add_status("pace"))
+            self.add_cleanup(self._inputs.close)
             self._inputs.open(self._source.inputs())
         self._status.report(Level.OK, "ready", {"source": name, "record": self._source.record})
 
-    def _output(self, topic: str) -> Outlet:
+    def _new_publisher(self, topic: str) -> IntraProcessPublisher:
         qos = sensor_qos(self.parameters) if topic == RAW_TOPIC else RELIABLE_QOS
-        return Outlet(self, self._classes[topic], topic, qos, given_up=lambda: self._stopping)
+        return IntraProcessPublisher(self, self._classes[topic], topic, qos, cancelled=self._is_stopping)
 
     def activate(self) -> None:
-        """Begin the replay, or the scans of a live source."""
-        self._counts = dict.fromkeys(self._outputs, 0)
-        self._rated = (time.monotonic(), 0)
-        self._run = self._new_run()
-        self._run.start()
+        """Start the replay, or the run of a live source."""
+        self._counts = dict.fromkeys(self._topic_publishers, 0)
+        self._rate_reference = (time.monotonic(), 0)
+        self._start_run()
 
-    def _new_run(self) -> Replayer | LiveRun:
+    def _start_run(self) -> None:
         source, parameters = self._source, self.parameters
         if isinstance(source, LiveSource) and isinstance(parameters, LiveDriverParameters) and self._pace is not None:
-            dues = partial(self._live, source, self._pace.restarted())
-            listened = self._has_listeners
-            run = LiveRun(self, source.rate, parameters.spin_us, dues, self._publish, listened, self._on_state)
-            self._pace.follow(run)
-            return run
-        return Replayer(self._recorded, self._publish, self._has_listeners, self._on_state)
+            publications = partial(self._live_publications, source, self._pace.restart())
+            self._run = LivePublisher(
+                self,
+                source.rate,
+                parameters.spin_us,
+                publications,
+                self._publish,
+                self._has_subscribers,
+                self._on_run_state,
+            )
+            self._pace.follow(self._run)
+        else:
+            self._run = ReplayPublisher(
+                self._replay_publications, self._publish, self._has_subscribers, self._on_run_state
+            )
+        self._run.start()
 
     def deactivate(self) -> None:
-        """End it."""
+        """Stop the run."""
         if self._run is not None and self._run.stop():
             self._status.report(Level.OK, "stopped")
 
-    def _recorded(self) -> Iterator[Due]:
+    def _replay_publications(self) -> Iterator[ScheduledPublication]:
         parameters, source = self.parameters, self._source
         if not (isinstance(parameters, ReplayDriverParameters) and isinstance(source, RecordedSource)):
             message = f"source '{parameters.source}' is neither live nor recorded"
             raise TypeError(message)
         now_ns = self.get_clock().now().nanoseconds
-        return conditioned(timeline(source, self._classes, parameters, now_ns), parameters.conditioning)
+        return condition_scans(schedule_replay(source, self._classes, parameters, now_ns), parameters.conditioning)
 
-    def _live(self, source: LiveSource[Any], misses: Misses, time: RosTime) -> Iterator[Due | Pause]:
-        return conditioned(live(source, time, misses), self.parameters.conditioning)
+    def _live_publications(
+        self, source: LiveSource[Any], missed: MissedTicks, clock: TickClock
+    ) -> Iterator[ScheduledPublication | Pause]:
+        return condition_scans(schedule_ticks(source, clock, missed), self.parameters.conditioning)
 
-    def _has_listeners(self) -> bool:
+    def _has_subscribers(self) -> bool:
+        """Return whether every topic has the subscribers to wait for; report those that are missing."""
         missing = []
-        for name, output in self._outputs.items():
-            scans = name == RAW_TOPIC
-            wanted = self.parameters.wait_for_subscribers if scans else self.parameters.wait_for_other_subscribers
-            if (count := output.count) < wanted:
-                missing.append(f"{output.topic_name} ({count} of {wanted})")
+        for name, publisher in self._topic_publishers.items():
+            parameters = self.parameters
+            wanted = parameters.wait_for_subscribers if name == RAW_TOPIC else parameters.wait_for_other_subscribers
+            if (count := publisher.subscription_count) < wanted:
+                missing.append(f"{publisher.topic_name} ({count} of {wanted})")
         if missing:
             self._status.report(Level.OK, "waiting for subscriptions to " + ", ".join(missing))
         return not missing
 
-    def _publish(self, due: Due) -> None:
-        """Publish one message."""
-        topic, data = due.topic, due.content
+    def _publish(self, publication: ScheduledPublication) -> None:
+        topic, data = publication.topic, publication.content
         if not isinstance(data, bytes):
             data = serialize_message(data)
-        if self._outputs[topic].publish(data):
+        if self._topic_publishers[topic].publish(data):
             self._counts[topic] += 1
             if topic == RAW_TOPIC:
-                self.timing.note(due.stamp_ns)
+                self.timing.record(publication.stamp_ns)
 
-    @property
-    def _stopping(self) -> bool:
+    def _is_stopping(self) -> bool:
         return self._run is not None and self._run.stopping
 
-    def _on_state(self, state: ReplayState, error: Exception | None) -> None:
-        """Report what the replay does, and end the program with it. Not in the executor's thread."""
-        if state is ReplayState.RUNNING:
+    def _on_run_state(self, state: RunState, error: Exception | None) -> None:
+        """Report the state of the run, and end the program with it; not called in the executor's thread."""
+        if state is RunState.RUNNING:
             self._status.report(Level.OK, "running")
-        elif state in (ReplayState.ENDED, ReplayState.FAILED):
-            self._deliver()
-            self._tell()
+        elif state in (RunState.ENDED, RunState.FAILED):
+            self._wait_for_delivery()
+            self._update_values()
             level, message = (Level.OK, "ended") if error is None else (Level.ERROR, str(error))
             self._status.report(level, message)
             if error is not None or self.parameters.on_end == "exit":
                 self.request_exit(error)
 
-    def _deliver(self) -> None:
+    def _wait_for_delivery(self) -> None:
         """Wait until every reliable subscription has all messages."""
-        deadline = time.monotonic() + DELIVERY_S
-        for output in self._outputs.values():
-            if not output.deliver(deadline - time.monotonic(), lambda: self._stopping) and not self._stopping:
-                self.get_logger().warning(f"not all messages of {output.topic_name} were received")
+        deadline = time.monotonic() + DELIVERY_TIMEOUT_S
+        for publisher in self._topic_publishers.values():
+            if (
+                not publisher.wait_for_all_acked(deadline - time.monotonic(), self._is_stopping)
+                and not self._is_stopping()
+            ):
+                self.get_logger().warning(f"not all messages of {publisher.topic_name} were received")
 
-    def _refresh(self) -> None:
-        """Bring the diagnostics up to date, and begin anew where the time has become simulated, or is no longer."""
-        self._tell()
-        if isinstance(self._run, LiveRun) and self._run.clock_has_changed and self._run.stop():
-            self._run = self._new_run()
-            self._run.start()
+    def _refresh_diagnostics(self) -> None:
+        """Update the diagnostics, and restart the run after a change between wall time and simulated time."""
+        self._update_values()
+        if isinstance(self._run, LivePublisher) and self._run.clock_has_changed and self._run.stop():
+            self._start_run()
 
-    def _tell(self) -> None:
-        """Bring counts and rate up to date."""
+    def _update_values(self) -> None:
+        """Update counts and rate in the diagnostics."""
         now, count = time.monotonic(), self._counts.get(RAW_TOPIC, 0)
-        before, counted = self._rated
-        self._rated = (now, count)
+        before, counted = self._rate_reference
+        self._rate_reference = (now, count)
         rate = (count - counted) / (now - before) if now > before else 0.0
         messages = sum(self._counts.values())
         self._status.update({"scans_published": count, "messages_published": messages, "scans_per_second": rate})
@@ -199,6 +212,50 @@ class DriverNode(PosorNode[DriverParameters]):
             self._pace.report()
 
 
+class InputSubscriptions:
+    """Subscriptions of a live source with a status line for each; the lines stay when subscriptions are closed."""
+
+    def __init__(self, node: PosorNode[Any]) -> None:
+        """Start without subscriptions."""
+        self._node = node
+        self._statuses: dict[str, Status] = {}
+        self._counts: dict[str, dict[str, int]] = {}
+        self._subscriptions: list[Any] = []
+
+    def open(self, inputs: Sequence[Input]) -> None:
+        """Subscribe to all inputs."""
+        for source_input in inputs:
+            name = source_input.topic.name
+            if name not in self._statuses:
+                self._statuses[name] = self._node.diagnostics.add_status(f"input {name}")
+            self._counts[name] = {"taken": 0, "refused": 0}
+            self._statuses[name].report(Level.OK, "no message yet", self._counts[name])
+            callback = partial(self._on_message, source_input)
+            self._subscriptions.append(
+                self._node.create_subscription(
+                    message_class(source_input.topic.type_name), name, callback, RELIABLE_QOS
+                )
+            )
+
+    def close(self) -> None:
+        """Close all subscriptions."""
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+        self._subscriptions = []
+
+    def _on_message(self, source_input: Input, message: Any) -> None:
+        name = source_input.topic.name
+        counts, status = self._counts[name], self._statuses[name]
+        try:
+            source_input.on_message(message, self._node.get_clock().now().nanoseconds)
+        except PosorError as error:
+            counts["refused"] += 1
+            status.report(Level.WARN, "refused", {**counts, "reason": str(error)})
+        else:
+            counts["taken"] += 1
+            status.report(Level.OK, "taken", {**counts})
+
+
 def main() -> int:
     """Run the node as a program."""
-    return run(DriverNode)
+    return run_node(DriverNode)

@@ -1,36 +1,32 @@
-"""One topic that is being recorded: takes its messages as they came over the wire, and notices lost ones."""
+"""One topic that is being recorded: its serialised messages, and the count of lost ones."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from posor_estimator.ros.message_types import message_class
+from posor_estimator.ros.message_classes import message_class
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import ReliabilityPolicy
-
-from posor_drivers.offered_qos import request_for
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from rclpy.node import Node
-    from rclpy.qos import QoSProfile
 
 DEPTH = 5000
-"""Messages that a subscription holds while this process is kept from taking them: five seconds at 1 kHz, and as many as
-Fast DDS holds whatever the depth."""
+"""Messages that a subscription holds while the process is busy: five seconds at 1 kHz, and the limit of Fast DDS."""
 
 
 class RecordedTopic:
-    """A subscription from which messages are taken directly, a hundred at a time, rather than by callbacks.
+    """A subscription whose messages are taken directly, in batches, instead of by callbacks.
 
-    That costs a tenth of the processor time, and gives each message's time of reception and sequence number. (The
-    middleware's own "message lost" event is no way to count losses: in rmw_fastrtps, taking it while messages are
-    being lost locks up the process.)
+    That needs a tenth of the processor time, and provides each message's time of reception and sequence number. (The
+    middleware's "message lost" event cannot be used to count losses: in rmw_fastrtps, taking it while messages are
+    being lost blocks the process.)
 
     Attributes:
         received: Messages taken so far.
-        lost: Messages known to be lost: gaps in the sequence numbers of a topic that has one publisher.
+        lost: Messages known to be lost: gaps in the sequence numbers of a topic with one publisher.
 
     """
 
@@ -39,12 +35,12 @@ class RecordedTopic:
         self.name = name
         self.received = 0
         self.lost = 0
-        self._request = request_for(offers, DEPTH)
+        self._request = strictest_request(offers, DEPTH)
         self._last_number: int | None = None
         self._subscription = node.create_subscription(
             message_class(type_name),
             name,
-            _never_called,
+            _no_callback,
             self._request,
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
@@ -56,17 +52,17 @@ class RecordedTopic:
         return self._subscription.get_publisher_count() > 0
 
     def refuses(self, offer: QoSProfile) -> bool:
-        """Return whether the messages of a publisher with this profile cannot come, since others set the request."""
+        """Return whether a publisher with this profile is incompatible with the subscription."""
         reliable = ReliabilityPolicy.RELIABLE
         return bool(self._request.reliability == reliable and offer.reliability != reliable)
 
-    def take(self) -> Iterator[tuple[int, bytes]]:
-        """Yield time of reception [ns] and bytes of all messages that are there."""
+    def take_messages(self) -> Iterator[tuple[int, bytes]]:
+        """Yield time of reception [ns] and bytes of all messages that have arrived."""
         several = self._subscription.get_publisher_count() > 1
         handle, type_, raw = self._subscription.handle, self._subscription.msg_type, self._subscription.raw
         with handle:
-            while (taken := handle.take_message(type_, raw)) is not None:
-                data, info = taken
+            while (message := handle.take_message(type_, raw)) is not None:
+                data, info = message
                 self._count(info["publication_sequence_number"], several=several)
                 yield info["received_timestamp"], data
 
@@ -80,5 +76,20 @@ class RecordedTopic:
         self._last_number = number
 
 
-def _never_called(_data: bytes) -> None:
-    """Stand where rclpy wants a callback."""
+def strictest_request(offers: Sequence[QoSProfile], depth: int) -> QoSProfile:
+    """Return the strictest profile that every offer satisfies.
+
+    Reliable if all publishers are, because best effort would lose messages without need; best effort if one publisher
+    is, because its messages would not arrive otherwise. Transient local durability likewise.
+    """
+    reliable = all(offer.reliability == ReliabilityPolicy.RELIABLE for offer in offers)
+    transient = all(offer.durability == DurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
+    return QoSProfile(
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if transient else DurabilityPolicy.VOLATILE,
+    )
+
+
+def _no_callback(_data: bytes) -> None:
+    """No-op callback required by rclpy."""

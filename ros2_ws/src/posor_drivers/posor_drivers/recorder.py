@@ -1,33 +1,42 @@
-"""Records topics into a bag: discovers them, takes their messages, writes from a thread of its own."""
+"""record: writes topics into a rosbag2 bag (MCAP) until SIGINT or SIGTERM.
+
+Messages are stored as received, without deserialising them. Prints ``ready: ...`` once every named topic is connected,
+and at the end ``closed ...`` with the number of messages of each topic.
+"""
 
 from __future__ import annotations
 
+import sys
 from functools import partial
+from pathlib import Path
 from queue import SimpleQueue
 from threading import Thread
 from typing import TYPE_CHECKING
 
-from posor_estimator.errors import BagError, PosorError
+from posor_estimator.bags.message_definitions import MessageTypes
+from posor_estimator.errors import BagError, ParameterError, PosorError
+from posor_estimator.reporting.command_line_parser import CommandLineParser
 from posor_estimator.ros.diagnostics import Diagnostics, Level
-from posor_estimator.ros.message_types import MessageTypes
+from posor_estimator.ros.node_program import exit_code_of, non_ros_arguments, ros_context, spin_until
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
+from rclpy.validate_topic_name import validate_topic_name
 
-from posor_drivers.offered_qos import kept_in_bag
+from posor_drivers.bag_writer import BagWriter
 from posor_drivers.recorded_topic import RecordedTopic
 
 if TYPE_CHECKING:
+    from argparse import Namespace
     from collections.abc import Callable, Sequence
-
-    from posor_drivers.bag_writer import BagWriter
 
 DISCOVERY_PERIOD_S = 0.1
 TAKE_PERIOD_S = 0.005
 
 
-class _WritingThread(Thread):
-    """Does its tasks in order; stores the error that stops it."""
+class _WriterThread(Thread):
+    """Runs its tasks in order; stores the error that stops it."""
 
     def __init__(self) -> None:
         super().__init__(name="bag writer")
@@ -42,70 +51,70 @@ class _WritingThread(Thread):
             self.failure = error
 
     def finish(self) -> None:
-        """Do what is left and end."""
+        """Run the remaining tasks and end."""
         self.tasks.put(None)
         self.join()
 
 
 class Recorder(Node):
-    """Node that records what is published.
+    """Node that discovers topics and records their messages.
 
     Attributes:
         topics: The recorded topics by name.
 
     """
 
-    def __init__(self, writer: BagWriter, names: Sequence[str], announce: Callable[[str], None]) -> None:
+    def __init__(self, writer: BagWriter, names: Sequence[str], print_line: Callable[[str], None]) -> None:
         """Start recording.
 
         Args:
-            writer: The bag; from now on it belongs to the recorder's thread, until ``finish`` has returned.
-            names: Topics to record; empty: all that appear, hidden ones excepted.
-            announce: Called with one line for every topic that is found, and once when all named topics are connected.
+            writer: The bag; only the recorder's thread may use it until ``finish`` has returned.
+            names: Topics to record; empty: all topics except hidden ones.
+            print_line: Called with a line for every topic found, and once when all named topics are connected.
 
         """
         super().__init__("recorder", enable_rosout=False)
-        self._tap = Node("_recorder_tap", enable_rosout=False, start_parameter_services=False)
+        self._subscriber = Node("_recorder_tap", enable_rosout=False, start_parameter_services=False)
         self.topics: dict[str, RecordedTopic] = {}
         self._writer = writer
         self._names = [self.resolve_topic_name(name) for name in names]
-        self._announce = announce
+        self._print_line = print_line
         self._ready = False
         self._types = MessageTypes()
         self._skipped: set[str] = set()
         self._refused: dict[str, str] = {}
         self._failure: PosorError | None = None
-        self._thread = _WritingThread()
+        self._thread = _WriterThread()
         self._thread.start()
         diagnostics = Diagnostics(self)
-        self._status = diagnostics.add("recording")
+        self._status = diagnostics.add_status("recording")
         self._status.report(Level.OK, "waiting for topics", {"bag": str(writer.path)})
-        diagnostics.before_each(self._refresh)
+        diagnostics.add_refresh(self._refresh_diagnostics)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._discovery_timer = self.create_timer(DISCOVERY_PERIOD_S, self._discover, clock=steady)
-        self._take_timer = self.create_timer(TAKE_PERIOD_S, self._take, clock=steady)
+        self._take_timer = self.create_timer(TAKE_PERIOD_S, self._take_messages, clock=steady)
 
     @property
     def failure(self) -> PosorError | None:
-        """What makes it impossible to go on, if anything."""
+        """The error that ends the recording, if any."""
         return self._failure or self._thread.failure
 
     def finish(self) -> None:
-        """Take what has already been received, write everything, end the thread and leave the graph."""
-        self._take()
+        """Write all messages received so far, end the thread and leave the graph."""
+        self._take_messages()
         self._thread.finish()
-        self._tap.destroy_node()
+        self._subscriber.destroy_node()
         self.destroy_node()
 
     def shortcomings(self) -> list[str]:
-        """Return what the bag lacks, one clause each."""
+        """Return what is missing in the bag, one clause each."""
         missing = [f"topic {name} never appeared" for name in self._names if name not in self.topics]
         lost = [f"{topic.lost} messages of {topic.name} were lost" for topic in self.topics.values() if topic.lost]
         return missing + lost + list(self._refused.values())
 
-    def _take(self) -> None:
+    def _take_messages(self) -> None:
         for topic in self.topics.values():
-            for time_ns, data in topic.take():
+            for time_ns, data in topic.take_messages():
                 self._thread.tasks.put(partial(self._writer.write, topic.name, time_ns, data))
 
     def _discover(self) -> None:
@@ -113,60 +122,98 @@ class Recorder(Node):
             for name, type_names in self.get_topic_names_and_types():
                 hidden = any(part.startswith("_") for part in name.split("/"))
                 if name in self._names or (not self._names and not hidden and name not in self._skipped):
-                    self._attend(name, type_names)
+                    self._handle_topic(name, type_names)
         except PosorError as error:
             self._failure = error
         if not self._ready and all(name in self.topics and self.topics[name].matched for name in self._names):
             self._ready = True
             self._status.report(Level.OK, "recording")
-            self._announce(f"ready: recording {' '.join(self._names) or 'every topic'} to {self._writer.path}")
+            self._print_line(f"ready: recording {' '.join(self._names) or 'every topic'} to {self._writer.path}")
 
-    def _attend(self, name: str, type_names: list[str]) -> None:
-        """Begin to record a topic, or look after it; trouble is fatal if it was asked for by name, else only told."""
+    def _handle_topic(self, name: str, type_names: list[str]) -> None:
+        """Record a new topic, or check a known one. An error is fatal for named topics; others are skipped."""
         try:
-            type_name = _only_type(name, type_names)
+            type_name = _single_type(name, type_names)
             if name in self.topics:
                 self._check_offers(self.topics[name])
             else:
-                self._begin(name, type_name)
+                self._record_topic(name, type_name)
         except BagError as error:
             if self._names:
                 raise
             self._skipped.add(name)
-            self._announce(f"not recorded: {error}")
+            self._print_line(f"not recorded: {error}")
 
-    def _begin(self, name: str, type_name: str) -> None:
+    def _record_topic(self, name: str, type_name: str) -> None:
         publishers = self.get_publishers_info_by_topic(name)
         if not publishers:
             return
         definition = self._types.definition(type_name)
         for type_hash in {str(publisher.topic_type_hash) for publisher in publishers}:
             if type_hash not in ("INVALID", definition.type_hash):
-                raise BagError(
-                    f"topic {name} carries another version of {type_name}, {type_hash}", expected=definition.type_hash
-                )
+                what = f"topic {name} carries another version of {type_name}, {type_hash}"
+                raise BagError(what, expected=definition.type_hash)
         offers = [publisher.qos_profile for publisher in publishers]
-        profiles = [kept_in_bag(offer) for offer in offers]
-        self._thread.tasks.put(partial(self._writer.add_topic, name, type_name, definition, profiles))
-        self.topics[name] = RecordedTopic(self._tap, name, type_name, offers)
-        self._announce(f"found {name} [{type_name}]")
+        self._thread.tasks.put(partial(self._writer.add_topic, name, type_name, definition, offers))
+        self.topics[name] = RecordedTopic(self._subscriber, name, type_name, offers)
+        self._print_line(f"found {name} [{type_name}]")
 
     def _check_offers(self, topic: RecordedTopic) -> None:
-        """Notice publishers that came later and whose messages cannot be had together with those of the first."""
+        """Report later publishers that are incompatible with the subscription."""
         for publisher in self.get_publishers_info_by_topic(topic.name):
             if topic.name not in self._refused and topic.refuses(publisher.qos_profile):
-                who = f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}"
-                self._refused[topic.name] = f"{topic.name} of {who}, best effort among reliable publishers, is missing"
+                node = f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}"
+                self._refused[topic.name] = f"{topic.name} of {node}, best effort among reliable publishers, is missing"
                 self._status.report(Level.WARN, self._refused[topic.name])
 
-    def _refresh(self) -> None:
+    def _refresh_diagnostics(self) -> None:
         lost = {f"{name} lost": topic.lost for name, topic in self.topics.items() if topic.lost}
         self._status.update({name: topic.received for name, topic in self.topics.items()} | lost)
         if lost:
             self._status.report(Level.WARN, "messages are being lost")
 
 
-def _only_type(topic: str, type_names: Sequence[str]) -> str:
+def _single_type(topic: str, type_names: Sequence[str]) -> str:
+    """Return the only type of a topic; refuse several."""
     if len(type_names) != 1:
         raise BagError(f"topic {topic} has several types, {', '.join(type_names)}", expected="one")
     return type_names[0]
+
+
+def _parse_arguments(arguments: Sequence[str]) -> Namespace:
+    parser = CommandLineParser(prog="record", description="Record topics into a rosbag2 bag until interrupted.")
+    parser.add_argument("--output", type=Path, required=True, metavar="FOLDER", help="the bag; must not exist yet")
+    choice = parser.add_mutually_exclusive_group(required=True)
+    choice.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="topics to record")
+    choice.add_argument("--all", action="store_true", help="record every topic that appears")
+    options = parser.parse_args(list(arguments))
+    for topic in options.topics:
+        try:
+            validate_topic_name(topic)
+        except InvalidTopicNameException as error:
+            reason = str(error).split(":")[1].split("\n")[0].strip()
+            raise ParameterError(f"'{topic}' is not a topic name, {reason}", where="record") from None
+    return options
+
+
+def _record(arguments: Sequence[str]) -> None:
+    print_line = partial(print, flush=True)
+    with ros_context(arguments) as stop:
+        options = _parse_arguments(non_ros_arguments(arguments))
+        with BagWriter(options.output) as writer:
+            recorder = Recorder(writer, options.topics, print_line)
+            try:
+                spin_until(recorder, lambda: stop.requested or recorder.failure is not None)
+            finally:
+                recorder.finish()
+        counts = ", ".join(f"{name} {count}" for name, count in writer.counts.items()) or "no topics"
+        print_line(f"closed {options.output}: {counts}")
+        if recorder.failure is not None:
+            raise recorder.failure
+        if shortcomings := recorder.shortcomings():
+            raise BagError("; ".join(shortcomings), where=str(options.output))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the recorder as a program."""
+    return exit_code_of(lambda: _record(sys.argv if arguments is None else arguments))

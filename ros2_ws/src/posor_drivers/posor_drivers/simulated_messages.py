@@ -1,31 +1,30 @@
-"""What a simulated arm sends, as messages."""
+"""Topics and serialised messages of a simulated arm."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pinocchio as pin
-from posor_estimator.ros.message_types import JOINT_STATE, POSE_STAMPED, RAW_SCAN, VECTOR_STAMPED
-from posor_estimator.ros.qos import RAW_TOPIC
+from posor_estimator.ros_names import JOINT_STATE, POSE_STAMPED, RAW_SCAN, RAW_TOPIC, VECTOR_STAMPED
 
-from posor_drivers.sources.base import SourceMessage, Topic
+from posor_drivers.message_builder import header, pose_stamped, raw_scan, scan_fields
+from posor_drivers.sources.source import SourceMessage, Topic
 
 if TYPE_CHECKING:
-    from posor_estimator.core.types import FloatArray
-    from posor_estimator.ros.message_types import MessageTypes
+    import pinocchio as pin
+    from posor_estimator.bags.message_definitions import MessageTypes
+    from posor_estimator.numerics.array_types import FloatArray
 
-    from posor_drivers.simulator.arm import ArmSimulation, ArmTruth
+    from posor_drivers.simulator.arm_simulation import ArmSimulation
+    from posor_drivers.simulator.arm_truth import ArmTruth
     from posor_drivers.simulator.electronics import SimulatedScans
-
-NS = 1_000_000_000
 
 
 class SimulatedTopics:
-    """Names of an arm's topics; all but that of the scans are absolute, since they are the arm's."""
+    """Topics of an arm; all names are absolute because they belong to the arm, not to a joint."""
 
     def __init__(self, arm: str) -> None:
-        """Make the names."""
+        """Make the names for the arm of this name."""
         self._arm = arm
         self.endpoint = Topic(f"/{arm}/truth/endpoint", POSE_STAMPED)
         self.target = Topic(f"/{arm}/target/endpoint", POSE_STAMPED)
@@ -33,13 +32,13 @@ class SimulatedTopics:
         self.stage = Topic(f"/{arm}/stage/position", VECTOR_STAMPED)
         self.stage_command = Topic(f"/{arm}/stage/command", VECTOR_STAMPED)
 
-    def joint(self, joint: str) -> Topic:
+    def joint_truth(self, joint: str) -> Topic:
         """Return the topic of a joint's true ``T_parent_child``."""
         return Topic(f"/{self._arm}/truth/{joint}", POSE_STAMPED)
 
 
 class SimulatedMessages:
-    """Turns what an ``ArmSimulation`` gives into serialised messages; ``n`` is the index of the tick in it."""
+    """Serialises the results of an ``ArmSimulation``; ``n`` is the index of a tick in them."""
 
     def __init__(self, types: MessageTypes, simulation: ArmSimulation) -> None:
         """Take the names of topics and frames from the arm."""
@@ -49,77 +48,44 @@ class SimulatedMessages:
         self._endpoint = simulation.arm.endpoint_frame
         self._receiving = {joint.name: joint.parent for joint in simulation.chain.joints}
 
-    def raw(self, joint: str, scans: SimulatedScans, n: int) -> SourceMessage:
-        """Return a scan."""
-        scan, none = scans.scans[n], np.empty(0)
-        message = self._types.new(
-            RAW_SCAN,
-            header=self._header(scan.stamp_ns, self._receiving[joint]),
-            scan=scan.number,
-            samples=1,
-            status=int(scans.statuses[n]),
-            gap_voltages=scan.gap_voltages,
-            gap_voltage_spreads=none,
-            ring_voltages=scan.ring_voltages,
-            ring_voltage_spreads=none,
-            diode_currents=scan.diode_currents.ravel(),
-            diode_current_spreads=none,
-            lit_sources=np.array(scan.lit_sources, dtype=np.uint8),
-            supply_voltage=scan.supply_voltage,
-            temperature=scan.temperature,
-        )
-        return self._sent(Topic(RAW_TOPIC, RAW_SCAN), scan.stamp_ns, message)
+    def raw_scan(self, joint: str, scans: SimulatedScans, n: int) -> SourceMessage:
+        """Return a scan of a joint."""
+        scan, status = scans.scans[n], int(scans.statuses[n])
+        message = raw_scan(self._types, scan.stamp_ns, self._receiving[joint], status=status, **scan_fields(scan))
+        return self._serialize(Topic(RAW_TOPIC, RAW_SCAN), scan.stamp_ns, message)
 
     def joint_truth(self, joint: str, stamp_ns: int, truth: ArmTruth, n: int) -> SourceMessage:
         """Return a joint's true ``T_parent_child``."""
         pose = truth.T_parent_child[joint][n]
-        return self.pose(self.topics.joint(joint), stamp_ns, self._receiving[joint], pose)
+        return self.pose(self.topics.joint_truth(joint), stamp_ns, self._receiving[joint], pose)
 
     def arm_truth(self, stamp_ns: int, truth: ArmTruth, n: int) -> list[SourceMessage]:
-        """Return what is told of the whole arm: where its endpoint is, where it should be, and the encoders."""
-        none = np.empty(0)
+        """Return the messages about the whole arm: true endpoint, commanded endpoint, encoders."""
+        empty = np.empty(0)
         encoders = self._types.new(
             JOINT_STATE,
-            header=self._header(stamp_ns, ""),
+            header=header(self._types, stamp_ns, ""),
             name=list(truth.joints),
             position=truth.encoder[n],
-            velocity=none,
-            effort=none,
+            velocity=empty,
+            effort=empty,
         )
         return [
             self.pose(self.topics.endpoint, stamp_ns, self._base, truth.endpoint[n]),
             self.pose(self.topics.target, stamp_ns, self._base, truth.target[n]),
-            self._sent(self.topics.encoders, stamp_ns, encoders),
+            self._serialize(self.topics.encoders, stamp_ns, encoders),
         ]
 
-    def stage(self, stamp_ns: int, position: FloatArray) -> SourceMessage:
-        """Return where the stage is, (3,) [m]."""
+    def stage_position(self, stamp_ns: int, position: FloatArray) -> SourceMessage:
+        """Return the position of the stage, (3,) [m], axes of the endpoint."""
         x, y, z = position.tolist()
-        message = self._types.new(
-            VECTOR_STAMPED,
-            header=self._header(stamp_ns, self._endpoint),
-            vector=self._types.new("geometry_msgs/msg/Vector3", x=x, y=y, z=z),
-        )
-        return self._sent(self.topics.stage, stamp_ns, message)
+        vector = self._types.new("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+        message = self._types.new(VECTOR_STAMPED, header=header(self._types, stamp_ns, self._endpoint), vector=vector)
+        return self._serialize(self.topics.stage, stamp_ns, message)
 
     def pose(self, topic: Topic, stamp_ns: int, frame: str, pose: pin.SE3) -> SourceMessage:
         """Return a pose in a frame (geometry_msgs/PoseStamped), on any topic."""
-        x, y, z, *q = pin.SE3ToXYZQUAT(pose).tolist()
-        message = self._types.new(
-            POSE_STAMPED,
-            header=self._header(stamp_ns, frame),
-            pose=self._types.new(
-                "geometry_msgs/msg/Pose",
-                position=self._types.new("geometry_msgs/msg/Point", x=x, y=y, z=z),
-                orientation=self._types.new("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", q, strict=True))),
-            ),
-        )
-        return self._sent(topic, stamp_ns, message)
+        return self._serialize(topic, stamp_ns, pose_stamped(self._types, stamp_ns, frame, pose))
 
-    def _header(self, stamp_ns: int, frame: str) -> Any:
-        sec, nanosec = divmod(stamp_ns, NS)
-        stamp = self._types.new("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
-        return self._types.new("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
-
-    def _sent(self, topic: Topic, stamp_ns: int, message: Any) -> SourceMessage:
+    def _serialize(self, topic: Topic, stamp_ns: int, message: Any) -> SourceMessage:
         return SourceMessage(topic.name, stamp_ns, self._types.serialize(message, topic.type_name))

@@ -5,16 +5,17 @@ from typing import Any
 
 import pytest
 import yaml
-from posor_drivers.bag_writer import BagWriter, replacement
-from posor_drivers.offered_qos import kept_in_bag, request_for
+from posor_drivers.bag_writer import BagWriter, replace_bag
+from posor_estimator.bags.message_definitions import MessageTypes
 from posor_estimator.errors import BagError
-from posor_estimator.ros.message_types import MessageTypes
 from posor_estimator.ros.qos import RELIABLE_QOS
+from posor_estimator.ros_names import RAW_SCAN
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosbags.interfaces import ConnectionExtRosbag2
 from rosbags.rosbag2 import Reader
 
-from .bags import point, read_bag, scan
+from .sample_bags import point, read_bag, scan
 
 BEST_EFFORT_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED_QOS = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -25,7 +26,7 @@ def write(path: Path) -> None:
     with BagWriter(path) as writer:
         for record, qos in ((scan(1, 100), BEST_EFFORT_QOS), (point(100), RELIABLE_QOS)):
             definition = types.definition(record.type_name)
-            writer.add_topic(record.topic, record.type_name, definition, [kept_in_bag(qos)])
+            writer.add_topic(record.topic, record.type_name, definition, [qos])
         for record in (scan(1, 100), point(100), scan(2, 200)):
             writer.write(record.topic, record.time_ns, record.data)
         assert writer.counts == {"/joint1/raw": 2, "/truth/machining_centre": 1}
@@ -40,15 +41,15 @@ def test_same_calls_give_the_same_bytes(tmp_path: Path) -> None:
 
 def replace(path: Path, scans: int, *, fail: bool = False) -> None:
     definition = MessageTypes().definition(scan(1, 100).type_name)
-    with replacement(path) as writer:
-        writer.add_topic("/joint1/raw", scan(1, 100).type_name, definition, [kept_in_bag(RELIABLE_QOS)])
+    with replace_bag(path) as writer:
+        writer.add_topic("/joint1/raw", scan(1, 100).type_name, definition, [RELIABLE_QOS])
         for number in range(1, scans + 1):
             writer.write("/joint1/raw", 100 * number, scan(number, 100 * number).data)
         if fail:
             raise BagError("the simulator has no such scan")
 
 
-def test_a_bag_is_replaced_once_the_new_one_is_whole(tmp_path: Path) -> None:
+def test_bag_is_replaced_only_by_a_complete_bag(tmp_path: Path) -> None:
     bag = tmp_path / "new" / "bag"
     for scans in (3, 1):
         replace(bag, scans)
@@ -60,7 +61,7 @@ def test_a_bag_is_replaced_once_the_new_one_is_whole(tmp_path: Path) -> None:
     assert list(bag.parent.iterdir()) == [bag]
 
 
-def test_messages_are_kept_with_their_times(tmp_path: Path) -> None:
+def test_messages_are_stored_with_their_times(tmp_path: Path) -> None:
     write(tmp_path / "bag")
     assert read_bag(tmp_path / "bag") == [
         ("/joint1/raw", 100, scan(1, 100).data),
@@ -114,10 +115,10 @@ def test_existing_path_is_refused(tmp_path: Path) -> None:
         (tmp_path / "file").touch()
         with pytest.raises(BagError) as caught:
             BagWriter(path)
-        assert str(caught.value) == f"{path}: exists already; expected a folder that is yet to be made."
+        assert str(caught.value) == f"{path}: exists already; expected a new folder."
 
 
-def test_place_where_no_folder_can_be_is_told(tmp_path: Path) -> None:
+def test_impossible_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(BagError) as caught:
         BagWriter(tmp_path / "file/bag")
@@ -125,7 +126,7 @@ def test_place_where_no_folder_can_be_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full to stand for a full disk")
-def test_full_disk_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_full_disk_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     real_open = Path.open
 
     def onto_full_disk(path: Path, mode: str = "r", *arguments: Any, **options: Any) -> Any:
@@ -150,21 +151,12 @@ def test_bag_is_closed_properly_after_an_error(tmp_path: Path) -> None:
     assert len(read_bag(tmp_path / "bag")) == 1
 
 
-def test_request_is_the_strictest_that_all_offers_satisfy() -> None:
-    def request(*offers: QoSProfile) -> tuple[ReliabilityPolicy, DurabilityPolicy]:
-        profile = request_for(offers, 9)
-        assert profile.depth == 9
-        return profile.reliability, profile.durability
-
-    reliable, best_effort = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
-    volatile, latched = DurabilityPolicy.VOLATILE, DurabilityPolicy.TRANSIENT_LOCAL
-    assert request(RELIABLE_QOS) == (reliable, volatile)
-    assert request(BEST_EFFORT_QOS) == (best_effort, volatile)
-    assert request(RELIABLE_QOS, BEST_EFFORT_QOS) == (best_effort, volatile)
-    assert request(LATCHED_QOS) == (reliable, latched)
-    assert request(LATCHED_QOS, RELIABLE_QOS) == (reliable, volatile)
-
-
-def test_finite_durations_are_kept() -> None:
-    qos = kept_in_bag(QoSProfile(depth=1, deadline=Duration(nanoseconds=1_500_000_000)))
-    assert (qos.deadline.sec, qos.deadline.nsec) == (1, 500_000_000)
+def test_finite_durations_are_written(tmp_path: Path) -> None:
+    qos = QoSProfile(depth=1, deadline=Duration(nanoseconds=1_500_000_000))
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic("/raw", RAW_SCAN, MessageTypes().definition(RAW_SCAN), [qos])
+    with Reader(tmp_path / "bag") as reader:
+        (connection,) = reader.connections
+        assert isinstance(connection.ext, ConnectionExtRosbag2)
+        (written,) = connection.ext.offered_qos_profiles
+    assert (written.deadline.sec, written.deadline.nsec) == (1, 500_000_000)

@@ -1,161 +1,337 @@
-"""Means, spreads and outliers, against theory: the bounds are quantiles that chance exceeds once in a million."""
+"""Groups of scans, and the scan that each group becomes."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from posor_drivers.conditioning import Average, average
-from scipy.stats import binom, chi2
+from posor_drivers.conditioning import MAX_DARK_SCANS, condition_scans, stamp_ns
+from posor_drivers.driver_parameters import ConditioningParameters
+from posor_drivers.scheduled_publication import ScheduledPublication
+from posor_estimator.errors import BagError, ParameterError, PosorError
+from posor_msgs.msg import RawScan
+from rclpy.serialization import deserialize_message
+from scipy.stats import chi2
+
+from .sample_bags import header, scan
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from collections.abc import Iterable, Iterator
 
-    FloatArray = NDArray[np.float64]
-
-CHANCE = 1e-6
-SIGMA_V = 0.002
-GROUPS = 4000
-
-
-def chi_square_band(freedom: int) -> tuple[float, float]:
-    return float(chi2.ppf(CHANCE / 2, freedom)), float(chi2.isf(CHANCE / 2, freedom))
+START = 1000 * 1_000_000_000
+TICK = 1_000_001
+LIT, DARK = np.array([0, 1], dtype=np.uint8), np.array([255, 255], dtype=np.uint8)
+NET_A = np.linspace(1e-5, 8e-5, 8)
+BACKGROUND_A = np.linspace(3e-6, 1e-6, 8)
 
 
-def binomial_band(trials: int, probability: float) -> tuple[float, float]:
-    return float(binom.ppf(CHANCE / 2, trials, probability)), float(binom.isf(CHANCE / 2, trials, probability))
+def item(number: int, **fields: Any) -> ScheduledPublication:
+    fields = {"gap_voltages": np.full(3, 0.5)} | fields
+    return ScheduledPublication("raw", scan(number, START + number * TICK, **fields).data, number / 1000)
 
 
-def noise(samples: int, seed: int, width: int = 1) -> FloatArray:
-    """Return groups as units, since units do not know of each other: shape (samples, GROUPS, width)."""
-    return np.random.default_rng(seed).normal(0.5, SIGMA_V, (samples, GROUPS, width))
+def pattern(text: str, drift: float = 0.0) -> Iterator[ScheduledPublication]:
+    """Yield a scan for each letter: L lit, D dark; the background grows by a part ``drift`` of itself per scan."""
+    for number, letter in enumerate(text):
+        background = BACKGROUND_A * (1.0 + drift * number)
+        if letter == "L":
+            yield item(number, diode_currents=NET_A + background, lit_sources=LIT)
+        else:
+            yield item(number, diode_currents=background, lit_sources=DARK)
 
 
-def ones(samples: FloatArray) -> NDArray[np.int64]:
-    return np.ones(len(samples), dtype=np.int64)
+def condition(
+    items: Iterable[ScheduledPublication], method: Any = "mean", samples: int = 5, **options: Any
+) -> list[ScheduledPublication]:
+    return list(condition_scans(iter(items), ConditioningParameters(method=method, samples=samples, **options)))
 
 
-def conditioned(samples: FloatArray, significance: float | None = None) -> Average:
-    return average(samples, ones(samples), significance=significance)
+def scans(
+    items: Iterable[ScheduledPublication], method: str = "mean", samples: int = 5, **options: Any
+) -> list[RawScan]:
+    return [result.content for result in condition(items, method, samples, **options)]
 
 
-def column(*values: float) -> FloatArray:
-    return np.array(values).reshape(-1, 1, 1)
+def numbers(items: Iterable[ScheduledPublication], **options: Any) -> list[tuple[int, int]]:
+    return [(result.scan, result.samples) for result in scans(items, **options)]
 
 
-@pytest.mark.parametrize("samples", [2, 5, 20])
-def test_noise_of_the_mean_falls_with_the_root_of_the_number(samples: int) -> None:
-    result = conditioned(noise(samples, seed=samples))
-    low, high = chi_square_band(GROUPS - 1)
-    statistic = (GROUPS - 1) * result.means.var(ddof=1) / (SIGMA_V**2 / samples)
-    assert low < statistic < high
-    assert set(result.counts.tolist()) == {samples}
+def test_five_scans_become_one() -> None:
+    gaps = np.random.default_rng(1).normal(0.5, 0.01, (5, 3))
+    currents = np.random.default_rng(2).normal(5e-5, 1e-6, (5, 8))
+    rings = np.random.default_rng(3).normal(0.4, 0.01, (5, 4))
+    flags = [0, RawScan.STATUS_SATURATED, 0, RawScan.STATUS_HOME_BUMP, RawScan.STATUS_SATURATED]
+    raw = [
+        item(7 + n, gap_voltages=gaps[n], ring_voltages=rings[n], diode_currents=currents[n], status=flags[n])
+        for n in range(5)
+    ]
+    (only,) = condition(raw)
+    assert (only.topic, only.after_s) == ("raw", raw[-1].after_s)
+    result = only.content
+    assert (result.scan, stamp_ns(result), result.samples) == (9, START + 9 * TICK, 5)
+    assert result.header.frame_id == "posor_receiving"
+    assert result.status == RawScan.STATUS_SATURATED | RawScan.STATUS_HOME_BUMP
+    assert list(result.lit_sources) == [0, 1]
+    for name, spread, values in (
+        ("gap_voltages", "gap_voltage_spreads", gaps),
+        ("ring_voltages", "ring_voltage_spreads", rings),
+        ("diode_currents", "diode_current_spreads", currents),
+    ):
+        np.testing.assert_allclose(getattr(result, name), values.mean(axis=0), rtol=1e-14)
+        np.testing.assert_allclose(getattr(result, spread), values.std(axis=0, ddof=1), rtol=1e-11)
 
 
-@pytest.mark.parametrize("samples", [2, 5, 20])
-def test_spread_is_that_of_one_reading(samples: int) -> None:
-    freedom = (samples - 1) * GROUPS
-    low, high = chi_square_band(freedom)
-    statistic = (samples - 1) * (conditioned(noise(samples, seed=10 + samples)).spreads ** 2).sum() / SIGMA_V**2
-    assert low < statistic < high
+def test_even_group_has_the_mean_stamp_and_the_earlier_number() -> None:
+    (result,) = scans([item(3), item(4)], samples=2)
+    assert (result.scan, stamp_ns(result)) == (3, START + 7 * TICK // 2)
 
 
-def test_mean_without_its_outlier_has_the_noise_of_the_other_samples() -> None:
-    samples = noise(5, seed=30)
-    samples[3] += 1000.0 * SIGMA_V
-    result = conditioned(samples, significance=0.01)
-    assert result.dropped
-    assert set(result.counts.tolist()) == {4}
-    low, high = chi_square_band(GROUPS - 1)
-    assert low < (GROUPS - 1) * result.means.var(ddof=1) / (SIGMA_V**2 / 4) < high
-    low, high = chi_square_band(3 * GROUPS)
-    assert low < 3 * (result.spreads**2).sum() / SIGMA_V**2 < high
-    low, high = chi_square_band(1)
-    assert GROUPS * 4 * (result.means.mean() - 0.5) ** 2 / SIGMA_V**2 < high
+def test_incomplete_last_group_is_published_with_fewer_samples() -> None:
+    assert numbers(item(n) for n in range(12)) == [(2, 5), (7, 5), (10, 2)]
+    (*_, last) = scans(item(n) for n in range(6))
+    assert (last.samples, stamp_ns(last)) == (1, START + 5 * TICK)
+    assert [len(last.gap_voltage_spreads), len(last.ring_voltage_spreads), len(last.diode_current_spreads)] == [0, 0, 0]
 
 
-@pytest.mark.parametrize("significance", [0.01, 0.1])
-def test_good_samples_are_dropped_as_often_as_agreed(significance: float) -> None:
-    result = conditioned(noise(5, seed=40), significance)
-    low, high = binomial_band(GROUPS, significance)
-    assert low < (result.counts < 5).sum() < high
-    assert result.counts.min() == 4
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"lit_sources": np.array([2, 1], dtype=np.uint8)},
+        {"gap_voltages": np.full(2, 0.5)},
+        {"header": header(START + 99 * TICK, "another_frame")},
+        {"header": header(START - TICK)},
+        {"header": header(0)},
+        {"status": RawScan.STATUS_DARK_SUBTRACTED},
+    ],
+)
+def test_group_ends_early_where_scans_are_not_comparable(other: dict[str, Any]) -> None:
+    result = condition([item(0), item(1), item(2), item(3, **other)])
+    assert [(result.content.scan, result.content.samples, result.after_s) for result in result] == [
+        (1, 3, 0.003),
+        (3, 1, 0.003),
+    ]
 
 
-def test_good_samples_of_a_diode_are_dropped_no_more_often_than_agreed() -> None:
-    result = conditioned(noise(5, seed=41, width=4), significance=0.05)
-    assert 0 < (result.counts < 5).sum() < binomial_band(GROUPS, 0.05)[1]
+def test_scan_without_stamp_does_not_affect_the_stamps_of_others() -> None:
+    results = scans([item(0, header=header(0)), item(1), item(2)])
+    assert [(stamp_ns(result), result.samples) for result in results] == [(0, 1), (START + 3 * TICK // 2, 2)]
 
 
-def test_one_in_five_may_be_dropped_and_no_more() -> None:
-    samples = np.random.default_rng(50).normal(0.0, 1.0, (20, 1, 1))
-    samples[:4] += 1e4 * np.arange(1, 5).reshape(-1, 1, 1)
-    result = conditioned(samples, significance=0.01)
-    assert result.counts.tolist() == [16]
-    assert result.means[0, 0] == pytest.approx(samples[4:].mean(), abs=1e-12)
-    samples[4] -= 5e4
-    assert conditioned(samples, significance=0.01).counts.tolist() == [16]
+def test_samples_of_averaged_scans_add_up() -> None:
+    two = {"samples": 2, "gap_voltage_spreads": np.full(3, 0.1)}
+    (result,) = scans([item(0, **two), item(1, **two)], samples=2)
+    assert result.samples == 4
+    np.testing.assert_allclose(result.gap_voltage_spreads, math.sqrt(2 * 0.1**2 / 3))
+    assert all(math.isnan(spread) for spread in result.diode_current_spreads)  # these came without: not known
 
 
-def test_two_outliers_that_mask_each_other_are_found() -> None:
-    samples = np.random.default_rng(51).normal(0.0, 1.0, (10, 1, 1))
-    samples[[2, 7]] = 1000.0
-    result = conditioned(samples, significance=0.01)
-    assert result.counts.tolist() == [8]
-    assert abs(result.means[0, 0]) < 2.0
+def test_outlier_is_dropped_and_flagged() -> None:
+    values = [0.5, 0.501, 0.9, 0.499, 0.5]
+    raw = [item(n, gap_voltages=np.array([value, 0.1, 0.2])) for n, value in enumerate(values)]
+    (result,) = scans(raw, method="trimmed")
+    assert (result.status, result.samples) == (RawScan.STATUS_OUTLIERS_DROPPED, 4)
+    assert result.gap_voltages[0] == pytest.approx(0.5)
+    (untrimmed,) = scans(raw)
+    assert (untrimmed.status, untrimmed.samples) == (0, 5)
+    assert untrimmed.gap_voltages[0] == pytest.approx(0.58)
 
 
-def test_four_contacts_are_dropped_together() -> None:
-    samples = np.random.default_rng(52).normal(1.0, 0.01, (5, 2, 4))
-    samples[1, 0, 2] = 9.0
-    result = conditioned(samples, significance=0.01)
-    assert result.counts.tolist() == [4, 5]
-    np.testing.assert_allclose(result.means[0], samples[[0, 2, 3, 4], 0].mean(axis=0), rtol=1e-14)
-    np.testing.assert_allclose(result.means[1], samples[:, 1].mean(axis=0), rtol=1e-14)
-    np.testing.assert_allclose(result.spreads[0], samples[[0, 2, 3, 4], 0].std(axis=0, ddof=1), rtol=1e-12)
+def test_contacts_of_a_diode_are_dropped_together() -> None:
+    currents = np.random.default_rng(4).normal(5e-5, 1e-8, (5, 8))
+    currents[1, 6] += 1e-5
+    (result,) = scans((item(n, diode_currents=currents[n]) for n in range(5)), method="trimmed")
+    np.testing.assert_allclose(result.diode_currents[:4], currents[:, :4].mean(axis=0), rtol=1e-14)
+    np.testing.assert_allclose(result.diode_currents[4:], currents[[0, 2, 3, 4], 4:].mean(axis=0), rtol=1e-14)
 
 
-@pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf")])
-def test_sample_that_is_not_finite_is_dropped_and_told(bad: float) -> None:
-    result = conditioned(column(1.0, bad, 3.0))
-    assert (result.means.item(), result.counts.item(), result.dropped) == (2.0, 2, True)
-    assert result.spreads.item() == pytest.approx(np.sqrt(2.0))
+def test_reading_that_is_not_finite_is_flagged_or_gives_nan() -> None:
+    once = [item(n, gap_voltages=np.array([0.1, math.nan if n == 1 else 0.2, math.nan])) for n in range(5)]
+    (result,) = scans(once)
+    assert (result.status, result.samples) == (RawScan.STATUS_OUTLIERS_DROPPED, 4)
+    assert list(result.gap_voltages[:2]) == pytest.approx([0.1, 0.2])
+    assert math.isnan(result.gap_voltages[2])
+    (dead,) = scans(item(n, gap_voltages=np.array([0.1, math.nan, 0.3])) for n in range(5))
+    assert (dead.status, dead.samples) == (0, 5)
+    assert math.isnan(dead.gap_voltages[1])
 
 
-def test_unit_without_a_finite_sample_is_nan_and_does_not_touch_the_others() -> None:
-    samples = np.array([[[np.nan], [1.0]], [[np.inf], [3.0]]])
-    result = conditioned(samples)
-    assert np.isnan(result.means[0, 0])
-    assert np.isnan(result.spreads[0, 0])
-    assert (result.means[1, 0], result.counts.tolist(), result.dropped) == (2.0, [2, 2], False)
+def test_supply_and_temperature_are_means_of_measured_values() -> None:
+    raw = [item(n, supply_voltage=5.0 + n, temperature=math.nan if n else 290.0) for n in range(5)]
+    (result,) = scans(raw)
+    assert (result.supply_voltage, result.temperature, result.status, result.samples) == (7.0, 290.0, 0, 5)
+    (unmeasured,) = scans(item(n) for n in range(5))
+    assert math.isnan(unmeasured.supply_voltage)
+    (glitch,) = scans((item(n, supply_voltage=9.0 if n == 2 else 5.0 + n / 1000) for n in range(5)), method="trimmed")
+    assert glitch.supply_voltage == pytest.approx(5.00200)
+    assert glitch.status == RawScan.STATUS_OUTLIERS_DROPPED
 
 
-def test_equal_samples_have_no_outlier_and_no_spread() -> None:
-    result = conditioned(column(0.1, 0.1, 0.1, 0.1, 0.1), significance=0.2)
-    assert result.means.item() == pytest.approx(0.1)
-    assert (result.spreads.item(), result.dropped) == (0.0, False)
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("DLDLDLDLDLD", [(5, 5)]),
+        ("DLDLDLDLDLDLDLDLDLDLD", [(5, 5), (15, 5)]),
+        ("LLDDLLL", [(4, 5)]),
+        ("DDLLLLLDLD", [(4, 5), (8, 1)]),
+        ("D" * 250 + "LLLLL", [(252, 5)]),
+    ],
+)
+def test_background_is_subtracted(text: str, expected: list[tuple[int, int]]) -> None:
+    results = scans(pattern(text), subtract_dark=True)
+    assert [(result.scan, result.samples) for result in results] == expected
+    for result in results:
+        np.testing.assert_allclose(result.diode_currents, NET_A, rtol=1e-12)
+        assert result.status == RawScan.STATUS_DARK_SUBTRACTED
+        assert list(result.lit_sources) == [0, 1]
 
 
-def test_single_sample_has_no_spread() -> None:
-    result = conditioned(column(0.25), significance=0.01)
-    assert result.means.item() == 0.25
-    assert np.isnan(result.spreads.item())
+def test_steady_drift_of_the_background_cancels_between_dark_neighbours() -> None:
+    for result in scans(pattern("DLDLDLDLDLD" + "LDLDLDLDLD", drift=0.1), subtract_dark=True):
+        np.testing.assert_allclose(result.diode_currents, NET_A, rtol=1e-12)
 
 
-def test_means_of_means_are_the_mean_of_all_readings() -> None:
-    readings = np.random.default_rng(60).normal(3.0, 0.5, 12)
-    parts = np.split(readings, [3, 4])
-    result = average(
-        column(*(part.mean() for part in parts)),
-        np.array([len(part) for part in parts]),
-        column(*(part.std(ddof=1) if len(part) > 1 else np.nan for part in parts)),
+def test_only_the_nearest_dark_scans_are_background() -> None:
+    far = (item(n, diode_currents=np.ones(8), lit_sources=DARK) for n in range(50))
+    near = (item(50 + result, diode_currents=BACKGROUND_A, lit_sources=DARK) for result in range(MAX_DARK_SCANS))
+    lit = item(50 + MAX_DARK_SCANS, diode_currents=NET_A + BACKGROUND_A)
+    (result,) = scans([*far, *near, lit], subtract_dark=True)
+    np.testing.assert_allclose(result.diode_currents, NET_A, rtol=1e-12)
+
+
+def test_dark_scans_before_a_break_are_not_background() -> None:
+    for dark in (
+        item(0, header=header(START, "another_frame"), lit_sources=DARK),
+        item(5, lit_sources=DARK),
+    ):
+        (result,) = scans([dark, item(1, diode_currents=NET_A)], subtract_dark=True)
+        assert result.status == 0
+        np.testing.assert_allclose(result.diode_currents, NET_A, rtol=1e-14)
+
+
+def test_background_of_single_scans_is_subtracted() -> None:
+    results = scans(pattern("DLDLDL", drift=0.1), method="none", samples=1, subtract_dark=True)
+    assert [(result.scan, result.samples) for result in results] == [(1, 1), (3, 1), (5, 1)]
+    for result in results[:2]:
+        np.testing.assert_allclose(result.diode_currents, NET_A, rtol=1e-12)
+
+
+def test_noise_of_the_background_adds_to_that_of_the_mean() -> None:
+    groups, sigma, random = 600, 1e-7, np.random.default_rng(5)
+    raw = (
+        ScheduledPublication(result.topic, noisy(result.content, random, sigma), result.after_s)
+        for result in pattern(groups * "DLDLDDDDDD")
     )
-    assert result.means.item() == pytest.approx(readings.mean(), rel=1e-14)
-    assert result.spreads.item() == pytest.approx(readings.std(ddof=1), rel=1e-13)
-    assert result.counts.item() == 12
+    results = scans(raw, samples=2, subtract_dark=True)
+    assert len(results) == groups
+    # Neighbours share the dark scans between them, so that only every second one is independent. Each has 2 lit scans,
+    # and 7 dark ones before, 1 between and 7 after them; the last has fewer.
+    independent = np.array([result.diode_currents - NET_A for result in results[1:-1:2]])
+    variance = sigma**2 * (1 / 2 + 1 / 15)
+    statistic = (independent**2).sum() / variance
+    assert chi2.ppf(5e-7, independent.size) < statistic < chi2.isf(5e-7, independent.size)
 
 
-def test_stack_without_such_a_sensor_stays_without() -> None:
-    result = conditioned(np.empty((5, 0, 1)), significance=0.01)
-    assert (result.means.size, result.counts.size, result.dropped) == (0, 0, False)
+def noisy(data: bytes, random: np.random.Generator, sigma: float) -> RawScan:
+    content = deserialize_message(data, RawScan)
+    content.diode_currents = (np.array(content.diode_currents) + random.normal(0.0, sigma, 8)).tolist()
+    return content
+
+
+def test_scans_without_dark_neighbours_are_unchanged_and_unflagged() -> None:
+    first, second = scans(pattern("LLLLLLLLLLD"), subtract_dark=True)
+    assert (first.status, second.status) == (0, RawScan.STATUS_DARK_SUBTRACTED)
+    np.testing.assert_allclose(first.diode_currents, NET_A + BACKGROUND_A, rtol=1e-12)
+    np.testing.assert_allclose(second.diode_currents, NET_A, rtol=1e-12)
+
+
+def test_background_is_not_subtracted_twice() -> None:
+    net = item(1, diode_currents=NET_A, status=RawScan.STATUS_DARK_SUBTRACTED)
+    (result,) = scans([item(0, lit_sources=DARK), net], method="none", samples=1, subtract_dark=True)
+    np.testing.assert_allclose(result.diode_currents, NET_A, rtol=1e-14)
+
+
+def test_invalid_dark_readings_are_dropped_or_give_nan() -> None:
+    nan = item(2, diode_currents=np.full(8, math.nan), lit_sources=DARK)
+    raw = list(pattern("DLDLD"))
+    (result,) = scans([*raw[:2], nan, *raw[3:]], samples=2, subtract_dark=True)
+    np.testing.assert_allclose(result.diode_currents, NET_A, rtol=1e-12)
+    assert result.status == RawScan.STATUS_DARK_SUBTRACTED | RawScan.STATUS_OUTLIERS_DROPPED
+    (hidden,) = scans([raw[1], nan], samples=2, subtract_dark=True)
+    assert np.isnan(hidden.diode_currents).all()
+
+
+def test_home_mark_of_a_dark_scan_counts_once_and_its_other_flags_in_both_groups() -> None:
+    status = RawScan.STATUS_HOME_BUMP | RawScan.STATUS_SATURATED
+    raw = [
+        item(0),
+        item(1),
+        item(2, lit_sources=DARK, status=status),
+        item(3),
+        item(4),
+    ]
+    first, second = scans(raw, samples=2, subtract_dark=True)
+    assert first.status == status | RawScan.STATUS_DARK_SUBTRACTED
+    assert second.status == RawScan.STATUS_SATURATED | RawScan.STATUS_DARK_SUBTRACTED
+
+
+def test_light_that_stays_off_does_not_delay_earlier_scans() -> None:
+    results = condition(pattern("LLL" + 3 * MAX_DARK_SCANS * "D" + "LLLLL"), subtract_dark=True)
+    assert [(result.content.scan, result.content.samples) for result in results] == [
+        (1, 3),
+        (3 * MAX_DARK_SCANS + 5, 5),
+    ]
+    assert results[0].after_s == pytest.approx((2 + MAX_DARK_SCANS) / 1000)
+
+
+def test_dark_scans_are_averaged_without_background_subtraction() -> None:
+    assert numbers(pattern("LLDDD")) == [(0, 2), (3, 3)]
+
+
+def test_record_without_lit_scans_is_refused() -> None:
+    with pytest.raises(ParameterError) as caught:
+        condition(pattern("DDD"), subtract_dark=True)
+    assert str(caught.value) == (
+        "parameter 'conditioning.subtract_dark': no light source was lit in any of the 3 scans; "
+        "expected false, or lit scans among the dark ones."
+    )
+
+
+def test_other_topics_and_idle_conditioning_change_nothing() -> None:
+    raw = [item(0), ScheduledPublication("/truth", b"x", 0.0), item(1)]
+    assert condition(raw, method="none", samples=1) == raw
+    result = condition(raw, samples=2)
+    assert [result.topic for result in result] == ["/truth", "raw"]
+    assert result[0] is raw[1]
+
+
+def test_incomplete_group_is_published_before_the_failure_of_the_source() -> None:
+    def failing() -> Iterator[ScheduledPublication]:
+        yield from (item(0), item(1))
+        raise BagError("breaks off")
+
+    stream = condition_scans(failing(), ConditioningParameters(method="mean", samples=5))
+    assert next(stream).content.samples == 2
+    with pytest.raises(BagError, match="breaks off"):
+        next(stream)
+
+
+@pytest.mark.parametrize(
+    ("raw", "sentence"),
+    [
+        ([item(4, samples=0)], "scan 4: is the mean of 0 samples; expected at least 1."),
+        (
+            [item(4, samples=40_000), item(5, samples=40_000)],
+            "scans 4 to 5: are the mean of 80000 samples; expected at most 65535.",
+        ),
+        (
+            [ScheduledPublication("raw", item(4).content[:40], 0.0)],
+            "topic raw: the 40 bytes of a scan cannot be decoded.",
+        ),
+    ],
+)
+def test_invalid_scans_are_refused(raw: list[ScheduledPublication], sentence: str) -> None:
+    with pytest.raises(PosorError) as caught:
+        condition(raw, samples=2)
+    assert str(caught.value) == sentence

@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 from geometry_msgs.msg import PointStamped
 from lifecycle_msgs.msg import Transition
+from posor_drivers.conditioning import stamp_ns
 from posor_drivers.driver_node import DriverNode
 from posor_estimator.testing.graph import BEST_EFFORT, Graph, values_of
-from posor_estimator.testing.program import Program, installed, ros_arguments
-from posor_estimator.testing.refusal import refusal as refused
+from posor_estimator.testing.in_process_nodes import run_refused_node as refused
 from posor_msgs.msg import RawScan
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from .bags import SECOND, Record, point, scan, write_bag
-from .tables import write_table
+from .driver_program import LOSSLESS, driver_program, ros_names
+from .sample_bags import SECOND, Record, point, scan, write_bag
+from .sample_tables import write_table
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
     from pathlib import Path
+
+    from posor_estimator.testing.program import Program
 
     Refusal = Callable[..., tuple[int, list[str]]]
 
@@ -35,25 +39,16 @@ RECORDS = [
 RAW = [record.data for record in RECORDS if record.topic == "/joint1/raw"]
 TRUTH = [record.data for record in RECORDS if record.topic != "/joint1/raw"]
 STATUS = "/joint1/driver_node: source"
-LOSSLESS = {"qos_reliability": "reliable", "qos_depth": 0}
 
 
-def named(parameters: Mapping[str, object]) -> dict[str, object]:
-    return {name.replace("__", "."): value for name, value in parameters.items()}
-
-
-def driver(**parameters: object) -> Program:
-    return Program([*installed("posor_drivers", "driver_node"), *ros_arguments(named(parameters), "/joint1")])
-
-
-def replay(bag: Path, **parameters: object) -> Program:
-    return driver(source="bag", bag__path=str(bag), **LOSSLESS, **parameters)
+def replay(bag: Path, **parameters: Any) -> Program:
+    return driver_program(source="bag", bag__path=str(bag), **LOSSLESS, **parameters)
 
 
 @pytest.fixture
 def refusal(capfd: pytest.CaptureFixture[str]) -> Refusal:
     """Return what runs a driver in this process until it ends by itself."""
-    return lambda **parameters: refused(DriverNode, named(parameters), capfd, "/joint1")
+    return lambda **parameters: refused(DriverNode, ros_names(parameters), capfd, "/joint1")
 
 
 @pytest.mark.parametrize("sqlite", [False, True])
@@ -76,7 +71,9 @@ def test_table_is_published_as_scans_and_truth(tmp_path: Path) -> None:
     with Graph() as graph:
         scans = graph.collect(RawScan, "/joint1/raw")
         truths = graph.collect(PointStamped, "/truth/machining_centre")
-        with driver(source="table", table__path=str(table), wait_for_other_subscribers=1, rate=0.0, **LOSSLESS) as node:
+        with driver_program(
+            source="table", table__path=str(table), wait_for_other_subscribers=1, rate=0.0, **LOSSLESS
+        ) as node:
             graph.wait_until(lambda: len(scans) == len(truths) == 4, "all steps")
             assert node.wait() == 0
         assert [content.scan for content in scans] == [1, 2, 3, 5]
@@ -85,7 +82,7 @@ def test_table_is_published_as_scans_and_truth(tmp_path: Path) -> None:
         assert math.isnan(truths[1].point.x)
 
 
-def test_fast_replay_to_a_slow_listener_loses_nothing(tmp_path: Path) -> None:
+def test_fast_replay_to_a_slow_subscriber_loses_nothing(tmp_path: Path) -> None:
     records = [scan(number, START + number) for number in range(12_000)]
     bag = write_bag(tmp_path / "bag", records)
     with Graph() as graph:
@@ -96,9 +93,9 @@ def test_fast_replay_to_a_slow_listener_loses_nothing(tmp_path: Path) -> None:
         assert raw == [record.data for record in records]
 
 
-def test_sensor_quality_of_service_is_best_effort_and_default_listeners_hear_the_driver(tmp_path: Path) -> None:
+def test_sensor_quality_of_service_is_best_effort_by_default(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag", RECORDS)
-    with Graph() as graph, driver(source="bag", bag__path=str(bag), loop=True) as program:
+    with Graph() as graph, driver_program(source="bag", bag__path=str(bag), loop=True) as program:
         scans = graph.collect(RawScan, "/joint1/raw", BEST_EFFORT)
         graph.wait_until(lambda: len(scans) >= 3, "scans")
         assert reliability_of_the_driver(graph) == ReliabilityPolicy.BEST_EFFORT
@@ -111,7 +108,7 @@ def reliability_of_the_driver(graph: Graph) -> ReliabilityPolicy:
     return found
 
 
-def test_replay_waits_for_as_many_subscriptions_as_told(tmp_path: Path) -> None:
+def test_replay_waits_for_the_given_number_of_subscriptions(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag", RECORDS)
     with Graph() as graph, replay(bag, wait_for_subscribers=2) as program:
         graph.watch_diagnostics()
@@ -124,7 +121,7 @@ def test_replay_waits_for_as_many_subscriptions_as_told(tmp_path: Path) -> None:
         assert program.wait() == 0
 
 
-def test_driver_may_stay_after_the_end_and_reports_it(tmp_path: Path) -> None:
+def test_driver_can_stay_after_the_end(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag", RECORDS)
     with Graph() as graph, replay(bag, on_end="stay", hardware_id="rig", rate=0.0) as program:
         graph.watch_diagnostics()
@@ -154,7 +151,7 @@ def test_each_activation_replays_from_the_beginning(tmp_path: Path) -> None:
         assert program.end() == 0
 
 
-def test_restamped_scans_are_of_the_present(tmp_path: Path) -> None:
+def test_restamped_scans_have_present_stamps(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag", RECORDS)
     with Graph() as graph:
         scans = graph.collect(RawScan, "/joint1/raw")
@@ -163,12 +160,12 @@ def test_restamped_scans_are_of_the_present(tmp_path: Path) -> None:
             graph.wait_until(lambda: len(scans) == len(RAW), "all scans")
             after = graph.node.get_clock().now().nanoseconds
             assert program.wait() == 0
-        stamps = [content.header.stamp.sec * SECOND + content.header.stamp.nanosec for content in scans]
+        stamps = [stamp_ns(content) for content in scans]
         assert before < stamps[0] < after
         assert [stamp - stamps[0] for stamp in stamps] == [number * SECOND // 100 for number in range(len(RAW))]
 
 
-def test_endless_loop_is_one_long_record_also_for_a_late_listener(tmp_path: Path) -> None:
+def test_endless_loop_is_one_long_record_for_late_subscribers_too(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag", RECORDS)
     with Graph() as graph, replay(bag, loop=True) as program:
         scans = graph.collect(RawScan, "/joint1/raw")
@@ -177,33 +174,22 @@ def test_endless_loop_is_one_long_record_also_for_a_late_listener(tmp_path: Path
         late = graph.collect(RawScan, "/joint1/raw", QoSProfile(depth=100))
         graph.wait_until(lambda: len(scans) >= 3 * len(RAW) and len(late) > 3, "three rounds, late scans")
         assert [content.scan for content in scans] == list(range(len(scans)))
-        stamps = [content.header.stamp.sec * SECOND + content.header.stamp.nanosec for content in scans]
+        stamps = [stamp_ns(content) for content in scans]
         assert stamps == [START + number * SECOND // 100 for number in range(len(scans))]
         numbers = [content.scan for content in late]
         assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
         assert program.end() == 0
 
 
-def test_wrong_parameters_are_refused_with_one_sentence(tmp_path: Path, refusal: Refusal) -> None:
+def test_invalid_parameters_end_the_program_with_one_sentence(tmp_path: Path, refusal: Refusal) -> None:
     node = "node /joint1/driver_node, parameter"
-    with driver() as program:
+    with driver_program() as program:
         assert program.wait() == 2
         (sentence,) = program.stderr
         assert sentence.startswith(f"{node} 'source': is not set; expected a string: where the scans come from")
-    code, (sentence,) = refusal(source="tabel")
-    assert code == 2
-    assert sentence.startswith("parameter 'source': source 'tabel' is unknown; expected one of 'bag', ")
-    assert refusal(source="table", table__pth="x") == (
-        2,
-        [f"{node} 'table.pth': there is no such parameter; expected perhaps 'table.path'."],
-    )
     code, (sentence,) = refusal(source="table", table__path=str(tmp_path), bag__topic="/x")
     assert code == 2
     assert sentence.startswith(f"{node} 'bag.topic': there is no such parameter; expected perhaps 'table.")
-    assert refusal(source="bag", bag__path="x", rate=-1.0) == (
-        2,
-        [f"{node} 'rate': -1.0 is wrong; expected a number at least 0.0 and at most 10000.0."],
-    )
 
 
 def test_unreadable_inputs_end_the_program_with_one_sentence(tmp_path: Path, refusal: Refusal) -> None:
@@ -216,7 +202,7 @@ def test_unreadable_inputs_end_the_program_with_one_sentence(tmp_path: Path, ref
     table = write_table(tmp_path / "table.csv", "1,0,0,0,x,0,0,0,0,0,0,")
     assert refusal(source="table", table__path=str(table)) == (
         1,
-        [f"{table}, line 4, column 'l1_v': 'x' is wrong; expected a finite number."],
+        [f"{table}, line 4, column 'l1_v': 'x' is invalid; expected a finite number."],
     )
 
 
@@ -229,7 +215,7 @@ def test_offsets_beyond_the_record_end_the_program_with_one_sentence(tmp_path: P
         ]
 
 
-def test_record_that_breaks_off_in_the_middle_ends_the_program_after_what_there_is(tmp_path: Path) -> None:
+def test_incomplete_record_is_published_before_the_program_ends(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag", RECORDS)
     metadata = bag / "metadata.yaml"
     metadata.write_text(metadata.read_text().replace("message_count: 20", "message_count: 21"))
@@ -242,3 +228,81 @@ def test_record_that_breaks_off_in_the_middle_ends_the_program_after_what_there_
             assert program.stderr == [sentence]
         graph.wait_until(lambda: len(raw) == len(RAW), "the scans before")
         assert graph.wait_for_status(STATUS, sentence).level == b"\x02"
+
+
+TICK = SECOND // 1000
+GROUPS = 40
+SAMPLES = 5
+NOISE_V, NOISE_A = 1e-3, 1e-8
+OUTLIER_GROUP, OUTLIER_SAMPLE = 7, 3
+
+
+def conditioned_scans(bag: Path, count: int, **conditioning: Any) -> list[RawScan]:
+    parameters = {f"conditioning__{name}": value for name, value in conditioning.items()}
+    with Graph() as graph:
+        scans = graph.collect(RawScan, "/joint1/raw")
+        with replay(bag, rate=0.0, **parameters) as program:
+            graph.wait_until(lambda: len(scans) == count, f"{count} scans")
+            assert program.wait() == 0
+            assert program.stderr == []
+        return scans
+
+
+def noisy_readings(count: int) -> tuple[Any, Any]:
+    """Return voltages (count, 3) and currents (count, 8) with one outlier among the voltages."""
+    random = np.random.default_rng(1985)
+    volts = random.normal([0.25, 0.5, 0.75], NOISE_V, (count, 3))
+    volts[OUTLIER_GROUP * SAMPLES + OUTLIER_SAMPLE, 1] += 0.4
+    return volts, random.normal(5e-5, NOISE_A, (count, 8))
+
+
+@pytest.mark.parametrize("method", ["mean", "trimmed"])
+def test_noisy_samples_of_a_bag_are_averaged(tmp_path: Path, method: str) -> None:
+    count = GROUPS * SAMPLES + 2
+    volts, currents = noisy_readings(count)
+    records = [
+        scan(n, START + n * TICK, gap_voltages=volts[n], diode_currents=currents[n], status=RawScan.STATUS_SIMULATED)
+        for n in range(count)
+    ]
+    bag = write_bag(tmp_path / "bag", records)
+    results = conditioned_scans(bag, GROUPS + 1, method=method, samples=SAMPLES)
+    assert [result.scan for result in results] == [*range(2, 5 * GROUPS, 5), 5 * GROUPS]
+    assert [stamp_ns(result) - START for result in results] == [
+        *(n * TICK for n in range(2, 5 * GROUPS, 5)),
+        5 * GROUPS * TICK + TICK // 2,
+    ]
+    flagged = []
+    for group, result in enumerate(results):
+        part = slice(group * SAMPLES, group * SAMPLES + SAMPLES)
+        dropped = bool(result.status & RawScan.STATUS_OUTLIERS_DROPPED)
+        flagged += [group] if dropped else []
+        assert result.status & ~RawScan.STATUS_OUTLIERS_DROPPED == RawScan.STATUS_SIMULATED
+        assert result.samples == len(volts[part]) - dropped
+        if not dropped:
+            np.testing.assert_allclose(result.gap_voltages, volts[part].mean(axis=0), rtol=1e-13)
+            np.testing.assert_allclose(result.gap_voltage_spreads, volts[part].std(axis=0, ddof=1), rtol=1e-9)
+            np.testing.assert_allclose(result.diode_currents, currents[part].mean(axis=0), rtol=1e-13)
+            np.testing.assert_allclose(result.diode_current_spreads, currents[part].std(axis=0, ddof=1), rtol=1e-9)
+    assert (OUTLIER_GROUP in flagged) == (method == "trimmed")
+    if method == "mean":
+        assert flagged == []
+        return
+    kept = [OUTLIER_GROUP * SAMPLES + n for n in range(SAMPLES) if n != OUTLIER_SAMPLE]
+    assert results[OUTLIER_GROUP].gap_voltages[1] == pytest.approx(volts[kept, 1].mean(), rel=1e-13)
+    assert results[OUTLIER_GROUP].gap_voltage_spreads[1] == pytest.approx(volts[kept, 1].std(ddof=1), rel=1e-9)
+
+
+def test_dark_samples_of_a_bag_are_subtracted(tmp_path: Path) -> None:
+    net, background = np.linspace(1e-5, 8e-5, 8), np.linspace(3e-6, 1e-6, 8)
+    records: list[Record] = []
+    for n in range(21):
+        lit = n % 2 == 1
+        sources = np.array([0, 1] if lit else [255, 255], dtype=np.uint8)
+        currents = background * (1.0 + 0.05 * n) + (net if lit else 0.0)
+        records.append(scan(n, START + n * TICK, gap_voltages=np.ones(3), diode_currents=currents, lit_sources=sources))
+    bag = write_bag(tmp_path / "bag", records)
+    results = conditioned_scans(bag, 2, method="mean", samples=SAMPLES, subtract_dark=True)
+    assert [(result.scan, result.samples) for result in results] == [(5, 5), (15, 5)]
+    for result in results:
+        assert result.status == RawScan.STATUS_DARK_SUBTRACTED
+        np.testing.assert_allclose(result.diode_currents, net, rtol=1e-12)

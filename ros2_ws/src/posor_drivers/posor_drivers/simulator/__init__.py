@@ -1,1 +1,1 @@
-"""A simulated arm, truth and readings: no ROS in here, so that bags and accuracy runs are made of it as nodes are."""
+"""Simulation of an arm with POSORs: true poses and raw scans. This package imports no ROS."""

@@ -1,4 +1,4 @@
-"""The scenario file: how a simulated arm moves, what is imperfect in its mechanics and in its electronics.
+"""The scenario file: motion of a simulated arm, and the imperfections of its mechanics and electronics.
 
 Versions of the format:
 
@@ -10,46 +10,47 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
-from posor_estimator.core.beams_file import TubeFile
-from posor_estimator.core.calibration.entry import EntryError
-from posor_estimator.core.calibration.load import load_document
-from posor_estimator.core.calibration.model import Provenance
-from posor_estimator.core.calibration.part import FrozenModel
-from posor_estimator.core.calibration.quantity import ANY, Quantity, measured
+import numpy as np
+from posor_estimator.calibration.calibration_file import Provenance
+from posor_estimator.calibration.file_model import EntryError, FrozenModel
+from posor_estimator.calibration.quantity import ANY, Quantity, measured
+from posor_estimator.calibration.yaml_document import load_document
+from posor_estimator.chain.beams_file import TubeFile
 from pydantic import Field, model_validator
 
-from posor_drivers.simulator.electronics_file import ElectronicsFile
-from posor_drivers.simulator.limits import NOT_NEGATIVE, POSITIVE
-from posor_drivers.simulator.phases import Phase, Rest, Seconds, Spline
+from posor_drivers.simulator.electronics_settings import ElectronicsSettings
+from posor_drivers.simulator.motion_phases import Phase, Rest, Spline
+from posor_drivers.simulator.scenario_limits import NOT_NEGATIVE, POSITIVE, Seconds
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from posor_drivers.simulator.electronics_file import Contamination
+    from posor_estimator.numerics.array_types import FloatArray
+
+    from posor_drivers.simulator.nominal_arm import NominalArm
 
 VERSION = 1
-FASTEST_HZ = 10_000
-_SAME = 1e-9
-"""Times [s] and angles [rad] that differ by less are the same: sums of decimal numbers."""
+MAX_RATE_HZ = 10_000
+_TOLERANCE = 1e-9
+"""Times [s] and angles [rad] that differ by less are equal; sums of decimal numbers are not exact."""
 
 
 class Gear(FrozenModel):
-    """``backlash``: how far the motor turns between pushing one way and the other [rad]."""
+    """``backlash``: motor angle between pushing one way and the other [rad]."""
 
     backlash: Annotated[Quantity, measured("rad"), NOT_NEGATIVE]
 
 
 class Encoder(FrozenModel):
-    """``resolution``: the step of the encoder on the motor, seen at the joint [rad]."""
+    """``resolution``: step of the motor's encoder, as an angle of the joint [rad]."""
 
     resolution: Annotated[Quantity, measured("rad"), POSITIVE]
 
 
 class Bearing(FrozenModel):
-    """Error motions of the axis: harmonics of the joint's angle, their phases drawn from the seed.
+    """Error motions of the axis: harmonics of the joint angle with phases drawn from the seed.
 
-    One amplitude for each of ``orders`` (whole numbers of periods in a turn): ``radial`` and ``tilt`` go around,
-    ``axial`` goes to and fro.
+    One amplitude for each of ``orders`` (periods in a turn): ``radial`` and ``tilt`` rotate, ``axial`` oscillates.
     """
 
     orders: Annotated[tuple[Annotated[int, Field(strict=True, ge=1)], ...], Field(min_length=1)]
@@ -67,16 +68,16 @@ class Bearing(FrozenModel):
 
 
 class Structure(TubeFile):
-    """The structural link after a joint: a tube to the next joint, clamped to this one, and a mass at its end."""
+    """Structural link after a joint: a tube clamped to this joint, with a mass at its end."""
 
     shear_modulus: Annotated[Quantity, measured("Pa"), POSITIVE]
     end_mass: Annotated[Quantity, measured("kg"), NOT_NEGATIVE]
 
 
 class JointScenario(FrozenModel):
-    """One joint and the structural link after it; what is left out is perfect (a link: rigid and without mass).
+    """One joint and the structural link after it. A missing part is perfect; a missing link is rigid and massless.
 
-    ``start`` is the angle at which the motion begins and ends.
+    ``start`` is the angle at which the motion starts and ends.
     """
 
     start: Annotated[Quantity, measured("rad")] = Quantity(value=0.0, unit="rad")
@@ -87,16 +88,16 @@ class JointScenario(FrozenModel):
 
 
 class Payload(FrozenModel):
-    """What the endpoint carries."""
+    """Load at the endpoint."""
 
     mass: Annotated[Quantity, measured("kg"), NOT_NEGATIVE]
 
 
-class StageFile(FrozenModel):
+class StageSettings(FrozenModel):
     """A micromanipulator stage at the end of the arm, along X, Y and Z of the endpoint.
 
-    ``stroke`` is to either side of the middle, ``speed`` the fastest, ``resolution`` the step at which it stands.
-    ``command_age``: a command whose stamp is further from the present is refused.
+    ``stroke`` is the travel to either side, ``speed`` the greatest speed, ``resolution`` the step of the position. A
+    command whose stamp differs from the present by more than ``command_age`` is refused.
     """
 
     stroke: Annotated[Quantity, measured("m"), POSITIVE]
@@ -106,10 +107,10 @@ class StageFile(FrozenModel):
 
 
 class Scenario(FrozenModel):
-    """A scenario as written. It repeats after ``duration``, for ever.
+    """Contents of a scenario file; the scenario repeats after ``duration``.
 
-    The joints are those of the arm; the first phase of ``motion`` begins where every joint has its ``start`` angle, and
-    the last one ends there.
+    ``joints`` are those of the arm. The first phase of ``motion`` starts, and the last one ends, where every joint has
+    its ``start`` angle.
     """
 
     format: Literal["posor_scenario"]
@@ -122,52 +123,49 @@ class Scenario(FrozenModel):
     joints: Annotated[dict[str, JointScenario], Field(min_length=1)]
     payload: Payload = Payload(mass=Quantity(value=0.0, unit="kg"))
     motion: Annotated[tuple[Phase, ...], Field(min_length=1)]
-    stage: StageFile | None = None
-    electronics: ElectronicsFile
+    stage: StageSettings | None = None
+    electronics: ElectronicsSettings
 
     @model_validator(mode="after")
-    def _in_time(self) -> Self:
-        rate = self.rate.number
-        if not (rate.is_integer() and 1 <= rate <= FASTEST_HZ):
-            expected = f"a whole number from 1 to {FASTEST_HZ}"
+    def _check_times(self) -> Self:
+        rate, duration = self.rate.number, self.duration.number
+        if not (rate.is_integer() and 1 <= rate <= MAX_RATE_HZ):
+            expected = f"a whole number from 1 to {MAX_RATE_HZ}"
             raise EntryError(f"rate {rate:g} Hz", key=("rate", "value"), expected=expected)
-        ticks = self.duration.number * rate
-        if abs(ticks - round(ticks)) > _SAME * rate or round(ticks) < 1:
+        ticks = duration * rate
+        if abs(ticks - round(ticks)) > _TOLERANCE * rate or round(ticks) < 1:
             expected = f"a whole number of ticks of {1.0 / rate:g} s"
-            raise EntryError(f"duration {self.duration.number:g} s", key=("duration", "value"), expected=expected)
+            raise EntryError(f"duration {duration:g} s", key=("duration", "value"), expected=expected)
         total = math.fsum(phase.duration.number for phase in self.motion)
-        if abs(total - self.duration.number) > _SAME:
-            expected = f"{self.duration.number:g} s, the duration of the scenario"
+        if abs(total - duration) > _TOLERANCE:
+            expected = f"{duration:g} s, the duration of the scenario"
             raise EntryError(f"the phases take {total:g} s", key=("motion",), expected=expected)
         for index, dirt in enumerate(self.electronics.contamination):
-            self._check_dirt(index, dirt)
+            key = ("electronics", "contamination", index)
+            if dirt.end.number > duration + _TOLERANCE:
+                expected = f"at most {duration:g} s, the duration of the scenario"
+                raise EntryError(f"until {dirt.end.number:g} s", key=(*key, "until", "value"), expected=expected)
+            self._check_joint(dirt.joint, (*key, "joint"))
         return self
 
-    def _check_dirt(self, index: int, dirt: Contamination) -> None:
-        key = ("electronics", "contamination", index)
-        if dirt.end.number > self.duration.number + _SAME:
-            expected = f"at most {self.duration.number:g} s, the duration of the scenario"
-            raise EntryError(f"until {dirt.end.number:g} s", key=(*key, "until", "value"), expected=expected)
-        self._check_joint(dirt.joint, (*key, "joint"))
-
     @model_validator(mode="after")
-    def _returns(self) -> Self:
+    def _check_return_to_start(self) -> Self:
         angles = {name: joint.start.number for name, joint in self.joints.items()}
-        moved: dict[str, int] = {}
+        last_phase: dict[str, int] = {}
         for index, phase in enumerate(self.motion):
             if isinstance(phase, Rest):
                 continue
-            for at, joint in enumerate(phase.joints):
-                self._check_joint(joint, ("motion", index, "joints", at))
+            for position, joint in enumerate(phase.joints):
+                self._check_joint(joint, ("motion", index, "joints", position))
             if isinstance(phase, Spline):
                 angles.update(zip(phase.joints, map(float, phase.through.array[-1]), strict=True))
-                moved.update(dict.fromkeys(phase.joints, index))
+                last_phase.update(dict.fromkeys(phase.joints, index))
         for name, angle in angles.items():
             start = self.joints[name].start.number
-            if abs(angle - start) > _SAME:
-                key = ("motion", moved[name], "through")
+            if abs(angle - start) > _TOLERANCE:
                 what = f"the motion ends with joint '{name}' at {angle:g} rad"
-                raise EntryError(what, key=key, expected=f"{start:g} rad, where it begins")
+                key = ("motion", last_phase[name], "through")
+                raise EntryError(what, key=key, expected=f"{start:g} rad, its angle at the start")
         return self
 
     def _check_joint(self, name: str, key: tuple[str | int, ...]) -> None:
@@ -181,15 +179,42 @@ class Scenario(FrozenModel):
 
     @property
     def cycle_ticks(self) -> int:
-        """After how many ticks everything repeats."""
+        """Number of ticks after which the motion repeats."""
         return round(self.duration.number * self.rate.number)
+
+    def commanded_angles(self, arm: NominalArm, source: str) -> FloatArray:
+        """Return the commanded joint angles at each tick of a cycle [rad], (n, j).
+
+        Args:
+            arm: Nominal kinematics, for circles.
+            source: Name of the scenario in error messages, such as its file.
+
+        Raises:
+            CalibrationError: The arm cannot follow a circle.
+
+        """
+        times = np.arange(self.cycle_ticks) / self.ticks_per_second
+        angles = np.empty((len(times), len(arm.joints)))
+        start = np.array([self.joints[name].start.number for name in arm.joints])
+        begin = 0.0
+        for index, phase in enumerate(self.motion):
+            end = begin + phase.duration.number
+            # The tick at the boundary of two phases belongs to the later one.
+            during = (times >= begin) & (times < end) if index + 1 < len(self.motion) else times >= begin
+            where = f"{source}, key motion[{index}] ({phase.kind})"
+            angles[during] = phase.angles(times[during] - begin, start, arm, where)
+            if isinstance(phase, Spline):
+                start = start.copy()
+                start[[arm.joints.index(name) for name in phase.joints]] = phase.through.array[-1]
+            begin = end
+        return angles
 
 
 def load_scenario(path: Path) -> Scenario:
     """Read and validate a scenario file (YAML, SI).
 
     Raises:
-        CalibrationError: The file cannot be read, is not YAML, or says something that cannot be.
+        CalibrationError: The file cannot be read, is not YAML, or holds an invalid entry.
 
     """
     keys = "format, version, name, provenance, seed, rate, duration, joints, motion, electronics"

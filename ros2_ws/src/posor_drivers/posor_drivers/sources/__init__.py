@@ -1,1 +1,1 @@
-"""Where a driver's scans come from. A source registers under the entry point group ``posor_drivers.sources``."""
+"""Sources of raw scans; ``source.py`` explains how to add one."""

@@ -1,0 +1,8 @@
+"""Entry points of the console scripts of this package; each loads its program when it is called."""
+
+from __future__ import annotations
+
+from posor_estimator.lazy_program import LazyProgram
+
+driver_node = LazyProgram("driver_node", "posor_drivers.driver_node")
+record = LazyProgram("record", "posor_drivers.recorder")

@@ -1,0 +1,225 @@
+"""Publishes a recorded source at the pace of its log times, in a thread of its own."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from dataclasses import dataclass, field
+from threading import Event, Thread
+from typing import TYPE_CHECKING, Any
+
+from posor_estimator.errors import BagError, ParameterError
+from posor_estimator.numerics.stamps import NS
+from posor_estimator.ros_names import RAW_TOPIC
+from rclpy.serialization import deserialize_message
+
+from posor_drivers.scheduled_publication import SUBSCRIBER_POLL_S, RunState, ScheduledPublication
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+
+    from posor_drivers.driver_parameters import ReplayParameters
+    from posor_drivers.sources.source import RecordedSource, SourceMessage
+
+
+@dataclass
+class Extent:
+    """First value, last value and number of values of a series."""
+
+    first: int = 0
+    last: int = 0
+    count: int = 0
+
+    def add(self, value: int) -> None:
+        """Add the next value."""
+        if not self.count:
+            self.first = value
+        self.last = value
+        self.count += 1
+
+    @property
+    def span(self) -> int:
+        """Difference of the last and the first value."""
+        return self.last - self.first
+
+    @property
+    def period(self) -> int:
+        """Mean difference of neighbours [ns]; one second for a single value."""
+        return round(self.span / (self.count - 1)) if self.count > 1 else NS
+
+
+@dataclass
+class StampRewriter:
+    """Rewrites stamps and scan numbers of a replay that loops or is moved to the present.
+
+    In pass n of a loop, stamps are later by n times the record's length (one mean scan period included) and scan
+    numbers greater by n times the record's span, so subscribers see one long record. Restamping puts the first stamp at
+    ``now_ns`` and divides the differences of stamps by ``speed``. Messages without change keep their recorded bytes.
+    """
+
+    classes: Mapping[str, Any]
+    """Message class of each topic."""
+    loop: bool
+    restamp: bool
+    now_ns: int
+    speed: float
+    pass_number: int = 0
+    _stamps: Extent = field(default_factory=Extent)
+    _scans: Extent = field(default_factory=Extent)
+    _first_stamp_ns: int | None = None
+
+    def rewrite(self, message: SourceMessage) -> Any:
+        """Return what is to be published: the recorded bytes, or a message with a new stamp.
+
+        Raises:
+            BagError: The bytes are not a message of the topic's type.
+
+        """
+        if not (self.loop or self.restamp):
+            return message.data
+        content = self._deserialize(message)
+        header = getattr(content, "header", None)
+        if header is None:
+            return message.data
+        stamp_ns = header.stamp.sec * NS + header.stamp.nanosec
+        if self.pass_number == 0 and message.topic == RAW_TOPIC:
+            self._stamps.add(stamp_ns)
+            self._scans.add(content.scan)
+        if self.pass_number == 0 and not self.restamp:
+            return message.data
+        stamp_ns += self.pass_number * (self._stamps.span + self._stamps.period)
+        if self.restamp:
+            if self._first_stamp_ns is None:
+                self._first_stamp_ns = stamp_ns
+            stamp_ns = self.now_ns + round((stamp_ns - self._first_stamp_ns) / self.speed)
+        header.stamp.sec, header.stamp.nanosec = divmod(stamp_ns, NS)
+        if message.topic == RAW_TOPIC:
+            content.scan += self.pass_number * (self._scans.span + 1)
+        return content
+
+    def _deserialize(self, message: SourceMessage) -> Any:
+        try:
+            return deserialize_message(message.data, self.classes[message.topic])
+        except RuntimeError:
+            raise BagError(
+                f"the {len(message.data)} bytes recorded at {message.time_ns} ns cannot be decoded",
+                where=f"topic {message.topic}",
+            ) from None
+
+
+def schedule_replay(
+    source: RecordedSource[Any], classes: Mapping[str, Any], options: ReplayParameters, now_ns: int
+) -> Iterator[ScheduledPublication]:
+    """Yield what is to be published, in order; endless if the replay loops.
+
+    Args:
+        source: An open source.
+        classes: Message class of each of its topics.
+        options: Rate, offsets, looping and stamps.
+        now_ns: ROS time at the start of the replay [ns].
+
+    Raises:
+        ParameterError: No scan lies between the offsets.
+        PosorError: The source cannot be read.
+
+    """
+    speed = options.rate or 1.0
+    stamps = StampRewriter(classes, options.loop, options.restamp, now_ns, speed)
+    length_ns = 0
+    for pass_number in itertools.count():
+        stamps.pass_number = pass_number
+        everything, scans = Extent(), Extent()
+        for message in _read_window(source, options):
+            everything.add(message.time_ns)
+            if message.topic == RAW_TOPIC:
+                scans.add(message.time_ns)
+            after_ns = pass_number * length_ns + message.time_ns - everything.first
+            after_s = after_ns / NS / speed if options.rate else 0.0
+            yield ScheduledPublication(message.topic, stamps.rewrite(message), after_s)
+        if not scans.count:
+            raise ParameterError(
+                f"no scan lies between 'start_offset' {options.start_offset} and 'stop_offset' {options.stop_offset}",
+                expected="offsets within the record",
+            )
+        if not options.loop:
+            return
+        length_ns = everything.span + scans.period
+
+
+def _read_window(source: RecordedSource[Any], options: ReplayParameters) -> Iterator[SourceMessage]:
+    """Yield the messages between the offsets, which count from the first message."""
+    origin_ns = None
+    for message in source.read_messages():
+        origin_ns = message.time_ns if origin_ns is None else origin_ns
+        offset_s = (message.time_ns - origin_ns) / NS
+        if offset_s >= options.stop_offset:
+            return
+        if offset_s >= options.start_offset:
+            yield message
+
+
+class ReplayPublisher:
+    """Waits for subscribers, then publishes each message when it is due.
+
+    The steady clock sets the pace. A late message is published at once; none is skipped.
+    """
+
+    def __init__(
+        self,
+        publications: Callable[[], Iterator[ScheduledPublication]],
+        publish: Callable[[ScheduledPublication], None],
+        has_subscribers: Callable[[], bool],
+        on_state: Callable[[RunState, Exception | None], None],
+    ) -> None:
+        """Prepare a replay.
+
+        Args:
+            publications: Makes the schedule; called when the replay starts.
+            publish: Publishes one message.
+            has_subscribers: Whether enough subscribers are connected.
+            on_state: Called in the replay's thread with each new state, and with the error of a failure.
+
+        """
+        self._publications = publications
+        self._publish = publish
+        self._has_subscribers = has_subscribers
+        self._on_state = on_state
+        self._state = RunState.WAITING
+        self._stop = Event()
+        self._thread = Thread(target=self._run, name="replay")
+
+    @property
+    def stopping(self) -> bool:
+        """Whether ``stop`` was called."""
+        return self._stop.is_set()
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def stop(self) -> bool:
+        """Stop after the present message and join the thread; return whether the replay had not ended yet."""
+        self._stop.set()
+        self._thread.join()
+        return self._state not in (RunState.ENDED, RunState.FAILED)
+
+    def _enter(self, state: RunState, error: Exception | None = None) -> None:
+        self._state = state
+        self._on_state(state, error)
+
+    def _run(self) -> None:
+        try:
+            self._enter(RunState.WAITING)
+            while not self._has_subscribers():
+                if self._stop.wait(SUBSCRIBER_POLL_S):
+                    return
+            self._enter(RunState.RUNNING)
+            begin = time.monotonic()
+            for publication in self._publications():
+                if self._stop.wait(max(0.0, begin + publication.after_s - time.monotonic())):
+                    return
+                self._publish(publication)
+        except Exception as error:  # noqa: BLE001  the main thread ends the program with it
+            self._enter(RunState.FAILED, error)
+        else:
+            self._enter(RunState.ENDED)

@@ -1,0 +1,247 @@
+"""True poses of a simulated arm over one cycle of its scenario.
+
+J_i is the structure before bearing i, K_i behind it, B_i the line of the measuring beam that starts there:
+
+    K_i     = J_i E_i(theta) O_i Rz(theta)      E_i: error motions of the bearing, O_i: its nominal origin
+    J_(i+1) = K_i L_i after the bend of link i  L_i: the nominal link
+    B_i     = K_i rotated about its origin by the least rotation that brings the line of L_i onto J_(i+1)
+
+A measuring beam is hung on its structural link at both ends, so the link does not bend it: it follows the line from
+joint to joint and keeps its roll from K_i. The POSOR of joint i sees the target plate on beam i from the receiving
+plate at the end of beam i - 1; the first receiving plate is on the base.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+
+from posor_drivers.simulator.mechanics import (
+    LinkCompliance,
+    apply_backlash,
+    bearing_error_motions,
+    bend_links,
+    quantise_encoder,
+)
+from posor_drivers.simulator.pose_array import PoseArray
+from posor_drivers.simulator.random_stream import RandomStream
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from posor_estimator.chain.kinematic_chain import Chain, FixedLink
+    from posor_estimator.numerics.array_types import FloatArray, IntArray
+
+    from posor_drivers.simulator.nominal_arm import NominalArm
+    from posor_drivers.simulator.scenario import Scenario
+
+
+@dataclass(frozen=True)
+class ArmTruth:
+    """The truth at n ticks; joints j in order from the base.
+
+    Attributes:
+        joints: Names.
+        commanded: Commanded angles, which the motors follow exactly [rad], (n, j).
+        encoder: Readings of the motors' encoders [rad], (n, j).
+        angles: True joint angles [rad], (n, j).
+        T_parent_child: Target plate in the receiving plate of each POSOR, by joint.
+        R_parent_base: Rotation of vectors of the base into the axes of the last receiving plate, (n, 3, 3).
+        endpoint: In the base.
+        target: Commanded endpoint: nominal kinematics of the commanded angles, in the base.
+        by_encoders: Endpoint from the encoder readings and nominal kinematics, in the base.
+        stage: Position of the stage, axes of the endpoint [m], (n, 3).
+
+    """
+
+    joints: tuple[str, ...]
+    commanded: FloatArray
+    encoder: FloatArray
+    angles: FloatArray
+    T_parent_child: Mapping[str, PoseArray]
+    R_parent_base: FloatArray
+    endpoint: PoseArray
+    target: PoseArray
+    by_encoders: PoseArray
+    stage: FloatArray
+
+    def select(self, indices: IntArray) -> ArmTruth:
+        """Return the truth at some indices, (n,)."""
+        arrays = ("commanded", "encoder", "angles", "R_parent_base", "stage")
+        poses = ("endpoint", "target", "by_encoders")
+        return replace(
+            self,
+            T_parent_child={joint: seen.select(indices) for joint, seen in self.T_parent_child.items()},
+            **{name: getattr(self, name)[indices] for name in arrays},
+            **{name: getattr(self, name).select(indices) for name in poses},
+        )
+
+    def with_stage(self, positions: FloatArray) -> ArmTruth:
+        """Return the truth with the stage at positions [m], (n, 3), axes of the endpoint.
+
+        The stage displaces the last measuring beam, and with it the last target plate and the endpoint.
+        """
+        shift = self.endpoint.rotate(positions)
+        endpoint = PoseArray(self.endpoint.rotations, self.endpoint.translations + shift)
+        last = self.T_parent_child[self.joints[-1]]
+        shift_in_parent = np.einsum("nij,nj->ni", self.R_parent_base, shift)
+        moved = PoseArray(last.rotations, last.translations + shift_in_parent)
+        poses = {**self.T_parent_child, self.joints[-1]: moved}
+        return replace(self, T_parent_child=poses, endpoint=endpoint, stage=positions)
+
+
+@dataclass(frozen=True)
+class TrueBeam:
+    """One true beam from target plate to receiving plate; a link without beam in the beams file is straight and exact.
+
+    Attributes:
+        before: From the target plate to the beam's start.
+        end: From the beam's start to its end, without sag.
+        after: From the beam's end to the next receiving plate, or to the endpoint.
+        start_gain: Motion of the plate at the start per specific force, axes of the start, (6, 3), see
+            ``MeasuringBeam``.
+        end_gain: The same for the plate at the end.
+
+    """
+
+    before: pin.SE3
+    end: pin.SE3
+    after: pin.SE3
+    start_gain: FloatArray
+    end_gain: FloatArray
+
+    @classmethod
+    def draw(cls, link: FixedLink, seed: int, *, errors: bool, sag: bool) -> TrueBeam:
+        """Return the true beam of a link.
+
+        Args:
+            link: The link as the chain knows it.
+            seed: Of the scenario.
+            errors: Whether beam and sag differ from the beams file, by as much as it says is uncertain.
+            sag: Whether the beam sags.
+
+        """
+        beam, zero = link.beam, np.zeros((6, 3))
+        if beam is None:
+            return cls(link.before, pin.SE3.Identity(), link.after, zero, zero)
+        random = RandomStream(seed, "beam", beam.name).generator()
+        error = np.sqrt(np.diagonal(beam.covariance)) * random.normal(size=6)
+        scale = 1.0 + beam.sag_sigma * float(random.normal())
+        end = beam.T_start_end
+        if errors:
+            end = pin.SE3(pin.exp3(error[3:]) @ end.rotation, end.translation + error[:3])
+        factor = (scale if errors else 1.0) if sag else 0.0
+        return cls(link.before, end, link.after, factor * beam.start_gain, factor * beam.end_gain)
+
+    def plates(self, lines: PoseArray, specific_force: FloatArray) -> tuple[PoseArray, PoseArray]:
+        """Return the target plate at the start and the receiving plate at the end.
+
+        Args:
+            lines: Line of the beam through its gimbals, (n): the target plate without sag.
+            specific_force: Gravity minus acceleration [m/s^2], (3,) or (n, 3), in the parent frame of ``lines``.
+
+        """
+        start = lines @ self.before
+        force = start.rotate_back(specific_force)
+        sag_at_start = PoseArray.from_rotation_vectors(*np.hsplit(force @ self.start_gain.T, 2))
+        end = PoseArray.repeat(self.end, len(start)).displace(*np.hsplit(force @ self.end_gain.T, 2))
+        return start @ sag_at_start @ self.before.inverse(), start @ end @ self.after
+
+
+def true_cycle(
+    scenario: Scenario,
+    chain: Chain,
+    arm: NominalArm,
+    commanded: FloatArray,
+    *,
+    beam_errors: bool,
+    sag: bool,
+    inertia: bool = False,
+) -> ArmTruth:
+    """Return the truth over one cycle, with the stage in its middle.
+
+    Args:
+        scenario: The imperfections.
+        chain: The arm as its files describe it.
+        arm: Its nominal kinematics.
+        commanded: Angles [rad], (n, j).
+        beam_errors: Whether the measuring beams differ from their file.
+        sag: Whether they sag.
+        inertia: Whether acceleration changes the sag.
+
+    """
+    settings = [scenario.joints[name] for name in arm.joints]
+    encoder, angles = commanded.copy(), commanded.copy()
+    for column, joint in enumerate(settings):
+        if joint.encoder is not None:
+            encoder[:, column] = quantise_encoder(commanded[:, column], joint.encoder.resolution.number)
+        if joint.gear is not None:
+            angles[:, column] = apply_backlash(commanded[:, column], joint.gear.backlash.number)
+    spans = [link.translation for link in arm.links[1:]]
+    compliances = [
+        LinkCompliance.from_structure(joint.structure, float(np.linalg.norm(span)))
+        for joint, span in zip(settings, spans, strict=True)
+    ]
+    bends = bend_links(arm.target_plates(angles), spans, compliances, scenario.payload.mass.number, chain.gravity)
+    beams = [TrueBeam.draw(link, scenario.seed, errors=beam_errors, sag=sag) for link in chain.links]
+    forces = _specific_forces(chain, arm, commanded, scenario.ticks_per_second, inertia=inertia)
+    base = PoseArray.repeat(pin.SE3.Identity(), len(commanded))
+    structure = base @ arm.links[0]
+    last_receiving = receiving = beams[0].plates(base, forces[0])[1]
+    seen: dict[str, PoseArray] = {}
+    for column, (name, joint) in enumerate(zip(arm.joints, settings, strict=True)):
+        behind = structure
+        if joint.bearing is not None:
+            random = RandomStream(scenario.seed, "bearing", name).generator()
+            behind = behind @ bearing_error_motions(joint.bearing, angles[:, column], random)
+        behind = behind @ arm.origins[column] @ PoseArray.from_axis_angles(2, angles[:, column])
+        link, bend = arm.links[column + 1], bends[column]
+        end = PoseArray.repeat(link, len(commanded)).displace(bend.translations, bend.rotations)
+        structure = behind @ end
+        line = behind @ _least_rotations(link.translation, end.translations)
+        target, next_receiving = beams[column + 1].plates(line, forces[column + 1])
+        seen[name] = receiving.inverse() @ target
+        last_receiving, receiving = receiving, next_receiving
+    return ArmTruth(
+        arm.joints,
+        commanded,
+        encoder,
+        angles,
+        seen,
+        np.swapaxes(last_receiving.rotations, 1, 2),
+        receiving,
+        arm.endpoint(commanded),
+        arm.endpoint(encoder),
+        np.zeros((len(commanded), 3)),
+    )
+
+
+def _specific_forces(
+    chain: Chain, arm: NominalArm, commanded: FloatArray, rate: int, *, inertia: bool
+) -> list[FloatArray]:
+    """Return gravity minus the acceleration of the middle of each link's beam [m/s^2], (n, 3) or (3,), in the base.
+
+    The acceleration is that of the commanded motion, which repeats with the cycle; backlash is neglected.
+    """
+    forces: list[FloatArray] = [chain.gravity]
+    for target, link in zip(arm.target_plates(commanded), chain.links[1:], strict=True):
+        force = chain.gravity
+        if inertia and link.beam is not None:
+            centre = (target @ link.before @ pin.SE3(np.eye(3), 0.5 * link.beam.T_start_end.translation)).translations
+            force = force - rate**2 * (np.roll(centre, -1, axis=0) - 2.0 * centre + np.roll(centre, 1, axis=0))
+        forces.append(force)
+    return forces
+
+
+def _least_rotations(before: FloatArray, after: FloatArray) -> PoseArray:
+    """Return the least rotations that bring the direction ``before`` (3,) onto the directions ``after`` (n, 3)."""
+    length = float(np.linalg.norm(before))
+    vectors = np.zeros(after.shape)
+    if length > 0.0:
+        cross = np.cross(before / length, after / np.linalg.norm(after, axis=1, keepdims=True))
+        sine = np.linalg.norm(cross, axis=1, keepdims=True)
+        vectors = np.divide(np.arcsin(sine), sine, out=np.ones(sine.shape), where=sine > 0.0) * cross
+    return PoseArray.from_rotation_vectors(np.zeros(after.shape), vectors)

@@ -1,0 +1,80 @@
+"""Arrays of poses: the operations of pinocchio's SE3, vectorised."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+import pinocchio as pin
+from scipy.spatial.transform import Rotation
+
+if TYPE_CHECKING:
+    from posor_estimator.numerics.array_types import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class PoseArray:
+    """n poses ``T_parent_child``.
+
+    Attributes:
+        rotations: (n, 3, 3).
+        translations: [m], (n, 3).
+
+    """
+
+    rotations: FloatArray
+    translations: FloatArray
+
+    @classmethod
+    def from_rotation_vectors(cls, translations: FloatArray, rotation_vectors: FloatArray) -> Self:
+        """Return the poses with origins [m] and rotation vectors [rad], (n, 3) each."""
+        return cls(Rotation.from_rotvec(rotation_vectors).as_matrix(), translations)
+
+    @classmethod
+    def from_axis_angles(cls, axis: int, angles: FloatArray) -> Self:
+        """Return rotations about X, Y or Z (0, 1, 2) by angles [rad], (n,)."""
+        return cls.from_rotation_vectors(np.zeros((len(angles), 3)), angles[:, None] * np.eye(3)[axis])
+
+    @classmethod
+    def repeat(cls, pose: pin.SE3, count: int) -> Self:
+        """Return one pose ``count`` times."""
+        return cls(np.tile(pose.rotation, (count, 1, 1)), np.tile(pose.translation, (count, 1)))
+
+    def __len__(self) -> int:
+        """Return n."""
+        return len(self.rotations)
+
+    def __getitem__(self, index: int) -> pin.SE3:
+        """Return one pose."""
+        return pin.SE3(self.rotations[index], self.translations[index])
+
+    def select(self, indices: IntArray | BoolArray) -> PoseArray:
+        """Return the poses of some indices, or of a mask."""
+        return PoseArray(self.rotations[indices], self.translations[indices])
+
+    def __matmul__(self, other: PoseArray | pin.SE3) -> PoseArray:
+        """Return the products, pose by pose, or with one pose as right factor of all."""
+        rotation, translation = (
+            (other.rotations, other.translations)
+            if isinstance(other, PoseArray)
+            else (other.rotation, other.translation)
+        )
+        return PoseArray(self.rotations @ rotation, self.translations + self.rotate(translation))
+
+    def inverse(self) -> PoseArray:
+        """Return ``T_child_parent``."""
+        return PoseArray(np.swapaxes(self.rotations, 1, 2), -self.rotate_back(self.translations))
+
+    def rotate(self, vectors: FloatArray) -> FloatArray:
+        """Return vectors (n, 3) or (3,) of the child axes in the parent axes, (n, 3)."""
+        return np.asarray(np.einsum("nij,j->ni" if vectors.ndim == 1 else "nij,nj->ni", self.rotations, vectors))
+
+    def rotate_back(self, vectors: FloatArray) -> FloatArray:
+        """Return vectors (n, 3) or (3,) of the parent axes in the child axes, (n, 3)."""
+        return np.asarray(np.einsum("nji,j->ni" if vectors.ndim == 1 else "nji,nj->ni", self.rotations, vectors))
+
+    def displace(self, translations: FloatArray, rotation_vectors: FloatArray) -> PoseArray:
+        """Return the poses after small motions [m], [rad] in the parent axes; rotations are about each own origin."""
+        rotations = Rotation.from_rotvec(rotation_vectors).as_matrix()
+        return PoseArray(rotations @ self.rotations, self.translations + translations)

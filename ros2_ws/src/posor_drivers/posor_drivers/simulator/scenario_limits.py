@@ -1,0 +1,35 @@
+"""Range checks for the quantities of a scenario file."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from posor_estimator.calibration.file_model import EntryError, format_value
+from posor_estimator.calibration.quantity import Quantity, measured
+from pydantic import AfterValidator
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from posor_estimator.numerics.array_types import FloatArray
+
+
+def _limit(accepts: Callable[[FloatArray], object], expected: str) -> AfterValidator:
+    """Return the validator of a quantity whose values must satisfy ``accepts``."""
+
+    def check(quantity: Quantity) -> Quantity:
+        if not accepts(quantity.array):
+            unit = "" if quantity.unit == "1" else f" {quantity.unit}"
+            raise EntryError(f"{format_value(quantity.value)}{unit}", key=("value",), expected=expected)
+        return quantity
+
+    return AfterValidator(check)
+
+
+POSITIVE = _limit(lambda values: np.all(values > 0.0), "more than 0")
+NOT_NEGATIVE = _limit(lambda values: np.all(values >= 0.0), "0 or more")
+PROBABILITY = _limit(lambda value: 0.0 <= value < 1.0, "a probability of 0 or more, less than 1")
+INTERVAL = _limit(lambda limits: limits[0] < limits[1], "[lowest, highest]")
+
+Seconds = Annotated[Quantity, measured("s"), POSITIVE]

@@ -1,0 +1,73 @@
+"""Source ``bag``: scans recorded in a rosbag2 bag, MCAP or SQLite."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from posor_estimator.bags.bag_reader import check_filled, checked_type, counted_messages, opened_bag, scan_topic
+from posor_estimator.errors import BagError
+from posor_estimator.parameter_model import ParameterGroup
+from posor_estimator.ros_names import RAW_SCAN, RAW_TOPIC
+from pydantic import Field
+
+from posor_drivers.sources.source import RecordedSource, SourceMessage, Topic
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+
+class RecordedTopicParameters(ParameterGroup):
+    """Parameters of every source that reads the scans of one topic of a bag."""
+
+    path: Annotated[str, Field(min_length=1)] = Field(
+        description="bag: folder with metadata.yaml, or a single .mcap or .db3 file"
+    )
+    topic: str = Field(default="", description="recorded topic of this joint's scans; empty: the only one there is")
+
+
+class BagParameters(RecordedTopicParameters):
+    """Parameters of the source ``bag``."""
+
+    other_topics: tuple[str, ...] = Field(
+        default=(), description="further recorded topics to replay, under their recorded names"
+    )
+
+
+class BagSource(RecordedSource[BagParameters]):
+    """Replays the recorded bytes of the chosen topics."""
+
+    Parameters = BagParameters
+
+    _names: dict[str, str]
+
+    @property
+    def record(self) -> str:
+        """The file."""
+        return self.parameters.path
+
+    def open(self) -> Sequence[Topic]:
+        """Check that the bag's index is readable and holds the topics, in the versions installed here."""
+        where = self.parameters.path
+        with opened_bag(Path(where)) as reader:
+            scans = scan_topic(reader.connections, self.parameters.topic, where, "parameter 'bag.topic'")
+            if scans in self.parameters.other_topics:
+                raise BagError(
+                    f"topic {scans} holds this joint's scans",
+                    where="parameter 'bag.other_topics'",
+                    expected="other topics only",
+                )
+            self._names = {scans: RAW_TOPIC} | {name: name for name in self.parameters.other_topics}
+            allowed = {scans: (RAW_SCAN,)}
+            topics = [
+                Topic(public, checked_type(reader.connections, name, where, self.types, allowed.get(name, ())))
+                for name, public in self._names.items()
+            ]
+            check_filled(reader.connections, scans, where)
+        return topics
+
+    def read_messages(self) -> Iterator[SourceMessage]:
+        """Yield the recorded messages in the order of their log times."""
+        with opened_bag(Path(self.parameters.path)) as reader:
+            for connection, time_ns, data in counted_messages(reader, self._names, self.parameters.path):
+                yield SourceMessage(self._names[connection.topic], time_ns, data)

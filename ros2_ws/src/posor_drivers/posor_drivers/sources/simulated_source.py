@@ -1,0 +1,131 @@
+"""Source ``simulated``: one joint of a simulated arm, in step with the drivers of the other joints.
+
+Every driver computes the same truth from the same files. The driver of the last joint also publishes the truth of the
+endpoint and moves the stage, if there is one.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from posor_estimator.chain.arm_file import load_arm
+from posor_estimator.errors import ParameterError
+from posor_estimator.numerics.stamps import time_ns
+from posor_estimator.parameter_model import ParameterGroup
+from posor_estimator.ros_names import RAW_SCAN, RAW_TOPIC
+from pydantic import Field
+
+from posor_drivers.scan_clock import tick_stamp_ns
+from posor_drivers.simulated_messages import SimulatedMessages
+from posor_drivers.simulator.arm_simulation import ArmSimulation
+from posor_drivers.simulator.imperfections import Imperfections
+from posor_drivers.simulator.stage import Stage
+from posor_drivers.sources.source import Input, LiveSource, Topic
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from posor_drivers.sources.source import SourceMessage
+
+
+class SimulatedParameters(Imperfections, ParameterGroup):
+    """Parameters of the source ``simulated``, the switches of all imperfections included."""
+
+    arm: Annotated[str, Field(min_length=1)] = Field(description="arm file (YAML), with a scenario")
+    joint: Annotated[str, Field(min_length=1)] = Field(description="name of this driver's joint")
+    cycles: Annotated[int, Field(ge=0)] = Field(
+        default=0,
+        description="end after the rest of the present cycle of the scenario and this many whole cycles; 0: never",
+    )
+
+
+class SimulatedSource(LiveSource[SimulatedParameters]):
+    """One joint of a simulated arm."""
+
+    Parameters = SimulatedParameters
+
+    _simulation: ArmSimulation
+    _messages: SimulatedMessages
+    _stage: Stage | None
+    _latest: tuple[int, int]
+    """Tick and publication time [ns] of the last call of ``publication_time_ns``."""
+
+    @property
+    def record(self) -> str:
+        """The arm file."""
+        return self.parameters.arm
+
+    def open(self) -> Sequence[Topic]:
+        """Read the arm's files and compute one cycle."""
+        self._simulation = ArmSimulation(load_arm(Path(self.parameters.arm)), self.parameters)
+        joints, joint = self._simulation.joints, self.parameters.joint
+        if joint not in joints:
+            raise ParameterError(
+                f"'{joint}' is not a joint of {self.parameters.arm}",
+                where="parameter 'simulated.joint'",
+                expected=f"one of {', '.join(joints)}",
+            )
+        self._messages = SimulatedMessages(self.types, self._simulation)
+        self._latest = (-1, 0)
+        self._is_last = joint == joints[-1]
+        settings = self._simulation.scenario.stage if self._is_last else None
+        self._stage = None if settings is None else Stage(settings, self._simulation.arm.endpoint_frame)
+        topics = self._messages.topics
+        published = [Topic(RAW_TOPIC, RAW_SCAN), topics.joint_truth(joint)]
+        if self._is_last:
+            published += [topics.endpoint, topics.target, topics.encoders]
+        if self._stage is not None:
+            published.append(topics.stage)
+        return published
+
+    def inputs(self) -> Sequence[Input]:
+        """Return the topic of commands for the stage, if this driver moves it."""
+        return [] if self._stage is None else [Input(self._messages.topics.stage_command, self._on_stage_command)]
+
+    def _on_stage_command(self, message: Any, now_ns: int) -> None:
+        """Pass a command (geometry_msgs/Vector3Stamped) on to the stage."""
+        if self._stage is not None:
+            header, vector = message.header, message.vector
+            goal = np.array([vector.x, vector.y, vector.z])
+            stamp_ns = time_ns(header.stamp.sec, header.stamp.nanosec)
+            self._stage.add_command(goal, header.frame_id, stamp_ns, now_ns)
+
+    @property
+    def rate(self) -> int:
+        """The scenario's rate [Hz]."""
+        return self._simulation.scenario.ticks_per_second
+
+    def start_run(self, now_ns: int) -> tuple[int, int | None]:
+        """Start at the next tick; end with a cycle, so that all drivers of an arm end at the same tick."""
+        if self._stage is not None:
+            self._stage.restart()
+        first, _ = super().start_run(now_ns)
+        if not self.parameters.cycles:
+            return first, None
+        length = self._simulation.scenario.cycle_ticks
+        next_cycle = -(-first // length)
+        return first, (next_cycle + self.parameters.cycles) * length - 1
+
+    def publication_time_ns(self, tick: int) -> int:
+        """Return the time of a tick plus its simulated latency [ns]."""
+        known, time_ns = self._latest
+        if tick != known:
+            time_ns = super().publication_time_ns(tick) + self._simulation.latency_ns(self.parameters.joint, tick)
+            self._latest = (tick, time_ns)
+        return time_ns
+
+    def read_tick(self, tick: int) -> Iterator[SourceMessage]:
+        """Yield scan and truth of a tick."""
+        joint, ticks, stamp_ns = self.parameters.joint, np.array([tick]), tick_stamp_ns(tick, self.rate)
+        position = None if self._stage is None else self._stage.position_at(stamp_ns)
+        truth = self._simulation.truth(ticks, None if position is None else position[None, :])
+        scans = self._simulation.scans(joint, ticks, truth)
+        if scans.sent[0]:
+            yield self._messages.raw_scan(joint, scans, 0)
+        yield self._messages.joint_truth(joint, stamp_ns, truth, 0)
+        if self._is_last:
+            yield from self._messages.arm_truth(stamp_ns, truth, 0)
+        if position is not None:
+            yield self._messages.stage_position(stamp_ns, position)

@@ -1,0 +1,174 @@
+"""Base classes of all sources, and their registry. Read this file to add an instrument.
+
+How to add a source:
+
+1. Declare its parameters in a subclass of ``ParameterGroup``. Parameter ``port`` of the source ``mybox`` is the ROS
+   parameter ``mybox.port`` of ``driver_node``.
+2. Derive the source from ``LiveSource`` for hardware, or from ``RecordedSource`` for data that exist already, and set
+   its class attribute ``Parameters``. ``looped_source.py`` and ``table_source.py`` are short examples.
+3. Register the class under its name in the entry point group ``posor_drivers.sources`` of its package's ``setup.py``:
+   ``"posor_drivers.sources": ["mybox = my_package.mybox:MyBoxSource"]``.
+
+Then ``driver_node`` runs it with ``-p source:=mybox``. Errors that a user can correct are raised as ``PosorError``.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, TypeVar
+
+from posor_estimator.errors import ParameterError
+from posor_estimator.parameter_model import ParameterGroup
+
+from posor_drivers.scan_clock import first_tick_after, tick_stamp_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+
+    from posor_estimator.bags.message_definitions import MessageTypes
+
+ENTRY_POINT_GROUP = "posor_drivers.sources"
+
+ParametersT = TypeVar("ParametersT", bound=ParameterGroup)
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of a source: ``raw`` for the scans of the joint, absolute names for everything else."""
+
+    name: str
+    type_name: str
+
+
+class SourceMessage(NamedTuple):
+    """One serialised message (CDR)."""
+
+    topic: str
+    time_ns: int
+    """Log time of a recorded message, which sets the pace of a replay, or the stamp of the scan."""
+    data: bytes
+
+
+@dataclass(frozen=True)
+class Input:
+    """A topic that a live source subscribes to."""
+
+    topic: Topic
+    on_message: Callable[[Any, int], None]
+    """Called with each message and the ROS time [ns], in the executor's thread; raises a PosorError to refuse it."""
+
+
+class Source(ABC, Generic[ParametersT]):
+    """A source of raw scans.
+
+    Attributes:
+        Parameters: Model of the source's parameters.
+        parameters: Their values.
+        types: Message types, to serialise messages with.
+
+    """
+
+    Parameters: ClassVar[type[ParameterGroup]]
+
+    def __init__(self, parameters: ParametersT, types: MessageTypes) -> None:
+        """Store the parameters; ``open`` opens files and devices."""
+        self.parameters = parameters
+        self.types = types
+
+    @property
+    @abstractmethod
+    def record(self) -> str:
+        """File or device that is read, for the diagnostics."""
+
+    @abstractmethod
+    def open(self) -> Sequence[Topic]:
+        """Open the source, check it, and return the published topics; ``raw`` comes first.
+
+        Raises:
+            PosorError: The source cannot be read.
+
+        """
+
+    def close(self) -> None:
+        """Release what ``open`` acquired."""
+
+
+class RecordedSource(Source[ParametersT]):
+    """A source whose messages all exist already; ``driver_node`` replays them at a chosen pace."""
+
+    @abstractmethod
+    def read_messages(self) -> Iterator[SourceMessage]:
+        """Yield all messages from the beginning, in the order of their times; may be called repeatedly.
+
+        Raises:
+            PosorError: A message cannot be read.
+
+        """
+
+
+class LiveSource(Source[ParametersT]):
+    """A source with one scan at each tick of the ROS clock: tick k is at k / rate seconds, see ``scan_clock``.
+
+    A subclass must define ``rate`` and ``read_tick``. All methods but ``inputs`` are called in one thread, which
+    drivers of the same rate share, so a slow source delays the other drivers.
+    """
+
+    @property
+    @abstractmethod
+    def rate(self) -> int:
+        """Ticks per second, once the source is open."""
+
+    @abstractmethod
+    def read_tick(self, tick: int) -> Iterable[SourceMessage]:
+        """Return the messages of a tick; ticks are read in ascending order, each at most once."""
+
+    def inputs(self) -> Sequence[Input]:
+        """Return the topics to subscribe to, once the source is open."""
+        return ()
+
+    def start_run(self, now_ns: int) -> tuple[int, int | None]:
+        """Start a run, or restart it after the clock has gone back.
+
+        Returns:
+            The first tick later than ``now_ns``, and the last tick of the run; None: endless.
+
+        """
+        return first_tick_after(now_ns, self.rate), None
+
+    def newest_tick(self, now_ns: int) -> int:
+        """Return the newest tick at a time [ns]."""
+        return first_tick_after(now_ns, self.rate) - 1
+
+    def publication_time_ns(self, tick: int) -> int:
+        """Return the ROS time at which the scan of a tick is published [ns]; by default the time of the tick."""
+        return tick_stamp_ns(tick, self.rate)
+
+
+def registered_sources() -> dict[str, EntryPoint]:
+    """Return the entry points of all sources by name."""
+    return {entry.name: entry for entry in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name)}
+
+
+def load_source_class(name: str) -> type[Source[Any]]:
+    """Return the source registered as ``name``.
+
+    Raises:
+        ParameterError: The name is unknown, or the source cannot be loaded.
+
+    """
+    where = "parameter 'source'"
+    entries = registered_sources()
+    if name not in entries:
+        names = ", ".join(f"'{known}'" for known in entries)
+        raise ParameterError(f"source '{name}' is unknown", where=where, expected=f"one of {names}")
+    try:
+        found = entries[name].load()
+    except (ImportError, AttributeError) as error:
+        raise ParameterError(f"source '{name}' cannot be loaded, {error}", where=where) from None
+    if not (isinstance(found, type) and issubclass(found, Source)):
+        raise ParameterError(
+            f"the entry point of source '{name}' is not a source", where=where, expected="a subclass of Source"
+        )
+    return found

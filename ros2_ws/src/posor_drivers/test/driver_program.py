@@ -1,0 +1,17 @@
+"""``driver_node`` for tests, as a program; a double underscore in a parameter's name stands for the dot."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from posor_estimator.testing.program import Program, installed, ros_arguments
+
+LOSSLESS: dict[str, Any] = {"qos_reliability": "reliable", "qos_depth": 0}
+
+
+def ros_names(parameters: dict[str, object]) -> dict[str, object]:
+    return {name.replace("__", "."): value for name, value in parameters.items()}
+
+
+def driver_program(namespace: str = "/joint1", **parameters: object) -> Program:
+    return Program([*installed("posor_drivers", "driver_node"), *ros_arguments(ros_names(parameters), namespace)])

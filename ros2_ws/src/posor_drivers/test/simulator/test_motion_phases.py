@@ -1,0 +1,116 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from posor_drivers.simulator.motion_phases import smooth_step
+from posor_drivers.simulator.nominal_arm import NominalArm
+from posor_drivers.simulator.scenario import load_scenario
+from posor_estimator.chain.arm_file import load_arm
+from posor_estimator.errors import CalibrationError
+
+from ..three_joint_arm import scenario, write_arm
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from posor_estimator.numerics.array_types import FloatArray
+
+
+def angles(folder: Path, content: dict[str, Any]) -> tuple[NominalArm, FloatArray]:
+    arm = load_arm(write_arm(folder, content))
+    nominal = NominalArm(arm.chain())
+    assert arm.scenario is not None
+    return nominal, load_scenario(arm.scenario).commanded_angles(nominal, "the scenario")
+
+
+def at_rate(rate: int) -> dict[str, Any]:
+    content = scenario()
+    content["rate"]["value"] = rate
+    return content
+
+
+def test_motion_is_periodic_and_starts_at_home(tmp_path: Path) -> None:
+    _, found = angles(tmp_path, at_rate(1000))
+    assert np.array_equal(found[0], np.zeros(3))
+    # The way from the last tick to the first is as smooth as any other: a second of approach ends there.
+    assert np.max(np.abs(found[0] - found[-1])) < 1e-7
+
+
+def test_motion_is_smooth_across_all_phases(tmp_path: Path) -> None:
+    second = {}
+    for rate in (500, 1000):
+        _, found = angles(tmp_path, at_rate(rate))
+        round_and_round = np.vstack([found, found[:2]])
+        second[rate] = np.max(np.abs(np.diff(round_and_round, n=2, axis=0)), axis=0)
+    # Twice the rate, a quarter of the second difference: with a jump of the velocity it would be half.
+    assert np.all(second[500] / second[1000] > 3.5)
+
+
+def test_rest_stands_still_and_spline_passes_its_waypoints(tmp_path: Path) -> None:
+    content = scenario()
+    _, found = angles(tmp_path, content)
+    assert np.array_equal(found[:40], np.zeros((40, 3)))
+    for time, row in zip((1.4, 2.4, 3.6), content["motion"][1]["through"]["value"], strict=True):
+        assert np.allclose(found[round(100 * time)], row, rtol=0.0, atol=1e-12)
+
+
+def test_spline_without_times_is_evenly_spaced(tmp_path: Path) -> None:
+    content = scenario()
+    del content["motion"][1]["at"]
+    content["motion"][1]["duration"]["value"], content["motion"][0]["duration"]["value"] = 3.0, 0.6
+    _, found = angles(tmp_path, content)
+    for time, row in zip((1.6, 2.6, 3.6), content["motion"][1]["through"]["value"], strict=True):
+        assert np.allclose(found[round(100 * time)], row, rtol=0.0, atol=1e-12)
+
+
+def test_dither_is_a_sum_of_windowed_sines(tmp_path: Path) -> None:
+    _, found = angles(tmp_path, scenario())
+    t = np.arange(90) / 100
+    window = np.sin(np.pi * t / 0.9) ** 2
+    base = window * (1e-3 * np.sin(2 * np.pi * 3 * t) + 5e-4 * np.sin(2 * np.pi * 7 * t))
+    elbow = window * 1e-3 * np.sin(2 * np.pi * 5 * t)
+    assert np.allclose(found[360:450], np.column_stack([base, np.zeros(90), elbow]), rtol=0.0, atol=1e-12)
+
+
+def test_circle_is_followed_once_in_its_plane(tmp_path: Path) -> None:
+    nominal, found = angles(tmp_path, scenario())
+    points = nominal.endpoint(found[580:671]).translations - np.array([0.95, 0.05, 0.69])
+    assert np.allclose(np.linalg.norm(points, axis=1), 0.03, rtol=0.0, atol=1e-9)
+    assert np.allclose(points @ np.array([0.0, 0.6, 0.8]), 0.0, atol=1e-9)
+    turned = np.unwrap(np.arctan2(points @ np.cross([0.0, 0.6, 0.8], points[0]) / 0.03, points @ points[0] / 0.03))
+    assert np.allclose(turned, 2.0 * np.pi * smooth_step(np.arange(91) / 90), rtol=0.0, atol=1e-6)
+
+
+def test_circle_starts_nearest_to_the_posture(tmp_path: Path) -> None:
+    nominal, found = angles(tmp_path, scenario())
+    posture = nominal.endpoint(np.array([[0.0, -0.5, 0.9]])).translations[0]
+    away = np.linalg.norm(nominal.endpoint(found[580:671]).translations - posture, axis=1)
+    assert np.argmin(away) in (0, 90)
+
+
+def test_circle_about_the_posture_can_start_anywhere(tmp_path: Path) -> None:
+    content = scenario()
+    nominal, _ = angles(tmp_path, content)
+    centre = nominal.endpoint(np.array([[0.0, -0.5, 0.9]])).translations[0]
+    content["motion"][3]["centre"]["value"] = centre.tolist()
+    _, found = angles(tmp_path, content)
+    points = nominal.endpoint(found[580:671]).translations - centre
+    assert np.allclose(np.linalg.norm(points, axis=1), 0.03, rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({"centre": {"value": [3.0, 0.05, 0.69], "unit": "m"}}, "the circle of 0.03 m about (3, 0.05, 0.69) m"),
+        ({"radius": {"value": 0.4, "unit": "m"}}, "the circle of 0.4 m about (0.95, 0.05, 0.69) m"),
+    ],
+)
+def test_circle_out_of_reach_is_refused_with_phase_and_keys(tmp_path: Path, change: dict[str, Any], what: str) -> None:
+    content = scenario()
+    content["motion"][3].update(change)
+    with pytest.raises(CalibrationError) as refused:
+        angles(tmp_path, content)
+    assert refused.value.where == "the scenario, key motion[3] (circle), keys centre, radius, posture"
+    assert refused.value.what == f"the arm cannot follow {what} from its posture"

@@ -1,0 +1,209 @@
+from __future__ import annotations
+
+import shutil
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from posor_drivers.sources.bag_source import BagParameters, BagSource
+from posor_drivers.sources.source import SourceMessage, Topic
+from posor_estimator.bags.message_definitions import MessageTypes
+from posor_estimator.errors import BagError
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from ..sample_bags import point, scan, text, write_bag
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+EXPECTED = "expected a rosbag2 bag, MCAP or SQLite, that was closed properly."
+EXPECTED_MCAP = (
+    "expected a rosbag2 bag, MCAP or SQLite, that was closed properly; "
+    "'mcap recover' mends a file that was cut off, then 'ros2 bag reindex' makes metadata.yaml anew."
+)
+RECORDS = [scan(1, 100), point(100), scan(2, 300), text(400), scan(3, 500), point(600)]
+
+
+def read(path: Path, **parameters: Any) -> tuple[list[Topic], list[SourceMessage]]:
+    source = BagSource(BagParameters(path=str(path), **parameters), MessageTypes())
+    topics = list(source.open())
+    return topics, list(source.read_messages())
+
+
+def refusal(path: Path, **parameters: Any) -> str:
+    with pytest.raises(BagError) as caught:
+        read(path, **parameters)
+    sentence = str(caught.value)
+    assert "\n" not in sentence
+    return sentence.replace(str(path), "BAG")
+
+
+@pytest.mark.parametrize("sqlite", [False, True])
+def test_scans_come_with_their_recorded_bytes_and_times(tmp_path: Path, *, sqlite: bool) -> None:
+    bag = write_bag(tmp_path / "bag", RECORDS, sqlite=sqlite)
+    topics, messages = read(bag)
+    assert topics == [Topic("raw", "posor_msgs/msg/RawScan")]
+    assert messages == [
+        SourceMessage("raw", record.time_ns, record.data) for record in RECORDS if record.topic == "/joint1/raw"
+    ]
+
+
+@pytest.mark.parametrize("sqlite", [False, True])
+def test_other_topics_come_in_order_of_time_under_their_own_names(tmp_path: Path, *, sqlite: bool) -> None:
+    bag = write_bag(tmp_path / "bag", RECORDS, sqlite=sqlite)
+    topics, messages = read(bag, other_topics=("/remarks", "/truth/machining_centre"))
+    assert [topic.name for topic in topics] == ["raw", "/remarks", "/truth/machining_centre"]
+    assert topics[1].type_name == "std_msgs/msg/String"
+    names = {"/joint1/raw": "raw"}
+    assert [(message.time_ns, message.data) for message in messages] == [
+        (record.time_ns, record.data) for record in RECORDS
+    ]
+    assert [message.topic for message in messages] == [names.get(record.topic, record.topic) for record in RECORDS]
+
+
+def test_single_file_is_read_without_its_folder(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", RECORDS)
+    shutil.move(bag / "bag.mcap", tmp_path / "alone.mcap")
+    assert len(read(tmp_path / "alone.mcap")[1]) == 3
+
+
+def test_second_pass_gives_the_same_messages(tmp_path: Path) -> None:
+    source = BagSource(BagParameters(path=str(write_bag(tmp_path / "bag", RECORDS))), MessageTypes())
+    source.open()
+    assert list(source.read_messages()) == list(source.read_messages())
+
+
+def test_one_of_several_joints_must_be_chosen(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", [scan(1, 100), scan(7, 100, topic="/joint2/raw")])
+    assert refusal(bag) == (
+        "BAG: scans are on 2 topics; expected parameter 'bag.topic' as one of /joint1/raw, /joint2/raw."
+    )
+    _, messages = read(bag, topic="/joint2/raw")
+    assert messages == [SourceMessage("raw", 100, scan(7, 100).data)]
+    _, messages = read(bag, topic="/joint2/raw", other_topics=("/joint1/raw",))
+    assert [message.topic for message in messages] == ["/joint1/raw", "raw"]
+
+
+def test_missing_topic_is_refused_with_those_that_exist(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", [scan(1, 100), point(100)])
+    there = "/joint1/raw (posor_msgs/msg/RawScan), /truth/machining_centre (geometry_msgs/msg/PointStamped)"
+    assert refusal(bag, topic="/joint9/raw") == f"BAG: there is no topic /joint9/raw; expected one of {there}."
+    assert refusal(bag, other_topics=("/none",)) == f"BAG: there is no topic /none; expected one of {there}."
+
+
+def test_bag_without_scans_is_refused(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", [point(100)])
+    assert refusal(bag) == (
+        "BAG: there is no topic of type posor_msgs/msg/RawScan; "
+        "expected one among /truth/machining_centre (geometry_msgs/msg/PointStamped)."
+    )
+
+
+def test_topic_of_another_type_is_refused(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", [scan(1, 100), point(100)])
+    assert refusal(bag, topic="/truth/machining_centre") == (
+        "BAG: topic /truth/machining_centre is of type geometry_msgs/msg/PointStamped; expected posor_msgs/msg/RawScan."
+    )
+
+
+@pytest.mark.parametrize("sqlite", [False, True])
+@pytest.mark.parametrize("topic", ["/joint1/raw", "/truth/machining_centre"])
+def test_topic_of_several_types_is_refused(tmp_path: Path, topic: str, *, sqlite: bool) -> None:
+    bag = write_bag(tmp_path / "bag", [*RECORDS, text(800, topic)], sqlite=sqlite)
+    several = {
+        "/joint1/raw": "posor_msgs/msg/RawScan, std_msgs/msg/String; expected only posor_msgs/msg/RawScan.",
+        "/truth/machining_centre": "geometry_msgs/msg/PointStamped, std_msgs/msg/String; expected only one.",
+    }
+    others = () if topic == "/joint1/raw" else (topic,)
+    assert refusal(bag, other_topics=others) == f"BAG: topic {topic} holds messages of several types, {several[topic]}"
+
+
+def test_scan_topic_among_other_topics_is_refused(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", RECORDS)
+    assert refusal(bag, other_topics=("/joint1/raw",)) == (
+        "parameter 'bag.other_topics': topic /joint1/raw holds this joint's scans; expected other topics only."
+    )
+
+
+@pytest.mark.parametrize("sqlite", [False, True])
+def test_scans_of_another_version_are_refused(tmp_path: Path, *, sqlite: bool) -> None:
+    other = "RIHS01_" + "0" * 64
+    bag = write_bag(tmp_path / "bag", [scan(1, 100)], sqlite=sqlite, type_hash=other)
+    installed = MessageTypes().definition("posor_msgs/msg/RawScan").type_hash
+    assert refusal(bag) == (
+        f"BAG: topic /joint1/raw was recorded with another version of posor_msgs/msg/RawScan, {other}; "
+        f"expected {installed}."
+    )
+
+
+@pytest.mark.parametrize("sqlite", [False, True])
+def test_empty_bag_is_refused(tmp_path: Path, *, sqlite: bool) -> None:
+    assert refusal(write_bag(tmp_path / "bag", [], sqlite=sqlite)) == "BAG: holds no messages."
+
+
+def test_topic_without_messages_is_refused(tmp_path: Path) -> None:
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for record in (scan(1, 100), point(100)):
+            definition = MessageTypes().definition(record.type_name)
+            connection = writer.add_connection(
+                record.topic, record.type_name, msgdef=definition.text, rihs01=definition.type_hash
+            )
+        writer.write(connection, 100, point(100).data)
+    assert refusal(tmp_path / "bag") == "BAG: topic /joint1/raw holds no messages."
+
+
+def cut(share: float) -> Callable[[Path], None]:
+    def spoil(storage: Path) -> None:
+        data = storage.read_bytes()
+        storage.write_bytes(data[: int(len(data) * share)])
+
+    return spoil
+
+
+def overwrite(storage: Path) -> None:
+    storage.write_bytes(bytes(range(256)) * 20)
+
+
+@pytest.mark.parametrize("spoil", [cut(0.0), cut(0.01), cut(0.5), cut(0.9), cut(0.999), overwrite])
+@pytest.mark.parametrize("sqlite", [False, True])
+@pytest.mark.parametrize("alone", [False, True])
+def test_truncated_or_foreign_storage_is_refused(
+    tmp_path: Path, spoil: Callable[[Path], None], *, sqlite: bool, alone: bool
+) -> None:
+    bag = write_bag(tmp_path / "bag", [scan(number, 100 * number) for number in range(1, 200)], sqlite=sqlite)
+    storage = bag / ("bag.db3" if sqlite else "bag.mcap")
+    spoil(storage)
+    sentence = refusal(storage if alone else bag)
+    assert sentence.startswith(("BAG: ", "BAG/bag.db3: "))
+    assert sentence.endswith(EXPECTED if sqlite else EXPECTED_MCAP)
+
+
+@pytest.mark.parametrize("sqlite", [False, True])
+def test_storage_with_fewer_messages_than_its_index_is_refused(tmp_path: Path, *, sqlite: bool) -> None:
+    bag = write_bag(tmp_path / "bag", RECORDS, sqlite=sqlite)
+    metadata = bag / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace("message_count: 3", "message_count: 4"))
+    assert refusal(bag) == "BAG: holds 3 messages of /joint1/raw; expected 4, as its index says."
+
+
+def test_missing_or_invalid_metadata_are_refused(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", RECORDS)
+    metadata = bag / "metadata.yaml"
+    good = metadata.read_text()
+    for wrong in ("", "a: [", "a: 3", good.replace("version: 9", "version: 99"), good.replace(".mcap", ".other")):
+        metadata.write_text(wrong)
+        sentence = refusal(bag)
+        assert sentence.startswith("BAG: the bag cannot be read, ")
+        assert sentence.endswith(EXPECTED_MCAP)
+    metadata.unlink()
+    assert refusal(bag) == (
+        "BAG: metadata.yaml is missing in the folder of the bag; expected it, as 'ros2 bag reindex' makes it."
+    )
+
+
+def test_path_without_a_bag_is_refused(tmp_path: Path) -> None:
+    assert refusal(tmp_path / "none") == f"BAG: does not exist; {EXPECTED}"
+    file = tmp_path / "notes.txt"
+    file.write_text("no bag")
+    assert refusal(file).startswith("BAG: the bag cannot be read, ")
+    assert refusal(tmp_path) == f"BAG: the folder holds no bag; {EXPECTED}"

@@ -1,0 +1,221 @@
+"""Source ``looped``: recorded scans played forwards and backwards at ticks, with new stamps and numbers only."""
+
+from __future__ import annotations
+
+from functools import partial
+from threading import Event
+from time import sleep
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from posor_drivers.driver_node import DriverNode
+from posor_drivers.live_publisher import MissedTicks, schedule_ticks
+from posor_drivers.sources import looped_source as looped
+from posor_drivers.sources.looped_source import LoopedParameters, LoopedSource
+from posor_drivers.sources.source import Topic
+from posor_drivers.tick_scheduler import TickScheduler, TickTask
+from posor_estimator.bags.message_definitions import MessageTypes
+from posor_estimator.errors import BagError
+from posor_estimator.ros.message_conversion import stamp_ns
+from posor_estimator.ros_names import RAW_SCAN
+from posor_estimator.testing.graph import BEST_EFFORT, Graph, values_of
+from posor_estimator.testing.in_process_nodes import run_refused_node
+from posor_msgs.msg import RawScan
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.serialization import deserialize_message
+
+from ..driver_program import driver_program
+from ..sample_bags import SECOND, Record, header, point, scan, write_bag
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from posor_drivers.ros_clock import TickClock
+    from posor_drivers.scheduled_publication import ScheduledPublication
+
+RATE = 2000
+FAR = 1_800_000_000 * RATE
+"""A tick of the year 2027."""
+
+
+def voltages(number: int) -> np.ndarray[Any, Any]:
+    return np.array([0.1 * number, float("nan"), 0.3])
+
+
+def record(count: int, topic: str = "/joint1/raw") -> list[Record]:
+    """Return scans that a voltage identifies; frames of different length shift all later fields."""
+    return [
+        scan(
+            100 + n, n * SECOND, topic=topic, gap_voltages=voltages(n), header=header(n * SECOND, "posor" + n % 9 * "x")
+        )
+        for n in range(count)
+    ]
+
+
+def opened(path: Path, **parameters: Any) -> LoopedSource:
+    source = LoopedSource(LoopedParameters(path=str(path), **{"rate": RATE, **parameters}), MessageTypes())
+    assert source.open() == [Topic("raw", RAW_SCAN)]
+    return source
+
+
+def refusal(path: Path, **parameters: Any) -> str:
+    with pytest.raises(BagError) as caught:
+        opened(path, **parameters)
+    return str(caught.value).replace(str(path), "BAG")
+
+
+def played(source: LoopedSource, tick: int) -> Any:
+    (message,) = source.read_tick(tick)
+    assert message.topic == "raw"
+    scan = deserialize_message(message.data, RawScan)
+    assert message.time_ns == stamp_ns(scan) == source.publication_time_ns(tick)
+    return scan
+
+
+def test_scans_are_played_forwards_and_backwards_with_new_stamps_and_numbers(tmp_path: Path) -> None:
+    records = record(12)
+    source = opened(write_bag(tmp_path / "bag", records))
+    period = 22
+    first = FAR - FAR % period
+    for tick in range(first, first + 2 * period):
+        at = (tick - first) % period
+        original = deserialize_message(records[at if at < 12 else period - at].data, RawScan)
+        scan = played(source, tick)
+        assert scan.scan == tick
+        assert stamp_ns(scan) == tick * SECOND // RATE
+        scan.scan, scan.header.stamp = original.scan, original.header.stamp
+        assert repr(scan) == repr(original)
+
+
+def test_bytes_equal_those_of_a_new_scan(tmp_path: Path) -> None:
+    (original,) = record(1)
+    source = opened(write_bag(tmp_path / "bag", [original]))
+    (message,) = source.read_tick(7)
+    own = scan(7, 7 * SECOND // RATE, gap_voltages=voltages(0), header=header(7 * SECOND // RATE, "posor"))
+    assert message.data == own.data
+
+
+def test_single_scan_is_repeated(tmp_path: Path) -> None:
+    source = opened(write_bag(tmp_path / "bag", record(1)))
+    assert {played(source, tick).gap_voltages[0] for tick in range(FAR, FAR + 5)} == {0.0}
+
+
+def test_number_of_played_scans_can_be_limited(tmp_path: Path) -> None:
+    source = opened(write_bag(tmp_path / "bag", record(9)), scans=2)
+    assert [round(10.0 * played(source, tick).gap_voltages[0]) for tick in range(4)] == [0, 1, 0, 1]
+
+
+def test_ticks_are_those_of_the_clock_at_every_rate(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", record(3))
+    for rate in (1, 3, 2000, 10_000):
+        source = opened(bag, rate=rate)
+        now = 1_800_000_000 * SECOND + 123_456_789
+        first, last = source.start_run(now)
+        assert last is None
+        assert source.publication_time_ns(first - 1) <= now < source.publication_time_ns(first)
+        assert source.newest_tick(now) == first - 1
+        assert source.newest_tick(source.publication_time_ns(first)) == first
+    assert source.inputs() == ()
+    assert source.record == str(bag)
+
+
+def test_one_of_several_joints_must_be_chosen(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", record(3) + record(2, "/joint2/raw"))
+    assert refusal(bag) == (
+        "BAG: scans are on 2 topics; expected parameter 'looped.topic' as one of /joint1/raw, /joint2/raw."
+    )
+    assert played(opened(bag, topic="/joint2/raw"), 1).gap_voltages[0] == 0.1
+
+
+def test_more_scans_than_recorded_are_refused(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", record(3))
+    assert refusal(bag, scans=4) == (
+        "parameter 'looped.scans': 4 scans are wanted; expected at most 3, the scans of /joint1/raw in BAG."
+    )
+
+
+def test_too_many_scans_for_memory_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(looped, "MAX_SCANS", 2)
+    bag = write_bag(tmp_path / "bag", record(3))
+    assert refusal(bag) == (
+        "BAG: topic /joint1/raw holds 3 scans; "
+        "expected at most 2, or parameter 'looped.scans' to limit the scans that are played."
+    )
+    assert opened(bag, scans=2).newest_tick(0) == 0
+
+
+@pytest.mark.parametrize("size", [0, 3, 11, 15, 30, 60, 150])
+def test_scan_that_cannot_be_decoded_is_refused(tmp_path: Path, size: int) -> None:
+    good = record(2)
+    bag = write_bag(tmp_path / "bag", [*good, good[1]._replace(data=good[1].data[:size])])
+    sentence = refusal(bag)
+    assert sentence.startswith("BAG, message 3 of /joint1/raw: ")
+    assert str(size) in sentence
+    assert played(opened(bag, scans=2), 0).scan == 0
+
+
+def test_bag_without_scans_and_missing_bag_are_refused(tmp_path: Path) -> None:
+    assert refusal(tmp_path / "none").startswith("BAG: does not exist; ")
+    assert refusal(write_bag(tmp_path / "bag", [point(1)]), topic="/truth/machining_centre").endswith(
+        "is of type geometry_msgs/msg/PointStamped; expected posor_msgs/msg/RawScan."
+    )
+
+
+def test_late_joints_of_one_process_publish_the_same_ticks(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", record(5))
+    published: dict[str, list[int]] = {"one": [], "other": []}
+    missed = {name: MissedTicks() for name in published}
+    enough = Event()
+
+    def late(name: str, due: ScheduledPublication) -> None:
+        published[name].append(due.stamp_ns)
+        sleep(0.003)  # six periods
+        if len(published["other"]) > 20:
+            enough.set()
+
+    def join(name: str) -> tuple[TickScheduler, TickTask]:
+        def make_task(time: TickClock) -> TickTask:
+            return TickTask(
+                time, schedule_ticks(opened(bag), time, missed[name]), partial(late, name), lambda _error: None
+            )
+
+        return TickScheduler.add_task(Clock(clock_type=ClockType.ROS_TIME), RATE, 0, make_task)
+
+    joined = [join(name) for name in published]
+    assert enough.wait(60.0)
+    for scheduler, task in joined:
+        task.end()
+        scheduler.remove_task(task)
+    first = published["other"][0]
+    together = [stamp for stamp in published["one"] if stamp >= first]
+    assert together[:20] == published["other"][:20]
+    assert missed["other"].ticks > 20
+
+
+@pytest.mark.usefixtures("ros_domain")
+def test_driver_plays_at_the_rate(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", record(5))
+    with Graph() as graph:
+        raw = graph.collect(RawScan, "/joint1/raw", BEST_EFFORT, raw=True)
+        graph.watch_diagnostics()
+        with driver_program(source="looped", looped__path=str(bag), looped__rate=50) as driver:
+            graph.wait_until(lambda: len(raw) > 30, "scans")
+            status = graph.wait_for_status("/joint1/driver_node: source", "running")
+            assert driver.end() == 0
+            assert driver.stderr == []
+    assert values_of(status)["record"] == str(bag)
+    source = opened(bag, rate=50)
+    numbers = [deserialize_message(data, RawScan).scan for data in raw]
+    assert numbers == sorted(set(numbers))
+    assert [next(iter(source.read_tick(number))).data for number in numbers] == raw
+
+
+@pytest.mark.usefixtures("ros_domain")
+@pytest.mark.parametrize("rate", [0, 20_000, 1.5])
+def test_driver_refuses_an_invalid_rate(tmp_path: Path, capfd: pytest.CaptureFixture[str], rate: float) -> None:
+    parameters = {"source": "looped", "looped.path": str(tmp_path), "looped.rate": rate}
+    code, (sentence,) = run_refused_node(DriverNode, parameters, capfd, "/joint1")
+    assert code == 2
+    assert f"parameter 'looped.rate': {rate} is" in sentence

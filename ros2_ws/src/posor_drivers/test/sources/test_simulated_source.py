@@ -1,0 +1,342 @@
+"""Source ``simulated`` in ``driver_node``: wall time, simulated time, several drivers, a stage."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped, Vector3Stamped
+from lifecycle_msgs.msg import Transition
+from posor_drivers.driver_node import DriverNode
+from posor_drivers.simulator.arm_simulation import ArmSimulation
+from posor_drivers.sources.simulated_source import SimulatedParameters, SimulatedSource
+from posor_estimator.bags.message_definitions import MessageTypes
+from posor_estimator.chain.arm_file import load_arm
+from posor_estimator.ros.message_conversion import pose_from_message, stamp_ns
+from posor_estimator.testing.graph import BEST_EFFORT, Graph, values_of, wait_for_value
+from posor_estimator.testing.in_process_nodes import run_refused_node
+from posor_msgs.msg import RawScan
+from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+
+from ..driver_program import driver_program, ros_names
+from ..three_joint_arm import scenario, write_arm
+
+if TYPE_CHECKING:
+    from pathlib import Path
+    from types import TracebackType
+
+    from posor_estimator.testing.program import Program
+
+pytestmark = pytest.mark.usefixtures("ros_domain")
+
+RATE = 100
+PERIOD = 10_000_000
+NS = 1_000_000_000
+LAST = "elbow"
+NODE = "/arm/{}/driver_node"
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> Path:
+    return write_arm(tmp_path)
+
+
+def parameters_of(arm: Path, joint: str, **parameters: object) -> dict[str, object]:
+    return {"source": "simulated", "simulated__arm": str(arm), "simulated__joint": joint, **parameters}
+
+
+def driver(arm: Path, joint: str, **parameters: object) -> Program:
+    return driver_program(f"/arm/{joint}", **parameters_of(arm, joint, **parameters))
+
+
+def test_joint_is_published_at_the_ticks_of_the_clock(arm: Path) -> None:
+    with Graph() as graph:
+        raw = graph.collect(RawScan, "/arm/base/raw", BEST_EFFORT, raw=True)
+        truth = graph.collect(PoseStamped, "/arm/truth/base", raw=True)
+        before = graph.node.get_clock().now().nanoseconds
+        with driver(arm, "base", wait_for_other_subscribers=1) as program:
+            graph.wait_until(lambda: len(raw) > 50 and len(truth) > 50, "scans")
+            assert program.end() == 0
+            assert program.stderr == []
+        after = graph.node.get_clock().now().nanoseconds
+    scans = [deserialize_message(data, RawScan) for data in raw]
+    assert all(stamp_ns(scan) == scan.scan * PERIOD for scan in scans)
+    assert all(before < stamp_ns(scan) < after for scan in scans)
+    numbers = [scan.scan for scan in scans]
+    assert numbers == sorted(set(numbers))
+    again = SimulatedSource(SimulatedParameters(arm=str(arm), joint="base"), MessageTypes())
+    again.open()
+    assert [next(iter(again.read_tick(number))).data for number in numbers] == raw
+    ticks = [stamp_ns(deserialize_message(data, PoseStamped)) // PERIOD for data in truth]
+    assert [list(again.read_tick(tick))[-1].data for tick in ticks] == truth
+    assert scans[0].header.frame_id == "base_receiving"
+    assert scans[0].status & RawScan.STATUS_SIMULATED
+
+
+def test_drivers_of_one_arm_publish_one_truth(arm: Path) -> None:
+    simulation = ArmSimulation(load_arm(arm))
+    with Graph() as graph:
+        topics = {joint: graph.collect(PoseStamped, f"/arm/truth/{joint}") for joint in ("base", "shoulder", LAST)}
+        endpoints = graph.collect(PoseStamped, "/arm/truth/endpoint")
+        targets = graph.collect(PoseStamped, "/arm/target/endpoint")
+        encoders = graph.collect(JointState, "/arm/encoders")
+        stages = graph.collect(Vector3Stamped, "/arm/stage/position")
+        received = {**topics, "endpoint": endpoints, "target": targets, "encoders": encoders, "stage": stages}
+
+        def common() -> set[int]:
+            return set.intersection(*({stamp_ns(m) for m in messages} for messages in received.values()))
+
+        with (
+            driver(arm, "base", wait_for_subscribers=0) as one,
+            driver(arm, "shoulder", wait_for_subscribers=0) as two,
+            driver(arm, LAST, wait_for_subscribers=0) as three,
+        ):
+            graph.wait_until(lambda: len(common()) > 20, "ticks published by every driver")
+            assert [program.end() for program in (one, two, three)] == [0, 0, 0]
+        for stamp in sorted(common()):
+            tick = stamp // PERIOD
+            truth = simulation.truth(np.array([tick]))
+            at = {name: next(m for m in messages if stamp_ns(m) == stamp) for name, messages in received.items()}
+            for joint in topics:
+                assert at[joint].header.frame_id == f"{joint}_receiving"
+                pose = pose_from_message(at[joint].pose)
+                assert np.allclose(pose.translation, truth.T_parent_child[joint].translations[0], rtol=0.0, atol=1e-15)
+            for name, poses in (("endpoint", truth.endpoint), ("target", truth.target)):
+                assert at[name].header.frame_id == "base"
+                pose = pose_from_message(at[name].pose)
+                assert np.allclose(pose.homogeneous, poses[0].homogeneous, rtol=0.0, atol=1e-14)
+            assert at["encoders"].name == ["base", "shoulder", LAST]
+            assert list(at["encoders"].position) == truth.encoder[0].tolist()
+            assert at["stage"].header.frame_id == "endpoint"
+
+
+class SimulatedRun:
+    """A driver of the joint ``base`` in simulated time, and its scans.
+
+    Attributes:
+        now_ns: The simulated time; each call of ``advance`` adds a fifth of a tick.
+
+    """
+
+    def __init__(self, arm: Path, **parameters: object) -> None:
+        self.now_ns = 1000 * NS
+        self.graph = Graph()
+        self.scans: list[RawScan] = []
+        self.program = driver(arm, "base", use_sim_time=True, **parameters)
+
+    def __enter__(self) -> Self:
+        self.graph.__enter__()
+        self.graph.watch_diagnostics()
+        self.scans = self.graph.collect(RawScan, "/arm/base/raw", BEST_EFFORT)
+        self.program.__enter__()
+        self._clock = self.graph.publisher(Clock, "/clock", QoSProfile(depth=1), subscriptions=1)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            assert self.program.end() == 0
+        self.program.__exit__(kind, error, trace)
+        self.graph.__exit__(kind, error, trace)
+
+    def advance(self) -> None:
+        self.now_ns += PERIOD // 5
+        message = Clock()
+        message.clock.sec, message.clock.nanosec = divmod(self.now_ns, NS)
+        self._clock.publish(message)
+
+    def wait_for_scans(self, count: int) -> None:
+        self.graph.wait_until(lambda: len(self.scans) >= count, f"{count} scans", self.advance)
+
+
+def test_simulated_time_sets_the_pace_and_may_stop(arm: Path) -> None:
+    with SimulatedRun(arm, simulated__dropouts=False) as run:
+        latest: dict[int, int] = {}
+
+        def watch() -> None:
+            latest.update({scan.scan: run.now_ns for scan in run.scans if scan.scan not in latest})
+            run.advance()
+
+        run.graph.wait_until(lambda: len(run.scans) >= 10, "scans", watch)
+        assert all(1000 * NS < stamp_ns(scan) <= run.now_ns for scan in run.scans)
+        # Published no sooner than its latency after its stamp.
+        assert all(now >= number * PERIOD + 800_000 for number, now in latest.items())
+        count, last = len(run.scans), run.scans[-1].scan  # the clock stops here
+    assert len(run.scans) - count <= 1
+    assert run.scans[-1].scan - last <= 1
+
+
+def test_deactivation_works_on_a_stopped_clock_and_activation_continues_at_present(arm: Path) -> None:
+    with SimulatedRun(arm) as run:
+        run.wait_for_scans(5)
+        assert run.graph.change_state(NODE.format("base"), Transition.TRANSITION_DEACTIVATE)
+        count = len(run.scans)
+        for _ in range(20):
+            run.advance()
+            run.graph.receive()
+        assert len(run.scans) == count
+        assert run.graph.change_state(NODE.format("base"), Transition.TRANSITION_ACTIVATE)
+        run.wait_for_scans(count + 5)
+        assert run.scans[count].scan > run.scans[count - 1].scan + 3
+
+
+def test_ticks_go_back_with_the_time(arm: Path) -> None:
+    with SimulatedRun(arm) as run:
+        run.wait_for_scans(5)
+        run.now_ns = 500 * NS
+
+        def early() -> list[int]:
+            return [scan.scan for scan in run.scans if scan.scan < 600 * RATE]
+
+        run.graph.wait_until(lambda: len(early()) >= 5, "earlier scans", run.advance)
+        assert early() == sorted(early())
+
+
+def test_clock_that_leaps_skips_and_counts_ticks(arm: Path) -> None:
+    with SimulatedRun(arm, simulated__dropouts=False) as run:
+        run.wait_for_scans(5)
+        run.now_ns += NS
+        run.wait_for_scans(10)
+        steps = np.diff([scan.scan for scan in run.scans])
+        assert steps.max() > RATE // 2
+        name = f"{NODE.format('base')}: pace"
+
+        def is_counted() -> bool:
+            latest = run.graph.latest(name)
+            return latest is not None and int(values_of(latest)["ticks_missed"]) >= steps.max() - 1
+
+        run.graph.wait_until(is_counted, "the count of missed ticks")
+        late = [status for status in run.graph.diagnostics if status.name == name and status.message == "late"]
+        assert late[0].level == b"\x01"
+
+
+def test_run_of_whole_cycles_ends_with_a_cycle(tmp_path: Path) -> None:
+    content = scenario()
+    content["motion"] = [{"kind": "rest", "duration": {"value": 0.2, "unit": "s"}}]
+    content["duration"]["value"] = 0.2
+    content["electronics"]["contamination"] = []
+    arm = write_arm(tmp_path, content)
+    with Graph() as graph:
+        truth = graph.collect(PoseStamped, "/arm/truth/base")
+        with driver(arm, "base", wait_for_subscribers=0, wait_for_other_subscribers=1, simulated__cycles=2) as program:
+            assert program.wait() == 0
+            graph.wait_until(lambda: stamp_ns(truth[-1]) // PERIOD % 20 == 19 if truth else False, "the last tick")
+    ticks = [stamp_ns(pose) // PERIOD for pose in truth]
+    assert ticks[-1] % 20 == 19
+    assert 40 <= ticks[-1] - ticks[0] + 1 < 60
+
+
+def test_stage_follows_commands_and_moves_endpoint_and_last_posor(arm: Path) -> None:
+    simulation = ArmSimulation(load_arm(arm))
+    with Graph() as graph:
+        endpoints = graph.collect(PoseStamped, "/arm/truth/endpoint")
+        elbows = graph.collect(PoseStamped, "/arm/truth/elbow")
+        positions = graph.collect(Vector3Stamped, "/arm/stage/position")
+        with driver(arm, LAST, wait_for_subscribers=0) as program:
+            commands = graph.publisher(Vector3Stamped, "/arm/stage/command")
+            goal = (2e-4, -1e-4, 3e-4)
+
+            def there() -> bool:
+                return bool(positions) and np.allclose(vector(positions[-1]), goal, rtol=0.0, atol=1e-9)
+
+            graph.wait_until(there, "the stage", lambda: commands.publish(command(graph, goal)))
+            stamp = stamp_ns(positions[-1])
+            topics = (endpoints, elbows)
+            graph.wait_until(lambda: all(stamp in map(stamp_ns, topic) for topic in topics), "the truth of that time")
+            assert program.end() == 0
+        position = next(vector(each) for each in positions if stamp_ns(each) == stamp)
+        tick = np.array([stamp // PERIOD])
+        truth, still = simulation.truth(tick, np.array([position])), simulation.truth(tick)
+        endpoint = pose_from_message(next(each for each in endpoints if stamp_ns(each) == stamp).pose)
+        elbow = pose_from_message(next(each for each in elbows if stamp_ns(each) == stamp).pose)
+        assert np.allclose(endpoint.translation, truth.endpoint.translations[0], rtol=0.0, atol=1e-14)
+        assert np.allclose(elbow.translation, truth.T_parent_child[LAST].translations[0], rtol=0.0, atol=1e-14)
+        moved = endpoint.translation - still.endpoint.translations[0]
+        seen = elbow.translation - still.T_parent_child[LAST].translations[0]
+        assert np.linalg.norm(moved) == pytest.approx(np.linalg.norm(goal), rel=1e-3)
+        assert np.linalg.norm(seen) == pytest.approx(np.linalg.norm(moved), rel=1e-9)
+
+
+def vector(message: Vector3Stamped) -> list[float]:
+    return [message.vector.x, message.vector.y, message.vector.z]
+
+
+def command(graph: Graph, goal: tuple[float, float, float], frame: str = "endpoint", late_s: float = 0.0) -> Any:
+    message = Vector3Stamped()
+    now_ns = graph.node.get_clock().now().nanoseconds - round(late_s * NS)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(now_ns, NS)
+    message.header.frame_id = frame
+    message.vector.x, message.vector.y, message.vector.z = goal
+    return message
+
+
+def test_invalid_stage_commands_are_refused_and_reported(arm: Path) -> None:
+    cases = (
+        (
+            (6e-4, 0.0, 0.0),
+            "endpoint",
+            0.0,
+            "is (0.0006, 0, 0) m; expected at most 0.0005 m to either side, the stroke.",
+        ),
+        ((1e-4, 0.0, 0.0), "base", 0.0, "is in frame 'base'; expected 'endpoint'."),
+        ((1e-4, 0.0, 0.0), "endpoint", 5.0, "after its stamp; expected a stamp within 0.5 s."),
+    )
+    with Graph() as graph:
+        graph.watch_diagnostics()
+        positions = graph.collect(Vector3Stamped, "/arm/stage/position")
+        name = f"{NODE.format(LAST)}: input /arm/stage/command"
+        with driver(arm, LAST, wait_for_subscribers=0) as program:
+            commands = graph.publisher(Vector3Stamped, "/arm/stage/command")
+            for number, (goal, frame, late_s, reason) in enumerate(cases, start=1):
+                commands.publish(command(graph, goal, frame, late_s))
+                status = wait_for_value(graph, name, "refused", str(number))
+                assert (status.message, status.level) == ("refused", b"\x01")
+                assert values_of(status)["reason"].endswith(reason)
+            count = len(positions)
+            graph.wait_until(lambda: len(positions) > count + 5, "the stage's position")
+            assert {tuple(vector(position)) for position in positions} == {(0.0, 0.0, 0.0)}
+            assert program.end() == 0
+
+
+def test_only_the_last_joint_of_an_arm_with_stage_subscribes_to_commands(tmp_path: Path) -> None:
+    content = scenario()
+    del content["stage"]
+    (tmp_path / "without").mkdir()
+    (tmp_path / "with").mkdir()
+    arms = {
+        folder: write_arm(tmp_path / folder, content if folder == "without" else None) for folder in ("with", "without")
+    }
+    with Graph() as graph:
+        bases = graph.collect(RawScan, "/arm/base/raw", BEST_EFFORT)
+        lasts = graph.collect(RawScan, f"/arm/{LAST}/raw", BEST_EFFORT)
+        with driver(arms["with"], "base") as base, driver(arms["without"], LAST) as last:
+            graph.wait_until(lambda: bool(bases and lasts), "scans of both")
+            assert graph.node.count_subscribers("/arm/stage/command") == 0
+            assert [program.end() for program in (base, last)] == [0, 0]
+        with driver(arms["with"], LAST) as last:
+            graph.wait_until(lambda: graph.node.count_subscribers("/arm/stage/command") == 1, "the stage's listener")
+            assert last.end() == 0
+
+
+def test_parameter_of_a_replay_ends_the_program(arm: Path) -> None:
+    with driver(arm, "base", loop=True) as program:
+        assert program.wait() == 2
+        (line,) = program.stderr
+        assert line.startswith("parameter 'loop': source 'simulated' is live")
+
+
+def test_unknown_joint_is_refused(arm: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    sentence = f"parameter 'simulated.joint': 'wrist' is not a joint of {arm}; expected one of base, shoulder, elbow."
+    assert run_refused_node(DriverNode, ros_names(parameters_of(arm, "wrist")), capfd) == (2, [sentence])
+
+
+def test_arm_without_scenario_is_refused(arm: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    text = arm.read_text(encoding="utf-8")
+    arm.write_text(text.replace("scenario: scenario.yaml\n", ""), encoding="utf-8")
+    sentence = f"{arm}, line 1: key 'scenario' is missing; expected the simulator's scenario file."
+    assert run_refused_node(DriverNode, ros_names(parameters_of(arm, "base")), capfd) == (1, [sentence])

@@ -1,0 +1,130 @@
+"""Schedule of a live source: at ticks, in order, never bunched."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from posor_drivers.live_publisher import MissedTicks, schedule_ticks
+from posor_drivers.scheduled_publication import Pause
+from posor_drivers.sources.source import LiveSource, SourceMessage
+from posor_estimator.bags.message_definitions import MessageTypes
+from posor_estimator.parameter_model import ParameterGroup
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+PERIOD = 10
+
+
+class Metronome(LiveSource[ParameterGroup]):
+    """Ticks every 10 ns; each is published 3 ns later. Six in a run, counted from the first multiple of six."""
+
+    Parameters = ParameterGroup
+    endless = False
+    record = "nothing"
+    rate = 100_000_000
+
+    def open(self) -> Sequence[Any]:
+        return []
+
+    def inputs(self) -> Sequence[Any]:
+        return []
+
+    def start_run(self, now_ns: int) -> tuple[int, int | None]:
+        self.begun = [*getattr(self, "begun", []), now_ns]
+        first = now_ns // PERIOD + 1
+        return first, None if self.endless else -(-first // 6) * 6 + 5
+
+    def newest_tick(self, now_ns: int) -> int:
+        return now_ns // PERIOD
+
+    def publication_time_ns(self, tick: int) -> int:
+        return tick * PERIOD + 3
+
+    def read_tick(self, tick: int) -> Iterator[SourceMessage]:
+        yield SourceMessage("raw", tick * PERIOD, str(tick).encode())
+        yield SourceMessage("truth", tick * PERIOD, b"")
+
+
+class Wall:
+    """Replaces a TickClock: reaches each time waited for, late or in another epoch as given."""
+
+    def __init__(self, now_ns: int, late: dict[int, int] | None = None, steps: dict[int, int] | None = None) -> None:
+        self.turn_ns = now_ns
+        self.epoch = 0
+        self._late = late or {}
+        self._steps = steps or {}
+
+    def wait(self, time_ns: int) -> None:
+        if time_ns in self._steps:
+            self.turn_ns = self._steps.pop(time_ns)
+            self.epoch += 1
+        else:
+            self.turn_ns = max(self.turn_ns, self._late.pop(time_ns, time_ns))
+
+
+def ticks(wall: Wall, source: Metronome | None = None, count: int = 1000) -> tuple[list[int], MissedTicks]:
+    """Return the ticks that are published, up to a count, and what was missed."""
+    misses, published = MissedTicks(), list[int]()
+    source = source or Metronome(ParameterGroup(), MessageTypes())
+    dues = schedule_ticks(source, wall, misses)  # type: ignore[arg-type]
+    for due in dues:
+        if isinstance(due, Pause):
+            wall.wait(due.until_ns)
+            continue
+        tick = due.stamp_ns // PERIOD
+        assert (due.topic, due.content, due.after_s) == ("raw", str(tick).encode(), 0.0)
+        assert source.publication_time_ns(tick) <= wall.turn_ns
+        truth = next(dues)
+        assert not isinstance(truth, Pause)
+        assert (truth.topic, truth.stamp_ns) == ("truth", due.stamp_ns)
+        published.append(tick)
+        if len(published) == count:
+            break
+    return published, misses
+
+
+def test_run_goes_from_the_next_tick_to_the_end_of_a_cycle() -> None:
+    assert ticks(Wall(600)) == (list(range(61, 72)), MissedTicks())
+    assert ticks(Wall(599)) == (list(range(60, 66)), MissedTicks())
+
+
+def test_missed_ticks_are_counted_and_skipped() -> None:
+    # Asked to wait for tick 62 at 623, the process comes back at 655: 62, 63, 64 are over, 65 is due.
+    assert ticks(Wall(600, {623: 655})) == ([61, *range(65, 72)], MissedTicks(overruns=1, ticks=3))
+
+
+def test_late_tick_is_published_if_the_next_is_not_due() -> None:
+    assert ticks(Wall(600, {623: 632})) == (list(range(61, 72)), MissedTicks())
+
+
+def test_tick_is_missed_when_the_next_is_due_not_when_it_has_happened() -> None:
+    assert ticks(Wall(600, {623: 651})) == ([61, 64, *range(65, 72)], MissedTicks(overruns=1, ticks=2))
+    assert ticks(Wall(600, {623: 633})) == ([61, *range(63, 72)], MissedTicks(overruns=1, ticks=1))
+
+
+def test_last_tick_is_published_even_if_the_process_wakes_after_the_end() -> None:
+    assert ticks(Wall(600, {693: 90_000})) == ([*range(61, 69), 71], MissedTicks(overruns=1, ticks=2))
+
+
+def test_endless_run_continues_after_a_cycle() -> None:
+    source = Metronome(ParameterGroup(), MessageTypes())
+    source.endless = True
+    assert ticks(Wall(600), source, 40) == (list(range(61, 101)), MissedTicks())
+
+
+def test_clock_that_goes_back_restarts_the_run() -> None:
+    source = Metronome(ParameterGroup(), MessageTypes())
+    assert ticks(Wall(600, steps={643: 23}), source) == ([61, 62, 63, *range(3, 12)], MissedTicks())
+    assert source.begun == [600, 23]
+
+
+def test_clock_stepped_forward_restarts_the_run_without_missed_ticks() -> None:
+    source = Metronome(ParameterGroup(), MessageTypes())
+    assert ticks(Wall(600, steps={643: 90_000}), source) == ([61, 62, 63, *range(9001, 9012)], MissedTicks())
+
+
+def test_run_waits_for_the_first_simulated_time() -> None:
+    source = Metronome(ParameterGroup(), MessageTypes())
+    assert ticks(Wall(0, {1: 600}), source) == (list(range(61, 72)), MissedTicks())
+    assert source.begun == [600]

@@ -1,0 +1,212 @@
+"""The recorder as a program: its bag, its end, its refusals."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+import yaml
+from geometry_msgs.msg import PointStamped
+from posor_estimator.bags.message_definitions import MessageTypes
+from posor_estimator.testing.graph import Graph, values_of
+from posor_estimator.testing.program import Program, installed, script
+from posor_msgs.msg import RawScan
+from rclpy.duration import Duration
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import String
+
+from .driver_program import LOSSLESS, driver_program
+from .sample_bags import read_bag, scan, write_bag
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+pytestmark = pytest.mark.usefixtures("ros_domain")
+
+PUBLISHER = script(Path(__file__).with_name("scan_publisher.py"))
+BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+RELIABLE = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+LATCHED = QoSProfile(depth=5, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def record(bag: Path, *topics: str) -> Program:
+    """Record the given topics, or all without any."""
+    topic_options = ["--topics", *topics] if topics else ["--all"]
+    return Program([*installed("posor_drivers", "record"), "--output", str(bag), *topic_options])
+
+
+def refusal(*arguments: str) -> tuple[int, list[str]]:
+    with Program([*installed("posor_drivers", "record"), *arguments]) as program:
+        return program.wait(), program.stderr
+
+
+def delivered(publisher: object) -> bool:
+    return bool(publisher.wait_for_all_acked(Duration(seconds=30)))  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_closes_the_bag_with_all_received_messages(tmp_path: Path, number: signal.Signals) -> None:
+    bag = tmp_path / "deep/bag"
+    with Graph() as graph, record(bag, "words", "/joint1/raw") as program:
+        words = graph.publisher(String, "/words", RELIABLE)
+        scans = graph.publisher(RawScan, "/joint1/raw", RELIABLE)
+        program.wait_for_line("ready: recording /words /joint1/raw to ")
+        for index in range(50):
+            words.publish(String(data=f"word {index}"))
+        scans.publish(scan(7, 100).data)
+        assert delivered(words)
+        assert delivered(scans)
+        assert program.end(number) == 0
+        assert program.stderr == []
+        counts = program.stdout[-1].removeprefix(f"closed {bag}: ")
+        assert sorted(counts.split(", ")) == ["/joint1/raw 1", "/words 50"]
+    messages = read_bag(bag)
+    assert [data for topic, _, data in messages if topic == "/joint1/raw"] == [scan(7, 100).data]
+    texts = [deserialize_message(data, String).data for topic, _, data in messages if topic == "/words"]
+    assert texts == [f"word {index}" for index in range(50)]
+
+
+def test_bag_holds_types_hashes_and_offered_quality_of_service(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    with Graph() as graph, record(bag, "/joint1/raw", "/map") as program:
+        scans = graph.node.create_publisher(RawScan, "/joint1/raw", BEST_EFFORT)
+        latched = graph.node.create_publisher(String, "/map", LATCHED)
+        latched.publish(String(data="sent before anybody listened"))
+        program.wait_for_line("ready: ")
+        graph.wait_until(
+            lambda: scans.get_subscription_count() == latched.get_subscription_count() == 1, "the recorder"
+        )
+        assert delivered(latched)
+        assert program.end() == 0
+    information = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert (information["version"], information["storage_identifier"]) == (9, "mcap")
+    topics = {entry["topic_metadata"]["name"]: entry for entry in information["topics_with_message_count"]}
+    for name, type_name, reliability, durability, count in (
+        ("/joint1/raw", "posor_msgs/msg/RawScan", "best_effort", "volatile", 0),
+        ("/map", "std_msgs/msg/String", "reliable", "transient_local", 1),
+    ):
+        metadata = topics[name]["topic_metadata"]
+        (qos,) = metadata["offered_qos_profiles"]
+        assert (qos["reliability"], qos["durability"]) == (reliability, durability)
+        assert metadata["type"] == type_name
+        assert metadata["type_description_hash"] == MessageTypes().definition(type_name).type_hash
+        assert topics[name]["message_count"] == count
+
+
+def test_no_scan_of_five_joints_at_a_kilohertz_is_lost(tmp_path: Path) -> None:
+    bag, ticks = tmp_path / "bag", 4000
+    topics = [f"/joint{joint}/raw" for joint in range(1, 6)]
+    with record(bag, *topics) as program, Program([*PUBLISHER, str(ticks), "1000"]) as publisher:
+        publisher.wait_for_line("all received")
+        assert publisher.wait() == 0
+        assert program.end(signal.SIGTERM) == 0
+        assert program.stderr == []
+    numbers: Mapping[str, list[int]] = {topic: [] for topic in topics}
+    for topic, _, data in read_bag(bag):
+        numbers[topic].append(deserialize_message(data, RawScan).scan)
+    assert numbers == {topic: list(range(ticks)) for topic in topics}
+
+
+def test_recording_of_a_replay_is_the_replayed_bag(tmp_path: Path) -> None:
+    records = [scan(number, 1000 + number) for number in range(300)]
+    original = write_bag(tmp_path / "original", records)
+    copy = tmp_path / "copy"
+    with record(copy, "/joint1/raw") as program:
+        with driver_program(source="bag", bag__path=str(original), rate=0.0, **LOSSLESS) as replay:
+            assert replay.wait() == 0
+        assert program.end() == 0
+    assert [data for _, _, data in read_bag(copy)] == [record.data for record in records]
+
+
+def test_option_all_records_later_topics_too(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    with Graph() as graph, record(bag) as program:
+        program.wait_for_line(f"ready: recording every topic to {bag}")
+        for topic in ("/early", "/late"):
+            publisher = graph.publisher(String, topic, RELIABLE)
+            program.wait_for_line(f"found {topic} [std_msgs/msg/String]")
+            publisher.publish(String(data=topic))
+            assert delivered(publisher)
+        hidden = graph.node.create_publisher(String, "/_hidden", RELIABLE)
+        last = graph.publisher(String, "/last", RELIABLE)
+        program.wait_for_line("found /last")
+        assert hidden.get_subscription_count() == 0
+        assert delivered(last)
+        assert program.end() == 0
+    recorded = {topic: data for topic, _, data in read_bag(bag)}
+    assert "/_hidden" not in recorded
+    for topic in ("/early", "/late"):
+        assert deserialize_message(recorded[topic], String).data == topic
+
+
+def test_progress_is_in_the_diagnostics(tmp_path: Path) -> None:
+    with Graph() as graph, record(tmp_path / "bag", "/words") as program:
+        graph.watch_diagnostics()
+        graph.wait_for_status("/recorder: recording", "waiting for topics")
+        words = graph.publisher(String, "/words", RELIABLE)
+        graph.wait_for_status("/recorder: recording", "recording")
+        for _ in range(3):
+            words.publish(String(data="word"))
+        graph.wait_until(
+            lambda: values_of(graph.latest("/recorder: recording")).get("/words") == "3", "the count in the diagnostics"
+        )
+        assert program.end() == 0
+
+
+def test_existing_output_is_refused(tmp_path: Path) -> None:
+    assert refusal("--output", str(tmp_path), "--all") == (1, [f"{tmp_path}: exists already; expected a new folder."])
+
+
+def test_invalid_command_line_is_refused_with_one_sentence(tmp_path: Path) -> None:
+    bag = str(tmp_path / "bag")
+    for arguments in ([], ["--output", bag], ["--all"], ["--output", bag, "--all", "--topics", "/x"], ["--what"]):
+        code, (sentence,) = refusal(*arguments)
+        assert code == 2
+        assert sentence.startswith("record: ")
+        assert sentence.endswith("expected options as 'record --help' lists them.")
+    assert not (tmp_path / "bag").exists()
+
+
+def test_invalid_topic_name_is_refused(tmp_path: Path) -> None:
+    code, (sentence,) = refusal("--output", str(tmp_path / "bag"), "--topics", "/1st topic")
+    assert code == 2
+    assert sentence.startswith("record: '/1st topic' is not a topic name")
+
+
+def test_missing_topic_makes_the_recording_fail_but_readable(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    with Graph() as graph, record(bag, "/words", "/nobody") as program:
+        words = graph.publisher(String, "/words", RELIABLE)
+        words.publish(String(data="word"))
+        assert delivered(words)
+        assert program.end() == 1
+        assert program.stderr == [f"{bag}: topic /nobody never appeared."]
+        assert not any("ready" in line for line in program.stdout)
+    assert len(read_bag(bag)) == 1
+
+
+def test_incompatible_publisher_is_reported(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    with Graph() as graph, record(bag, "/words") as program:
+        graph.watch_diagnostics()
+        graph.publisher(String, "/words", RELIABLE)
+        program.wait_for_line("ready")
+        graph.node.create_publisher(String, "/words", BEST_EFFORT)
+        graph.wait_for_status("/recorder: recording", "best effort among reliable publishers")
+        assert program.end() == 1
+        (sentence,) = program.stderr
+        assert sentence == f"{bag}: /words of /test_graph, best effort among reliable publishers, is missing."
+
+
+def test_topic_with_two_types_is_refused(tmp_path: Path) -> None:
+    with Graph() as one, Graph() as other:
+        one.node.create_publisher(String, "/odd", RELIABLE)
+        other.node.create_publisher(PointStamped, "/odd", RELIABLE)
+        with record(tmp_path / "bag", "/odd") as program:
+            one.wait_until(lambda: program.ended, "the end of the recorder")
+            assert program.wait() == 1
+            (sentence,) = program.stderr
+    assert sentence.startswith("topic /odd has several types, ")

@@ -1,0 +1,248 @@
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from threading import Event
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from posor_drivers.driver_parameters import ReplayParameters
+from posor_drivers.replay_publisher import ReplayPublisher, schedule_replay
+from posor_drivers.scheduled_publication import RunState, ScheduledPublication
+from posor_drivers.sources.bag_source import BagParameters, BagSource
+from posor_estimator.bags.message_definitions import MessageTypes
+from posor_estimator.errors import BagError, ParameterError
+from posor_estimator.ros.message_classes import message_class
+from posor_msgs.msg import RawScan
+from rclpy.serialization import deserialize_message
+
+from .sample_bags import SECOND, Record, point, scan, text, write_bag
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+
+START = 1000 * SECOND
+TENTH = SECOND // 10
+RECORDS = [
+    Record(*record)
+    for number in range(5)
+    for record in (scan(10 + number, START + number * TENTH), point(START + number * TENTH + 7))
+]
+NOW = 2_000_000 * SECOND
+
+
+def replay(path: Path, records: list[Record], **options: Any) -> Iterator[ScheduledPublication]:
+    others = tuple(sorted({record.topic for record in records} - {"/joint1/raw"}))
+    bag = path / "bag"
+    if not bag.exists():
+        write_bag(bag, records)
+    source = BagSource(BagParameters(path=str(bag), other_topics=others), MessageTypes())
+    classes = {topic.name: message_class(topic.type_name) for topic in source.open()}
+    return schedule_replay(source, classes, ReplayParameters(**options), NOW)
+
+
+def stamps(items: list[ScheduledPublication]) -> list[int]:
+    return [
+        item.content.header.stamp.sec * SECOND + item.content.header.stamp.nanosec
+        for item in items
+        if item.topic == "raw"
+    ]
+
+
+def decoded(items: list[ScheduledPublication]) -> list[RawScan]:
+    return [
+        deserialize_message(item.content, RawScan) if isinstance(item.content, bytes) else item.content
+        for item in items
+        if item.topic == "raw"
+    ]
+
+
+def test_recorded_bytes_are_published_unchanged_at_the_recorded_pace(tmp_path: Path) -> None:
+    items = list(replay(tmp_path, RECORDS))
+    assert [item.content for item in items] == [record.data for record in RECORDS]
+    assert [item.after_s for item in items] == [(record.time_ns - START) / SECOND for record in RECORDS]
+
+
+def test_rate_divides_the_intervals_and_zero_removes_them(tmp_path: Path) -> None:
+    fast = list(replay(tmp_path, RECORDS, rate=4.0))
+    assert [item.after_s for item in fast] == pytest.approx(
+        [(record.time_ns - START) / SECOND / 4 for record in RECORDS]
+    )
+    at_once = list(replay(tmp_path, RECORDS, rate=0.0))
+    assert {item.after_s for item in at_once} == {0.0}
+    assert [item.content for item in at_once] == [record.data for record in RECORDS]
+
+
+@pytest.mark.parametrize(
+    ("start", "stop", "scans"),
+    [
+        (0.0, math.inf, [10, 11, 12, 13, 14]),
+        (0.1, math.inf, [11, 12, 13, 14]),
+        (0.15, 0.4, [12, 13]),
+        (0.0, 0.1, [10]),
+        (0.4, 9.0, [14]),
+    ],
+)
+def test_offsets_select_a_part_that_starts_at_once(tmp_path: Path, start: float, stop: float, scans: list[int]) -> None:
+    items = list(replay(tmp_path, RECORDS, start_offset=start, stop_offset=stop))
+    assert [content.scan for content in decoded(items)] == scans
+    assert items[0].after_s == 0.0
+
+
+def test_offsets_that_leave_no_scan_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ParameterError) as caught:
+        list(replay(tmp_path, RECORDS, start_offset=5.0, stop_offset=6.0))
+    assert str(caught.value) == (
+        "no scan lies between 'start_offset' 5.0 and 'stop_offset' 6.0; expected offsets within the record."
+    )
+
+
+def test_loop_continues_stamps_scan_numbers_and_pace(tmp_path: Path) -> None:
+    items = list(itertools.islice(replay(tmp_path, RECORDS, loop=True), 30))
+    assert [item.content for item in items[:10]] == [record.data for record in RECORDS]
+    scans = decoded(items)
+    assert [content.scan for content in scans] == list(range(10, 25))
+    times = [content.header.stamp.sec * SECOND + content.header.stamp.nanosec for content in scans]
+    assert times == [START + number * TENTH for number in range(15)]
+    assert [item.after_s for item in items if item.topic == "raw"] == pytest.approx(
+        [number * 0.1 + 7e-9 * (number // 5) for number in range(15)], abs=1e-12
+    )
+    truth = [item.content for item in items[10:] if item.topic != "raw"]
+    assert truth[0].header.stamp.nanosec == 500_000_007
+
+
+def test_loop_continues_stamps_where_the_log_times_were_compressed(tmp_path: Path) -> None:
+    records = [scan(3 * number, START + number, stamp_ns=number * SECOND) for number in range(4)]
+    scans = decoded(list(itertools.islice(replay(tmp_path, records, loop=True), 8)))
+    assert [content.header.stamp.sec for content in scans] == list(range(8))
+    assert [content.scan for content in scans] == [0, 3, 6, 9, 10, 13, 16, 19]
+
+
+def test_loop_over_a_single_scan_has_a_period_of_a_second(tmp_path: Path) -> None:
+    items = list(itertools.islice(replay(tmp_path, [scan(4, START)], loop=True), 3))
+    assert [content.scan for content in decoded(items)] == [4, 5, 6]
+    assert [item.after_s for item in items] == [0.0, 1.0, 2.0]
+
+
+def test_restamped_replay_starts_now_and_keeps_intervals(tmp_path: Path) -> None:
+    items = list(replay(tmp_path, RECORDS, restamp=True))
+    assert stamps(items) == [NOW + number * TENTH for number in range(5)]
+    assert [content.scan for content in decoded(items)] == [10, 11, 12, 13, 14]
+    assert math.isnan(decoded(items)[0].gap_voltages[1])
+
+
+@pytest.mark.parametrize(("rate", "distance"), [(2.0, TENTH // 2), (0.0, TENTH)])
+def test_restamping_follows_the_rate(tmp_path: Path, rate: float, distance: int) -> None:
+    items = list(replay(tmp_path, RECORDS, restamp=True, rate=rate))
+    assert stamps(items) == [NOW + number * distance for number in range(5)]
+
+
+def test_restamped_loop_is_one_long_record(tmp_path: Path) -> None:
+    items = list(itertools.islice(replay(tmp_path, RECORDS, restamp=True, loop=True, rate=2.0), 30))
+    assert stamps(items) == [NOW + number * TENTH // 2 for number in range(15)]
+    assert [content.scan for content in decoded(items)] == list(range(10, 25))
+
+
+def test_message_without_header_is_unchanged(tmp_path: Path) -> None:
+    records = [scan(1, START), text(START + 1), scan(2, START + 2)]
+    items = list(replay(tmp_path, records, restamp=True))
+    assert items[1].content == records[1].data
+
+
+def test_undecodable_bytes_are_refused(tmp_path: Path) -> None:
+    broken = scan(2, START + 1)._replace(data=scan(2, START + 1).data[:40])
+    with pytest.raises(BagError) as caught:
+        list(replay(tmp_path, [scan(1, START), broken], restamp=True))
+    assert str(caught.value) == f"topic raw: the 40 bytes recorded at {START + 1} ns cannot be decoded."
+
+
+class PublisherHarness:
+    """Replaces the node around a ReplayPublisher and records what happens."""
+
+    def __init__(self, *scheduled: ScheduledPublication, failure: Exception | None = None) -> None:
+        self.scheduled = scheduled
+        self.failure = failure
+        self.listening = True
+        self.asked = Event()
+        self.published: list[tuple[str, float]] = []
+        self.first = Event()
+        self.states: list[RunState] = []
+        self.error: Exception | None = None
+        self.over = Event()
+        self.publisher = ReplayPublisher(self.publications, self.publish, self.has_subscribers, self.on_state)
+
+    def publications(self) -> Iterator[ScheduledPublication]:
+        yield from self.scheduled
+        if self.failure is not None:
+            raise self.failure
+
+    def has_subscribers(self) -> bool:
+        self.asked.set()
+        return self.listening
+
+    def publish(self, publication: ScheduledPublication) -> None:
+        self.published.append((publication.topic, time.monotonic()))
+        self.first.set()
+
+    def on_state(self, state: RunState, error: Exception | None) -> None:
+        self.states.append(state)
+        if state in (RunState.ENDED, RunState.FAILED):
+            self.error = error
+            self.over.set()
+
+
+def test_messages_are_not_published_early() -> None:
+    harness = PublisherHarness(*(ScheduledPublication(str(number), b"", 0.02 * number) for number in range(6)))
+    begin = time.monotonic()
+    harness.publisher.start()
+    assert harness.over.wait(30.0)
+    assert [topic for topic, _ in harness.published] == [str(number) for number in range(6)]
+    assert all(at - begin >= 0.02 * number for number, (_, at) in enumerate(harness.published))
+    assert harness.states == [RunState.WAITING, RunState.RUNNING, RunState.ENDED]
+    harness.publisher.stop()
+
+
+def test_replay_waits_for_subscribers() -> None:
+    harness = PublisherHarness(ScheduledPublication("a", b"", 0.0))
+    harness.listening = False
+    harness.publisher.start()
+    assert harness.asked.wait(30.0)
+    assert harness.published == []
+    harness.listening = True
+    assert harness.over.wait(30.0)
+    assert len(harness.published) == 1
+    harness.publisher.stop()
+    assert not harness.publisher.stop()
+
+
+def test_replay_can_be_stopped_while_it_waits_for_subscribers() -> None:
+    harness = PublisherHarness(ScheduledPublication("a", b"", 0.0))
+    harness.listening = False
+    harness.publisher.start()
+    assert harness.asked.wait(30.0)
+    harness.publisher.stop()
+    assert harness.published == []
+    assert harness.states == [RunState.WAITING]
+
+
+def test_replay_can_be_stopped_between_messages() -> None:
+    harness = PublisherHarness(ScheduledPublication("a", b"", 0.0), ScheduledPublication("b", b"", 1000.0))
+    harness.publisher.start()
+    assert harness.first.wait(30.0)
+    assert harness.publisher.stop()
+    assert [topic for topic, _ in harness.published] == ["a"]
+    assert harness.states == [RunState.WAITING, RunState.RUNNING]
+
+
+def test_failure_of_the_source_is_reported() -> None:
+    for failure in (BagError("is broken"), KeyError("a bug")):
+        harness = PublisherHarness(ScheduledPublication("a", b"", 0.0), failure=failure)
+        harness.publisher.start()
+        assert harness.over.wait(30.0)
+        assert harness.states[-1] is RunState.FAILED
+        assert harness.error is failure
+        assert len(harness.published) == 1
+        harness.publisher.stop()

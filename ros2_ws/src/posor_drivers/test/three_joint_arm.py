@@ -1,0 +1,143 @@
+"""A simulated arm for tests: three joints, on disk as a user's arm is."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import yaml
+from posor_drivers.simulator.arm_simulation import ArmSimulation
+from posor_estimator.calibration.designs import SizedDesignName, sized_design
+from posor_estimator.chain.arm_file import load_arm
+from posor_estimator.errors import CalibrationError
+
+if TYPE_CHECKING:
+    from posor_drivers.simulator.imperfections import Imperfections
+
+SCENARIO = Path(__file__).parent / "scenarios" / "three_joints.yaml"
+JOINTS = ("base", "shoulder", "elbow")
+N = 800
+TICKS = np.arange(N)
+SECOND = 1_000_000_000
+FAR = 172_800_000_000
+"""A tick of today: 54 years at 100 Hz; a whole number of cycles."""
+DESIGNS: dict[str, tuple[SizedDesignName, float]] = {
+    "base": ("triad_bumpy_ring", 0.2032),
+    "shoulder": ("triad_light_ring", 0.2032),
+    "elbow": ("triad_bumpy_ring", 0.1524),
+}
+PROVENANCE = {"source": "a test", "method": "by hand", "date": "none"}
+
+BEAMS = (
+    # name, parent, child, origin of the child, roll-pitch-yaw
+    ("column", "base", "base_receiving", "0 0 0.4", "0 0 0"),
+    ("riser", "base_target", "shoulder_receiving", "0 0 0.2", "-1.5707963267948966 0 0"),
+    ("upper_arm", "shoulder_target", "elbow_receiving", "0.6 0 0", "0 0 0"),
+    ("forearm", "elbow_target", "endpoint", "0.5 0 0.05", "0 0 0"),
+)
+LENGTHS = {"upper_arm": 0.6, "forearm": float(np.hypot(0.5, 0.05))}
+URDF = "\n".join(
+    [
+        '<robot name="three_joints"><link name="base"/><link name="endpoint"/>',
+        *(
+            f'<link name="{joint}_receiving"/><link name="{joint}_target"/><joint name="{joint}" type="floating">'
+            f'<parent link="{joint}_receiving"/><child link="{joint}_target"/><origin xyz="0 0 0.000735"/></joint>'
+            for joint in JOINTS
+        ),
+        *(
+            f'<joint name="{name}" type="fixed"><parent link="{parent}"/><child link="{child}"/>'
+            f'<origin xyz="{xyz}" rpy="{rpy}"/></joint>'
+            for name, parent, child, xyz, rpy in BEAMS
+        ),
+        "</robot>",
+    ]
+)
+
+
+def _sag(length: float) -> dict[str, Any]:
+    return {
+        "tube": {
+            "outer_diameter": {"value": 0.0508, "unit": "m"},
+            "inner_diameter": {"value": 0.04445, "unit": "m"},
+            "modulus": {"value": 69e9, "unit": "Pa"},
+            "density": {"value": 2700.0, "unit": "kg/m^3"},
+        },
+        "gimbals": {"value": [0.2 * length, 0.8 * length], "unit": "m"},
+        "plates": [{"name": "first", "at": {"value": 0.0, "unit": "m"}, "mass": {"value": 1.0, "unit": "kg"}}],
+        "uncertainty": {"value": 0.01, "unit": "1"},
+    }
+
+
+def _beams() -> dict[str, Any]:
+    beams: list[dict[str, Any]] = [
+        {
+            "joint": name,
+            "uncertainty": {
+                "position": {"value": [2e-7, 2e-7, 2e-7], "unit": "m"},
+                "orientation": {"value": [2e-7, 2e-7, 2e-7], "unit": "rad"},
+            },
+        }
+        for name, *_ in BEAMS[1:]
+    ]
+    for beam in beams:
+        if beam["joint"] in LENGTHS:
+            beam["sag"] = _sag(LENGTHS[beam["joint"]])
+    return {"format": "posor_beams", "version": 1, "name": "three_joints", "provenance": PROVENANCE, "beams": beams}
+
+
+def scenario() -> dict[str, Any]:
+    """Return the scenario as its file has it, to be changed."""
+    content: dict[str, Any] = yaml.safe_load(SCENARIO.read_text(encoding="utf-8"))
+    return content
+
+
+def perfect(content: dict[str, Any]) -> dict[str, Any]:
+    """Return a scenario with perfect mechanics: no play, no steps, no error motions, rigid links."""
+    content = deepcopy(content)
+    content["joints"] = {joint: {} for joint in content["joints"]}
+    return content
+
+
+def write_arm(folder: Path, content: dict[str, Any] | None = None) -> Path:
+    """Write the arm with a scenario; return the arm file."""
+    (folder / "arm.urdf").write_text(URDF, encoding="utf-8")
+    for joint in JOINTS:
+        frames = (f"{joint}_receiving", f"{joint}_target")
+        calibration = sized_design(*DESIGNS[joint], frames=frames, title=joint)
+        _write(folder / f"{joint}.yaml", calibration.model_dump(mode="json", exclude_none=True))
+    _write(folder / "beams.yaml", _beams())
+    _write(folder / "scenario.yaml", scenario() if content is None else content)
+    arm = {
+        "format": "posor_arm",
+        "version": 1,
+        "name": "arm",
+        "provenance": PROVENANCE,
+        "urdf": "arm.urdf",
+        "beams": "beams.yaml",
+        "joints": {joint: {"calibration": f"{joint}.yaml"} for joint in JOINTS},
+        "driver": {"source": "simulated"},
+        "scenario": "scenario.yaml",
+    }
+    _write(folder / "arm.yaml", arm)
+    return folder / "arm.yaml"
+
+
+def _write(path: Path, content: object) -> None:
+    path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+
+
+def simulation(
+    folder: Path, switches: Imperfections | None = None, content: dict[str, Any] | None = None
+) -> ArmSimulation:
+    """Write the arm and simulate it."""
+    return ArmSimulation(load_arm(write_arm(folder, content)), switches)
+
+
+def refused(folder: Path, content: dict[str, Any]) -> CalibrationError:
+    """Return why a scenario is refused."""
+    with pytest.raises(CalibrationError) as error:
+        simulation(folder, content=content)
+    return error.value
