@@ -9,20 +9,16 @@ from setuptools import find_packages, setup
 PACKAGE = "posor_bringup"
 
 
-def files(folder: str) -> list[str]:
-    """Return the data files of a folder of this package, in a fixed order."""
-    return sorted(str(path) for path in Path(folder).glob("*.*"))
-
-
-def folders(folder: str) -> list[str]:
-    """Return a folder of this package and all below it, in a fixed order."""
-    return sorted({str(path.parent) for path in Path(folder).rglob("*.*")})
+def data_files(*roots: str) -> list[tuple[str, list[str]]]:
+    """Return the data files of folders and their subfolders, by folder of installation, sorted."""
+    folders = sorted({path.parent for root in roots for path in Path(root).rglob("*.*")})
+    return [(f"share/{PACKAGE}/{folder}", sorted(map(str, folder.glob("*.*")))) for folder in folders]
 
 
 setup(
     name=PACKAGE,
     version="0.1.0",
-    description="The 1985 rig and simulated arms: demos, reports, launch files, URDF and calibration files",
+    description="What a user starts: bringup, launch files, arms, and the 1985 rig",
     license="Apache-2.0",
     maintainer="POSOR maintainers",
     maintainer_email="maintainers@posor.invalid",
@@ -31,12 +27,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
-        *((f"share/{PACKAGE}/bags/{test}", files(f"bags/{test}")) for test in ("ymo", "yzmo", "zmo")),
-        *((f"share/{PACKAGE}/{folder}", files(folder)) for folder in folders("arms")),
-        (f"share/{PACKAGE}/config", files("config")),
-        (f"share/{PACKAGE}/data", files("data")),
-        (f"share/{PACKAGE}/launch", files("launch")),
-        (f"share/{PACKAGE}/urdf", files("urdf")),
+        *data_files("arms", "bags", "config", "launch", "urdf"),
     ],
     python_requires=">=3.11",
     install_requires=["setuptools"],
@@ -44,13 +35,7 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            "arm = posor_bringup.programs:arm",
-            "arm_budget = posor_bringup.programs:arm_budget",
-            "bringup = posor_bringup.programs:bringup",
-            "budgets = posor_bringup.programs:budgets",
-            "calibrate_demo = posor_bringup.programs:calibrate_demo",
-            "demo = posor_bringup.programs:demo",
-            "zero_drift_1985 = posor_bringup.programs:zero_drift_1985",
+            "bringup = posor_bringup.bringup_programs:bringup",
         ],
     },
 )

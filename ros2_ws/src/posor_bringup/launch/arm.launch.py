@@ -1,7 +1,7 @@
-"""Starts all nodes of an arm: chain_node, and posor_node and driver_node of every joint.
+"""Starts all nodes of an arm: chain_node, and posor_node and driver_node of each joint.
 
-``ros2 launch posor_bringup arm.launch.py arm:=five_axis`` or ``arm:=path/of/arm.yaml``; what all drivers get beside
-what the arm file says: ``driver_parameters:='simulated.sag:=false simulated.noise:=false'``.
+``ros2 launch posor_bringup arm.launch.py arm:=five_axis`` or ``arm:=path/of/arm.yaml``. Further parameters of all
+drivers: ``driver_parameters:='simulated.sag:=false simulated.noise:=false'``.
 """
 
 from __future__ import annotations
@@ -13,21 +13,24 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from posor_bringup.arm_programs import arm_programs
-from posor_bringup.arms import checked_arm
-from posor_bringup.command_line import parameters_in
+from posor_bringup.arms import load_checked_arm
+from posor_bringup.bringup_options import parse_driver_parameters
 
 if TYPE_CHECKING:
     from launch import LaunchContext
 
 
-def nodes(context: LaunchContext) -> list[Node]:
-    """Return the nodes that the arm file asks for."""
-    use_sim_time = LaunchConfiguration("use_sim_time").perform(context) == "true"
+def arm_nodes(context: LaunchContext) -> list[Node]:
+    """Return the nodes of the arm."""
+
+    def value(argument: str) -> str:
+        return str(LaunchConfiguration(argument).perform(context))
+
     programs = arm_programs(
-        checked_arm(LaunchConfiguration("arm").perform(context)),
-        drivers=LaunchConfiguration("drivers").perform(context) == "true",
-        driver_parameters=parameters_in(LaunchConfiguration("driver_parameters").perform(context)),
-        parameters={"use_sim_time": use_sim_time},
+        load_checked_arm(value("arm")),
+        drivers=value("drivers") == "true",
+        driver_parameters=parse_driver_parameters(value("driver_parameters")),
+        parameters={"use_sim_time": value("use_sim_time") == "true"},
     )
     return [
         Node(
@@ -49,6 +52,6 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("drivers", default_value="true", choices=["true", "false"]),
             DeclareLaunchArgument("driver_parameters", default_value="", description="name:=value name:=value ..."),
             DeclareLaunchArgument("use_sim_time", default_value="false", choices=["true", "false"]),
-            OpaqueFunction(function=nodes),
+            OpaqueFunction(function=arm_nodes),
         ]
     )

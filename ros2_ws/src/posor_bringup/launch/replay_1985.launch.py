@@ -16,7 +16,7 @@ LOSSLESS = {"qos_reliability": "reliable", "qos_depth": 0}
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the three nodes; the driver begins when the POSOR node listens, and ends with the bag."""
+    """Return posor_node, chain_node and a driver_node that plays the bag once posor_node has subscribed."""
     share = FindPackageShare("posor_bringup")
     bag = LaunchConfiguration("bag")
     calibration = [share, "/config/slocum1985_", LaunchConfiguration("calibration"), ".yaml"]

@@ -1,1 +1,1 @@
-"""The POSOR stack put together: the demo, its report, and the 1985 rig's description."""
+"""What a user starts: launch files, arms, calibrations of the 1985 rig, and the program ``bringup``."""

@@ -1,21 +1,27 @@
-"""What runs when an arm is up: the same list of programs for ``bringup``, for the demo and for the launch file."""
+"""The nodes of an arm as programs, and how they share processes; used by ``bringup``, the launch file and the tests."""
 
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, get_args
 
-from posor_estimator.arm_chain import chain_parameters
+import yaml
+from posor_estimator.chain.chain_parameters import chain_parameters as chain_parameters_of
 from posor_estimator.errors import ParameterError
 
 from posor_bringup.supervisor import Program
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
 
-    from posor_estimator.core.arm import Arm
+    from posor_estimator.chain.arm_file import Arm
 
     from posor_bringup.supervisor import Parameter
+
+Layout = Literal["separate", "drivers_apart", "composed"]
+LAYOUTS: tuple[Layout, ...] = get_args(Layout)
+"""One process for each node; one for all drivers and one for all other nodes; one for all nodes."""
 
 _PLACEHOLDER = re.compile(r"\{(\w+)\}")
 
@@ -28,75 +34,86 @@ def arm_programs(
     chain_parameters: Mapping[str, Parameter] | None = None,
     parameters: Mapping[str, Parameter] | None = None,
 ) -> list[Program]:
-    """Return the programs of an arm, those that listen first: chain_node, then each joint's posor_node and driver_node.
+    """Return one program for each node, subscribers first: chain_node, then posor_node and driver_node of each joint.
 
     Args:
         arm: The arm.
         drivers: Whether to start the drivers; without them the scans come from elsewhere, such as a bag.
-        driver_parameters: ROS parameters for every driver, over those of the arm file.
-        chain_parameters: The same for chain_node.
-        parameters: ROS parameters for every node, such as ``use_sim_time``.
+        driver_parameters: ROS parameters of all drivers; they replace those of the arm file.
+        chain_parameters: ROS parameters of chain_node; they replace those of the arm file.
+        parameters: ROS parameters of all nodes, such as ``use_sim_time``.
 
     Raises:
-        NodeError: The arm file gives chain_node parameters that it does not take.
-        ParameterError: A parameter of the arm file names something in braces that is neither arm, joint nor folder.
+        NodeError: The arm file has an unknown parameter of chain_node.
+        ParameterError: A driver parameter of the arm file contains an unknown placeholder.
 
     """
-    every = dict(parameters or {})
-    programs = [_chain(arm, {**every, **(chain_parameters or {})})]
-    programs += [_posor(arm, joint, every) for joint in arm.calibrations]
-    if drivers:
-        programs += [_driver(arm, joint, {**every, **(driver_parameters or {})}) for joint in arm.calibrations]
+    common = dict(parameters or {})
+    chain = {**chain_parameters_of(arm), **common, **(chain_parameters or {})}
+    programs = [Program("chain_node", "posor_estimator", "chain_node", (), f"/{arm.name}", chain)]
+    for joint, calibration in arm.calibrations.items():
+        posor: dict[str, Parameter] = {"calibration": str(calibration), "session": arm.sessions[joint], **common}
+        namespace = f"/{arm.name}/{joint}"
+        programs.append(Program(f"{joint}/posor_node", "posor_estimator", "posor_node", (), namespace, posor))
+    for joint in arm.calibrations if drivers else ():
+        driver = {**_driver_parameters(arm, joint), **common, **(driver_parameters or {})}
+        name, namespace = f"{joint}/driver_node", f"/{arm.name}/{joint}"
+        programs.append(Program(name, "posor_drivers", "driver_node", (), namespace, driver, ends=True))
     return programs
 
 
-def _chain(arm: Arm, overrides: Mapping[str, Parameter]) -> Program:
-    parameters = {**chain_parameters(arm), **overrides}
-    return Program("chain_node", "posor_estimator", "chain_node", (), f"/{arm.name}", parameters)
-
-
-def _posor(arm: Arm, joint: str, every: Mapping[str, Parameter]) -> Program:
-    parameters: dict[str, Parameter] = {
-        "calibration": str(arm.calibrations[joint]),
-        "session": arm.sessions[joint],
-        **every,
-    }
-    return Program(f"{joint}/posor_node", "posor_estimator", "posor_node", (), f"/{arm.name}/{joint}", parameters)
-
-
-def _driver(arm: Arm, joint: str, overrides: Mapping[str, Parameter]) -> Program:
+def _driver_parameters(arm: Arm, joint: str) -> dict[str, Parameter]:
+    """Return the driver parameters of the arm file with their placeholders filled in."""
     parameters: dict[str, Parameter] = {"source": arm.driver.source}
     if arm.driver.source == "simulated":
         parameters |= {"simulated.arm": str(arm.path.resolve()), "simulated.joint": joint}
-    parameters |= {name: _filled(name, value, arm, joint) for name, value in arm.driver.parameters.items()}
-    return Program(
-        f"{joint}/driver_node",
-        "posor_drivers",
-        "driver_node",
-        (),
-        f"/{arm.name}/{joint}",
-        {**parameters, **overrides},
-        ends=True,
-    )
-
-
-def _filled(name: str, value: Parameter, arm: Arm, joint: str) -> Parameter:
-    """Return a parameter of the arm file with {arm}, {joint} and {folder}, that of the arm file, replaced."""
-    if isinstance(value, list):
-        return [_text(name, entry, arm, joint) for entry in value]
-    return _text(name, value, arm, joint) if isinstance(value, str) else value
-
-
-def _text(name: str, text: str, arm: Arm, joint: str) -> str:
     known = {"arm": arm.name, "joint": joint, "folder": str(arm.path.resolve().parent)}
+    for name, value in arm.driver.parameters.items():
+        where = f"{arm.path}, key driver.parameters.{name}"
+        if isinstance(value, list):
+            parameters[name] = [_fill_placeholders(entry, known, where) for entry in value]
+        else:
+            parameters[name] = _fill_placeholders(value, known, where) if isinstance(value, str) else value
+    return parameters
 
+
+def _fill_placeholders(text: str, known: Mapping[str, str], where: str) -> str:
     def replacement(match: re.Match[str]) -> str:
         if match[1] not in known:
             raise ParameterError(
-                f"'{match[0]}' stands for nothing",
-                where=f"{arm.path}, key driver.parameters.{name}",
-                expected="{arm}, {joint} or {folder}",
+                f"'{match[0]}' is an unknown placeholder", where=where, expected="{arm}, {joint} or {folder}"
             )
         return known[match[1]]
 
     return _PLACEHOLDER.sub(replacement, text)
+
+
+def group_programs(programs: Sequence[Program], layout: Layout, folder: Path) -> list[Program]:
+    """Return programs that run the same nodes in fewer processes.
+
+    Args:
+        programs: Programs of one node each, subscribers first.
+        layout: Which nodes share a process.
+        folder: Existing folder for the composition files.
+
+    """
+    if layout == "separate":
+        return list(programs)
+    if layout == "composed":
+        return [_compose("nodes", programs, folder)]
+    drivers = [program for program in programs if program.ends]
+    groups = {"nodes": [program for program in programs if not program.ends], "drivers": drivers}
+    return [_compose(name, group, folder) for name, group in groups.items() if group]
+
+
+def _compose(name: str, programs: Sequence[Program], folder: Path) -> Program:
+    """Return a program that runs the nodes of several programs in one process; write its composition file."""
+    nodes = [
+        {"node": program.executable, "namespace": program.namespace or "/", "parameters": dict(program.parameters)}
+        for program in programs
+    ]
+    path = folder / f"{name}.yaml"
+    content = {"format": "posor_composition", "version": 1, "nodes": nodes}
+    path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    ends = all(program.ends for program in programs)
+    return Program(name, "posor_estimator", "compose", (str(path),), ends=ends)

@@ -1,24 +1,24 @@
-"""Finds an arm by the name it is installed under or by the path of its file, and checks that its files fit together."""
+"""Finds an arm by name or path and checks that its files are consistent."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from posor_estimator.core.arm import Arm, load_arm
+from posor_estimator.chain.arm_file import Arm, load_arm
 from posor_estimator.errors import ChainError, ParameterError
 
 from posor_bringup.installed import share
 
-FILE = "arm.yaml"
+ARM_FILE = "arm.yaml"
 
 
 def installed_arms() -> list[str]:
     """Return the names of the arms that this package installs."""
-    return sorted(path.parent.name for path in (share() / "arms").glob(f"*/{FILE}"))
+    return sorted(path.parent.name for path in (share() / "arms").glob(f"*/{ARM_FILE}"))
 
 
 def find_arm(text: str) -> Path:
-    """Return the arm file that a user means.
+    """Return the path of an arm file.
 
     Args:
         text: Path of an arm file or of the folder that holds ``arm.yaml``, or the name of an installed arm.
@@ -27,23 +27,23 @@ def find_arm(text: str) -> Path:
         ParameterError: There is no such arm.
 
     """
-    for path in (Path(text), Path(text) / FILE, share() / "arms" / text / FILE):
+    for path in (Path(text), Path(text) / ARM_FILE, share() / "arms" / text / ARM_FILE):
         if path.is_file():
             return path
     names = ", ".join(installed_arms())
     raise ParameterError("no such arm", where=f"arm '{text}'", expected=f"the path of an arm file, or one of {names}")
 
 
-def checked_arm(text: str) -> Arm:
-    """Return an arm all of whose files can be read and fit together.
+def load_checked_arm(text: str) -> Arm:
+    """Load an arm and check that all its files can be read and are consistent.
 
     Args:
         text: Path or name, see ``find_arm``.
 
     Raises:
         ParameterError: There is no such arm.
-        CalibrationError: A file of it cannot be read, or says something that cannot be.
-        ChainError: The URDF cannot be used, or the calibrations do not fit its joints.
+        CalibrationError: A file cannot be read or is invalid.
+        ChainError: The URDF is invalid, or the calibrations do not match its joints.
 
     """
     arm = load_arm(find_arm(text))

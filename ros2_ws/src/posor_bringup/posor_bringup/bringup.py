@@ -1,4 +1,4 @@
-"""bringup: starts all nodes of an arm, watches them, says which ended and why, and ends all on Ctrl-C or SIGTERM."""
+"""bringup: starts all nodes of an arm, reports a node that fails, and ends all nodes on Ctrl-C or SIGTERM."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from posor_estimator.ros.main import WAKE_S, StopSignal, exit_code_of, own_arguments
+from posor_estimator.reporting.command_line_parser import CommandLineParser
+from posor_estimator.ros.node_program import SPIN_TIMEOUT_S, StopSignal, exit_code_of, non_ros_arguments
 from rich.console import Console
 
-from posor_bringup.arm_programs import arm_programs
-from posor_bringup.arms import checked_arm, installed_arms
-from posor_bringup.command_line import LOGS, Parser, add_driver_parameters, prepare
-from posor_bringup.layouts import LAYOUTS, laid_out
+from posor_bringup.arm_programs import LAYOUTS, arm_programs, group_programs
+from posor_bringup.arms import installed_arms, load_checked_arm
+from posor_bringup.bringup_options import LOGS, add_driver_parameters, prepare_output_folder
 from posor_bringup.supervisor import Supervisor
 
 if TYPE_CHECKING:
@@ -23,18 +23,16 @@ if TYPE_CHECKING:
     from posor_bringup.supervisor import RunningProgram
 
 
-def parse(arguments: Sequence[str]) -> Namespace:
+def parse_options(arguments: Sequence[str]) -> Namespace:
     """Return the options.
 
     Raises:
-        ParameterError: An option is unknown or its value wrong.
+        ParameterError: An option is unknown or its value is invalid.
 
     """
-    parser = Parser(prog="bringup", description="Start all nodes of an arm and watch them until Ctrl-C.")
+    parser = CommandLineParser(prog="bringup", description="Start all nodes of an arm and watch them until Ctrl-C.")
     parser.add_argument(
-        "arm",
-        metavar="ARM",
-        help=f"path of an arm file, or the name of an installed one: {', '.join(installed_arms())}",
+        "arm", metavar="ARM", help=f"path of an arm file, or name of an installed arm: {', '.join(installed_arms())}"
     )
     parser.add_argument("--no-driver", action="store_true", help="without drivers: the scans come from elsewhere")
     parser.add_argument("--use-sim-time", action="store_true", help="all nodes take the time from /clock")
@@ -42,7 +40,7 @@ def parse(arguments: Sequence[str]) -> Namespace:
         "--layout",
         choices=LAYOUTS,
         default="separate",
-        help="a process for each node; one for all drivers and one for all else; one for everything; default: separate",
+        help="one process for each node; one for all drivers and one for the rest; one for all; default: separate",
     )
     add_driver_parameters(parser)
     parser.add_argument(
@@ -52,30 +50,29 @@ def parse(arguments: Sequence[str]) -> Namespace:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the program; the exit code is 0 if all nodes ended as they were asked to."""
+    """Run the program; the exit code is 0 if all nodes ended without error."""
     argv = sys.argv if arguments is None else arguments
-    return exit_code_of(lambda: _bring_up(argv))
+    return exit_code_of(lambda: _run_arm(parse_options(non_ros_arguments(argv))))
 
 
-def _bring_up(argv: Sequence[str]) -> None:
-    options = parse(own_arguments(argv))
+def _run_arm(options: Namespace) -> None:
+    """Start the nodes of an arm and wait for Ctrl-C."""
     console = Console(highlight=False, soft_wrap=True, markup=False)
-    arm = checked_arm(options.arm)
-    programs = arm_programs(
+    arm = load_checked_arm(options.arm)
+    nodes = arm_programs(
         arm,
         drivers=not options.no_driver,
         driver_parameters=dict(options.parameters),
         parameters={"use_sim_time": True} if options.use_sim_time else {},
     )
-    folder = prepare(options.output / arm.name, (), "bringup")
+    folder = prepare_output_folder(options.output / arm.name, (), "bringup")
     stop = StopSignal()
     try:
         with Supervisor(folder / LOGS) as supervisor:
-            nodes, programs = len(programs), laid_out(programs, options.layout, folder)
-            running = [supervisor.start(program) for program in programs]
+            running = [supervisor.start(program) for program in group_programs(nodes, options.layout, folder)]
             for started in running:
                 console.print(f"{started.program.name}: process {started.process.pid}")
-            console.print(f"{arm.name}: {nodes} nodes started, their logs in {folder / LOGS}; Ctrl-C ends them")
+            console.print(f"{arm.name}: {len(nodes)} nodes started, their logs in {folder / LOGS}; Ctrl-C ends them")
             _watch(supervisor, running, stop, console)
     finally:
         stop.restore()
@@ -83,10 +80,10 @@ def _bring_up(argv: Sequence[str]) -> None:
 
 
 def _watch(supervisor: Supervisor, running: Sequence[RunningProgram], stop: StopSignal, console: Console) -> None:
-    """Wait until asked to stop; say of each driver when it has come to its end, what it sent may still be on its way.
+    """Wait for Ctrl-C; print a line when a driver has played all its scans.
 
     Raises:
-        ProcessError: A node ended as it should not.
+        ProcessError: A node failed.
 
     """
     drivers = [started for started in running if started.program.ends]
@@ -94,8 +91,8 @@ def _watch(supervisor: Supervisor, running: Sequence[RunningProgram], stop: Stop
         supervisor.check()
         for driver in [driver for driver in drivers if driver.has_ended]:
             drivers.remove(driver)
-            console.print(f"{driver.program.name}: has come to the end of its scans")
-        time.sleep(WAKE_S)
+            console.print(f"{driver.program.name}: all scans have been played")
+        time.sleep(SPIN_TIMEOUT_S)
 
 
 if __name__ == "__main__":

@@ -1,21 +1,24 @@
-"""Where the files of the 1985 rig are that this package installs."""
+"""Paths of the installed files of the 1985 rig."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Literal, get_args
 
 from ament_index_python.packages import get_package_share_directory
 
-if TYPE_CHECKING:
-    from posor_bringup.expectations import Bag, CalibrationName
-
+Bag = Literal["ymo", "yzmo", "zmo"]
+"""Recorded motion tests of 1985."""
+CalibrationName = Literal["printed", "section84"]
+"""Calibration files of the 1985 rig."""
+BAGS: tuple[Bag, ...] = get_args(Bag)
+CALIBRATIONS: tuple[CalibrationName, ...] = get_args(CalibrationName)
 JOINT = "joint1"
-"""The rig's only joint, as the URDF names it."""
+"""Name of the rig's only joint in the URDF."""
 
 
 def share() -> Path:
-    """Return the package's share folder."""
+    """Return the share folder of posor_bringup."""
     return Path(get_package_share_directory("posor_bringup"))
 
 
@@ -25,15 +28,10 @@ def bag_path(bag: Bag) -> Path:
 
 
 def calibration_path(name: CalibrationName) -> Path:
-    """Return a calibration file."""
+    """Return the path of a calibration file."""
     return share() / "config" / f"slocum1985_{name}.yaml"
 
 
 def urdf_path() -> Path:
-    """Return the rig's URDF."""
+    """Return the path of the URDF."""
     return share() / "urdf" / "slocum1985_rig.urdf"
-
-
-def data_path(name: str) -> Path:
-    """Return a table of the thesis."""
-    return share() / "data" / name

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 from posor_bringup.arm_programs import arm_programs
-from posor_bringup.arms import checked_arm, find_arm, installed_arms
+from posor_bringup.arms import find_arm, installed_arms, load_checked_arm
 from posor_bringup.installed import share
-from posor_estimator.core.arm import load_arm
+from posor_estimator.bags.reprocess_command import parser, tasks_of
+from posor_estimator.chain.arm_file import load_arm
 from posor_estimator.errors import CalibrationError, ChainError, NodeError, ParameterError
-from posor_estimator.reprocess.command import parser, tasks_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -25,8 +25,8 @@ PARAMETERS = """  source: bag
 
 
 @pytest.fixture
-def own(tmp_path: Path) -> Path:
-    """Return the folder of an arm of one's own, a copy of the test rig."""
+def rig_copy(tmp_path: Path) -> Path:
+    """Return the folder of a copy of the test rig."""
     folder = tmp_path / "own"
     shutil.copytree(share() / "arms" / "test_rig", folder)
     return folder
@@ -39,19 +39,19 @@ def change(folder: Path, pattern: str, new: str, file: str = "arm.yaml") -> None
     path.write_text(text, encoding="utf-8")
 
 
-def test_every_installed_arm_fits_together() -> None:
+def test_installed_arms_are_consistent() -> None:
     assert {"five_axis", "six_axis", "test_rig"} <= set(installed_arms())
     for name in installed_arms():
-        arm = checked_arm(name)
+        arm = load_checked_arm(name)
         assert arm.name == name
         programs = arm_programs(arm)
         assert len(programs) == 1 + 2 * len(arm.calibrations)
         for program in programs:
-            assert program.command()  # its package installs it
+            assert program.command()  # raises if the executable is not installed
 
 
 def test_five_axis_arm() -> None:
-    arm = checked_arm("five_axis")
+    arm = load_checked_arm("five_axis")
     programs = arm_programs(
         arm,
         driver_parameters={"simulated.sag": False},
@@ -91,28 +91,30 @@ def test_five_axis_arm() -> None:
     assert [program.ends for program in programs] == [False] * 6 + [True] * 5
 
 
-def test_without_drivers_the_scans_come_from_elsewhere() -> None:
-    programs = arm_programs(checked_arm("five_axis"), drivers=False)
+def test_drivers_can_be_left_out() -> None:
+    programs = arm_programs(load_checked_arm("five_axis"), drivers=False)
     assert {program.executable for program in programs} == {"chain_node", "posor_node"}
 
 
-def test_text_of_the_arm_file_is_filled_in_for_every_joint(own: Path) -> None:
-    change(own, "^  source: simulated$", PARAMETERS)
-    driver = arm_programs(load_arm(own / "arm.yaml"))[-1]
+def test_placeholders_are_filled_in_for_every_joint(rig_copy: Path) -> None:
+    change(rig_copy, "^  source: simulated$", PARAMETERS)
+    driver = arm_programs(load_arm(rig_copy / "arm.yaml"))[-1]
     assert driver.parameters == {
         "source": "bag",
-        "bag.path": f"{own}/bags/test_rig_joint1",
+        "bag.path": f"{rig_copy}/bags/test_rig_joint1",
         "bag.other_topics": ["/test_rig/truth/joint1"],
         "rate": 2.0,
     }
-    change(own, r"\{joint\}", "{joints}")
-    with pytest.raises(ParameterError, match=r"key driver\.parameters\.bag\.path: '\{joints\}' stands for nothing; "):
-        arm_programs(load_arm(own / "arm.yaml"))
+    change(rig_copy, r"\{joint\}", "{joints}")
+    with pytest.raises(
+        ParameterError, match=r"key driver\.parameters\.bag\.path: '\{joints\}' is an unknown placeholder; "
+    ):
+        arm_programs(load_arm(rig_copy / "arm.yaml"))
 
 
-def test_a_parameter_that_chain_node_does_not_take_is_told_with_its_line(own: Path) -> None:
-    path = own / "arm.yaml"
-    change(own, "^joints:", "chain:\n  parameters:\n    aceleration_window: 0.1\njoints:")
+def test_unknown_parameter_of_chain_node_is_reported_with_its_line(rig_copy: Path) -> None:
+    path = rig_copy / "arm.yaml"
+    change(rig_copy, "^joints:", "chain:\n  parameters:\n    aceleration_window: 0.1\njoints:")
     line = path.read_text(encoding="utf-8").splitlines().index("    aceleration_window: 0.1") + 1
     with pytest.raises(NodeError) as caught:
         arm_programs(load_arm(path))
@@ -124,33 +126,33 @@ def test_a_parameter_that_chain_node_does_not_take_is_told_with_its_line(own: Pa
     assert caught.value.exit_code == 2
     with pytest.raises(NodeError, match=re.escape(place)):
         tasks_of(parser().parse_args(["bag", "--arm", str(path)]))
-    change(own, "aceleration_window: 0.1", "use_sim_time: true")
+    change(rig_copy, "aceleration_window: 0.1", "use_sim_time: true")
     assert arm_programs(load_arm(path))[0].parameters["use_sim_time"] is True
 
 
-def test_an_arm_is_found_by_name_file_or_folder(own: Path) -> None:
+def test_arm_is_found_by_name_file_or_folder(rig_copy: Path) -> None:
     assert find_arm("test_rig") == share() / "arms" / "test_rig" / "arm.yaml"
-    assert find_arm(str(own)) == find_arm(str(own / "arm.yaml")) == own / "arm.yaml"
+    assert find_arm(str(rig_copy)) == find_arm(str(rig_copy / "arm.yaml")) == rig_copy / "arm.yaml"
     with pytest.raises(ParameterError, match=r"^arm 'six_fingers': no such arm; expected the path of an arm file, or"):
         find_arm("six_fingers")
 
 
-def test_a_joint_that_the_urdf_does_not_have_is_named(own: Path) -> None:
-    change(own, "^  joint1:", "  joint7:")
+def test_joint_missing_in_the_urdf_is_named(rig_copy: Path) -> None:
+    change(rig_copy, "^  joint1:", "  joint7:")
     with pytest.raises(ChainError, match=r"arm\.yaml: joints joint7; expected joint1, the floating joints of .*urdf"):
-        checked_arm(str(own))
+        load_checked_arm(str(rig_copy))
 
 
 @pytest.mark.parametrize("file", ["test_rig.urdf", "beams.yaml", "calibrations/joint1.yaml", "scenario.yaml"])
-def test_a_missing_file_is_named(own: Path, file: str) -> None:
-    (own / file).unlink()
+def test_missing_file_is_named(rig_copy: Path, file: str) -> None:
+    (rig_copy / file).unlink()
     with pytest.raises((CalibrationError, ChainError, ParameterError), match=re.escape(file)):
-        checked_arm(str(own))
+        load_checked_arm(str(rig_copy))
 
 
-def test_a_calibration_of_another_joint_is_refused(own: Path) -> None:
-    change(own, "joint1_receiving", "joint2_receiving", "calibrations/joint1.yaml")
+def test_calibration_of_another_joint_is_refused(rig_copy: Path) -> None:
+    change(rig_copy, "joint1_receiving", "joint2_receiving", "calibrations/joint1.yaml")
     with pytest.raises(
         ChainError, match=r"measures 'joint1_target' in 'joint2_receiving'; expected 'joint1_target' in"
     ):
-        checked_arm(str(own))
+        load_checked_arm(str(rig_copy))

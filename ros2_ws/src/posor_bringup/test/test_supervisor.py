@@ -1,4 +1,4 @@
-"""Real processes, installed in a small package of their own."""
+"""Real processes: shell scripts installed as executables of a package."""
 
 from __future__ import annotations
 
@@ -6,44 +6,45 @@ import os
 from typing import TYPE_CHECKING
 
 import pytest
-from posor_bringup import supervisor
-from posor_bringup.supervisor import ProcessError, Program, Supervisor
+from posor_bringup import supervisor as module
+from posor_bringup.supervisor import ProcessError, Program, RunningProgram, Supervisor
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+LOOP = "echo started; while :; do sleep 0.05; done"
 SCRIPTS = {
-    "obedient": 'trap "exit 0" INT; echo started; while :; do sleep 0.05; done',
-    "sulking": 'trap "echo good bye; exit 3" INT; echo started; while :; do sleep 0.05; done',
-    "young": 'trap "echo young: interrupted. >&2; exit 130" INT; echo started; while :; do sleep 0.05; done',
-    "unborn": "echo started; while :; do sleep 0.05; done",
-    "stubborn": 'trap "" INT; echo started; while :; do sleep 0.05; done',
-    "brief": "echo done",
-    "failing": 'echo working; echo "[ERROR] [1795235842.1] [some.node]: the sky is green; expected blue." >&2; exit 4',
-    "crashing": "kill -SEGV $$",
-    "echoing": 'printf "%s\\n" "$@"',
+    "ends_on_sigint": f'trap "exit 0" INT; {LOOP}',
+    "fails_on_sigint": f'trap "echo good bye; exit 3" INT; {LOOP}',
+    "interrupted_at_start": f'trap "echo interrupted. >&2; exit 130" INT; {LOOP}',
+    "killed_by_sigint": LOOP,
+    "ignores_sigint": f'trap "" INT; {LOOP}',
+    "ends": "echo done",
+    "fails": 'echo working; echo "[ERROR] [1795235842.1] [some.node]: the sky is green; expected blue." >&2; exit 4',
+    "crashes": "kill -SEGV $$",
+    "prints_arguments": 'printf "%s\\n" "$@"',
 }
 
 
 @pytest.fixture
-def programs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Install the scripts as executables of a package."""
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Install the scripts; return the folder for logs."""
     marker = tmp_path / "share" / "ament_index" / "resource_index" / "packages" / "scripts"
     marker.parent.mkdir(parents=True)
     marker.touch()
-    folder = tmp_path / "lib" / "scripts"
-    folder.mkdir(parents=True)
+    executables = tmp_path / "lib" / "scripts"
+    executables.mkdir(parents=True)
     for name, script in SCRIPTS.items():
-        (folder / name).write_text(f"#!/bin/sh\n{script}\n", encoding="utf-8")
-        (folder / name).chmod(0o755)
+        (executables / name).write_text(f"#!/bin/sh\n{script}\n", encoding="utf-8")
+        (executables / name).chmod(0o755)
     monkeypatch.setenv("AMENT_PREFIX_PATH", f"{tmp_path}{os.pathsep}{os.environ['AMENT_PREFIX_PATH']}")
     return tmp_path
 
 
 @pytest.fixture
-def watched(programs: Path) -> Iterator[Supervisor]:
-    with Supervisor(programs) as running:
+def supervisor(folder: Path) -> Iterator[Supervisor]:
+    with Supervisor(folder) as running:
         yield running
 
 
@@ -51,89 +52,76 @@ def program(name: str, *, ends: bool = False) -> Program:
     return Program(name, "scripts", name, ends=ends)
 
 
-def wait_for_line(running: supervisor.RunningProgram, line: str) -> None:
-    while line not in running.log.read_text(encoding="utf-8"):
+def start(supervisor: Supervisor, name: str) -> RunningProgram:
+    """Start a script and wait until it has set its trap."""
+    running = supervisor.start(program(name))
+    while "started" not in running.log.read_text(encoding="utf-8"):
         assert not running.has_ended
+    return running
 
 
-def test_a_program_is_ended_by_sigint(watched: Supervisor) -> None:
-    running = watched.start(program("obedient"))
-    wait_for_line(running, "started")
-    watched.check()
-    watched.end([running])
-    assert running.process.returncode == 0
-
-
-@pytest.mark.parametrize(("name", "code"), [("young", 130), ("unborn", -2)])
-def test_a_program_that_breaks_off_while_it_starts_has_ended_as_asked(
-    watched: Supervisor, name: str, code: int
-) -> None:
-    running = watched.start(program(name))
-    wait_for_line(running, "started")
-    watched.end([running])
+@pytest.mark.parametrize(
+    ("name", "code"), [("ends_on_sigint", 0), ("interrupted_at_start", 130), ("killed_by_sigint", -2)]
+)
+def test_end_accepts_exit_codes_of_interrupted_programs(supervisor: Supervisor, name: str, code: int) -> None:
+    running = start(supervisor, name)
+    supervisor.check()
+    supervisor.end([running])
     assert running.process.returncode == code
 
 
-def test_leaving_ends_all(programs: Path) -> None:
-    with Supervisor(programs) as watched:
-        running = watched.start(program("obedient"))
-        wait_for_line(running, "started")
+def test_leaving_the_block_ends_all(folder: Path) -> None:
+    with Supervisor(folder) as supervisor:
+        running = start(supervisor, "ends_on_sigint")
     assert running.process.returncode == 0
 
 
-def test_a_program_that_ends_when_its_work_is_done_is_no_failure(watched: Supervisor) -> None:
-    running = watched.start(program("brief", ends=True))
-    running.process.wait()
-    watched.check()
-
-
-def test_a_program_that_should_run_on_is_missed(watched: Supervisor) -> None:
-    watched.start(program("brief")).process.wait()
-    with pytest.raises(ProcessError, match=r"^brief: ended with exit code 0: done\.$"):
-        watched.check()
-    watched._running.clear()
-
-
-def test_a_failed_program_is_reported_with_its_own_sentence(watched: Supervisor) -> None:
-    watched.start(program("failing", ends=True)).process.wait()
-    with pytest.raises(ProcessError) as caught:
-        watched.check()
-    assert str(caught.value) == "failing: ended with exit code 4: the sky is green; expected blue."
-    watched._running.clear()
-
-
-def test_a_crash_is_named_by_its_signal(watched: Supervisor) -> None:
-    watched.start(program("crashing")).process.wait()
-    with pytest.raises(ProcessError, match="crashing: was ended by SIGSEGV; until then: it wrote nothing"):
-        watched.check()
-    watched._running.clear()
-
-
-def test_a_program_that_ends_badly_when_asked_is_reported(watched: Supervisor) -> None:
-    running = watched.start(program("sulking"))
-    wait_for_line(running, "started")
-    with pytest.raises(ProcessError, match="sulking: ended with exit code 3: good bye"):
-        watched.end([running])
-
-
-def test_a_program_that_does_not_end_is_killed_and_reported(
-    watched: Supervisor, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("started", "message"),
+    [
+        (program("ends", ends=True), ""),
+        (program("ends"), "ends: ended with exit code 0: done."),
+        (program("fails", ends=True), "fails: ended with exit code 4: the sky is green; expected blue."),
+        (program("crashes"), "crashes: was ended by SIGSEGV; until then: it wrote nothing."),
+    ],
+)
+def test_check_reports_a_program_that_failed_or_ended_early(
+    supervisor: Supervisor, started: Program, message: str
 ) -> None:
-    monkeypatch.setattr(supervisor, "END_TIMEOUT_S", 0.2)
-    running = watched.start(program("stubborn"))
-    wait_for_line(running, "started")
-    with pytest.raises(ProcessError, match=r"stubborn: did not end within 0\.2 s of SIGINT and was killed"):
-        watched.end([running])
+    supervisor.start(started).process.wait()
+    if message:
+        with pytest.raises(ProcessError) as caught:
+            supervisor.check()
+        assert str(caught.value) == message
+    else:
+        supervisor.check()
+    supervisor._running.clear()
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("fails_on_sigint", "fails_on_sigint: ended with exit code 3: good bye."),
+        ("ignores_sigint", "ignores_sigint: did not end within 0.5 s of SIGINT and was killed."),
+    ],
+)
+def test_end_reports_a_program_that_does_not_end_well(
+    supervisor: Supervisor, name: str, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "END_TIMEOUT_S", 0.5)
+    running = start(supervisor, name)
+    with pytest.raises(ProcessError) as caught:
+        supervisor.end([running])
+    assert str(caught.value) == message
     assert running.has_ended
 
 
-def test_the_first_error_is_not_hidden_by_the_end(programs: Path) -> None:
+def test_end_of_the_programs_does_not_replace_the_first_error(folder: Path) -> None:
     started = []
 
     def fail_with_a_program_running() -> None:
-        with Supervisor(programs) as watched:
-            started.append(watched.start(program("sulking")))
-            wait_for_line(started[0], "started")
+        with Supervisor(folder) as supervisor:
+            started.append(start(supervisor, "fails_on_sigint"))
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
@@ -141,15 +129,15 @@ def test_the_first_error_is_not_hidden_by_the_end(programs: Path) -> None:
     assert started[0].has_ended
 
 
-def test_killing_is_not_mistaken_for_a_failure(watched: Supervisor) -> None:
-    running = watched.start(program("obedient"))
-    watched.kill(running)
+def test_killed_program_is_not_reported(supervisor: Supervisor) -> None:
+    running = start(supervisor, "ends_on_sigint")
+    supervisor.kill(running)
     assert running.has_ended
-    watched.check()
+    supervisor.check()
 
 
-def test_parameters_reach_ros_as_they_are(watched: Supervisor) -> None:
-    parameters: dict[str, supervisor.Parameter] = {
+def test_parameters_reach_ros_unchanged(supervisor: Supervisor) -> None:
+    parameters: dict[str, module.Parameter] = {
         "path": "/a b/c: 'd'.yaml",
         "rate": 2.0,
         "depth": 0,
@@ -157,9 +145,8 @@ def test_parameters_reach_ros_as_they_are(watched: Supervisor) -> None:
         "topics": ["/a", "/b"],
         "no": "no",
     }
-    running = watched.start(
-        Program("echoing", "scripts", "echoing", ("--own", "option"), "/joint1", parameters, ends=True)
-    )
+    name = "prints_arguments"
+    running = supervisor.start(Program(name, "scripts", name, ("--own", "option"), "/joint1", parameters, ends=True))
     running.process.wait()
     assert running.log.read_text(encoding="utf-8").splitlines() == [
         *("--own", "option", "--ros-args", "-r", "__ns:=/joint1"),
@@ -168,8 +155,15 @@ def test_parameters_reach_ros_as_they_are(watched: Supervisor) -> None:
     ]
 
 
-def test_what_is_not_installed_is_named(watched: Supervisor) -> None:
-    with pytest.raises(ProcessError, match="ghost: package 'nowhere' is not installed; expected a built and sourced"):
-        watched.start(Program("ghost", "nowhere", "ghost"))
-    with pytest.raises(ProcessError, match="ghost: package 'scripts' has no executable 'ghost'; expected it at"):
-        watched.start(Program("ghost", "scripts", "ghost"))
+@pytest.mark.parametrize(
+    ("package", "message"),
+    [
+        ("nowhere", "ghost: package 'nowhere' is not installed; expected a built and sourced"),
+        ("scripts", "ghost: package 'scripts' has no executable 'ghost'; expected it at"),
+        ("", "ghost: there is no file ghost; expected a Python program"),
+    ],
+)
+def test_program_that_is_not_installed(supervisor: Supervisor, package: str, message: str) -> None:
+    with pytest.raises(ProcessError) as caught:
+        supervisor.start(Program("ghost", package, "ghost"))
+    assert message in str(caught.value)

@@ -1,0 +1,88 @@
+"""Command-line options and output folders of the programs that start a graph."""
+
+from __future__ import annotations
+
+import shutil
+from argparse import ArgumentParser, ArgumentTypeError
+from typing import TYPE_CHECKING, cast
+
+import yaml
+from posor_estimator.errors import ParameterError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from posor_bringup.supervisor import Parameter
+
+LOGS = "logs"
+"""Name of the folder for log files in an output folder."""
+
+
+def _parse_parameter(text: str) -> tuple[str, Parameter]:
+    """Return name and value of ``name:=value``; the value is YAML, as on a ROS command line."""
+    name, separator, value = text.partition(":=")
+    try:
+        parsed = yaml.safe_load(value)
+    except yaml.YAMLError:
+        parsed = None
+    is_list = isinstance(parsed, list) and all(isinstance(entry, str) for entry in parsed)
+    if not (name and separator and (is_list or isinstance(parsed, bool | int | float | str))):
+        raise ArgumentTypeError(f"'{text}' is not a parameter, name:=value")
+    return name, cast("Parameter", parsed)
+
+
+def add_driver_parameters(parser: ArgumentParser) -> None:
+    """Add the repeatable option ``-p name:=value``; ``parameters`` becomes a list of names and values."""
+    parser.add_argument(
+        "-p",
+        action="append",
+        default=[],
+        type=_parse_parameter,
+        dest="parameters",
+        metavar="NAME:=VALUE",
+        help="parameter of all drivers, such as simulated.sag:=false; may be repeated",
+    )
+
+
+def parse_driver_parameters(text: str) -> dict[str, Parameter]:
+    """Return the parameters ``name:=value name:=value ...`` of a launch argument.
+
+    Raises:
+        ParameterError: A part of the text is not a parameter.
+
+    """
+    try:
+        return dict(_parse_parameter(part) for part in text.split())
+    except ArgumentTypeError as error:
+        raise ParameterError(str(error), where="launch argument 'driver_parameters'") from None
+
+
+def prepare_output_folder(folder: Path, outputs: Sequence[str], program: str) -> Path:
+    """Create an output folder with an empty folder for logs; remove the outputs of an earlier run.
+
+    Args:
+        folder: The folder.
+        outputs: Files and folders that the program writes there; everything else in the folder stays.
+        program: Name of the program in error messages.
+
+    Raises:
+        ParameterError: The folder cannot be created.
+
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in (*outputs, LOGS):
+            entry = folder / name
+            if entry.is_dir():
+                shutil.rmtree(entry)
+            else:
+                entry.unlink(missing_ok=True)
+        (folder / LOGS).mkdir()
+    except OSError as error:
+        raise ParameterError(
+            f"cannot be created: {error.strerror}",
+            where=f"{program}, --output, {folder}",
+            expected="a folder to write to",
+        ) from error
+    return folder

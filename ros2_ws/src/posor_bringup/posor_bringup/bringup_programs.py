@@ -1,0 +1,7 @@
+"""Entry points of setup.py; a LazyProgram loads its program when it is called."""
+
+from __future__ import annotations
+
+from posor_estimator.lazy_program import LazyProgram
+
+bringup = LazyProgram("bringup", "posor_bringup.bringup")
