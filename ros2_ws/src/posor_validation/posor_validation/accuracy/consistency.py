@@ -1,0 +1,81 @@
+"""Consistency of the stated uncertainty: normalised errors, Monte Carlo of both parts of the covariance (JCGM 101)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from posor_estimator.calibration.designs import DesignName, design
+from posor_estimator.estimation.forward import scans_at
+from posor_estimator.estimation.posor import Posor
+from posor_estimator.testing.random_poses import errors_in_parent, readable_poses, thetas_of
+from scipy.stats import chi2
+
+if TYPE_CHECKING:
+    from posor_estimator.numerics.array_types import FloatArray
+
+FREEDOMS = 6
+FALSE_ALARM = 1e-12
+"""Probability so small that no scan is excluded because of its residual."""
+
+
+@dataclass(frozen=True)
+class Nees:
+    """Mean normalised estimation error squared, divided by the number of freedoms, and its 95 % band."""
+
+    mean: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class MonteCarlo:
+    """Ratios of observed to stated standard deviation, each of the freedom with the ratio furthest from 1."""
+
+    random_ratio: float
+    systematic_ratio: float
+
+
+def nees(stack: DesignName, runs: int, seed: int) -> Nees:
+    """Return the normalised errors of noisy scans at random poses."""
+    random = np.random.default_rng(seed)
+    posor = Posor(design(stack), false_alarm=FALSE_ALARM)
+    rotations, translations = readable_poses(posor, stack, runs, random)
+    scans = scans_at(posor.stack, rotations, translations, np.arange(runs, dtype=np.int64), noise=random)
+    found = posor.estimate_each(scans, thetas_of(rotations))
+    known = np.isfinite(found.thetas)  # noise can push a reading at the rim out of its calibrated range
+    errors = errors_in_parent(found.rotations[known], found.translations[known], rotations[known], translations[known])
+    whitened = np.linalg.solve(found.covariances_random[known], errors[:, :, None])[:, :, 0]
+    count = FREEDOMS * len(errors)
+    low, high = (float(chi2.ppf(p, count)) / count for p in (0.025, 0.975))
+    return Nees(float(np.sum(errors * whitened)) / count, low, high)
+
+
+def _worst_ratio(errors: FloatArray, stated_variances: FloatArray) -> float:
+    """Return the root mean square of errors (n, 6) over the stated standard deviations, the ratio furthest from 1."""
+    ratios = np.sqrt(np.mean(np.square(errors), axis=0)) / np.sqrt(stated_variances)
+    return float(ratios[np.argmax(np.abs(np.log(ratios)))])
+
+
+def monte_carlo(stack: DesignName, draws: int, seed: int) -> MonteCarlo:
+    """Return both ratios at one pose of a design, from ``draws`` draws of the noise and as many of the parameters."""
+    random = np.random.default_rng(seed)
+    posor = Posor(design(stack), false_alarm=FALSE_ALARM)
+    rotation, translation = readable_poses(posor, stack, 1, random)
+    rotations, translations = np.repeat(rotation, draws, axis=0), np.repeat(translation, draws, axis=0)
+    stamps = np.arange(draws, dtype=np.int64)
+    thetas = thetas_of(rotations)
+    found = posor.estimate_each(scans_at(posor.stack, rotations, translations, stamps, noise=random), thetas)
+    errors = errors_in_parent(found.rotations, found.translations, rotations, translations)
+    random_ratio = _worst_ratio(errors, np.mean(np.diagonal(found.covariances_random, axis1=1, axis2=2), axis=0))
+
+    values, sigmas = posor.stack.parameter_values, posor.stack.parameter_sigmas
+    variances = np.zeros(FREEDOMS)
+    for n in range(draws):
+        # The real POSOR differs from its calibration; the estimator knows the calibration only.
+        real = posor.stack.with_parameter_values(values + sigmas * random.normal(size=sigmas.size))
+        found = posor.estimate_each(scans_at(real, rotation, translation, stamps[:1]), thetas[:1])
+        errors[n] = errors_in_parent(found.rotations, found.translations, rotation, translation)[0]
+        variances += np.diagonal(found.covariances_systematic[0]) / draws
+    return MonteCarlo(random_ratio, _worst_ratio(errors, variances))

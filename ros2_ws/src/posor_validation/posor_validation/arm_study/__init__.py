@@ -1,0 +1,1 @@
+"""A simulated arm, its endpoint errors, coverage and budget."""

@@ -1,0 +1,1 @@
+"""Benchmark of the stack: latency, lost ticks, processor time, and speed of offline processing."""

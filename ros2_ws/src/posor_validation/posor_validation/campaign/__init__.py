@@ -1,0 +1,1 @@
+"""Simulated calibration campaigns of a POSOR whose true parameters differ from its calibration."""

@@ -1,0 +1,183 @@
+"""calibrate_demo: simulated calibration campaigns from bags to a calibrated POSOR, compared with the truth.
+
+``./run posor_validation calibrate_demo`` draws a POSOR, records every step of its calibration as a rosbag2 bag,
+calibrates it by the code of the command line, checks it at validation poses, and checks the stated uncertainties over
+further campaigns. Exit code 0 only if everything holds.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, get_args
+
+from posor_bringup.bringup_options import prepare_output_folder
+from posor_estimator.errors import ParameterError, PosorError
+from posor_estimator.reporting.command_line_parser import CommandLineParser
+from rich.console import Console
+
+from posor_validation.campaign.campaign_figures import draw_campaign
+from posor_validation.campaign.campaign_json import campaigns_as_json
+from posor_validation.campaign.campaign_page import HEADINGS, PICTURES, campaign_page
+from posor_validation.campaign.campaign_report import CampaignReport, all_findings
+from posor_validation.campaign.campaign_run import calibrate_from_bags, record_bags
+from posor_validation.campaign.campaign_series import coverage_of_series, run_campaigns
+from posor_validation.campaign.campaign_steps import campaign_steps
+from posor_validation.campaign.ground_truth import POSORS, GroundTruth, PosorName
+from posor_validation.output_files import write_files
+from posor_validation.reports.console_progress import InterruptedRunError, StageProgress
+from posor_validation.reports.findings import print_findings
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Callable, Iterator, Sequence
+    from types import FrameType
+
+SEED = 1985
+CAMPAIGNS = 6
+MINIMUM_CAMPAIGNS = 4
+"""Fewest campaigns with a meaningful scatter."""
+OUTPUTS = ("report.html", *(f"{name}_{picture}.png" for name in POSORS for picture in PICTURES), *POSORS)
+WIDTH = 150
+
+
+def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Return the options.
+
+    Raises:
+        ParameterError: An option is unknown or its value invalid.
+
+    """
+    description = "Simulated calibration campaigns, compared with the truth."
+    parser = CommandLineParser(prog="calibrate_demo", description=description)
+    parser.add_argument("--posor", choices=[*get_args(PosorName), "both"], default="both")
+    parser.add_argument(
+        "--campaigns",
+        type=int,
+        default=CAMPAIGNS,
+        metavar="N",
+        help=f"further campaigns of each POSOR, in memory, for the coverage; 0: none (default: {CAMPAIGNS})",
+    )
+    parser.add_argument("--seed", type=int, default=SEED, help=f"of the POSORs that are drawn (default: {SEED})")
+    parser.add_argument(
+        "--output",
+        type=Path,
+        default=Path("build/calibration"),
+        metavar="FOLDER",
+        help="report, bags and files; the figures go to FOLDER.json (default: build/calibration)",
+    )
+    options = parser.parse_args(arguments)
+    if options.campaigns < 0 or 0 < options.campaigns < MINIMUM_CAMPAIGNS:
+        expected = f"0, or at least {MINIMUM_CAMPAIGNS}"
+        raise ParameterError(f"--campaigns {options.campaigns}", where="calibrate_demo", expected=expected)
+    if options.seed < 0:
+        raise ParameterError(f"--seed {options.seed}", where="calibrate_demo", expected="0 or more")
+    return options
+
+
+def run_posors(options: argparse.Namespace, progress: StageProgress) -> list[CampaignReport]:
+    """Run the campaigns of the selected POSORs.
+
+    Raises:
+        PosorError: A procedure refuses its bag, or a file cannot be written.
+
+    """
+    reports = []
+    folder = prepare_output_folder(options.output, OUTPUTS, "calibrate_demo")
+    for name in POSORS if options.posor == "both" else (options.posor,):
+        count = len(campaign_steps(name))
+        truth = GroundTruth.draw(name, options.seed)
+        (folder / name).mkdir()
+        with progress.stage(f"{name}: recording bags", count) as on_bag:
+            bags = record_bags(truth, folder / name / "bags", on_bag)
+        with progress.stage(f"{name}: calibrating", count) as on_step:
+            steps = calibrate_from_bags(truth, bags, folder / name, on_step)
+        coverage = None
+        if options.campaigns:
+            seeds = range(options.seed + 1, options.seed + 1 + options.campaigns)
+            with progress.stage(f"{name}: more campaigns", options.campaigns) as on_done:
+                coverage = coverage_of_series(name, run_campaigns(name, seeds, on_done=on_done))
+        reports.append(CampaignReport.evaluate(truth, steps, coverage))
+    return reports
+
+
+def write_report(options: argparse.Namespace, reports: Sequence[CampaignReport]) -> None:
+    """Write page, pictures and figures.
+
+    Raises:
+        ParameterError: A file cannot be written.
+
+    """
+    pictures = [draw_campaign(report) for report in reports]
+    command = f"--posor {options.posor} --campaigns {options.campaigns} --seed {options.seed}"
+    provenance = {"command": f"./run posor_validation calibrate_demo {command}"} | {
+        f"{report.truth.name}, result": f"{report.steps[-1].step.name}.yaml, content hash "
+        f"{report.calibration.content_hash}"
+        for report in reports
+    }
+    files: dict[str, str | bytes] = {
+        f"{report.truth.name}_{name}.png": png
+        for report, shown in zip(reports, pictures, strict=True)
+        for name, png in shown.items()
+    }
+    files["report.html"] = campaign_page(reports, pictures, provenance)
+    write_files(options.output, files)
+    figures = json.dumps(campaigns_as_json(reports), indent=2) + "\n"
+    write_files(options.output.parent, {f"{options.output.name}.json": figures})
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program."""
+    try:
+        with _raise_on_signals() as check:
+            return _run(parse_options(arguments), check)
+    except KeyboardInterrupt:
+        error: PosorError = InterruptedRunError("interrupted", where="calibrate_demo")
+    except PosorError as raised:
+        error = raised
+    print(error, file=sys.stderr)
+    return error.exit_code
+
+
+@contextmanager
+def _raise_on_signals() -> Iterator[Callable[[], None]]:
+    """Raise KeyboardInterrupt on SIGINT and SIGTERM; the workers end with the program.
+
+    The yielded function raises it again after a signal, because some libraries swallow exceptions of a handler.
+    """
+    interrupted = False
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        nonlocal interrupted
+        interrupted = True
+        raise KeyboardInterrupt
+
+    def check() -> None:
+        if interrupted:
+            raise KeyboardInterrupt
+
+    handlers = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield check
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+
+
+def _run(options: argparse.Namespace, check: Callable[[], None]) -> int:
+    console = Console(highlight=False) if sys.stdout.isatty() else Console(highlight=False, width=WIDTH)
+    with StageProgress(console, check) as progress:
+        reports = run_posors(options, progress)
+    write_report(options, reports)
+    findings = all_findings(reports)
+    print_findings(findings, console, "Findings of the calibration campaigns", HEADINGS)
+    console.print(f"report: {options.output / 'report.html'}", soft_wrap=True, markup=False)
+    console.print(findings.sentence, style="green" if findings.holds else "bold red")
+    return 0 if findings.holds else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

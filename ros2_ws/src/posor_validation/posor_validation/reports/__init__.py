@@ -1,0 +1,1 @@
+"""Shared parts of the reports: findings, progress in the terminal, reception of a graph."""

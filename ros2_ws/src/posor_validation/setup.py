@@ -1,0 +1,49 @@
+"""Packaging of posor_validation for colcon (ament_python)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+PACKAGE = "posor_validation"
+
+
+def files(folder: str) -> list[str]:
+    """Return the data files of a folder of this package, in a fixed order."""
+    return sorted(str(path) for path in Path(folder).glob("*.*"))
+
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="Comparison with 1985, simulated campaigns, accuracy, thesis budgets, arm study and benchmark",
+    license="Apache-2.0",
+    maintainer="POSOR maintainers",
+    maintainer_email="maintainers@posor.invalid",
+    packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
+    package_data={PACKAGE: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+        (f"share/{PACKAGE}/data", files("data")),
+    ],
+    python_requires=">=3.11",
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            "accuracy = posor_validation.validation_programs:accuracy",
+            "arm = posor_validation.validation_programs:arm",
+            "arm_budget = posor_validation.validation_programs:arm_budget",
+            "bench = posor_validation.validation_programs:bench",
+            "bench_core = posor_validation.validation_programs:bench_core",
+            "budgets = posor_validation.validation_programs:budgets",
+            "calibrate_demo = posor_validation.validation_programs:calibrate_demo",
+            "demo = posor_validation.validation_programs:demo",
+            "golden = posor_validation.validation_programs:golden",
+            "zero_drift_1985 = posor_validation.validation_programs:zero_drift_1985",
+        ],
+    },
+)
