@@ -1,8 +1,8 @@
-"""Make the bag of the simulated five-axis arm: one cycle of its scenario, and the endpoint that its POSORs see.
+"""Make the bag of the simulated five-axis arm: one cycle of its scenario, and the endpoint estimated from its scans.
 
-``make data`` runs it, in the workspace's environment; with an argument it makes the bag in that folder. Scans and truth
-come from the simulator, as the drivers publish them; ``endpoint/pose`` from the core, as the nodes compute it. The same
-bytes on every run.
+``make data`` runs it in the environment of the workspace; an optional argument is the output folder. Scans and truth
+come from the simulator, as the drivers publish them; ``endpoint/pose`` comes from the numerical core, as the nodes
+estimate it. Every run gives the same bytes.
 """
 
 from __future__ import annotations
@@ -13,59 +13,61 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
-from posor_bringup.arm_offline import endpoints
-from posor_bringup.arms import checked_arm
-from posor_drivers.bag_writer import replacement
-from posor_drivers.offered_qos import kept_in_bag
+from posor_bringup.arms import load_checked_arm
+from posor_drivers.bag_writer import replace_bag
+from posor_drivers.scan_clock import tick_stamp_ns
 from posor_drivers.simulated_messages import SimulatedMessages
-from posor_drivers.simulator.arm import ArmSimulation
-from posor_drivers.simulator.ticks import stamp_of
-from posor_drivers.sources.base import SourceMessage, Topic
+from posor_drivers.simulator.arm_simulation import ArmSimulation
+from posor_drivers.sources.source import SourceMessage, Topic
+from posor_estimator.bags.message_definitions import MessageTypes
 from posor_estimator.errors import PosorError
-from posor_estimator.ros.message_types import POSE_STAMPED, RAW_SCAN, MessageTypes
-from posor_estimator.ros.parameters import NodeParameters
-from posor_estimator.ros.qos import ENDPOINT_TOPIC, RAW_TOPIC, RELIABLE_QOS, sensor_qos
+from posor_estimator.node_parameters import NodeParameters
+from posor_estimator.ros.qos import RELIABLE_QOS, sensor_qos
+from posor_estimator.ros_names import ENDPOINT_TOPIC, POSE_STAMPED, RAW_SCAN, RAW_TOPIC
 from posor_msgs.msg import RawScan
+from posor_validation.arm_study.arm_offline import arm_endpoints
 from rclpy.serialization import deserialize_message
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from posor_estimator.core.arm import Arm
+    from posor_estimator.chain.arm_file import Arm
 
 HERE = Path(__file__).resolve().parent
 ARM = "five_axis"
 START_S = 1_767_225_600
-"""2026-01-01 00:00:00 UTC, where a cycle of the scenario begins."""
+"""2026-01-01 00:00:00 UTC, the beginning of a cycle of the scenario."""
 
 
 class ArmBag:
     """One cycle of an arm's scenario, as messages."""
 
     def __init__(self, arm: Arm, types: MessageTypes) -> None:
-        """Simulate it."""
+        """Simulate the cycle."""
         self._simulation = ArmSimulation(arm)
         self._make = SimulatedMessages(types, self._simulation)
         self._rate = self._simulation.scenario.ticks_per_second
         first = START_S * self._rate
         self._ticks = np.arange(first, first + self._simulation.scenario.cycle_ticks)
-        self._scans = {joint: self._raw(joint) for joint in self._simulation.joints}
+        self._scans = {joint: self._raw_messages(joint) for joint in self._simulation.joints}
         self._measured_topic = Topic(f"/{arm.name}/{ENDPOINT_TOPIC}", POSE_STAMPED)
         scans = {
             joint: [deserialize_message(message.data, RawScan) for message in messages.values()]
             for joint, messages in self._scans.items()
         }
-        self._endpoints = {time_ns: pin.XYZQUATToSE3(pose) for time_ns, pose, _ in endpoints(arm, scans)}
+        endpoint = arm_endpoints(arm, scans)
+        poses = map(pin.XYZQUATToSE3, endpoint.poses)
+        self._endpoints = dict(zip(endpoint.stamps_ns.tolist(), poses, strict=True))
 
-    def _raw(self, joint: str) -> dict[int, SourceMessage]:
-        """Return the scans of a joint that are sent, by their stamps."""
+    def _raw_messages(self, joint: str) -> dict[int, SourceMessage]:
+        """Return the published scans of a joint, by stamp [ns]."""
         scans = self._simulation.scans(joint, self._ticks)
         name = f"/{self._simulation.arm.name}/{joint}/{RAW_TOPIC}"
-        raw = (self._make.raw(joint, scans, n) for n in np.flatnonzero(scans.sent).tolist())
+        raw = (self._make.raw_scan(joint, scans, n) for n in np.flatnonzero(scans.sent).tolist())
         return {message.time_ns: SourceMessage(name, message.time_ns, message.data) for message in raw}
 
     def topics(self) -> list[Topic]:
-        """Return what it holds."""
+        """Return all topics."""
         make = self._make.topics
         raw = [Topic(f"/{self._simulation.arm.name}/{joint}/{RAW_TOPIC}", RAW_SCAN) for joint in self._scans]
         return [*raw, self._measured_topic, make.endpoint, make.target, make.encoders]
@@ -74,7 +76,7 @@ class ArmBag:
         """Yield all messages in the order of their stamps."""
         truth = self._simulation.truth(self._ticks)
         for n, tick in enumerate(self._ticks.tolist()):
-            time_ns = stamp_of(tick, self._rate)
+            time_ns = tick_stamp_ns(tick, self._rate)
             yield from (messages[time_ns] for messages in self._scans.values() if time_ns in messages)
             if time_ns in self._endpoints:
                 pose = self._endpoints[time_ns]
@@ -85,11 +87,11 @@ class ArmBag:
 def main(folder: Path) -> None:
     """Make the bag in ``folder``."""
     types = MessageTypes()
-    bag = ArmBag(checked_arm(ARM), types)
-    with replacement(folder / ARM) as writer:
+    bag = ArmBag(load_checked_arm(ARM), types)
+    with replace_bag(folder / ARM) as writer:
         for topic in bag.topics():
             qos = sensor_qos(NodeParameters()) if topic.type_name == RAW_SCAN else RELIABLE_QOS
-            writer.add_topic(topic.name, topic.type_name, types.definition(topic.type_name), [kept_in_bag(qos)])
+            writer.add_topic(topic.name, topic.type_name, types.definition(topic.type_name), [qos])
         for message in bag.messages():
             writer.write(message.topic, message.time_ns, message.data)
     print(f"made {folder / ARM}")
@@ -98,5 +100,5 @@ def main(folder: Path) -> None:
 if __name__ == "__main__":
     try:
         main(Path(sys.argv[1]) if len(sys.argv) > 1 else HERE)
-    except PosorError as complaint:
-        sys.exit(str(complaint))
+    except PosorError as error:
+        sys.exit(str(error))

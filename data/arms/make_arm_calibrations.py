@@ -1,8 +1,8 @@
 """Make the calibration files of the simulated arms from the estimator's designs.
 
-Run it with the workspace's Python from anywhere: ``python data/arms/make_arm_calibrations.py [OUTPUT_FOLDER]``. For
-each arm it writes ``<arm>/calibrations/<joint>.yaml``; the same bytes on every run. Where the numbers come from stands
-in each file's provenance.
+Usage, with the Python of the workspace: ``python data/arms/make_arm_calibrations.py [OUTPUT_FOLDER]``. Writes
+``<arm>/calibrations/<joint>.yaml`` for each arm, the same bytes on every run. The provenance in each file states the
+source of its numbers.
 """
 
 from __future__ import annotations
@@ -11,11 +11,12 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import yaml
-from posor_estimator.core.designs import SizedDesignName, design, sized_design
+from posor_estimator.calibration.designs import SizedDesignName, design, sized_design
 
 if TYPE_CHECKING:
-    from posor_estimator.core.calibration.model import Calibration
+    from posor_estimator.calibration.calibration_file import Calibration
 
 HERE = Path(__file__).resolve().parent
 DEFAULT_OUTPUT = HERE.parents[1] / "ros2_ws/src/posor_bringup/arms"
@@ -23,7 +24,7 @@ INCH = 0.0254
 NAME = "data/arms/make_arm_calibrations.py"
 
 FIVE_AXIS = {"base_swivel": 8.0, "shoulder": 8.0, "elbow": 6.0, "wrist_roll": 5.0, "wrist_yaw": 4.0}
-"""Outside diameters [inch] of the thesis' conceptual robot, section 9.3.1."""
+"""Outside diameters [inch] of the conceptual robot of the thesis, section 9.3.1."""
 SIX_AXIS = {"base_turn": 8.0, "shoulder": 8.0, "elbow": 6.0, "wrist_roll": 5.0, "wrist_pitch": 5.0, "tool_roll": 4.0}
 """Outside diameters [inch], assumed."""
 TEST_RIG = "joint1"
@@ -35,13 +36,13 @@ SIZED: dict[str, tuple[SizedDesignName, dict[str, float]]] = {
 
 
 def frames(joint: str) -> tuple[str, str]:
-    """Return the names of a joint's receiving and target plate, as the URDFs have them."""
+    """Return the names of the receiving and the target plate of a joint in the URDFs."""
     return f"{joint}_receiving", f"{joint}_target"
 
 
 def calibrations() -> dict[str, Calibration]:
-    """Return all calibrations by the path of their file in the folder of the arms."""
-    made = {
+    """Return all calibrations by the paths of their files in the folder of the arms."""
+    sized = {
         f"{arm}/calibrations/{joint}.yaml": sized_design(
             stack, diameter * INCH, frames=frames(joint), title=f"{arm}_{joint}"
         )
@@ -49,49 +50,45 @@ def calibrations() -> dict[str, Calibration]:
         for joint, diameter in diameters.items()
     }
     rig = design("triad_diodes", motion=True, frames=frames(TEST_RIG)).model_copy(update={"name": "test_rig_joint1"})
-    return {**made, f"test_rig/calibrations/{TEST_RIG}.yaml": rig}
+    return {**sized, f"test_rig/calibrations/{TEST_RIG}.yaml": rig}
 
 
-class Line(dict[str, Any]):
-    """A mapping that the YAML writer sets on one line."""
+class FlowMapping(dict[str, Any]):
+    """A mapping that is written on one line."""
 
 
 class Dumper(yaml.SafeDumper):
-    """Writes quantities on one line each, whatever is the same twice in full."""
+    """Writes each quantity on one line, and repeated parts in full."""
 
     def ignore_aliases(self, data: Any) -> bool:  # noqa: ARG002
-        """Return that nothing is written as an alias."""
+        """Return True: write no aliases."""
         return True
 
 
 Dumper.add_representer(
-    Line, lambda dumper, line: dumper.represent_mapping("tag:yaml.org,2002:map", line.items(), flow_style=True)
+    FlowMapping, lambda dumper, part: dumper.represent_mapping("tag:yaml.org,2002:map", part.items(), flow_style=True)
 )
 
 
-def laid_out(part: Any) -> Any:
-    """Return a part of a calibration as it is to be written: numbers in twelve digits, nothing that is not said."""
+def file_content(part: Any) -> Any:
+    """Return a part of a calibration for its file: numbers of twelve digits, without empty parts and zero sigmas."""
     if isinstance(part, dict):
         if set(part) == {"value", "sigma", "unit"}:
-            kept = {key: laid_out(entry) for key, entry in part.items()}
-            if not _any(kept["sigma"]):
-                del kept["sigma"]
-            return Line(kept)
-        return {key: laid_out(entry) for key, entry in part.items() if entry is not None and entry not in ({}, [])}
+            quantity = {key: file_content(entry) for key, entry in part.items()}
+            if not np.any(quantity["sigma"]):
+                del quantity["sigma"]
+            return FlowMapping(quantity)
+        return {key: file_content(entry) for key, entry in part.items() if entry is not None and entry not in ({}, [])}
     if isinstance(part, list | tuple):
-        return [laid_out(entry) for entry in part]
+        return [file_content(entry) for entry in part]
     return float(f"{part:.12g}") + 0.0 if isinstance(part, float) else part
-
-
-def _any(sigma: Any) -> bool:
-    return any(_any(entry) for entry in sigma) if isinstance(sigma, list) else sigma != 0.0
 
 
 def write(path: Path, calibration: Calibration) -> None:
     """Write one calibration file."""
     content = calibration.model_dump(mode="json")
     content["provenance"]["method"] += f", written by {NAME}"
-    text = yaml.dump(laid_out(content), Dumper=Dumper, sort_keys=False, width=120, allow_unicode=True)
+    text = yaml.dump(file_content(content), Dumper=Dumper, sort_keys=False, width=120, allow_unicode=True)
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(f"# Made by {NAME}; SI units throughout.\n{text}", encoding="utf-8")
 

@@ -1,8 +1,8 @@
 """Make the calibration files of the 1985 rig from the numbers of the thesis.
 
-Run it with the workspace's Python from anywhere: ``python data/slocum1985/make_calibrations.py [OUTPUT_FOLDER]``. It
-reads the CSV files beside it and writes ``slocum1985_printed.yaml`` and ``slocum1985_section84.yaml``; the same bytes
-on every run. The files' notes say what is quoted, what is derived here and what is assumed.
+Usage, with the Python of the workspace: ``python data/slocum1985/make_calibrations.py [OUTPUT_FOLDER]``. Reads the CSV
+files of this folder and writes ``slocum1985_printed.yaml`` and ``slocum1985_section84.yaml``, the same bytes on every
+run. The notes of the files state what is quoted, derived and assumed.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ Array = np.ndarray[Any, np.dtype[np.float64]]
 ZERO_SHIFTS = (0.0, 0.2, 0.3)
 
 
-class Table(dict[str, Any]):
-    """A mapping that the YAML writer sets on one line."""
+class FlowMapping(dict[str, Any]):
+    """A mapping that is written on one line."""
 
 
 def rows(name: str) -> list[dict[str, str]]:
@@ -70,13 +70,10 @@ def dimensions() -> dict[str, float]:
     return {row["quantity"]: float(row["value"]) for row in rows("posor_dimensions.csv")}
 
 
-def quantity(value: Any, unit: str, sigma: Any = None) -> Table:
+def quantity(value: Any, unit: str, sigma: Any = None) -> FlowMapping:
     """Return a quantity of the calibration file."""
-    made = Table(value=_plain(value))
-    if sigma is not None:
-        made["sigma"] = _plain(sigma)
-    made["unit"] = unit
-    return made
+    sigmas = {} if sigma is None else {"sigma": _plain(sigma)}
+    return FlowMapping(value=_plain(value), **sigmas, unit=unit)
 
 
 def _plain(value: Any) -> Any:
@@ -86,8 +83,8 @@ def _plain(value: Any) -> Any:
     return float(f"{float(value):.12g}") + 0.0
 
 
-def gap_probes(d: dict[str, float], tilt: tuple[float, float], start: Home) -> dict[str, Any]:
-    """Return the triad: probe 1 at (-c, 0), probe 2 at (0, a), probe 3 at (0, -b)."""
+def gap_probes(d: dict[str, float], tilt: tuple[float, float], start: NominalStart) -> dict[str, Any]:
+    """Return the gap probes: probe 1 at (-c, 0), probe 2 at (0, a), probe 3 at (0, -b)."""
     sigma = {row["quantity"]: row["sigma"] for row in rows("posor_dimensions.csv")}
     a, b, c = (float(sigma[name]) * INCH for name in "abc")
     tips = ((-d["c"], 0.0), (0.0, d["a"]), (0.0, -d["b"]))
@@ -120,33 +117,33 @@ def local_fits() -> dict[tuple[str, str], dict[str, float]]:
 
 def local_map(variant: str, diode: int) -> dict[str, Any]:
     """Return one diode's local map; u and v are the ratios less (.51, .06), as the fits have them."""
-    tables: dict[str, Table] = {}
+    axes: dict[str, FlowMapping] = {}
     for axis in "xy":
         name = f"{axis}d{diode}"
         fit = {key: value * INCH for key, value in local_fits()[variant, name].items()}
         table = [[fit["c0_in"], fit["cv_in"]], [fit["cu_in"], fit["cuv_in"]], [fit["cuu_in"], 0.0]]
         sigma = [[LINEARISATION_UIN[name] * MICROINCH, 0.0], [0.0, 0.0], [0.0, 0.0]]
-        tables[axis] = quantity(table, "m", sigma)
+        axes[axis] = quantity(table, "m", sigma)
     return {
         "kind": "polynomial",
         "center": quantity([0.51, 0.06], "1"),
         "domain": quantity(DOMAINS[diode - 1], "1"),
-        "x": tables["x"],
-        "y": tables["y"],
+        "x": axes["x"],
+        "y": axes["y"],
     }
 
 
 @dataclass(frozen=True)
-class Home:
-    """The target at the start of the nominal test, where theta is zero by definition.
+class NominalStart:
+    """Pose of the target at the start of the nominal test, where theta is zero by definition.
 
-    The rotation axis of the target leans along X only, by as much as makes the target plane level along X in R. What
-    the gaps show beyond that at this moment is taken for the probes' own offsets along Z.
+    The rotation axis of the target leans along X only, so that the target plane is level along X in R. Differences of
+    the gaps from this pose are taken for offsets of the probes along Z.
 
     Attributes:
         rotation: R_R_T, shape (3, 3).
-        distance: Of the origin of T along Z of R [m].
-        tip_offsets: Of the three probe tips along Z of R [m].
+        distance: Origin of T along Z of R [m].
+        tip_offsets: Offsets of the three probe tips along Z of R [m].
 
     """
 
@@ -155,8 +152,8 @@ class Home:
     tip_offsets: tuple[float, float, float]
 
 
-def home(d: dict[str, float], tilt: tuple[float, float], zero_shifts: list[float]) -> Home:
-    """Return the nominal home of a rig whose target plane leans by ``tilt`` [rad] in T."""
+def nominal_start(d: dict[str, float], tilt: tuple[float, float], zero_shifts: list[float]) -> NominalStart:
+    """Return the nominal start of a rig whose target plane leans by ``tilt`` [rad] in T."""
     first = rows(f"{NOMINAL_TEST.lower()}_input.csv")[0]
     gaps = []
     for k, row in enumerate(rows("probe_linearization.csv")):
@@ -174,10 +171,10 @@ def home(d: dict[str, float], tilt: tuple[float, float], zero_shifts: list[float
     level = rotation @ normal
     slope_y = -level[1] / level[2]
     heights = (distance, distance + slope_y * a, distance - slope_y * b)
-    return Home(rotation, distance, (heights[0] - gaps[0], heights[1] - gaps[1], heights[2] - gaps[2]))
+    return NominalStart(rotation, distance, (heights[0] - gaps[0], heights[1] - gaps[1], heights[2] - gaps[2]))
 
 
-def diodes(d: dict[str, float], start: Home) -> dict[str, Any]:
+def diodes(d: dict[str, float], start: NominalStart) -> dict[str, Any]:
     """Return the two diodes and their sources.
 
     Diode axes x and y point along -X and -Y of R, since the listings have x = h - X, y = g - Y (h1 - h2 = dXsep,
@@ -210,7 +207,7 @@ def diodes(d: dict[str, float], start: Home) -> dict[str, Any]:
             }
         )
         spot = origin - np.array([starts[f"xd{k}_start_in"], starts[f"yd{k}_start_in"], 0.0]) * INCH
-        # Rays lean as the corrections of the listings undo it: by (cos rho, -sin rho) and by (cos rho, sin rho).
+        # The corrections of the listings compensate rays inclined by (cos rho, -sin rho) and by (cos rho, sin rho).
         lean = math.tan(inclinations[i])
         direction = np.array([lean * math.cos(spins[i]), -side * lean * math.sin(spins[i]), -1.0])
         lean_sigma = [float(sources[i]["sigma_alpha_Xl_rad"]), float(sources[i]["sigma_beta_Yl_rad"]), 0.0]
@@ -226,7 +223,7 @@ def diodes(d: dict[str, float], start: Home) -> dict[str, Any]:
 
 
 def sessions(*, shifted: bool) -> dict[str, Any]:
-    """Return what differs between the tests: zero shifts (section 8.4: table 8.1) and the set of diode maps."""
+    """Return the sessions of the tests: zero shifts (section 8.4: table 8.1) and set of diode maps."""
     shifts = {row["quantity"]: row for row in rows("sensor_ranges.csv")}
     made = {}
     for test, variant in (("ymo", "B"), ("yzmo", "B"), ("zmo", "A")):
@@ -244,13 +241,13 @@ def calibration(name: str, flatness_in: float, notes: list[str], *, shifted: boo
     """Return the content of one calibration file."""
     d = dimensions()
     a, b, c = d["a"], d["b"], d["c"]
-    # The listings add constants times sin(theta) to the gaps. A plane that leans by slopes (ex, ey) in T does the same:
+    # The listings add constants times sin(theta) to the gaps. A plane with slopes (ex, ey) in T has the same effect:
     # alpha gains 2 f / (a + b) and beta (k - f (b - a) / (a + b)) / c for each sin(theta).
     slope_x = -2.0 * flatness_in / (a + b)
     slope_y = -(TABLES_PROBE_1_CONSTANT_IN - flatness_in * (b - a) / (a + b)) / c
     about_x = math.atan(slope_y)
     tilt = (about_x, -math.atan(slope_x * math.cos(about_x)))
-    start = home(d, tilt, sessions(shifted=shifted)[NOMINAL_TEST.lower()]["zero_shifts"]["value"])
+    start = nominal_start(d, tilt, sessions(shifted=shifted)[NOMINAL_TEST.lower()]["zero_shifts"]["value"])
     return {
         "format": "posor_calibration",
         "version": 1,
@@ -270,7 +267,8 @@ def write(path: Path, content: dict[str, Any]) -> None:
         pass
 
     Dumper.add_representer(
-        Table, lambda dumper, table: dumper.represent_mapping("tag:yaml.org,2002:map", table.items(), flow_style=True)
+        FlowMapping,
+        lambda dumper, part: dumper.represent_mapping("tag:yaml.org,2002:map", part.items(), flow_style=True),
     )
     text = yaml.dump(content, Dumper=Dumper, sort_keys=False, width=120, allow_unicode=True)
     path.write_text(f"# Made by data/slocum1985/make_calibrations.py; SI units throughout.\n{text}", encoding="utf-8")
