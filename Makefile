@@ -1,7 +1,7 @@
-# POSOR for ROS 2. Every target sets the workspace up first; a set-up that is up to date costs a fraction of a second.
+# POSOR for ROS 2. Every target sets the workspace up first; this takes a fraction of a second if nothing has changed.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo arm calibrate-demo test accuracy budgets bench bench-core data lint lock clean
+.PHONY: help setup demo arm calibrate-demo test coverage accuracy budgets bench bench-core data docs lint words lines lock clean
 
 BAG ?= ymo
 CAL ?= printed
@@ -11,62 +11,80 @@ CAMPAIGNS ?= 6
 POSOR ?= both
 TESTS ?=
 BENCH ?=
+FORBIDDEN_WORDS := told|abreast|eights|taking_turns|Outlet|Inlet|places, ints, floats
+IN_WORKSPACE := .venv/bin/python -E tools/in_workspace.py
 
 help:
 	@echo "make demo [BAG=ymo|yzmo|zmo] [CAL=printed|section84]   replay a 1985 test through the nodes and compare"
 	@echo "make arm [ARM=five_axis|path] [CONTROLLER=path]        run a simulated arm, close a loop on it, report its errors"
-	@echo "make calibrate-demo [CAMPAIGNS=6] [POSOR=both]         calibrate simulated POSORs from bags, judge it by the truth"
-	@echo "make test [TESTS='path ...']                           lint, type check and all tests (or only those of TESTS)"
+	@echo "make calibrate-demo [CAMPAIGNS=6] [POSOR=both]         calibrate simulated POSORs from bags, compare with the truth"
+	@echo "make test [TESTS='path ...']                           linters and all tests, or only the tests of TESTS"
+	@echo "make lint                                              ruff, mypy and forbidden words"
+	@echo "make coverage                                          covered lines of the numerical packages"
 	@echo "make accuracy                                          closure, consistency and fault detection of the estimator"
 	@echo "make budgets                                           error budgets of the thesis, cell by cell from the model"
-	@echo "make bench [BENCH='--quick ...']                       latency, losses and cost of the graph, beside their floor"
-	@echo "make bench-core                                        speed of the estimator's core"
-	@echo "make data                                              make bags and calibrations again from tables and designs"
-	@echo "make lint                                              ruff and mypy only"
+	@echo "make bench [BENCH='--quick ...']                       latency, lost ticks and cost of the graph, offline speed"
+	@echo "make bench-core                                        speed of the numerical core"
+	@echo "make lines                                             lines of source, tests and documentation of each package"
+	@echo "make data                                              regenerate bags and calibrations from tables and designs"
+	@echo "make docs                                              regenerate the page of parameters"
 	@echo "make setup                                             virtual environment, ROS 2 Jazzy, colcon build"
-	@echo "make lock                                              renew the exact versions in requirements/*.txt"
-	@echo "make clean                                             remove all that the above have made"
+	@echo "make lock                                              update the exact versions in requirements/*.txt"
+	@echo "make clean                                             remove all results of the targets above"
 	@echo "./run PACKAGE EXECUTABLE [--ros-args ...]              run one node, as 'ros2 run' does"
-	@echo "PYTHON=/path/to/python3.12 with any of them chooses the Python (3.11 or 3.12)."
+	@echo "PYTHON=/path/to/python3.12 with any target selects the Python (3.11 or 3.12)."
 
 setup:
 	@tools/python.sh tools/setup_workspace.py
 
 demo:
-	@./run posor_bringup demo --bag $(BAG) --calibration $(CAL)
+	@./run posor_validation demo --bag $(BAG) --calibration $(CAL)
 
 arm:
-	@./run posor_bringup arm --arm $(ARM) $(if $(CONTROLLER),--controller $(CONTROLLER))
+	@./run posor_validation arm --arm $(ARM) $(if $(CONTROLLER),--controller $(CONTROLLER))
 
 calibrate-demo:
-	@./run posor_bringup calibrate_demo --campaigns $(CAMPAIGNS) --posor $(POSOR)
+	@./run posor_validation calibrate_demo --campaigns $(CAMPAIGNS) --posor $(POSOR)
 
-test: lint
+test: setup
 	@.venv/bin/python -E tools/run_tests.py $(TESTS)
 
+coverage: setup
+	@.venv/bin/python -E tools/measure_coverage.py
+
 accuracy:
-	@./run posor_estimator accuracy --output build/accuracy.json
+	@./run posor_validation accuracy --output build/accuracy.json
 
 budgets:
-	@./run posor_bringup budgets --output build/budgets.json
+	@./run posor_validation budgets --output build/budgets.json
 
 bench: setup
-	@.venv/bin/python -E tools/in_workspace.py -m tests.benchmarks.bench $(BENCH)
+	@$(IN_WORKSPACE) -m posor_validation.benchmark.benchmark_command $(BENCH)
 
 bench-core:
-	@./run posor_estimator bench_core --output build/bench_core.json
+	@./run posor_validation bench_core --output build/bench_core.json
 
 data: setup
-	@.venv/bin/python -E tools/in_workspace.py data/slocum1985/make_calibrations.py
-	@.venv/bin/python -E tools/in_workspace.py data/arms/make_arm_calibrations.py
-	@.venv/bin/python -E tools/in_workspace.py bags/make_bags.py
-	@.venv/bin/python -E tools/in_workspace.py bags/make_arm_bag.py
+	@$(IN_WORKSPACE) data/slocum1985/make_calibrations.py
+	@$(IN_WORKSPACE) data/arms/make_arm_calibrations.py
+	@$(IN_WORKSPACE) bags/make_bags.py
+	@$(IN_WORKSPACE) bags/make_arm_bag.py
+
+docs: setup
+	@$(IN_WORKSPACE) tools/document_parameters.py
 
 lint: setup
 	@.venv/bin/python -I -m ruff check
 	@.venv/bin/python -I -m ruff format --check
 	@if [ -x .venv/bin/mypy ]; then .venv/bin/python -I -m mypy; \
-	else echo "mypy: not run, since its verdict depends on the pinned numpy and this Jazzy brings its own"; fi
+	else echo "mypy: skipped, because its result depends on the pinned numpy and this Jazzy has another one"; fi
+	@$(MAKE) --no-print-directory words
+
+words:
+	@! git grep -nE "\b($(FORBIDDEN_WORDS))\b" -- '*.py' '*.md' ':!CHANGELOG.md'
+
+lines: setup
+	@.venv/bin/python -E tools/count_lines.py
 
 lock:
 	@tools/python.sh tools/lock_requirements.py

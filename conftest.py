@@ -1,4 +1,4 @@
-"""What all tests share: ROS domains of their own, no traffic beyond this host, and a middleware that is not patient."""
+"""Settings of all tests: a separate ROS domain, no traffic beyond this host, and short timeouts of the middleware."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from posor_estimator.ros.domain import leased_domain
+from posor_estimator.ros.ros_domain import leased_domain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
-"""What Fast DDS reads; without it a graph takes up to 3 s longer to begin, and to end."""
+"""Names the file with the settings of Fast DDS. Without them a graph takes up to 3 s longer to start and to end."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Give the whole session a domain, for tests that ask for none."""
+    """Lease a ROS domain for the session, used by tests without the ``ros_domain`` fixture."""
     lease = ExitStack()
     os.environ["ROS_DOMAIN_ID"] = str(lease.enter_context(leased_domain()))
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
@@ -29,7 +29,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture
 def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
-    """Run a test, and the nodes that it starts, in a ROS domain of its own."""
+    """Run a test and the nodes that it starts in a separate ROS domain."""
     with leased_domain() as domain:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
         yield domain

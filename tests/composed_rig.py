@@ -1,4 +1,4 @@
-"""The 1985 rig as a composition file, and what its program complains of."""
+"""The 1985 rig as a composition file, and the error lines of its program."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ nodes:
 """
 
 
-def composition(folder: Path, text: str) -> Path:
+def write_composition(folder: Path, text: str) -> Path:
     path = folder / "nodes.yaml"
     path.write_text(text, encoding="utf-8")
     return path
 
 
-def complaint(lines: list[str]) -> list[str]:
+def error_lines(lines: list[str]) -> list[str]:
     return [line for line in lines if "[INFO]" not in line]

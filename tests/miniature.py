@@ -1,4 +1,4 @@
-"""A small checkout with the real set-up tools, one small ROS package, and the libraries of this checkout."""
+"""A small checkout for tests of the set-up: the real tools, one small ROS package, the libraries of this checkout."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import zipfile
 from pathlib import Path
 from textwrap import dedent
 
-from environment import FOREIGN, PATH_LISTS, THIS, Workspace
+from environment import OTHER_ROS_VARIABLES, PATH_LISTS, THIS, Workspace
 
 BASE_PYTHON = Path(sys.base_prefix, "bin", f"python{sys.version_info.major}.{sys.version_info.minor}")
 PACKAGE = "miniature"
@@ -70,23 +70,23 @@ MANIFEST = """\
 
 
 def clean_environ(**extra: str) -> dict[str, str]:
-    """Return the environment as it was before the tests' own workspace was added to it."""
+    """Return the environment without the workspace of the tests."""
     lists = {name: os.environ[name].split(os.pathsep) for name in PATH_LISTS if name in os.environ}
-    foreign = {name: [p for p in paths if not Path(p).is_relative_to(THIS.root)] for name, paths in lists.items()}
+    outside = {name: [p for p in paths if not Path(p).is_relative_to(THIS.root)] for name, paths in lists.items()}
     environ = {name: value for name, value in os.environ.items() if name not in PATH_LISTS}
-    environ |= {name: os.pathsep.join(paths) for name, paths in foreign.items() if paths}
+    environ |= {name: os.pathsep.join(paths) for name, paths in outside.items() if paths}
     if "AMENT_PREFIX_PATH" not in environ:
-        gone = {*FOREIGN, "ROS_DISTRO", "ROS_VERSION", "ROS_PYTHON_VERSION"}
-        environ = {name: value for name, value in environ.items() if name not in gone}
+        removed = {*OTHER_ROS_VARIABLES, "ROS_DISTRO", "ROS_VERSION", "ROS_PYTHON_VERSION"}
+        environ = {name: value for name, value in environ.items() if name not in removed}
     environ.pop("PYTHON", None)
     return environ | extra
 
 
 class Miniature(Workspace):
-    """A checkout in an empty folder that is set up without a network."""
+    """A checkout in an empty folder whose set-up needs no network."""
 
     def fill(self) -> None:
-        """Write its files: the tools are this checkout's, the libraries come by a wheel that points to them."""
+        """Write the files of the checkout; a wheel refers to the libraries of this checkout."""
         shutil.copytree(THIS.root / "tools", self.root / "tools", ignore=shutil.ignore_patterns("__pycache__"))
         shutil.copy(THIS.root / "run", self.root / "run")
         for path in (THIS.root / "requirements").iterdir():
@@ -111,18 +111,18 @@ class Miniature(Workspace):
         self.write(f"{package}/miniature/programs.py", PROGRAMS)
 
     def write(self, name: str, text: str) -> Path:
-        """Write one of its files."""
+        """Write a file of the checkout."""
         path = self.root / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(dedent(text), encoding="utf-8")
         return path
 
     def environ(self, **extra: str) -> dict[str, str]:
-        """Return its processes' environment, in which pip finds only the wheel that points to our libraries."""
+        """Return the environment of its processes, in which pip finds only that wheel."""
         return clean_environ(**{"PIP_NO_INDEX": "1", "PIP_FIND_LINKS": str(self.root / "wheels"), **extra})
 
     def start_set_up(self, **extra: str) -> subprocess.Popen[str]:
-        """Start its set-up, with the Python that runs this test, in a session of its own."""
+        """Start the set-up in a session of its own, with the Python of this test."""
         return subprocess.Popen(
             [self.root / "tools" / "python.sh", self.root / "tools" / "setup_workspace.py"],
             env=self.environ(**{"PYTHON": str(BASE_PYTHON), **extra}),
@@ -133,12 +133,12 @@ class Miniature(Workspace):
         )
 
     def set_up(self, **extra: str) -> subprocess.CompletedProcess[str]:
-        """Run its set-up to the end."""
+        """Run the set-up to the end."""
         process = self.start_set_up(**extra)
         out, err = process.communicate()
         return subprocess.CompletedProcess(process.args, process.returncode, out, err)
 
     def run(self, *arguments: str, **extra: str) -> subprocess.CompletedProcess[str]:
-        """Call its ``./run``."""
+        """Run the ``./run`` of the checkout."""
         command = [str(self.root / "run"), *arguments]
         return subprocess.run(command, env=self.environ(**extra), capture_output=True, text=True, check=False)

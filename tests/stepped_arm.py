@@ -1,6 +1,6 @@
-"""A simulated arm whose clock waits for it: every node a process of its own, tick after tick in lock-step.
+"""A simulated arm with one process per node, whose clock advances once everything of the last tick has come.
 
-The next tick comes once all of the last one has come, so what is measured does not depend on the machine's load.
+Its results do not depend on the load of the host.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Self
 
 from geometry_msgs.msg import PoseStamped, Vector3Stamped
-from posor_bringup.arm_accounts import Dropouts
 from posor_bringup.arm_programs import arm_programs
-from posor_bringup.arms import checked_arm
-from posor_drivers.simulator.arm import ArmSimulation
-from posor_drivers.simulator.ticks import NS, stamp_of
-from posor_estimator.ros.messages import is_usable, stamp_ns
-from posor_estimator.testing.graph import LOSSLESS
+from posor_bringup.arms import load_checked_arm
+from posor_drivers.scan_clock import tick_stamp_ns
+from posor_drivers.simulator.arm_simulation import ArmSimulation
+from posor_estimator.numerics.stamps import NS
+from posor_estimator.ros.message_conversion import is_usable, stamp_ns
+from posor_estimator.testing.graph import LOSSLESS, wait_for_value
 from posor_estimator.testing.program import Program
-from posor_estimator.testing.stamped import status_with
 from posor_msgs.msg import JointTransform
+from posor_validation.arm_study.tick_outcomes import Dropouts
 from rosgraph_msgs.msg import Clock
 
 if TYPE_CHECKING:
@@ -41,13 +41,13 @@ TOPICS = {
 }
 FROM_DRIVER = ("truth/endpoint", "target/endpoint", "stage/position")
 AFTER_NS = 3_500_000
-"""Where the clock stands for a tick, after its stamp: all scans of the scenarios are out by then, none of the next."""
-AGAIN_S = 0.5
-"""The clock's topic is best effort, so the time is told again while something is waited for."""
+"""Time of the clock after the stamp of a tick: all its scans have been sent, none of the next tick."""
+REPEAT_S = 0.5
+"""The clock is published again while waiting; its topic is best effort."""
 
 
 class SteppedArm:
-    """The nodes of an arm, their clock, and what has last come on each topic.
+    """The nodes of an arm, their clock, and the newest message of each topic.
 
     Attributes:
         name: Namespace of the arm.
@@ -58,7 +58,7 @@ class SteppedArm:
 
     def __init__(self, graph: Graph, name: str) -> None:
         """Subscribe; ``with`` starts the nodes."""
-        self._arm = checked_arm(name)
+        self._arm = load_checked_arm(name)
         self.name = f"/{self._arm.name}"
         self.commanded = False
         self._graph = graph
@@ -75,19 +75,19 @@ class SteppedArm:
         self._stack = ExitStack()
         self._running: dict[str, Program] = {}
         self._clock: Any = None
-        self._told = (0, 0.0)
+        self._published = (0, 0.0)
 
     def __enter__(self) -> Self:
-        """Start the nodes and wait until they listen to one another."""
+        """Start the nodes and wait for their connections."""
         for program in arm_programs(self._arm, chain_parameters=CHAIN_PARAMETERS, parameters=PARAMETERS):
             self._running[program.name] = self._stack.enter_context(Program(program.command()))
         self._graph.watch_diagnostics()
         for name in self._running:
             self._graph.wait_for_status(f"{self.name}/{name}: lifecycle", "active")
         self._clock = self._graph.publisher(Clock, "/clock", subscriptions=len(self._running))
-        status_with(self._graph, f"{self.name}/chain_node: listeners", "endpoint/pose", "1")
+        wait_for_value(self._graph, f"{self.name}/chain_node: listeners", "endpoint/pose", "1")
         for joint in self._transforms:
-            status_with(self._graph, f"{self.name}/{joint}/posor_node: listeners", "transform", "2")
+            wait_for_value(self._graph, f"{self.name}/{joint}/posor_node: listeners", "transform", "2")
             self._graph.wait_for_status(f"{self.name}/{joint}/driver_node: source", "running")
         return self
 
@@ -95,57 +95,57 @@ class SteppedArm:
         """End the nodes."""
         self._stack.close()
 
-    def pull_plug(self, joint: str) -> None:
-        """Kill the node that measures a joint, without notice."""
+    def kill_posor_node(self, joint: str) -> None:
+        """Kill the posor_node of a joint."""
         self._running[f"{joint}/posor_node"].process.kill()
         del self._transforms[joint]
         self._without_pose = True
 
     def begin(self, tick: int) -> int:
-        """Set the clock, forward or back, and return the first tick from there that all take part in.
+        """Set the clock, forward or back, and return the first tick of which everything comes.
 
-        Nothing tells whether all have noticed before the clock moves on; who has not begins a tick later.
+        A node that receives the clock late begins with a later tick.
         """
-        self._tell(tick - 1)
+        self._publish_clock(tick - 1)
         for first in itertools.count(tick):
-            self._tell(first)
-            has_come = self._condition(first)
-            deadline = time.monotonic() + 2.0 * AGAIN_S
+            self._publish_clock(first)
+            is_complete = self._condition(first)
+            deadline = time.monotonic() + 2.0 * REPEAT_S
             while time.monotonic() < deadline:
-                if has_come():
+                if is_complete():
                     return first
                 self._graph.receive()
         raise AssertionError
 
     def step(self, tick: int) -> None:
-        """Move the clock to a tick and wait until all that belongs to it has come."""
-        self._tell(tick)
-        self._graph.wait_until(self._condition(tick), f"tick {tick}", self._tell_again)
+        """Advance the clock to a tick and wait until everything of the tick has come."""
+        self._publish_clock(tick)
+        self._graph.wait_until(self._condition(tick), f"tick {tick}", self._repeat_clock)
 
-    def _tell(self, tick: int) -> None:
-        self._told = (tick, time.monotonic())
+    def _publish_clock(self, tick: int) -> None:
+        self._published = (tick, time.monotonic())
         message = Clock()
-        message.clock.sec, message.clock.nanosec = divmod(stamp_of(tick, self._rate) + AFTER_NS, NS)
+        message.clock.sec, message.clock.nanosec = divmod(tick_stamp_ns(tick, self._rate) + AFTER_NS, NS)
         self._clock.publish(message)
 
-    def _tell_again(self) -> None:
-        tick, when = self._told
-        if time.monotonic() > when + AGAIN_S:
-            self._tell(tick)
+    def _repeat_clock(self) -> None:
+        tick, when = self._published
+        if time.monotonic() > when + REPEAT_S:
+            self._publish_clock(tick)
 
     def _condition(self, tick: int) -> Callable[[], bool]:
-        """Return a function that tells whether all that belongs to a tick has come."""
-        stamp, dropped = stamp_of(tick, self._rate), self._dropouts.at(tick)
+        """Return a function that checks whether everything of a tick has come."""
+        stamp, dropped = tick_stamp_ns(tick, self._rate), self._dropouts.dropped_joints(tick)
         measured = [topic for joint, topic in self._transforms.items() if joint not in dropped]
         whole = not dropped and not self._without_pose
         after = ("endpoint/pose", "stage/command") if self.commanded else ("endpoint/pose",)
 
-        def come(*topics: str) -> bool:
+        def received(*topics: str) -> bool:
             return all(stamp_ns(self.newest[topic]) == stamp for topic in topics)
 
-        def has_come() -> bool:
-            if not come(*FROM_DRIVER, *measured):
+        def is_complete() -> bool:
+            if not received(*FROM_DRIVER, *measured):
                 return False
-            return come(*after) or not (whole and all(is_usable(self.newest[topic]) for topic in measured))
+            return received(*after) or not (whole and all(is_usable(self.newest[topic]) for topic in measured))
 
-        return has_come
+        return is_complete

@@ -1,4 +1,4 @@
-"""The files of the arms fit together: calibrations from their script, URDF, beams, scenario, and the thesis' sizes."""
+"""Consistency of the installed arms' files: calibrations, URDF, beams, scenario, and sizes of the thesis."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 import yaml
-from posor_drivers.simulator.phases import Spline
+from posor_drivers.simulator.motion_phases import Spline
 from posor_drivers.simulator.scenario import load_scenario
-from posor_estimator.core.arm import Arm, load_arm
-from posor_estimator.core.beam import Tube
-from posor_estimator.core.beams_file import load_beams
+from posor_estimator.chain.arm_file import Arm, load_arm
+from posor_estimator.chain.beam_bending import Tube
+from posor_estimator.chain.beams_file import load_beams
 
 ROOT = Path(__file__).resolve().parents[1]
 ARMS = ROOT / "ros2_ws" / "src" / "posor_bringup" / "arms"
@@ -33,23 +33,23 @@ def arm_of(name: str) -> Arm:
 
 
 def outside_diameter(calibration: dict[str, Any]) -> float:
-    """Return the outside diameter [m] that a sized POSOR's triad stands for: its circle is 1 in less."""
+    """Return the outside diameter [m] of a POSOR; the circle of its triad is 1 in smaller."""
     tips = np.array([probe["tip"]["value"] for probe in calibration["sensors"][0]["probes"]])
     return float(2.0 * np.linalg.norm(tips, axis=1).mean() + INCH)
 
 
-def test_the_script_makes_the_very_calibrations_of_the_arms(tmp_path: Path) -> None:
-    output = tmp_path / "made"
+def test_calibrations_are_those_of_the_script(tmp_path: Path) -> None:
+    output = tmp_path / "generated"
     subprocess.run([sys.executable, str(SCRIPT), str(output)], cwd=tmp_path, check=True, timeout=100)
-    made = {str(path.relative_to(output)): path.read_bytes() for path in output.rglob("*.yaml")}
-    kept = {str(path.relative_to(ARMS)): path.read_bytes() for path in ARMS.glob("*/calibrations/*.yaml")}
-    assert sorted(made) == sorted(kept)
-    for name, content in made.items():
-        assert content == kept[name], f"{name} differs: run data/arms/{SCRIPT.name}"
+    generated = {str(path.relative_to(output)): path.read_bytes() for path in output.rglob("*.yaml")}
+    installed = {str(path.relative_to(ARMS)): path.read_bytes() for path in ARMS.glob("*/calibrations/*.yaml")}
+    assert sorted(generated) == sorted(installed)
+    for name, content in generated.items():
+        assert content == installed[name], f"{name} differs: run data/arms/{SCRIPT.name}"
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_every_file_of_an_arm_fits_its_joints(name: str) -> None:
+def test_files_match_the_joints(name: str) -> None:
     arm = arm_of(name)
     chain = arm.chain()
     assert arm.name == arm.path.parent.name == name
@@ -67,7 +67,7 @@ def test_every_file_of_an_arm_fits_its_joints(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_at_zero_an_arm_is_extended_along_x_with_the_axes_of_its_base(name: str) -> None:
+def test_arm_at_zero_is_extended_along_x(name: str) -> None:
     chain = arm_of(name).chain()
     pose = chain.nominal_endpoint({joint.name: 0.0 for joint in chain.joints})
     np.testing.assert_allclose(pose.rotation, np.eye(3), atol=1e-12)
@@ -76,20 +76,20 @@ def test_at_zero_an_arm_is_extended_along_x_with_the_axes_of_its_base(name: str)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_motion_begins_at_the_home_marks_and_counts_no_turns(name: str) -> None:
+def test_motion_begins_at_the_home_marks_and_stays_within_one_turn(name: str) -> None:
     arm = arm_of(name)
     assert arm.scenario is not None
     scenario = load_scenario(arm.scenario)
-    for joint, said in scenario.joints.items():
+    for joint, settings in scenario.joints.items():
         for sensor in arm.calibration(joint).sensors:
-            assert said.start.number == sensor.home_theta
+            assert settings.start.number == sensor.home_theta
     angles = [phase.through.array for phase in scenario.motion if isinstance(phase, Spline)]
     assert all(np.all(np.abs(waypoints) < math.pi) for waypoints in angles)
     moved = {joint for phase in scenario.motion if isinstance(phase, Spline) for joint in phase.joints}
     assert moved == set(scenario.joints)
 
 
-def test_the_five_axis_arms_posors_have_the_thesis_diameters() -> None:
+def test_five_axis_posors_have_the_diameters_of_the_thesis() -> None:
     lines = (ROOT / "data" / "slocum1985" / "error_budget_five_axis_robot.csv").read_text(encoding="utf-8").splitlines()
     rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
     arm = arm_of("five_axis")
@@ -99,7 +99,7 @@ def test_the_five_axis_arms_posors_have_the_thesis_diameters() -> None:
         assert diameter == pytest.approx(float(row["posor_od_in"]) * INCH, abs=1e-9)
 
 
-def test_the_rigs_beam_is_that_of_section_622() -> None:
+def test_beam_of_the_rig_is_that_of_section_622() -> None:
     [beam] = load_beams(ARMS / "test_rig" / "beams.yaml").beams
     assert beam.sag is not None
     tube = beam.sag.tube
@@ -113,8 +113,8 @@ def test_the_rigs_beam_is_that_of_section_622() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_urdfs_masses_are_those_of_the_beams_file(name: str) -> None:
-    """A target plate and its beam are one link; the plate at the beam's far end is the next one."""
+def test_masses_of_the_urdf_are_those_of_the_beams_file(name: str) -> None:
+    """Target plate and beam are one link; the plate at the far end of the beam is the next link."""
     arm = arm_of(name)
     chain = arm.chain()
     links = {link.get("name"): link for link in ET.parse(arm.urdf).getroot().findall("link")}  # noqa: S314  our own file
@@ -123,13 +123,15 @@ def test_the_urdfs_masses_are_those_of_the_beams_file(name: str) -> None:
         for link, element in links.items()
         if (mass := element.find("inertial/mass")) is not None
     }
-    for said, beam, joint in zip(load_beams(ARMS / name / "beams.yaml").beams, chain.beams, chain.joints, strict=True):
-        if said.sag is None:
+    for beam_file, beam, joint in zip(
+        load_beams(ARMS / name / "beams.yaml").beams, chain.beams, chain.joints, strict=True
+    ):
+        if beam_file.sag is None:
             continue
-        tube = said.sag.tube
+        tube = beam_file.sag.tube
         numbers = (tube.outer_diameter, tube.inner_diameter, tube.modulus, tube.density)
         length = float(np.linalg.norm(beam.T_start_end.translation))
-        start, *others = said.sag.plates
+        start, *others = beam_file.sag.plates
         own = start.mass.number + length * Tube(*(each.number for each in numbers)).mass_per_length
         assert masses[joint.child] == pytest.approx(own, rel=1e-3)
         far = "beam_end" if name == "test_rig" else None
@@ -138,7 +140,7 @@ def test_the_urdfs_masses_are_those_of_the_beams_file(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_what_is_assumed_is_labelled(name: str) -> None:
+def test_assumptions_are_labelled(name: str) -> None:
     arm = arm_of(name)
     assert arm.beams is not None
     assert arm.scenario is not None

@@ -13,24 +13,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
-from posor_bringup.arm_offline import endpoints
 from posor_bringup.arm_programs import arm_programs
-from posor_bringup.arms import checked_arm, find_arm
-from posor_estimator.core.arm import DriverFile
-from posor_estimator.reprocess.command import main as reprocess
-from posor_estimator.ros.messages import stamp_ns
-from posor_estimator.testing.graph import Graph
+from posor_bringup.arms import find_arm, load_checked_arm
+from posor_estimator.bags.reprocess_command import main as reprocess
+from posor_estimator.chain.arm_file import DriverFile
+from posor_estimator.ros.message_conversion import stamp_ns
+from posor_estimator.testing.graph import Graph, wait_for_value
 from posor_estimator.testing.program import Program
-from posor_estimator.testing.stamped import status_with
 from posor_msgs.msg import JointTransform, RawScan
+from posor_validation.arm_study.arm_offline import arm_endpoints
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
-from tests.graphs import all_bits, bits, recorded
+from tests.rig_replay import all_message_bits, message_bits, read_bag_messages
 
 if TYPE_CHECKING:
     from posor_bringup.supervisor import Parameter
-    from posor_estimator.core.types import FloatArray
+    from posor_estimator.numerics.array_types import FloatArray
 
 BAGS = Path(__file__).resolve().parents[1] / "bags"
 BAG = BAGS / "five_axis"
@@ -57,7 +56,10 @@ WITHIN = 1e-12
 
 @cache
 def messages(bag: Path) -> dict[str, list[Any]]:
-    return {topic: [deserialize_message(data, TYPES[topic]) for data in all_] for topic, all_ in recorded(bag).items()}
+    return {
+        topic: [deserialize_message(data, TYPES[topic]) for data in all_]
+        for topic, all_ in read_bag_messages(bag).items()
+    }
 
 
 def leaves(message: Any) -> list[Any]:
@@ -100,9 +102,7 @@ def test_the_bag_holds_one_cycle_of_the_scenario() -> None:
         assert len(sent) > 0.99 * TICKS
         assert all(scan.scan == stamp_ns(scan) * RATE // 1_000_000_000 for scan in held[topic])
         assert all(scan.status & RawScan.STATUS_SIMULATED for scan in held[topic])
-    assert sum(len(held[topic]) for topic in RAW.values()) < TICKS * len(
-        JOINTS
-    )  # some are dropped, as the scenario says
+    assert sum(len(held[topic]) for topic in RAW.values()) < TICKS * len(JOINTS)  # the scenario drops some
     assert 0.98 * TICKS < len(held[POSE]) < TICKS
     truths = {stamp_ns(message): message.pose.position for message in held["/five_axis/truth/endpoint"]}
     errors = [
@@ -116,9 +116,9 @@ def test_the_bag_holds_one_cycle_of_the_scenario() -> None:
 @pytest.mark.timeout(300)
 def test_the_bag_replays_bit_for_bit(tmp_path: Path) -> None:
     assert reprocess([str(BAG), "--arm", str(find_arm("five_axis")), "--output", str(tmp_path / "out")]) == 0
-    offline = recorded(tmp_path / "out")
+    offline = read_bag_messages(tmp_path / "out")
     assert set(offline) == {*OTHERS, POSE, f"{POSE}_with_covariance"}
-    arm = checked_arm("five_axis")
+    arm = load_checked_arm("five_axis")
     parameters: dict[str, Parameter] = {
         "bag.path": str(BAG),
         "bag.topic": "/{arm}/{joint}/raw",
@@ -128,7 +128,7 @@ def test_the_bag_replays_bit_for_bit(tmp_path: Path) -> None:
     arm = replace(arm, driver=DriverFile(source="bag", parameters=parameters))
     programs = arm_programs(arm, chain_parameters={"max_wait": 60.0}, parameters=LOSSLESS)
     listeners, drivers = programs[: -len(JOINTS)], programs[-len(JOINTS) :]
-    raw = recorded(BAG)
+    raw = read_bag_messages(BAG)
     with ExitStack() as stack, Graph() as graph:
         running = [stack.enter_context(Program(program.command())) for program in listeners]
         graph.watch_diagnostics()
@@ -136,13 +136,14 @@ def test_the_bag_replays_bit_for_bit(tmp_path: Path) -> None:
         with_covariance = graph.collect(PoseWithCovarianceStamped, f"{POSE}_with_covariance")
         others = {topic: graph.collect(kind, topic, raw=True) for topic, kind in OTHERS.items()}
         for topic in ("endpoint/pose", "endpoint/pose_with_covariance", "joint_states"):
-            status_with(graph, "/five_axis/chain_node: listeners", topic, "1")
+            wait_for_value(graph, "/five_axis/chain_node: listeners", topic, "1")
         for joint in JOINTS:
-            status_with(graph, f"/five_axis/{joint}/posor_node: listeners", "transform", "2")
+            wait_for_value(graph, f"/five_axis/{joint}/posor_node: listeners", "transform", "2")
         # The drivers wait for this test too, which listens once all else does.
         replaying = [stack.enter_context(Program(program.command())) for program in drivers]
         scans = {topic: graph.collect(RawScan, topic, raw=True) for topic in RAW.values()}
-        expected = list(endpoints(checked_arm("five_axis"), {j: messages(BAG)[topic] for j, topic in RAW.items()}))
+        raw_messages = {joint: messages(BAG)[topic] for joint, topic in RAW.items()}
+        expected = arm_endpoints(load_checked_arm("five_axis"), raw_messages)
         graph.wait_until(lambda: all(len(scans[topic]) == len(raw[topic]) for topic in scans), "all scans")
         graph.wait_until(lambda: len(poses) == len(with_covariance) == len(expected), "all poses")
         graph.wait_until(lambda: all(len(others[topic]) == len(offline[topic]) for topic in OTHERS), "all else")
@@ -150,18 +151,19 @@ def test_the_bag_replays_bit_for_bit(tmp_path: Path) -> None:
         assert [program.end() for program in running] == [0] * len(running)
     for topic, received in scans.items():
         assert received == raw[topic]
-    times = [time_ns for time_ns, *_ in expected]
+    times = expected.stamps_ns.tolist()
     assert [stamp_ns(pose) for pose in poses] == times
-    for pose, full, (_, endpoint, covariance) in zip(poses, with_covariance, expected, strict=True):
-        assert bits(pose.pose) == bits(full.pose.pose)
-        assert bits(leaves(pose.pose)) == endpoint.tobytes()
-        assert bits(full.pose.covariance) == covariance.tobytes()
-        assert bits(pose.header) == bits(full.header)
+    expected_poses = zip(expected.poses, expected.covariances, strict=True)
+    for pose, full, (endpoint, covariance) in zip(poses, with_covariance, expected_poses, strict=True):
+        assert message_bits(pose.pose) == message_bits(full.pose.pose)
+        assert message_bits(leaves(pose.pose)) == endpoint.tobytes()
+        assert message_bits(full.pose.covariance) == covariance.tobytes()
+        assert message_bits(pose.header) == message_bits(full.header)
     for topic, kind in OTHERS.items():
-        assert all_bits(kind, others[topic]) == all_bits(kind, offline[topic]), topic
-    assert all_bits(PoseStamped, offline[POSE]) == [bits(pose) for pose in poses]
-    full_poses = all_bits(PoseWithCovarianceStamped, offline[f"{POSE}_with_covariance"])
-    assert full_poses == [bits(pose) for pose in with_covariance]
+        assert all_message_bits(kind, others[topic]) == all_message_bits(kind, offline[topic]), topic
+    assert all_message_bits(PoseStamped, offline[POSE]) == [message_bits(pose) for pose in poses]
+    full_poses = all_message_bits(PoseWithCovarianceStamped, offline[f"{POSE}_with_covariance"])
+    assert full_poses == [message_bits(pose) for pose in with_covariance]
     known = messages(BAG)[POSE]
     assert [stamp_ns(pose) for pose in known] == times
     off = np.abs([np.subtract(leaves(one.pose), leaves(other.pose)) for one, other in zip(poses, known, strict=True)])

@@ -1,4 +1,4 @@
-"""The committed bags are what their script makes, and hold what their README says."""
+"""The committed bags equal those of their script and hold the recorded tables."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from geometry_msgs.msg import PointStamped
-from posor_drivers.sources.table_file import read_table
+from posor_drivers.sources.table_source import read_table
 from posor_msgs.msg import RawScan
 from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader

@@ -1,4 +1,4 @@
-"""bringup as its user starts it: real nodes of an arm, one of them killed, one refusing, all of them ended."""
+"""bringup with real nodes: their end, a killed node, a node that refuses, recorded scans, wrong options."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 import pytest
 from geometry_msgs.msg import PoseStamped
 from posor_bringup.bringup import main
-from posor_bringup.expectations import STEPS
 from posor_bringup.installed import bag_path, calibration_path, urdf_path
 from posor_estimator.testing.graph import BEST_EFFORT, Graph
 from posor_estimator.testing.program import Program, installed
 from posor_msgs.msg import RawScan
+from posor_validation.replay_1985.expectations import STEPS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -47,7 +47,7 @@ def rig(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def pids() -> Iterator[list[int]]:
-    """Return a list for processes that must have ended when the test is over."""
+    """Return a list for processes that must have ended after the test."""
     numbers: list[int] = []
     yield numbers
     assert numbers
@@ -62,13 +62,13 @@ def start(tmp_path: Path, *arguments: object) -> Program:
 
 
 def processes(program: Program, count: int) -> dict[str, int]:
-    """Return the process of each node once all have been started."""
+    """Return the process of each node after the start of all."""
     assert f" {count} nodes started, " in program.wait_for_line("nodes started")
     found = (re.fullmatch(r"(\S+): process (\d+)", line) for line in program.stdout)
     return {match[1]: int(match[2]) for match in found if match}
 
 
-def test_all_nodes_end_when_asked_to(tmp_path: Path, rig: Path, pids: list[int]) -> None:
+def test_all_nodes_end_on_sigterm(tmp_path: Path, rig: Path, pids: list[int]) -> None:
     with start(tmp_path, rig, "--no-driver") as program, Graph() as graph:
         started = processes(program, 2)
         assert list(started) == ["chain_node", "joint1/posor_node"]
@@ -85,7 +85,7 @@ def test_all_nodes_end_when_asked_to(tmp_path: Path, rig: Path, pids: list[int])
     ]
 
 
-def test_a_killed_node_is_named_and_the_others_end(tmp_path: Path, rig: Path, pids: list[int]) -> None:
+def test_killed_node_is_named_and_the_others_end(tmp_path: Path, rig: Path, pids: list[int]) -> None:
     with start(tmp_path, rig, "--no-driver") as program, Graph() as graph:
         started = processes(program, 2)
         pids += started.values()
@@ -98,7 +98,7 @@ def test_a_killed_node_is_named_and_the_others_end(tmp_path: Path, rig: Path, pi
         assert program.stderr[0].startswith("joint1/posor_node: was ended by SIGKILL; until then: ")
 
 
-def test_a_node_that_refuses_is_quoted(tmp_path: Path, rig: Path, pids: list[int]) -> None:
+def test_message_of_a_refusing_node_is_quoted(tmp_path: Path, rig: Path, pids: list[int]) -> None:
     with start(tmp_path, rig, "-p", "bag.speed:=2.0") as program:
         pids += processes(program, 3).values()
         assert program.wait() == 1
@@ -107,7 +107,7 @@ def test_a_node_that_refuses_is_quoted(tmp_path: Path, rig: Path, pids: list[int
         assert "bag.speed" in sentence
 
 
-def test_an_arm_of_recorded_scans_comes_to_its_end(tmp_path: Path, rig: Path, pids: list[int]) -> None:
+def test_arm_with_recorded_scans_plays_them_to_the_end(tmp_path: Path, rig: Path, pids: list[int]) -> None:
     with Graph() as graph:
         poses = graph.collect(PoseStamped, "/rig/endpoint/pose")
         with start(tmp_path, rig, "-p", "wait_for_subscribers:=2") as program:
@@ -115,10 +115,10 @@ def test_an_arm_of_recorded_scans_comes_to_its_end(tmp_path: Path, rig: Path, pi
             graph.watch_diagnostics()
             graph.wait_for_status("/rig/chain_node: listeners", "endpoint/pose 1")
             graph.wait_for_status("/rig/joint1/posor_node: listeners", "transform 1")
-            scans = graph.collect(RawScan, "/rig/joint1/raw", BEST_EFFORT)  # the second one, which the driver waits for
-            # Sensor topics are best effort: a busy machine may lose some, but what comes out comes of what went in.
+            scans = graph.collect(RawScan, "/rig/joint1/raw", BEST_EFFORT)  # the driver waits for two
+            # Sensor topics are best effort: a busy host may lose scans.
             graph.wait_until(lambda: bool(scans and poses), "scans and poses")
-            program.wait_for_line("joint1/driver_node: has come to the end of its scans")
+            program.wait_for_line("joint1/driver_node: all scans have been played")
             assert len(poses) <= STEPS["ymo"]
             assert {pose.header.frame_id for pose in poses} == {"machining_centre"}
             assert not program.ended
@@ -133,22 +133,22 @@ def test_an_arm_of_recorded_scans_comes_to_its_end(tmp_path: Path, rig: Path, pi
             r"arm 'six_fingers': no such arm; expected the path of an arm file, or one of .*five_axis.*\.",
         ),
         ([], r"bringup: the following arguments are required: ARM; expected options as 'bringup --help' lists them\."),
-        (["five_axis", "-p", "a:={b: c}"], r"bringup: argument -p: 'a:=\{b: c\}' is no parameter, .*\."),
+        (["five_axis", "-p", "a:={b: c}"], r"bringup: argument -p: 'a:=\{b: c\}' is not a parameter, .*\."),
     ],
 )
-def test_a_wrong_command_line_is_one_sentence(
+def test_wrong_option_is_refused_with_one_sentence(
     tmp_path: Path, arguments: list[str], sentence: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["bringup", *arguments, "--output", str(tmp_path / "out")]) == 2
-    said, complaint = capfd.readouterr()
-    assert said == ""
-    assert re.fullmatch(sentence + "\n", complaint)
+    printed, error = capfd.readouterr()
+    assert printed == ""
+    assert re.fullmatch(sentence + "\n", error)
     assert not (tmp_path / "out").exists()
 
 
-def test_a_wrong_command_line_ends_the_program(tmp_path: Path) -> None:
+def test_wrong_option_ends_the_program(tmp_path: Path) -> None:
     with start(tmp_path, "five_axis", "-p", "rate=2") as program:
         assert program.wait() == 2
         assert program.stdout == []
         (sentence,) = program.stderr
-        assert sentence.startswith("bringup: argument -p: 'rate=2' is no parameter, name:=value; expected ")
+        assert sentence.startswith("bringup: argument -p: 'rate=2' is not a parameter, name:=value; expected ")

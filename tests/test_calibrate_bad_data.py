@@ -1,4 +1,4 @@
-"""Bad data, bag to exit code: every fault is named in one sentence and leaves no file, or does no harm."""
+"""Bad data from bag to exit code: a fault is named in one sentence and writes no file, or does no harm."""
 
 from __future__ import annotations
 
@@ -13,25 +13,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import yaml
-from posor_bringup.campaign.bagged import arguments_of
-from posor_bringup.campaign.judged import judged
-from posor_bringup.campaign.plant import Plant
-from posor_bringup.campaign.steps import steps_of
-from posor_drivers.recording_bag import entries, write_bag
-from posor_estimator.calibrate.command import main
-from posor_estimator.core.calibrate.recording import POSE, SCALAR, Recording
-from posor_estimator.core.calibration.load import load_calibration
+from posor_drivers.calibration_bag import entries, write_bag
+from posor_estimator.bags.calibrate_command import main
+from posor_estimator.calibration.calibration_file import load_calibration
+from posor_estimator.identification.recording import POSE, SCALAR, Recording, Track
 from posor_estimator.testing.program import installed
+from posor_validation.campaign.campaign_run import step_arguments
+from posor_validation.campaign.campaign_steps import campaign_steps
+from posor_validation.campaign.ground_truth import GroundTruth
+from posor_validation.campaign.parameter_coverage import compare_with_truth
 from scipy.spatial.transform import Rotation
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from posor_bringup.campaign.plant import PosorName
-    from posor_bringup.campaign.steps import Step
-    from posor_estimator.core.calibrate.track import Track
-    from posor_estimator.core.types import FloatArray
+    from posor_estimator.numerics.array_types import FloatArray
+    from posor_validation.campaign.campaign_steps import CampaignStep
+    from posor_validation.campaign.ground_truth import PosorName
 
 SEED = 5000
 SOUND = 4.5
@@ -40,15 +39,15 @@ GAPS, CURRENTS = "gap_voltages", "diode_currents"
 
 
 @cache
-def plant(name: PosorName) -> Plant:
-    return Plant.drawn(name, SEED)
+def plant(name: PosorName) -> GroundTruth:
+    return GroundTruth.draw(name, SEED)
 
 
 @cache
-def recorded(step: str) -> tuple[Plant, Step, Recording]:
+def recorded(step: str) -> tuple[GroundTruth, CampaignStep, Recording]:
     """Return a step of a campaign and what is recorded in it."""
     own = plant("triad_bumpy_ring" if step == "4_ring" else "triad_diodes")
-    [found] = [one for one in steps_of(own.name) if one.name == step]
+    [found] = [one for one in campaign_steps(own.name) if one.name == step]
     return own, found, found.record(own)
 
 
@@ -173,42 +172,42 @@ def run(step: str, fault: Callable[[Recording], Recording], folder: Path, *optio
     """Write the bag, calibrate from it as the command line does; return exit code, both outputs, and the result."""
     own, found, taken = recorded(step)
     bag, known, output = write_bag(folder / "bag", entries(fault(taken))), folder / "in.yaml", folder / "out.yaml"
-    content = own.known.model_dump(mode="json", exclude_defaults=True)
+    content = own.as_built.model_dump(mode="json", exclude_defaults=True)
     known.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
     with redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as err:
-        code = main([*arguments_of(found, bag, known, output), *options])
+        code = main([*step_arguments(found, bag, known, output), *options])
     return code, " ".join(out.getvalue().split()), err.getvalue().lstrip(), output
 
 
 CASES: list[tuple[str, str, Any, str]] = [
-    ("1_gaps", "too few stops", begin(0.1), r"3 stops of the reference with scans; expected at least 6"),
+    ("1_gaps", "too few dwells", begin(0.1), r"3 dwells of the reference with scans; expected at least 6"),
     ("1_gaps", "sign", with_track(exchanged), r"reference of gap probe gap_1: falls where the readings rise"),
     ("1_gaps", "unit", scaled(25.4), r"reference of gap probe gap_1: moves 2\d\.\d* times .* as if .* inches"),
-    ("1_gaps", "stuck", stuck(GAPS, 1, 0.5), r"gap probe gap_2 is stuck at .* from stop 14 on"),
-    ("1_gaps", "clock", late(0.06), r"readings of gap voltage 1 do not belong to the stops .* stamped by one clock"),
+    ("1_gaps", "stuck", stuck(GAPS, 1, 0.5), r"gap probe gap_2 is stuck at .* from dwell 14 on"),
+    ("1_gaps", "clock", late(0.06), r"readings of gap voltage 1 disagree with their dwell, .* stamped by one clock"),
     ("1_gaps", "day", late(86400.0), r"topic /reference: none of its 25 dwells holds a scan"),
-    ("1_gaps", "reference stands", with_track(standing), r"1 stops of the reference with scans"),
-    ("1_gaps", "no numbers", missing(GAPS, 1, 1.0), r"gap probe gap_2 is not finite at stop 1"),
+    ("1_gaps", "reference stands", with_track(standing), r"1 dwells of the reference with scans"),
+    ("1_gaps", "no numbers", missing(GAPS, 1, 1.0), r"gap probe gap_2 is not finite at dwell 1"),
     ("1_gaps", "joint at rest", at_rest, r"gap probe gap_1 stays at .* while the reference moves"),
-    ("1_gaps", "lost count", with_track(jumped), r"gap_1: \d of 25 readings do not fit, such as stop 1\d"),
+    ("1_gaps", "lost count", with_track(jumped), r"gap_1: \d of 25 readings do not fit, such as dwell 1\d"),
     ("2_supply", "too few levels", begin(0.1), r"1 levels of the supply voltage; expected at least 4"),
-    ("2_supply", "stuck", stuck(GAPS, 1), r"gap voltage 2 is stuck at .* from scan 0 to scan 404, its neighbours"),
-    ("3_spacing", "too few stops", lost(0.1), r"1 stops of the reference with scans; expected at least 5"),
+    ("2_supply", "stuck", stuck(GAPS, 1), r"gap voltage 2 is stuck at .* from scan 0 to scan 404, while its neigh"),
+    ("3_spacing", "too few dwells", lost(0.1), r"1 dwells of the reference with scans; expected at least 5"),
     ("3_spacing", "axes", with_track(exchanged), r"topic /reference: .* X and Y exchanged; the axes look swapped"),
-    ("3_spacing", "unit", scaled(25.4), r"topic /reference: the spacing comes out 0\.0\d+ times as large"),
+    ("3_spacing", "unit", scaled(25.4), r"topic /reference: the fitted spacing is 0\.0\d+ times as large"),
     ("3_spacing", "stuck", stuck(GAPS, 1), r"gap probe gap_2 stays at"),
-    ("3_spacing", "half lost", lost(0.5), r"the angles hardly tell gap_1\.x, .* angles about both X and Y"),
-    ("4_map_1", "too few stops", begin(0.03), r"3 stops of the reference; expected at least 9"),
+    ("3_spacing", "half lost", lost(0.5), r"the angles hardly determine gap_1\.x, .* angles about both X and Y"),
+    ("4_map_1", "too few dwells", begin(0.03), r"3 dwells of the reference; expected at least 9"),
     ("4_map_1", "axes", with_track(exchanged), r"axis y moves with the readings, axis x does not; the axes look swap"),
     ("4_map_1", "unit", scaled(1.0 / 25.4), r"moves 0\.0\d+ times .* as if it is in inches taken for millimetres"),
     ("4_map_1", "stuck", stuck(CURRENTS, 2, 0.5), r"current C of diode 1 is stuck at .* from scan \d+ to scan 1693"),
-    ("4_map_1", "dark", with_readings(CURRENTS, dark), r"0 stops with light on diode diode_1; expected at least 9"),
-    ("4_map_1", "clock", late(0.06), r"readings of current . of diode 1 do not belong to the stops"),
-    ("5_axes", "half lost", lost(0.5), r"only diode_1 sees the light; expected two diodes at least"),
+    ("4_map_1", "dark", with_readings(CURRENTS, dark), r"0 dwells with light on diode diode_1; expected at least 9"),
+    ("4_map_1", "clock", late(0.06), r"readings of current . of diode 1 disagree with their dwell"),
+    ("5_axes", "half lost", lost(0.5), r"only diode_1 sees the light; expected at least two diodes"),
     ("5_axes", "axes", with_track(exchanged), r"axis y moves with the readings, axis x does not; the axes look swap"),
     ("5_axes", "unit", scaled(25.4), r"moves 2\d\.\d* times as far as the present calibration says"),
     ("5_axes", "stuck", stuck(CURRENTS, 2), r"current C of diode 1 is stuck at"),
-    ("6_rays", "half lost", lost(0.5), r"the target was not turned, so that the rays' lean and the stage's are one"),
+    ("6_rays", "half lost", lost(0.5), r"the target was not turned, so the leans of rays and stage cannot be sep"),
     ("6_rays", "unit", scaled(25.4), r"the stage travels 0\.305 m along Z, .* within 0\.\d+ m; expected metres"),
     ("6_rays", "small unit", scaled(1 / 25.4), r"the stage travels 0\.000472 m along Z, which moves the spots"),
     ("6_rays", "stuck", stuck(CURRENTS, 6, 0.5), r"current C of diode 2 is stuck at"),
@@ -218,31 +217,26 @@ CASES: list[tuple[str, str, Any, str]] = [
         "7_plane",
         "stuck",
         stuck(GAPS, 1, 0.5),
-        r"gap voltage 2 is stuck at .* from scan 100 to scan 199, its neighbours",
+        r"gap voltage 2 is stuck at .* from scan 100 to scan 199, while its neigh",
     ),
     ("7_plane", "stuck diode", stuck(CURRENTS, 2), r"current C of diode 1 is stuck at .* from scan 0 to scan 199"),
     ("8_drift", "too few", lost(0.02), r"4 scans while the reference was recorded; expected at least 5"),
     ("8_drift", "axes", with_track(exchanged), r"alpha of the reference: axis beta moves .* the axes look swapped"),
     ("8_drift", "unit", scaled(25.4), r"alpha of the reference: moves 2\d\.\d* times as far"),
-    ("8_drift", "stuck", stuck(GAPS, 1, 0.5), r"gap probe gap_2 is stuck at .* from stop 101 on"),
+    ("8_drift", "stuck", stuck(GAPS, 1, 0.5), r"gap probe gap_2 is stuck at .* from sample 101 on"),
     ("8_drift", "clock", late(0.1), r"alpha of the reference: moves as the readings do about 0\.[01]\d* s later; expe"),
-    ("8_drift", "reference stands", with_track(standing), r"alpha of the reference: stands within 0 rad while the POS"),
-    ("8_drift", "joint at rest", at_rest, r"alpha of the reference: goes over 0\.01 rad while the POSOR stands"),
-    (
-        "8_drift",
-        "lost count",
-        with_track(jumped),
-        r"gives no pose any more as the parameters move, to zero shift of gap_1",
-    ),
+    ("8_drift", "reference stands", with_track(standing), r"alpha of the reference: stays within 0 rad while the POS"),
+    ("8_drift", "joint at rest", at_rest, r"alpha of the reference: travels 0\.01 rad while the POSOR is at rest"),
+    ("8_drift", "lost count", with_track(jumped), r"gives no pose when the fit tries zero shift of gap_1"),
     ("9_bundle", "too few", begin(0.03), r"\d poses; expected at least 8"),
     ("9_bundle", "axes", with_track(exchanged), r"axes look swapped"),
     ("9_bundle", "unit", scaled(25.4), r"topic /reference, .: moves 2\d\.\d* times as far as"),
     ("9_bundle", "stuck", stuck(CURRENTS, 2, 0.5), r"current C of diode 1 is stuck at"),
-    ("9_bundle", "clock", late(0.06), r"readings of gap voltage 1 do not belong to the stops"),
+    ("9_bundle", "clock", late(0.06), r"readings of gap voltage 1 disagree with their dwell"),
     ("4_ring", "too few", begin(0.5), r"240 scans; expected at least 288"),
     ("4_ring", "sense", with_track(exchanged), r"topic /reference: turns unlike the ring"),
     ("4_ring", "unit", scaled(180.0 / np.pi), r"topic /reference: turns unlike the ring"),
-    ("4_ring", "stuck", stuck("ring_voltages", 2, 0.5), r"ring probe ring_3 is stuck at .* from stop 241 on"),
+    ("4_ring", "stuck", stuck("ring_voltages", 2, 0.5), r"ring probe ring_3 is stuck at .* from sample 241 on"),
 ]
 
 
@@ -260,7 +254,7 @@ def test_fault_is_named_and_nothing_is_written(
 @pytest.mark.parametrize(
     ("step", "fault", "named"),
     [
-        ("1_gaps", outliers(GAPS), r"left out \d+ of \d+ readings of gap voltage 1, which do not belong"),
+        ("1_gaps", outliers(GAPS), r"left out \d+ of \d+ readings of gap voltage 1 that disagree with their dwell"),
         ("1_gaps", missing(GAPS, 1, 0.03), r"left out \d+ of \d+ readings of gap voltage 2"),
         (
             "1_gaps",
@@ -270,27 +264,29 @@ def test_fault_is_named_and_nothing_is_written(
         ("2_supply", outliers(GAPS), r"left out \d+ of \d+ readings of gap voltage 3"),
         ("4_map_1", outliers(CURRENTS), r"left out \d+ of \d+ readings of current D of diode 1"),
         ("6_rays", outliers(CURRENTS), r"left out \d+ of \d+ readings of current A of diode 2"),
-        ("8_drift", lost(0.5), r"100 of 200 scans count for nothing"),
+        ("8_drift", lost(0.5), r"100 of 200 scans are not used"),
     ],
 )
-def test_fault_that_does_no_harm_is_told(
+def test_harmless_fault_is_reported(
     step: str, fault: Callable[[Recording], Recording], named: str, tmp_path: Path
 ) -> None:
     code, out, err, output = run(step, fault, tmp_path)
     assert (code, err) == (0, ""), err
     assert re.search(named, out), out
-    numbers = judged(recorded(step)[0], load_calibration(output), last=True)
+    numbers = compare_with_truth(recorded(step)[0], load_calibration(output), last_procedure=True)
     assert len(numbers) >= 3
-    assert max(abs(number.pull) for number in numbers) < SOUND
+    assert max(abs(number.normalised_error) for number in numbers) < SOUND
 
 
 def test_scans_of_another_joint_are_refused(tmp_path: Path) -> None:
     own, step, taken = recorded("1_gaps")
-    other = own.known.model_copy(update={"frames": own.known.frames.model_copy(update={"parent": "elbow_receiving"})})
+    other = own.as_built.model_copy(
+        update={"frames": own.as_built.frames.model_copy(update={"parent": "elbow_receiving"})}
+    )
     known, output = tmp_path / "elbow.yaml", tmp_path / "out.yaml"
     known.write_text(yaml.safe_dump(other.model_dump(mode="json", exclude_defaults=True)), encoding="utf-8")
     bag = write_bag(tmp_path / "bag", entries(taken))
-    command = [*installed("posor_estimator", "calibrate"), *arguments_of(step, bag, known, output)]
+    command = [*installed("posor_estimator", "calibrate"), *step_arguments(step, bag, known, output)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (1, "")
     assert re.search(r": the scans are of the receiving plate 'receiving'; expected 'elbow_receiving', ", done.stderr)
@@ -303,8 +299,8 @@ def test_a_file_that_was_cut_short_is_refused(tmp_path: Path) -> None:
     [file] = bag.glob("*.mcap")
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     known, output = tmp_path / "in.yaml", tmp_path / "out.yaml"
-    known.write_text(yaml.safe_dump(own.known.model_dump(mode="json", exclude_defaults=True)), encoding="utf-8")
-    command = [*installed("posor_estimator", "calibrate"), *arguments_of(step, bag, known, output)]
+    known.write_text(yaml.safe_dump(own.as_built.model_dump(mode="json", exclude_defaults=True)), encoding="utf-8")
+    command = [*installed("posor_estimator", "calibrate"), *step_arguments(step, bag, known, output)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert re.search(r"bag: the bag cannot be read, .*; expected a rosbag2 bag", done.stderr), done.stderr

@@ -11,14 +11,13 @@ from typing import NamedTuple
 
 import pytest
 import yaml
-from posor_drivers.recording_bag import entries, write_bag
-from posor_estimator.bags import bag_sha256
-from posor_estimator.calibrate.command import main
-from posor_estimator.core.calibrate.compare import compare
-from posor_estimator.core.calibrate.procedure import procedures
-from posor_estimator.core.calibration.fit_record import FitRecord
-from posor_estimator.core.calibration.load import load_calibration
-from posor_estimator.core.calibration.model import Calibration
+from posor_drivers.calibration_bag import entries, write_bag
+from posor_estimator.bags.calibrate_command import main
+from posor_estimator.bags.calibration_recording import bag_sha256
+from posor_estimator.calibration.calibration_file import Calibration, load_calibration
+from posor_estimator.calibration.fit_record import FitRecord
+from posor_estimator.identification.calibration_comparison import compare_calibrations
+from posor_estimator.identification.procedure_registry import PROCEDURES
 from posor_estimator.testing.drawn_posor import ABOUT, ALONG, DrawnPosor
 from posor_estimator.testing.program import installed
 
@@ -79,23 +78,23 @@ def test_list_names_every_procedure() -> None:
     command = [*installed("posor_estimator", "calibrate"), "list"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
-    assert {"bundle", "gap_linearisation", "zero_drift"} <= procedures().keys()
-    for name in procedures():
+    assert {"bundle", "gap_linearisation", "zero_drift"} <= PROCEDURES.keys()
+    for name in PROCEDURES:
         assert re.search(rf"\b{name}\b", done.stdout), name
 
 
-@pytest.mark.parametrize("name", [*procedures()])
-def test_every_procedure_tells_its_options_with_text_and_default(name: str) -> None:
+@pytest.mark.parametrize("name", [*PROCEDURES])
+def test_help_lists_every_option_with_text_and_default(name: str) -> None:
     done = calibrate(name, "--help")
     assert done.returncode == 0
     text = " ".join(done.stdout.split())
-    for field, declared in procedures()[name].options.model_fields.items():
+    for field, declared in PROCEDURES[name].options.model_fields.items():
         assert f"--{field.replace('_', '-')}" in text
         assert declared.description, field
         assert " ".join(declared.description.split())[:30] in re.sub(r"- (?=\w)", "-", text), field
 
 
-def test_a_fit_becomes_a_file_that_says_where_it_is_from(bench: Bench, fitted: Path) -> None:
+def test_a_fit_becomes_a_file_with_its_record(bench: Bench, fitted: Path) -> None:
     text = fitted.read_text(encoding="utf-8")
     assert text.startswith("# the designer's own file\n")
     calibration = load_calibration(fitted)
@@ -119,7 +118,7 @@ def test_nothing_is_overwritten_without_force_and_the_old_file_is_kept(bench: Be
     before = fitted.read_text(encoding="utf-8")
     done = bench.fit(fitted)
     assert done.returncode == 1
-    assert done.stderr == f"calibration file {fitted}: is there already; expected another name, or --force.\n"
+    assert done.stderr == f"calibration file {fitted}: exists already; expected another name, or --force.\n"
     assert fitted.read_text(encoding="utf-8") == before
     copy = bench.folder / "copy.yaml"
     copy.write_text(before, encoding="utf-8")
@@ -128,7 +127,7 @@ def test_nothing_is_overwritten_without_force_and_the_old_file_is_kept(bench: Be
     assert load_calibration(copy).fits[0].options["loss"] == "huber"
 
 
-def test_without_an_output_the_result_is_only_shown(bench: Bench) -> None:
+def test_without_an_output_the_result_is_only_printed(bench: Bench) -> None:
     there = set(bench.folder.iterdir())
     done = calibrate("bundle", str(bench.bag), "--calibration", str(bench.file), "--parameters", KEYS[0])
     assert done.returncode == 0
@@ -148,7 +147,7 @@ def test_diff_shows_what_changed_in_sigmas(bench: Bench, fitted: Path) -> None:
     assert same.stdout.strip().startswith("0 of ")
 
 
-def test_check_tells_whether_a_calibration_still_holds(bench: Bench) -> None:
+def test_check_finds_drift(bench: Bench) -> None:
     done = calibrate("check", str(bench.file), str(bench.bag), *REFERENCE)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "explains" in done.stdout
@@ -178,7 +177,7 @@ def test_check_tells_whether_a_calibration_still_holds(bench: Bench) -> None:
         (
             ("--uncertainty", "/reference=1e-7,-1"),
             2,
-            "option --uncertainty: '/reference=1e-7,-1'; expected standard uncertainties of zero or more, parted by",
+            "option --uncertainty: '/reference=1e-7,-1'; expected standard uncertainties of zero or more, separated by",
         ),
         (("--instrument", "CMM"), 2, "option --instrument: 'CMM'; expected TOPIC=..., such as /cmm/pose=...."),
         (
@@ -186,7 +185,7 @@ def test_check_tells_whether_a_calibration_still_holds(bench: Bench) -> None:
             2,
             "option --instrument: there is no reference /laser; expected /reference.",
         ),
-        (("--parameters", "*.nose"), 1, "calibration 'triad_diodes': '*.nose' fits no quantity"),
+        (("--parameters", "*.nose"), 1, "calibration 'triad_diodes': '*.nose' matches no quantity"),
         (("--surprise",), 2, "calibrate: unrecognized arguments: --surprise; expected options as"),
     ],
 )
@@ -214,13 +213,13 @@ def test_the_real_recording_of_1985_is_calibrated_into_its_session(tmp_path: Pat
     assert done.returncode == 0, done.stderr
     before, after = load_calibration(source), load_calibration(output)
     assert after.fits[0].replaced == ["sessions.ymo.zero_shifts"]
-    compared = compare(before, after)
+    compared = compare_calibrations(before, after)
     assert {d.name for d in compared.differences} == {f"sessions.ymo.zero_shifts[{k}]" for k in range(3)}
     assert compared.others == ()
 
 
 def test_the_fits_that_the_documentation_shows_are_fits() -> None:
-    text = (ROOT / "docs" / "calibration_file.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "reference" / "calibration_file.md").read_text(encoding="utf-8")
     [block] = re.findall(r"^```yaml\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
     [shown] = yaml.safe_load(block)["fits"]
     record = FitRecord.model_validate(shown)

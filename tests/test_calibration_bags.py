@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from posor_drivers.recording_bag import NS, RAW, Entry, entries, point, raw, scalar, transform, write_bag
-from posor_estimator.bags import Reference, bag_sha256, load_recording
-from posor_estimator.core.calibrate import gap_linearisation
-from posor_estimator.core.calibrate.gap_linearisation import GapLinearisationOptions
-from posor_estimator.core.calibrate.recording import DIODES_ESTIMATED, PROBES_ESTIMATED, SATURATED
-from posor_estimator.core.designs import STANDOFF
-from posor_estimator.core.scan import Scan
+from posor_drivers.calibration_bag import RAW, Entry, entries, point, raw, scalar, transform, write_bag
+from posor_estimator.bags.calibration_recording import Reference, bag_sha256, load_recording
+from posor_estimator.calibration.designs import STANDOFF
 from posor_estimator.errors import BagError, PosorError, TrackError
-from posor_estimator.testing.campaign import lifted, posor
+from posor_estimator.identification.procedures.gap_linearisation import GapLinearisationOptions, linearise_gap_probes
+from posor_estimator.identification.recording import DIODES_ESTIMATED, PROBES_ESTIMATED, SATURATED
+from posor_estimator.model.scan import Scan
+from posor_estimator.numerics.stamps import NS
+from posor_estimator.testing.simulated_recordings import diode_calibration, lifted_recording
 from posor_msgs.msg import RawScan
 from scipy.spatial.transform import Rotation
 
@@ -204,9 +204,12 @@ def test_scans_that_do_not_belong_together_are_refused(
     [
         (
             [point("/machine", 300, (1.0, 2.0, 3.0)), point("/machine", 200, (1.0, 2.0, 3.0), delay_ns=9_000_000)],
-            "stamp 200 ns follows 300 ns; expected stamps that increase.",
+            "stamp 200 ns follows 300 ns; expected strictly increasing stamps.",
         ),
-        ([point("/machine", 300, (1.0, float("inf"), 3.0))], "the value at 300 ns is not finite; expected numbers."),
+        (
+            [point("/machine", 300, (1.0, float("inf"), 3.0))],
+            "the value at 300 ns is not finite; expected finite values.",
+        ),
         (
             [point("/machine", 0, (1.0, 2.0, 3.0))],
             "the first message has no stamp; expected the time of the measurement.",
@@ -239,10 +242,10 @@ def test_path_that_is_no_bag_is_refused(tmp_path: Path) -> None:
 
 def test_linearisation_from_a_bag_is_that_from_memory(tmp_path: Path) -> None:
     lifts = STANDOFF + np.linspace(-0.4e-3, 0.4e-3, 13)
-    there = lifted(posor(), lifts, np.random.default_rng(3), sigma=50e-9)
+    there = lifted_recording(diode_calibration(), lifts, np.random.default_rng(3), sigma=50e-9)
     bag = write_bag(tmp_path / "campaign", entries(there))
     back = load_recording(bag, references=[Reference("/reference", (50e-9,))])
     options = GapLinearisationOptions(reference="/reference", order=4)
-    direct, read = (gap_linearisation.run(one, posor(), options) for one in (there, back))
+    direct, read = (linearise_gap_probes(one, diode_calibration(), options) for one in (there, back))
     assert [new.value for new in direct.replacements] == [new.value for new in read.replacements]
     assert len(back.sha256) == 64

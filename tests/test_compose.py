@@ -1,4 +1,4 @@
-"""Nodes of one process: the numbers of separate processes, an orderly end, their statistics."""
+"""Nodes of one process: results equal to separate processes, shutdown, statistics."""
 
 from __future__ import annotations
 
@@ -13,25 +13,23 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from lifecycle_msgs.msg import Transition
-from posor_bringup.arm_programs import arm_programs
-from posor_bringup.arms import checked_arm
-from posor_bringup.layouts import Layout, laid_out
-from posor_estimator.core.arm import DriverFile
+from posor_bringup.arm_programs import Layout, arm_programs, group_programs
+from posor_bringup.arms import load_checked_arm
+from posor_estimator.bags.reprocess_command import main as reprocess
+from posor_estimator.chain.arm_file import DriverFile
 from posor_estimator.errors import ParameterError
-from posor_estimator.reprocess.command import main as reprocess
-from posor_estimator.ros.composition import NodeEntry
-from posor_estimator.ros.main import Nodes
-from posor_estimator.ros.messages import is_usable, stamp_ns
-from posor_estimator.ros.parameters import NodeParameters
-from posor_estimator.testing.graph import Graph, values_of
+from posor_estimator.node_parameters import NodeParameters
+from posor_estimator.ros.composition_file import NodeEntry
+from posor_estimator.ros.message_conversion import is_usable, stamp_ns
+from posor_estimator.ros.node_program import NodeGroup
+from posor_estimator.testing.graph import Graph, values_of, wait_for_value
 from posor_estimator.testing.program import Program
-from posor_estimator.testing.stamped import status_with
 from posor_msgs.msg import JointTransform
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
-from tests.composed_rig import COMPOSE, NODES, RIG, complaint, composition
-from tests.graphs import all_bits, recorded
+from tests.composed_rig import COMPOSE, NODES, RIG, error_lines, write_composition
+from tests.rig_replay import all_message_bits, read_bag_messages
 
 if TYPE_CHECKING:
     from posor_bringup.supervisor import Parameter
@@ -51,8 +49,8 @@ TOPICS = {
 }
 
 
-def results(folder: Path, layout: Layout) -> dict[str, list[object]]:
-    """Replay a second of the five-axis arm's bag; return what the nodes publish, by topic."""
+def replay(folder: Path, layout: Layout) -> dict[str, list[object]]:
+    """Replay a second of the five-axis arm's bag; return the bits of the published messages, by topic."""
     bag: dict[str, Parameter] = {
         "bag.path": str(BAG),
         "bag.topic": "/{arm}/{joint}/raw",
@@ -62,20 +60,20 @@ def results(folder: Path, layout: Layout) -> dict[str, list[object]]:
         "on_end": "stay",
         "autostart": False,
     }
-    arm = replace(checked_arm("five_axis"), driver=DriverFile(source="bag", parameters=bag))
+    arm = replace(load_checked_arm("five_axis"), driver=DriverFile(source="bag", parameters=bag))
     programs = arm_programs(arm, chain_parameters={"max_wait": 60.0}, parameters=LOSSLESS)
     folder.mkdir()
     with ExitStack() as stack, Graph() as graph:
-        running = [stack.enter_context(Program(each.command())) for each in laid_out(programs, layout, folder)]
+        running = [stack.enter_context(Program(each.command())) for each in group_programs(programs, layout, folder)]
         assert len(running) == {"drivers_apart": 2, "composed": 1}[layout]
         graph.watch_diagnostics()
         received = {topic: graph.collect(kind, topic, raw=True) for topic, kind in TOPICS.items()}
         for program in programs[: -len(JOINTS)]:
             graph.wait_for_status(f"/five_axis/{program.name}: lifecycle", "active")
         for joint in JOINTS:
-            status_with(graph, f"/five_axis/{joint}/posor_node: listeners", "transform", "2")
+            wait_for_value(graph, f"/five_axis/{joint}/posor_node: listeners", "transform", "2")
         for topic in ("endpoint/pose", "endpoint/pose_with_covariance", "joint_states"):
-            status_with(graph, "/five_axis/chain_node: listeners", topic, "1")
+            wait_for_value(graph, "/five_axis/chain_node: listeners", topic, "1")
         for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
             for joint in JOINTS:
                 assert graph.change_state(f"/five_axis/{joint}/driver_node", transition)
@@ -83,62 +81,62 @@ def results(folder: Path, layout: Layout) -> dict[str, list[object]]:
         for joint in JOINTS:
             ended = graph.wait_for_status(f"/five_axis/{joint}/driver_node: source", "ended")
             count, transforms = int(values_of(ended)["scans_published"]), received[f"/five_axis/{joint}/transform"]
-            graph.wait_until(partial(has, transforms, count), f"{count} transforms of {joint}")
+            graph.wait_until(partial(has_count, transforms, count), f"{count} transforms of {joint}")
             messages = [deserialize_message(data, JointTransform) for data in transforms]
             stamps.append({stamp_ns(message) for message in messages if is_usable(message)})
         complete = len(set.intersection(*stamps))
         assert 0.9 * TICKS < complete <= TICKS
         for topic in received.keys() - {f"/five_axis/{joint}/transform" for joint in JOINTS}:
-            graph.wait_until(partial(has, received[topic], complete), f"{complete} messages of {topic}")
+            graph.wait_until(partial(has_count, received[topic], complete), f"{complete} messages of {topic}")
         assert [program.end() for program in running] == [0] * len(running)
         assert [program.stderr for program in running if "rror" in " ".join(program.stderr)] == []
-    return {topic: all_bits(TOPICS[topic], messages) for topic, messages in received.items()}
+    return {topic: all_message_bits(TOPICS[topic], messages) for topic, messages in received.items()}
 
 
-def has(messages: list[bytes], count: int) -> bool:
+def has_count(messages: list[bytes], count: int) -> bool:
     return len(messages) == count
 
 
-def computed(folder: Path) -> dict[str, list[object]]:
-    """Return what offline work makes of that second: the bits of separate processes, as test_bag_five_axis shows."""
-    assert reprocess([str(BAG), "--arm", str(checked_arm("five_axis").path), "--output", str(folder)]) == 0
+def reprocess_second(folder: Path) -> dict[str, list[object]]:
+    """Return the bits of the reprocessed messages of that second; test_bag_five_axis compares them with nodes."""
+    assert reprocess([str(BAG), "--arm", str(load_checked_arm("five_axis").path), "--output", str(folder)]) == 0
     end_ns = BAG_START_NS + round(SPAN_S * 1e9)
-    known = recorded(folder)
-    found = {}
+    messages = read_bag_messages(folder)
+    bits = {}
     for topic, kind in TOPICS.items():
-        stamps = [stamp_ns(deserialize_message(data, kind)) for data in known[topic]]
-        found[topic] = all_bits(
-            kind, [data for data, stamp in zip(known[topic], stamps, strict=True) if stamp <= end_ns]
+        stamps = [stamp_ns(deserialize_message(data, kind)) for data in messages[topic]]
+        bits[topic] = all_message_bits(
+            kind, [data for data, stamp in zip(messages[topic], stamps, strict=True) if stamp <= end_ns]
         )
-    return found
+    return bits
 
 
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("layout", ["composed", "drivers_apart"])
-def test_numbers_are_the_same_whichever_nodes_share_a_process(tmp_path: Path, layout: Layout) -> None:
-    assert results(tmp_path / layout, layout) == computed(tmp_path / "offline")
+def test_the_results_are_the_same_in_every_layout(tmp_path: Path, layout: Layout) -> None:
+    assert replay(tmp_path / layout, layout) == reprocess_second(tmp_path / "offline")
 
 
-def ends(program: Program, graph: Graph, number: signal.Signals) -> bool:
-    """End a composition and wait until all its nodes have left the graph; return whether it ended in order."""
+def ends_cleanly(program: Program, graph: Graph, number: signal.Signals) -> bool:
+    """End a composition and wait until its nodes have left the graph; return whether it ended without errors."""
     code = program.end(number)
-    graph.wait_until(lambda: not set(NODES) & names(graph), "the end of all nodes")
-    return code == 0 and complaint(program.stderr) == []
+    graph.wait_until(lambda: not set(NODES) & node_names(graph), "the end of all nodes")
+    return code == 0 and error_lines(program.stderr) == []
 
 
-def test_all_nodes_end_when_asked_to(tmp_path: Path) -> None:
-    with Program([*COMPOSE, str(composition(tmp_path, RIG))]) as program, Graph() as graph:
+def test_all_nodes_end_at_a_signal(tmp_path: Path) -> None:
+    with Program([*COMPOSE, str(write_composition(tmp_path, RIG))]) as program, Graph() as graph:
         graph.watch_diagnostics()
         poses = graph.collect(PoseStamped, "/rig/endpoint/pose")
         graph.wait_until(lambda: len(poses) > 3, "poses")
         for name in NODES:
             assert graph.state(name) == "active"
             graph.wait_for_status(f"{name}: lifecycle", "active")
-        assert ends(program, graph, signal.SIGINT)
+        assert ends_cleanly(program, graph, signal.SIGINT)
 
 
-class Stopped:
-    """Stands in for a node; notes that it was stopped."""
+class StoppedNode:
+    """A substitute for a node that logs its stop."""
 
     parameters = NodeParameters()
 
@@ -153,9 +151,9 @@ def test_nodes_stop_in_the_reverse_order_also_after_a_failure() -> None:
     log: list[str] = []
 
     def fail() -> None:
-        with Nodes() as nodes:
+        with NodeGroup() as nodes:
             for name in ("chain", "posor", "driver"):
-                node: Any = Stopped(name, log)
+                node: Any = StoppedNode(name, log)
                 nodes.add(node)
             raise ParameterError("is wrong")
 
@@ -164,46 +162,46 @@ def test_nodes_stop_in_the_reverse_order_also_after_a_failure() -> None:
     assert log == ["driver", "posor", "chain"]
 
 
-def names(graph: Graph) -> set[str]:
+def node_names(graph: Graph) -> set[str]:
     return {f"{space}/{name}" for name, space in graph.node.get_node_names_and_namespaces()}
 
 
-def test_one_node_at_its_end_leaves_the_others_running(tmp_path: Path) -> None:
+def test_the_end_of_one_node_leaves_the_others_running(tmp_path: Path) -> None:
     text = RIG.replace("loop: true", "rate: 50.0")
-    with Program([*COMPOSE, str(composition(tmp_path, text))]) as program, Graph() as graph:
-        graph.wait_until(lambda: set(NODES[:2]) <= names(graph), "the nodes")
-        graph.wait_until(lambda: NODES[2] not in names(graph), "the end of the driver")
+    with Program([*COMPOSE, str(write_composition(tmp_path, text))]) as program, Graph() as graph:
+        graph.wait_until(lambda: set(NODES[:2]) <= node_names(graph), "the nodes")
+        graph.wait_until(lambda: NODES[2] not in node_names(graph), "the end of the driver")
         assert graph.state(NODES[0]) == graph.state(NODES[1]) == "active"
         assert program.end() == 0
 
 
-def test_statistics_appear_in_the_diagnostics_and_the_other_signal_ends_all_as_well(tmp_path: Path) -> None:
+def test_the_diagnostics_have_statistics_and_sigterm_ends_all_nodes(tmp_path: Path) -> None:
     text = RIG.replace("session: ymo}", "session: ymo, limits: {latency: 1.0e-9, jitter: 1.0e-9}}")
-    with Program([*COMPOSE, str(composition(tmp_path, text))]) as program, Graph() as graph:
+    with Program([*COMPOSE, str(write_composition(tmp_path, text))]) as program, Graph() as graph:
         graph.watch_diagnostics()
         late = graph.wait_for_status(f"{NODES[1]}: timing", "latency above 1e-09 s; period off its mean by more than")
         assert late.level == b"\x01"
         for name in NODES:
-            graph.wait_until(partial(tells, graph, name, "period"), f"period of {name}")
+            graph.wait_until(partial(has_figures, graph, name, "period"), f"period of {name}")
             figures = values_of(graph.latest(f"{name}: timing"))
             low, mean, high = (float(figures[f"period_{key}"]) for key in ("min", "mean", "max"))
             assert 0.0 < low <= mean <= high
             assert float(figures["period_sd"]) >= 0.0
         for name in NODES[:2]:
-            graph.wait_until(partial(tells, graph, name, "latency"), f"latency of {name}")
+            graph.wait_until(partial(has_figures, graph, name, "latency"), f"latency of {name}")
         process = values_of(graph.wait_for_status(f"{NODES[0]}: process", "ok"))
         assert int(process["gc_collections"]) >= 1
         assert float(process["gc_longest_pause"]) >= 0.0
-        assert ends(program, graph, signal.SIGTERM)
+        assert ends_cleanly(program, graph, signal.SIGTERM)
 
 
-def tells(graph: Graph, name: str, what: str) -> bool:
+def has_figures(graph: Graph, name: str, what: str) -> bool:
     status = graph.latest(f"{name}: timing")
     figures = {} if status is None else values_of(status)
     return f"{what}_max" in figures and float(figures[f"{what}_min"]) <= float(figures[f"{what}_max"])
 
 
-def test_parameters_may_be_grouped_and_are_passed_as_on_a_command_line() -> None:
+def test_an_entry_becomes_the_command_line_of_its_node() -> None:
     entry = NodeEntry(
         node="driver_node",
         name="left",

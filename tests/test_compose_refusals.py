@@ -1,4 +1,4 @@
-"""What compose refuses: one sentence that names the node, and file, line and key where a file asks for it."""
+"""Refusals of compose: one sentence with the node, and with file, line and key of the cause."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import pytest
 from posor_bringup.installed import calibration_path, urdf_path
 from posor_estimator.errors import CalibrationError
-from posor_estimator.ros.compose import main
-from posor_estimator.ros.composition import load_composition
+from posor_estimator.ros.compose_command import main
+from posor_estimator.ros.composition_file import load_composition
 from posor_estimator.testing.program import Program
 
-from tests.composed_rig import COMPOSE, NODES, RIG, complaint, composition
+from tests.composed_rig import COMPOSE, NODES, RIG, error_lines, write_composition
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,25 +22,25 @@ pytestmark = pytest.mark.usefixtures("ros_domain")
 
 @pytest.fixture
 def refusal(capfd: pytest.CaptureFixture[str]) -> Callable[[Path], tuple[int, list[str]]]:
-    """Return what runs a composition in this process to its own end and returns exit code and complaint."""
+    """Return a function that runs a refused composition in this process; it returns exit code and error lines."""
 
-    def refused(path: Path) -> tuple[int, list[str]]:
+    def run_refused(path: Path) -> tuple[int, list[str]]:
         code = main(["compose", str(path)])
-        return code, complaint(capfd.readouterr().err.splitlines())
+        return code, error_lines(capfd.readouterr().err.splitlines())
 
-    return refused
+    return run_refused
 
 
-def test_a_node_that_cannot_start_is_named_and_ends_all(
+def test_a_node_that_cannot_start_is_named_and_ends_all_nodes(
     tmp_path: Path, refusal: Callable[[Path], tuple[int, list[str]]]
 ) -> None:
-    path = composition(tmp_path, RIG.replace("session: ymo}", "session: nmo}"))
+    path = write_composition(tmp_path, RIG.replace("session: ymo}", "session: nmo}"))
     with Program([*COMPOSE, str(path)]) as program:
         assert program.wait() == 1
-        (sentence,) = complaint(program.stderr)
+        (sentence,) = error_lines(program.stderr)
         assert sentence.startswith(f"{path}, line 7, key nodes[1], node /rig/joint1/posor_node: ")
         assert "'nmo'" in sentence
-    code, (sentence,) = refusal(composition(tmp_path, RIG.replace("restamp: true", "realtime: {priority: 5}")))
+    code, (sentence,) = refusal(write_composition(tmp_path, RIG.replace("restamp: true", "realtime: {priority: 5}")))
     assert code == 2
     assert sentence == (
         f"{path}, line 10, key nodes[2]: node /rig/joint1/driver_node: parameters 'realtime.*' are of the whole "
@@ -69,7 +69,7 @@ def test_a_node_that_cannot_start_is_named_and_ends_all(
         ),
     ],
 )
-def test_a_wrong_parameter_is_told_with_its_line(
+def test_an_invalid_parameter_is_refused_with_its_line(
     tmp_path: Path,
     refusal: Callable[[Path], tuple[int, list[str]]],
     old: str,
@@ -79,51 +79,53 @@ def test_a_wrong_parameter_is_told_with_its_line(
     parameter: str,
     fault: str,
 ) -> None:
-    path = composition(tmp_path, RIG.replace(old, new))
+    path = write_composition(tmp_path, RIG.replace(old, new))
     place = f"{path}, line {line}, key nodes[{node}].parameters.{parameter}"
     assert refusal(path) == (2, [f"{place}: node {NODES[node]}, parameter '{parameter}': {fault}"])
 
 
-def test_a_missing_parameter_is_told_with_the_line_of_its_node(
+def test_a_missing_parameter_is_refused_with_the_line_of_its_node(
     tmp_path: Path, refusal: Callable[[Path], tuple[int, list[str]]]
 ) -> None:
-    path = composition(tmp_path, RIG.replace(f"calibration: {calibration_path('printed')}, ", ""))
-    code, (said,) = refusal(path)
+    path = write_composition(tmp_path, RIG.replace(f"calibration: {calibration_path('printed')}, ", ""))
+    code, (sentence,) = refusal(path)
     assert code == 2
-    assert said.startswith(
+    assert sentence.startswith(
         f"{path}, line 7, key nodes[1]: node {NODES[1]}, parameter 'calibration': is not set; expected"
     )
 
 
-def test_a_missing_file_is_told_with_the_line_of_the_node_that_wants_it(
+def test_a_missing_file_is_refused_with_the_line_of_its_node(
     tmp_path: Path, refusal: Callable[[Path], tuple[int, list[str]]]
 ) -> None:
-    path = composition(tmp_path, RIG.replace(str(calibration_path("printed")), "none.yaml"))
-    code, (said,) = refusal(path)
+    path = write_composition(tmp_path, RIG.replace(str(calibration_path("printed")), "none.yaml"))
+    code, (sentence,) = refusal(path)
     assert code == 1
-    assert said.startswith(f"{path}, line 7, key nodes[1], node {NODES[1]}: calibration file none.yaml: cannot be read")
+    assert sentence.startswith(
+        f"{path}, line 7, key nodes[1], node {NODES[1]}: calibration file none.yaml: cannot be read"
+    )
     alone = "\n".join(RIG.splitlines()[:6]).replace(str(urdf_path()), "none.urdf")
-    path = composition(tmp_path, alone)
-    code, (said,) = refusal(path)
+    path = write_composition(tmp_path, alone)
+    code, (sentence,) = refusal(path)
     assert code == 1
-    assert said.startswith(f"{path}, line 4, key nodes[0], node /rig/chain_node: ")
+    assert sentence.startswith(f"{path}, line 4, key nodes[0], node /rig/chain_node: ")
 
 
-def test_a_parameter_that_the_command_line_gives_is_told_with_the_line_of_its_node(
+def test_a_parameter_of_the_command_line_is_refused_with_the_line_of_its_node(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    path = composition(tmp_path, RIG)
+    path = write_composition(tmp_path, RIG)
     assert main(["compose", str(path), "--ros-args", "-p", "gian:=1"]) == 2
-    assert complaint(capfd.readouterr().err.splitlines())[0].startswith(
+    assert error_lines(capfd.readouterr().err.splitlines())[0].startswith(
         f"{path}, line 4, key nodes[0]: node /rig/chain_node, parameter 'gian': there is no such parameter; expected"
     )
 
 
-def test_a_node_that_fails_later_ends_all(tmp_path: Path) -> None:
+def test_a_node_that_fails_later_ends_all_nodes(tmp_path: Path) -> None:
     text = RIG.replace("loop: true", "stop_offset: 60.0, start_offset: 50.0, wait_for_subscribers: 1")
-    with Program([*COMPOSE, str(composition(tmp_path, text))]) as program:
+    with Program([*COMPOSE, str(write_composition(tmp_path, text))]) as program:
         assert program.wait() == 2
-        (sentence,) = complaint(program.stderr)
+        (sentence,) = error_lines(program.stderr)
         assert sentence.startswith("node /rig/joint1/driver_node: no scan lies between 'start_offset' 50.0")
 
 
@@ -163,14 +165,14 @@ def test_a_node_that_fails_later_ends_all(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_wrong_file_is_one_sentence_with_line_and_key(tmp_path: Path, old: str, new: str, sentence: str) -> None:
-    path = composition(tmp_path, RIG.replace(old, new, 1))
+def test_an_invalid_file_is_refused_with_line_and_key(tmp_path: Path, old: str, new: str, sentence: str) -> None:
+    path = write_composition(tmp_path, RIG.replace(old, new, 1))
     with pytest.raises(CalibrationError) as caught:
         load_composition(path)
     assert str(caught.value).startswith(f"{path}, {sentence}")
 
 
-def test_a_wrong_command_line_is_one_sentence(
+def test_an_invalid_command_line_is_refused(
     tmp_path: Path, refusal: Callable[[Path], tuple[int, list[str]]], capfd: pytest.CaptureFixture[str]
 ) -> None:
     missing = tmp_path / "no.yaml"

@@ -1,4 +1,4 @@
-"""The demo as its user starts it: a program that runs the graph, and its exit code."""
+"""The demo as a program: output, report, exit code, end of its processes."""
 
 from __future__ import annotations
 
@@ -11,60 +11,60 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from ament_index_python.packages import get_package_prefix
-from posor_bringup.installed import share
-from posor_bringup.replay import TOPICS
+from ament_index_python.packages import get_package_prefix, get_package_share_directory
+from posor_validation.replay_1985.replay import TOPICS
 
-from tests.graphs import recorded
+from tests.rig_replay import read_bag_messages
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
-DEMO = Path(get_package_prefix("posor_bringup"), "lib", "posor_bringup", "demo")
+    Demo = Callable[..., subprocess.Popen[str]]
+
+DEMO = Path(get_package_prefix("posor_validation"), "lib", "posor_validation", "demo")
 FIRST_STEP = "   1     0.0"
 
 
 @pytest.fixture
-def rig_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Put a copy of the package's files before the installed ones and leave the choice of a domain to the demo."""
+def installed_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Put copies of the packages' files before the installed ones, and let the demo choose its domain."""
     prefix = tmp_path / "prefix"
-    copy = prefix / "share" / "posor_bringup"
-    shutil.copytree(share(), copy)
-    marker = prefix / "share" / "ament_index" / "resource_index" / "packages" / "posor_bringup"
-    marker.parent.mkdir(parents=True)
-    marker.touch()
+    packages = prefix / "share" / "ament_index" / "resource_index" / "packages"
+    packages.mkdir(parents=True)
+    for package in ("posor_bringup", "posor_validation"):
+        shutil.copytree(get_package_share_directory(package), prefix / "share" / package)
+        (packages / package).touch()
     monkeypatch.setenv("AMENT_PREFIX_PATH", f"{prefix}{os.pathsep}{os.environ['AMENT_PREFIX_PATH']}")
     monkeypatch.delenv("ROS_DOMAIN_ID")
-    return copy
+    return prefix / "share"
 
 
 @pytest.fixture
-def demo(tmp_path: Path, rig_files: Path) -> Iterator[list[subprocess.Popen[str]]]:
-    """Return a list that ``start`` adds to; what still runs after the test is ended, and nothing may be left."""
+def demo(tmp_path: Path, installed_files: Path) -> Iterator[Demo]:
+    """Return a function that starts the demo with options; after the test no process may be left."""
     started: list[subprocess.Popen[str]] = []
-    yield started
+
+    def start(*arguments: str) -> subprocess.Popen[str]:
+        command = [str(DEMO), "--output", str(tmp_path / "report"), *arguments]
+        started.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True))
+        return started[-1]
+
+    yield start
     for process in started:
         if process.poll() is None:
             process.send_signal(signal.SIGINT)
         process.communicate()
-    assert processes_that_use(tmp_path) == {}
-    assert rig_files.is_dir()
+    assert processes_with_files_in(tmp_path) == {}
+    assert installed_files.is_dir()
 
 
-def start(started: list[subprocess.Popen[str]], output: Path, *arguments: str) -> subprocess.Popen[str]:
-    command = [str(DEMO), "--output", str(output), *arguments]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    started.append(process)
-    return process
-
-
-def processes_that_use(folder: Path) -> dict[int, str]:
-    """Return the command lines, by process, that name something in a folder."""
+def processes_with_files_in(folder: Path) -> dict[int, str]:
+    """Return the command lines that name something in a folder, by process."""
     lines = {}
     for entry in Path("/proc").glob("[0-9]*/cmdline"):
         try:
             line = entry.read_bytes().replace(b"\0", b" ").decode()
-        except OSError:  # it has ended meanwhile
+        except OSError:  # the process has ended meanwhile
             continue
         if str(folder) in line:
             lines[int(entry.parent.name)] = line
@@ -76,11 +76,9 @@ def wait_for_first_step(process: subprocess.Popen[str]) -> None:
     assert any(line.startswith(FIRST_STEP) for line in process.stdout)
 
 
-def test_the_demo_holds_and_writes_its_report(
-    demo: list[subprocess.Popen[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE")  # the middleware as its user has it, not as all other tests do
-    process = start(demo, tmp_path / "report", "--rate", "0")
+def test_the_demo_holds_and_writes_its_report(demo: Demo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE")  # the middleware of a user, unlike all other tests
+    process = demo("--rate", "0")
     out, err = process.communicate()
     assert err == ""
     assert process.returncode == 0
@@ -95,17 +93,17 @@ def test_the_demo_holds_and_writes_its_report(
     assert [row["step"] for row in rows] == [str(number) for number in range(1, 16)]
     assert float(rows[-1]["beta_posor_urad"]) == pytest.approx(4191.0, abs=1.0)
     assert rows[13]["status"] == "ok:diodes_estimated"
-    assert {topic: len(messages) for topic, messages in recorded(folder / "bag").items()} == dict.fromkeys(TOPICS, 15)
+    assert {topic: len(messages) for topic, messages in read_bag_messages(folder / "bag").items()} == dict.fromkeys(
+        TOPICS, 15
+    )
 
 
-def test_a_comparison_that_does_not_hold_is_exit_code_1(
-    demo: list[subprocess.Popen[str]], tmp_path: Path, rig_files: Path
-) -> None:
-    table = rig_files / "data" / "ymo_output.csv"
+def test_a_failed_comparison_gives_exit_code_1(demo: Demo, tmp_path: Path, installed_files: Path) -> None:
+    table = installed_files / "posor_validation" / "data" / "ymo_output.csv"
     text = table.read_text(encoding="utf-8")
     assert "\n9,0,52,2564,2497," in text
     table.write_text(text.replace("\n9,0,52,2564,2497,", "\n9,0,52,2564,2499,"), encoding="utf-8")
-    process = start(demo, tmp_path / "report", "--rate", "0")
+    process = demo("--rate", "0")
     out, err = process.communicate()
     assert err == ""
     assert process.returncode == 1
@@ -117,23 +115,21 @@ def test_a_comparison_that_does_not_hold_is_exit_code_1(
     assert "The comparison does not hold." in page
 
 
-def test_a_node_that_refuses_is_reported_with_its_own_sentence(
-    demo: list[subprocess.Popen[str]], tmp_path: Path, rig_files: Path
-) -> None:
-    calibration = rig_files / "config" / "slocum1985_printed.yaml"
+def test_a_refusal_of_a_node_is_reported(demo: Demo, installed_files: Path) -> None:
+    calibration = installed_files / "posor_bringup" / "config" / "slocum1985_printed.yaml"
     text = calibration.read_text(encoding="utf-8")
     calibration.write_text(text.replace("version: 1\n", "version: 7\n"), encoding="utf-8")
-    process = start(demo, tmp_path / "report")
+    process = demo()
     _, err = process.communicate()
     assert process.returncode == 1
     sentence = "line 3, key version: version 7; expected 1 or 2."
     assert err == f"posor_node: ended with exit code 1: {calibration}, {sentence}\n"
 
 
-def test_a_node_that_dies_is_reported(demo: list[subprocess.Popen[str]], tmp_path: Path) -> None:
-    process = start(demo, tmp_path / "report", "--rate", "0.2")
+def test_a_node_that_dies_is_reported(demo: Demo, tmp_path: Path) -> None:
+    process = demo("--rate", "0.2")
     wait_for_first_step(process)
-    victims = [pid for pid, line in processes_that_use(tmp_path / "prefix").items() if "/posor_node " in line]
+    victims = [pid for pid, line in processes_with_files_in(tmp_path / "prefix").items() if "/posor_node " in line]
     assert len(victims) == 1
     os.kill(victims[0], signal.SIGKILL)
     _, err = process.communicate()
@@ -142,13 +138,13 @@ def test_a_node_that_dies_is_reported(demo: list[subprocess.Popen[str]], tmp_pat
     assert err.count("\n") == 1
 
 
-def test_an_interrupted_demo_ends_all_in_order(demo: list[subprocess.Popen[str]], tmp_path: Path) -> None:
-    process = start(demo, tmp_path / "report", "--rate", "0.2")
+def test_an_interrupted_demo_ends_all_programs(demo: Demo, tmp_path: Path) -> None:
+    process = demo("--rate", "0.2")
     wait_for_first_step(process)
     process.send_signal(signal.SIGTERM)
     _, err = process.communicate()
     assert process.returncode == 130
     assert err == "replay: interrupted.\n"
-    bag = recorded(tmp_path / "report" / "ymo_printed" / "bag")
+    bag = read_bag_messages(tmp_path / "report" / "ymo_printed" / "bag")
     assert bag[TOPICS[0]]
     assert (tmp_path / "report" / "ymo_printed" / "bag" / "metadata.yaml").is_file()

@@ -1,4 +1,4 @@
-"""The example controller: what it commands and what it refuses, and what it does for the simulated five-axis arm."""
+"""The example controller: its commands, its refusals, and its effect on the simulated five-axis arm."""
 
 from __future__ import annotations
 
@@ -14,17 +14,16 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Vector3Stamped
-from posor_estimator.ros.messages import pose_message, stamp_ns
-from posor_estimator.testing.graph import Graph, values_of
+from posor_estimator.ros.message_conversion import pose_message, stamp_ns
+from posor_estimator.testing.graph import Graph, values_of, wait_for_value
 from posor_estimator.testing.program import Program, ros_arguments, script
-from posor_estimator.testing.stamped import status_with
 
 from tests.stepped_arm import SteppedArm
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from posor_estimator.core.types import FloatArray
+    from posor_estimator.numerics.array_types import FloatArray
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
@@ -37,8 +36,8 @@ def controller(namespace: str, **parameters: object) -> Program:
     return Program([*script(EXAMPLE / "endpoint_controller.py"), *ros_arguments(parameters, namespace)])
 
 
-def says(graph: Graph, name: str) -> str:
-    """Return the newest message of a diagnostic status; nothing where there is none."""
+def status_message(graph: Graph, name: str) -> str:
+    """Return the newest message of a diagnostic status; empty if there is none."""
     return getattr(graph.latest(name), "message", "")
 
 
@@ -46,12 +45,12 @@ def point_of(message: Any) -> FloatArray:
     return np.array([message.x, message.y, message.z])
 
 
-# Alone, on the wall's clock, fed by the test.
+# Alone, on the wall clock, with inputs from the test.
 
 
 @dataclass
 class Scan:
-    """What one scan tells the controller; as made, all is well."""
+    """Inputs of one scan; valid by default."""
 
     measured: pin.SE3 = field(default_factory=lambda: pin.SE3(pin.exp3(np.array([0.3, -0.2, 0.9])), np.ones(3)))
     target: FloatArray = field(default_factory=lambda: np.array([1.0001, 1.0002, 0.9999]))
@@ -64,12 +63,12 @@ class Scan:
 
     @property
     def wanted(self) -> FloatArray:
-        """Where the stage should be."""
+        """Position that the controller must command."""
         return np.asarray(self.measured.rotation.T @ (self.target - self.measured.translation) + self.stage)
 
 
-class Bench:
-    """The controller and the topics that feed it."""
+class ControllerInputs:
+    """The topics of the controller."""
 
     def __init__(self, graph: Graph) -> None:
         self.graph = graph
@@ -78,10 +77,10 @@ class Bench:
         self._measured = graph.publisher(PoseWithCovarianceStamped, "/arm/endpoint/pose_with_covariance")
         self._target = graph.publisher(PoseStamped, "/arm/target/endpoint")
         self._stage = graph.publisher(Vector3Stamped, "/arm/stage/position")
-        status_with(graph, "/arm/endpoint_controller: listeners", "stage/command", "1")
+        wait_for_value(graph, "/arm/endpoint_controller: listeners", "stage/command", "1")
 
     def send(self, scan: Scan, *, measured: bool = True) -> int:
-        """Publish a scan, with or without what was measured; return what "now" was [ns]."""
+        """Publish a scan, with or without the measured pose; return its time [ns]."""
         now_ns = int(self.graph.node.get_clock().now().nanoseconds)
         pose, target, stage = PoseWithCovarianceStamped(), PoseStamped(), Vector3Stamped()
         for message, frame, offset_ns in zip(
@@ -100,7 +99,7 @@ class Bench:
         return now_ns
 
     def wait_for_commands(self, count: int) -> None:
-        """Wait until there are so many commands."""
+        """Wait for a number of commands."""
         self.graph.wait_until(lambda: len(self.commands) == count, f"command {count}")
 
     def status(self, text: str) -> dict[str, str]:
@@ -108,47 +107,47 @@ class Bench:
 
 
 @contextmanager
-def bench(**parameters: object) -> Iterator[Bench]:
+def running_controller(**parameters: object) -> Iterator[ControllerInputs]:
     with controller("/arm", **parameters) as program, Graph() as graph:
-        yield Bench(graph)
+        yield ControllerInputs(graph)
         assert program.end() == 0
 
 
-def test_the_stage_goes_where_it_should_have_been() -> None:
+def test_command_is_the_position_without_error() -> None:
     scan = Scan()
-    with bench(time_constant=0.0) as fed:
-        now_ns = fed.send(scan)
-        fed.status("following")
-        fed.wait_for_commands(1)
-        [command] = fed.commands
+    with running_controller(time_constant=0.0) as inputs:
+        now_ns = inputs.send(scan)
+        inputs.status("following")
+        inputs.wait_for_commands(1)
+        [command] = inputs.commands
         assert (stamp_ns(command), command.header.frame_id) == (now_ns, "endpoint")
         assert point_of(command.vector) == pytest.approx(scan.wanted, abs=1e-15)
-        # Wherever the stage is, and whenever that was: the error falls as the stage's position rises.
+        # The command does not depend on the position of the stage: the error falls as the position rises.
         moved = np.array([2e-4, 1e-4, -1e-4])
         there = pin.SE3(scan.measured.rotation, scan.measured.translation + scan.measured.rotation @ moved)
-        fed.send(replace(scan, measured=there, stage=scan.stage + moved))
-        fed.wait_for_commands(2)
-        assert point_of(fed.commands[1].vector) == pytest.approx(scan.wanted, abs=1e-15)
+        inputs.send(replace(scan, measured=there, stage=scan.stage + moved))
+        inputs.wait_for_commands(2)
+        assert point_of(inputs.commands[1].vector) == pytest.approx(scan.wanted, abs=1e-15)
 
 
-def test_the_low_pass_goes_by_the_stamps_and_what_is_not_of_one_scan_is_not_put_together() -> None:
+def test_low_pass_uses_the_stamps_and_incomplete_scans_are_not_used() -> None:
     first, then = Scan(), Scan(target=np.array([0.9999, 1.0, 1.0001]))
-    with bench(time_constant=0.02, max_age=30.0) as fed:
-        stamps = [fed.send(first)]
+    with running_controller(time_constant=0.02, max_age=30.0) as inputs:
+        stamps = [inputs.send(first)]
         for _ in range(3):
-            stamps.append(fed.send(then))
-            fed.wait_for_commands(len(stamps))
+            stamps.append(inputs.send(then))
+            inputs.wait_for_commands(len(stamps))
         smooth = first.wanted
-        for step_ns, command in zip(np.diff(stamps), fed.commands[1:], strict=True):
+        for step_ns, command in zip(np.diff(stamps), inputs.commands[1:], strict=True):
             smooth = smooth + (1.0 - math.exp(-1e-9 * step_ns / 0.02)) * (then.wanted - smooth)
             assert point_of(command.vector) == pytest.approx(smooth, rel=1e-9)
-        fed.send(Scan(stamps_ns=(1, 2, 3)))
-        fed.send(then)
-        fed.wait_for_commands(5)
-        assert values_of(status_with(fed.graph, CONTROL, "commands", "5"))["scans_incomplete"] == "3"
+        inputs.send(Scan(stamps_ns=(1, 2, 3)))
+        inputs.send(then)
+        inputs.wait_for_commands(5)
+        assert values_of(wait_for_value(inputs.graph, CONTROL, "commands", "5"))["scans_incomplete"] == "3"
 
 
-def test_it_holds_and_says_why() -> None:
+def test_controller_holds_and_reports_the_reason() -> None:
     sound = Scan()
     nowhere = pin.SE3(np.eye(3), np.array([1.0, math.nan, 1.0]))
     late = -2 * NS
@@ -162,34 +161,36 @@ def test_it_holds_and_says_why() -> None:
         "the endpoint's position is more uncertain than 0.0001 m": Scan(sigma=1.1e-4),
         "the endpoint is further from its target than the stage's 0.0005 m": Scan(target=np.array([1.0006, 1.0, 1.0])),
     }
-    with bench(time_constant=0.0, max_age=1.0) as fed:
+    with running_controller(time_constant=0.0, max_age=1.0) as inputs:
         for count, (why, scan) in enumerate(unfit.items()):
-            fed.send(scan)
-            fed.status(f"holding: {why}")
-            assert len(fed.commands) == count
-            fed.send(sound)
-            fed.status("following")
-            fed.wait_for_commands(count + 1)
+            inputs.send(scan)
+            inputs.status(f"holding: {why}")
+            assert len(inputs.commands) == count
+            inputs.send(sound)
+            inputs.status("following")
+            inputs.wait_for_commands(count + 1)
         silent = "holding: no endpoint/pose_with_covariance within 1 s of now"
-        fed.graph.wait_until(
-            lambda: silent in says(fed.graph, CONTROL), silent, lambda: fed.send(sound, measured=False)
+        inputs.graph.wait_until(
+            lambda: silent in status_message(inputs.graph, CONTROL), silent, lambda: inputs.send(sound, measured=False)
         )
-        fed.status("holding: no endpoint/pose_with_covariance, no target/endpoint, no stage/position within 1 s of now")
-        assert len(fed.commands) == len(unfit)
+        inputs.status(
+            "holding: no endpoint/pose_with_covariance, no target/endpoint, no stage/position within 1 s of now"
+        )
+        assert len(inputs.commands) == len(unfit)
 
 
 # On the arm.
 
 ARM = "five_axis"
 FIRST = 6000
-"""A tick at which the scenario, of 2000 ticks, begins; the same ticks are run without and with the controller."""
+"""First tick of a cycle of the scenario; the same ticks run without and with the controller."""
 SETTLED, END = FIRST + 40, FIRST + 400
-"""Ticks that count, 0.2 s to 2 s: the arm rests, stretched out, then swings."""
+"""Judged ticks, 0.2 s to 2 s: the arm rests, extended, then swings."""
 README_ROW = re.compile(r"\| first 2 s \| ([\d.]+) um \| ([\d.]+) um \|")
 
 
-def misses(arm: SteppedArm) -> FloatArray:
-    """Return how far the endpoint truly is from its target [m] at the ticks that count."""
+def target_distances(arm: SteppedArm) -> FloatArray:
+    """Return the distance of the true endpoint from its target [m] at the judged ticks."""
     began = arm.begin(FIRST)
     assert began <= SETTLED
     found = []
@@ -206,26 +207,26 @@ def rms_um(lengths: FloatArray) -> float:
 
 
 @pytest.mark.timeout(300)
-def test_the_endpoint_of_the_arm_comes_to_its_target() -> None:
+def test_endpoint_of_the_arm_reaches_its_target() -> None:
     with Graph() as graph, SteppedArm(graph, ARM) as arm:
-        before = rms_um(misses(arm))
+        before = rms_um(target_distances(arm))
         with controller(arm.name, use_sim_time=True) as program:
             node = f"{arm.name}/endpoint_controller"
-            status_with(graph, f"{node}: listeners", "stage/command", "2")
+            wait_for_value(graph, f"{node}: listeners", "stage/command", "2")
             arm.commanded = True
-            after = rms_um(misses(arm))
+            after = rms_um(target_distances(arm))
             print(f"endpoint to target, rms: {before:.1f} um without, {after:.2f} um with the controller")
             assert 100.0 < before < 1000.0
             assert after < 12.0
-            told = README_ROW.search((EXAMPLE / "README.md").read_text(encoding="utf-8"))
-            assert told is not None
-            assert [before, after] == pytest.approx([float(told[1]), float(told[2])], rel=0.1)
+            row = README_ROW.search((EXAMPLE / "README.md").read_text(encoding="utf-8"))
+            assert row is not None
+            assert [before, after] == pytest.approx([float(row[1]), float(row[2])], rel=0.1)
 
             arm.commanded = False
-            arm.pull_plug("elbow")
+            arm.kill_posor_node("elbow")
             ticks = itertools.count(END)
             why = "no endpoint/pose_with_covariance within 0.1 s of now"
-            while says(graph, f"{node}: control") != f"holding: {why}":
+            while status_message(graph, f"{node}: control") != f"holding: {why}":
                 arm.step(next(ticks))
             program.wait_for_line(f"holding the stage: {why}")
             commands = values_of(graph.latest(f"{node}: control"))["commands"]

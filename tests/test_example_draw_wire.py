@@ -1,4 +1,4 @@
-"""The example of docs/adding_a_sensor.md: a sensor type in a package of its own, built with colcon and then used."""
+"""The example of docs/how_to/adding_a_sensor.md: a sensor type in its own package, built with colcon and used."""
 
 from __future__ import annotations
 
@@ -12,33 +12,33 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 import pytest
-from posor_estimator.accuracy.poses import errors_in_parent
-from posor_estimator.core.calibration.load import load_calibration
-from posor_estimator.core.fault import Fault, State
-from posor_estimator.core.native import rotation_from_native
-from posor_estimator.core.posor import Posor
-from posor_estimator.core.sensors.registry import sensor_types
+from posor_estimator.calibration.calibration_file import load_calibration
 from posor_estimator.errors import CalibrationError
-from posor_estimator.ros.messages import pose_from_message
+from posor_estimator.estimation.posor import Posor
+from posor_estimator.model.fault import Fault, State
+from posor_estimator.model.native_coordinates import rotation_from_native
+from posor_estimator.ros.message_conversion import pose_from_message
+from posor_estimator.sensors.registry import sensor_types
 from posor_estimator.testing.graph import Graph
 from posor_estimator.testing.program import Program, installed, ros_arguments
+from posor_estimator.testing.random_poses import errors_in_parent
 from posor_msgs.msg import JointTransform, RawScan
 from scipy.stats import chi2
 
-from tests.draw_wire import EXAMPLE, WIRES, Overlay, built, fourth_order, one_scan, poses, read_by, wires_of
+from tests.draw_wire_example import EXAMPLE, WIRES, Overlay, built, fourth_order, one_scan, poses, read_by, wires_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from posor_estimator.core.scan import Scan
-    from posor_estimator.core.sensors.base import PlainSensor
-    from posor_estimator.core.types import FloatArray
+    from posor_estimator.model.scan import Scan
+    from posor_estimator.numerics.array_types import FloatArray
+    from posor_estimator.sensors.base import PlainSensor
 
 RELATIVE = 1e-6
 
 TELL_TYPES = """
 import json
-from posor_estimator.core.sensors.registry import sensor_types
+from posor_estimator.sensors.registry import sensor_types
 print(json.dumps({name: found.__module__ + ":" + found.__qualname__ for name, found in sensor_types().items()}))
 """
 
@@ -159,7 +159,7 @@ def test_the_noise_of_a_voltage_comes_through_the_slope(posor: Posor) -> None:
 
 def test_closure(posor: Posor) -> None:
     rotations, translations = poses(50, np.random.default_rng(50))
-    found = posor.locate_each(read_by(posor.stack, rotations, translations))
+    found = posor.estimate_each(read_by(posor.stack, rotations, translations))
     assert (found.states == State.OK).all()
     errors = errors_in_parent(found.rotations, found.translations, rotations, translations)
     assert np.max(np.linalg.norm(errors[:, :3], axis=1)) < 1e-9
@@ -175,12 +175,12 @@ def test_the_stated_uncertainty_holds(posor: Posor) -> None:
     random_squared, total_squared, residuals = 0.0, 0.0, []
     for n in range(runs):
         here = rotations[n : n + 1], translations[n : n + 1]
-        found = posor.locate_each(read_by(posor.stack, *here, noise=random))
+        found = posor.estimate_each(read_by(posor.stack, *here, noise=random))
         error = errors_in_parent(found.rotations, found.translations, *here)[0]
         assert np.isfinite(found.covariances_random).all()
         random_squared += error @ np.linalg.solve(found.covariances_random[0], error)
         real = posor.stack.with_parameter_values(values + sigmas * random.normal(size=sigmas.size))
-        found = posor.locate_each(read_by(real, *here, noise=random))
+        found = posor.estimate_each(read_by(real, *here, noise=random))
         if found.states[0] == State.LOST:  # one in a thousand, by the chi-square test
             continue
         error = errors_in_parent(found.rotations, found.translations, *here)[0]
@@ -200,23 +200,23 @@ def test_one_by_one_together_and_again_give_the_same_bits(posor_maker: Callable[
     rotations = np.array([rotation_from_native(1e-3, -2e-3, theta) for theta in thetas])
     translations = np.tile([2e-4, 1e-4, 0.7e-3], (40, 1))
     scans = read_by(posor.stack, rotations, translations, np.random.default_rng(4))
-    together, alone = posor.locate_all(scans), [again.locate(scans[n]) for n in range(40)]
+    together, alone = posor.estimate_all(scans), [again.estimate(scans[n]) for n in range(40)]
     assert (together.states == State.OK).all()
     assert np.array([e.T_R_T.translation for e in alone if e.T_R_T]).tobytes() == together.translations.tobytes()
     assert np.array([e.T_R_T.rotation for e in alone if e.T_R_T]).tobytes() == together.rotations.tobytes()
     posor.reset()
-    once_more = posor.locate_all(scans)
+    once_more = posor.estimate_all(scans)
     assert once_more.translations.tobytes() == together.translations.tobytes()
     assert once_more.covariances_systematic.tobytes() == together.covariances_systematic.tobytes()
     # Time goes back: the replay has started over, and gives the same poses without a reset.
-    over = posor.locate_all(scans)
+    over = posor.estimate_all(scans)
     assert over.translations.tobytes() == together.translations.tobytes()
 
 
 def test_a_jump_far_from_the_last_pose_is_found(posor: Posor) -> None:
     rotations = np.array([rotation_from_native(1e-3, -2e-3, theta) for theta in (-0.3, 0.3)])
     translations = np.array([[-1e-3, 1e-3, 0.9e-3], [1e-3, -1e-3, 0.6e-3]])
-    found = posor.locate_all(read_by(posor.stack, rotations, translations))
+    found = posor.estimate_all(read_by(posor.stack, rotations, translations))
     assert (found.states == State.OK).all()
     assert found.translations == pytest.approx(translations, abs=1e-9)
 
@@ -252,17 +252,17 @@ def changed(scan: Scan, wire: int, volt: float) -> Scan:
 )
 def test_a_broken_wire_is_told(posor: Posor, make: Callable[[Scan], Scan], fault: Fault, reason: str) -> None:
     scan, _, translation = one_scan(posor)
-    broken = posor.locate(make(scan))
+    broken = posor.estimate(make(scan))
     assert (broken.state, broken.faults, broken.reason) == (State.LOST, fault, reason)
     assert broken.T_R_T is None
-    sound = posor.locate(scan)
+    sound = posor.estimate(scan)
     assert sound.T_R_T is not None
     assert sound.T_R_T.translation == pytest.approx(translation, abs=1e-9)
 
 
 def test_a_wire_caught_on_something_contradicts_the_others(posor: Posor) -> None:
     scan, _, _ = one_scan(posor)
-    caught = posor.locate(changed(scan, 0, float(scan.ring_voltages[0]) + 0.2))  # 2 mm too long
+    caught = posor.estimate(changed(scan, 0, float(scan.ring_voltages[0]) + 0.2))  # 2 mm too long
     assert (caught.state, caught.faults) == (State.LOST, Fault.RESIDUAL)
     assert "contradict" in caught.reason
 
@@ -273,7 +273,7 @@ def test_a_wire_caught_on_something_contradicts_the_others(posor: Posor) -> None
 @pytest.mark.usefixtures("ros_domain")
 def test_posor_node_gives_the_same_pose(overlay: Overlay, posor: Posor) -> None:
     scan, rotation, translation = one_scan(posor)
-    expected = posor.locate(scan)
+    expected = posor.estimate(scan)
     parameters = {"calibration": str(overlay.calibration), "qos_reliability": "reliable", "qos_depth": 0}
     node = overlay.command([*installed("posor_estimator", "posor_node"), *ros_arguments(parameters)])
     with Program(node) as program, Graph() as graph:

@@ -1,4 +1,4 @@
-"""Every installed program, interrupted while its libraries are being loaded."""
+"""Every installed program, interrupted during its imports."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from importlib.metadata import entry_points
 from typing import TYPE_CHECKING
 
 import pytest
-from posor_estimator.starting import Starter
+from posor_estimator.lazy_program import LazyProgram
 from posor_estimator.testing.program import Program, installed
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
     from pathlib import Path
 
-PACKAGES = ("posor_bringup", "posor_drivers", "posor_estimator")
+PACKAGES = ("posor_bringup", "posor_drivers", "posor_estimator", "posor_validation")
 PROGRAMS = [
     program for program in entry_points(group="console_scripts") if program.module.partition(".")[0] in PACKAGES
 ]
-LIBRARY = """\
+ENDLESS_LIBRARY = """\
 import signal
 
 print("loading", flush=True)
@@ -29,13 +29,13 @@ while True:
     except BaseException:
         pass
 """
-"""Stands for one that every program needs; never has done with loading, and catches whatever is raised in it."""
+"""Substitute for a library of every program: its import never ends and catches every exception."""
 
 
 @pytest.fixture
 def path(tmp_path: Path) -> str:
-    """Return a path of modules that begins with that library."""
-    (tmp_path / "numpy.py").write_text(LIBRARY, encoding="utf-8")
+    """Return a module path that begins with that library."""
+    (tmp_path / "numpy.py").write_text(ENDLESS_LIBRARY, encoding="utf-8")
     return os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
 
 
@@ -44,10 +44,10 @@ def test_every_package_has_programs() -> None:
 
 
 @pytest.mark.parametrize("program", PROGRAMS, ids=lambda program: program.name)
-def test_it_says_so_in_one_line(path: str, program: EntryPoint) -> None:
-    starter = program.load()
-    assert isinstance(starter, Starter)
-    assert starter.name == program.name
+def test_an_interrupted_import_ends_with_one_line(path: str, program: EntryPoint) -> None:
+    lazy_program = program.load()
+    assert isinstance(lazy_program, LazyProgram)
+    assert lazy_program.name == program.name
     package = program.module.partition(".")[0]
     number = signal.SIGTERM if program.name in ("chain_node", "record", "demo") else signal.SIGINT
     with Program(installed(package, program.name), {"PYTHONPATH": path}) as running:

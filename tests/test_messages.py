@@ -1,4 +1,4 @@
-"""The messages of this workspace cross the wire unchanged."""
+"""Messages of this workspace pass DDS unchanged."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def joint_transform() -> Any:
 
 @pytest.mark.parametrize("make", [raw_scan, joint_transform])
 @pytest.mark.usefixtures("ros_domain")
-def test_message_crosses_the_wire(make: Callable[[], Any]) -> None:
+def test_a_message_passes_dds_unchanged(make: Callable[[], Any]) -> None:
     sent = make()
     received: list[Any] = []
     context = Context()

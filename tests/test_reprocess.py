@@ -17,16 +17,23 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 from geometry_msgs.msg import PoseStamped
-from posor_bringup.arms import checked_arm, find_arm
+from posor_bringup.arms import find_arm, load_checked_arm
 from posor_bringup.installed import calibration_path, urdf_path
-from posor_estimator.core.fault import State
-from posor_estimator.reprocess.command import main
-from posor_estimator.ros.messages import pose_from_message
+from posor_estimator.bags.reprocess_command import main
+from posor_estimator.model.fault import State
+from posor_estimator.ros.message_conversion import pose_from_message
 from posor_msgs.msg import JointTransform
 from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
-from tests.graphs import all_bits, bits, located, placed, recorded, rig
+from tests.rig_replay import (
+    all_message_bits,
+    estimate_endpoints,
+    estimate_transforms,
+    make_plan,
+    message_bits,
+    read_bag_messages,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -49,15 +56,15 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("calibration", ["printed", "section84"])
 @pytest.mark.parametrize("test", ["ymo", "yzmo", "zmo"])
-def test_the_1985_bags_give_what_the_replays_give(test: Any, calibration: Any, tmp_path: Path) -> None:
-    plan = rig(tmp_path / "rig", test, calibration)
+def test_the_1985_bags_give_the_results_of_the_replays(test: Any, calibration: Any, tmp_path: Path) -> None:
+    plan = make_plan(tmp_path / "rig", test, calibration)
     options = ["--calibration", f"joint1={calibration_path(calibration)}", "--session", f"joint1={test}"]
     assert main([str(plan.bag), *options, "--urdf", str(urdf_path()), "--output", str(tmp_path / "out")]) == 0
-    found = recorded(tmp_path / "out")
-    transforms = located(plan, recorded(plan.bag)["/joint1/raw"])
-    assert all_bits(JointTransform, found["/joint1/transform"]) == [bits(each) for each in transforms]
-    poses: Any = all_bits(PoseStamped, found["/endpoint/pose"])
-    assert [pose["pose"] for pose in poses] == [bits(pose) for pose in placed(plan, transforms)]
+    found = read_bag_messages(tmp_path / "out")
+    transforms = estimate_transforms(plan, read_bag_messages(plan.bag)["/joint1/raw"])
+    assert all_message_bits(JointTransform, found["/joint1/transform"]) == [message_bits(each) for each in transforms]
+    poses: Any = all_message_bits(PoseStamped, found["/endpoint/pose"])
+    assert [pose["pose"] for pose in poses] == [message_bits(pose) for pose in estimate_endpoints(plan, transforms)]
 
 
 def test_messages_keep_the_log_time_and_quality_of_service_of_the_scans(made: Path) -> None:
@@ -76,14 +83,14 @@ def test_messages_keep_the_log_time_and_quality_of_service_of_the_scans(made: Pa
     assert given["/five_axis/endpoint/pose"].offered_qos_profiles[0].reliability.name == "RELIABLE"
 
 
-def test_tables_hold_what_the_bag_holds(made: Path) -> None:
-    messages = recorded(made / "bag")
+def test_tables_and_bag_hold_the_same_numbers(made: Path) -> None:
+    messages = read_bag_messages(made / "bag")
     for joint in JOINTS:
         tables = [
             pa.parquet.read_table(made / "parquet" / f"{joint}.parquet"),
             pa.csv.read_csv(made / "csv" / f"{joint}.csv"),
         ]
-        fields: Any = all_bits(JointTransform, messages[f"/five_axis/{joint}/transform"])
+        fields: Any = all_message_bits(JointTransform, messages[f"/five_axis/{joint}/transform"])
         for table in tables:
             columns = {name: table[name].to_numpy() for name in table.column_names}
             assert len(columns["scan"]) == len(fields)
@@ -97,7 +104,7 @@ def test_tables_hold_what_the_bag_holds(made: Path) -> None:
                 np.testing.assert_array_equal(float(columns["native_theta"][n]), native[5])
                 covariance = np.frombuffer(field["covariance"]).reshape(6, 6)
                 np.testing.assert_array_equal(float(columns["cov_y_rz"][n]), covariance[1, 5])
-    poses: Any = all_bits(PoseStamped, messages["/five_axis/endpoint/pose"])
+    poses: Any = all_message_bits(PoseStamped, messages["/five_axis/endpoint/pose"])
     table = pa.parquet.read_table(made / "parquet" / "endpoint.parquet")
     assert table["qw"].to_numpy().tobytes() == b"".join(pose["pose"]["orientation"]["w"] for pose in poses)
 
@@ -106,7 +113,7 @@ def test_home_is_the_first_pose(made: Path, tmp_path: Path) -> None:
     assert main([str(BAG), *ARM, "--reference", "home", "--output", str(tmp_path / "out")]) == 0
     topic = "/five_axis/endpoint/pose"
     relative, absolute = (
-        [deserialize_message(data, PoseStamped) for data in recorded(bag)[topic]]
+        [deserialize_message(data, PoseStamped) for data in read_bag_messages(bag)[topic]]
         for bag in (tmp_path / "out", made / "bag")
     )
     assert {pose.header.frame_id for pose in relative} == {"endpoint_home"}
@@ -116,7 +123,7 @@ def test_home_is_the_first_pose(made: Path, tmp_path: Path) -> None:
         np.testing.assert_allclose(pose_from_message(one.pose).homogeneous, expected.homogeneous, rtol=0.0, atol=1e-12)
 
 
-def test_the_summary_counts_what_was_lost(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_summary_counts_lost_scans(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([str(BAG), *ARM]) == 0
     said = capsys.readouterr().out
     assert "│ elbow       │ 1,999 │    4 │       1 │           4 │ residual 4" in said
@@ -198,17 +205,17 @@ YMO = str(BAGS / "ymo")
     ],
     ids=lambda value: "" if isinstance(value, list) else value[:40],
 )
-def test_what_cannot_be_is_refused_in_one_sentence(
+def test_an_invalid_command_line_is_refused_in_one_sentence(
     arguments: list[str], said: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("posor_estimator.reprocess.cluster.CONNECT_WITHIN_S", 1)
+    monkeypatch.setattr("posor_estimator.bags.executors.CONNECT_WITHIN_S", 1)
     assert said in refused(capsys, *arguments)
 
 
 def test_a_server_that_does_not_answer_is_no_scheduler(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("posor_estimator.reprocess.cluster.CONNECT_WITHIN_S", 1)
+    monkeypatch.setattr("posor_estimator.bags.executors.CONNECT_WITHIN_S", 1)
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
         said = refused(capsys, YMO, *CALIBRATION, "--scheduler", address)
@@ -223,16 +230,14 @@ def test_a_bag_of_results_holds_no_raw_scans(made: Path, capsys: pytest.CaptureF
 
 
 def test_a_calibration_between_other_frames_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    elbow = checked_arm("five_axis").calibrations["elbow"]
+    elbow = load_checked_arm("five_axis").calibrations["elbow"]
     said = refused(capsys, str(BAG), *ARM, "--calibration", f"shoulder={elbow}")
     assert (
         "the calibration of shoulder is from 'elbow_receiving' to 'elbow_target'; expected 'shoulder_receiving'" in said
     )
 
 
-def test_a_full_disk_is_told_of_the_output_and_leaves_what_was_there(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_full_disk_keeps_the_former_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     output = tmp_path / "out"
     assert main([YMO, *CALIBRATION, "--output", str(output)]) == 0
     former = {path.name: path.read_bytes() for path in output.iterdir()}
@@ -271,7 +276,7 @@ def test_a_scan_without_a_stamp_costs_its_own_pose_only(
     bag = without_stamp(BAG, "/five_axis/elbow/raw", 500, stamp, tmp_path / "bag")
     assert main([str(bag), *ARM, "--output", str(tmp_path / "out")]) == 0
     topic = "/five_axis/endpoint/pose"
-    whole, found = (len(recorded(each)[topic]) for each in (made / "bag", tmp_path / "out"))
+    whole, found = (len(read_bag_messages(each)[topic]) for each in (made / "bag", tmp_path / "out"))
     assert found == whole - 1
 
 

@@ -11,12 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from posor_bringup.arms import checked_arm, find_arm
-from posor_estimator.reprocess.command import main
-from posor_estimator.reprocess.output import MAKING
+from posor_bringup.arms import find_arm, load_checked_arm
+from posor_estimator.bags.reprocess_command import main
+from posor_estimator.bags.result_folder import UNFINISHED
 from posor_estimator.testing.program import Program, installed, wait_until
-
-from tests.benchmarks.offline import repeat
+from posor_validation.benchmark.offline_benchmark import repeat_bag
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -31,7 +30,7 @@ LOCAL = {"DASK_DISTRIBUTED__DASHBOARD__LINK": "", "DASK_DISTRIBUTED__COMM__RETRY
 def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("bags")
     for number, name in enumerate(BAGS):
-        repeat(checked_arm("five_axis"), BAG, folder / name, 6 + number)
+        repeat_bag(load_checked_arm("five_axis"), BAG, folder / name, 6 + number)
     return folder
 
 
@@ -48,7 +47,7 @@ def at_work(worker: Program) -> bool:
     """Return whether a worker is writing results."""
     for entry in Path(f"/proc/{worker.process.pid}/fd").iterdir():
         try:
-            if MAKING in str(entry.readlink()):
+            if UNFINISHED in str(entry.readlink()):
                 return True
         except OSError:  # closed meanwhile
             continue
@@ -78,7 +77,7 @@ def test_the_results_are_whole_and_the_same_though_a_worker_is_killed(bags: Path
         victim = next(worker for worker in workers if at_work(worker))
         os.kill(victim.process.pid, signal.SIGKILL)
         assert victim.wait() == -signal.SIGKILL
-        assert any((tmp_path / "cluster").glob(f"{MAKING}*"))
+        assert any((tmp_path / "cluster").glob(f"{UNFINISHED}*"))
         assert client.process.wait(240) == 0, client.stderr
     assert sorted(path.name for path in (tmp_path / "cluster").iterdir()) == list(BAGS)
     assert dict(files(tmp_path / "cluster")) == dict(files(tmp_path / "alone"))

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from posor_bringup.arms import find_arm
-from posor_estimator.reprocess.command import main
+from posor_estimator.bags.reprocess_command import main
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.rosbag2.storage_mcap import McapWriter
 
-from tests.graphs import recorded
+from tests.rig_replay import read_bag_messages
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -56,6 +56,6 @@ def test_scans_of_one_log_time_in_chunks_that_overlap_are_taken_as_a_replay_take
     replayed = write(tmp_path / "replayed", topics, [raw_scans(bag)[1]])
     for each in (bag, replayed):
         assert main([str(each), *ARM, "--output", str(tmp_path / "out" / each.name)]) == 0
-    found, expected = (recorded(tmp_path / "out" / each.name) for each in (bag, replayed))
-    assert len(expected["/five_axis/endpoint/pose"]) == len(recorded(BAG)["/five_axis/endpoint/pose"])
+    found, expected = (read_bag_messages(tmp_path / "out" / each.name) for each in (bag, replayed))
+    assert len(expected["/five_axis/endpoint/pose"]) == len(read_bag_messages(BAG)["/five_axis/endpoint/pose"])
     assert found == expected

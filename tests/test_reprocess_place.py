@@ -11,9 +11,8 @@ import pyarrow as pa
 import pyarrow.parquet
 import pytest
 from posor_bringup.installed import calibration_path
-from posor_estimator.reprocess.command import main
-from posor_estimator.reprocess.output import FORMER, MAKING, NEW, clear_unfinished
-from posor_estimator.reprocess.place import MARK
+from posor_estimator.bags.reprocess_command import main
+from posor_estimator.bags.result_folder import FORMER, MARK, NEW, UNFINISHED, clear_unfinished
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -59,7 +58,7 @@ def test_a_bag_does_not_replace_itself(force: list[str], kind: str, bags: Path, 
 
 
 @FORCE
-def test_nor_where_its_file_is_named_or_a_link_leads_there(
+def test_a_bag_does_not_replace_itself_by_its_file_or_a_link(
     force: list[str], bags: Path, refused: Callable[..., str]
 ) -> None:
     (bags / "link").symlink_to("ymo")
@@ -71,7 +70,9 @@ def test_nor_where_its_file_is_named_or_a_link_leads_there(
 
 
 @FORCE
-def test_nor_what_holds_it_or_lies_in_it(force: list[str], bags: Path, refused: Callable[..., str]) -> None:
+def test_a_bag_does_not_replace_a_folder_around_or_in_it(
+    force: list[str], bags: Path, refused: Callable[..., str]
+) -> None:
     bag = bags / "ymo"
     assert refused(bag, "--output", bags, *force).startswith(
         f"{bags}: holds bag {bag}, which is to be read; expected a"
@@ -97,7 +98,7 @@ def test_a_file_without_a_bag_around_it_has_results_beside_it(bags: Path) -> Non
 
 
 @FORCE
-def test_what_is_not_marked_as_results_is_not_replaced(
+def test_unmarked_files_are_not_replaced(
     force: list[str], bags: Path, tmp_path: Path, refused: Callable[..., str]
 ) -> None:
     def there(name: str) -> str:
@@ -147,7 +148,7 @@ def test_results_that_have_been_changed_are_not_replaced(
 
 
 @pytest.mark.parametrize("kind", ["bag", "parquet", "csv"])
-def test_results_are_replaced_only_if_told_to(
+def test_results_are_replaced_only_with_force(
     kind: str, bags: Path, tmp_path: Path, refused: Callable[..., str]
 ) -> None:
     out = tmp_path / "out"
@@ -161,16 +162,16 @@ def test_results_are_replaced_only_if_told_to(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["day", "out"]
 
 
-def test_an_empty_folder_is_replaced_if_told_to(bags: Path, tmp_path: Path) -> None:
+def test_an_empty_folder_is_replaced_with_force(bags: Path, tmp_path: Path) -> None:
     (tmp_path / "former").mkdir()
     assert main([str(bags / "ymo"), *CALIBRATION, "--output", str(tmp_path / "former"), "--force"]) == 0
     assert main([str(bags / "ymo"), *CALIBRATION, "--output", str(tmp_path / "former"), "--force"]) == 0
     assert (tmp_path / "former" / "former.mcap").is_file()
 
 
-def test_only_what_this_run_has_left_is_cleared_and_what_it_was_replacing_goes_back(tmp_path: Path) -> None:
+def test_only_leftovers_of_this_run_are_cleared_and_former_results_go_back(tmp_path: Path) -> None:
     for run in ("a", "a-b", "ab"):
         for folder in (f"{NEW}/out", f"{FORMER}/{run}"):
-            (tmp_path / f"{MAKING}{run}-x" / folder).mkdir(parents=True)
+            (tmp_path / f"{UNFINISHED}{run}-x" / folder).mkdir(parents=True)
     clear_unfinished(tmp_path, "ab")
-    assert sorted(path.name for path in tmp_path.iterdir()) == [f"{MAKING}a-b-x", f"{MAKING}a-x", "ab"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f"{UNFINISHED}a-b-x", f"{UNFINISHED}a-x", "ab"]

@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from posor_bringup.arms import checked_arm, find_arm
-from posor_estimator.reprocess.output import MAKING
+from posor_bringup.arms import find_arm, load_checked_arm
+from posor_estimator.bags.result_folder import UNFINISHED
 from posor_estimator.testing.program import Program, installed, wait_until
-
-from tests.benchmarks.offline import repeat
+from posor_validation.benchmark.offline_benchmark import repeat_bag
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,9 +30,9 @@ WAYS = pytest.mark.parametrize(
 def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder of bags: one is soon done, the others are not."""
     folder = tmp_path_factory.mktemp("bags")
-    repeat(checked_arm("five_axis"), BAG, folder / "a", 1)
+    repeat_bag(load_checked_arm("five_axis"), BAG, folder / "a", 1)
     for name in LONG:
-        repeat(checked_arm("five_axis"), BAG, folder / name, 40)
+        repeat_bag(load_checked_arm("five_axis"), BAG, folder / name, 40)
     return folder
 
 
@@ -66,7 +65,7 @@ def at_work(run: Program) -> list[int]:
 
     def writes(pid: int) -> bool:
         try:
-            return any(MAKING in str(entry.readlink()) for entry in Path(f"/proc/{pid}/fd").iterdir())
+            return any(UNFINISHED in str(entry.readlink()) for entry in Path(f"/proc/{pid}/fd").iterdir())
         except FileNotFoundError:  # closed, or ended, meanwhile
             return False
 
@@ -101,7 +100,7 @@ def test_an_interrupt_ends_all_at_once(bags: Path, tmp_path: Path, number: signa
 
 
 @WAYS
-def test_so_does_one_while_the_processes_begin(bags: Path, tmp_path: Path, number: signal.Signals, to: str) -> None:
+def test_an_interrupt_during_the_start_ends_all(bags: Path, tmp_path: Path, number: signal.Signals, to: str) -> None:
     with program(bags, LONG, tmp_path / "out") as run:
         until(lambda: len(workers(run)) == 2, "two processes")
         send(run, number, to)
@@ -110,7 +109,7 @@ def test_so_does_one_while_the_processes_begin(bags: Path, tmp_path: Path, numbe
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_impatient_user_does_not_disturb_the_tidying(bags: Path, tmp_path: Path) -> None:
+def test_repeated_interrupts_do_not_disturb_the_clean_up(bags: Path, tmp_path: Path) -> None:
     output = tmp_path / "out"
     with program(bags, LONG, output) as run:
         until(lambda: len(at_work(run)) == 2, "two bags in the making")
@@ -124,26 +123,24 @@ def test_an_impatient_user_does_not_disturb_the_tidying(bags: Path, tmp_path: Pa
 def test_an_interrupt_of_one_bag_leaves_nothing(bags: Path, tmp_path: Path) -> None:
     output = tmp_path / "results" / "out"
     with program(bags, ("b",), output) as run:
-        until(lambda: any(output.parent.glob(f"{MAKING}*/new/out/*.mcap")), "a bag in the making")
+        until(lambda: any(output.parent.glob(f"{UNFINISHED}*/new/out/*.mcap")), "a bag in the making")
         assert run.end(signal.SIGTERM) == 130
         assert run.stderr == [INTERRUPTED]
     assert there(output.parent) == []
 
 
-def test_a_process_that_is_killed_is_told_with_the_bags_that_are_not_finished(bags: Path, tmp_path: Path) -> None:
+def test_a_killed_process_is_reported_with_the_unfinished_bags(bags: Path, tmp_path: Path) -> None:
     output = tmp_path / "out"
     with program(bags, LONG, output) as run:
         until(lambda: len(at_work(run)) == 2, "two bags in the making")
         os.kill(at_work(run)[0], signal.SIGKILL)
         assert run.wait() == 1
         (said,) = run.stderr
-        finished = there(output)
-        assert [line for line in run.stdout if "written to" in line] == [f"written to {output / finished[0]}"]
-    (lost,) = {"b", "c"} - set(finished)
-    assert finished == sorted({"b", "c"} - {lost})
+        assert not any("written to" in line for line in run.stdout)
+    assert there(output) == []
     assert said == (
-        f"{bags / lost}, {bags / 'd'}: not finished, since a process of the program was ended by signal 9, Killed; "
-        "expected memory for as many bags at a time, or a smaller --jobs."
+        f"{bags / 'b'}, {bags / 'c'}, {bags / 'd'}: not finished, since a process of the program was ended by "
+        "signal 9, Killed; expected memory for as many bags at a time, or a smaller --jobs."
     )
 
 
@@ -155,5 +152,6 @@ def test_processes_end_when_the_program_is_killed(bags: Path, tmp_path: Path) ->
         send(run, signal.SIGKILL, "parent")
         assert run.wait() == -signal.SIGKILL
         until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in pids), "the end of all processes")
-        assert run.stderr == []
+        # Python's own resource tracker reports the semaphores of the killed program; the workers say nothing.
+        assert all("resource_tracker" in line or line.startswith("  warnings.warn") for line in run.stderr)
     assert there(output) == []

@@ -1,4 +1,4 @@
-"""The lock files: exact, complete, of one mind, and gentle to an installed ROS."""
+"""The lock files are exact, complete and consistent, and keep the libraries of an installed ROS."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 from environment import THIS
-from freshness import NAMED_LISTS, NAMED_LOCKS, WHEEL_LOCKS
-from missing_requirements import missing
+from missing_requirements import find_missing
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from pip._vendor.packaging.requirements import Requirement as PipRequirement
+from setup_state import NAMED_LISTS, NAMED_LOCKS, WHEEL_LOCKS
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -28,7 +28,7 @@ def lines(path: Path) -> list[str]:
 
 def pins(name: str) -> dict[str, str]:
     matches = [PIN.fullmatch(line) for line in lines(FOLDER / name)]
-    assert all(matches), f"{name} holds something else than NAME==VERSION"
+    assert all(matches), f"{name} holds a line other than NAME==VERSION"
     return {str(canonicalize_name(match["name"])): match["version"] for match in matches if match}
 
 
@@ -37,22 +37,22 @@ def test_every_list_has_its_lock_file() -> None:
 
 
 @pytest.mark.parametrize("name", WHEEL_LOCKS)
-def test_lock_holds_what_its_list_names(name: str) -> None:
+def test_lock_meets_its_list(name: str) -> None:
     locked = pins(name)
     for line in lines((FOLDER / name).with_suffix(".in")):
         requirement = Requirement(line)
         assert requirement.specifier.contains(locked[canonicalize_name(requirement.name)])
 
 
-def test_locks_agree() -> None:
-    together: dict[str, str] = {}
+def test_locks_have_one_version_of_each_library() -> None:
+    versions: dict[str, str] = {}
     for name in WHEEL_LOCKS:
         for library, version in pins(name).items():
-            assert together.setdefault(library, version) == version
+            assert versions.setdefault(library, version) == version
 
 
 def test_document_names_every_library_with_its_locked_version() -> None:
-    text = (THIS.root / "docs" / "dependencies.md").read_text(encoding="utf-8")
+    text = (THIS.root / "docs" / "reference" / "dependencies.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| ([\w.-]+) \| (\d[\w.]*) \|", text, re.MULTILINE)
     documented = {str(canonicalize_name(name)): version for name, version in rows}
     named = {
@@ -64,7 +64,7 @@ def test_document_names_every_library_with_its_locked_version() -> None:
 
 
 def test_locks_are_complete() -> None:
-    """Every requirement of every installed library of ours is met by the locks."""
+    """The locks contain every requirement of every installed library."""
     locked = {library: version for name in NAMED_LOCKS for library, version in pins(name).items()}
     here = {library: version for library, version in locked.items() if installed(library) == version}
     assert here
@@ -85,11 +85,11 @@ def installed(library: str) -> str:
 def test_nothing_is_missing_here() -> None:
     named = [PipRequirement(line) for name in NAMED_LISTS for line in lines(FOLDER / name)]
     locked = {library: version for name in NAMED_LOCKS for library, version in pins(name).items()}
-    assert missing(named, locked) == set()
+    assert find_missing(named, locked) == set()
 
 
 @pytest.mark.parametrize(
-    ("named", "locked", "lacking"),
+    ("named", "locked", "missing_names"),
     [
         ("rich>=1", {"rich": "9999"}, set()),
         ("rich>=9999", {"rich": "9999"}, {"rich"}),
@@ -98,7 +98,7 @@ def test_nothing_is_missing_here() -> None:
         ("no-such-library; python_version < '3'", {"no-such-library": "1.0"}, set()),
         ("numpy>=9999", {"numpy": "9999"}, set()),
     ],
-    ids=["recent enough", "too old", "absent", "not ours", "of another Python", "linked against"],
+    ids=["recent enough", "too old", "absent", "not locked", "of another Python", "linked against"],
 )
-def test_what_an_installed_ros_lacks(named: str, locked: dict[str, str], lacking: set[str]) -> None:
-    assert missing([PipRequirement(named)], locked) == lacking
+def test_libraries_missing_in_an_installed_ros(named: str, locked: dict[str, str], missing_names: set[str]) -> None:
+    assert find_missing([PipRequirement(named)], locked) == missing_names

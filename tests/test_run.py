@@ -1,4 +1,4 @@
-"""``./run``: the workspace's environment, the right program, its signals and its exit code."""
+"""``./run`` starts the right program in the environment of the workspace, and passes signals and the exit code."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 @pytest.fixture(scope="module")
 def checkout(tmp_path_factory: pytest.TempPathFactory) -> Miniature:
-    """A miniature that is set up by its first ``./run``."""
+    """A small checkout, set up by its first ``./run``."""
     miniature = Miniature(tmp_path_factory.mktemp("checkout"))
     miniature.fill()
     first = miniature.run("miniature", "tell")
     assert first.returncode == 0, first.stderr
-    assert first.stdout.startswith("arguments\n"), "the set-up's report must not mix with the program's output"
+    assert first.stdout.startswith("arguments\n"), "the report of the set-up must not reach the output of the program"
     assert "set-up: colcon build of ros2_ws" in first.stderr
     return miniature
 
@@ -65,21 +65,21 @@ def test_nested_call_is_the_same(checkout: Miniature) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "complaint"),
+    ("arguments", "message"),
     [
         (("nowhere", "tell"), "posor run: there is no package 'nowhere'; this workspace has: miniature.\n"),
         (("miniature", "sing"), "posor run: package 'miniature' has no executable 'sing'; it has: tell, wait.\n"),
         (("miniature",), "usage: ./run PACKAGE EXECUTABLE [arguments]\n"),
     ],
 )
-def test_wrong_call(checkout: Miniature, arguments: tuple[str, ...], complaint: str) -> None:
+def test_wrong_call(checkout: Miniature, arguments: tuple[str, ...], message: str) -> None:
     done = checkout.run(*arguments)
     assert done.returncode == 2
-    assert done.stderr == complaint
+    assert done.stderr == message
     assert done.stdout == ""
 
 
-def test_ros2_is_called_where_it_is(checkout: Miniature, tmp_path: Path) -> None:
+def test_an_installed_ros2_is_called(checkout: Miniature, tmp_path: Path) -> None:
     ros2 = tmp_path / "ros2"
     ros2.write_text('#!/bin/sh\necho "$@"\necho "$AMENT_PREFIX_PATH"\n')
     ros2.chmod(0o755)

@@ -1,8 +1,9 @@
-"""The test runner: nothing that goes wrong in a test file goes unnoticed."""
+"""The test runner reports every failure, and interrupts its processes cleanly."""
 
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from environment import THIS
+from run_tests import WITHOUT_ROS, make_test_jobs
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -18,17 +20,17 @@ if TYPE_CHECKING:
 RUNNER = [sys.executable, str(THIS.root / "tools" / "run_tests.py")]
 
 
-def write(folder: Path, **files: str) -> None:
+def write_test_files(folder: Path, **files: str) -> None:
     for name, text in files.items():
         (folder / f"test_{name}.py").write_text(dedent(text), encoding="utf-8")
 
 
-def run(*places: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*RUNNER, *map(str, places)], capture_output=True, text=True, check=False)
+def run_tests(*paths: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*RUNNER, *map(str, paths)], capture_output=True, text=True, check=False)
 
 
 def test_counts_and_reasons(tmp_path: Path) -> None:
-    write(
+    write_test_files(
         tmp_path,
         good="def test_a(): pass\ndef test_b(): pass\n",
         skips="""
@@ -38,7 +40,7 @@ def test_counts_and_reasons(tmp_path: Path) -> None:
             def test_rig(): pass
         """,
     )
-    done = run(tmp_path)
+    done = run_tests(tmp_path)
     assert done.returncode == 0, done.stdout
     lines = done.stdout.splitlines()
     assert any(line.endswith("test_good.py: 2 passed") for line in lines)
@@ -59,8 +61,8 @@ def test_counts_and_reasons(tmp_path: Path) -> None:
     ids=["assertion", "exit", "killed", "no tests", "import", "fixture"],
 )
 def test_failures(tmp_path: Path, text: str, words: str) -> None:
-    write(tmp_path, bad=text, good="def test_a(): pass\n")
-    done = run(tmp_path)
+    write_test_files(tmp_path, bad=text, good="def test_a(): pass\n")
+    done = run_tests(tmp_path)
     assert done.returncode == 1
     assert words in done.stdout
     assert done.stdout.splitlines()[-2].startswith("failed: ")
@@ -69,13 +71,26 @@ def test_failures(tmp_path: Path, text: str, words: str) -> None:
 
 def test_each_file_has_a_process_of_its_own(tmp_path: Path) -> None:
     text = f"import os\ndef test_a(): open('{tmp_path}/pids', 'a').write(str(os.getpid()) + ' ')\n"
-    write(tmp_path, one=text, two=text, three=text)
-    assert run(tmp_path).returncode == 0
+    write_test_files(tmp_path, one=text, two=text, three=text)
+    assert run_tests(tmp_path).returncode == 0
     assert len(set((tmp_path / "pids").read_text().split())) == 3
 
 
+def test_files_of_a_folder_without_ros_share_a_process() -> None:
+    folder = WITHOUT_ROS[0]
+    jobs = make_test_jobs([folder / "test_a.py", THIS.root / "tests" / "test_b.py", folder / "sub" / "test_c.py"])
+    assert jobs[0].command[-2:] == [str(folder / "test_a.py"), str(folder / "sub" / "test_c.py")]
+    assert len(jobs) == 2
+
+
+def test_tests_that_share_a_process_do_not_import_ros() -> None:
+    ros = re.compile(r"^\s*(?:from|import) (?:rclpy|\w+_msgs|posor_estimator\.(?:ros|testing\.graph))\b", re.MULTILINE)
+    files = [file for folder in WITHOUT_ROS for file in folder.rglob("*.py")]
+    assert not [file.name for file in files if ros.search(file.read_text(encoding="utf-8"))]
+
+
 def test_no_such_path(tmp_path: Path) -> None:
-    done = run(tmp_path / "nowhere")
+    done = run_tests(tmp_path / "nowhere")
     assert done.returncode == 2
     assert done.stderr == f"make test: {tmp_path}/nowhere: no such test file or folder.\n"
 
@@ -84,19 +99,19 @@ def test_no_such_path(tmp_path: Path) -> None:
 def test_interruption_ends_the_tests_at_work(tmp_path: Path, number: signal.Signals) -> None:
     fifo = tmp_path / "fifo"
     os.mkfifo(fifo)
-    write(
+    write_test_files(
         tmp_path,
         endless=f"""
             import os, pytest, signal
 
             @pytest.fixture
-            def told():
+            def output():
                 fifo = open("{fifo}", "w")
                 yield fifo
                 print("cleaned up", file=fifo, flush=True)
 
-            def test_endless(told):
-                print("begun", file=told, flush=True)  # from here, so that the signal does not meet pytest's own work
+            def test_endless(output):
+                print("begun", file=output, flush=True)  # the signal arrives during the test, not during collection
                 while True:
                     signal.pause()
         """,
@@ -104,10 +119,10 @@ def test_interruption_ends_the_tests_at_work(tmp_path: Path, number: signal.Sign
     with subprocess.Popen(
         [*RUNNER, str(tmp_path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as runner:
-        with fifo.open() as told:
-            assert told.readline() == "begun\n"
+        with fifo.open() as output:
+            assert output.readline() == "begun\n"
             runner.send_signal(number)
-            assert told.readline() == "cleaned up\n"
+            assert output.readline() == "cleaned up\n"
         _, err = runner.communicate()
     assert runner.returncode == 130
     assert err == "make test: interrupted.\n"

@@ -1,4 +1,4 @@
-"""docs/sensors.md and docs/adding_a_sensor.md: what they show is what the code takes and what the files hold."""
+"""The examples of docs/reference/sensors.md and docs/how_to/adding_a_sensor.md are valid, and the named files exist."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from textwrap import dedent
 import numpy as np
 import pytest
 import yaml
-from posor_estimator.core.calibration.model import calibration_from
-from posor_estimator.core.sensors.bumpy_ring import BumpyRing
-from posor_estimator.core.sensors.registry import sensor_types
-from posor_estimator.core.stack import Stack
+from posor_estimator.calibration.calibration_file import calibration_from
+from posor_estimator.estimation.sensor_stack import Stack
+from posor_estimator.sensors.bumpy_ring import BumpyRing
+from posor_estimator.sensors.registry import sensor_types
 
 ROOT = Path(__file__).resolve().parents[1]
-SENSORS = (ROOT / "docs" / "sensors.md").read_text(encoding="utf-8")
-ADDING = (ROOT / "docs" / "adding_a_sensor.md").read_text(encoding="utf-8")
+SENSORS = (ROOT / "docs" / "reference" / "sensors.md").read_text(encoding="utf-8")
+ADDING = (ROOT / "docs" / "how_to" / "adding_a_sensor.md").read_text(encoding="utf-8")
 EXAMPLE = ROOT / "examples" / "posor_draw_wire"
 
 
@@ -32,7 +32,7 @@ def stack_of(block: str, **changes: object) -> Stack:
             "format": "posor_calibration",
             "version": 1,
             "name": "docs",
-            "provenance": {"source": "docs/sensors.md", "method": "example", "date": "none"},
+            "provenance": {"source": "docs/reference/sensors.md", "method": "example", "date": "none"},
             "frames": {"parent": "receiving", "child": "target"},
             "sensors": [{**sensor, **changes}],
         }
@@ -40,7 +40,7 @@ def stack_of(block: str, **changes: object) -> Stack:
     return Stack([part.build() for part in calibration.sensors])
 
 
-def test_every_type_of_ours_has_its_example() -> None:
+def test_every_built_in_type_has_an_example() -> None:
     shown = [yaml.safe_load(block)[0]["type"] for block in blocks(SENSORS, "yaml")]
     ours = [name for name, found in sensor_types().items() if found.__module__.startswith("posor_estimator.")]
     assert sorted(shown) == sorted(ours)
@@ -49,24 +49,24 @@ def test_every_type_of_ours_has_its_example() -> None:
 
 
 @pytest.mark.parametrize("block", blocks(SENSORS, "yaml"), ids=["gap_probes", "diodes", "bumpy_ring"])
-def test_the_examples_are_calibrations(block: str) -> None:
+def test_examples_are_calibrations(block: str) -> None:
     assert stack_of(block).readings >= 1
 
 
 @pytest.mark.parametrize("kind", ["factory", "local", "of_1985"])
-def test_every_set_of_maps_of_the_example_works(kind: str) -> None:
+def test_every_set_of_maps_in_the_example_works(kind: str) -> None:
     [sensor] = stack_of(blocks(SENSORS, "yaml")[1], map=kind).sensors
     assert sensor.reading_names == ("spot x diode_1", "spot y diode_1")
 
 
-def test_the_four_probes_of_the_example_see_alike_at_every_phase() -> None:
+def test_four_probes_of_the_example_have_equal_sensitivity_at_every_phase() -> None:
     [ring] = stack_of(blocks(SENSORS, "yaml")[2]).sensors
     assert isinstance(ring, BumpyRing)
     seen = ring.observability(np.linspace(0.0, 2.0 * np.pi, 73))
     assert seen.min() > 0.8 * seen.max()
 
 
-def test_excerpts_are_the_example_itself() -> None:
+def test_excerpts_occur_in_the_example() -> None:
     shown = blocks(ADDING, "python")
     assert len(shown) == 3
     files = [path.read_text(encoding="utf-8") for path in sorted(EXAMPLE.rglob("*.py"))]
@@ -74,11 +74,10 @@ def test_excerpts_are_the_example_itself() -> None:
         assert any(excerpt in text for text in files), dedent(excerpt)
 
 
-def test_what_the_docs_name_is_there() -> None:
-    places = [ROOT, ROOT / "ros2_ws/src/posor_estimator", ROOT / "ros2_ws/src/posor_estimator/posor_estimator"]
-    places += [places[-1] / "core", places[-1] / "core" / "sensors"]
+def test_files_named_in_the_page_exist() -> None:
+    package = ROOT / "ros2_ws/src/posor_estimator/posor_estimator"
     names = re.findall(r"`([\w./]+\.py|[\w]+/[\w./]+)`", ADDING)
     assert len(names) > 5
     for name in names:
         if name != "posor_msgs/RawScan":
-            assert any((place / name).exists() for place in [*places, EXAMPLE]), name
+            assert any((folder / name).exists() for folder in (ROOT, package, EXAMPLE)), name

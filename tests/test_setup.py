@@ -1,4 +1,4 @@
-"""The set-up: what it makes, that it repairs itself, and that it does nothing twice."""
+"""The set-up makes a workspace, repairs it after interruptions, and does nothing if it is complete."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import time
 from typing import TYPE_CHECKING
 
 import pytest
-from cmake_paths import rewrite_cmake_paths
 from environment import THIS, SetupError, Workspace
-from freshness import build_inputs, what_is_missing
+from setup_state import build_inputs, reasons_to_set_up
+from setup_workspace import rewrite_cmake_paths
 
 from tests.miniature import BASE_PYTHON, Miniature, clean_environ
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 EVENT_DEADLINE_S = 60.0
 STEP = re.compile(r"^set-up: (.*) \.\.\. \d+\.\d s$", re.MULTILINE)
-WATCH = """
+RECORD_STARTED_PROCESSES = """
 import runpy, sys
 started = []
 events = {"os.exec", "os.fork", "os.forkpty", "os.posix_spawn", "os.system", "subprocess.Popen"}
@@ -39,7 +39,7 @@ finally:
 
 @pytest.fixture(scope="module")
 def checkout(tmp_path_factory: pytest.TempPathFactory) -> Miniature:
-    """A miniature that has been set up; every test leaves it so."""
+    """A small checkout that is set up before and after every test."""
     miniature = Miniature(tmp_path_factory.mktemp("checkout"))
     miniature.fill()
     done = miniature.set_up()
@@ -56,44 +56,53 @@ def wait_until(event: Callable[[], bool], process: subprocess.Popen[str], what: 
     deadline = time.monotonic() + EVENT_DEADLINE_S
     while not event():
         assert process.poll() is None, f"ended before {what}"
-        assert time.monotonic() < deadline, f"waited in vain until {what}"
+        assert time.monotonic() < deadline, f"timeout before {what}"
         time.sleep(0.002)
 
 
 def processes_started(workspace: Workspace) -> str:
-    command = [str(BASE_PYTHON), "-c", WATCH, str(workspace.root / "tools")]
+    command = [str(BASE_PYTHON), "-c", RECORD_STARTED_PROCESSES, str(workspace.root / "tools")]
     done = subprocess.run(command, env=clean_environ(), capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
-def test_set_up_twice_starts_nothing(checkout: Miniature) -> None:
+def test_second_set_up_starts_no_process(checkout: Miniature) -> None:
     assert processes_started(checkout) == "started\n"
 
 
-def test_the_watch_sees_what_a_set_up_starts(checkout: Miniature) -> None:
+def test_changed_data_file_starts_a_build(checkout: Miniature) -> None:
     checkout.write("ros2_ws/src/miniature/config/more.txt", "4\n")
     assert "subprocess.Popen" in processes_started(checkout)
 
 
 def test_this_checkout_is_up_to_date() -> None:
-    assert not any(what_is_missing(THIS, {}, official=json.loads(THIS.environment_stamp.read_text())["official"]))
+    assert not any(reasons_to_set_up(THIS, {}, official=json.loads(THIS.environment_stamp.read_text())["official"]))
 
 
-@pytest.mark.parametrize("name", ["compiled.py", "kernels/gap.py"])
-def test_kernels_and_what_compiles_them_are_compiled_by_the_set_up(tmp_path: Path, name: str) -> None:
-    file = tmp_path / "ros2_ws/src/posor_estimator/posor_estimator/core" / name
+@pytest.mark.parametrize(
+    ("name", "imports", "rebuilds"),
+    [
+        ("numerics/compiled.py", "posor_estimator.numerics.compiled", True),
+        ("model/gap.py", "posor_estimator.numerics.compiled", True),
+        ("model/fault.py", "enum", True),  # its constants are compiled into kernels
+        ("ros/gap.py", "posor_estimator.numerics.compiled", False),
+    ],
+)
+def test_changed_kernels_are_compiled_by_the_set_up(tmp_path: Path, name: str, imports: str, *, rebuilds: bool) -> None:
+    file = tmp_path / "ros2_ws/src/posor_estimator/posor_estimator" / name
     file.parent.mkdir(parents=True)
-    file.write_text("former = 1\n", encoding="utf-8")
-    before = build_inputs(Workspace(tmp_path))
-    file.write_text("former = 2\n", encoding="utf-8")
-    assert build_inputs(Workspace(tmp_path)) != before
+    inputs = []
+    for number in (1, 2):
+        file.write_text(f"import {imports}\nnumber = {number}\n", encoding="utf-8")
+        inputs.append(build_inputs(Workspace(tmp_path)))
+    assert (inputs[0] != inputs[1]) == rebuilds
 
 
 def test_python_and_data_files_need_no_build(checkout: Miniature) -> None:
     installed = checkout.install / "miniature" / "share" / "miniature" / "config" / "numbers.txt"
     for number in ("17", "23"):
-        checkout.write("ros2_ws/src/miniature/miniature/fresh.py", f"NUMBER = {number}\n")
+        checkout.write("ros2_ws/src/miniature/miniature/new_module.py", f"NUMBER = {number}\n")
         checkout.write("ros2_ws/src/miniature/config/numbers.txt", f"{number}\n")
         assert processes_started(checkout) == "started\n"
         assert installed.read_text() == f"{number}\n"
@@ -123,14 +132,14 @@ def test_killed_during_colcon_build(checkout: Miniature, *, whole_group: bool) -
     assert "things 42" in checkout.run("miniature", "tell").stdout
 
 
-def test_changed_lock_file_makes_the_environment_again_also_after_a_kill(checkout: Miniature) -> None:
+def test_changed_lock_file_renews_the_environment_also_after_a_kill(checkout: Miniature) -> None:
     checkout.write("requirements/dev.txt", "# nothing more\n")
     with checkout.start_set_up() as process:
-        wait_until(lambda: not checkout.environment_stamp.exists(), process, "the stamp is taken away")
+        wait_until(lambda: not checkout.environment_stamp.exists(), process, "the stamp is removed")
         wait_for(checkout.venv / "pyvenv.cfg", process)
         os.killpg(process.pid, signal.SIGKILL)
         assert process.stdout is not None
-        assert "(requirements or place changed)" in process.stdout.read()
+        assert "(requirements or location changed)" in process.stdout.read()
     done = checkout.set_up()
     assert done.returncode == 0, done.stderr
     assert len(STEP.findall(done.stdout)) == 3
@@ -139,13 +148,13 @@ def test_changed_lock_file_makes_the_environment_again_also_after_a_kill(checkou
     assert processes_started(checkout) == "started\n"
 
 
-def test_environment_without_its_python_is_seen(checkout: Miniature) -> None:
+def test_environment_without_its_python_is_detected(checkout: Miniature) -> None:
     official = json.loads(checkout.environment_stamp.read_text())["official"]
     link = checkout.python.readlink()
     checkout.python.unlink()
-    assert what_is_missing(checkout, {}, official=official) == ("unfinished or damaged", "new environment")
+    assert reasons_to_set_up(checkout, {}, official=official) == ("unfinished or damaged", "new environment")
     checkout.python.symlink_to(link)
-    assert not any(what_is_missing(checkout, {}, official=official))
+    assert not any(reasons_to_set_up(checkout, {}, official=official))
 
 
 def test_interrupted_by_the_user(checkout: Miniature) -> None:
@@ -155,11 +164,11 @@ def test_interrupted_by_the_user(checkout: Miniature) -> None:
         os.killpg(process.pid, signal.SIGINT)
         _, err = process.communicate()
     assert process.returncode == 130
-    assert err.endswith("posor set-up: interrupted; the next call carries on.\n")
+    assert err.endswith("posor set-up: interrupted; the next call continues.\n")
     assert checkout.set_up().returncode == 0
 
 
-def test_run_interrupted_while_it_sets_up(checkout: Miniature) -> None:
+def test_run_interrupted_during_the_set_up(checkout: Miniature) -> None:
     shutil.rmtree(checkout.install)
     command = [str(checkout.root / "run"), "miniature", "tell"]
     with subprocess.Popen(
@@ -186,7 +195,7 @@ def test_removed_package_is_installed_again(checkout: Miniature) -> None:
     assert checkout.run("miniature", "tell").returncode == 0
 
 
-def test_two_at_a_time_build_once(checkout: Miniature) -> None:
+def test_two_concurrent_set_ups_build_once(checkout: Miniature) -> None:
     checkout.build_stamp.unlink()
     both = [checkout.start_set_up() for _ in range(2)]
     ends = [process.communicate() for process in both]
@@ -195,7 +204,7 @@ def test_two_at_a_time_build_once(checkout: Miniature) -> None:
     assert checkout.run("miniature", "tell").returncode == 0
 
 
-def test_moved_checkout_is_made_again(checkout: Miniature, tmp_path: Path) -> None:
+def test_moved_checkout_is_set_up_again(checkout: Miniature, tmp_path: Path) -> None:
     moved = Miniature(tmp_path / "moved")
     shutil.copytree(checkout.root, moved.root, symlinks=True)
     done = moved.set_up()
@@ -204,7 +213,7 @@ def test_moved_checkout_is_made_again(checkout: Miniature, tmp_path: Path) -> No
     assert str(checkout.root) not in moved.run("miniature", "tell").stdout
 
 
-def test_cmake_paths_become_those_of_the_environment(tmp_path: Path) -> None:
+def test_cmake_paths_are_rewritten_to_the_environment(tmp_path: Path) -> None:
     file = tmp_path / "share" / "rcl" / "cmake" / "export.cmake"
     file.parent.mkdir(parents=True)
     built_with = "/opt/python/cp311-cp311"

@@ -1,4 +1,4 @@
-"""What the set-up says when something is missing: one sentence with the cure, and nothing half done."""
+"""Errors of the set-up: one sentence with the remedy, and no unfinished part that counts as complete."""
 
 from __future__ import annotations
 
@@ -9,33 +9,33 @@ import sys
 from pathlib import Path
 
 import pytest
-from freshness import what_is_missing
+from setup_state import reasons_to_set_up
 
 from tests.miniature import BASE_PYTHON, Miniature
 
-USED_BY_THE_SET_UP = ("cc", "c++", "cmake", "dirname", "make", "readlink", "sh")
+SETUP_PROGRAMS = ("cc", "c++", "cmake", "dirname", "make", "readlink", "sh")
 
 
 @pytest.fixture
 def checkout(tmp_path: Path) -> Miniature:
-    """A miniature that has not been set up."""
+    """A small checkout that is not set up."""
     miniature = Miniature(tmp_path / "checkout")
     miniature.fill()
     return miniature
 
 
 def path_without(folder: Path, *missing: str) -> str:
-    """Make a PATH on which there are only the programs that the set-up uses, but for some."""
+    """Return a PATH with only the programs that the set-up uses, except the missing ones."""
     folder.mkdir()
-    for name in USED_BY_THE_SET_UP:
+    for name in SETUP_PROGRAMS:
         program = shutil.which(name)
         if program and name not in missing:
             (folder / name).symlink_to(program)
     return str(folder)
 
 
-def sentence(done: subprocess.CompletedProcess[str]) -> str:
-    """Return the complaint, having checked that it is one line and that nothing else was said."""
+def error_message(done: subprocess.CompletedProcess[str]) -> str:
+    """Return the error message after checking that it is the only output and one line."""
     assert done.returncode == 1
     assert done.stdout == ""
     assert done.stderr.startswith("posor set-up: ")
@@ -54,17 +54,17 @@ def sentence(done: subprocess.CompletedProcess[str]) -> str:
     ],
 )
 def test_missing_tool(checkout: Miniature, tmp_path: Path, missing: str, words: tuple[str, ...]) -> None:
-    said = sentence(checkout.set_up(PATH=path_without(tmp_path / "bin", missing), CC="", CXX=""))
-    assert all(word in said for word in words)
+    message = error_message(checkout.set_up(PATH=path_without(tmp_path / "bin", missing), CC="", CXX=""))
+    assert all(word in message for word in words)
     assert not checkout.venv.exists()
 
 
 def test_compiler_chosen_by_variable_is_missing(checkout: Miniature) -> None:
-    assert "no C++ compiler was found (CXX=nowhere-g++)" in sentence(checkout.set_up(CXX="nowhere-g++ -O2"))
+    assert "no C++ compiler was found (CXX=nowhere-g++)" in error_message(checkout.set_up(CXX="nowhere-g++ -O2"))
 
 
 def unsupported_python() -> Path | None:
-    """Return an interpreter of this machine that the project does not support."""
+    """Return an unsupported Python 3 of this machine, or None."""
     beside = Path(sys.base_prefix).parent.glob("*/bin/python3")
     on_path = (shutil.which(f"python3.{minor}") for minor in (8, 9, 10, 13, 14))
     for candidate in [*sorted(beside), *(Path(found) for found in on_path if found)]:
@@ -83,15 +83,15 @@ def test_unsupported_python(checkout: Miniature) -> None:
     python = unsupported_python()
     if python is None:
         pytest.skip("this machine has no other Python 3 than 3.11 and 3.12")
-    said = sentence(checkout.set_up(PYTHON=str(python)))
-    assert "needs Python 3.11 or 3.12" in said
-    assert f"found {python} is 3." in said
-    assert "make PYTHON=/path/to/python3.12" in said
+    message = error_message(checkout.set_up(PYTHON=str(python)))
+    assert "needs Python 3.11 or 3.12" in message
+    assert f"found {python} is 3." in message
+    assert "make PYTHON=/path/to/python3.12" in message
 
 
 def test_no_python(checkout: Miniature, tmp_path: Path) -> None:
-    said = sentence(checkout.set_up(PATH=path_without(tmp_path / "bin"), PYTHON=""))
-    assert "found none (looked for python3, python3.12, python3.11)" in said
+    message = error_message(checkout.set_up(PATH=path_without(tmp_path / "bin"), PYTHON=""))
+    assert "found none (looked for python3, python3.12, python3.11)" in message
 
 
 def test_supported_python_is_found_behind_an_unsupported_one(checkout: Miniature, tmp_path: Path) -> None:
@@ -101,7 +101,7 @@ def test_supported_python_is_found_behind_an_unsupported_one(checkout: Miniature
     path = path_without(tmp_path / "bin", "cmake")
     Path(path, "python3").symlink_to(other)
     Path(path, BASE_PYTHON.name).symlink_to(BASE_PYTHON)
-    assert "no cmake was found" in sentence(checkout.set_up(PATH=path, PYTHON=""))
+    assert "no cmake was found" in error_message(checkout.set_up(PATH=path, PYTHON=""))
 
 
 def test_no_network(checkout: Miniature) -> None:
@@ -116,7 +116,7 @@ def test_no_network(checkout: Miniature) -> None:
     assert last.startswith("posor set-up: the Python package index cannot be reached: check the network")
     assert "build/setup/pip.log" in last
     assert "Traceback" not in done.stderr
-    assert what_is_missing(checkout, {}, official=False) == ("unfinished or damaged", "new environment")
+    assert reasons_to_set_up(checkout, {}, official=False) == ("unfinished or damaged", "new environment")
 
 
 def test_index_without_a_pinned_library(checkout: Miniature) -> None:
@@ -127,7 +127,7 @@ def test_index_without_a_pinned_library(checkout: Miniature) -> None:
     assert last.startswith("posor set-up: pip's package index has no no-such-library==1.0 for this Python")
 
 
-def test_failing_build_shows_the_end_of_its_log(checkout: Miniature) -> None:
+def test_failed_build_prints_the_end_of_its_log(checkout: Miniature) -> None:
     (checkout.ros2 / "src" / "miniature" / "config" / "numbers.txt").unlink()
     done = checkout.set_up()
     assert done.returncode == 1
@@ -137,35 +137,35 @@ def test_failing_build_shows_the_end_of_its_log(checkout: Miniature) -> None:
 
 
 def test_another_ros_is_sourced(checkout: Miniature) -> None:
-    said = sentence(checkout.set_up(ROS_DISTRO="humble", AMENT_PREFIX_PATH="/opt/ros/humble"))
-    assert "ROS_DISTRO is 'humble' but this project is for 'jazzy'" in said
+    message = error_message(checkout.set_up(ROS_DISTRO="humble", AMENT_PREFIX_PATH="/opt/ros/humble"))
+    assert "ROS_DISTRO is 'humble' but this project is for 'jazzy'" in message
 
 
 def test_jazzy_is_half_sourced(checkout: Miniature) -> None:
-    said = sentence(checkout.set_up(ROS_DISTRO="jazzy", AMENT_PREFIX_PATH=""))
-    assert "AMENT_PREFIX_PATH is empty: source Jazzy's setup.bash" in said
+    message = error_message(checkout.set_up(ROS_DISTRO="jazzy", AMENT_PREFIX_PATH=""))
+    assert "AMENT_PREFIX_PATH is empty: source Jazzy's setup.bash" in message
 
 
 def test_jazzy_of_another_python(checkout: Miniature, tmp_path: Path) -> None:
-    said = sentence(checkout.set_up(ROS_DISTRO="jazzy", AMENT_PREFIX_PATH=str(tmp_path), PYTHONPATH=""))
-    assert "cannot import its rclpy" in said
+    message = error_message(checkout.set_up(ROS_DISTRO="jazzy", AMENT_PREFIX_PATH=str(tmp_path), PYTHONPATH=""))
+    assert "cannot import its rclpy" in message
     assert not checkout.venv.exists()
 
 
-def test_environment_of_somebody_else_is_kept(checkout: Miniature) -> None:
-    treasure = checkout.write(".venv/treasure.txt", "mine\n")
+def test_foreign_environment_is_kept(checkout: Miniature) -> None:
+    foreign = checkout.write(".venv/foreign.txt", "kept\n")
     done = checkout.set_up()
     assert done.returncode == 1
     assert "was not made by this set-up: move it away" in done.stderr
-    assert treasure.read_text() == "mine\n"
+    assert foreign.read_text() == "kept\n"
 
 
 def test_path_with_a_space(tmp_path: Path) -> None:
     checkout = Miniature(tmp_path / "my checkout")
     checkout.fill()
-    assert "has a space in its path" in sentence(checkout.set_up())
+    assert "has a space in its path" in error_message(checkout.set_up())
 
 
 def test_incomplete_checkout(checkout: Miniature) -> None:
     (checkout.root / "requirements" / "base.txt").unlink()
-    assert "requirements/base.txt: No such file or directory" in sentence(checkout.set_up())
+    assert "requirements/base.txt: No such file or directory" in error_message(checkout.set_up())

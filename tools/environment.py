@@ -1,14 +1,12 @@
-"""Where the workspace's parts are, and the environment variables its programs need.
+"""Folders of the workspace and environment variables of its programs.
 
-The set-up builds, ``./run`` and the tests start programs; all of them take paths and variables from here. Standard
-library only: this runs before anything is installed.
+The set-up, ``./run`` and the test runner use this module before any library is installed: standard library only.
 """
 
 from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,63 +22,41 @@ PATH_LISTS = (
     "PKG_CONFIG_PATH",
     "PYTHONPATH",
 )
-SHELL_OWN = ("_", "LC_CTYPE", "OLDPWD", "PWD", "SHLVL")
-MARKER = "made-by-posor-setup"  # a file in every virtual environment of ours
-NOT_INHERITED = ("MAKEFLAGS", "MFLAGS", "MAKELEVEL")  # make's own, which would reach the makes that colcon starts
-FOREIGN = ("COLCON_PREFIX_PATH", "LD_LIBRARY_PATH", "PYTHONHOME", "PYTHONPATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
+SHELL_VARIABLES = ("_", "LC_CTYPE", "OLDPWD", "PWD", "SHLVL")
+VENV_MARKER = "made-by-posor-setup"  # a file in every virtual environment that the set-up has made
+MAKE_VARIABLES = ("MAKEFLAGS", "MFLAGS", "MAKELEVEL")  # would reach the makes that colcon starts
+OTHER_ROS_VARIABLES = (
+    *("COLCON_PREFIX_PATH", "LD_LIBRARY_PATH", "PYTHONHOME", "PYTHONPATH"),
+    "_ROS_WHEELS_BOOTSTRAP_COMPLETE",
+)
 
 
 class SetupError(Exception):
-    """The workspace cannot be made ready or used; the text is one sentence with the cure."""
+    """The workspace cannot be set up or used. The message is one sentence with the remedy."""
 
 
-@dataclass(frozen=True)
 class Workspace:
-    """The folders of one checkout."""
+    """Folders and stamp files of one checkout.
 
-    root: Path
+    A stamp is written when the virtual environment or the build is complete, and disappears with its folder.
+    """
 
-    @property
-    def venv(self) -> Path:
-        """Virtual environment."""
-        return self.root / ".venv"
-
-    @property
-    def python(self) -> Path:
-        """Interpreter that runs every program of the workspace."""
-        return self.venv / "bin" / "python"
-
-    @property
-    def ros2(self) -> Path:
-        """The colcon workspace."""
-        return self.root / "ros2_ws"
-
-    @property
-    def install(self) -> Path:
-        """Where colcon installs."""
-        return self.ros2 / "install"
-
-    @property
-    def logs(self) -> Path:
-        """Log files of the set-up."""
-        return self.root / "build" / "setup"
-
-    @property
-    def environment_stamp(self) -> Path:
-        """Written when the virtual environment is complete; gone with it."""
-        return self.venv / "posor-setup.json"
-
-    @property
-    def build_stamp(self) -> Path:
-        """Written when the build is complete; gone with it."""
-        return self.install / "posor-setup.json"
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.venv = root / ".venv"
+        self.python = self.venv / "bin" / "python"
+        self.ros2 = root / "ros2_ws"
+        self.install = self.ros2 / "install"
+        self.logs = root / "build" / "setup"
+        self.environment_stamp = self.venv / "posor-setup.json"
+        self.build_stamp = self.install / "posor-setup.json"
 
 
 THIS = Workspace(Path(__file__).resolve().parent.parent)
 
 
 def read_stamp(path: Path) -> dict[str, Any]:
-    """Return what a finished step has recorded, or nothing if it is unfinished or unreadable."""
+    """Return the content of a stamp, empty if the stamp is missing or unreadable."""
     try:
         stamp = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -89,22 +65,22 @@ def read_stamp(path: Path) -> dict[str, Any]:
 
 
 def write_stamp(path: Path, stamp: Mapping[str, Any]) -> None:
-    """Record a finished step, in one indivisible move."""
-    fresh = path.with_suffix(".new")
-    fresh.write_text(json.dumps(stamp, indent=1) + "\n", encoding="utf-8")
-    fresh.replace(path)
+    """Write a stamp by one atomic rename."""
+    unfinished = path.with_suffix(".new")
+    unfinished.write_text(json.dumps(stamp, indent=1) + "\n", encoding="utf-8")
+    unfinished.replace(path)
 
 
-def official_ros(environ: Mapping[str, str]) -> bool:
-    """Tell whether an installed ROS 2 Jazzy is sourced (as opposed to wheels in an environment of ours, or nothing).
+def is_official_ros_sourced(environ: Mapping[str, str]) -> bool:
+    """Return whether an installed ROS 2 Jazzy is sourced, as opposed to our own wheels or no ROS at all.
 
     Raises:
-        SetupError: Another distribution is sourced, or Jazzy only half.
+        SetupError: Another distribution is sourced, or Jazzy is sourced incompletely.
 
     """
     distribution = environ.get("ROS_DISTRO", "")
-    prefixes = [p for p in environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
-    if not distribution or any(Path(prefix, MARKER).is_file() for prefix in prefixes):
+    prefixes = split_paths(environ.get("AMENT_PREFIX_PATH", ""))
+    if not distribution or any(Path(prefix, VENV_MARKER).is_file() for prefix in prefixes):
         return False
     if distribution != "jazzy":
         raise SetupError(
@@ -118,13 +94,18 @@ def official_ros(environ: Mapping[str, str]) -> bool:
     return True
 
 
+def split_paths(value: str) -> list[str]:
+    """Return the paths in a list such as PATH."""
+    return [path for path in value.split(os.pathsep) if path]
+
+
 def ros_environment(workspace: Workspace, environ: Mapping[str, str], *, official: bool) -> dict[str, str]:
-    """Return the variables under which ROS itself is found, before any of our packages is built."""
-    base = {name: value for name, value in environ.items() if name not in NOT_INHERITED}
-    base["PATH"] = os.pathsep.join([str(workspace.python.parent), environ.get("PATH", os.defpath)])
+    """Return the environment in which ROS itself is found, without the packages of this workspace."""
+    result = {name: value for name, value in environ.items() if name not in MAKE_VARIABLES}
+    result["PATH"] = os.pathsep.join([str(workspace.python.parent), environ.get("PATH", os.defpath)])
     if official:
-        return base
-    return {name: value for name, value in base.items() if name not in FOREIGN} | {
+        return result
+    return {name: value for name, value in result.items() if name not in OTHER_ROS_VARIABLES} | {
         "AMENT_PREFIX_PATH": str(workspace.venv),
         "CMAKE_PREFIX_PATH": str(workspace.venv),
         "ROS_DISTRO": "jazzy",
@@ -133,82 +114,50 @@ def ros_environment(workspace: Workspace, environ: Mapping[str, str], *, officia
     }
 
 
-def workspace_variables(
+def added_variables(
     workspace: Workspace, before: Mapping[str, str], sourced: Mapping[str, str]
 ) -> dict[str, dict[str, Any]]:
-    """Extract from a sourced environment what belongs to this workspace.
+    """Extract the variables that this workspace has added to an environment.
 
     Args:
         workspace: The checkout.
-        before: Environment before any ROS was there.
-        sourced: The same after the workspace was sourced.
+        before: Environment without ROS.
+        sourced: The same environment after the workspace was sourced.
 
     Returns:
-        ``prepend``: for each list of paths those that lie inside the checkout, in order; ``set``: new plain variables.
+        ``prepend``: for each list of paths the paths inside the checkout, in order; ``set``: new plain variables.
 
     """
     prepend: dict[str, list[str]] = {}
     plain: dict[str, str] = {}
     for name, value in sourced.items():
         if name in PATH_LISTS:
-            own = [p for p in value.split(os.pathsep) if Path(p).is_relative_to(workspace.root)]
+            own = [path for path in split_paths(value) if Path(path).is_relative_to(workspace.root)]
             if own:
                 prepend[name] = list(dict.fromkeys(own))
-        elif name not in before and name not in SHELL_OWN:
+        elif name not in before and name not in SHELL_VARIABLES:
             plain[name] = value
     return {"prepend": prepend, "set": plain}
 
 
 def workspace_environment(workspace: Workspace = THIS, environ: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Return the environment in which the workspace's programs run: the given one plus what the build recorded.
+    """Return the environment for programs of the workspace: the given environment plus the variables of the build.
 
     Raises:
         SetupError: The workspace is not built.
 
     """
-    environ = os.environ if environ is None else environ
     stamp = read_stamp(workspace.build_stamp)
     if not stamp:
         raise SetupError("the workspace is not built: call 'make setup'.")
-    return with_variables(environ, stamp)
+    return with_variables(os.environ if environ is None else environ, stamp)
 
 
-def with_variables(environ: Mapping[str, str], recorded: Mapping[str, Any]) -> dict[str, str]:
-    """Return an environment plus the variables that ``workspace_variables`` found."""
+def with_variables(environ: Mapping[str, str], added: Mapping[str, Any]) -> dict[str, str]:
+    """Return an environment plus the result of ``added_variables``."""
     result = dict(environ)
-    for name, own in recorded["prepend"].items():
-        others = [p for p in environ.get(name, "").split(os.pathsep) if p and p not in own]
+    for name, own in added["prepend"].items():
+        others = [path for path in split_paths(environ.get(name, "")) if path not in own]
         result[name] = os.pathsep.join([*own, *others])
-    result.update(recorded["set"])
+    result.update(added["set"])
     return result
-
-
-def find_executable(package: str, name: str, environ: Mapping[str, str]) -> Path:
-    """Return the installed executable of a ROS package, as ``ros2 run`` would find it.
-
-    Args:
-        package: ROS package name.
-        name: Executable in the package's ``lib`` folder.
-        environ: Environment of the sourced workspace.
-
-    Raises:
-        SetupError: No such package or executable; the sentence lists those there are.
-
-    """
-    prefixes = [Path(p) for p in environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
-    index = Path("share", "ament_index", "resource_index", "packages")
-    home = next((p for p in prefixes if (p / index / package).is_file()), None)
-    if home is None:
-        ours = sorted(p.name for p in prefixes if list_executables(p / "lib" / p.name))
-        raise SetupError(f"there is no package '{package}'; this workspace has: {', '.join(ours) or 'none'}.")
-    there = list_executables(home / "lib" / package)
-    if name not in there:
-        raise SetupError(f"package '{package}' has no executable '{name}'; it has: {', '.join(there) or 'none'}.")
-    return home / "lib" / package / name
-
-
-def list_executables(folder: Path) -> list[str]:
-    """Return the names of the executable files in a folder."""
-    if not folder.is_dir():
-        return []
-    return sorted(entry.name for entry in folder.iterdir() if entry.is_file() and os.access(entry, os.X_OK))

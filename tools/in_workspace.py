@@ -1,4 +1,4 @@
-"""Become a Python script in the workspace's environment: ``tools/in_workspace.py SCRIPT [arguments]``."""
+"""Run Python in the environment of the workspace: ``tools/in_workspace.py SCRIPT [arguments]``."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from environment import THIS, SetupError, workspace_environment
 
 
 def main() -> int:
-    """Run the script with the workspace's Python; return only if that cannot be."""
+    """Replace this process by the Python of the workspace; return only if the workspace is not built."""
     try:
         environ = workspace_environment()
     except SetupError as error:
         sys.stderr.write(f"posor: {error}\n")
         return 2
-    return os.execve(THIS.python, [str(THIS.python), *sys.argv[1:]], environ)  # noqa: S606 - no shell in between
+    return os.execve(THIS.python, [str(THIS.python), *sys.argv[1:]], environ)  # noqa: S606  no shell needed
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What the set-up needs of the machine, checked before anything is started: one sentence with the cure for each."""
+"""Check the machine before the set-up starts anything. Each error is one sentence with the remedy."""
 
 from __future__ import annotations
 
@@ -19,25 +19,33 @@ if TYPE_CHECKING:
 
     from environment import Workspace
 
+TOOLS = (  # what, environment variable that names it, usual names, remedy
+    ("C compiler", "CC", ("cc", "gcc", "clang"), "sudo apt install gcc"),
+    ("C++ compiler", "CXX", ("c++", "g++", "clang++"), "sudo apt install g++"),
+    ("cmake", None, ("cmake",), "sudo apt install cmake"),
+    ("make", None, ("make", "gmake"), "sudo apt install make"),
+)
+
 
 def check_machine(workspace: Workspace, environ: Mapping[str, str], *, official: bool) -> None:
-    """Check Python, compiler, CMake and make.
+    """Check the folder, Python, compilers, CMake, make and ROS.
 
     Args:
-        workspace: The checkout to be set up.
-        environ: The caller's environment.
+        workspace: The checkout.
+        environ: Environment of the caller.
         official: Whether an installed Jazzy is sourced.
 
     Raises:
-        SetupError: Something is missing; names it and the cure.
+        SetupError: A requirement is not met.
 
     """
-    check_place(workspace)
+    if any(character.isspace() for character in str(workspace.root)):
+        raise SetupError(
+            f"the folder '{workspace.root}' has a space in its path, which colcon's scripts do not support: move it."
+        )
     check_python()
-    check_tool(environ, "C compiler", "CC", ("cc", "gcc", "clang"), "sudo apt install gcc")
-    check_tool(environ, "C++ compiler", "CXX", ("c++", "g++", "clang++"), "sudo apt install g++")
-    check_tool(environ, "cmake", "", ("cmake",), "sudo apt install cmake")
-    check_tool(environ, "make", "", ("make", "gmake"), "sudo apt install make")
+    for tool in TOOLS:
+        check_tool(environ, *tool)
     if official:
         check_rclpy(environ)
     elif sys.platform != "linux" or platform.machine() != "x86_64":
@@ -47,39 +55,35 @@ def check_machine(workspace: Workspace, environ: Mapping[str, str], *, official:
         )
 
 
-def check_place(workspace: Workspace) -> None:
-    """Refuse a path that the first line of a script cannot hold."""
-    if any(c.isspace() for c in str(workspace.root)):
-        raise SetupError(
-            f"the folder '{workspace.root}' has a space in its path, which colcon's scripts cannot: move it elsewhere."
-        )
-
-
 def check_python() -> None:
     """Check that this interpreter can make virtual environments and build extensions."""
-    minor = f"{sys.version_info.major}.{sys.version_info.minor}"
+    version = f"{sys.version_info.major}.{sys.version_info.minor}"
     for module in ("venv", "ensurepip"):
         if importlib.util.find_spec(module) is None:
             raise SetupError(
-                f"{sys.executable} has no module '{module}': install it, e.g. sudo apt install python{minor}-venv."
+                f"{sys.executable} has no module '{module}': install it, e.g. sudo apt install python{version}-venv."
             )
     header = Path(sysconfig.get_path("include"), "Python.h")
     if not header.is_file():
-        raise SetupError(f"Python's C header {header} is missing: install it, e.g. sudo apt install python{minor}-dev.")
+        raise SetupError(
+            f"Python's C header {header} is missing: install it, e.g. sudo apt install python{version}-dev."
+        )
 
 
-def check_tool(environ: Mapping[str, str], what: str, variable: str, names: tuple[str, ...], cure: str) -> None:
-    """Check that a program is on the PATH, or where its variable says."""
-    chosen = environ.get(variable, "").split()[:1] if variable else []
-    wanted = chosen or list(names)
-    if any(shutil.which(name, path=environ.get("PATH", os.defpath)) for name in wanted):
+def check_tool(
+    environ: Mapping[str, str], what: str, variable: str | None, usual_names: tuple[str, ...], remedy: str
+) -> None:
+    """Check that a program is on the PATH, under the name in its variable or under a usual name."""
+    named = environ.get(variable, "").split()[:1] if variable else []
+    names = named or list(usual_names)
+    if any(shutil.which(name, path=environ.get("PATH", os.defpath)) for name in names):
         return
-    source = f"{variable}={chosen[0]}" if chosen else f"looked for {', '.join(wanted)} on the PATH"
-    raise SetupError(f"no {what} was found ({source}): install it, e.g. {cure}.")
+    source = f"{variable}={named[0]}" if named else f"looked for {', '.join(names)} on the PATH"
+    raise SetupError(f"no {what} was found ({source}): install it, e.g. {remedy}.")
 
 
 def check_rclpy(environ: Mapping[str, str]) -> None:
-    """Check that this interpreter is the one the sourced Jazzy was built for."""
+    """Check that the sourced Jazzy was built for this interpreter."""
     probe = subprocess.run([sys.executable, "-c", "import rclpy"], env=dict(environ), capture_output=True, check=False)
     if probe.returncode:
         raise SetupError(

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Run a script with the first Python that this project supports: $PYTHON if it is set, else python3, python3.12, python3.11.
+# Run a script with the first supported Python: $PYTHON if it is set, else python3, python3.12, python3.11.
 seen=
 for candidate in ${PYTHON:-python3 python3.12 python3.11}; do
     version=$("$candidate" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null) || continue

@@ -1,9 +1,11 @@
-"""Run the tests: one pytest process for each file, so that no ROS context leaks from one file into another.
+"""Run the linters and the tests in parallel processes, and print one line for each.
 
-Two files at a time, with one thread of linear algebra in each process: more would only wait for one another, since the
-matrices are small and the processors have work. Prints one line for each file when it ends, the whole output of a file
-that failed, every skipped test with its reason, and last of all ``N passed, N failed, N skipped``. With paths as
-arguments, only those.
+A test file that may use ROS has a pytest process of its own, so that no ROS context leaks from one file into another;
+two such processes run at a time. The tests of the packages that import no ROS share one process for each folder, which
+saves a second of imports for each file. These and the linters run at low priority in the processor time that the nodes
+of the other tests leave while they wait. Every process uses one thread of linear algebra, because threads of small
+matrices wait for each other. The output ends with every skipped test and its reason, the failed files, and ``N passed,
+N failed, N skipped``. Arguments: paths of tests; without arguments, the linters and all tests run.
 """
 
 from __future__ import annotations
@@ -21,68 +23,96 @@ from xml.etree import ElementTree as ET
 
 from environment import THIS, SetupError, workspace_environment
 
-AT_A_TIME = min(2, os.cpu_count() or 1)
-FILE_TIMEOUT_S = 480.0  # a net under pytest's own timeout for each test
-ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}  # numpy's and scipy's; what the caller has set goes before it
-FAREWELL_S = 20.0  # what an interrupted pytest gets to stop the nodes that its tests have started
+PROCESSES = min(2, os.cpu_count() or 1)  # of each priority
+LOW_PRIORITY = 4  # nice value
+PROCESS_TIMEOUT_S = 900.0  # in addition to pytest's own timeout for each test
+INTERRUPT_TIMEOUT_S = 20.0  # for an interrupted pytest to stop the nodes of its tests
+SINGLE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}  # numpy and scipy; the caller's own setting has precedence
 REPORTS = THIS.root / "build" / "test"
+WITHOUT_ROS = tuple(  # folders whose tests share a process; tests/test_import_layers.py checks their packages
+    THIS.ros2 / "src" / "posor_estimator" / "test" / package
+    for package in ("numerics", "model", "sensors", "estimation", "calibration", "identification", "uncertainty")
+)
 
 
 @dataclass
-class Outcome:
-    """What came of one test file."""
+class Job:
+    """A process that runs the linters or some test files, and its results."""
 
-    file: Path
+    name: str
+    command: list[str]
+    report: Path | None = None
+    low_priority: bool = False
     passed: int = 0
     failed: int = 0
     skipped: list[str] = field(default_factory=list)
     seconds: float = 0.0
     output: str = ""
 
-    def line(self) -> str:
-        """Return the file's line of the progress report."""
-        verdict = "FAILED" if self.failed else "ok"
-        counts = f"{self.passed} passed"
-        counts += f", {self.failed} failed" if self.failed else ""
-        counts += f", {len(self.skipped)} skipped" if self.skipped else ""
-        return f"{verdict:<6} {self.seconds:6.1f} s  {shown(self.file)}: {counts}"
+    @property
+    def tool(self) -> str:
+        """Name of the program for messages."""
+        return "pytest" if self.report else self.command[0]
+
+    def format_line(self) -> str:
+        """Return the line of this job in the progress report."""
+        counts = [f"{self.passed} passed"] if self.report else []
+        counts += [f"{self.failed} failed"] if self.failed else []
+        counts += [f"{len(self.skipped)} skipped"] if self.skipped else []
+        return f"{'FAILED' if self.failed else 'ok':<6} {self.seconds:6.1f} s  {self.name}: {', '.join(counts) or 'ok'}"
+
+    def read_report(self) -> None:
+        """Read the numbers of tests and the reasons of skipped tests from pytest's XML report."""
+        if self.report is None or not self.report.is_file():
+            return
+        for case in ET.parse(self.report).iter("testcase"):  # noqa: S314  pytest has just written it
+            skip = case.find("skipped")
+            if case.find("failure") is not None or case.find("error") is not None:
+                self.failed += 1
+            elif skip is not None:
+                name = f"{case.get('classname', '')}.{case.get('name', '')}"
+                self.skipped.append(f"{name}: {skip.get('message') or 'no reason given'}")
+            else:
+                self.passed += 1
 
 
-def shown(file: Path) -> str:
-    """Return a file's name as it is printed: relative to the checkout if it is in it."""
-    return str(file.relative_to(THIS.root) if file.is_relative_to(THIS.root) else file)
-
-
-def test_files(wanted: list[str]) -> list[Path]:
-    """Return the test files asked for, or all; the deeper a file lies, the later: those near the top take longest.
+def find_test_files(paths: list[str]) -> list[Path]:
+    """Return the test files below some paths, or all test files. Files near the top take longest and come first.
 
     Raises:
-        SetupError: A path asked for does not exist.
+        SetupError: A path does not exist.
 
     """
-    places = [Path(name).resolve() for name in wanted] or [THIS.root / "tests", *sorted(THIS.ros2.glob("src/*/test"))]
-    missing = [str(place) for place in places if not place.exists()]
-    if missing:
-        raise SetupError(f"{missing[0]}: no such test file or folder.")
-    files = [file for place in places for file in ([place] if place.is_file() else sorted(place.rglob("test_*.py")))]
+    roots = [Path(path).resolve() for path in paths] or [THIS.root / "tests", *sorted(THIS.ros2.glob("src/*/test"))]
+    for root in roots:
+        if not root.exists():
+            raise SetupError(f"{root}: no such test file or folder.")
+    files = [file for root in roots for file in ([root] if root.is_file() else sorted(root.rglob("test_*.py")))]
     return sorted(files, key=lambda file: len(file.parts))
 
 
-def read_report(path: Path, outcome: Outcome) -> None:
-    """Take the counts and the reasons of skipped tests from pytest's XML report."""
-    for case in ET.parse(path).iter("testcase"):  # noqa: S314 - written by pytest a moment ago
-        name = f"{case.get('classname', '')}.{case.get('name', '')}"
-        skip = case.find("skipped")
-        if case.find("failure") is not None or case.find("error") is not None:
-            outcome.failed += 1
-        elif skip is not None:
-            outcome.skipped.append(f"{name}: {skip.get('message') or 'no reason given'}")
-        else:
-            outcome.passed += 1
+def display_name(path: Path) -> str:
+    """Return a path relative to the checkout, or the whole path outside the checkout."""
+    return str(path.relative_to(THIS.root) if path.is_relative_to(THIS.root) else path)
+
+
+def make_test_jobs(files: list[Path]) -> list[Job]:
+    """Return one job for all files of a folder without ROS, and one for each other file."""
+    groups: dict[Path, list[str]] = {}
+    for file in files:
+        key = next((folder for folder in WITHOUT_ROS if file.is_relative_to(folder)), file)
+        groups.setdefault(key, []).append(str(file))
+    jobs = []
+    for key, names in groups.items():
+        report = REPORTS / (display_name(key).strip("/").replace("/", ".") + ".xml")
+        options = ["-c", str(THIS.root / "pyproject.toml"), "-q", "--color=no", f"--junitxml={report}"]
+        command = [str(THIS.python), "-m", "pytest", *options, *names]
+        jobs.append(Job(display_name(key), command, report, low_priority=key in WITHOUT_ROS))
+    return jobs
 
 
 class Runner:
-    """Runs test files in pytest processes and knows which are at work, so that an interruption ends them all.
+    """Runs jobs and terminates all running processes after an interruption.
 
     Args:
         environ: Environment of the sourced workspace.
@@ -90,56 +120,33 @@ class Runner:
     """
 
     def __init__(self, environ: dict[str, str]) -> None:
-        self.environ = ONE_THREAD | environ
-        self.at_work: set[subprocess.Popen[str]] = set()
+        self.environ = SINGLE_THREAD | environ
+        self.running: set[subprocess.Popen[str]] = set()
 
-    def run_all(self, files: list[Path]) -> list[Outcome]:
-        """Run the files and print a line for each as it ends."""
-        outcomes = []
-        with ThreadPoolExecutor(max_workers=AT_A_TIME) as pool:
-            running = [pool.submit(self.run_file, file) for file in files]
+    def run_jobs(self, jobs: list[Job]) -> None:
+        """Run the jobs and print a line for each when it ends."""
+        with ThreadPoolExecutor(PROCESSES) as normal, ThreadPoolExecutor(PROCESSES) as low:
+            futures = [(low if job.low_priority else normal).submit(self.run_job, job) for job in jobs]
             try:
-                for number, future in enumerate(as_completed(running), start=1):
-                    outcome = future.result()
-                    outcomes.append(outcome)
-                    print(f"[{number}/{len(files)}] {outcome.line()}", flush=True)
-                    if outcome.failed:
-                        print(outcome.output, flush=True)
+                for number, future in enumerate(as_completed(futures), start=1):
+                    job = future.result()
+                    print(f"[{number}/{len(jobs)}] {job.format_line()}", flush=True)
+                    if job.failed:
+                        print(job.output, flush=True)
             except KeyboardInterrupt:
-                pool.shutdown(wait=False, cancel_futures=True)
-                for process in list(self.at_work):
-                    end(process)
+                for pool in (normal, low):
+                    pool.shutdown(wait=False, cancel_futures=True)
+                for process in list(self.running):
+                    interrupt_process(process)
                 raise
-        return outcomes
 
-    def run_file(self, file: Path) -> Outcome:
-        """Run one test file in a process group of its own and return what came of it."""
-        outcome = Outcome(file)
-        report = REPORTS / (shown(file).strip("/").replace("/", ".") + ".xml")
-        report.unlink(missing_ok=True)
+    def run_job(self, job: Job) -> Job:
+        """Run a job in a process group of its own and store its results."""
+        if job.report:
+            job.report.unlink(missing_ok=True)
         start = time.monotonic()
-        process = self.start([f"--junitxml={report}", str(file)])
-        try:
-            outcome.output, _ = process.communicate(timeout=FILE_TIMEOUT_S)
-            ending = f"pytest ended with exit code {process.returncode}"
-        except subprocess.TimeoutExpired:
-            end(process)
-            outcome.output, _ = process.communicate()
-            ending = f"ended after {FILE_TIMEOUT_S:.0f} s"
-        self.at_work.discard(process)
-        outcome.seconds = time.monotonic() - start
-        if report.is_file():
-            read_report(report, outcome)
-        if process.returncode and not outcome.failed:
-            outcome.failed = 1
-            outcome.output += f"{ending}\n"
-        return outcome
-
-    def start(self, arguments: list[str]) -> subprocess.Popen[str]:
-        """Start pytest."""
-        settings = ["-c", str(THIS.root / "pyproject.toml")]
         process = subprocess.Popen(
-            [str(THIS.python), "-m", "pytest", *settings, "-q", "--color=no", *arguments],
+            job.command,
             cwd=THIS.root,
             env=self.environ,
             stdin=subprocess.DEVNULL,
@@ -149,49 +156,73 @@ class Runner:
             text=True,
             errors="replace",
         )
-        self.at_work.add(process)
-        return process
+        self.running.add(process)
+        if job.low_priority:
+            lower_priority(process)
+        try:
+            job.output, _ = process.communicate(timeout=PROCESS_TIMEOUT_S)
+            ending = f"{job.tool} ended with exit code {process.returncode}"
+        except subprocess.TimeoutExpired:
+            interrupt_process(process)
+            job.output, _ = process.communicate()
+            ending = f"interrupted after {PROCESS_TIMEOUT_S:.0f} s"
+        self.running.discard(process)
+        job.seconds = time.monotonic() - start
+        job.read_report()
+        if process.returncode and not job.failed:
+            job.failed = 1
+            job.output += f"{ending}\n"
+        return job
 
 
-def end(process: subprocess.Popen[str]) -> None:
-    """Interrupt a pytest process as Ctrl-C would; kill its group if it does not end by itself."""
+def lower_priority(process: subprocess.Popen[str]) -> None:
+    """Lower the priority of a process, and of its session where the kernel schedules sessions as groups."""
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, process.pid, LOW_PRIORITY)
+        Path(f"/proc/{process.pid}/autogroup").write_text(str(LOW_PRIORITY), encoding="ascii")
+
+
+def interrupt_process(process: subprocess.Popen[str]) -> None:
+    """Interrupt a process group as Ctrl-C does; kill it if it does not end."""
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGINT)
         try:
-            process.wait(FAREWELL_S)
+            process.wait(INTERRUPT_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
 
 
+def print_summary(jobs: list[Job]) -> None:
+    """Print the skipped tests with their reasons, the failed jobs and the numbers of tests."""
+    for job in jobs:
+        for skip in job.skipped:
+            print(f"skipped: {skip}")
+    for job in jobs:
+        if job.failed:
+            print(f"failed: {job.name}")
+    passed, failed = sum(job.passed for job in jobs), sum(job.failed for job in jobs)
+    print(f"{passed} passed, {failed} failed, {sum(len(job.skipped) for job in jobs)} skipped")
+
+
 def main() -> int:
-    """Run the tests named on the command line, or all, and return the exit code."""
+    """Run the tests named on the command line, or the linters and all tests, and return the exit code."""
     try:
-        files = test_files(sys.argv[1:])
+        jobs = make_test_jobs(find_test_files(sys.argv[1:]))
         environ = workspace_environment()
     except SetupError as error:
         sys.stderr.write(f"make test: {error}\n")
         return 2
+    if not sys.argv[1:]:
+        jobs.insert(0, Job("make lint", ["make", "--no-print-directory", "lint"], low_priority=True))
     REPORTS.mkdir(parents=True, exist_ok=True)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        outcomes = Runner(environ).run_all(files)
+        Runner(environ).run_jobs(jobs)
     except KeyboardInterrupt:
         sys.stderr.write("make test: interrupted.\n")
         return 130
-    summarise(outcomes)
-    return 0 if outcomes and not any(outcome.failed for outcome in outcomes) else 1
-
-
-def summarise(outcomes: list[Outcome]) -> None:
-    """Print the skipped tests with their reasons, the files that failed, and the counts."""
-    for outcome in outcomes:
-        for skip in outcome.skipped:
-            print(f"skipped: {skip}")
-    for outcome in outcomes:
-        if outcome.failed:
-            print(f"failed: {shown(outcome.file)}")
-    passed, failed = sum(o.passed for o in outcomes), sum(o.failed for o in outcomes)
-    print(f"{passed} passed, {failed} failed, {sum(len(o.skipped) for o in outcomes)} skipped")
+    print_summary(jobs)
+    return 0 if jobs and not any(job.failed for job in jobs) else 1
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The set-up's report: a line for each step, a log file for the output of its commands."""
+"""Progress of the set-up: one printed line and one log file for each step."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 LOG_TAIL_LINES = 25
-OFFLINE = (
+OFFLINE_SIGNS = (  # in pip's log if it has reached no index
     "ConnectTimeoutError",
     "NameResolutionError",
     "NewConnectionError",
     "ProxyError",
     "ReadTimeoutError",
-)  # how pip's log says that it reached no index
-UNKNOWN = re.compile(r"No matching distribution found for (\S+)")
+)
+UNKNOWN_LIBRARY = re.compile(r"No matching distribution found for (\S+)")
 
 
-class Report:
-    """Prints one line for each step, with the seconds it took, and runs the step's commands into a log file.
+class SetupReport:
+    """Prints one line with the duration of each step and runs the commands of the step into its log file.
 
     Args:
         workspace: The checkout.
-        lock: File descriptor of the lock that keeps other set-ups out. The commands inherit it: should the set-up be
-            killed and leave a command behind, the next set-up waits for that too.
+        lock: File descriptor of the lock against other set-ups. Commands inherit it: if the set-up is killed and
+            leaves a command running, the next set-up waits for that command too.
 
     """
 
@@ -43,7 +43,7 @@ class Report:
 
     @contextlib.contextmanager
     def step(self, what: str, log_name: str) -> Iterator[None]:
-        """Announce a step and say how long it took, or show the end of its log."""
+        """Print the name and the duration of a step, or the end of its log if it fails."""
         self.workspace.logs.mkdir(parents=True, exist_ok=True)
         self.log = self.workspace.logs / log_name
         self.log.write_bytes(b"")
@@ -59,15 +59,15 @@ class Report:
         print(f"{time.monotonic() - start:.1f} s", flush=True)
 
     def run(self, command: Sequence[str | Path], environ: Mapping[str, str], failure: str) -> None:
-        """Run a command of the present step.
+        """Run a command of the current step.
 
         Args:
             command: Program and arguments.
-            environ: Its environment.
-            failure: What to say if it fails, without a full stop.
+            environ: Environment of the command.
+            failure: Error message without a full stop.
 
         Raises:
-            SetupError: It failed.
+            SetupError: The command failed.
 
         """
         with self.log.open("ab") as log:
@@ -84,15 +84,15 @@ class Report:
                 check=False,
             ).returncode
         if code:
-            place = self.log.relative_to(self.workspace.root)
-            raise SetupError(f"{self.cause() or failure} (exit code {code}; all of its output is in {place}).")
+            log_name = self.log.relative_to(self.workspace.root)
+            raise SetupError(f"{self.index_error() or failure} (exit code {code}; all of its output is in {log_name}).")
 
-    def cause(self) -> str:
-        """Return what pip's log says went wrong with the package index, or nothing."""
+    def index_error(self) -> str:
+        """Return the failure of the package index according to pip's log, or an empty string."""
         text = self.log.read_text(encoding="utf-8", errors="replace")
-        if any(sign in text for sign in OFFLINE):
+        if any(sign in text for sign in OFFLINE_SIGNS):
             return "the Python package index cannot be reached: check the network, or pip's index and proxy"
-        unknown = UNKNOWN.search(text)
+        unknown = UNKNOWN_LIBRARY.search(text)
         if unknown:
             return f"pip's package index has no {unknown[1]} for this Python: check pip's index settings"
         return ""

