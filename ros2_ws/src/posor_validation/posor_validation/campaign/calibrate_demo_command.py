@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, get_args
 
 from posor_bringup.bringup_options import prepare_output_folder
 from posor_estimator.errors import ParameterError, PosorError
+from posor_estimator.lazy_program import INTERRUPT_SIGNALS
 from posor_estimator.reporting.command_line_parser import CommandLineParser
 from rich.console import Console
 
@@ -132,7 +133,7 @@ def write_report(options: argparse.Namespace, reports: Sequence[CampaignReport])
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program."""
     try:
-        with _raise_on_signals() as check:
+        with _note_signals() as check:
             return _run(parse_options(arguments), check)
     except KeyboardInterrupt:
         error: PosorError = InterruptedRunError("interrupted", where="calibrate_demo")
@@ -143,25 +144,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 @contextmanager
-def _raise_on_signals() -> Iterator[Callable[[], None]]:
-    """Raise KeyboardInterrupt on SIGINT and SIGTERM; the workers end with the program.
+def _note_signals() -> Iterator[Callable[[], None]]:
+    """Note SIGINT and SIGTERM; the yielded function, called after each part of a stage, raises KeyboardInterrupt then.
 
-    The yielded function raises it again after a signal, because some libraries swallow exceptions of a handler.
+    An exception raised by the handler itself could be lost in a library, or printed by one. A second signal raises it
+    nevertheless: nobody has to wait for a long part. The workers end with the program.
     """
     interrupted = False
 
-    def interrupt(_number: int, _frame: FrameType | None) -> None:
+    def interrupt(number: int, frame: FrameType | None) -> None:
         nonlocal interrupted
+        if interrupted:
+            signal.default_int_handler(number, frame)
         interrupted = True
-        raise KeyboardInterrupt
 
     def check() -> None:
         if interrupted:
             raise KeyboardInterrupt
 
-    handlers = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
+    handlers = {number: signal.signal(number, interrupt) for number in INTERRUPT_SIGNALS}
     try:
         yield check
+        check()
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
