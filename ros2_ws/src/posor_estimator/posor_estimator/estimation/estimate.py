@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -38,11 +38,11 @@ ESTIMATE = np.dtype(
 """The estimate of one scan as the kernels write it; fields as in ``Estimate`` and ``Estimates``."""
 
 
+FIELDS = ESTIMATE.names or ()
 _STATES = tuple(State)
 
 
-@dataclass(frozen=True)
-class Estimate:
+class Estimate(NamedTuple):
     """The pose ``T_R_T`` that one scan gives.
 
     Attributes:
@@ -171,20 +171,19 @@ class Estimates:
         """Return a copy of one scan's estimate, given the sentence on its fault."""
         import pinocchio as pin  # noqa: PLC0415  50 MB that a node does not need before its first scan
 
-        records = self.records
-        state, faults = _STATES[records["state"].item(index)], Fault(records["faults"].item(index))
-        scan = records["number"].item(index)
+        fields = dict(zip(FIELDS, self.records.item(index), strict=True))
+        state, faults = _STATES[fields["state"]], Fault(fields["faults"]) if fields["faults"] else Fault.NONE
         if state is State.LOST:
-            return Estimate.lost(scan, faults, reason)
+            return Estimate.lost(fields["number"], faults, reason)
         return Estimate(
-            scan,
+            fields["number"],
             state,
             faults,
             reason,
-            pin.SE3(records["rotation"][index], records["translation"][index]),
-            records["native"][index].item(5),
-            records["random"][index].copy(),
-            records["systematic"][index].copy(),
-            records["residual"].item(index),
-            records["redundancy"].item(index),
+            pin.SE3(fields["rotation"], fields["translation"]),
+            float(fields["native"][5]),
+            fields["random"].copy(),
+            fields["systematic"].copy(),
+            fields["residual"],
+            fields["redundancy"],
         )

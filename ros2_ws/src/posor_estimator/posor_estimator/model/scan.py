@@ -284,7 +284,7 @@ class ScanBuffer:
 
         """
         for name, memory, count in self._sequences:
-            readings = np.ravel(getattr(scan, name))
+            readings = np.asarray(getattr(scan, name)).reshape(-1)
             size = readings.size
             if size > memory.size:
                 received = np.shape(getattr(scan, name))

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -50,8 +49,7 @@ def pose() -> pin.SE3:
 @pytest.fixture
 def estimate(pose: pin.SE3) -> Estimate:
     lost = Estimate.lost(7, Fault.NONE, "")
-    return replace(
-        lost,
+    return lost._replace(
         state=State.DEGRADED,
         faults=Fault.RESIDUAL | Fault.COUNT,
         T_R_T=pose,
@@ -127,7 +125,7 @@ def test_the_covariance_is_the_selected_part(
 
 def test_a_message_converts_back_to_the_pose_and_covariance(raw: Any, estimate: Estimate, pose: pin.SE3) -> None:
     uneven = np.arange(36.0).reshape(6, 6)  # not symmetric: rows and columns must not be exchanged
-    message = transform_message(raw, replace(estimate, covariance_random=uneven), "plate_r", "plate_t", "random")
+    message = transform_message(raw, estimate._replace(covariance_random=uneven), "plate_r", "plate_t", "random")
     back = pose_from_message(message.pose)
     np.testing.assert_allclose(back.homogeneous, pose.homogeneous, rtol=0.0, atol=1e-15)
     np.testing.assert_array_equal(np.reshape(message.covariance, (6, 6)), uneven)
