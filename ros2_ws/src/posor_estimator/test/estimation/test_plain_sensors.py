@@ -176,7 +176,7 @@ def test_a_wrong_count_is_mended_at_home() -> None:
 def test_tilts_lag_the_scan_before_across_a_correction_at_home() -> None:
     calibration = design("triad_bumpy_ring", motion=True).model_copy(update={"tilt_angle": TiltAngle.PREVIOUS_SCAN})
     rows, twin = twins(calibration, (1,))
-    thetas = 2.7e-3 * np.arange(120)
+    thetas = np.linspace(0.0, 2.7e-3 * 119, 120)
     scans = turning(rows, thetas, home=(0, 117))
     expected, found = rows.estimate_all(scans), twin.estimate_all(scans)
     assert found.faults[117] == Fault.COUNT

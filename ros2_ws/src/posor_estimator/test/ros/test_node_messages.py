@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -73,8 +72,7 @@ def estimates() -> Iterator[Estimate]:
     yield lost
     for state in State:
         if state is not State.LOST:
-            yield replace(
-                lost,
+            yield lost._replace(
                 state=state,
                 T_R_T=pin.exp6(chance.normal(size=6)),
                 theta=20.0,
