@@ -108,6 +108,32 @@ class Stack:
             ]
         )
 
+    def load_parameter_values(self, values: FloatArray) -> None:
+        """Replace the parameter vector (shape (p,)) in place: many draws need not make many stacks.
+
+        The stack then linearises and evaluates as one ``with_parameter_values``. Its ``sensors`` keep their parameters;
+        none of them may be a plain one.
+        """
+        for table, rows, columns, parameters in self._parameter_tables:
+            table[rows, columns] = values[parameters]
+
+    @cached_property
+    def _parameter_tables(self) -> list[tuple[FloatArray, IntArray, IntArray, IntArray]]:
+        """The kernels' arrays that hold parameters: array, rows and columns of its parameters, and which they are."""
+        model = self._linearising_model
+        channels, maps = [np.zeros((0, CHANNEL_PARAMETERS), np.int64)], [np.zeros((0, 0), np.int64)]
+        for sensor, first in zip(self.sensors, self.first_parameters, strict=True):
+            if isinstance(sensor, RowSensor):
+                own = sensor.reading_source.table_parameters
+                ids = np.where(own >= 0, own + first, -1)
+                (channels if sensor.reading_source.channels.size else maps).append(ids)
+        tables = (
+            (self.pool["parameters"], self.pool_parameters),
+            (model.channels["parameters"], np.concatenate(channels)),
+            (model.map_parameters, np.concatenate([_padded(ids, model.map_parameters.shape[1], -1) for ids in maps])),
+        )
+        return [(table, *np.nonzero(ids >= 0), ids[ids >= 0]) for table, ids in tables]
+
     @property
     def plain_sensors(self) -> list[tuple[int, PlainSensor, slice]]:
         """The sensors written in plain Python: number, sensor, and its readings."""

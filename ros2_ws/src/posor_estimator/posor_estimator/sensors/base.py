@@ -166,6 +166,12 @@ class ReadingSource:
     map_parameters: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     light_sources: int = 0
 
+    @property
+    def table_parameters(self) -> IntArray:
+        """Where the values in ``channels`` or ``map_parameters`` stand in the parameter vector, shape (count, L)."""
+        # Each coordinate of a map knows its own table only.
+        return np.maximum(self.parameters[0::2], self.parameters[1::2]) if self.diodes.size else self.parameters
+
 
 def no_parameters(count: int) -> NDArray[np.void]:
     """Return parameter numbers of rows, all -1 (none), shape (count,), under the field names of ROW_DERIVATIVES."""

@@ -113,6 +113,11 @@ class Outputs:
             for field in ("plane_point", "tilt"):
                 self._rows[field], ids[field] = probe[field], probe_ids[field]
         self._ids = ids["parameters"]
+        self._known = np.nonzero(self._ids >= 0)
+
+    def load_parameter_values(self, values: FloatArray) -> None:
+        """Replace the parameter vector of the stack (shape (p,)) in place."""
+        self._rows["parameters"][self._known] = values[self._ids[self._known]]
 
     def values(self, rotation: FloatArray, translation: FloatArray) -> FloatArray:
         """Return the outputs at ``T_R_T`` [m, rad], shape (k,)."""

@@ -106,10 +106,10 @@ def monte_carlo(
     stable: BoolArray = np.zeros(len(draws.outputs.named), dtype=np.bool_)
     while tried + BATCH <= max_draws and not stable.all():
         found = []
-        for n, noisy in enumerate(draws.noisy_scans()):
+        for n, (noisy, parameters) in enumerate(zip(draws.noisy_scans(), draws.parameters(), strict=True)):
             if progress is not None and n % PROGRESS_DRAWS == 0:
                 progress(tried + n)
-            outputs = draws.values(noisy)
+            outputs = draws.values(noisy, parameters)
             if outputs is not None:
                 found.append(outputs)
         tried += BATCH
@@ -143,11 +143,10 @@ class _Draws:
     ) -> None:
         stack = posor.stack
         self.outputs = Outputs(stack, points)
-        self._stack = stack
+        self._stack = stack.with_parameter_values(stack.parameter_values)  # each draw overwrites them
         self._scans = Scans.of([scan] * BATCH)
         self._rotation, self._translation = T_R_T.rotation.copy(), T_R_T.translation.copy()
         self._theta = self.outputs.values(self._rotation, self._translation)[THETA]
-        self._points = points
         self._random = random
         self._means, self._root = stack.parameter_values, posor.parameter_square_root
 
@@ -164,10 +163,15 @@ class _Draws:
             scans = scans.with_fields(sensor.disturbed(scans, self._random))
         return [scans.part(n, n + 1) for n in range(BATCH)]
 
-    def values(self, scans: Scans) -> FloatArray | None:
-        """Return the outputs of one scan with drawn parameters; None without a pose."""
-        drawn = self._means + self._root @ self._random.normal(size=self._root.shape[1])
-        stack = self._stack.with_parameter_values(drawn)
+    def parameters(self) -> FloatArray:
+        """Return a batch of drawn parameter vectors, shape (BATCH, p)."""
+        return self._means + self._random.normal(size=(BATCH, self._root.shape[1])) @ self._root.T
+
+    def values(self, scans: Scans, parameters: FloatArray) -> FloatArray | None:
+        """Return the outputs of one scan with a drawn parameter vector; None without a pose."""
+        stack = self._stack
+        stack.load_parameter_values(parameters)
+        self.outputs.load_parameter_values(parameters)
         readings = stack.linearise(scans)
         if not readings.valid.all():
             return None
@@ -175,7 +179,7 @@ class _Draws:
         outcome = stack.solve(readings, 0, rotation, translation)
         if outcome != CONVERGED:
             return None
-        values = Outputs(stack, self._points).values(rotation, translation)
+        values = self.outputs.values(rotation, translation)
         values[THETA] = self._theta + math.remainder(values[THETA] - self._theta, 2.0 * math.pi)
         return values
 

@@ -33,6 +33,7 @@ def residuals(stack: Stack, scan: Scan, rotation: FloatArray, translation: Float
 def check(stack: Stack, scan: Scan, rotation: FloatArray, translation: FloatArray) -> None:
     analytic = stack.residual_jacobian(scan, rotation, translation)
     values = stack.parameter_values
+    moving = stack.with_parameter_values(values)
     assert analytic.shape == (stack.readings, values.size)
     for p, name in enumerate(stack.parameter_names):
         step = 1e-4 * max(abs(values[p]), 1e-2)
@@ -40,13 +41,19 @@ def check(stack: Stack, scan: Scan, rotation: FloatArray, translation: FloatArra
         def at(times: float, p: int = p, step: float = step) -> FloatArray:
             moved = values.copy()
             moved[p] += times * step
-            return residuals(stack.with_parameter_values(moved), scan, rotation, translation)
+            moving.load_parameter_values(moved)
+            return residuals(moving, scan, rotation, translation)
 
         found = (8.0 * (at(1.0) - at(-1.0)) - (at(2.0) - at(-2.0))) / (12.0 * step)
         rounding = 1e-15 / step
         assert analytic[:, p] == pytest.approx(found, rel=RELATIVE, abs=RELATIVE * np.max(np.abs(found)) + rounding), (
             name
         )
+    changed = values + 1e-5 * np.abs(values)
+    moving.load_parameter_values(changed)
+    of_new_stack = residuals(stack.with_parameter_values(changed), scan, rotation, translation)
+    np.testing.assert_array_equal(residuals(moving, scan, rotation, translation), of_new_stack)
+    assert not np.array_equal(residuals(stack, scan, rotation, translation), of_new_stack)
 
 
 @pytest.mark.parametrize("name", STACKS)
