@@ -71,7 +71,7 @@ def _numbered(part: Part, key: str, entries: list[ParameterEntry]) -> Part:
         shape = part.array.shape
         numbers = np.arange(part.array.size, dtype=float).reshape(shape) + len(entries) + 1
         entries.extend(ParameterEntry(key, index, part) for index in np.ndindex(shape))
-        copy = Quantity(value=part.value, sigma=numbers.tolist(), unit=part.unit)
+        copy = Quantity.model_construct(value=part.value, sigma=numbers.tolist(), unit=part.unit)
     elif isinstance(part, FrozenModel):
         fields = {name: getattr(part, name) for name in type(part).model_fields}
         numbered = {name: _numbered(value, f"{key}.{name}".lstrip("."), entries) for name, value in fields.items()}
