@@ -16,6 +16,7 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from posor_bringup.arms import find_arm
 from posor_estimator.model.fault import State
+from posor_estimator.numerics import compiled
 from rclpy.serialization import deserialize_message
 
 from tests.rig_replay import read_bag_messages
@@ -45,22 +46,26 @@ print(time.perf_counter() - begin, "numpy" in sys.modules)
 
 @pytest.fixture(scope="module")
 def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the Python of a virtual environment with nothing but posor_estimator and what it requires."""
+    """Return the Python of a virtual environment with nothing but posor_estimator and what it requires.
+
+    The pip of the workspace installs. Libraries that no test imports are not compiled to bytecode.
+    """
     folder = tmp_path_factory.mktemp("plain")
     ignored = shutil.ignore_patterns("*.egg-info", "build", "__pycache__", "test")
     source = shutil.copytree(PACKAGE, folder / "posor_estimator", ignore=ignored)  # pip builds in the folder
-    subprocess.run([sys.executable, "-I", "-m", "venv", str(folder / "venv")], check=True)
+    subprocess.run([sys.executable, "-I", "-m", "venv", "--without-pip", str(folder / "venv")], check=True)
     python = folder / "venv" / "bin" / "python"
-    constraints = ["--constraint", str(ROOT / "requirements" / "base.txt")]
-    install = ["install", "--quiet", "--disable-pip-version-check", *constraints, str(source)]
-    subprocess.run([str(python), "-I", "-m", "pip", *install], check=True, env=plain_environment())
+    pip = [sys.executable, "-I", "-m", "pip", "--python", str(python), "--quiet", "--disable-pip-version-check"]
+    install = ["install", "--no-compile", "--constraint", str(ROOT / "requirements" / "base.txt"), str(source)]
+    subprocess.run([*pip, *install], check=True, env=plain_environment())
     return python
 
 
 def plain_environment() -> dict[str, str]:
-    """Return the environment without ROS and without the workspace."""
+    """Return the environment without ROS and without the workspace, except the machine code of the same kernels."""
     foreign = ("PYTHON", "AMENT_", "ROS_", "COLCON_", "CMAKE_", "LD_LIBRARY_PATH", "VIRTUAL_ENV")
-    return {name: value for name, value in os.environ.items() if not name.startswith(foreign)}
+    plain = {name: value for name, value in os.environ.items() if not name.startswith(foreign)}
+    return plain | {"NUMBA_CACHE_DIR": str(Path(compiled.cache_folder()).parent)}
 
 
 def run(python: Path, code: str) -> subprocess.CompletedProcess[str]:

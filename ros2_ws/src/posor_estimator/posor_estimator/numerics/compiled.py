@@ -5,7 +5,8 @@ give the same numbers (checked by ``test/numerics/test_compiled.py``). Set ``POS
 for example to step through them in a debugger.
 
 Numba does not notice when a kernel that another kernel calls has changed. Therefore the cache folder of the machine
-code is named by a hash of the text of ``KERNEL_FILES``.
+code is named by a hash of the text of ``KERNEL_FILES``. Copies of the package with the same kernels share this folder
+if ``NUMBA_CACHE_DIR`` is the same for all of them and numba has CACHE_LOCATOR_CLASSES.
 """
 
 from __future__ import annotations
@@ -27,20 +28,28 @@ if TYPE_CHECKING:
 
 Kernel = TypeVar("Kernel", bound="Callable[..., Any]")
 
-_PACKAGE = Path(__file__).resolve().parent.parent
+PACKAGE = Path(__file__).resolve().parent.parent
 KERNEL_FILES = ("numerics/*.py", "model/*.py", "estimation/*.py", "chain/*.py", "bags/byte_kernels.py")
 """Files of the package that hold kernels and the constants that they are compiled with."""
 
+CACHE_LOCATORS = (
+    "posor_estimator.numerics.kernel_cache.KernelCacheLocator",
+    "InTreeCacheLocator",
+    "UserWideCacheLocator",
+    "IPythonCacheLocator",
+)
+"""Where numba may keep machine code, in this order; the first place suits every function that has a source file."""
 
-def _cache_folder() -> str:
+
+def cache_folder() -> str:
     """Return where the machine code of exactly these kernels is kept: beside them, or in the user's cache."""
     digest = hashlib.sha256()
-    for file in sorted(file for pattern in KERNEL_FILES for file in _PACKAGE.glob(pattern)):
+    for file in sorted(file for pattern in KERNEL_FILES for file in PACKAGE.glob(pattern)):
         digest.update(file.read_bytes())
     name = f"posor-kernels-{digest.hexdigest()[:16]}"
     if chosen := os.environ.get("NUMBA_CACHE_DIR"):
         return str(Path(chosen) / name)
-    beside = _PACKAGE / "numerics" / "__pycache__"
+    beside = PACKAGE / "numerics" / "__pycache__"
     if os.access(beside if beside.exists() else beside.parent, os.W_OK):
         return str(beside / name)
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # noqa: PTH111  ~ may be unknown
@@ -66,7 +75,8 @@ def _numba_njit() -> Any | None:
         from numba import config, njit  # noqa: PLC0415  optional, and slow to import
     except ImportError:
         return None
-    vars(config)["CACHE_DIR"] = _cache_folder()  # numba makes the attributes of this module at run time
+    # numba makes the attributes of this module at run time
+    vars(config).update(CACHE_DIR=cache_folder(), CACHE_LOCATOR_CLASSES=",".join(CACHE_LOCATORS))
     return njit
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import posor_estimator
 import pytest
 from posor_estimator.estimation import solver as solve
+from posor_estimator.numerics.compiled import COMPILING, PACKAGE, cache_folder
 
 if TYPE_CHECKING:
     from posor_estimator.numerics.array_types import FloatArray
@@ -70,22 +70,32 @@ print(evaluate_rows(row, np.eye(3), np.zeros(3))[0][0])
 """
 
 
-def test_machine_code_on_disk_is_not_used_once_a_kernel_that_it_calls_has_changed(tmp_path: Path) -> None:
+def test_copies_of_the_package_share_machine_code_until_a_kernel_that_it_calls_changes(tmp_path: Path) -> None:
     """After an update of the package no process may go on with yesterday's formula."""
-    source = Path(posor_estimator.__file__).parent
-    copy = tmp_path / "posor_estimator"
-    shutil.copytree(source, copy, ignore=shutil.ignore_patterns("__pycache__"))
-    environ = {name: value for name, value in os.environ.items() if name not in ("NUMBA_CACHE_DIR", "POSOR_COMPILE")}
-    environ |= {"PYTHONPATH": f"{tmp_path}{os.pathsep}{environ.get('PYTHONPATH', '')}"}
+    copy, cache = tmp_path / "posor_estimator", tmp_path / "cache"
+    shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    environ = {name: value for name, value in os.environ.items() if name != "POSOR_COMPILE"}
 
-    def read() -> float:
+    def read(variables: dict[str, str]) -> float:
         command = [sys.executable, "-c", PROBE_OVER_PLANE]
-        run = subprocess.run(command, env=environ, check=True, capture_output=True, text=True, timeout=110)
+        run = subprocess.run(command, env=variables, check=True, capture_output=True, text=True, timeout=110)
         return float(run.stdout)
 
-    assert read() == 0.001
+    def machine_code() -> list[Path]:
+        return sorted(cache.rglob("*.nbc"))
+
+    assert read(environ) == 0.001
+    if (kernels := Path(cache_folder())).is_dir():
+        shutil.copytree(kernels, cache / kernels.name)
+    code = machine_code()
+    assert bool(code) == COMPILING
+    environ["NUMBA_CACHE_DIR"] = str(cache)
+    environ["PYTHONPATH"] = f"{tmp_path}{os.pathsep}{environ.get('PYTHONPATH', '')}"
+    assert read(environ) == 0.001
+    assert machine_code() == code
     kernel = copy / "model" / "gap.py"
     text = kernel.read_text(encoding="utf-8")
     assert "    return reading\n" in text
     kernel.write_text(text.replace("    return reading\n", "    return 2.0 * reading\n"), encoding="utf-8")
-    assert read() == 0.002
+    assert read(environ) == 0.002
+    assert (len(machine_code()) > len(code)) == COMPILING
