@@ -31,6 +31,8 @@ SPARE_READINGS = 3
 """Degrees of freedom that a fit must leave."""
 HIGHEST_SMOOTH_ORDER = 9
 """Order of the robust fit that finds outliers; that of 1985."""
+ROUGH_ORDER = 6
+"""Order of the robust fit that gives the slopes for the uncertainties."""
 PLACEHOLDER_SIGMA = 1e-9
 """Used where no uncertainty is stated [m]; the residuals then scale the covariance."""
 MONOTONIC_POINTS = 257
@@ -64,9 +66,10 @@ class GapPolynomial:
 def fit_orders(probe: SingleProbe, data: GapData, highest: int) -> list[GapPolynomial]:
     """Return the polynomials of order 1 to ``highest``, or to what the dwells allow; FitError: too few dwells."""
     check_count(len(data.reference), MIN_DWELLS, "usable dwells", probe.name)
-    sigmas, stated = _estimate_sigmas(probe, data)
     orders = range(1, min(highest, len(data.reference) - SPARE_READINGS) + 1)
-    return [_fit_order(probe, data, order, sigmas, stated=stated) for order in orders]
+    powers = _Powers(probe, data, max(*orders, ROUGH_ORDER))
+    sigmas, stated = _estimate_sigmas(powers)
+    return [_fit_order(powers, order, sigmas, stated=stated) for order in orders]
 
 
 def select_polynomial(polynomials: list[GapPolynomial], criterion: Criterion, where: str) -> GapPolynomial:
@@ -100,58 +103,78 @@ def _predicts_better(candidate: GapPolynomial, polynomial: GapPolynomial) -> boo
 def find_outliers(probe: SingleProbe, data: GapData) -> BoolArray:
     """Return which dwells do not fit a smooth curve through the others, (d,), by a robust fit of high order."""
     check_count(len(data.reference), MIN_DWELLS, "usable dwells", probe.name)
-    sigmas, _ = _estimate_sigmas(probe, data)
-    basis = _Basis(probe, data, min(HIGHEST_SMOOTH_ORDER, len(data.reference) // 3))
+    powers = _Powers(probe, data, HIGHEST_SMOOTH_ORDER)
+    sigmas, _ = _estimate_sigmas(powers)
+    basis = _Basis(powers, min(HIGHEST_SMOOTH_ORDER, len(data.reference) // 3))
     found = basis.fit(sigmas, "soft_l1", basis.start())
     return basis.fit(sigmas, "cauchy", found.values).outliers()
+
+
+class _Powers:
+    """Gaps as a function of the coefficients of a probe's polynomial, which are linear in them: d dwells.
+
+    Attributes:
+        span: Lowest and highest voltage, zero shift added [V].
+        constant: Gaps where all coefficients are zero [m], (d,).
+        columns: d(gap)/d(coefficient) up to the highest order [V^k], (d, highest + 1).
+        effects: See ``SingleProbe.environment_effects``.
+        line: Slope [m/V] and intercept [m] of a straight line that is robust against outliers.
+
+    """
+
+    def __init__(self, probe: SingleProbe, data: GapData, highest: int) -> None:
+        self.probe, self.data = probe, data
+        volts = probe.shifted_volts(data.scans)
+        self.span = float(volts.min()), float(volts.max())
+        self.constant = probe.gaps(data.scans, np.zeros(highest + 1))
+        self.columns = np.column_stack([probe.gaps(data.scans, unit) - self.constant for unit in np.eye(highest + 1)])
+        self.effects = probe.environment_effects(data.scans)
+        self.line = theilslopes(data.reference, volts)[:2]
 
 
 class _Basis:
     """Chebyshev polynomials of a probe's voltages, through the sensor's own linearisation."""
 
-    def __init__(self, probe: SingleProbe, data: GapData, order: int) -> None:
-        volts = probe.shifted_volts(data.scans)
-        self.span = float(volts.min()), float(volts.max())
-        self._probe, self._data = probe, data
+    def __init__(self, powers: _Powers, order: int) -> None:
+        self.span, self._powers, self._data = powers.span, powers, powers.data
         self.to_powers = np.zeros((order + 1, order + 1))
         for k in range(order + 1):
-            powers = Chebyshev.basis(k, domain=self.span).convert(kind=Polynomial).coef
-            self.to_powers[: len(powers), k] = powers
-        self._constant = probe.gaps(data.scans, np.zeros(order + 1))
-        self._effects = probe.environment_effects(data.scans)
-        self._design = np.column_stack([probe.gaps(data.scans, column) - self._constant for column in self.to_powers.T])
+            terms = Chebyshev.basis(k, domain=self.span).convert(kind=Polynomial).coef
+            self.to_powers[: len(terms), k] = terms
+        self._design = powers.columns[:, : order + 1] @ self.to_powers
 
     def start(self) -> FloatArray:
-        """Return a straight line that is robust against outliers, as Chebyshev coefficients."""
-        slope, intercept = theilslopes(self._data.reference, self._probe.shifted_volts(self._data.scans))[:2]
+        """Return the robust straight line as Chebyshev coefficients."""
+        slope, intercept = self._powers.line
         line = Polynomial([intercept, slope]).convert(kind=Chebyshev, domain=self.span).coef
         return np.concatenate([line, np.zeros(len(self.to_powers) - 2)])
 
     def residuals(self, values: FloatArray) -> FloatArray:
         """Return polynomial less reference [m], (d,)."""
-        return self._constant + self._design @ values - self._data.reference
+        return self._powers.constant + self._design @ values - self._data.reference
 
     def fit(self, sigmas: FloatArray, loss: Loss, start: FloatArray, *, trust_sigmas: bool = True) -> Fit:
         """Return the fit of Chebyshev coefficients [m] with standard uncertainties of the residuals [m], (d,)."""
         size = len(start)
         return fit_linear(
             self._design,
-            self._data.reference - self._constant,
+            self._data.reference - self._powers.constant,
             sigmas,
             start,
             [f"T_{k}" for k in range(size)],
             ["m"] * size,
             np.full(size, float(np.ptp(self._data.reference))),
-            fixed_effects=self._effects if trust_sigmas else None,
+            fixed_effects=self._powers.effects if trust_sigmas else None,
             loss=loss,
             trust_sigmas=trust_sigmas,
-            what=f"{self._probe.name}, order {size - 1}",
+            what=f"{self._powers.probe.name}, order {size - 1}",
         )
 
 
-def _estimate_sigmas(probe: SingleProbe, data: GapData) -> tuple[FloatArray, bool]:
+def _estimate_sigmas(powers: _Powers) -> tuple[FloatArray, bool]:
     """Return the standard uncertainty of polynomial less reference at each dwell [m], and whether it is known."""
-    basis = _Basis(probe, data, max(1, min(MIN_DWELLS, len(data.reference) // 3)))
+    probe, data = powers.probe, powers.data
+    basis = _Basis(powers, min(ROUGH_ORDER, len(data.reference) // 3))
     equal = np.full(len(data.reference), 1e-3 * float(np.ptp(data.reference)))
     rough = basis.to_powers @ basis.fit(equal, "soft_l1", basis.start()).values
     sigmas = np.hypot(data.reference_sigmas, probe.slopes(data.scans, rough) * data.volt_sigmas)
@@ -170,8 +193,8 @@ def akaike_criterion(mean_square: float, count: int, order: int) -> float:
     return count * math.log(mean_square) + 2.0 * parameters + correction
 
 
-def _fit_order(probe: SingleProbe, data: GapData, order: int, sigmas: FloatArray, *, stated: bool) -> GapPolynomial:
-    basis = _Basis(probe, data, order)
+def _fit_order(powers: _Powers, order: int, sigmas: FloatArray, *, stated: bool) -> GapPolynomial:
+    basis = _Basis(powers, order)
     found = basis.fit(sigmas, "linear", basis.start(), trust_sigmas=stated)
     if stated and found.probability < IMPROBABLE:
         found = basis.fit(sigmas, "linear", basis.start(), trust_sigmas=False)

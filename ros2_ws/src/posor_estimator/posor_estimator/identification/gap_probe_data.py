@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from posor_estimator.identification.recording import Recording
     from posor_estimator.model.scan import Scans
     from posor_estimator.numerics.array_types import BoolArray, FloatArray
+    from posor_estimator.sensors.gap_probes import GapProbes
     from posor_estimator.sensors.probe import ProbeCalibration
 
 MICRO = 1e6
@@ -75,7 +76,7 @@ class SingleProbe:
 
     def environment_effects(self, scans: Scans) -> FloatArray:
         """Return the effect of a standard deviation of each supply and temperature number on its gaps [m], (n, q)."""
-        columns = []
+        columns, present_gaps = [], self.gaps(scans)
         for part in ("supply", "temperature"):
             present = getattr(self.calibration, part)
             for name in type(present).model_fields if present is not None else ():
@@ -83,7 +84,7 @@ class SingleProbe:
                 if known.sigma:
                     shifted = Quantity(value=known.number + known.sigmas.item(), unit=known.unit)
                     moved = self._linearise(scans, {part: present.model_copy(update={name: shifted})})[0]
-                    columns.append(moved - self.gaps(scans))
+                    columns.append(moved - present_gaps)
         return np.column_stack(columns) if columns else np.zeros((len(scans), 0))
 
     def evaluate_polynomial(
@@ -96,22 +97,28 @@ class SingleProbe:
         scans = empty_scans(np.zeros(len(volts), dtype=np.int64))
         scans = scans.with_fields({"gap_voltages": np.tile(volts[:, None], (1, len(self.sensor.probes)))})
         update: dict[str, Any] = {"zero_shift": Quantity(value=0.0, unit="V"), "supply": None, "temperature": None}
-        gaps, _, sigmas = self._linearise(scans, update | ({} if polynomial is None else {"volts_to_gap": polynomial}))
-        return gaps, sigmas
+        update |= {} if polynomial is None else {"volts_to_gap": polynomial}
+        return self._linearise(scans, update)[0], self._build(update).gap_sigmas(self._own(scans))[:, 0]
 
-    def _linearise(self, scans: Scans, update: dict[str, Any]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return gaps [m], absolute slopes [m/V] and standard uncertainties of the gaps [m], (n,) each."""
+    def _build(self, update: dict[str, Any]) -> GapProbes:
+        """Return a sensor of this probe only, with some parts replaced and an unlimited range."""
         # With a noise of 1 V the variance of a gap is the square of its slope.
         unbounded = {"range": UNLIMITED, "noise": Quantity(value=1.0, unit="V")}
         probe = self.calibration.model_copy(update=unbounded | update)
-        sensor = self.sensor.model_copy(update={"probes": [probe]}).build()
-        own = scans.with_fields({"gap_voltages": scans.gap_voltages[:, [self.index]]})
-        readings = Stack([sensor]).linearise(own)
+        return self.sensor.model_copy(update={"probes": [probe]}).build()
+
+    def _own(self, scans: Scans) -> Scans:
+        return scans.with_fields({"gap_voltages": scans.gap_voltages[:, [self.index]]})
+
+    def _linearise(self, scans: Scans, update: dict[str, Any]) -> tuple[FloatArray, FloatArray]:
+        """Return gaps [m] and absolute slopes [m/V], (n,) each."""
+        own = self._own(scans)
+        readings = Stack([self._build(update)]).linearise(own)
         bad = np.flatnonzero(~readings.valid)
         if bad.size:
             what = f"voltage {own.gap_voltages[bad[0], 0]} of scan {own.numbers[bad[0]]}"
             raise FitError(what, where=self.name, expected="a finite voltage")
-        return readings.values[:, 0], np.sqrt(readings.variances[:, 0]), sensor.gap_sigmas(own)[:, 0]
+        return readings.values[:, 0], np.sqrt(readings.variances[:, 0])
 
 
 def _use_coefficients(coefficients: FloatArray | None) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from numba.core.caching import UserProvidedCacheLocator
 from posor_estimator.numerics.compiled import PACKAGE
 
 
-class KernelCacheLocator(UserProvidedCacheLocator):  # type: ignore[misc]  # numba has no annotations
+class KernelCacheLocator(UserProvidedCacheLocator):
     """Keeps the code by folder within this package, not by absolute path: copies of the package share one cache."""
 
     @classmethod
@@ -18,4 +18,4 @@ class KernelCacheLocator(UserProvidedCacheLocator):  # type: ignore[misc]  # num
         folder = Path(py_file).resolve().parent
         if folder.is_relative_to(PACKAGE):
             return str(folder.relative_to(PACKAGE))
-        return str(super().get_suitable_cache_subpath(py_file))
+        return str(super().get_suitable_cache_subpath(py_file))  # type: ignore[no-untyped-call]  # of numba

@@ -86,14 +86,16 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--output", type=Path, metavar="FOLDER", help="default: build/budget/<name of the calibration>")
     parser.add_argument("--draws", type=_draws, default=10 * BATCH, help="largest number of Monte Carlo draws")
     parser.add_argument("--seed", type=_seed, default=SEED, help=f"seed of the draws (default: {SEED})")
-    return parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
+    options.output = options.output or Path("build/budget") / options.calibration.stem
+    return options
 
 
 def compute_budget(options: argparse.Namespace, progress: Progress) -> BudgetReport:
-    """Compute the budget for these options.
+    """Compute the budget for these options; create the folder of the results before the draws, which take long.
 
     Raises:
-        PosorError: The calibration is invalid, or cannot be used at this pose.
+        PosorError: The calibration is invalid, or cannot be used at this pose, or the folder cannot be created.
 
     """
     calibration = load_calibration(options.calibration).for_session(options.session)
@@ -102,6 +104,7 @@ def compute_budget(options: argparse.Namespace, progress: Progress) -> BudgetRep
     scan = scan_at(posor, pose)
     points = [PlatePoint(*point) for point in options.point]
     budget = error_budget(posor, scan, pose, points)
+    _create_folder(options.output)
     task = progress.add_task("draws", total=options.draws)
     drawn = monte_carlo(
         posor,
@@ -123,16 +126,14 @@ def compute_budget(options: argparse.Namespace, progress: Progress) -> BudgetRep
     )
 
 
-def _create_folder(options: argparse.Namespace) -> Path:
+def _create_folder(folder: Path) -> None:
     """Create the folder for the results."""
-    folder: Path = options.output or Path("build/budget") / options.calibration.stem
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ParameterError(
             f"cannot be created: {error.strerror}", where=f"budget, --output, {folder}", expected="a writable folder"
         ) from error
-    return folder
 
 
 def print_budget(report: BudgetReport, console: Console) -> None:
@@ -171,8 +172,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         console = Console(stderr=True)
         with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
             report = compute_budget(options, progress)
-        folder = _create_folder(options)
-        csv_file, json_file, page_file = (folder / name for name in OUTPUT_FILES)
+        csv_file, json_file, page_file = (options.output / name for name in OUTPUT_FILES)
         report.write_csv(csv_file)
         json_file.write_text(json.dumps(report.as_json(), indent=2) + "\n", encoding="utf-8")
         page_file.write_text(render_budget_page(report), encoding="utf-8")
@@ -181,7 +181,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return error.exit_code
     console = Console(highlight=False) if sys.stdout.isatty() else Console(highlight=False, width=160)
     print_budget(report, console)
-    console.print(f"page and files: {folder}", soft_wrap=True, markup=False)
+    console.print(f"page and files: {options.output}", soft_wrap=True, markup=False)
     return 0
 
 
