@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,6 +26,7 @@ PERIOD_NS = 20_000_000
 """From scan to scan."""
 
 
+@cache
 def diode_calibration() -> Calibration:
     """Return a POSOR of 1985 size with three gap probes and two diodes."""
     return design("triad_diodes")

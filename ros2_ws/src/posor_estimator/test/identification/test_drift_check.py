@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import pytest
 from posor_estimator.calibration.quantity import Quantity
 from posor_estimator.identification.drift_check import check_drift
 from posor_estimator.identification.procedures.bundle import BundleOptions
@@ -24,6 +25,7 @@ def with_shift(calibration: Calibration, shift: float) -> Calibration:
     return calibration.model_copy(update={"sensors": sensors})
 
 
+@pytest.mark.statistical
 def test_drifts_of_a_calibration_that_holds_are_standard_normal() -> None:
     drifts, alarms = [], 0
     for seed in range(8):

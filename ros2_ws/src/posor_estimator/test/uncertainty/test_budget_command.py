@@ -70,6 +70,7 @@ def test_the_page_is_self_contained_and_complete(made: Path) -> None:
         assert text in page, text
 
 
+@pytest.mark.statistical
 def test_the_table_ends_with_totals_and_names_correlated_quantities(
     calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

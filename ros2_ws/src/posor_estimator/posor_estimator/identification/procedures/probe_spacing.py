@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from posor_estimator.calibration.calibration_file import Calibration
     from posor_estimator.identification.recording import Recording
     from posor_estimator.numerics.array_types import BoolArray, FloatArray, IntArray
+    from posor_estimator.sensors.base import Sensor
 
 NAME = "probe_spacing"
 MIN_DWELLS = 5
@@ -217,16 +218,16 @@ class _Problem:
 
     def fit(self, loss: Loss, start: FloatArray | None = None) -> Fit:
         """Fit the coordinates, and the zeros of all probes but the first [m]."""
-        where, count = self.where, len(self.where)
-        stack = Stack([sensor.build() for sensor in self.calibration.sensors])
-        rows = [stack.reading_names.index(f"gap {probe.calibration.name}") for probe in self.probes]
+        at, calibration = find_sensor(self.calibration, GapProbesCalibration, NAME)
+        stack = Stack([calibration.build()])
+        where, count = self.where - first_parameter(self.calibration, at), len(self.where)
         rotations, translations = unpack_poses(self.means.reference)
         measured = np.column_stack([probe.gaps(self.means.scans) for probe in self.probes])
-        whiten = self._whiten(stack, rows, rotations, translations)
+        whiten = self._whiten(stack, rotations, translations)
 
         def residuals(values: FloatArray) -> FloatArray:
             moved = stack.with_parameter_values(replace_values(stack.parameter_values, where, values[:count]))
-            predicted = readings_at(moved, rotations, translations)[:, rows]
+            predicted = readings_at(moved, rotations, translations)
             predicted[:, 1:] += values[count:]
             return np.asarray(np.einsum("nij,nj->ni", whiten, measured - predicted).ravel())
 
@@ -237,24 +238,24 @@ class _Problem:
             [*self.names, *zeros],
             ["m"] * (count + len(zeros)),
             np.concatenate([np.full(count, 1e-3), np.full(len(zeros), 1e-4)]),
-            fixed_effects=self.fixed.effects(self._derivatives(stack, whiten, rotations, translations)),
+            fixed_effects=self.fixed.effects(self._derivatives(stack.sensors[0], whiten, rotations, translations)),
             loss=loss,
             what=NAME,
         )
 
     def _derivatives(
-        self, stack: Stack, whiten: FloatArray, rotations: FloatArray, translations: FloatArray
+        self, sensor: Sensor, whiten: FloatArray, rotations: FloatArray, translations: FloatArray
     ) -> FloatArray:
-        """Return d(residual)/d(parameter of the stack), (n, p); only those of the gap probes are not zero."""
+        """Return d(residual)/d(parameter of the calibration), (n, p); only those of the gap probes are not zero."""
         at, _ = find_sensor(self.calibration, GapProbesCalibration, NAME)
-        sensor, first = stack.sensors[at], first_parameter(self.calibration, at)
-        out = np.zeros((*whiten.shape[:2], stack.parameters))
+        first, size = (first_parameter(self.calibration, number) for number in (at, len(self.calibration.sensors)))
+        out = np.zeros((*whiten.shape[:2], size))
         for n, whitening in enumerate(whiten):
             block = sensor.residual_jacobian(self.means.scans[n], rotations[n], translations[n])
             out[n, :, first : first + block.shape[1]] = whitening @ block
-        return out.reshape(-1, stack.parameters)
+        return out.reshape(-1, size)
 
-    def _whiten(self, stack: Stack, rows: list[int], rotations: FloatArray, translations: FloatArray) -> FloatArray:
+    def _whiten(self, stack: Stack, rotations: FloatArray, translations: FloatArray) -> FloatArray:
         """Return what turns the c readings of each dwell into independent residuals of variance 1, (d, c or c - 1, c).
 
         An error of the angles moves all readings of a dwell together, and so does the height. A free height takes one
@@ -267,8 +268,8 @@ class _Problem:
 
         def difference(turn: FloatArray, lift: float) -> FloatArray:
             shift = np.array([0.0, 0.0, lift])
-            ahead = readings_at(stack, turn @ rotations, translations + shift)[:, rows]
-            back = readings_at(stack, turn.T @ rotations, translations - shift)[:, rows]
+            ahead = readings_at(stack, turn @ rotations, translations + shift)
+            back = readings_at(stack, turn.T @ rotations, translations - shift)
             return np.asarray((ahead - back) / (2.0 * STEP))
 
         # The vector part of a quaternion is half the angle.

@@ -76,6 +76,7 @@ NUMBERS = (
 )
 
 
+@pytest.mark.statistical
 def test_offset_is_found_and_intervals_cover(rng: np.random.Generator) -> None:
     normalised = []
     for _ in range(30):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pytest
 from posor_estimator.calibration.designs import STANDOFF
 from posor_estimator.errors import FitError
 from posor_estimator.identification.procedures.gap_repeatability import DRIFT, HYSTERESIS, PROCEDURE, group_places
@@ -35,6 +36,7 @@ def simulate(seed: int, *, drift: float = 0.0, hysteresis: float = 0.0) -> Simul
     return SimulatedCase(PROCEDURE, diode_calibration(), before).with_scans(scans)
 
 
+@pytest.mark.statistical
 def test_drift_and_hysteresis_lie_in_their_intervals() -> None:
     inside = trials = 0
     for seed in range(25):
