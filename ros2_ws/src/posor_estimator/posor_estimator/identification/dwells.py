@@ -19,7 +19,7 @@ from posor_estimator.identification.recording import POSE
 from posor_estimator.model.scan import Scans
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from posor_estimator.identification.recording import Recording, Track
     from posor_estimator.numerics.array_types import BoolArray, FloatArray, IntArray
@@ -247,28 +247,30 @@ def _find_outliers(readings: FloatArray, dwell_of: IntArray, motion: FloatArray)
     finite = np.isfinite(readings)
     if not finite.any():
         return bad  # an absent channel: the procedure knows whether it needs the channel
-    dwells = list(_deviations_by_dwell(readings, dwell_of, finite))
-    scatters = np.array([MAD_TO_SIGMA * np.median(np.abs(off)) for _, off in dwells])
-    noise = float(np.median(scatters[scatters > 0.0])) if np.any(scatters > 0.0) else 0.0
+    counts = np.bincount(dwell_of[finite], minlength=len(motion))
+    off = readings[finite] - np.repeat(_medians(readings[finite], counts), counts)
+    enough = counts >= MIN_SCANS_FOR_OUTLIERS
+    scatters = MAD_TO_SIGMA * _medians(np.abs(off), counts)
+    scattered = scatters[enough & (scatters > 0.0)]
+    noise = float(np.median(scattered)) if scattered.size else 0.0
     levels = np.unique(readings[finite])
     step = float(np.min(np.diff(levels))) if len(levels) > 1 else 0.0
     step = max(step, ROUNDING * float(np.max(np.abs(levels))))
-    travel = float(np.ptp(readings[finite]))
-    for (which, off), scatter in zip(dwells, scatters, strict=True):
-        allowed = np.hypot(max(scatter, noise, step), travel * motion[dwell_of[which[0]]])
-        bad[which[np.abs(off) > OUTLIER_SIGMAS * allowed]] = True
-        bad[(dwell_of == dwell_of[which[0]]) & ~finite] = True
-    return bad
+    allowed = np.hypot(np.maximum(scatters, max(noise, step)), float(np.ptp(readings[finite])) * motion)
+    bad[finite] = np.abs(off) > OUTLIER_SIGMAS * np.repeat(allowed, counts)
+    bad |= ~finite
+    return np.asarray(bad & enough[dwell_of])
 
 
-def _deviations_by_dwell(
-    readings: FloatArray, dwell_of: IntArray, finite: BoolArray
-) -> Iterator[tuple[IntArray, FloatArray]]:
-    """Yield, for each dwell with enough readings, their indices (m,) and deviations from their median (m,)."""
-    for dwell in range(int(dwell_of[-1]) + 1):
-        which = np.flatnonzero((dwell_of == dwell) & finite)
-        if len(which) >= MIN_SCANS_FOR_OUTLIERS:
-            yield which, readings[which] - np.median(readings[which])
+def _medians(values: FloatArray, counts: IntArray) -> FloatArray:
+    """Return the median of each dwell, (d,), from the values of all dwells in turn, (n,); NaN if it has none."""
+    order = np.lexsort((values, np.repeat(np.arange(len(counts)), counts)))
+    ranked, ends = values[order], np.cumsum(counts)
+    medians = np.full(len(counts), np.nan)
+    some = counts > 0
+    begin, count = (ends - counts)[some], counts[some]
+    medians[some] = 0.5 * (ranked[begin + (count - 1) // 2] + ranked[begin + count // 2])
+    return medians
 
 
 def _describe_outliers(bad: BoolArray, numbers: FloatArray, channel: str, source: str) -> str:
