@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from posor_estimator.estimation import solver as solve
-from posor_estimator.numerics.compiled import COMPILING, PACKAGE, cache_folder
+from posor_estimator.numerics.compiled import PACKAGE, cache_folder
 
 if TYPE_CHECKING:
     from posor_estimator.numerics.array_types import FloatArray
 
 PROGRAM = Path(__file__).resolve().parent / "kernel_outputs.py"
+NUMBA = importlib.util.find_spec("numba") is not None
 
 
 def run(folder: Path, *, compiled: bool) -> dict[str, FloatArray]:
@@ -43,7 +44,7 @@ def test_the_environment_variable_leaves_kernels_uncompiled(plain: dict[str, Flo
 
 
 def test_kernels_are_compiled_where_numba_is_installed(fast: dict[str, FloatArray]) -> None:
-    assert bool(fast["compiling"]) == (importlib.util.find_spec("numba") is not None)
+    assert bool(fast["compiling"]) == NUMBA
 
 
 @pytest.mark.parametrize("which", ["rows", "scans", "arms", "raw", "messages"])
@@ -88,7 +89,7 @@ def test_copies_of_the_package_share_machine_code_until_a_kernel_that_it_calls_c
     if (kernels := Path(cache_folder())).is_dir():
         shutil.copytree(kernels, cache / kernels.name)
     code = machine_code()
-    assert bool(code) == COMPILING
+    assert bool(code) == NUMBA
     environ["NUMBA_CACHE_DIR"] = str(cache)
     environ["PYTHONPATH"] = f"{tmp_path}{os.pathsep}{environ.get('PYTHONPATH', '')}"
     assert read(environ) == 0.001
@@ -98,4 +99,4 @@ def test_copies_of_the_package_share_machine_code_until_a_kernel_that_it_calls_c
     assert "    return reading\n" in text
     kernel.write_text(text.replace("    return reading\n", "    return 2.0 * reading\n"), encoding="utf-8")
     assert read(environ) == 0.002
-    assert (len(machine_code()) > len(code)) == COMPILING
+    assert (len(machine_code()) > len(code)) == NUMBA
