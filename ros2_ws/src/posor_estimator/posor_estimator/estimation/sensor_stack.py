@@ -132,7 +132,11 @@ class Stack:
             (model.channels["parameters"], np.concatenate(channels)),
             (model.map_parameters, np.concatenate([_padded(ids, model.map_parameters.shape[1], -1) for ids in maps])),
         )
-        return [(table, *np.nonzero(ids >= 0), ids[ids >= 0]) for table, ids in tables]
+        entries = []
+        for table, ids in tables:
+            rows, columns = np.nonzero(ids >= 0)
+            entries.append((table, rows, columns, ids[rows, columns]))
+        return entries
 
     @property
     def plain_sensors(self) -> list[tuple[int, PlainSensor, slice]]:
