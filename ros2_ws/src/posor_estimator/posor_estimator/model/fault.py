@@ -27,3 +27,8 @@ class Fault(IntFlag):
     INNOVATION = 64
     SOURCE = 128
     COUNT = 256
+    ENVIRONMENT = 512
+    FLAGGED = 1024
+    FROZEN = 2048
+    LATCHED = 4096
+    ENCODER = 8192
