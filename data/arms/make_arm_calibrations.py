@@ -31,7 +31,7 @@ TEST_RIG = "joint1"
 
 SIZED: dict[str, tuple[SizedDesignName, dict[str, float]]] = {
     "five_axis": ("triad_bumpy_ring", FIVE_AXIS),
-    "six_axis": ("triad_light_ring", SIX_AXIS),
+    "six_axis": ("quad_light_ring", SIX_AXIS),
 }
 
 
@@ -49,7 +49,9 @@ def calibrations() -> dict[str, Calibration]:
         for arm, (stack, diameters) in SIZED.items()
         for joint, diameter in diameters.items()
     }
-    rig = design("triad_diodes", motion=True, frames=frames(TEST_RIG)).model_copy(update={"name": "test_rig_joint1"})
+    rig = design("triad_diodes", motion=True, converter=True, frames=frames(TEST_RIG)).model_copy(
+        update={"name": "test_rig_joint1"}
+    )
     return {**sized, f"test_rig/calibrations/{TEST_RIG}.yaml": rig}
 
 

@@ -1,9 +1,10 @@
-"""The calibration file of one POSOR, version 2.
+"""The calibration file of one POSOR, version 3.
 
 Versions of the format:
 
 1. First version: ``sensors`` by type, ``sessions``, ``tilt_angle``, ``motion``. Still read.
 2. ``fits``: recording, method, residuals and covariances of fitted values.
+3. ``environment``: valid ranges of supply and temperature; ``converter``: its steps.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 FILE_KIND = "calibration file"
-VERSION = 2
-FORMER_VERSIONS = (1,)
+VERSION = 3
+FORMER_VERSIONS = (1, 2)
 
 
 class Provenance(FrozenModel):
@@ -71,6 +72,66 @@ class Motion(FrozenModel):
     theta: Annotated[Quantity, measured("rad/s")]
 
 
+class SupplyRange(FrozenModel):
+    """Supply voltage of the probe electronics at which the calibration is valid.
+
+    ``range`` is the lowest and the highest voltage; ``spread`` the standard uncertainty of the voltage, about each
+    probe's reference, in scans that do not measure it.
+    """
+
+    range: Annotated[Quantity, measured("V", 2)]
+    spread: Annotated[Quantity, measured("V")]
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        _check_range(self)
+        return self
+
+
+class TemperatureRange(FrozenModel):
+    """Temperature of the receiving plate at which the calibration is valid; see ``SupplyRange``."""
+
+    range: Annotated[Quantity, measured("K", 2)]
+    spread: Annotated[Quantity, measured("K")]
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        _check_range(self)
+        return self
+
+
+def _check_range(part: SupplyRange | TemperatureRange) -> None:
+    low, high = part.range.array
+    if not 0.0 <= low < high:
+        raise EntryError(f"range {part.range.value}", key=("range",), expected="[lowest, highest], not negative")
+    if part.spread.number < 0.0:
+        raise EntryError(f"spread {part.spread.value}", key=("spread",), expected="zero or more")
+
+
+class Environment(FrozenModel):
+    """Valid ranges of what the probes' electronics are sensitive to; outside of them there is no pose."""
+
+    supply: SupplyRange | None = None
+    temperature: TemperatureRange | None = None
+
+
+class Converter(FrozenModel):
+    """Smallest difference between two readings of a channel that differ; zero: readings are not rounded.
+
+    Readings with noise then rarely repeat, and repeated readings are a fault (``estimation.frozen``).
+    """
+
+    voltage: Annotated[Quantity, measured("V")]
+    current: Annotated[Quantity, measured("A")]
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        for name, step in (("voltage", self.voltage), ("current", self.current)):
+            if step.number < 0.0:
+                raise EntryError(f"{name} {step.value}", key=(name,), expected="zero or more")
+        return self
+
+
 class TiltAngle(StrEnum):
     """The theta by which directions fixed in the target (plane normal, rays) are turned.
 
@@ -86,12 +147,14 @@ class Calibration(FrozenModel):
     """Calibration of one POSOR."""
 
     format: Literal["posor_calibration"]
-    version: Literal[1, 2]
+    version: Literal[1, 2, 3]
     name: str
     provenance: Provenance
     frames: Frames
     tilt_angle: TiltAngle = TiltAngle.THIS_SCAN
     motion: Motion | None = None
+    environment: Environment | None = None
+    converter: Converter | None = None
     sensors: list[SerializeAsAny[SensorCalibration]]
     sessions: dict[str, Session] = Field(default_factory=dict)
     fits: list[FitRecord] = Field(default_factory=list)
@@ -108,16 +171,24 @@ class Calibration(FrozenModel):
     def _check_version(self) -> Self:
         if self.fits and self.version == 1:
             raise EntryError("fits in a file of version 1", key=("fits",), expected="version 2")
+        for key in ("environment", "converter"):
+            if getattr(self, key) is not None and self.version < VERSION:
+                raise EntryError(
+                    f"{key} in a file of version {self.version}", key=(key,), expected=f"version {VERSION}"
+                )
         return self
 
     @property
     def content_hash(self) -> str:
         """SHA-256 of the content without layout and comments, 64 hexadecimal digits.
 
-        A file of version 1 keeps the hash that it had before version 2 existed.
+        A file keeps the hash that it had before later versions added keys.
         """
-        later = set() if self.fits else {"fits"}
-        text = json.dumps(self.model_dump(mode="json", exclude=later), sort_keys=True, separators=(",", ":"))
+        content = self.model_dump(mode="json")
+        for key in ("fits", "environment", "converter"):
+            if not content[key]:
+                del content[key]
+        text = json.dumps(content, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
 
     @property

@@ -1,4 +1,4 @@
-"""Builders of the designs' sensors as content of a calibration file: triad, diodes with light sources, bumpy ring."""
+"""Builders of the designs' sensors as content of a calibration file: gap probes, diodes with light sources, rings."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from posor_estimator.calibration.coded_ring import DIODE_ANGLE, coded_azimuths
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -15,6 +17,8 @@ Part = dict[str, object]
 
 INCH = 0.0254
 
+CHORD_MIDDLE = -0.25 * math.pi
+"""Azimuth in the middle between the two diodes of a coded ring [rad]."""
 _OPPOSITE_PAIRS = 4
 
 
@@ -41,6 +45,7 @@ class DiodeKind:
     map_sigma: float  # lowest coefficients of a map [m]
     source_sigma: tuple[float, float, float]  # origin of a source along X, Y, Z of T [m]
     direction_sigma: float  # direction of a ray [rad]
+    lean: float = 2e-3  # of the rays from the normal of the plate [rad], a value
 
 
 @dataclass(frozen=True)
@@ -83,8 +88,8 @@ def probe(name: str, kind: ProbeKind, tip: Sequence[float], axis: Sequence[float
     }
 
 
-def triad(kind: ProbeKind, tips: Sequence[Sequence[float]], tilt_sigma: float) -> Part:
-    """Return three probes along Z of R and their target plane; ``tilt_sigma`` [rad]: uncertainty of its tilt."""
+def gap_probes(kind: ProbeKind, tips: Sequence[Sequence[float]], tilt_sigma: float) -> Part:
+    """Return probes along Z of R and their target plane; ``tilt_sigma`` [rad]: uncertainty of its tilt."""
     return {
         "type": "gap_probes",
         "target_plane": {
@@ -128,7 +133,7 @@ def diodes(kind: DiodeKind, positions: Sequence[tuple[float, float]], sources: S
     ]
     lights = []
     for i, (x, y) in enumerate(sources):
-        lean = np.array([2e-3 * math.cos(2.4 * i), 2e-3 * math.sin(2.4 * i), -1.0])
+        lean = np.array([kind.lean * math.cos(2.4 * i), kind.lean * math.sin(2.4 * i), -1.0])
         direction = (lean / np.linalg.norm(lean)).tolist()
         lights.append(
             {
@@ -146,11 +151,26 @@ def diodes(kind: DiodeKind, positions: Sequence[tuple[float, float]], sources: S
     }
 
 
-def light_ring(kind: DiodeKind, radius: float, sources: int) -> Part:
-    """Return a ring of light sources of a radius [m], and two diodes opposite to each other."""
-    around = [2.0 * math.pi * i / sources for i in range(sources)]
-    opposite = [(radius * math.sqrt(0.5),) * 2, (-radius * math.sqrt(0.5),) * 2]
-    return diodes(kind, opposite, [(radius * math.cos(phi), radius * math.sin(phi)) for phi in around])
+def light_ring(kind: DiodeKind, radius: float, sources: int, *, coded: bool) -> Part:
+    """Return a ring of light sources of a radius [m], and two diodes.
+
+    Args:
+        kind: Uncertainties of the parts.
+        radius: Of the ring and of the places of the diodes [m].
+        sources: Number of sources.
+        coded: Whether the sources are spaced as ``coded_azimuths`` says, for two diodes 120 degrees apart; else they
+            are spaced evenly, the diodes opposite to each other.
+
+    """
+    if coded:  # the line from diode to diode is at 45 degrees to their axes: all four coordinates are checked alike
+        around, places = coded_azimuths(sources), (CHORD_MIDDLE - 0.5 * DIODE_ANGLE, CHORD_MIDDLE + 0.5 * DIODE_ANGLE)
+    else:
+        around, places = tuple(2.0 * math.pi * i / sources for i in range(sources)), (0.25 * math.pi, 1.25 * math.pi)
+
+    def on_ring(azimuths: Sequence[float]) -> list[tuple[float, float]]:
+        return [(radius * math.cos(phi), radius * math.sin(phi)) for phi in azimuths]
+
+    return diodes(kind, on_ring(places), on_ring(around))
 
 
 def bumpy_ring(kind: ProbeKind, shape: RingShape, probes: int) -> Part:

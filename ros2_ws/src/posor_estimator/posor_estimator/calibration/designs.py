@@ -8,9 +8,10 @@ assumed, and the provenance says so.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, Literal
 
-from posor_estimator.calibration.calibration_file import Calibration, calibration_from
+from posor_estimator.calibration.calibration_file import VERSION, Calibration, calibration_from
 from posor_estimator.calibration.design_parts import (
     INCH,
     DiodeKind,
@@ -19,14 +20,16 @@ from posor_estimator.calibration.design_parts import (
     RingShape,
     bumpy_ring,
     diodes,
+    gap_probes,
     light_ring,
     quantity_entry,
-    triad,
 )
 from posor_estimator.errors import CalibrationError
 
-DesignName = Literal["triad_diodes", "triad_light_ring", "triad_bumpy_ring"]
-SizedDesignName = Literal["triad_light_ring", "triad_bumpy_ring"]
+DesignName = Literal[
+    "triad_diodes", "triad_light_ring", "triad_bumpy_ring", "quad_diodes", "quad_light_ring", "quad_bumpy_ring"
+]
+SizedDesignName = Literal["triad_light_ring", "triad_bumpy_ring", "quad_light_ring", "quad_bumpy_ring"]
 
 DIODE_SPAN = 5.5e-3
 """Half the width of a diode's calibrated surface [m], slightly inside the domain of its map."""
@@ -42,7 +45,7 @@ PROBE_ACCURACY = 5e-6 * INCH
 SMALLEST_DIAMETER = 3.0 * INCH
 """Smallest outside diameter of ``sized_design`` [m]."""
 SOURCE_PITCH = 7.7e-3
-"""Largest distance between light sources [m] with one always on each diode."""
+"""Largest mean distance between light sources [m]. With a coded ring's growth of pitch, one is always on each diode."""
 BUMPS_PER_INCH = 24
 """Bumps per inch of a sized ring's diameter (pitch 3.32 mm). The slopes then resolve theta nearly as section 9.3.1
 assumes, 5 microinch over the ring's radius. The number of bumps is a multiple of four for whole inches."""
@@ -68,6 +71,10 @@ _DIODE = DiodeKind(
     source_sigma=(3e-6, 3e-6, 20e-6),
     direction_sigma=5e-4,
 )
+# The places of a coded ring's parts are measured as assembled. Its rays lean little: the lean changes the distances of
+# the spots that tell the sources apart.
+_CODED_LEAN = 1e-4
+_CODED_DIODE = replace(_DIODE, origin_sigma=(1e-6, 1e-6, 20e-6), source_sigma=(1e-6, 1e-6, 20e-6), lean=_CODED_LEAN)
 _RING = RingShape(
     bumps=BUMPS,
     mean_radius=0.0508,
@@ -107,6 +114,7 @@ _SIZED_DIODE = DiodeKind(
     source_sigma=(0.1e-6, 0.1e-6, 5e-6),
     direction_sigma=2e-5,
 )
+_CODED_SIZED_DIODE = replace(_SIZED_DIODE, lean=_CODED_LEAN)
 
 
 def _sized_ring(outside_diameter: float) -> RingShape:
@@ -130,59 +138,104 @@ def _limits(translation: float) -> Part:
     }
 
 
+def _environment(supply_spread: float) -> Part:
+    return {
+        "supply": {"range": quantity_entry([14.5, 15.5], "V"), "spread": quantity_entry(supply_spread, "V")},
+        "temperature": {"range": quantity_entry([283.15, 303.15], "K"), "spread": quantity_entry(0.1, "K")},
+    }
+
+
+CONVERTER: Part = {
+    "voltage": quantity_entry(14.0 / 2**16, "V"),
+    "current": quantity_entry(1.5e-4 / 2**16, "A"),
+}
+"""Steps of a converter of 16 bits over the ranges of the readings."""
+
+
 def _calibration(
-    name: str, source: str, notes: tuple[str, ...], frames: tuple[str, str], motion: Part | None, sensors: list[Part]
+    name: str,
+    source: str,
+    notes: tuple[str, ...],
+    frames: tuple[str, str],
+    motion: Part | None,
+    environment: Part,
+    converter: Part | None,
+    sensors: list[Part],
 ) -> Calibration:
     content: dict[str, Any] = {
         "format": "posor_calibration",
-        "version": 1,
+        "version": VERSION,
         "name": name,
-        "provenance": {"source": source, "method": "core/designs.py", "date": "none", "notes": notes},
+        "provenance": {
+            "source": source,
+            "method": "posor_estimator/calibration/designs.py",
+            "date": "none",
+            "notes": notes,
+        },
         "frames": {"parent": frames[0], "child": frames[1]},
         "motion": motion,
+        "environment": environment,
+        "converter": converter,
         "sensors": sensors,
     }
     return calibration_from(content)
+
+
+def _with_fourth_probe(name: str) -> bool:
+    return name.startswith("quad_")
 
 
 def design(
     name: DesignName,
     *,
     ring_probes: int = 4,
+    coded: bool = True,
     motion: bool = False,
+    converter: bool = False,
     frames: tuple[str, str] = ("receiving", "target"),
 ) -> Calibration:
     """Return the calibration of one of the designs of the 1985 size.
 
     Args:
-        name: Which stack.
+        name: Which stack: ``triad_`` with the three gap probes of the thesis; ``quad_``, recommended, with a fourth one
+            opposite to the first, so that the gap probes check one another.
         ring_probes: Number of probes of a bumpy ring, three or more.
+        coded: Whether the sources of a light ring are spaced so that they tell which ones are lit (``coded_ring``).
         motion: Whether to limit the velocity of the target: 1 mm/s, 0.02 rad/s of lean, 3 rad/s of theta.
+        converter: Whether to state the steps of the converter, so that repeated readings are a fault.
         frames: Names of receiving and target plate.
 
     """
-    tips = ([-0.0762, 0.0, 0.0], [0.0, 0.0381, 0.0], [0.0, -0.0381, 0.0])
-    sensors = [triad(_PROBE, tips, 20e-6)]
-    if name == "triad_diodes":
+    tips = [[-0.0762, 0.0, 0.0], [0.0, 0.0381, 0.0], [0.0, -0.0381, 0.0]]
+    if _with_fourth_probe(name):
+        tips.append([0.0762, 0.0, 0.0])
+    sensors = [gap_probes(_PROBE, tips, 20e-6)]
+    if name.endswith("_light_ring"):
+        sensors.append(light_ring(_CODED_DIODE if coded else _DIODE, 0.044, SOURCES, coded=coded))
+    elif name.endswith("_diodes"):
         positions = [(-0.0254, 0.0381), (-0.0254, -0.0381)]
         sensors.append(diodes(_DIODE, positions, positions))
-    elif name == "triad_light_ring":
-        sensors.append(light_ring(_DIODE, 0.044, SOURCES))
     else:
         sensors.append(bumpy_ring(_PROBE, _RING, ring_probes))
-    return _calibration(name, "assumed design", (), frames, _limits(1e-3) if motion else None, sensors)
+    limits, environment = _limits(1e-3) if motion else None, _environment(_PROBE.supply_sigma)
+    steps = CONVERTER if converter else None
+    return _calibration(name, "assumed design", (), frames, limits, environment, steps, sensors)
 
 
-def sized_design(name: SizedDesignName, outside_diameter: float, *, frames: tuple[str, str], title: str) -> Calibration:
+def sized_design(
+    name: SizedDesignName, outside_diameter: float, *, coded: bool = True, frames: tuple[str, str], title: str
+) -> Calibration:
     """Return the calibration of a POSOR of an outside diameter D.
 
-    Three probes in an equilateral triangle on a circle of D - 1 in, whose altitude .75 (D - 1 in) is the lever of
-    section 9.3.1; a bumpy ring with four probes, or a ring of light sources, of D - 2 in. Limits of velocity: 20 mm/s,
-    0.02 rad/s of lean, 3 rad/s of theta.
+    Gap probes on a circle of D - 1 in: ``triad_``, the three of section 9.3.1 in an equilateral triangle, whose
+    altitude .75 (D - 1 in) is the lever of that section; ``quad_``, recommended, four in a square. A bumpy ring with
+    four probes, or a ring of light sources, of D - 2 in. Limits of velocity: 20 mm/s, 0.02 rad/s of lean, 3 rad/s of
+    theta.
 
     Args:
         name: Which stack.
         outside_diameter: [m].
+        coded: As in ``design``.
         frames: Names of receiving and target plate.
         title: The calibration's name.
 
@@ -196,19 +249,27 @@ def sized_design(name: SizedDesignName, outside_diameter: float, *, frames: tupl
         )
     circle = 0.5 * (outside_diameter - INCH)
     half_side = circle * math.sqrt(0.75)
-    tips = ([-circle, 0.0, 0.0], [0.5 * circle, half_side, 0.0], [0.5 * circle, -half_side, 0.0])
-    sensors = [triad(_SIZED_GAP_PROBE, tips, _SIZED_TILT_SIGMA)]
+    tips = [[-circle, 0.0, 0.0], [0.5 * circle, half_side, 0.0], [0.5 * circle, -half_side, 0.0]]
     notes = [
         "thesis 9.3.1: probes of 5 microinch on a circle of the outside diameter less 1 in, ring of it less 2 in",
         "assumed: all calibrated as assembled, hence the small uncertainties; the 5 microinch taken for noise",
         "assumed: linearisation and range of the probes, tilt of the target plane, limits of motion",
+        "assumed: converters of 16 bits, ranges of supply and temperature",
     ]
-    if name == "triad_light_ring":
+    if _with_fourth_probe(name):
+        tips = [[-circle, 0.0, 0.0], [0.0, circle, 0.0], [circle, 0.0, 0.0], [0.0, -circle, 0.0]]
+        notes.append("assumed: a fourth gap probe, so that the others check each of them")
+    sensors = [gap_probes(_SIZED_GAP_PROBE, tips, _SIZED_TILT_SIGMA)]
+    if name.endswith("_light_ring"):
         radius = 0.5 * outside_diameter - INCH
-        sensors.append(light_ring(_SIZED_DIODE, radius, 4 * math.ceil(2.0 * math.pi * radius / SOURCE_PITCH / 4.0)))
-        notes.append("assumed: light sources at most 7.7 mm apart, two diodes of 5.5 mm half width, their noise")
+        sources = 4 * math.ceil(2.0 * math.pi * radius / SOURCE_PITCH / 4.0)
+        sensors.append(light_ring(_CODED_SIZED_DIODE if coded else _SIZED_DIODE, radius, sources, coded=coded))
+        notes.append("assumed: light sources 7.7 mm apart on average, two diodes of 5.5 mm half width, their noise")
+        if coded:
+            notes.append("assumed: the pitch of the sources grows around the ring, so that two lit ones tell which")
     else:
         sensors.append(bumpy_ring(_SIZED_RING_PROBE, _sized_ring(outside_diameter), 4))
         notes.append("assumed: bumps of 0.4 mm every 3.32 mm, ring probes of 1.5 times the range of the others")
     source = f"assumed design of {outside_diameter / INCH:g} in outside diameter"
-    return _calibration(title, source, tuple(notes), frames, _limits(0.02), sensors)
+    environment = _environment(_SIZED_GAP_PROBE.supply_sigma)
+    return _calibration(title, source, tuple(notes), frames, _limits(0.02), environment, CONVERTER, sensors)

@@ -260,7 +260,7 @@ def parse_document(
     version = content.get("version")
     if type(version) is not int or version not in versions:  # True and 1.0 are equal to 1
         what = f"version {format_value(version)}" if "version" in content else "key 'version' is missing"
-        known = " or ".join(str(number) for number in versions)
+        known = " or ".join(", ".join(str(number) for number in versions).rsplit(", ", 1))
         raise CalibrationError(what, where=locations.describe("version"), expected=known)
     try:
         return validate(content), locations

@@ -10,16 +10,25 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from posor_estimator.estimation.covariance import write_covariances
+from posor_estimator.estimation.frozen import NOT_FROZEN, count_repetitions
 from posor_estimator.estimation.linearise import linearise_scan
 from posor_estimator.estimation.parameter_effects import add_systematic_covariance, find_contributions
 from posor_estimator.estimation.residual_test import chi_square
 from posor_estimator.estimation.solver import CONVERGED, ILL_CONDITIONED, SINGULAR, solve_pose
+from posor_estimator.estimation.supply_and_temperature import add_unmeasured, environment_is_valid, unmeasured
 from posor_estimator.estimation.tracking import (
+    MARKS,
+    POSITION_FAULTS,
+    REFERENCE_SIGMAS,
+    REGAIN_GAP,
+    RESIDUAL_RUN,
     add_prior,
-    bumps_off,
     copy_pose,
     forget_pose,
+    is_regained,
+    latch,
     motion_gate,
+    periods_off,
     predict,
     restart_where_time_goes_back,
     theta_of,
@@ -36,10 +45,11 @@ from posor_estimator.model.reading_rows import (
     prepare_row,
     turn_row,
 )
+from posor_estimator.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED, SATURATED, STATED_HOME
 from posor_estimator.numerics.compiled import in_place, inlined, without_lock
 from posor_estimator.numerics.matrix import matrix
 from posor_estimator.numerics.pose import write_pose
-from posor_estimator.numerics.vector import at, store
+from posor_estimator.numerics.vector import at, square, store
 
 if TYPE_CHECKING:
     import numpy as np
@@ -54,6 +64,8 @@ from the previous pose."""
 OK, DEGRADED, LOST, UNCOUNTED = (int(state) for state in (State.OK, State.DEGRADED, State.LOST, State.UNCOUNTED))
 NOT_CONVERGED_FAULT, ILL_CONDITIONED_FAULT = int(Fault.NOT_CONVERGED), int(Fault.ILL_CONDITIONED)
 RESIDUAL_FAULT, INNOVATION_FAULT, COUNT_FAULT = int(Fault.RESIDUAL), int(Fault.INNOVATION), int(Fault.COUNT)
+SOURCE_FAULT, FROZEN_FAULT, ENVIRONMENT_FAULT = int(Fault.SOURCE), int(Fault.FROZEN), int(Fault.ENVIRONMENT)
+FLAGGED_FAULT, LATCHED_FAULT, ENCODER_FAULT = int(Fault.FLAGGED), int(Fault.LATCHED), int(Fault.ENCODER)
 
 WEAK = 1e-4
 """At a smaller pivot ratio the previous pose fills the blind direction: its uncertainty is 100 times the usual one."""
@@ -66,32 +78,77 @@ def estimate_scan(model: Model, scan: Any, estimate: Any) -> int:
     Args:
         model: The POSOR.
         scan: Record of dtype SCAN.
-        estimate: Record of dtype ESTIMATE to write; incomplete where the return value is START.
+        estimate: Record of dtype ESTIMATE to write; incomplete where the return value is START or RETRY.
 
     """
     workspace = model.workspace[0]
     tracker = workspace.tracker
-    estimate.number = scan.number
-    estimate.stamp_ns = scan.stamp_ns
-    if not tracker.epoch_known:
-        tracker.epoch_known, tracker.epoch_ns = 1, scan.stamp_ns
-    if not linearise_scan(model, scan, estimate):
-        estimate.residual = math.nan
-        write_lost(estimate, estimate.faults)
+    if not begin_scan_estimate(model, scan, estimate, linearise_scan(model, scan, estimate)):
         return DONE
     stamp = (scan.stamp_ns - tracker.epoch_ns) * 1e-9
-    restart_where_time_goes_back(tracker, stamp)
-    if not tracker.initialised:
+    if not tracker.initialised and not tracker.start_given:
         return START
     activate_rows(model)
-    from_previous_pose = tracker.start_given == 0
     write_start(workspace.settings, tracker, stamp, workspace.pose)
     for i in range(workspace.reading_count):
         for j in range(workspace.reading_count):
             workspace.systematic_readings[i, j] = 0.0
-    locate(model, stamp, scan.at_home, True, estimate)  # noqa: FBT003  kernels take no keywords
-    retry = (RESIDUAL_FAULT | NOT_CONVERGED_FAULT) & estimate.faults != 0
-    return RETRY if retry and estimate.state == LOST and from_previous_pose else DONE
+    return int(locate(model, stamp, scan, True, estimate))  # noqa: FBT003  kernels take no keywords
+
+
+@inlined
+def begin_scan_estimate(model: Model, scan: Any, estimate: Any, linearised: bool) -> bool:  # noqa: FBT001
+    """Begin the estimate of a scan; return whether its readings can be used, else it is LOST.
+
+    ``linearised``: whether the readings are valid; else ``estimate`` holds sensor, code and fault.
+    """
+    workspace = model.workspace[0]
+    tracker, settings = workspace.tracker, workspace.settings
+    estimate.number = scan.number
+    estimate.stamp_ns = scan.stamp_ns
+    if not tracker.epoch_known:
+        tracker.epoch_known, tracker.epoch_ns = 1, scan.stamp_ns
+    stamp = (scan.stamp_ns - tracker.epoch_ns) * 1e-9
+    frozen = NOT_FROZEN if workspace.again else count_repetitions(model, scan)
+    if linearised:
+        estimate.faults = 0
+        if not environment_is_valid(settings, scan):
+            estimate.faults = ENVIRONMENT_FAULT
+        elif frozen != NOT_FROZEN:
+            estimate.faults, estimate.code = FROZEN_FAULT, frozen
+    if estimate.faults == 0:
+        lacking = unmeasured(settings, scan)
+        if lacking != workspace.unmeasured:
+            workspace.unmeasured, workspace.rows_active = lacking, 0
+        restart_where_time_goes_back(tracker, stamp)
+        if not _is_out_for_good(tracker):
+            return True
+    tracker.reference_sigma = 0.0
+    faults, latched = estimate.faults, tracker.latch
+    if settings.max_velocity < math.inf and tracker.initialised and faults & (SOURCE_FAULT | FROZEN_FAULT):
+        latch(tracker, faults, 1 if faults == SOURCE_FAULT else 0, stamp - tracker.stamp)
+    estimate.residual = math.nan
+    write_lost(estimate, _with_latch(faults, latched) | _flagged(scan))
+    return False
+
+
+@inlined
+def _is_out_for_good(tracker: Any) -> bool:
+    """Return whether no pose of this scan could release the latch: a start from a closed form would be in vain."""
+    known = tracker.initialised or tracker.start_given
+    return bool(not known and tracker.latch & POSITION_FAULTS and not tracker.latch_about_theta)
+
+
+@inlined
+def _with_latch(faults: int, latched: int) -> int:
+    """Return the faults of a LOST scan, given what was latched before it."""
+    return int(faults | latched | LATCHED_FAULT) if latched else int(faults)
+
+
+@inlined
+def _flagged(scan: Any) -> int:
+    """Return the fault of a scan whose driver has marked a reading as saturated or filled in."""
+    return FLAGGED_FAULT if scan.status & (SATURATED | PROBES_ESTIMATED | DIODES_ESTIMATED) else 0
 
 
 @inlined
@@ -135,7 +192,7 @@ def _solve(model: Model, stamp: float, extrapolate: bool) -> tuple[int, int]:  #
     workspace = model.workspace[0]
     settings, tracker = workspace.settings, workspace.tracker
     m, elapsed = workspace.reading_count, stamp - tracker.stamp
-    tracked = tracker.initialised and not tracker.start_given
+    tracked = tracker.initialised and not tracker.start_given  # a start may be anywhere
     for r in range(m):
         workspace.weights[r] = 1.0 / workspace.variances[r]
     copy_pose(workspace.pose, workspace.start_pose)
@@ -157,77 +214,160 @@ def _solve(model: Model, stamp: float, extrapolate: bool) -> tuple[int, int]:  #
 def locate(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in order
     model: Model,
     stamp: float,
-    at_home: int,
+    scan: Any,
     extrapolate: bool,  # noqa: FBT001  kernels take no keywords
     estimate: Any,
-) -> None:
+) -> int:
     """Solve the active rows from ``workspace.pose`` on, find covariances, test the solution, and update the tracker.
 
     Args:
         model: The POSOR; ``systematic_readings`` hold what of the readings' systematic covariance does not come from
-            ``estimation.parameter_effects``.
+            ``estimation.parameter_effects`` or ``estimation.supply_and_temperature``.
         stamp: Time of the scan since the epoch [s].
-        at_home: Whether the scan saw the home mark.
+        scan: Record of dtype SCAN.
         extrapolate: Whether the start may be moved on as the target moved before, and the tilts may lag.
         estimate: Record of dtype ESTIMATE to write; of a LOST scan all numbers are NaN but the chi-square.
+
+    Returns:
+        DONE, or RETRY: the scan failed from the previous pose, and the tracker is unchanged.
 
     """
     workspace = model.workspace[0]
     settings, tracker, pose = workspace.settings, workspace.tracker, workspace.pose
-    counting = settings.bump_angle > 0.0
-    tracked = tracker.initialised and not tracker.start_given
-    elapsed = stamp - tracker.stamp
-    predicted_theta = theta_of(pose.rotation) if counting else 0.0
+    counting, limited = settings.period > 0.0, settings.max_velocity < math.inf
+    tracked, elapsed = tracker.initialised, stamp - tracker.stamp
+    may_retry = tracked and not tracker.start_given and settings.bump_angle == 0.0
+    latched = tracker.latch
     estimate.residual = math.nan
     outcome, faults = _solve(model, stamp, extrapolate)
     bridged = faults != 0
-    if outcome == CONVERGED and counting and at_home:
-        off = bumps_off(settings, theta_of(pose.rotation))
-        if off != 0.0:
-            tracked = False  # the way from the previous pose is meaningless
-            if tracker.counted:
-                faults |= COUNT_FAULT
+    counted, recounted, off, marks = tracker.counted, 0, 0.0, 0
+    if outcome == CONVERGED and counting:
+        # What counts theta in this scan: a statement, enough home marks, or a reference.
+        theta = theta_of(pose.rotation)
+        if scan.at_home == STATED_HOME or (scan.at_home and not counted):
+            off = periods_off(settings, theta)
+            marks = tracker.marks + 1 if tracker.marks > 0 and off == tracker.marks_off else 1
+            recounted = 1 if marks >= MARKS or scan.at_home == STATED_HOME else 0
+        elif tracker.reference_sigma > 0.0 and not counted:
+            off = float(round(wrapped(theta - tracker.reference_theta) / settings.period))
+            recounted = 1
+        if recounted and off != 0.0 and settings.bump_angle == 0.0:
+            faults |= COUNT_FAULT  # the numbers of the light sources say something else
+            recounted = 0
+        if recounted and off != 0.0:
             turn_about_z(pose.rotation, -off * settings.bump_angle)
-            bridged = False
+            bridged, faults = False, 0
             outcome = solve_pose(workspace, workspace.reading_count, SINGULAR, math.nan)
-            if outcome != CONVERGED:
-                faults |= NOT_CONVERGED_FAULT
-        if outcome == CONVERGED:
-            tracker.counted = 1
-    elif outcome != CONVERGED:
-        faults = ILL_CONDITIONED_FAULT if outcome == ILL_CONDITIONED else NOT_CONVERGED_FAULT
     if outcome != CONVERGED:
-        forget_pose(tracker)
-        write_lost(estimate, faults)
-        return
+        faults = ILL_CONDITIONED_FAULT if outcome == ILL_CONDITIONED else NOT_CONVERGED_FAULT
+        if may_retry and outcome != ILL_CONDITIONED:
+            return RETRY
+        if counting or not limited:
+            forget_pose(tracker)
+        _end_start(settings, tracker)
+        write_lost(estimate, _with_latch(faults, latched) | _flagged(scan))
+        return DONE
     differentiate_by_parameters(workspace.rows, workspace.reading_count, pose, model.by_row)
     add_systematic_covariance(model)
+    if workspace.unmeasured != 0:
+        add_unmeasured(workspace)
     write_covariances(workspace, estimate.random, estimate.systematic)
     estimate.residual = 0.0
     if workspace.redundant_count > 0 and not bridged:
         estimate.residual = chi_square(workspace)
-    if not estimate.residual <= settings.residual_limit:
-        faults |= RESIDUAL_FAULT
+    contradictory = not estimate.residual <= settings.residual_limit
+    if contradictory and may_retry:
+        return RETRY
     theta = theta_of(pose.rotation)
-    if tracked:
-        if settings.max_velocity < math.inf and motion_gate(workspace, elapsed, estimate.random) > 1.0:
+    confirmed, moved_on = recounted, True
+    if contradictory:
+        faults |= RESIDUAL_FAULT
+        if tracker.latch & RESIDUAL_FAULT:
+            tracker.contradictions = RESIDUAL_RUN
+        else:
+            tracker.contradictions += 1
+            if limited and tracker.contradictions >= RESIDUAL_RUN:
+                latch(tracker, RESIDUAL_FAULT, 1, elapsed)
+        confirmed, recounted = 0, 0
+    elif tracker.contradictions > 0:
+        tracker.contradictions = tracker.contradictions - 1 if tracker.latch & RESIDUAL_FAULT else 0
+        if tracker.contradictions == 0:
+            tracker.latch &= ~RESIDUAL_FAULT
+    if tracker.latch & POSITION_FAULTS:
+        if not contradictory and is_regained(workspace, stamp, estimate.random):
+            tracker.latch &= ~POSITION_FAULTS
+        else:
+            moved_on = False
+            if elapsed > REGAIN_GAP * tracker.latch_interval:
+                tracker.counted = 0  # nobody has followed the motion
+    elif tracked and limited and not recounted:
+        position, about_z = motion_gate(workspace, tracker.pose, elapsed, estimate.random)
+        if max(position, about_z) > 1.0:
             faults |= INNOVATION_FAULT
-        if counting:
-            reach = max(abs(tracker.theta_rate) * elapsed, abs(wrapped(theta - predicted_theta)))
-            if reach > 0.25 * settings.bump_angle:
-                faults |= COUNT_FAULT
-                tracker.counted = 0
-    if faults & (RESIDUAL_FAULT | INNOVATION_FAULT):
-        write_lost(estimate, faults)
-        return
-    if tracker.initialised:
+            slipped = counting and abs(wrapped(theta - tracker.theta)) > 0.5 * settings.period
+            latch(tracker, INNOVATION_FAULT, 1 if position <= 1.0 or slipped else 0, elapsed)
+            moved_on = False
+    if counting and tracked and moved_on and not contradictory and not recounted:
+        predicted = tracker.theta + tracker.theta_rate * elapsed
+        reach = max(abs(tracker.theta_rate) * elapsed, abs(wrapped(theta - predicted)))
+        if reach > 0.25 * settings.period:
+            faults |= COUNT_FAULT
+            tracker.counted = 0
+            marks, recounted = 0, 0
+    if moved_on and not contradictory and scan.at_home and counting and counted and not recounted:
+        off = periods_off(settings, theta)
+        if off == 0.0:
+            marks = max(0, tracker.marks) + 1
+            confirmed = 1 if marks >= MARKS else 0
+        else:
+            marks = min(0, tracker.marks) - 1
+            faults |= COUNT_FAULT
+            latch(tracker, COUNT_FAULT, 1, elapsed)
+    elif tracker.latch & COUNT_FAULT and not scan.at_home:
+        if -MARKS < tracker.marks < 0:
+            tracker.latch &= ~COUNT_FAULT  # the disagreeing mark was spurious
+        else:
+            marks = -MARKS
+    if tracker.reference_sigma > 0.0 and not contradictory:
+        difference = abs(wrapped(tracker.reference_theta - theta))
+        variance = square(tracker.reference_sigma) + estimate.random[5, 5] + estimate.systematic[5, 5]
+        confirmed = 1 if difference <= REFERENCE_SIGMAS * math.sqrt(variance) else 0
+        if not confirmed:
+            faults |= ENCODER_FAULT
+            latch(tracker, ENCODER_FAULT, 1, elapsed)
+    tracker.reference_sigma = 0.0
+    tracker.marks, tracker.marks_off = marks, off
+    if confirmed and (moved_on or tracker.latch_about_theta):
+        tracker.counted = 1
+        if tracker.latch_about_theta:
+            tracker.latch &= RESIDUAL_FAULT
+            faults &= ~(INNOVATION_FAULT | COUNT_FAULT)
+            if not moved_on:
+                recounted, moved_on = 1, True
+    faults |= _flagged(scan)
+    _end_start(settings, tracker)
+    if moved_on and not contradictory:
         theta = tracker.theta + wrapped(theta - tracker.theta)
-    update_tracker(tracker, pose, stamp, theta, elapsed if tracked else math.nan)
-    state = DEGRADED if faults else OK
-    if counting and not tracker.counted:
-        state = UNCOUNTED
+        update_tracker(tracker, pose, stamp, theta, elapsed if tracked and not recounted else math.nan)
+    elif not contradictory:
+        tracker.rejected_known, tracker.rejected_stamp = 1, stamp
+        copy_pose(pose, tracker.rejected)
+    if contradictory or tracker.latch:
+        write_lost(estimate, _with_latch(faults, latched))
+        return DONE
     _write_pose(workspace, theta, estimate)
-    estimate.state, estimate.faults = state, faults
+    estimate.state, estimate.faults = DEGRADED if faults else OK, faults
+    if counting and not tracker.counted:
+        estimate.state = UNCOUNTED
+    return DONE
+
+
+@inlined
+def _end_start(settings: Any, tracker: Any) -> None:
+    """Use a given start for one scan only, but the one that knows a count until a scan has used it."""
+    if tracker.initialised or not (settings.bump_angle > 0.0 and tracker.counted):
+        tracker.start_given = 0
 
 
 @inlined

@@ -14,6 +14,7 @@ import numpy as np
 
 from posor_estimator.estimation.estimate_scan import DONE, LOST, estimate_scan, write_lost
 from posor_estimator.model.fault import Fault
+from posor_estimator.model.scan import HOME_BUMP, STATED_HOME
 from posor_estimator.numerics.compiled import compile_for, in_place, inlined, record_view
 from posor_estimator.numerics.stamps import time_in_kernel
 
@@ -31,7 +32,6 @@ RAW_SCAN_LAYOUT = np.dtype(
             "stamp",  # seconds, then nanoseconds, four bytes each
             "number",
             "status",
-            "home_bits",  # which bits of the status say that the home mark was seen; not an offset
             "gap_voltages",
             "gap_count",  # the counts are not offsets either
             "ring_voltages",
@@ -72,7 +72,7 @@ RANDOM, SYSTEMATIC, TOTAL = 0, 1, 2
 STATUS = np.dtype(
     [
         ("readings_usable", "i8"),  # 0: the scans are of another frame; every scan is LOST
-        ("count_from_next", "i8"),  # 1: the next scan counts as having seen the home mark
+        ("count_from_next", "i8"),  # 1: the next scan is stated to be at the home mark
         ("stamp_ns", "i8"),  # of the last scan; 0: invalid
         ("state", "i8"),  # of the last scan; -1: there was none
         ("faults", "i8"),
@@ -141,7 +141,8 @@ def unpack_scan(rows: MessageRows, n: int, layout: Any, scan: Any) -> None:
     scan.stamp_ns = time_in_kernel(int(words[n, layout.stamp // 4]), int(words[n, layout.stamp // 4 + 1]) & 0xFFFFFFFF)
     number = layout.number // 4
     scan.number = int(words[n, number]) & 0xFFFFFFFF | (int(words[n, number + 1]) & 0xFFFFFFFF) << 32
-    scan.at_home = 1 if int(words[n, layout.status // 4]) & layout.home_bits else 0
+    scan.status = int(words[n, layout.status // 4]) & 0xFFFFFFFF
+    scan.at_home = 1 if scan.status & HOME_BUMP else 0
     scan.gap_count, scan.ring_count = layout.gap_count, layout.ring_count
     scan.current_count, scan.lit_count = layout.current_count, layout.lit_count
     for i in range(layout.gap_count):
@@ -196,7 +197,7 @@ def begin_message(model: Model, stream: MessageStream, n: int) -> bool:
     scan, estimate = workspace.scan, workspace.estimate
     unpack_scan(stream.raw, n, stream.raw_layout[0], scan)
     if status.count_from_next:
-        scan.at_home = 1
+        scan.at_home = STATED_HOME
     status.stamp_ns = scan.stamp_ns
     if scan.stamp_ns != 0 and status.readings_usable:
         return True

@@ -32,7 +32,7 @@ def _parameter_of(model: Model, reading: int, k: int) -> int:
 
 
 @in_place
-def find_contributions(model: Model) -> None:
+def find_contributions(model: Model) -> None:  # noqa: C901  loops over plain numbers
     """Find which derivatives count for the active rows, what each adds to, and which readings become correlated."""
     workspace = model.workspace[0]
     m, length = workspace.reading_count, PARAMETERS + model.linearisation_parameters.shape[1]
@@ -61,6 +61,8 @@ def find_contributions(model: Model) -> None:
             if block.first_reading <= r <= block.last_reading:
                 workspace.first_correlated[r] = min(workspace.first_correlated[r], block.first_reading)
                 workspace.end_correlated[r] = max(workspace.end_correlated[r], block.last_reading + 1)
+        if workspace.unmeasured != 0:  # see estimation.supply_and_temperature
+            workspace.first_correlated[r], workspace.end_correlated[r] = 0, m
 
 
 @in_place

@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from posor_estimator.estimation.estimate_scan import DONE, LOST, RETRY, START, locate, write_lost
+from posor_estimator.estimation.estimate_scan import DONE, LOST, START, begin_scan_estimate, locate, write_lost
 from posor_estimator.estimation.linearise import linearise_scan
 from posor_estimator.estimation.solver import ITERATIONS, LENGTH, TOLERANCE
 from posor_estimator.estimation.tracking import (
-    restart_where_time_goes_back,
     theta_of,
     turn_about_z,
     wrapped,
@@ -63,6 +62,7 @@ class PlainSensors:
                 estimate["faults"] = int(sensor.explain(Scans(scans)[n], 1).fault)
                 return False
             workspace["values"][readings], workspace["variances"][readings] = reading.values, reading.variances
+            workspace["sensitivities"][readings] = 0.0 if reading.sensitivities is None else reading.sensitivities
             workspace["selected_rows"][readings] = self._stack.affine_rows(number)
         return True
 
@@ -78,27 +78,19 @@ class PlainSensors:
 
     def _estimate_scan(self, scans: NDArray[np.void], estimates: NDArray[np.void], n: int) -> int:
         estimate, tracker = estimates[n], self._model.workspace[0]["tracker"]
-        estimate["number"], estimate["stamp_ns"] = scans[n]["number"], scans[n]["stamp_ns"]
-        if not tracker["epoch_known"]:
-            tracker["epoch_known"], tracker["epoch_ns"] = 1, scans[n]["stamp_ns"]
-        if not self.linearise(scans, estimates, n):
-            estimate["residual"] = np.nan
-            write_lost(estimate, int(estimate["faults"]))
+        linearised = self.linearise(scans, estimates, n)
+        if not begin_scan_estimate(self._model, scans[n], estimate, linearised):
             return DONE
-        stamp = float((scans[n]["stamp_ns"] - tracker["epoch_ns"]) * 1e-9)
-        restart_where_time_goes_back(tracker, stamp)
-        if not tracker["initialised"]:
+        if not tracker["initialised"] and not tracker["start_given"]:
             return START
-        from_previous_pose = not tracker["start_given"]
-        self._locate(scans, estimates, n, stamp)
-        if estimate["state"] != LOST:
-            return DONE
-        write_lost(estimate, int(estimate["faults"]))
-        retry = from_previous_pose and int(estimate["faults"]) & (Fault.RESIDUAL | Fault.NOT_CONVERGED)
-        return RETRY if retry else DONE
+        stamp = float((scans[n]["stamp_ns"] - tracker["epoch_ns"]) * 1e-9)
+        left = self._locate(scans, estimates, n, stamp)
+        if left == DONE and estimate["state"] == LOST:
+            write_lost(estimate, int(estimate["faults"]))
+        return left
 
-    def _locate(self, scans: NDArray[np.void], estimates: NDArray[np.void], n: int, stamp: float) -> None:
-        """Locate scan n, whose readings are linearised, and update the tracker."""
+    def _locate(self, scans: NDArray[np.void], estimates: NDArray[np.void], n: int, stamp: float) -> int:
+        """Locate scan n, whose readings are linearised, and update the tracker; return what ``locate`` returns."""
         import pinocchio as pin  # noqa: PLC0415  50 MB that a node does not need before its first scan
 
         workspace, estimate, m = self._model.workspace[0], estimates[n], self._stack.readings
@@ -106,13 +98,13 @@ class PlainSensors:
         rows = self._activate_rows(workspace, m)
         scan = Scans(scans)[n]
 
-        def locate_from(begin: Any) -> Any:
-            """Locate with the rows as they are, and return the tracker that ``begin`` becomes."""
+        def locate_once() -> tuple[int, Any]:
+            """Locate with the rows as they are; return what is left to do, and the tracker afterwards."""
             prepare_rows(record_view(rows))
             workspace["systematic_readings"][:m, :m] = systematic
-            workspace["tracker"] = begin
-            locate(self._model, stamp, int(scan.at_home), False, estimate)  # noqa: FBT003  kernels take no keywords
-            return workspace["tracker"].copy()
+            workspace["tracker"] = former
+            left = locate(self._model, stamp, scans[n], False, estimate)  # noqa: FBT003  kernels take no keywords
+            return int(left), workspace["tracker"].copy()
 
         # Affine rows hold where they were expanded; therefore the lag of the tilts is followed here, not in the kernel.
         former = tracker.copy()
@@ -120,7 +112,7 @@ class PlainSensors:
         former_theta = float(former["theta"])
         start = self._start_pose(stamp)
         pose["rotation"], pose["translation"] = start.rotation, start.translation
-        begin, count_fault, updated = former, 0, former
+        left, updated = DONE, former
         for attempt in range(ITERATIONS):
             before = pin.SE3(pose["rotation"], pose["translation"])
             self._stack.expand_plain_rows(rows, before.rotation, before.translation)
@@ -128,33 +120,25 @@ class PlainSensors:
                 turn_rows(record_view(rows), wrapped(former_theta - theta_of(before.rotation)))
             effects = self._stack.residual_jacobian(scan, before.rotation, before.translation) @ self._square_root
             systematic = effects @ effects.T
-            updated = locate_from(begin)
-            faults = int(estimate["faults"])
+            left, updated = locate_once()
+            blind = int(estimate["faults"]) & Fault.ILL_CONDITIONED
             if attempt == 0:
-                # A doubtful count found on the way from the start is not seen from a later expansion.
-                count_fault = faults & int(Fault.COUNT)
-                begin, correction = self._continued(former, count_fault, start.rotation)
-                former_theta += correction
-            elif faults & Fault.ILL_CONDITIONED and estimate["state"] != LOST:
+                former_theta += self._correction(start.rotation)
+            elif blind and left == DONE and estimate["state"] != LOST:
                 # The previous pose fills the blind direction and holds the pose to where the kernel starts: start where
                 # the scan did, with the affine rows moved back there along the tangent.
                 affine = rows["kind"] == AFFINE
                 back = pin.log6(start.actInv(before)).vector
                 rows["value"][affine] -= rows["derivative"][affine] @ back
                 pose["rotation"], pose["translation"] = start.rotation, start.translation
-                updated = locate_from(begin)
-            faults = int(estimate["faults"])
-            if faults & Fault.ILL_CONDITIONED or _distance(before, pose) < TOLERANCE_OF_EXPANSION:
+                left, updated = locate_once()
+            if int(estimate["faults"]) & Fault.ILL_CONDITIONED or _distance(before, pose) < TOLERANCE_OF_EXPANSION:
                 break
         else:
             estimate["state"], estimate["faults"] = State.LOST, Fault.NOT_CONVERGED
             updated["initialised"] = updated["counted"] = 0
-        estimate["faults"] |= count_fault
-        if estimate["state"] == State.OK and count_fault:
-            estimate["state"] = State.DEGRADED
-        if estimate["state"] == State.LOST:
-            updated["start_given"] = former["start_given"]
         workspace["tracker"] = updated
+        return left
 
     def _activate_rows(self, workspace: Any, m: int) -> NDArray[np.void]:
         """Copy the selected rows of the pool into the workspace; all systematic covariance will come from outside."""
@@ -171,28 +155,19 @@ class PlainSensors:
         import pinocchio as pin  # noqa: PLC0415  50 MB that a node does not need before its first scan
 
         workspace = self._model.workspace[0]
-        tracker = workspace["tracker"]
-        rotation = tracker["pose"]["rotation"].copy()
-        if workspace["settings"]["bump_angle"] > 0.0 and not tracker["start_given"]:
+        tracker, given = workspace["tracker"], workspace["tracker"]["start_given"]
+        pose = tracker["start" if given else "pose"]
+        rotation = pose["rotation"].copy()
+        if workspace["settings"]["bump_angle"] > 0.0 and not given:
             turn_about_z(rotation, float(tracker["theta_rate"] * (stamp - tracker["stamp"])))
-        return pin.SE3(rotation, tracker["pose"]["translation"])
+        return pin.SE3(rotation, pose["translation"])
 
-    def _continued(self, former: Any, count_fault: int, before: FloatArray) -> tuple[Any, float]:
-        """Return the tracker for going on from the first solution of a scan, and the correction of theta [rad].
-
-        Where the home mark has corrected the count by whole bumps, the way from the previous pose is meaningless, and
-        theta is counted; where the count is in doubt, theta is not counted.
-        """
-        workspace, begin = self._model.workspace[0], former.copy()
-        bump = workspace["settings"]["bump_angle"]
+    def _correction(self, before: FloatArray) -> float:
+        """Return by how many whole bumps the first solution of a scan was turned since ``before`` [rad]."""
+        workspace = self._model.workspace[0]
+        bump = float(workspace["settings"]["bump_angle"])
         turned = wrapped(theta_of(np.ascontiguousarray(workspace["pose"]["rotation"])) - theta_of(before))
-        correction = 0.0
-        if bump > 0.0 and abs(turned) > 0.5 * bump:
-            begin["start_given"] = begin["counted"] = 1
-            correction = bump * round(turned / bump)
-        elif count_fault:
-            begin["counted"] = 0
-        return begin, correction
+        return bump * round(turned / bump) if bump > 0.0 and abs(turned) > 0.5 * bump else 0.0
 
 
 def _distance(before: pin.SE3, pose: Any) -> float:

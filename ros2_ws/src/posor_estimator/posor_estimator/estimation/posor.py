@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import copy
 import math
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.special import chdtri
 
-from posor_estimator.calibration.calibration_file import Calibration, TiltAngle
+from posor_estimator.calibration.calibration_file import Calibration, Environment, TiltAngle
 from posor_estimator.calibration.parameter_covariance import CovarianceSquareRoot, stated_correlation
 from posor_estimator.errors import ParameterError, ShapeError
 from posor_estimator.estimation.estimate import ESTIMATE, Estimate, Estimates
-from posor_estimator.estimation.estimate_scan import DONE, LOST, RETRY, estimate_scans
+from posor_estimator.estimation.estimate_scan import DONE, START, estimate_scans
+from posor_estimator.estimation.frozen import ALL, evidence_of_repetition
 from posor_estimator.estimation.linearise import linearise_scan
 from posor_estimator.estimation.plain_sensors import PlainSensors
 from posor_estimator.estimation.sensor_stack import Stack
@@ -22,6 +24,7 @@ from posor_estimator.estimation.start_poses import start_poses
 from posor_estimator.estimation.tracking import wrapped
 from posor_estimator.model.fault import Fault
 from posor_estimator.model.native_coordinates import native_from_rotation
+from posor_estimator.model.readings import DIODE_CURRENTS, PYTHON
 from posor_estimator.model.scan import Scan, ScanBuffer, Scans
 from posor_estimator.numerics.compiled import compile_for, record_view
 
@@ -35,10 +38,13 @@ if TYPE_CHECKING:
     from posor_estimator.numerics.array_types import FloatArray
     from posor_estimator.sensors.base import Linearised
 
+MAX_FLOAT = float(np.finfo(float).max)
 PHASE_GUESSES = 8
 """Starts within one bump that are tried where theta is unknown."""
 LIKELY_RUNOUT = 1e-4
 """Of starts that fit alike, as three ring probes have several, the start of least runout is taken; scale [m]."""
+LARGEST_SIGMA = 0.1
+"""Largest standard uncertainty of a reference of theta, in periods: five of them are half a period."""
 COUNT_WINDOW = 0.52
 """Largest distance of a solution from a theta that is known to half a bump, in bumps."""
 
@@ -99,13 +105,58 @@ class Posor:
         for sensor in self.calibration.sensors:
             if sensor.bump_angle > 0.0 and settings["bump_angle"] == 0.0:
                 settings["bump_angle"], settings["home_theta"] = sensor.bump_angle, sensor.home_theta
+        slips = [sensor.slip_angle for sensor in self.calibration.sensors]
+        settings["period"] = settings["bump_angle"] or max(slips)
+        self._prepare_environment(settings)
+        self._prepare_frozen(settings)
         settings["tilt_lags"] = self.calibration.tilt_angle is TiltAngle.PREVIOUS_SCAN
+
+    def _prepare_environment(self, settings: Any) -> None:
+        environment = self.calibration.environment or Environment()
+        for k, part in enumerate((environment.supply, environment.temperature)):
+            settings["environment"][k] = (-MAX_FLOAT, MAX_FLOAT) if part is None else part.range.array
+            settings["spreads"][k] = 0.0 if part is None else part.spread.number
+        workspace, channels = self.model.workspace[0], self.model.channels
+        for sensor in self.model.sensors:
+            if sensor["source"] not in {DIODE_CURRENTS, PYTHON}:
+                reading, channel, count = (int(sensor[name]) for name in ("first_reading", "first_channel", "count"))
+                for k, name in enumerate(("supply_sensitivity", "temperature_sensitivity")):
+                    by = channels[name][channel : channel + count]
+                    workspace["sensitivities"][reading : reading + count, k] = by
+
+    def _prepare_frozen(self, settings: Any) -> None:
+        """Write the evidence of each reading's repetition; none without the converter's steps."""
+        converter, model, workspace = self.calibration.converter, self.model, self.model.workspace[0]
+        if converter is None:
+            return
+        for sensor in model.sensors:
+            first, channel = int(sensor["first_reading"]), int(sensor["first_channel"])
+            for i in range(int(sensor["count"])):
+                if sensor["source"] == DIODE_CURRENTS:
+                    diode = model.diodes[channel + i]
+                    for axis, noise in enumerate(0.5 * diode["least_sum"] * diode["noise"]):
+                        workspace["evidence"][first + 2 * i + axis] = evidence_of_repetition(
+                            converter.current.number, float(noise)
+                        )
+                elif sensor["source"] != PYTHON:
+                    noise = float(model.channels[channel + i]["noise"])
+                    workspace["evidence"][first + i] = evidence_of_repetition(converter.voltage.number, noise)
+        settings["all_evidence"] = workspace["evidence"].sum()
 
     def with_parameter_values(self, values: FloatArray) -> Posor:
         """Return the same POSOR with another parameter vector of its stack (shape (p,)), and nothing remembered.
 
         ``calibration`` stays the calibration that this POSOR was made of.
+
+        Raises:
+            ShapeError: The vector has another length.
+            ParameterError: A value is not finite.
+
         """
+        if np.shape(values) != (self.stack.parameters,):
+            raise ShapeError("values", received=np.shape(values), expected=f"({self.stack.parameters},)")
+        if not np.isfinite(values).all():
+            raise ParameterError("a value is not finite", where="parameter values", expected="finite numbers")
         other = copy.copy(self)
         other.stack = self.stack.with_parameter_values(values)
         other._prepare()  # noqa: SLF001  a copy of the same class
@@ -127,7 +178,7 @@ class Posor:
         """What is known from the previous scans, a record of dtype ``workspace.TRACKER``."""
         return self.model.workspace[0]["tracker"]
 
-    @property
+    @cached_property
     def parameter_square_root(self) -> FloatArray:
         """A square root of the covariance of the stack's parameters that the calibration states, (p, factors)."""
         return self._square_root.dense()
@@ -139,7 +190,7 @@ class Posor:
 
     @property
     def counting(self) -> bool:
-        """Whether theta is counted, in bumps from a home mark."""
+        """Whether theta is counted, in bumps from a home mark or another reference."""
         return bool(self.settings["bump_angle"] > 0.0)
 
     @property
@@ -153,15 +204,65 @@ class Posor:
         self.model.workspace["tracker"] = np.zeros((), dtype=self.model.workspace["tracker"].dtype)
         self.tracker["epoch_known"], self.tracker["epoch_ns"] = epoch_known, epoch_ns
 
+    def acknowledge(self) -> bool:
+        """Release the latch after a fault: the next scan starts anew, and a counted theta must be counted again.
+
+        Returns:
+            Whether there was a latch; without one nothing changes.
+
+        """
+        if not self.tracker["latch"]:
+            return False
+        kept = {name: self.tracker[name].copy() for name in ("theta", "last_raw", "repeats")}
+        self.reset()
+        for name, value in kept.items():
+            self.tracker[name] = value
+        return True
+
+    def confirm_theta(self, theta: float, sigma: float) -> None:
+        """Compare the theta of the next scan with that of an encoder or another reference.
+
+        Agreement within 5 standard deviations counts theta where needed, and releases a latch that is about
+        theta only. Disagreement is ``Fault.ENCODER``, latched.
+
+        Args:
+            theta: Large rotation at the next scan, modulo whole turns [rad].
+            sigma: Its standard uncertainty, motion until the next scan included [rad].
+
+        Raises:
+            ParameterError: A number is not finite, ``sigma`` is not positive, or it is too large to tell the periods of
+                an ambiguous theta apart.
+
+        """
+        if not (math.isfinite(theta) and math.isfinite(sigma) and sigma > 0.0):
+            raise ParameterError(
+                f"theta {theta:g}, sigma {sigma:g}", where="confirm_theta", expected="finite, sigma > 0"
+            )
+        period = float(self.settings["period"])
+        if period > 0.0 and sigma > LARGEST_SIGMA * period:
+            raise ParameterError(
+                f"sigma {sigma:g} rad",
+                where="confirm_theta",
+                expected=f"at most {LARGEST_SIGMA * period:.3g}; theta repeats after {period:.3g} rad",
+            )
+        self.tracker["reference_theta"], self.tracker["reference_sigma"] = theta, sigma
+
+    @property
+    def latched(self) -> Fault:
+        """Faults that keep the joint out until the earlier motion is regained, confirmed or acknowledged."""
+        return Fault(int(self.tracker["latch"]))
+
     def continue_from(self, other: Posor) -> None:
-        """Start the next scan from the previous pose of another POSOR of the same kind, with its count of bumps.
+        """Start the next scan from the previous pose of another POSOR of the same kind, with its count and latch.
 
         The next scan skips the motion gate: the two calibrations may see one place differently.
         """
-        repeats = ["bump_angle", "home_theta"]
+        repeats = ["bump_angle", "period", "home_theta"]
         if all(self.settings[name] == other.settings[name] for name in repeats):
             self.model.workspace["tracker"] = other.model.workspace["tracker"]
-            self.tracker["start_given"] = self.tracker["initialised"]
+            if self.tracker["initialised"]:
+                self.tracker["start"] = self.tracker["pose"]
+                self.tracker["start_given"], self.tracker["initialised"] = 1, 0
 
     def estimate(self, scan: Scan) -> Estimate:
         """Return the pose of one scan, starting from the pose of the previous scan.
@@ -228,17 +329,17 @@ class Posor:
 
         The arrays are those of ``estimate_records`` in the view for kernels (``numerics.compiled.record_view``).
         """
-        failed = left == RETRY
-        if failed and self.counting:
-            return  # a closed form does not know the count
-        before = self.model.workspace["tracker"].copy()
+        if left == START and self.counting:
+            self.tracker["counted"] = 0  # a closed form does not know the count
         self._start(scans, estimates, n)
-        self._estimate_scans(scans, estimates, n, n + 1)
-        if failed and estimates[n]["state"] == LOST:
-            self.model.workspace["tracker"] = before
+        self.model.workspace["again"] = 1
+        try:
+            self._estimate_scans(scans, estimates, n, n + 1)
+        finally:
+            self.model.workspace["again"] = 0
 
     def _start(self, scans: NDArray[np.void], estimates: NDArray[np.void], n: int) -> None:
-        """Make the best closed-form start for scan n the previous pose."""
+        """Make the best closed-form start for scan n the start of the solver."""
         self._linearise(scans, estimates, n)
         workspace, m = self.model.workspace[0], self.stack.readings
         rows, values, variances = workspace["rows"], workspace["values"][:m], workspace["variances"][:m]
@@ -275,13 +376,10 @@ class Posor:
             linearise_scan(self.model, scans[n], estimates[n])
 
     def _set_start(self, rotation: FloatArray, translation: FloatArray) -> None:
-        """Make a start the previous pose; the next scan skips the motion gate."""
-        tracker = self.tracker
-        tracker["pose"]["rotation"], tracker["pose"]["translation"] = rotation, translation
-        tracker["initialised"] = tracker["start_given"] = 1
-        tracker["theta_rate"] = tracker["interval"] = 0.0
-        tracker["theta"] = native_from_rotation(rotation)[2]
-        tracker["counted"] = not self.counting
+        """Let the solver start the next scan from a pose."""
+        start = self.tracker["start"]
+        start["rotation"], start["translation"] = rotation, translation
+        self.tracker["start_given"] = 1
 
     def predict(self, scan: Scan, T_R_T: pin.SE3) -> FloatArray:
         """Return what every linearised reading of a scan would be at a pose [m], shape (m,).
@@ -316,7 +414,10 @@ class Posor:
         weights = 1.0 / variances
         gain = np.linalg.solve(jacobian.T @ (weights[:, None] * jacobian), (weights[:, None] * jacobian).T)
         parameters = self.stack.residual_jacobian(scan, T_R_T.rotation, T_R_T.translation) @ self.parameter_square_root
-        whole = np.linalg.inv(np.diag(variances) + parameters @ parameters.T)
+        spreads = np.where(np.isnan([scan.supply_voltage, scan.temperature]), self.settings["spreads"], 0.0)
+        unmeasured = self.model.workspace[0]["sensitivities"][: self.stack.readings] * spreads
+        systematic = parameters @ parameters.T + unmeasured @ unmeasured.T
+        whole = np.linalg.inv(np.diag(variances) + systematic)
         seen = whole - whole @ jacobian @ np.linalg.solve(jacobian.T @ whole @ jacobian, jacobian.T @ whole)
         return np.kron(np.eye(2), T_R_T.rotation) @ gain, np.diagonal(seen).copy()
 
@@ -338,10 +439,31 @@ class Posor:
             Fault.RESIDUAL: f"the redundant readings contradict one another, chi-square {estimate['residual']:.3g}; "
             f"expected at most {self.residual_limit:.3g}",
             Fault.INNOVATION: "the pose is further from the previous pose than the target can have moved",
-            Fault.COUNT: "the bump count is in doubt",
+            Fault.COUNT: "the count of theta is in doubt, or a home mark disagrees with it",
+            Fault.ENVIRONMENT: self._environment_sentence(scan),
+            Fault.FLAGGED: "the driver marked a reading as saturated or filled in",
+            Fault.FROZEN: f"{self._frozen_name(estimate)} repeats to the last bit although it has noise",
+            Fault.ENCODER: "theta disagrees with the encoder",
         }
         found = [sentence for fault, sentence in sentences.items() if faults & fault]
+        if faults & Fault.LATCHED:
+            names = Fault(faults & ~Fault.LATCHED).name
+            found = [f"out after {names}, until a reference confirms theta or the fault is acknowledged"]
         return f"scan {scan.number}: {'; '.join(found)}." if found else ""
+
+    def _environment_sentence(self, scan: Scan) -> str:
+        parts = (("supply voltage", scan.supply_voltage, "V"), ("temperature", scan.temperature, "K"))
+        invalid = [
+            f"{name} {value:g} {unit} is outside the calibration's range; expected "
+            + ("a finite number or NaN" if high == MAX_FLOAT else f"{low:g} to {high:g} {unit}")
+            for (name, value, unit), (low, high) in zip(parts, self.settings["environment"], strict=True)
+            if not (math.isnan(value) or low <= value <= high)
+        ]
+        return "; ".join(invalid)
+
+    def _frozen_name(self, estimate: Any) -> str:
+        code = int(estimate["code"])
+        return "every reading" if code == ALL else self.stack.reading_names[code]
 
 
 class _OneScan:

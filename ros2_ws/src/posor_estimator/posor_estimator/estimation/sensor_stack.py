@@ -23,7 +23,7 @@ from posor_estimator.estimation.workspace import (
 )
 from posor_estimator.model.diode import DIODE
 from posor_estimator.model.reading_rows import AFFINE, PARAMETERS, ROW, ROW_DERIVATIVES, evaluate_rows
-from posor_estimator.model.readings import DIODE_CURRENTS, PYTHON
+from posor_estimator.model.readings import DIODE_CURRENTS, PYTHON, SOURCE_NAMES
 from posor_estimator.model.voltage import CHANNEL, CHANNEL_DERIVATIVES, CHANNEL_PARAMETERS
 from posor_estimator.numerics.compiled import record_view
 from posor_estimator.sensors.base import Linearised, PlainSensor, ReadingSource, RowSensor
@@ -53,7 +53,8 @@ class Stack:
         pool_parameters: Where each row parameter stands in the parameter vector, negative for none, (K, PARAMETERS).
 
     Raises:
-        CalibrationError: The sensors have more readings than the estimator has capacity for.
+        CalibrationError: The sensors have more readings than the estimator has capacity for, or two of them read the
+            same field of a scan.
 
     """
 
@@ -65,6 +66,10 @@ class Stack:
         self.readings, self.parameters = sum(counts), sum(sizes)
         if self.readings > READINGS:
             raise CalibrationError(f"{self.readings} readings", where="sensors", expected=f"at most {READINGS}")
+        sources = [sensor.reading_source.source for sensor in self.sensors if isinstance(sensor, RowSensor)]
+        if len(set(sources)) < len(sources):
+            field = SOURCE_NAMES[next(source for source in sources if sources.count(source) > 1)]
+            raise CalibrationError(f"two sensors read the {field}", where="sensors", expected="one sensor of each type")
         self.first_readings, self.first_parameters = _starts(counts), _starts(sizes)
         rows = [
             sensor.rows if isinstance(sensor, RowSensor) else _affine_rows(count)

@@ -1,10 +1,18 @@
-"""From scan to scan: prediction of the next pose, motion gate, prior where readings are blind, counting of bumps."""
+"""From scan to scan: prediction of the next pose, motion gate, latch, prior where readings are blind, counting.
+
+A fault latches the joint out. Faults of the position (POSITION_FAULTS) hold the tracker at the last accepted pose. They
+are released where one of the next scans regains the extrapolated motion within the gate of one scan interval, by a jump
+back from the poses rejected meanwhile. Waiting does not widen this gate: later, only a reference of theta releases a
+latch that is about theta, or an operator any latch. Where a home mark or an encoder disagrees, the tracker goes on, and
+the reference releases the latch.
+"""
 
 from __future__ import annotations
 
 import math
 from typing import TYPE_CHECKING, Any
 
+from posor_estimator.model.fault import Fault
 from posor_estimator.model.reading_rows import AFFINE
 from posor_estimator.numerics.compiled import in_place, inlined
 from posor_estimator.numerics.vector import square
@@ -14,6 +22,15 @@ if TYPE_CHECKING:
 
 LONGEST_GAP = 3.5
 """Intervals of the previous scans, over which a motion is extrapolated."""
+REGAIN_GAP = 4.5
+"""Intervals after the last accepted pose within which the motion is regained: up to three bad scans in a row."""
+MARKS = 6
+"""Scans in a row with consistent home marks that count theta, or whose disagreement is no longer taken for spurious."""
+RESIDUAL_RUN = 10
+"""Scans in a row that fail the residual test before the joint is latched, and that pass it before it is released."""
+REFERENCE_SIGMAS = 5.0
+"""Standard deviations within which a reference of theta agrees."""
+POSITION_FAULTS = int(Fault.INNOVATION | Fault.SOURCE | Fault.FROZEN)
 NOISE_ALLOWANCE = 5.0
 """Standard deviations of noise that are added to the largest motion before a jump is a fault."""
 
@@ -52,8 +69,9 @@ def copy_pose(source: Any, target: Any) -> None:
 @in_place
 def restart_where_time_goes_back(tracker: Any, stamp: float) -> None:
     """Forget the previous pose where time has not gone on: a replay has started over."""
-    if tracker.initialised and not tracker.start_given and not stamp > tracker.stamp:
+    if tracker.initialised and not stamp > tracker.stamp:
         forget_pose(tracker)
+        tracker.theta = 0.0
 
 
 @inlined
@@ -65,9 +83,12 @@ def forget_pose(tracker: Any) -> None:
 
 @inlined
 def write_start(settings: Any, tracker: Any, stamp: float, pose: Any) -> None:
-    """Write the start of a scan: the previous pose, a counted theta turned on at the last rate."""
+    """Write the start of a scan: the given one, or the previous pose, a counted theta turned on at the last rate."""
+    if tracker.start_given:
+        copy_pose(tracker.start, pose)
+        return
     copy_pose(tracker.pose, pose)
-    if settings.bump_angle > 0.0 and not tracker.start_given:
+    if settings.bump_angle > 0.0:
         turn_about_z(pose.rotation, tracker.theta_rate * (stamp - tracker.stamp))
 
 
@@ -104,9 +125,9 @@ def add_prior(workspace: Any, first: int, elapsed: float) -> None:
 
 
 @inlined
-def motion_gate(workspace: Any, elapsed: float, covariance: FloatArray) -> float:
-    """Return the distance of the pose from the previous one as a share of the largest possible motion."""
-    settings, previous, pose = workspace.settings, workspace.tracker.pose, workspace.pose
+def motion_gate(workspace: Any, previous: Any, elapsed: float, covariance: FloatArray) -> tuple[float, float]:
+    """Return the distance of the pose from another one as a share of the largest possible motion: position, theta."""
+    settings, pose = workspace.settings, workspace.pose
     largest = 0.0
     for i in range(3):
         allowed = settings.max_velocity * elapsed + NOISE_ALLOWANCE * math.sqrt(2.0 * covariance[i, i])
@@ -118,14 +139,49 @@ def motion_gate(workspace: Any, elapsed: float, covariance: FloatArray) -> float
         largest = max(largest, leaned / allowed)
     turned = abs(wrapped(theta_of(pose.rotation) - theta_of(previous.rotation)))
     allowed = settings.max_theta_rate * elapsed + NOISE_ALLOWANCE * math.sqrt(2.0 * covariance[5, 5])
-    return float(max(largest, turned / allowed))
+    return largest, turned / allowed
 
 
 @in_place
-def bumps_off(settings: Any, theta: float) -> float:
-    """Return by how many whole bumps the counted theta misses the home mark's; whole turns count as no miss."""
-    per_turn = round(2.0 * math.pi / settings.bump_angle)
-    off = float(round((theta - settings.home_theta) / settings.bump_angle))
+def latch(tracker: Any, faults: int, about_theta: int, elapsed: float) -> None:
+    """Keep the joint out; ``elapsed`` [s] since the last accepted pose, ``about_theta``: a reference may release it."""
+    if faults & POSITION_FAULTS and tracker.latch & POSITION_FAULTS == 0:
+        tracker.latch_interval = tracker.interval
+        if elapsed > 0.0 and (tracker.interval <= 0.0 or elapsed < tracker.interval):
+            tracker.latch_interval = elapsed
+        tracker.rejected_known = 0
+    if tracker.latch == 0:
+        tracker.latch_about_theta = 1
+    tracker.latch |= faults
+    tracker.latch_about_theta &= about_theta
+
+
+@inlined
+def is_regained(workspace: Any, stamp: float, covariance: FloatArray) -> bool:
+    """Return whether the pose goes on from the last accepted pose, and not from one that was rejected since."""
+    tracker, centre = workspace.tracker, workspace.start_pose
+    elapsed, interval = stamp - tracker.stamp, tracker.latch_interval
+    if not tracker.initialised or elapsed > REGAIN_GAP * interval:
+        return False
+    if tracker.rejected_known:
+        position, theta = motion_gate(workspace, tracker.rejected, stamp - tracker.rejected_stamp, covariance)
+        if max(position, theta) <= 1.0:
+            return False
+    copy_pose(tracker.pose, centre)
+    if tracker.interval > 0.0:
+        moved = min(elapsed, LONGEST_GAP * interval)
+        turn_about_z(centre.rotation, tracker.theta_rate * moved)
+        for i in range(3):
+            centre.translation[i] += tracker.velocity[i] * moved
+    position, theta = motion_gate(workspace, centre, interval, covariance)
+    return bool(max(position, theta) <= 1.0)
+
+
+@in_place
+def periods_off(settings: Any, theta: float) -> float:
+    """Return by how many whole periods theta misses the home mark's; whole turns count as no miss."""
+    per_turn = round(2.0 * math.pi / settings.period)
+    off = float(round((theta - settings.home_theta) / settings.period))
     return float(off - per_turn * math.floor(off / per_turn + 0.5))
 
 

@@ -31,8 +31,12 @@ SETTINGS = np.dtype(
         ("max_velocity", "f8"),  # of the target along X, Y and Z each [m/s]; infinite: not limited
         ("max_lean_rate", "f8"),  # [rad/s]
         ("max_theta_rate", "f8"),  # [rad/s]
-        ("bump_angle", "f8"),  # [rad]; zero: theta is not counted
+        ("bump_angle", "f8"),  # after which the readings repeat [rad]; zero: never
+        ("period", "f8"),  # after which theta is ambiguous: the bump angle, or the pitch of even light sources [rad]
         ("home_theta", "f8"),  # theta at the home mark [rad]
+        ("environment", "f8", (2, 2)),  # lowest and highest supply voltage [V] and temperature [K]
+        ("spreads", "f8", (2,)),  # standard uncertainty of both where they are not measured
+        ("all_evidence", "f8"),  # that readings are frozen, of one repetition of all
         ("tilt_lags", "i8"),  # 1: the tilts are turned by the theta of the previous scan (program of 1985)
     ],
     align=True,
@@ -42,7 +46,7 @@ SETTINGS = np.dtype(
 TRACKER = np.dtype(
     [
         ("initialised", "i8"),  # 1 where there is a previous pose
-        ("start_given", "i8"),  # 1 where the previous pose is a start: the next scan skips the motion gate
+        ("start_given", "i8"),  # 1 where the solver starts the next scan from ``start`` instead of the previous pose
         ("counted", "i8"),  # 1 where theta is counted from the home mark, or needs no count
         ("epoch_known", "i8"),
         ("epoch_ns", "i8"),  # origin of ``stamp`` [ns]
@@ -52,6 +56,20 @@ TRACKER = np.dtype(
         ("velocity", "f8", (3,)),  # of the translation [m/s]
         ("interval", "f8"),  # time over which rate and velocity were found [s]; zero: unknown
         ("pose", POSE),
+        ("start", POSE),
+        ("latch", "i8"),  # faults that keep the joint out
+        ("latch_about_theta", "i8"),  # 1 where all of them are about theta only, which a reference can confirm
+        ("latch_interval", "f8"),  # one scan interval at the time of the latch [s]
+        ("rejected_known", "i8"),  # 1 where a pose was rejected since the latch
+        ("rejected_stamp", "f8"),
+        ("rejected", POSE),  # the last one
+        ("marks", "i8"),  # home marks in a row: positive, consistent ones; negative, such as disagree with the count
+        ("marks_off", "f8"),  # periods by which the last one was off
+        ("contradictions", "i8"),  # scans in a row that fail the residual test, at most RESIDUAL_RUN
+        ("reference_theta", "f8"),  # theta from an encoder for the next scan [rad]
+        ("reference_sigma", "f8"),  # its standard uncertainty [rad]; zero: there is none
+        ("last_raw", "f8", (READINGS, 2)),  # raw readings of the scan before, two of each diode axis [V], [A]
+        ("repeats", "i8", (READINGS,)),  # how often each has repeated without a break
     ],
     align=True,
 )
@@ -65,6 +83,10 @@ WORKSPACE = np.dtype(
         ("estimate", ESTIMATE),  # its estimate
         ("reading_count", "i8"),
         ("redundant_count", "i8"),
+        ("again", "i8"),  # 1: the scan is estimated once more, from a start
+        ("unmeasured", "i8"),  # see estimation.supply_and_temperature
+        ("sensitivities", "f8", (READINGS, 2)),  # of each reading to supply and temperature [m/V], [m/K]
+        ("evidence", "f8", (READINGS,)),  # of one repetition of each reading, see estimation.frozen
         # Linearised readings; the entries behind the readings belong to the prior.
         ("values", "f8", (ROWS,)),  # [m]; unit of the sensor for plain sensors
         ("variances", "f8", (ROWS,)),  # of the noise [m^2]

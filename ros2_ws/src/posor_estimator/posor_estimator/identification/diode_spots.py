@@ -13,8 +13,8 @@ from posor_estimator.identification.calibration_parameters import first_paramete
 from posor_estimator.identification.data_checks import check_axis, check_channels_vary, check_count, check_unit
 from posor_estimator.identification.dwells import NS, DwellMeans, LeastDwell, Settle, Still, average_dwells, find_dwells
 from posor_estimator.identification.procedure import LossOption, Options
-from posor_estimator.identification.recording import DIODES_ESTIMATED, SATURATED
 from posor_estimator.model.reading_rows import evaluate_poses
+from posor_estimator.model.scan import DIODES_ESTIMATED, SATURATED
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

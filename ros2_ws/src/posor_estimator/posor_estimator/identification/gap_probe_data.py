@@ -15,14 +15,8 @@ from posor_estimator.estimation.sensor_stack import Stack
 from posor_estimator.identification.calibration_parameters import find_sensor
 from posor_estimator.identification.data_checks import check_axis, check_channels_move, check_count, check_unit
 from posor_estimator.identification.dwells import DwellOptions, average_recording
-from posor_estimator.identification.recording import (
-    POINT,
-    POSE,
-    PROBES_ESTIMATED,
-    SATURATED,
-    SCALAR,
-    unpack_poses,
-)
+from posor_estimator.identification.recording import POINT, POSE, SCALAR, unpack_poses
+from posor_estimator.model.scan import PROBES_ESTIMATED, SATURATED
 from posor_estimator.sensors.gap_probes import GapProbesCalibration
 
 if TYPE_CHECKING:

@@ -19,9 +19,6 @@ if TYPE_CHECKING:
 SCALAR, POINT, POSE = 1, 3, 7
 """Columns of a track: one number; x, y, z [m]; x, y, z [m] and the unit quaternion x, y, z, w."""
 
-PROBES_ESTIMATED, DIODES_ESTIMATED, SATURATED = 1, 2, 16
-"""Status bits of ``posor_msgs/RawScan``: a probe or diode reading was substituted; a channel was saturated."""
-
 _COLUMN_MEANING = {
     SCALAR: "one number (std_msgs/Float64)",
     POINT: "a point (geometry_msgs/PointStamped)",

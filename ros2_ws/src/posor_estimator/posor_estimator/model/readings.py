@@ -7,7 +7,8 @@ from posor_estimator.model.fault import Fault
 from posor_estimator.numerics.compiled import inlined
 
 GAP_VOLTAGES, RING_VOLTAGES, DIODE_CURRENTS, PYTHON = 0, 1, 2, 3
-"""Sources of readings; those of PYTHON are linearised by a sensor written in plain Python."""
+SOURCE_NAMES = ("gap voltages", "ring voltages", "diode currents")
+"""Sources of readings, and their names; those of PYTHON are linearised by a sensor written in plain Python."""
 
 VALID = 0
 WRONG_COUNT = -1

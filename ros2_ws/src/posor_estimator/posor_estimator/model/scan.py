@@ -20,6 +20,11 @@ NO_SOURCE = 255
 CONTACTS = 4
 """Contact currents A, B, C, D of a diode."""
 
+PROBES_ESTIMATED, DIODES_ESTIMATED, SATURATED, HOME_BUMP = 1, 2, 16, 128
+"""Flags of ``posor_msgs/RawScan.status``: readings filled in, a channel at the end of its range, the home mark seen."""
+STATED_HOME = 2
+"""``at_home`` where an operator states that the joint is within half a period of the home mark."""
+
 MAX_GAP_PROBES, MAX_RING_PROBES, MAX_DIODES = 8, 8, 4
 """Bounds of the sequences of ``posor_msgs/RawScan``."""
 
@@ -34,6 +39,7 @@ SCAN = np.dtype(
         ("supply_voltage", "f8"),
         ("temperature", "f8"),
         ("at_home", "i8"),
+        ("status", "i8"),
         ("gap_count", "i8"),
         ("ring_count", "i8"),
         ("current_count", "i8"),
@@ -55,6 +61,7 @@ _SCALARS = {
     "supply_voltages": "supply_voltage",
     "temperatures": "temperature",
     "at_home": "at_home",
+    "statuses": "status",
 }
 
 
@@ -85,7 +92,8 @@ class Scan:
         lit_sources: Index of the light source lit for each diode, NO_SOURCE for none.
         supply_voltage: Supply of the probe electronics [V], NaN when not measured.
         temperature: Temperature of the receiving plate [K], NaN when not measured.
-        at_home: Whether the home mark of the ring was seen.
+        at_home: Whether the home mark of the ring was seen: 0, 1, or STATED_HOME.
+        status: Flags of the driver, ``posor_msgs/RawScan.status``.
 
     """
 
@@ -97,7 +105,8 @@ class Scan:
     lit_sources: tuple[int, ...] = ()
     supply_voltage: float = float("nan")
     temperature: float = float("nan")
-    at_home: bool = False
+    at_home: int = 0
+    status: int = 0
 
 
 class Scans:
@@ -113,7 +122,8 @@ class Scans:
         lit_sources: Index of the light source lit for each diode, shape (n, diodes).
         supply_voltages: Supply of the probe electronics [V], shape (n,), NaN when not measured.
         temperatures: Temperature of the receiving plate [K], shape (n,), NaN when not measured.
-        at_home: Whether the home mark of the ring was seen, shape (n,), 0 or 1.
+        at_home: Whether the home mark of the ring was seen, shape (n,): 0, 1, or STATED_HOME.
+        statuses: Flags of the driver, shape (n,).
 
     """
 
@@ -168,6 +178,7 @@ class Scans:
             supply_voltages=np.array([scan.supply_voltage for scan in scans], dtype=float),
             temperatures=np.array([scan.temperature for scan in scans], dtype=float),
             at_home=np.array([scan.at_home for scan in scans], dtype=np.int64),
+            statuses=np.array([scan.status for scan in scans], dtype=np.int64),
         )
 
     def __len__(self) -> int:
@@ -223,6 +234,11 @@ class Scans:
         """See the class."""
         return self.records["at_home"]
 
+    @property
+    def statuses(self) -> IntArray:
+        """See the class."""
+        return self.records["status"]
+
     def __getitem__(self, index: int) -> Scan:
         """Return one scan."""
         if not -len(self) <= index < len(self):
@@ -238,7 +254,8 @@ class Scans:
             lit_sources=tuple(one.lit_sources[0].tolist()),
             supply_voltage=float(one.supply_voltages[0]),
             temperature=float(one.temperatures[0]),
-            at_home=bool(one.at_home[0]),
+            at_home=int(one.at_home[0]),
+            status=int(one.statuses[0]),
         )
 
     def part(self, begin: int, end: int) -> Scans:
@@ -273,7 +290,7 @@ class ScanBuffer:
         """Allocate."""
         self.records = np.zeros(1, dtype=SCAN)
         self._sequences = [(name, self.records[name][0], self.records[count]) for name, count in _COUNTS.items()]
-        names = ("number", "stamp_ns", "supply_voltage", "temperature", "at_home")
+        names = ("number", "stamp_ns", "supply_voltage", "temperature", "at_home", "status")
         self._scalars = [(name, self.records[name]) for name in names]
 
     def write(self, scan: Scan) -> None:

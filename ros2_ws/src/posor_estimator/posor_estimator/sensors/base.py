@@ -48,6 +48,11 @@ class SensorCalibration(FrozenModel, ABC):
         return 0.0
 
     @property
+    def slip_angle(self) -> float:
+        """Smallest angle [rad] by which theta may be wrong, unseen, if all light sources slip alike; zero: none."""
+        return 0.0
+
+    @property
     def home_theta(self) -> float:
         """Theta [rad] at which the sensor's home mark is seen."""
         return 0.0
@@ -260,12 +265,14 @@ class PlainReadings:
         values: Readings on the model's scale, shape (m,); any unit, as long as ``predict`` uses the same.
         variances: Their variances from the noise of the electronics, shape (m,).
         jacobian: Their derivatives with respect to the sensor's parameters, shape (m, p).
+        sensitivities: Their derivatives with respect to supply voltage and temperature, shape (m, 2); None: zero.
 
     """
 
     values: FloatArray
     variances: FloatArray
     jacobian: FloatArray
+    sensitivities: FloatArray | None = None
 
 
 class PlainSensor(Sensor):

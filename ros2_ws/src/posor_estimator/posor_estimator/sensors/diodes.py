@@ -88,6 +88,56 @@ class LightSourceCalibration(FrozenModel):
         return self
 
 
+CONTRADICTION = 10.0
+"""Standard deviations by which the distance of two spots must contradict light sources that have slipped."""
+
+
+def slip_angle(diodes: FloatArray, sources: FloatArray, sigma: float) -> float:
+    """Return the smallest angle by which theta may be wrong, unseen, if the numbers of all lit sources slip alike.
+
+    The spots on two diodes show the distance of the two sources. A slip by k sources is seen if the distance of every
+    pair of sources that two diodes can see at a time differs from that of the pair k further by more than CONTRADICTION
+    standard deviations. One fixed source for each diode cannot slip.
+
+    Args:
+        diodes: Origins in the plane of R [m], shape (d, 2).
+        sources: Origins in the plane of T [m], in the order of their numbers around the ring, shape (n, 2).
+        sigma: Standard uncertainty of the distance of two spots [m].
+
+    Returns:
+        [rad]; zero: every slip is seen.
+
+    """
+    count = len(sources)
+    if count <= len(diodes):
+        return 0.0
+    azimuths = np.arctan2(sources[:, 1], sources[:, 0])
+    distances = np.linalg.norm(sources[:, None] - sources[None, :], axis=2)
+    pairs = _pairs_seen(diodes, sources)
+    smallest = math.inf
+    for slip in range(1, count):
+        slipped = np.roll(distances, (-slip, -slip), axis=(0, 1))
+        if not all(_contradict(distances, slipped, seen) > CONTRADICTION * sigma for seen in pairs):
+            angles = np.abs(np.mod(np.roll(azimuths, -slip) - azimuths + math.pi, 2.0 * math.pi) - math.pi)
+            smallest = min(smallest, float(np.min(angles)))
+    return smallest if smallest < math.inf else 0.0
+
+
+def _contradict(distances: FloatArray, slipped: FloatArray, pairs: list[tuple[int, int]]) -> float:
+    """Return the largest difference of the distances of pairs [m]; zero for a single diode, which sees no distance."""
+    return max((abs(float(distances[pair] - slipped[pair])) for pair in pairs), default=0.0)
+
+
+def _pairs_seen(diodes: FloatArray, sources: FloatArray) -> list[list[tuple[int, int]]]:
+    """Return the pairs of sources nearest to two diodes, all pairs of diodes, for every theta at which they change."""
+    found = set()
+    for theta in np.linspace(0.0, 2.0 * math.pi, 16 * len(sources), endpoint=False):
+        c, s = math.cos(theta), math.sin(theta)
+        seen = sources @ np.array([[c, s], [-s, c]])
+        found.add(tuple(int(np.argmin(np.sum(np.square(seen - diode), axis=1))) for diode in diodes))
+    return [[(lit[a], lit[b]) for a in range(len(lit)) for b in range(a)] for lit in sorted(found)]
+
+
 class DiodesCalibration(SensorCalibration):
     """Diodes, the sources they see, and named sets of maps (one map for each diode in each set)."""
 
@@ -106,6 +156,17 @@ class DiodesCalibration(SensorCalibration):
         if self.map not in self.maps:
             raise EntryError(f"map '{self.map}'", key=("map",), expected=f"one of {', '.join(self.maps)}")
         return self
+
+    @property
+    def slip_angle(self) -> float:
+        """See the function ``slip_angle``."""
+        diodes = np.array([diode.origin.array[:2] for diode in self.diodes])
+        sources = np.array([source.origin.array[:2] for source in self.light_sources])
+        origins = np.array([np.max(diode.origin.sigmas[:2]) for diode in self.diodes])
+        variances = self.build().spot_variances() + np.square(origins)
+        # The sources of the pair seen and those of the pair assumed are different ones.
+        of_source = 2.0 * max(float(np.max(source.origin.sigmas[:2] ** 2)) for source in self.light_sources)
+        return slip_angle(diodes, sources, math.sqrt(2.0 * (float(np.max(variances)) + of_source)))
 
     def build(self) -> Diodes:
         """Return the sensor."""
@@ -295,6 +356,17 @@ class Diodes(RowSensor):
             a, b, c, d = scan.diode_currents[i]
             out[2 * i : 2 * i + 2, ids] = self._map(i, np.array([(a - c) / (a + c), (b - d) / (b + d)]))[1]
         return out
+
+    def spot_variances(self) -> FloatArray:
+        """Return the variance of a spot's position from noise and map in the middle of each diode, (diodes,) [m^2]."""
+        variances = np.empty(len(self._names))
+        sigmas = self._sigmas[self._slices["maps"]].reshape(len(self._names), -1)
+        for i, diode in enumerate(self._diodes):
+            low, high = diode["domain"].T
+            middle, by_parameters = self._map(i, 0.5 * (low + high))
+            slope = np.abs(self._map(i, 0.5 * (low + high) + diode["noise"])[0] - middle)
+            variances[i] = np.max(np.square(slope)) + np.max(np.square(by_parameters) @ np.square(sigmas[i]))
+        return variances
 
     def _map(self, i: int, ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the spot's position on diode i (2,) [m] and its derivatives by the parameters of the map, (2, p)."""

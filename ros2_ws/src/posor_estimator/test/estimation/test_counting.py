@@ -10,8 +10,10 @@ import pytest
 from posor_estimator.calibration.designs import BUMPS, design
 from posor_estimator.estimation.forward import scans_at
 from posor_estimator.estimation.posor import Posor
+from posor_estimator.estimation.tracking import MARKS
 from posor_estimator.model.fault import Fault, State
 from posor_estimator.model.native_coordinates import rotation_from_native
+from posor_estimator.model.scan import STATED_HOME
 from posor_estimator.sensors.bumpy_ring import BumpyRing
 from posor_estimator.testing.random_poses import TICK_NS
 
@@ -22,24 +24,25 @@ if TYPE_CHECKING:
 BUMP = 2.0 * math.pi / BUMPS
 
 
-def turning(posor: Posor, thetas: FloatArray, home: tuple[int, ...] = ()) -> Scans:
-    """Scans at 1 kHz of a target that turns; the home mark is seen in some of them."""
+def turning(posor: Posor, thetas: FloatArray, home: tuple[int, ...] = (), marks: tuple[int, ...] = ()) -> Scans:
+    """Scans at 1 kHz of a target that turns; some are stated to be at home, the home mark is seen in others."""
     rotations = np.array([rotation_from_native(1e-4, -2e-4, theta) for theta in thetas])
     translations = np.tile([2e-5, 1e-5, 0.7e-3], (len(thetas), 1))
     scans = scans_at(posor.stack, rotations, translations, np.arange(1, len(thetas) + 1, dtype=np.int64) * TICK_NS)
-    scans.at_home[list(home)] = 1
+    scans.at_home[list(home)], scans.at_home[list(marks)] = STATED_HOME, 1
     return scans
 
 
 def test_uncounted_until_home_then_counted() -> None:
     posor = Posor(design("triad_bumpy_ring"))
     thetas = np.linspace(-3.5 * BUMP, 0.1 * BUMP, 200)
-    scans = turning(posor, thetas, home=(190,))
+    scans = turning(posor, thetas, marks=(*range(188, 188 + MARKS), 150))  # the one at 150 is spurious
     found = posor.estimate_all(scans)
-    assert (found.states[:190] == State.UNCOUNTED).all()
-    assert (found.states[190:] == State.OK).all()
-    assert found.thetas[190:] == pytest.approx(thetas[190:], abs=1e-9)
-    off = found.thetas[:190] - thetas[:190]
+    counted = 188 + MARKS - 1
+    assert (found.states[:counted] == State.UNCOUNTED).all()
+    assert (found.states[counted:] == State.OK).all()
+    assert found.thetas[counted:] == pytest.approx(thetas[counted:], abs=1e-9)
+    off = found.thetas[:counted] - thetas[:counted]
     assert off / BUMP == pytest.approx(np.round(off / BUMP), abs=0.01)  # known up to whole bumps
 
 
@@ -64,18 +67,47 @@ def test_lost_scans_put_the_count_in_doubt_until_home() -> None:
     assert "count" in estimate.reason
 
 
-def test_home_mark_finds_and_mends_a_wrong_count() -> None:
-    posor = Posor(design("triad_bumpy_ring"))
-    # Between the first two scans the target slips by two whole bumps, which no phase can show; then it turns back.
+def slipping(posor: Posor) -> tuple[Scans, FloatArray, int]:
+    """Scans with a slip by two whole bumps after the first one, which no phase can show, and a mark on the way back."""
     thetas = np.concatenate([[0.0], np.linspace(2.0 * BUMP, -0.2 * BUMP, 400)])
     at_mark = int(np.argmin(np.abs(thetas[1:]))) + 1
-    found = posor.estimate_all(turning(posor, thetas, home=(0, at_mark)))
-    assert found.states[at_mark - 1] == State.OK
-    assert found.thetas[at_mark - 1] - thetas[at_mark - 1] == pytest.approx(-2.0 * BUMP, abs=0.01 * BUMP)
-    assert found.states[at_mark] == State.DEGRADED
-    assert found.faults[at_mark] == Fault.COUNT
-    assert (found.states[at_mark + 1 :] == State.OK).all()
-    assert found.thetas[at_mark:] == pytest.approx(thetas[at_mark:], abs=1e-9)
+    return turning(posor, thetas, home=(0,), marks=tuple(range(at_mark - 3, at_mark + 4))), thetas, at_mark
+
+
+def test_a_home_mark_that_disagrees_is_latched_and_never_counted() -> None:
+    posor = Posor(design("triad_bumpy_ring"))
+    scans, thetas, at_mark = slipping(posor)
+    found = posor.estimate_all(scans)
+    assert found.states[at_mark - 4] == State.OK
+    assert found.thetas[at_mark - 4] - thetas[at_mark - 4] == pytest.approx(-2.0 * BUMP, abs=0.01 * BUMP)
+    assert (found.states[at_mark - 3 :] == State.LOST).all()
+    assert found.faults[at_mark - 3] == Fault.COUNT
+    assert (found.faults[at_mark - 2 :] == Fault.COUNT | Fault.LATCHED).all()
+    assert posor.acknowledge()
+    again = posor.estimate_all(scans.part(at_mark - 3, at_mark + 4))
+    assert (again.states[: MARKS - 1] == State.UNCOUNTED).all()
+    assert (again.states[MARKS - 1 :] == State.OK).all()
+    assert again.thetas[MARKS - 1 :] == pytest.approx(thetas[at_mark - 3 + MARKS - 1 : at_mark + 4], abs=1e-9)
+
+
+@pytest.mark.parametrize("marks", [(150,), (150, 151), (120, 150, 152)])
+def test_spurious_home_marks_cost_their_own_scans_only(marks: tuple[int, ...]) -> None:
+    posor = Posor(design("triad_bumpy_ring", motion=True))
+    thetas = np.linspace(0.0, 0.5, 400)
+    found = posor.estimate_all(turning(posor, thetas, home=(0,), marks=marks))
+    assert np.flatnonzero(found.states != State.OK).tolist() == list(marks)
+    assert (found.faults[list(marks)] & Fault.COUNT).all()
+    assert np.delete(found.thetas, marks) == pytest.approx(np.delete(thetas, marks), abs=1e-9)
+
+
+def test_agreeing_marks_release_what_a_broken_mark_has_latched() -> None:
+    posor = Posor(design("triad_bumpy_ring", motion=True))
+    thetas = np.concatenate([np.linspace(0.0, 0.3, 200), np.linspace(0.3, 0.0, 200)])
+    found = posor.estimate_all(turning(posor, thetas, home=(0,), marks=(*range(100, 110), *range(390, 400))))
+    assert (found.states[:100] == State.OK).all()
+    assert (found.states[100 : 390 + MARKS - 1] == State.LOST).all()
+    assert (found.states[390 + MARKS - 1 :] == State.OK).all()
+    assert found.thetas[-5:] == pytest.approx(thetas[-5:], abs=1e-9)
 
 
 def test_four_probes_see_alike_at_every_phase_three_are_blind_twice_a_bump() -> None:

@@ -16,7 +16,7 @@ from posor_estimator.estimation.sensor_stack import Stack
 from posor_estimator.model.fault import Fault, State
 from posor_estimator.model.native_coordinates import rotation_from_native
 from posor_estimator.model.reading_rows import differentiate_rows, evaluate_rows
-from posor_estimator.model.scan import Scan, Scans
+from posor_estimator.model.scan import STATED_HOME, Scan, Scans
 from posor_estimator.sensors.base import PlainReadings, PlainSensor, RowSensor, SensorCalibration
 from posor_estimator.testing.random_poses import TICK_NS, readable_poses
 from posor_estimator.uncertainty.budget_poses import middle_pose, scan_at
@@ -49,7 +49,10 @@ class PlainTwin(PlainSensor):
             raise self._original.explain(scan, int(readings.codes[0, 0]))
         self._rows = readings.selected[0]
         jacobian = self._original._linearisation_jacobian(scan)
-        return PlainReadings(readings.values[0], readings.variances[0], jacobian)
+        channels = self._original.reading_source.channels
+        by = (channels[name] for name in ("supply_sensitivity", "temperature_sensitivity")) if len(channels) else None
+        sensitivities = None if by is None else np.column_stack(list(by))
+        return PlainReadings(readings.values[0], readings.variances[0], jacobian, sensitivities)
 
     def predict(self, rotation: FloatArray, translation: FloatArray) -> tuple[FloatArray, FloatArray]:
         return evaluate_rows(self._original.rows[self._rows], rotation, translation)
@@ -111,7 +114,7 @@ def turning(posor: Posor, thetas: FloatArray, home: tuple[int, ...] = (), noise:
     stamps = np.arange(1, len(thetas) + 1, dtype=np.int64) * TICK_NS
     random = None if noise is None else np.random.default_rng(noise)
     scans = scans_at(posor.stack, rotations, translations, stamps, noise=random)
-    scans.at_home[list(home)] = 1
+    scans.at_home[list(home)] = STATED_HOME
     return scans
 
 
@@ -163,11 +166,12 @@ def test_counting_and_the_home_mark() -> None:
     check_alike(rows, twin, turning(rows, np.linspace(-1.5 * BUMP, 0.1 * BUMP, 160), home=(150,)))
 
 
-def test_a_wrong_count_is_mended_at_home() -> None:
+def test_home_marks_that_disagree() -> None:
     rows, twin = twins(design("triad_bumpy_ring"), (1,))
     thetas = np.concatenate([[0.0], np.linspace(2.0 * BUMP, -0.2 * BUMP, 100)])
     at_mark = int(np.argmin(np.abs(thetas[1:]))) + 1
-    scans = turning(rows, thetas, home=(0, at_mark))
+    scans = turning(rows, thetas, home=(0,))
+    scans.at_home[at_mark : at_mark + 5] = 1
     assert rows.estimate_all(scans).faults[at_mark] == Fault.COUNT
     rows.reset()
     check_alike(rows, twin, scans)
@@ -179,7 +183,7 @@ def test_tilts_lag_the_scan_before_across_a_correction_at_home() -> None:
     thetas = np.linspace(0.0, 2.7e-3 * 119, 120)
     scans = turning(rows, thetas, home=(0, 117))
     expected, found = rows.estimate_all(scans), twin.estimate_all(scans)
-    assert found.faults[117] == Fault.COUNT
+    assert abs(found.thetas[117]) < 0.5 * BUMP < abs(found.thetas[116])
     np.testing.assert_array_equal(found.states, expected.states)
     np.testing.assert_array_equal(found.faults, expected.faults)
 
@@ -208,7 +212,8 @@ def test_blind_phases_with_noise() -> None:
     found = twin.estimate_all(turning(rows, thetas, home=(0,), noise=7))
     usable = found.states != State.LOST
     assert (found.faults[usable] == Fault.ILL_CONDITIONED).any()
-    assert np.count_nonzero(~usable) <= 3
+    lost = found.faults[~usable]  # without redundancy a solution beside the right one ends in the latch
+    assert not len(lost) or (lost[0] & Fault.INNOVATION and (lost[1:] & Fault.LATCHED).all())
     spread = np.sqrt(found.covariances_random[usable, 5, 5])
     assert (np.abs(found.thetas[usable] - thetas[usable]) < 5.0 * spread).all()
 

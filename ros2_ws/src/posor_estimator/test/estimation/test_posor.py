@@ -16,7 +16,7 @@ from posor_estimator.estimation.forward import scans_at
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.model.fault import Fault, State
 from posor_estimator.model.native_coordinates import rotation_from_native
-from posor_estimator.model.scan import NO_SOURCE, Scan
+from posor_estimator.model.scan import NO_SOURCE, STATED_HOME, Scan
 from posor_estimator.testing.random_poses import STACKS, TICK_NS
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def test_one_by_one_and_all_at_once_are_the_same(stack: DesignName) -> None:
     posor = Posor(design(stack))
     scans, _ = sweep(posor, np.linspace(0.0, 0.08, 40), np.random.default_rng(SEED))
     scans.gap_voltages[17, 1] = math.nan
-    scans.at_home[3] = 1
+    scans.at_home[3] = STATED_HOME
     together = posor.estimate_all(scans)
     assert together.states[17] == State.LOST
     posor.reset()

@@ -14,7 +14,7 @@ from posor_estimator.estimation.forward import scans_at
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.model.fault import Fault, State
 from posor_estimator.model.native_coordinates import rotation_from_native
-from posor_estimator.model.scan import Scans
+from posor_estimator.model.scan import STATED_HOME, Scans
 from posor_estimator.testing.random_poses import STACKS, TICK_NS
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ def moving(posor: Posor) -> Scans:
     translations = np.tile([2e-5, 1e-5, 0.7e-3], (COUNT, 1))
     stamps = np.arange(1, COUNT + 1, dtype=np.int64) * TICK_NS
     scans = scans_at(posor.stack, rotations, translations, stamps, noise=np.random.default_rng(4))
-    scans.at_home[2] = 1
+    scans.at_home[2] = STATED_HOME
     scans.gap_voltages[17, 1] = np.nan
     for spoiled in (scans.ring_voltages, scans.diode_currents[:, :, 0]):
         spoiled[25:26, 0:1] *= 1.05

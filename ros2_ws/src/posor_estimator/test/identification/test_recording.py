@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from posor_estimator.errors import TrackError
 from posor_estimator.estimation.forward import empty_scans
-from posor_estimator.identification.recording import POINT, POSE, SATURATED, SCALAR, Recording, Track, unpack_poses
+from posor_estimator.identification.recording import POINT, POSE, SCALAR, Recording, Track, unpack_poses
+from posor_estimator.model.scan import SATURATED
 from scipy.spatial.transform import Rotation
 
 SECOND = 1_000_000_000

@@ -32,6 +32,7 @@ from posor_estimator.model.reading_rows import (
     evaluate_rows,
     prepare_rows,
 )
+from posor_estimator.model.scan import STATED_HOME
 from posor_estimator.numerics import cholesky, compiled, symmetric, vector
 from posor_estimator.numerics.compiled import in_place, record_view
 from posor_estimator.numerics.summary_statistics import FIGURES, figures_of
@@ -154,7 +155,7 @@ def arm(rng: np.random.Generator) -> list[float]:
     thetas = rng.uniform(-9.0, 9.0, (scans, 2))
     endpoints = Endpoints.allocate(scans, 2)
     estimate_endpoints(
-        ArmGeometry(elements, beams, rotations[:2], np.array([0.1, 0.2, -9.8])),
+        ArmGeometry(elements, beams, rotations[:2], np.zeros((2, 3)), np.array([0.1, 0.2, -9.8])),
         BeamHistory.allocate(3e-6, 2),
         JointMeasurements(stamps, poses, covariances[:-1], thetas),
         endpoints,
@@ -172,7 +173,7 @@ def raw_scans(name: DesignName) -> FloatArray:
     translations = np.tile([2e-5, 1e-5, 0.7e-3], (count, 1))
     stamps = np.arange(1, count + 1, dtype=np.int64) * 1_000_000
     scans = scans_at(posor.stack, rotations, translations, stamps, noise=np.random.default_rng(8))
-    scans.at_home[0] = 1
+    scans.at_home[0] = STATED_HOME
     found = posor.estimate_all(scans)
     arrays = (
         found.rotations,

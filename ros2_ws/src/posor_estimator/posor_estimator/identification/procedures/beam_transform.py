@@ -33,7 +33,8 @@ from posor_estimator.identification.procedure import (
     SessionOption,
     Table,
 )
-from posor_estimator.identification.recording import POSE, PROBES_ESTIMATED, SATURATED, unpack_poses
+from posor_estimator.identification.recording import POSE, unpack_poses
+from posor_estimator.model.scan import PROBES_ESTIMATED, SATURATED
 
 if TYPE_CHECKING:
     from posor_estimator.calibration.calibration_file import Calibration

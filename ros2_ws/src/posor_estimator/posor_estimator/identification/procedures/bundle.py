@@ -32,7 +32,8 @@ from posor_estimator.identification.least_squares import (
 )
 from posor_estimator.identification.pose_advice import propose_poses
 from posor_estimator.identification.procedure import LongestGapOption, LossOption, Options, Outcome, Procedure, Table
-from posor_estimator.identification.recording import DIODES_ESTIMATED, POSE, PROBES_ESTIMATED, SATURATED
+from posor_estimator.identification.recording import POSE
+from posor_estimator.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED, SATURATED
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

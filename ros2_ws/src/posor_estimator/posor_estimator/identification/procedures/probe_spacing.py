@@ -38,7 +38,8 @@ from posor_estimator.identification.fit_report import (
 from posor_estimator.identification.gap_probe_data import AXES, SingleProbe, list_probes
 from posor_estimator.identification.least_squares import Fit, Loss, fit_parameters
 from posor_estimator.identification.procedure import Figure, JointCovariance, Outcome, Procedure, Replacement
-from posor_estimator.identification.recording import POSE, PROBES_ESTIMATED, SATURATED, unpack_poses
+from posor_estimator.identification.recording import POSE, unpack_poses
+from posor_estimator.model.scan import PROBES_ESTIMATED, SATURATED
 from posor_estimator.sensors.gap_probes import GapProbesCalibration
 
 if TYPE_CHECKING:

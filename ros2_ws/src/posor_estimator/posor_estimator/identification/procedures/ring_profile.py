@@ -47,8 +47,9 @@ from posor_estimator.identification.procedure import (
     SessionOption,
     Table,
 )
-from posor_estimator.identification.recording import PROBES_ESTIMATED, SATURATED, SCALAR
+from posor_estimator.identification.recording import SCALAR
 from posor_estimator.model.fault import Fault, State
+from posor_estimator.model.scan import PROBES_ESTIMATED, SATURATED
 from posor_estimator.sensors.bumpy_ring import BumpyRingCalibration
 
 if TYPE_CHECKING:

@@ -23,7 +23,8 @@ from posor_estimator.identification.fit_report import describe_enlargement, desc
 from posor_estimator.identification.gap_probe_data import MICRO, SingleProbe, list_probes
 from posor_estimator.identification.least_squares import Fit, fit_linear
 from posor_estimator.identification.procedure import Figure, LossOption, Options, Outcome, Part, Procedure, Table
-from posor_estimator.identification.recording import PROBES_ESTIMATED, SATURATED, Track
+from posor_estimator.identification.recording import Track
+from posor_estimator.model.scan import PROBES_ESTIMATED, SATURATED
 from posor_estimator.sensors.gap_probes import GapProbesCalibration
 
 if TYPE_CHECKING:

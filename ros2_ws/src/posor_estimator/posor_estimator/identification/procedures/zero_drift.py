@@ -34,7 +34,7 @@ from posor_estimator.identification.procedure import (
     Table,
     TrustSigmasOption,
 )
-from posor_estimator.identification.recording import PROBES_ESTIMATED, SATURATED
+from posor_estimator.model.scan import PROBES_ESTIMATED, SATURATED
 from posor_estimator.sensors.gap_probes import GapProbesCalibration
 
 if TYPE_CHECKING:

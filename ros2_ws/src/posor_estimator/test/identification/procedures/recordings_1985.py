@@ -6,8 +6,8 @@ import csv
 from pathlib import Path
 
 import numpy as np
-from posor_estimator.identification.recording import PROBES_ESTIMATED, Recording, Track
-from posor_estimator.model.scan import Scan, Scans
+from posor_estimator.identification.recording import Recording, Track
+from posor_estimator.model.scan import PROBES_ESTIMATED, Scan, Scans
 
 DATA = Path(__file__).resolve().parents[6] / "data/slocum1985"
 INCH = 0.0254

@@ -14,7 +14,7 @@ from posor_estimator.calibration.designs import STANDOFF
 from posor_estimator.errors import FitError, TrackError
 from posor_estimator.identification.gap_polynomial import akaike_criterion
 from posor_estimator.identification.procedures.gap_linearisation import PROCEDURE
-from posor_estimator.identification.recording import SATURATED
+from posor_estimator.model.scan import SATURATED
 from posor_estimator.testing.simulated_recordings import (
     diode_calibration,
     dwell_path,

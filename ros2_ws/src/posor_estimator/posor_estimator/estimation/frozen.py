@@ -1,0 +1,80 @@
+"""Readings that repeat to the last bit although they have noise: an electronics that no longer measures.
+
+Two readings of a channel at rest are equal with the probability p that the noise stays within a step of the converter.
+The evidence of n repetitions is ``-n log10 p``: a channel is frozen where its own is FROZEN, or where all channels
+repeat at once and the sum of theirs is ALL_FROZEN. A channel without noise above its step has no evidence.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+from posor_estimator.model.readings import DIODE_CURRENTS, GAP_VOLTAGES, PYTHON
+from posor_estimator.model.scan import CONTACTS, DIODES_ESTIMATED, PROBES_ESTIMATED
+from posor_estimator.numerics.compiled import inlined
+
+if TYPE_CHECKING:
+    from posor_estimator.estimation.workspace import Model
+
+FROZEN = 9.0
+"""Evidence of one channel that it is frozen: by chance once in 1e9 scans."""
+ALL_FROZEN = 3.5
+"""Evidence of all channels together, so that the first repeated scan is seen; a wrong alarm costs one scan."""
+ALL = -1
+"""Frozen reading where it is all of them together."""
+NOT_FROZEN = -2
+_CELLS = 200
+"""Converter steps on either side of a reading that are summed."""
+
+
+def evidence_of_repetition(step: float, noise: float) -> float:
+    """Return ``-log10`` of the probability that a reading repeats by chance, at most FROZEN.
+
+    Args:
+        step: Of the converter; zero: readings are not rounded.
+        noise: Standard deviation of one reading, same unit.
+
+    """
+    if step <= 0.0 or step < 0.1 * noise:
+        return FROZEN if step <= 0.0 else min(FROZEN, -math.log10(0.5 * step / (noise * math.sqrt(math.pi))))
+    edges = [0.5 * math.erf((cell - 0.5) * step / noise * math.sqrt(0.5)) for cell in range(-_CELLS, _CELLS + 2)]
+    likely = sum((high - low) ** 2 for low, high in pairwise(edges))
+    return min(FROZEN, max(0.0, -math.log10(likely)))
+
+
+@inlined
+def count_repetitions(model: Model, scan: Any) -> int:
+    """Count how often each raw reading has repeated; return the reading that is frozen, ALL or NOT_FROZEN.
+
+    Readings that the driver has filled in count as new ones.
+    """
+    workspace = model.workspace[0]
+    tracker, frozen, fewest = workspace.tracker, NOT_FROZEN, 1 << 30
+    if workspace.settings.all_evidence <= 0.0:
+        return frozen
+    for s in range(model.sensors.shape[0]):
+        sensor = model.sensors[s]
+        if sensor.source == PYTHON:
+            continue
+        of_diodes = sensor.source == DIODE_CURRENTS
+        measured = scan.status & (DIODES_ESTIMATED if of_diodes else PROBES_ESTIMATED) == 0
+        for i in range(2 * sensor.count if of_diodes else sensor.count):
+            r = sensor.first_reading + i
+            if of_diodes:
+                contact = CONTACTS * (i // 2) + i % 2
+                one, other = scan.diode_currents[contact], scan.diode_currents[contact + 2]
+            else:
+                one = scan.gap_voltages[i] if sensor.source == GAP_VOLTAGES else scan.ring_voltages[i]
+                other = 0.0
+            repeated = measured and one == tracker.last_raw[r, 0] and other == tracker.last_raw[r, 1]
+            tracker.repeats[r] = tracker.repeats[r] + 1 if repeated else 0
+            tracker.last_raw[r, 0], tracker.last_raw[r, 1] = one, other
+            if workspace.evidence[r] > 0.0:
+                fewest = min(fewest, tracker.repeats[r])
+                if tracker.repeats[r] * workspace.evidence[r] >= FROZEN:
+                    frozen = r
+    if fewest > 0 and fewest * workspace.settings.all_evidence >= ALL_FROZEN:
+        frozen = ALL
+    return frozen
