@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from posor_estimator.model.fault import Fault, State
     from posor_estimator.model.scan import Scan, Scans
     from posor_estimator.uncertainty.first_order import ErrorBudget, error_budget
+    from posor_estimator.uncertainty.reliability import Reliability, joint_reliability
 
 __all__ = [
     "Arm",
@@ -53,6 +54,7 @@ __all__ = [
     "ParameterError",
     "Posor",
     "PosorError",
+    "Reliability",
     "Scan",
     "ScanError",
     "Scans",
@@ -60,6 +62,7 @@ __all__ = [
     "State",
     "TopicError",
     "error_budget",
+    "joint_reliability",
     "load_arm",
     "load_calibration",
     "read_scans",
@@ -78,6 +81,7 @@ _MODULES = {
     "estimation.posor": ("Posor",),
     "model.scan": ("Scan", "Scans"),
     "uncertainty.first_order": ("ErrorBudget", "error_budget"),
+    "uncertainty.reliability": ("Reliability", "joint_reliability"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

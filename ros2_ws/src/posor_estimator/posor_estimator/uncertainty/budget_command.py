@@ -14,6 +14,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from posor_estimator.calibration.calibration_file import load_calibration
+from posor_estimator.chain.arm_file import load_arm
 from posor_estimator.errors import ParameterError, PosorError
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.reporting.command_line_parser import CommandLineParser
@@ -23,9 +24,21 @@ from posor_estimator.uncertainty.budget_quantities import NATIVE, PlatePoint
 from posor_estimator.uncertainty.budget_report import VALIDATION_HEADER, BudgetReport, heading
 from posor_estimator.uncertainty.first_order import Kind, error_budget
 from posor_estimator.uncertainty.monte_carlo import BATCH, COVERAGE, monte_carlo, validate
+from posor_estimator.uncertainty.protection_level import arm_reliability
+from posor_estimator.uncertainty.reliability import joint_reliability
+from posor_estimator.uncertainty.reliability_report import (
+    ARM_HEADER,
+    RELIABILITY_HEADER,
+    arm_rows,
+    protection_note,
+    reliability_note,
+    reliability_rows,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+
+    from posor_estimator.uncertainty.protection_level import ArmReliability
 
 SEED = 1985
 OUTPUT_FILES = ("budget.csv", "budget.json", "budget.html")
@@ -86,9 +99,33 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--output", type=Path, metavar="FOLDER", help="default: build/budget/<name of the calibration>")
     parser.add_argument("--draws", type=_draws, default=10 * BATCH, help="largest number of Monte Carlo draws")
     parser.add_argument("--seed", type=_seed, default=SEED, help=f"seed of the draws (default: {SEED})")
+    parser.add_argument("--arm", type=Path, metavar="ARM.yaml", help="arm whose endpoint gets a protection level")
+    parser.add_argument(
+        "--angles", type=_angles, metavar="a,b,...", help="of the arm's joints in rad, written --angles=...; default: 0"
+    )
     options = parser.parse_args(arguments)
+    if options.angles is not None and options.arm is None:
+        parser.error("--angles without --arm")
     options.output = options.output or Path("build/budget") / options.calibration.stem
     return options
+
+
+def _angles(text: str) -> tuple[float, ...]:
+    return _numbers([f"angle {number + 1}" for number in range(text.count(",") + 1)])(text)
+
+
+def _arm_reliability(path: Path, given: Sequence[float] | None) -> ArmReliability:
+    """Return the reliability of an arm at the given angles of its joints [rad]; None: all zero."""
+    arm = load_arm(path)
+    chain = arm.chain()
+    names = [joint.name for joint in chain.joints]
+    angles = [0.0] * len(names) if given is None else given
+    if len(angles) != len(names):
+        raise ParameterError(
+            f"{len(angles)} angles", where="budget, --angles", expected=f"{len(names)}: {','.join(names)}"
+        )
+    calibrations = {name: arm.calibration(name) for name in names}
+    return arm_reliability(chain, calibrations, dict(zip(names, angles, strict=True)))
 
 
 def compute_budget(options: argparse.Namespace, progress: Progress) -> BudgetReport:
@@ -104,6 +141,8 @@ def compute_budget(options: argparse.Namespace, progress: Progress) -> BudgetRep
     scan = scan_at(posor, pose)
     points = [PlatePoint(*point) for point in options.point]
     budget = error_budget(posor, scan, pose, points)
+    reliability = joint_reliability(posor, scan, pose)
+    arm = None if options.arm is None else _arm_reliability(options.arm, options.angles)
     _create_folder(options.output)
     task = progress.add_task("draws", total=options.draws)
     drawn = monte_carlo(
@@ -123,6 +162,8 @@ def compute_budget(options: argparse.Namespace, progress: Progress) -> BudgetRep
         drawn=drawn,
         validations=validate(budget, drawn),
         seed=options.seed,
+        reliability=reliability,
+        arm=arm,
     )
 
 
@@ -158,11 +199,30 @@ def print_budget(report: BudgetReport, console: Console) -> None:
     for row in report.validation_rows():
         table.add_row(*row)
     console.print(table)
+    _print_reliability(report, console)
     for note in (report.verdict, report.correlation_note, report.exact_note):
         if note:
             console.print(note)
     if report.drawn.lost:
         console.print(f"{report.drawn.lost} of {report.drawn.trials + report.drawn.lost} draws gave no pose.")
+
+
+def _print_reliability(report: BudgetReport, console: Console) -> None:
+    """Print the minimal detectable biases, and the protection level of an arm's endpoint."""
+    tables = [
+        ("Minimal detectable biases", RELIABILITY_HEADER, reliability_rows(report.reliability)),
+        *([("Protection level of the endpoint", ARM_HEADER, arm_rows(report.arm))] if report.arm else []),
+    ]
+    for title, header, rows in tables:
+        table = Table(title=title, title_justify="left")
+        for name in header:
+            table.add_column(name, justify="left" if name in {"joint", "reading"} else "right")
+        for row in rows:
+            table.add_row(*row)
+        console.print(table)
+    console.print(reliability_note(report.reliability))
+    if report.arm:
+        console.print(protection_note(report.arm))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

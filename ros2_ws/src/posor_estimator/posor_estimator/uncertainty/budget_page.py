@@ -18,6 +18,14 @@ from posor_estimator.reporting.html_page import (
 )
 from posor_estimator.uncertainty.budget_report import DISPLAY_UNITS, VALIDATION_HEADER, heading
 from posor_estimator.uncertainty.first_order import Kind
+from posor_estimator.uncertainty.reliability_report import (
+    ARM_HEADER,
+    RELIABILITY_HEADER,
+    arm_rows,
+    protection_note,
+    reliability_note,
+    reliability_rows,
+)
 
 if TYPE_CHECKING:
     from posor_estimator.uncertainty.budget_report import BudgetReport
@@ -90,7 +98,17 @@ def render_budget_page(report: BudgetReport) -> str:
                 "First order against draws",
                 table(VALIDATION_HEADER, report.validation_rows()),
             ),
+            *_reliability_sections(report),
             Section("Notes", bullet_list(notes)),
             Section("Provenance", definition_list(terms) + paragraph("Figures in SI units: budget.csv, budget.json.")),
         ),
     )
+
+
+def _reliability_sections(report: BudgetReport) -> list[Section]:
+    body = table(RELIABILITY_HEADER, reliability_rows(report.reliability))
+    sections = [Section("Minimal detectable biases", body + paragraph(reliability_note(report.reliability)))]
+    if report.arm is not None:
+        body = table(ARM_HEADER, arm_rows(report.arm)) + paragraph(protection_note(report.arm))
+        sections.append(Section("Protection level of the endpoint", body))
+    return sections

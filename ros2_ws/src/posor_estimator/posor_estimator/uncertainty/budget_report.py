@@ -11,6 +11,7 @@ import numpy as np
 from posor_estimator.model.native_coordinates import native_from_rotation
 from posor_estimator.uncertainty.budget_quantities import NATIVE
 from posor_estimator.uncertainty.first_order import Kind
+from posor_estimator.uncertainty.reliability_report import arm_json, reliability_json
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from posor_estimator.uncertainty.budget_quantities import Output
     from posor_estimator.uncertainty.first_order import ErrorBudget
     from posor_estimator.uncertainty.monte_carlo import MonteCarlo, Validation
+    from posor_estimator.uncertainty.protection_level import ArmReliability
+    from posor_estimator.uncertainty.reliability import Reliability
 
 DISPLAY_UNITS: Mapping[str, tuple[float, str]] = {"m": (1e6, "µm"), "rad": (1e6, "µrad")}
 """Factor and name of the unit in which quantities of an SI unit are displayed."""
@@ -54,6 +57,8 @@ class BudgetReport:
         drawn: Monte Carlo result.
         validations: Validation of the first order by the draws, for each output.
         seed: Seed of the draws.
+        reliability: Minimal detectable biases of the readings.
+        arm: Reliability of an arm and protection level of its endpoint; None: no arm is given.
 
     """
 
@@ -64,6 +69,8 @@ class BudgetReport:
     drawn: MonteCarlo
     validations: tuple[Validation, ...]
     seed: int
+    reliability: Reliability
+    arm: ArmReliability | None = None
 
     @property
     def holds(self) -> bool:
@@ -208,4 +215,6 @@ class BudgetReport:
             "taken_as_exact": list(budget.without_uncertainty),
             "vary_together": list(budget.correlated),
             "draws": {"seed": self.seed, "used": drawn.trials, "without_a_pose": drawn.lost},
+            "reliability": reliability_json(self.reliability),
+            "arm": None if self.arm is None else arm_json(self.arm),
         }

@@ -125,7 +125,7 @@ def sensitivities(posor: Posor, scan: Scan, T_R_T: pin.SE3, points: Sequence[Pla
     for sensor, code in zip(stack.sensors, readings.codes[0], strict=True):
         if code != 0:
             raise sensor.explain(scan, int(code))
-    _require_determined(stack, readings, T_R_T)
+    require_determined(stack, readings, T_R_T)
     outputs = Outputs(stack, points)
     by_reading = outputs.by_motion(rotation, translation) @ posor.sensitivity(scan, T_R_T)[0]
     by_parameter = by_reading @ stack.residual_jacobian(scan, rotation, translation)
@@ -139,7 +139,7 @@ def sensitivities(posor: Posor, scan: Scan, T_R_T: pin.SE3, points: Sequence[Pla
     )
 
 
-def _require_determined(stack: Stack, readings: Linearised, T_R_T: pin.SE3) -> None:
+def require_determined(stack: Stack, readings: Linearised, T_R_T: pin.SE3) -> None:
     """Refuse readings that do not determine all six freedoms, by the estimator's own measure."""
     outcome = stack.solve(readings, 0, T_R_T.rotation.copy(), T_R_T.translation.copy())
     if outcome == ILL_CONDITIONED:

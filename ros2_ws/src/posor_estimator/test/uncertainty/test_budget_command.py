@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,11 +14,9 @@ from posor_estimator.calibration.designs import design
 from posor_estimator.uncertainty.budget_command import OUTPUT_FILES, main
 from posor_estimator.uncertainty.budget_report import CSV_COLUMNS
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 POSE = "--pose=0.00001,0,0.00075,0.0005,-0.001,0.02"
 POINT = "--point=-0.0254,0.0381"
+SIX_AXIS = Path(__file__).resolve().parents[3] / "posor_bringup" / "arms" / "six_axis" / "arm.yaml"
 QUANTITIES = ["x", "y", "gap", "alpha", "beta", "theta", "gap at (-25.4, 38.1) mm"]
 
 
@@ -87,7 +85,7 @@ def test_the_table_ends_with_totals_and_names_correlated_quantities(
         "covariances": [joint],
     }
     correlated = tmp_path / "correlated.yaml"
-    correlated.write_text(yaml.safe_dump({**content, "version": 2, "fits": [record]}), encoding="utf-8")
+    correlated.write_text(yaml.safe_dump({**content, "fits": [record]}), encoding="utf-8")
     assert main([str(correlated), "--draws", "20000", "--output", str(tmp_path)]) == 0
     out, err = capsys.readouterr()
     assert not err
@@ -103,9 +101,39 @@ def test_the_table_ends_with_totals_and_names_correlated_quantities(
     assert "Taken as exact, no uncertainty is stated: target plane: point." in out
 
 
+def test_a_triad_says_that_its_biases_are_not_detectable(made: Path) -> None:
+    reliability = json.loads((made / "budget.json").read_text(encoding="utf-8"))["reliability"]
+    assert (reliability["false_alarm"], reliability["missed_detection"]) == pytest.approx((1e-3, 1e-2))
+    gaps = [reading for reading in reliability["readings"] if reading["name"].startswith("gap ")]
+    assert len(gaps) == 3
+    for reading in gaps:
+        assert reading["minimal_detectable_bias"] is None
+        assert None in reading["undetected_shift"]
+    page = (made / "budget.html").read_text(encoding="utf-8")
+    assert page.count("not detectable") >= 3
+    assert "Protection level of the endpoint" not in page
+
+
+def test_an_arm_gets_the_protection_level_of_its_endpoint(
+    calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    angles = (0.1, 0.2, -0.3, 0.4, 0.5, -0.6)
+    options = ["--arm", str(SIX_AXIS), "--angles=" + ",".join(map(str, angles)), "--output", str(tmp_path)]
+    assert main([str(calibration), "--draws", "20000", *options]) == 0
+    found = json.loads((tmp_path / "budget.json").read_text(encoding="utf-8"))["arm"]
+    assert tuple(found["angles"].values()) == angles
+    level = np.array(found["protection_level"])
+    shifts = np.abs([shift for joint in found["joints"].values() for shift in joint["endpoint_shifts"]])
+    assert np.all(level > shifts.max(axis=0))
+    assert "protection level" in capsys.readouterr().out
+    assert "Protection level of the endpoint" in (tmp_path / "budget.html").read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize(
     ("options", "code", "sentence"),
     [
+        (["--angles=1"], 2, "budget: --angles without --arm; expected"),
+        (["--arm", str(SIX_AXIS), "--angles=1,2"], 2, "budget, --angles: 2 angles; expected 6: base_turn,shoulder,"),
         (["--pose=1,2"], 2, "budget: argument --pose: '1,2' is not 6 numbers x,y,gap,alpha,beta,theta; expected"),
         (["--pose=0,0,nan,0,0,0"], 2, "budget: argument --pose: '0,0,nan,0,0,0' is not 6 numbers"),
         (["--point=a,b"], 2, "budget: argument --point: 'a,b' is not 2 numbers x,y; expected"),

@@ -1,0 +1,120 @@
+"""Reliability of a POSOR after Baarda: which error of a single reading its redundancy detects, and what the rest does.
+
+The estimator tests the redundant readings by one chi-square (``estimation.residual_test``). An error b of a single
+reading makes it non-central, lambda = c b^2 with c of ``Posor.sensitivity``. With r redundant readings, the error that
+is missed with the probability ``missed_detection`` has the lambda_0 at which the non-central chi-square is below the
+limit of the test just so often. Hence
+
+    minimal detectable bias  b = sqrt(lambda_0 / c),    undetected shift of the pose  G b,
+
+G the estimator's gain. A reading that no other one checks has c = 0, or next to nothing: its bias is not
+detectable.
+
+Source: W. Baarda, *A testing procedure for use in geodetic networks*, Delft 1968 (internal and external reliability).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.special import chdtrc, chndtrinc
+
+from posor_estimator.model.scan import Scans
+from posor_estimator.uncertainty.first_order import require_determined
+
+if TYPE_CHECKING:
+    import pinocchio as pin
+
+    from posor_estimator.estimation.posor import Posor
+    from posor_estimator.model.scan import Scan
+    from posor_estimator.numerics.array_types import FloatArray
+
+MISSED_DETECTION = 1e-2
+"""Probability that a bias of the minimal detectable size passes the test of one scan."""
+UNCHECKED = 1e-4
+"""A reading with a smaller redundancy number is not checked: biases of hundreds of sigmas would pass."""
+_NO_COEFFICIENT = 1e-9
+"""Coefficients below this share of the largest are rounding errors of zero."""
+
+
+@dataclass(frozen=True)
+class Reliability:
+    """Reliability of the m linearised readings of a POSOR at one pose.
+
+    Attributes:
+        names: Of the readings.
+        redundancy_numbers: Share of a reading's error that its own residual shows, (m,), from 0 to 1; their sum is the
+            number of redundant readings.
+        biases: Minimal detectable bias of each reading [m], (m,); infinite: not detectable.
+        gains: Change of the pose by one metre of bias, (m, 6), ROS order, axes of R [m/m, rad/m].
+        shifts: Change of the pose by the minimal detectable bias, (m, 6) [m, rad]; infinite: not bounded.
+        false_alarm: Probability that the test rejects a sound scan.
+        missed_detection: Probability that the test passes a bias of the minimal detectable size.
+
+    """
+
+    names: tuple[str, ...]
+    redundancy_numbers: FloatArray
+    biases: FloatArray
+    gains: FloatArray
+    shifts: FloatArray
+    false_alarm: float
+    missed_detection: float
+
+
+def joint_reliability(
+    posor: Posor, scan: Scan, T_R_T: pin.SE3, missed_detection: float = MISSED_DETECTION
+) -> Reliability:
+    """Return the reliability of a POSOR at a pose.
+
+    Args:
+        posor: The POSOR, whose limit of chi-square sets the probability of a false alarm.
+        scan: A valid scan at the pose; its readings are used for their sensitivities only.
+        T_R_T: The pose.
+        missed_detection: Probability that a bias of the minimal detectable size is missed, between 0 and 1.
+
+    Raises:
+        ScanError: A reading of the scan is invalid.
+        FitError: The readings do not determine all six freedoms at this pose.
+
+    """
+    gain, chi_square_per_m2 = posor.sensitivity(scan, T_R_T)
+    readings = posor.stack.linearise(Scans.of([scan]))
+    require_determined(posor.stack, readings, T_R_T)
+    jacobian = posor.stack.evaluate(readings.selected[0], T_R_T.rotation, T_R_T.translation)[1]
+    local_gain = np.kron(np.eye(2), T_R_T.rotation.T) @ gain
+    redundancy_numbers = 1.0 - np.einsum("mi,im->m", jacobian, local_gain)
+    false_alarm, root = 0.0, math.inf
+    if math.isfinite(posor.residual_limit):
+        false_alarm = float(chdtrc(posor.redundancy, posor.residual_limit))
+        root = math.sqrt(noncentrality(posor.redundancy, posor.residual_limit, missed_detection))
+    biases = np.full(len(gain.T), math.inf)
+    checked = redundancy_numbers > UNCHECKED
+    biases[checked] = root / np.sqrt(chi_square_per_m2[checked])
+    return Reliability(
+        names=posor.stack.reading_names,
+        redundancy_numbers=redundancy_numbers,
+        biases=biases,
+        gains=gain.T,
+        shifts=np.array(
+            [transformed(own[:, None], np.array([bias])) for own, bias in zip(gain.T, biases, strict=True)]
+        ),
+        false_alarm=false_alarm,
+        missed_detection=missed_detection,
+    )
+
+
+def noncentrality(redundant: int, limit: float, missed_detection: float) -> float:
+    """Return the non-centrality at which a chi-square of a number of degrees of freedom passes a limit that rarely."""
+    return float(chndtrinc(limit, redundant, missed_detection))
+
+
+def transformed(matrix: FloatArray, vector: FloatArray) -> FloatArray:
+    """Return ``matrix @ vector`` where infinite components act through coefficients that are not zero only."""
+    finite = np.isfinite(vector)
+    product = matrix @ np.where(finite, vector, 0.0)
+    unbounded = (np.abs(matrix) > _NO_COEFFICIENT * np.abs(matrix).max(initial=0.0)) @ ~finite
+    return np.where(unbounded, math.inf, product)
