@@ -11,8 +11,9 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
+from posor_estimator.node_parameters import RECORDING
 
-LOSSLESS = {"qos_reliability": "reliable", "qos_depth": 0}
+LOSSLESS = {"qos_reliability": "reliable", "qos_depth": 0, **RECORDING}
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -6,8 +6,10 @@ import re
 from typing import TYPE_CHECKING, Literal, get_args
 
 import yaml
+from posor_drivers.sources.source import LiveSource, load_source_class
 from posor_estimator.chain.chain_parameters import chain_parameters as chain_parameters_of
 from posor_estimator.errors import ParameterError
+from posor_estimator.node_parameters import RECORDING
 
 from posor_bringup.supervisor import Program
 
@@ -41,14 +43,15 @@ def arm_programs(
         drivers: Whether to start the drivers; without them the scans come from elsewhere, such as a bag.
         driver_parameters: ROS parameters of all drivers; they replace those of the arm file.
         chain_parameters: ROS parameters of chain_node; they replace those of the arm file.
-        parameters: ROS parameters of all nodes, such as ``use_sim_time``.
+        parameters: ROS parameters of all nodes, such as ``use_sim_time``; they replace the freshness of the stamps that
+            follows from the source.
 
     Raises:
         NodeError: The arm file has an unknown parameter of chain_node.
         ParameterError: A driver parameter of the arm file contains an unknown placeholder.
 
     """
-    common = dict(parameters or {})
+    common = {**(_freshness(arm, driver_parameters or {}) if drivers else {}), **(parameters or {})}
     chain = {**chain_parameters_of(arm), **common, **(chain_parameters or {})}
     programs = [Program("chain_node", "posor_estimator", "chain_node", (), f"/{arm.name}", chain)]
     for joint, calibration in arm.calibrations.items():
@@ -60,6 +63,13 @@ def arm_programs(
         name, namespace = f"{joint}/driver_node", f"/{arm.name}/{joint}"
         programs.append(Program(name, "posor_drivers", "driver_node", (), namespace, driver, ends=True))
     return programs
+
+
+def _freshness(arm: Arm, driver_parameters: Mapping[str, Parameter]) -> Mapping[str, Parameter]:
+    """Return the freshness that all nodes expect of the stamps: any age of a recording that keeps its stamps."""
+    parameters = {"source": arm.driver.source, **arm.driver.parameters, **driver_parameters}
+    is_live = issubclass(load_source_class(str(parameters["source"])), LiveSource)
+    return {} if is_live or parameters.get("restamp") else RECORDING
 
 
 def _driver_parameters(arm: Arm, joint: str) -> dict[str, Parameter]:

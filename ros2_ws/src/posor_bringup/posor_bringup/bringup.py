@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from posor_estimator.node_parameters import RECORDING
 from posor_estimator.reporting.command_line_parser import CommandLineParser
 from posor_estimator.ros.node_program import SPIN_TIMEOUT_S, StopSignal, exit_code_of, non_ros_arguments
 from rich.console import Console
@@ -35,6 +36,7 @@ def parse_options(arguments: Sequence[str]) -> Namespace:
         "arm", metavar="ARM", help=f"path of an arm file, or name of an installed arm: {', '.join(installed_arms())}"
     )
     parser.add_argument("--no-driver", action="store_true", help="without drivers: the scans come from elsewhere")
+    parser.add_argument("--recording", action="store_true", help="accept stamps of any age, as those of a bag")
     parser.add_argument("--use-sim-time", action="store_true", help="all nodes take the time from /clock")
     parser.add_argument(
         "--layout",
@@ -59,11 +61,14 @@ def _run_arm(options: Namespace) -> None:
     """Start the nodes of an arm and wait for Ctrl-C."""
     console = Console(highlight=False, soft_wrap=True, markup=False)
     arm = load_checked_arm(options.arm)
+    parameters: dict[str, bool | float] = dict(RECORDING) if options.recording else {}
+    if options.use_sim_time:
+        parameters["use_sim_time"] = True
     nodes = arm_programs(
         arm,
         drivers=not options.no_driver,
         driver_parameters=dict(options.parameters),
-        parameters={"use_sim_time": True} if options.use_sim_time else {},
+        parameters=parameters,
     )
     folder = prepare_output_folder(options.output / arm.name, (), "bringup")
     stop = StopSignal()

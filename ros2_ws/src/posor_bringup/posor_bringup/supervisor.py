@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import signal
 import subprocess
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Self
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from posor_estimator.errors import PosorError
 from posor_estimator.lazy_program import EXIT_INTERRUPTED
+from posor_estimator.ros.composition_file import yaml_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -56,7 +56,7 @@ class Program:
         """
         ros_arguments = ["--ros-args", *(["-r", f"__ns:={self.namespace}"] if self.namespace else [])]
         for name, value in self.parameters.items():
-            ros_arguments += ["-p", f"{name}:={json.dumps(value)}"]  # ROS parses values as YAML, a superset of JSON
+            ros_arguments += ["-p", f"{name}:={yaml_text(value)}"]
         return [*self._interpreter_and_path(), *self.arguments, *ros_arguments]
 
     def _interpreter_and_path(self) -> list[str]:
@@ -155,12 +155,13 @@ class Supervisor:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """End all programs; a ProcessError does not replace an earlier error."""
+        """End all programs; a ProcessError is added as a note to an earlier error."""
         try:
             self.end(self._running)
-        except ProcessError:
+        except ProcessError as failure:
             if error is None:
                 raise
+            error.add_note(f"While the programs were ended: {failure}")
 
     def start(self, program: Program) -> RunningProgram:
         """Start a program.

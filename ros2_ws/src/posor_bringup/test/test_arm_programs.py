@@ -11,6 +11,7 @@ from posor_bringup.installed import share
 from posor_estimator.bags.reprocess_command import parser, tasks_of
 from posor_estimator.chain.arm_file import load_arm
 from posor_estimator.errors import CalibrationError, ChainError, NodeError, ParameterError
+from posor_estimator.node_parameters import RECORDING
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -104,7 +105,10 @@ def test_placeholders_are_filled_in_for_every_joint(rig_copy: Path) -> None:
         "bag.path": f"{rig_copy}/bags/test_rig_joint1",
         "bag.other_topics": ["/test_rig/truth/joint1"],
         "rate": 2.0,
+        **RECORDING,
     }
+    restamped = arm_programs(load_arm(rig_copy / "arm.yaml"), driver_parameters={"restamp": True})[-1]
+    assert not restamped.parameters.keys() & RECORDING.keys()
     change(rig_copy, r"\{joint\}", "{joints}")
     with pytest.raises(
         ParameterError, match=r"key driver\.parameters\.bag\.path: '\{joints\}' is an unknown placeholder; "

@@ -7,6 +7,7 @@ the driver does not judge scans, the POSOR node does.
 
 from __future__ import annotations
 
+import math
 import time
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,7 @@ from posor_estimator.bags.message_definitions import MessageTypes
 from posor_estimator.errors import PosorError
 from posor_estimator.parameter_model import help_text
 from posor_estimator.ros.diagnostics import Level
+from posor_estimator.ros.freshness import InputMonitor
 from posor_estimator.ros.intra_process import IntraProcessPublisher
 from posor_estimator.ros.lifecycle_node import PosorNode
 from posor_estimator.ros.message_classes import message_class
@@ -70,6 +72,7 @@ class DriverNode(PosorNode[DriverParameters]):
         self._pace: PaceReport | None = None
         self._inputs = InputSubscriptions(self)
         self._status = self.diagnostics.add_status("source")
+        self._monitor = InputMonitor(self)
         self.diagnostics.add_refresh(self._refresh_diagnostics)
 
     @classmethod
@@ -98,6 +101,8 @@ class DriverNode(PosorNode[DriverParameters]):
             self._pace = self._pace or PaceReport(self, self.diagnostics.add_status("pace"))
             self.add_cleanup(self._inputs.close)
             self._inputs.open(self._source.inputs())
+        self.add_cleanup(self._monitor.clear)
+        self._watch = self._monitor.add_source(f"source '{name}'")
         self._status.report(Level.OK, "ready", {"source": name, "record": self._source.record})
 
     def _new_publisher(self, topic: str) -> IntraProcessPublisher:
@@ -108,6 +113,8 @@ class DriverNode(PosorNode[DriverParameters]):
         """Start the replay, or the run of a live source."""
         self._counts = dict.fromkeys(self._topic_publishers, 0)
         self._rate_reference = (time.monotonic(), 0)
+        self._monitor.start()
+        self._watch.restart(math.inf)  # no scan is expected before the run begins
         self._start_run()
 
     def _start_run(self) -> None:
@@ -132,6 +139,7 @@ class DriverNode(PosorNode[DriverParameters]):
 
     def deactivate(self) -> None:
         """Stop the run."""
+        self._monitor.stop()
         if self._run is not None and self._run.stop():
             self._status.report(Level.OK, "stopped")
 
@@ -168,6 +176,7 @@ class DriverNode(PosorNode[DriverParameters]):
             self._counts[topic] += 1
             if topic == RAW_TOPIC:
                 self.timing.record(publication.stamp_ns)
+                self._watch.record(time.monotonic())
 
     def _is_stopping(self) -> bool:
         return self._run is not None and self._run.stopping
@@ -176,7 +185,10 @@ class DriverNode(PosorNode[DriverParameters]):
         """Report the state of the run, and end the program with it; not called in the executor's thread."""
         if state is RunState.RUNNING:
             self._status.report(Level.OK, "running")
+            if isinstance(self._source, LiveSource):
+                self._watch.restart(time.monotonic())
         elif state in (RunState.ENDED, RunState.FAILED):
+            self._watch.restart(math.inf)
             self._wait_for_delivery()
             self._update_values()
             level, message = (Level.OK, "ended") if error is None else (Level.ERROR, str(error))

@@ -42,6 +42,28 @@ class LimitParameters(ParameterGroup):
     )
 
 
+class FreshnessParameters(ParameterGroup):
+    """How fresh the inputs of a node must be."""
+
+    max_silence: Annotated[float, Field(ge=0.05, allow_inf_nan=True)] = Field(
+        default=0.2,
+        description="longest time without input [s], or ten periods where these are longer; then the diagnostics show "
+        "an error; .inf: never",
+    )
+    max_age: Annotated[float, Field(gt=0.0, allow_inf_nan=True)] = Field(
+        default=1.0, description="greatest age of a stamp [s]; an older scan is not used; .inf: any, for a recording"
+    )
+    max_future: Annotated[float, Field(gt=0.0, allow_inf_nan=True)] = Field(
+        default=0.1,
+        description="how far a stamp may be ahead of ROS time [s]; .inf: any, for a recording",
+    )
+    deadline: Annotated[float, Field(ge=0.0, le=60.0)] = Field(
+        default=0.0,
+        description="DDS deadline of the sensor topics [s]: publishers offer and subscriptions request it, with "
+        "liveliness; set it at both ends, other publishers do not match; 0: none",
+    )
+
+
 class RealtimeParameters(ParameterGroup):
     """Requests of the whole process to the operating system, for all of its threads."""
 
@@ -85,14 +107,40 @@ class NodeParameters(ParameterGroup):
     qos_depth: Annotated[int, Field(ge=0, le=100_000)] = Field(
         default=10, description="history depth of the sensor topics in messages; 0: keep all, for replays without loss"
     )
+    freshness: FreshnessParameters = FreshnessParameters()
     limits: LimitParameters = LimitParameters()
     realtime: RealtimeParameters = RealtimeParameters()
+
+
+RECORDING: dict[str, float] = {"freshness.max_age": math.inf, "freshness.max_future": math.inf}
+"""Parameters of nodes that receive the stamps of a recording."""
 
 
 ParametersT = TypeVar("ParametersT", bound=NodeParameters)
 
 
-class PosorParameters(NodeParameters):
+class AlarmParameters(NodeParameters):
+    """Parameters of the nodes that judge scans."""
+
+    alarm_count: Annotated[int, Field(ge=1, le=1000)] = Field(
+        default=5,
+        description="scans without a pose in a row that the diagnostics show as an error; fewer are a warning, unless "
+        "there are more than false alarms explain",
+    )
+
+
+class EncoderParameters(ParameterGroup):
+    """Encoder of the joint on the topic ``encoder``, a coarse measurement of theta."""
+
+    sigma: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
+        default=0.0, description="standard uncertainty of the encoder's angle as theta [rad]; 0: no encoder"
+    )
+    joint: str = Field(
+        default="", description="name of the joint in the encoder's messages; empty: they hold one position only"
+    )
+
+
+class PosorParameters(AlarmParameters):
     """Parameters of posor_node."""
 
     calibration: str = Field(description="path of the calibration file (YAML) of this joint's POSOR")
@@ -113,6 +161,7 @@ class PosorParameters(NodeParameters):
     zero_scans: Annotated[int, Field(ge=MIN_ZERO_SCANS, le=100_000)] = Field(
         default=100, description="number of most recent scans whose mean ~/zero uses"
     )
+    encoder: EncoderParameters = EncoderParameters()
 
     @field_validator("home_pose")
     @classmethod
@@ -123,7 +172,7 @@ class PosorParameters(NodeParameters):
         return home
 
 
-class ChainParameters(NodeParameters):
+class ChainParameters(AlarmParameters):
     """Parameters of chain_node."""
 
     urdf: str = Field(description="path of the arm's URDF; its floating joints are the POSORs")
@@ -139,6 +188,9 @@ class ChainParameters(NodeParameters):
     max_wait: Annotated[float, Field(gt=0.0, le=60.0)] = Field(
         default=0.1,
         description="how long the first transform of a scan waits for the others [s]; then there is no pose",
+    )
+    false_alarm: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(
+        default=1e-3, description="probability that a posor_node rejects a sound scan, as stated there"
     )
     reference: Literal["absolute", "home"] = Field(
         default="absolute",

@@ -9,7 +9,7 @@ import numpy as np
 
 from posor_estimator.bags.message_table import MessageTable  # noqa: TC001  read by dataclasses
 from posor_estimator.errors import BagError
-from posor_estimator.model.scan import Scans
+from posor_estimator.model.scan import HOME_BUMP, Scans
 from posor_estimator.numerics.array_types import IntArray  # noqa: TC001  read by dataclasses
 from posor_estimator.numerics.stamps import times_ns
 
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from posor_estimator.bags.cdr_schema import Schema
     from posor_estimator.numerics.array_types import BoolArray
 
-STATUS_HOME_BUMP = 128
-"""``posor_msgs/RawScan.STATUS_HOME_BUMP``: the ring's home mark was seen."""
 FIELDS = {
     "header.stamp.sec": "i",
     "header.stamp.nanosec": "I",
@@ -110,7 +108,8 @@ def unpack_scans(log_times_ns: IntArray, order: IntArray, table: MessageTable) -
         lit_sources=table["lit_sources"],
         supply_voltages=table["supply_voltage"],
         temperatures=table["temperature"],
-        at_home=((statuses & STATUS_HOME_BUMP) != 0).astype(np.int64),
+        at_home=((statuses & HOME_BUMP) != 0).astype(np.int64),
+        statuses=statuses,
     )
     frame = table.layout.strings["header.frame_id"]
     return RecordedScans(log_times_ns, order, scans, header_stamps, statuses, frame)

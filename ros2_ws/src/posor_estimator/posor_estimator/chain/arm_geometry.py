@@ -39,6 +39,7 @@ class ArmGeometry(NamedTuple):
         elements: Elements on the way, then one without joint and beam for the endpoint, (k + 1,) of ``ELEMENT``.
         beams: (b,) of ``BEAM``.
         joint_origins: Rotation of each joint's origin in its parent link, (j, 3, 3).
+        joint_positions: Each joint's origin in its parent link [m], (j, 3).
         gravity: [m/s^2], (3,), axes of the base.
 
     """
@@ -46,6 +47,7 @@ class ArmGeometry(NamedTuple):
     elements: RecordArray
     beams: RecordArray
     joint_origins: FloatArray
+    joint_positions: FloatArray
     gravity: FloatArray
 
     @classmethod
@@ -72,6 +74,7 @@ class ArmGeometry(NamedTuple):
             np.array(elements, dtype=ELEMENT),
             np.array([_beam_record(beam) for beam in beams], dtype=BEAM),
             np.array([joint.T_parent_joint.rotation for joint in robot.joints]),
+            np.array([joint.T_parent_joint.translation for joint in robot.joints]),
             np.array(gravity, dtype=float),
         )
 

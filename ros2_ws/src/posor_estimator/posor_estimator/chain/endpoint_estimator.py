@@ -38,7 +38,7 @@ class EndpointEstimator:
     Attributes:
         joints: Names of the joints, in the order of all arrays of joints.
         poses: Target plates in receiving plates, (j, 7): x, y, z [m], unit quaternion x, y, z, w.
-        covariances: Of the same, (j, 6, 6), as ``MeasuredJoint.covariance``; only the upper triangle is read.
+        covariances: Of the same, (j, 6, 6), as ``MeasuredJoint.covariance``.
         thetas: Counted large rotations of the joints [rad], (j,), for ``angles``; NaN: not counted.
         accelerations: Of the beams [m/s^2], (b, 3), axes of the base: written if there is an acceleration window, read
             if there is none.

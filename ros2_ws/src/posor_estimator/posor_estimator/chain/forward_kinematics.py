@@ -23,7 +23,7 @@ from posor_estimator.chain.endpoint_covariance import (
     moved_along,
     write_covariance,
 )
-from posor_estimator.chain.joint_measurements import measurement_fault, read_row
+from posor_estimator.chain.joint_measurements import ENDPOINT_NOT_FINITE, measurement_fault, read_row
 from posor_estimator.model.fault import State
 from posor_estimator.numerics.compiled import in_place, inlined
 from posor_estimator.numerics.matrix import Matrix, applied, matrix, product, row_times, transposed, turned_by
@@ -187,7 +187,8 @@ def estimate_endpoints(
         faults, angles = endpoints.faults[n], endpoints.angles[n]
         usable = True
         for j in range(faults.shape[0]):
-            faults[j] = measurement_fault(poses[j], covariances[j])
+            theta, origin = measurements.thetas[n, j], arm.joint_positions[j]
+            faults[j] = measurement_fault(poses[j], covariances[j], theta, origin, endpoints.covariances[n])
             usable = usable and faults[j] == 0
         if not usable:
             write_nan(endpoints, n)
@@ -198,6 +199,11 @@ def estimate_endpoints(
             forget_after_gap(stamp_ns, history)
             estimate_accelerations(history)
         compute_endpoint(arm, history, poses, covariances, endpoints.poses[n], endpoints.covariances[n])
+        if not is_finite(endpoints, n):
+            write_nan(endpoints, n)
+            for j in range(faults.shape[0]):
+                faults[j] = ENDPOINT_NOT_FINITE
+            continue
         if moving:
             append_centres(stamp_ns, history)
         for j in range(faults.shape[0]):
@@ -229,6 +235,17 @@ def estimate_endpoint_of_rows(
     if estimate_endpoints(arm, history, measurements, endpoints, 0) == 0:
         return HISTORY_FULL
     return UNUSABLE if math.isnan(endpoints.poses[0, 0]) else worst
+
+
+@inlined
+def is_finite(endpoints: Endpoints, n: int) -> bool:
+    """Return whether pose and variances of a scan's endpoint are finite; no covariance exceeds the variances."""
+    total = 0.0
+    for i in range(7):
+        total += abs(endpoints.poses[n, i])
+    for i in range(6):
+        total += abs(endpoints.covariances[n, i, i])
+    return math.isfinite(total)
 
 
 @in_place

@@ -21,18 +21,33 @@ if TYPE_CHECKING:
 
 RecordArray: TypeAlias = NDArray[np.void]
 
-POSE_NOT_FINITE, QUATERNION_NOT_UNIT, COVARIANCE_NOT_FINITE = 1, 2, 3
+MAX_OFFSET = 0.02
+"""Largest distance of a target plate's origin from the nominal joint in the URDF [m]; a POSOR measures millimetres."""
+MAX_VARIANCE = 100.0
+"""Largest variance of a measurement [m^2], [rad^2]; a greater one tells nothing and may overflow along the arm."""
+POSE_NOT_FINITE, QUATERNION_NOT_UNIT, COVARIANCE_NOT_FINITE, NATIVE_NOT_FINITE, POSE_TOO_FAR = 1, 2, 3, 4, 5
+VARIANCE_TOO_LARGE, COVARIANCE_NOT_SYMMETRIC, COVARIANCE_NOT_POSITIVE, ENDPOINT_NOT_FINITE = 6, 7, 8, 9
 FAULT_TEXTS = {
     POSE_NOT_FINITE: "has a pose that is not finite",
     QUATERNION_NOT_UNIT: "has an orientation that is not a unit quaternion",
     COVARIANCE_NOT_FINITE: "has a covariance that is not finite",
+    NATIVE_NOT_FINITE: "has native coordinates that are not finite",
+    POSE_TOO_FAR: f"is further than {MAX_OFFSET:g} m from the nominal joint of the URDF",
+    VARIANCE_TOO_LARGE: f"has a variance above {MAX_VARIANCE:g} m^2 or rad^2",
+    COVARIANCE_NOT_SYMMETRIC: "has a covariance that is not symmetric",
+    COVARIANCE_NOT_POSITIVE: "has a covariance that is not positive semi-definite",
+    ENDPOINT_NOT_FINITE: "gives an endpoint that is not finite",
 }
-"""Why a joint's measurement cannot be used, by the result of ``measurement_fault``."""
+"""Why a joint's measurement cannot be used, by its fault in ``Endpoints.faults``."""
 UNIT_QUATERNION_TOLERANCE = 1e-6
 """Largest difference of a quaternion's length from one."""
+SYMMETRY_TOLERANCE = 1e-6
+"""Largest difference of two opposite elements of a covariance, relative to the two standard deviations."""
+PIVOT_TOLERANCE = 1e-9
+"""Part of a variance that counts as rounding in the test for a positive semi-definite covariance."""
 LARGEST_FLOAT = sys.float_info.max
 
-ROW_LAYOUT = np.dtype([("pose", np.int64), ("theta", np.int64), ("covariance", np.int64), ("state", np.int64)])
+ROW_LAYOUT = np.dtype([("pose", np.int64), ("native", np.int64), ("covariance", np.int64), ("state", np.int64)])
 """Where a row of message bytes holds its fields: indices of 8-byte numbers, and of the byte ``state``."""
 
 
@@ -56,8 +71,8 @@ class JointMeasurements(NamedTuple):
     Attributes:
         stamps_ns: Times of the scans, (n,).
         poses: Target plate in receiving plate, (n, j, 7): x, y, z [m], unit quaternion x, y, z, w.
-        covariances: As ``MeasuredJoint.covariance``, (n, j, 6, 6); only the upper triangle is read.
-        thetas: Counted large rotations [rad], (n, j); NaN: not counted.
+        covariances: As ``MeasuredJoint.covariance``, (n, j, 6, 6).
+        thetas: Counted large rotations [rad], (n, j); NaN: not counted; infinite: native coordinates are not finite.
 
     """
 
@@ -82,7 +97,7 @@ class JointRowLayout:
 
     Attributes:
         pose: x, y, z [m] and the quaternion x, y, z, w, each a float of 8 bytes; a multiple of 8.
-        theta: Counted large rotation [rad], likewise.
+        native: Six native coordinates, of which the counted large rotation [rad] is the last, likewise.
         covariance: 36 numbers, row by row, likewise.
         state: ``State``, one byte.
         size: Length of the row.
@@ -90,7 +105,7 @@ class JointRowLayout:
     """
 
     pose: int
-    theta: int
+    native: int
     covariance: int
     state: int
     size: int
@@ -103,10 +118,10 @@ class JointRowLayout:
             ValueError: The offset of a number is not a multiple of 8.
 
         """
-        if any(offset % 8 for offset in (self.pose, self.theta, self.covariance)):
+        if any(offset % 8 for offset in (self.pose, self.native, self.covariance)):
             message = f"{self}: expected offsets of numbers that are multiples of 8"
             raise ValueError(message)
-        return np.array([(self.pose // 8, self.theta // 8, self.covariance // 8, self.state)], dtype=ROW_LAYOUT)
+        return np.array([(self.pose // 8, self.native // 8, self.covariance // 8, self.state)], dtype=ROW_LAYOUT)
 
 
 class JointRows(NamedTuple):
@@ -132,33 +147,97 @@ class JointRows(NamedTuple):
 
 
 @inlined
-def measurement_fault(pose: FloatArray, covariance: FloatArray) -> int:
-    """Return what is wrong with a pose (7,) or covariance (6, 6): a key of ``FAULT_TEXTS``, or zero."""
+def covariance_fault(covariance: FloatArray, scratch: FloatArray) -> int:
+    """Return what is wrong with a covariance (6, 6): a key of ``FAULT_TEXTS``, or zero. Writes ``scratch``, (6, 6)."""
+    finite = small = True
+    for i in range(6):
+        for j in range(6):
+            finite &= abs(covariance[i, j]) <= LARGEST_FLOAT  # no early exit: the compiler vectorises the loop
+        small &= abs(covariance[i, i]) <= MAX_VARIANCE
+    if not (finite and small):
+        return VARIANCE_TOO_LARGE if finite else COVARIANCE_NOT_FINITE
+    symmetric = True
+    for i in range(6):
+        for j in range(i):
+            difference, product = covariance[i, j] - covariance[j, i], covariance[i, i] * covariance[j, j]
+            symmetric &= difference * difference <= SYMMETRY_TOLERANCE * SYMMETRY_TOLERANCE * abs(product)
+    if not symmetric:
+        return COVARIANCE_NOT_SYMMETRIC
+    return 0 if is_positive_semidefinite(covariance, scratch) else COVARIANCE_NOT_POSITIVE
+
+
+@inlined
+def is_positive_semidefinite(covariance: FloatArray, scratch: FloatArray) -> bool:
+    """Return whether a symmetric matrix (6, 6) of small numbers is positive semi-definite, but for rounding.
+
+    It is factorised as L D L^T: ``scratch`` (6, 6) gets L below the diagonal and (L D)^T above. A pivot near zero must
+    belong to a column of zeros.
+    """
+    positive = True
+    for j in range(6):
+        pivot, tolerance = covariance[j, j], PIVOT_TOLERANCE * covariance[j, j]
+        for k in range(j):
+            pivot -= scratch[j, k] * scratch[k, j]
+        positive &= pivot >= -tolerance and tolerance >= 0.0
+        inverse = 1.0 / pivot if pivot > tolerance else 0.0
+        for i in range(j + 1, 6):
+            rest = covariance[j, i]
+            for k in range(j):
+                rest -= scratch[i, k] * scratch[k, j]
+            limit = 4.0 * PIVOT_TOLERANCE * abs(covariance[i, i] * covariance[j, j])
+            positive &= inverse > 0.0 or rest * rest <= limit
+            scratch[i, j], scratch[j, i] = rest * inverse, rest
+    return positive
+
+
+@inlined
+def measurement_fault(
+    pose: FloatArray, covariance: FloatArray, theta: float, origin: FloatArray, scratch: FloatArray
+) -> int:
+    """Return what is wrong with the measurement of a joint: a key of ``FAULT_TEXTS``, or zero.
+
+    Args:
+        pose: Target plate in receiving plate, (7,).
+        covariance: (6, 6).
+        theta: As in ``JointMeasurements.thetas``.
+        origin: Of the nominal joint in the receiving plate [m], (3,).
+        scratch: (6, 6), is written.
+
+    """
     for i in range(7):
         if not math.isfinite(pose[i]):
             return POSE_NOT_FINITE
     length = math.sqrt(pose[3] * pose[3] + pose[4] * pose[4] + pose[5] * pose[5] + pose[6] * pose[6])
-    if abs(length - 1.0) > UNIT_QUATERNION_TOLERANCE:
+    if not abs(length - 1.0) <= UNIT_QUATERNION_TOLERANCE:
         return QUATERNION_NOT_UNIT
-    finite = True
-    for i in range(6):
-        for j in range(6):
-            finite &= abs(covariance[i, j]) <= LARGEST_FLOAT  # no early exit: the compiler vectorises the loop
-    return 0 if finite else COVARIANCE_NOT_FINITE
+    x, y, z = pose[0] - origin[0], pose[1] - origin[1], pose[2] - origin[2]
+    if not x * x + y * y + z * z <= MAX_OFFSET * MAX_OFFSET:
+        return POSE_TOO_FAR
+    if math.isinf(theta):
+        return NATIVE_NOT_FINITE
+    return covariance_fault(covariance, scratch)
 
 
 @inlined
 def read_row(layouts: RecordArray, joint: int, numbers: FloatArray, pose: FloatArray, covariance: FloatArray) -> float:
-    """Copy a row of numbers (w,) into ``pose`` (7,) and ``covariance`` (6, 6); return theta."""
+    """Copy a row of numbers (w,) into ``pose`` (7,) and ``covariance`` (6, 6).
+
+    Returns:
+        Theta; infinite where a native coordinate is not finite.
+
+    """
     layout = layouts[joint]
-    first_of_pose, first_of_covariance = layout["pose"], layout["covariance"]
+    first_of_pose, first_of_covariance, first_of_native = layout["pose"], layout["covariance"], layout["native"]
     for k in range(7):
         pose[k] = numbers[first_of_pose + k]
     entries = numbers[first_of_covariance : first_of_covariance + 36]
     for i in range(6):
         for k in range(6):
             covariance[i, k] = entries[6 * i + k]
-    return float(numbers[layout["theta"]])
+    finite = True
+    for k in range(6):
+        finite &= abs(numbers[first_of_native + k]) <= LARGEST_FLOAT
+    return float(numbers[first_of_native + 5]) if finite else math.inf
 
 
 @in_place

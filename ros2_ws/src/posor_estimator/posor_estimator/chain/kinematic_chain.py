@@ -177,7 +177,7 @@ class Chain:
             row[:] = (accelerations or {}).get(beam.name, 0.0)
         estimator.set_measurements(measured)
         if not estimator.estimate():
-            raise ChainError(estimator.fault_text(), where="the chain", expected="finite numbers and unit quaternions")
+            raise ChainError(estimator.fault_text(), where="the chain", expected="numbers that can be used")
         return Endpoint(pin.XYZQUATToSE3(estimator.pose), estimator.covariance.copy())
 
     def estimate_all(

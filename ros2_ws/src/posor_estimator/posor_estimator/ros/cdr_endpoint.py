@@ -2,15 +2,40 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from functools import lru_cache
+from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from posor_msgs.msg import EndpointState
 from sensor_msgs.msg import JointState
 
 from posor_estimator.ros.cdr_writer import MessageWriter
 
 if TYPE_CHECKING:
     from posor_estimator.chain.endpoint_estimator import EndpointEstimator
+
+MAX_JOINT, MAX_REASON = 128, 255
+"""Bounds of the strings in ``posor_msgs/EndpointState`` [bytes]."""
+WRITERS = 16
+"""Number of verdicts whose messages are kept prepared."""
+
+
+class Verdict(NamedTuple):
+    """Whether there is an endpoint, and why not; the fields of ``posor_msgs/EndpointState``."""
+
+    state: int
+    faults: int = 0
+    joint: str = ""
+    reason: str = ""
+
+    @property
+    def has_pose(self) -> bool:
+        """Whether the endpoint's numbers are valid."""
+        return self.state <= int(EndpointState.STATE_DEGRADED)
+
+
+SOUND = Verdict(EndpointState.STATE_OK)
 
 
 class EndpointWriter:
@@ -40,3 +65,48 @@ class EndpointWriter:
         self.pose = MessageWriter(plain, {"pose.position.x": pose})
         self.pose_with_covariance = MessageWriter(full, {"pose.pose.position.x": pose, "pose.covariance": covariance})
         self.joint_states = MessageWriter(joints, {"position": estimator.angles})
+
+
+class EndpointStateWriter:
+    """Writes ``EndpointState``; pose and covariance are NaN without a pose.
+
+    Attributes:
+        protection_level: Written into every message, (6,) [m], [rad]; NaN: not known.
+
+    """
+
+    def __init__(self, estimator: EndpointEstimator, frame: str, child_frame: str, *, relative: bool) -> None:
+        """Prepare; the arguments are those of `EndpointWriter`, and the frame of the endpoint itself."""
+        pose = estimator.relative_pose if relative else estimator.pose
+        covariance = estimator.relative_covariance if relative else estimator.covariance
+        self.protection_level = np.full(6, np.nan)
+        self._age = np.full(1, np.nan)
+        common = {"age": self._age, "protection_level": self.protection_level}
+        nothing = {"pose.position.x": np.full(7, np.nan), "covariance": np.full((6, 6), np.nan)}
+
+        @lru_cache(maxsize=WRITERS)
+        def writer_of(verdict: Verdict) -> MessageWriter:
+            joint, reason = (
+                text.encode()[:limit].decode(errors="ignore")
+                for text, limit in ((verdict.joint, MAX_JOINT), (verdict.reason, MAX_REASON))
+            )
+            message = EndpointState(
+                child_frame_id=child_frame, state=verdict.state, faults=verdict.faults, joint=joint, reason=reason
+            )
+            message.header.frame_id = frame
+            numbers = {"pose.position.x": pose, "covariance": covariance} if verdict.has_pose else nothing
+            return MessageWriter(message, {**numbers, **common})
+
+        self._writer_of = writer_of
+
+    def write(self, stamp: bytes, age_s: float, verdict: Verdict) -> bytes:
+        """Return the message.
+
+        Args:
+            stamp: The eight bytes of its stamp (``STAMP``).
+            age_s: From the stamp to now [s]; NaN: no scan yet.
+            verdict: State, faults, joint and reason.
+
+        """
+        self._age[0] = age_s
+        return self._writer_of(verdict).write(stamp)

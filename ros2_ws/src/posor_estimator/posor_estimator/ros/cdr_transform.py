@@ -17,8 +17,6 @@ JOINT_TRANSFORM = schema_of_class(JointTransform)
 
 _STAMP = struct.Struct("<iI")
 _FAULTS = struct.Struct("<I")
-_THETA = 5
-"""Index of theta in the native coordinates."""
 
 
 @lru_cache(maxsize=16)
@@ -34,7 +32,7 @@ def row_layout_of(layout: TableLayout) -> JointRowLayout:
     """Return the offsets of the fields that the chain reads from rows of transforms."""
     return JointRowLayout(
         pose=LEAD + layout.offset("pose.position.x"),
-        theta=LEAD + layout.offset("native") + 8 * _THETA,
+        native=LEAD + layout.offset("native"),
         covariance=LEAD + layout.offset("covariance"),
         state=LEAD + layout.offset("state"),
         size=LEAD + layout.size,

@@ -2,53 +2,69 @@
 
 Subscribes to ``<joint>/transform`` (posor_msgs/JointTransform) for every floating joint of the URDF. Publishes
 ``endpoint/pose``, ``endpoint/pose_with_covariance`` and ``joint_states``, the angles about the joints' nominal axes.
-Transforms are joined by equal stamps. Without a usable transform of every joint in time there is no pose; the
+Transforms are joined by equal stamps. Without a usable transform of every joint in time there is no pose.
+``endpoint/state`` (posor_msgs/EndpointState) says so for every scan, and every 0.08 s while no scan arrives; it and the
 diagnostics name the joint and the reason.
 """
 
 from __future__ import annotations
 
 import math
+import struct
 import time
-from functools import partial
+from functools import reduce
+from operator import or_
 from pathlib import Path
 from threading import RLock
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+import pinocchio as pin
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
-from posor_msgs.msg import JointTransform
+from posor_msgs.msg import EndpointState, JointReliability, JointTransform
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from posor_estimator.bags.cdr_schema import STAMP
 from posor_estimator.bags.message_table import LEAD
 from posor_estimator.chain.chain_parameters import CHAIN_NODE
+from posor_estimator.chain.joint_measurements import FAULT_TEXTS
 from posor_estimator.chain.kinematic_chain import load_chain
 from posor_estimator.chain.time_synchroniser import MAX_OPEN_SCANS, TimeSynchroniser
 from posor_estimator.errors import TopicError
-from posor_estimator.model.fault import State
+from posor_estimator.model.fault import Fault, State
 from posor_estimator.node_parameters import ChainParameters
-from posor_estimator.numerics.stamps import NO_TIME
-from posor_estimator.ros.cdr_endpoint import EndpointWriter
+from posor_estimator.numerics.stamps import NO_TIME, NS
+from posor_estimator.ros.alarm_rate import AlarmRate
+from posor_estimator.ros.cdr_endpoint import SOUND, EndpointStateWriter, EndpointWriter, Verdict
 from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM, JointTransformFormat, stamp_ns_of
 from posor_estimator.ros.diagnostics import Level
+from posor_estimator.ros.endpoint_protection import ProtectionLevel
+from posor_estimator.ros.freshness import InputMonitor, InputWatch, StampLimits
 from posor_estimator.ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_estimator.ros.lifecycle_node import PosorNode
-from posor_estimator.ros.message_conversion import why_unusable
 from posor_estimator.ros.node_program import run_node
-from posor_estimator.ros.qos import result_qos, sensor_qos
-from posor_estimator.ros_names import ENDPOINT_COVARIANCE_TOPIC, ENDPOINT_TOPIC, JOINT_STATES_TOPIC, TRANSFORM_TOPIC
+from posor_estimator.ros.qos import RELIABLE_QOS, result_qos, sensor_qos, state_qos
+from posor_estimator.ros_names import (
+    ENDPOINT_COVARIANCE_TOPIC,
+    ENDPOINT_STATE_TOPIC,
+    ENDPOINT_TOPIC,
+    JOINT_STATES_TOPIC,
+    RELIABILITY_TOPIC,
+    TRANSFORM_TOPIC,
+)
 
 if TYPE_CHECKING:
     from posor_estimator.chain.endpoint_estimator import EndpointEstimator
     from posor_estimator.chain.robot_model import FreeJoint
     from posor_estimator.numerics.array_types import FloatArray
-    from posor_estimator.ros.diagnostics import StatusText, Value
+    from posor_estimator.ros.diagnostics import Value
 
 
+_STAMP = struct.Struct("<iI")
+_STATE_TEXTS = {int(state): f"is {state.name.lower()}" for state in State}
 LATE_CHECK_S = 0.5
 """Longest time between two checks for late joints; each takes the interpreter lock from the thread of the scans."""
 
@@ -68,16 +84,21 @@ class ChainNode(PosorNode[ChainParameters]):
     _home: FloatArray | None
     _last_pose: FloatArray | None
     _reported: object
+    _alarms: AlarmRate
+    _stamp_limits: StampLimits
 
     def __init__(self, **options: Any) -> None:
         """Create the node; ``options`` are passed to rclpy."""
         super().__init__(**options)
         self._lock = RLock()
         self._status = self.diagnostics.add_status("endpoint", logged=True)
-        self._subscriptions_of_joints: list[IntraProcessSubscription] = []
+        self._inputs = InputMonitor(self, self._on_inputs_checked)
         self._poses = self._scans_refused = self._scans_incomplete = 0
         self._reported = None
+        self._last_stamp = bytes(8)
+        self._state_published = self._has_alarm = False
         self.diagnostics.add_refresh(self._refresh_status)
+        self.diagnostics.add_refresh(self._update_protection_level)
 
     def configure(self) -> None:
         """Read the URDF and open the topics."""
@@ -96,22 +117,28 @@ class ChainNode(PosorNode[ChainParameters]):
         ]
         self._home = self._last_pose = self._reported = None
         self._poses = self._scans_refused = self._scans_incomplete = 0
+        self._last_stamp, self._has_alarm = bytes(8), False
+        false_alarm = 1.0 - (1.0 - self.parameters.false_alarm) ** len(names)
+        self._alarms = AlarmRate(false_alarm, self.parameters.alarm_count)
         self._status.report(
             Level.STALE, "no complete scan yet", {"joints": ", ".join(names), "urdf": str(path), "beams": beams}
         )
         self._is_relative = self.parameters.reference == "home"
         frame = f"{self.parameters.endpoint_frame}_home" if self._is_relative else chain.base_frame
         self._writer = EndpointWriter(self._estimator, frame, relative=self._is_relative)
+        endpoint = self.parameters.endpoint_frame
+        self._state_writer = EndpointStateWriter(self._estimator, frame, endpoint, relative=self._is_relative)
+        self._protection = ProtectionLevel(chain)
         self._pose = self._create_publisher(PoseStamped, ENDPOINT_TOPIC)
         self._pose_with_covariance = self._create_publisher(PoseWithCovarianceStamped, ENDPOINT_COVARIANCE_TOPIC)
         self._joint_states = self._create_publisher(JointState, JOINT_STATES_TOPIC)
-        self.add_cleanup(self._forget_joints)
+        self._endpoint_state = IntraProcessPublisher(
+            self, EndpointState, ENDPOINT_STATE_TOPIC, state_qos(self.parameters)
+        )
+        self.add_cleanup(self._inputs.clear)
+        self._joint_of_topic: dict[str, str] = {}
         for joint in chain.joints:
-            callback = partial(self._on_transform, joint, self._kinds[joint.name])
-            topic = f"{joint.name}/{TRANSFORM_TOPIC}"
-            self._subscriptions_of_joints.append(
-                IntraProcessSubscription(self, JointTransform, topic, sensor_qos(self.parameters), callback)
-            )
+            self._subscribe(joint)
         steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         period_s = min(self.parameters.max_wait, LATE_CHECK_S)
         self.add_cleanup(self.destroy_timer, self.create_timer(period_s, self._close_late_scans, clock=steady_clock))
@@ -120,25 +147,81 @@ class ChainNode(PosorNode[ChainParameters]):
     def _create_publisher(self, message_type: type[Any], topic: str) -> IntraProcessPublisher:
         return IntraProcessPublisher(self, message_type, topic, result_qos(self.parameters), count_listeners=True)
 
-    def _forget_joints(self) -> None:
-        """Report no joints after the present transform."""
-        with self._lock:
-            self._subscriptions_of_joints = []
+    def _subscribe(self, joint: FreeJoint) -> None:
+        """Subscribe to the transforms of a joint and watch them."""
+
+        def on_transform(data: bytes) -> None:
+            self._on_transform(joint, self._kinds[joint.name], watch, data)
+
+        topic, qos = f"{joint.name}/{TRANSFORM_TOPIC}", sensor_qos(self.parameters)
+        watch = self._inputs.add(IntraProcessSubscription(self, JointTransform, topic, qos, on_transform))
+        self._joint_of_topic[watch.name] = joint.name
+
+        def on_reliability(message: JointReliability) -> None:
+            with self._lock:
+                self._protection.receive(joint.name, message)
+
+        topic = f"{joint.name}/{RELIABILITY_TOPIC}"
+        subscription = self.create_subscription(JointReliability, topic, on_reliability, RELIABLE_QOS)
+        self.add_cleanup(self.destroy_subscription, subscription)
+
+    def activate(self) -> None:
+        """Expect transforms with present stamps from now on."""
+        self._stamp_limits = StampLimits.of(self.timing.now_ns, self.parameters.freshness)
+        self._inputs.start()
+
+    def deactivate(self) -> None:
+        """Expect no transforms."""
+        self._inputs.stop()
 
     def _refresh_status(self) -> None:
-        """Update the counts and report joints without a publisher, once a second."""
-        missing = [joint.topic_name for joint in self._subscriptions_of_joints if not joint.has_publisher()]
+        """Update the counts, once a second."""
         with self._lock:
-            if self._subscriptions_of_joints:
+            if self._reported is not None:
                 self._status.update(self._counts())
-            if missing:
-                self._report_no_pose(f"nobody publishes {', '.join(missing)}")
 
-    def _on_transform(self, joint: FreeJoint, kind: JointTransformFormat, data: bytes) -> None:
+    def _update_protection_level(self) -> None:
+        """Update the protection level of the endpoint, once a second."""
+        with self._lock:
+            if self._reported is None:
+                return
+            protection, estimator = self._protection, self._estimator
+            poses, axes = estimator.poses.copy(), np.eye(3)
+            covariance = (estimator.relative_covariance if self._is_relative else estimator.covariance).copy()
+            if self._is_relative and self._home is not None:
+                axes = pin.XYZQUATToSE3(self._home).rotation
+        level = protection.compute(poses, covariance, axes)
+        with self._lock:
+            self._state_writer.protection_level[:] = level
+
+    def _on_inputs_checked(self, is_new: bool) -> None:  # noqa: FBT001  a callback
+        """Report that no transform arrives, and publish the state while there is no scan."""
+        with self._lock:
+            silent = self._inputs.silent
+            if silent and is_new:
+                self._report_no_pose(silent, ("silent",))
+            if silent and not self._state_published and self._endpoint_state.has_subscriptions:
+                joint = self._joint_of_topic[self._inputs.silent_names[0]]
+                verdict = Verdict(EndpointState.STATE_STALE, 0, joint, silent)
+                stamp_ns = stamp_ns_of(self._last_stamp)
+                age_s = (self.timing.now_ns() - stamp_ns) / NS if stamp_ns else math.nan
+                self._endpoint_state.publish(self._state_writer.write(self._last_stamp, age_s, verdict))
+            self._state_published = False
+
+    def _publish_state(self, stamp: bytes, stamp_ns: int, verdict: Verdict) -> None:
+        """Publish the state of a scan."""
+        self._state_published = True
+        if self._endpoint_state.has_subscriptions:
+            age_s = (self.timing.now_ns() - stamp_ns) / NS
+            self._endpoint_state.publish(self._state_writer.write(stamp, age_s, verdict))
+
+    def _on_transform(self, joint: FreeJoint, kind: JointTransformFormat, watch: InputWatch, data: bytes) -> None:
         """Add a transform of one joint to its scan; publish the endpoint once the scan is complete."""
         with self._lock:
             if not self.may_publish:
                 return
+            now_s = time.monotonic()
+            watch.record(now_s)
             if not kind.matches(data) and not (data := self._normalise(joint, data)):
                 return
             stamp_ns = stamp_ns_of(data[STAMP])
@@ -146,7 +229,7 @@ class ChainNode(PosorNode[ChainParameters]):
                 self._scans_refused += 1
                 self._report_no_pose(f"{joint.name}: the stamp of a transform {NO_TIME}; expected the time of exposure")
                 return
-            scan = self._synchroniser.add(joint.name, stamp_ns, data, time.monotonic())
+            scan = self._synchroniser.add(joint.name, stamp_ns, data, now_s)
             if self._synchroniser.incomplete:
                 self._report_incomplete_scans()
             if scan is not None:
@@ -178,11 +261,15 @@ class ChainNode(PosorNode[ChainParameters]):
             self._report_incomplete_scans()
 
     def _report_incomplete_scans(self) -> None:
-        for missing in self._synchroniser.take_incomplete().values():
+        for stamp_ns, missing in self._synchroniser.take_incomplete().items():
             self._scans_incomplete += 1
-            if self._reported != (key := ("missing", missing)):
-                reason = f"{', '.join(missing)}: transform missing from a scan that the other joints sent"
-                self._report_no_pose(reason, key)
+            reason = f"{', '.join(missing)}: transform missing from a scan that the other joints sent"
+            if too_old := self._stamp_limits.fault(stamp_ns):
+                reason = f"{reason}; {too_old}"
+            verdict = Verdict(EndpointState.STATE_LOST, 0, missing[0], reason)
+            self._publish_state(_STAMP.pack(*divmod(stamp_ns, NS)), stamp_ns, verdict)
+            if not self._inputs.silent:
+                self._report_refused_scan(verdict)
 
     def _publish_endpoint(self, scan: dict[str, bytes], stamp_ns: int) -> None:
         """Publish the endpoint of a complete scan, unless a transform is unusable."""
@@ -190,39 +277,72 @@ class ChainNode(PosorNode[ChainParameters]):
             data = scan[name]
             row[:] = data if len(data) == size else data[:size]
         estimator = self._estimator
-        worst = estimator.estimate_rows(stamp_ns)
-        if worst < 0:
-            self._refuse_scan(scan)
+        stamp = self._last_stamp = data[STAMP]
+        refusal = self._inputs.crowded() or self._stamp_limits.fault(stamp_ns)
+        if refusal or (worst := estimator.estimate_rows(stamp_ns)) < 0:
+            verdict = Verdict(EndpointState.STATE_LOST, 0, "", refusal) if refusal else self._why_unusable(scan)
+            self._scans_refused += 1
+            self._publish_state(stamp, stamp_ns, verdict)
+            self._report_refused_scan(verdict)
             return
         if self._is_relative:
             self._last_pose = estimator.pose.copy()
             self._home = self._last_pose if self._home is None else self._home
             estimator.estimate_relative_to(self._home)
-        stamp, writer = data[STAMP], self._writer
+        writer = self._writer
         self._pose.publish(writer.pose.write(stamp))
         if self._pose_with_covariance.has_subscriptions:
             self._pose_with_covariance.publish(writer.pose_with_covariance.write(stamp))
         if self._joint_states.has_subscriptions:
             self._joint_states.publish(writer.joint_states.write(stamp))
+        verdict = SOUND if worst == State.OK else self._why_degraded(scan)
+        self._publish_state(stamp, stamp_ns, verdict)
         self.timing.record(stamp_ns)
         self._poses += 1
-        degraded = () if worst == State.OK else tuple(name for name, (state, _) in self._states(scan) if state)
-        if self._reported != (key := ("usable", degraded)):
-            level, text = (Level.WARN, f"degraded: {', '.join(degraded)}") if degraded else (Level.OK, "ok")
-            self._status.report(level, text, self._counts())
-            self._reported = key
+        excess = self._alarms.excess(self._scan_number()) if self._has_alarm else ""
+        if self._reported != (key := (verdict, excess)):
+            text = verdict.reason or "ok"
+            level = Level.ERROR if excess else Level.WARN if verdict.reason else Level.OK
+            self._status.report(level, f"{text}; {excess}" if excess else text, self._counts())
+            self._reported, self._has_alarm = key, bool(excess)
 
-    def _states(self, scan: dict[str, bytes]) -> list[tuple[str, tuple[int, int]]]:
+    def _states(self, scan: dict[str, bytes]) -> list[tuple[str, int, int]]:
         """Return the name, state and faults of each joint, in the chain's order."""
-        return [(name, self._kinds[name].read_state(scan[name])) for name in self._estimator.joints]
+        return [(name, *self._kinds[name].read_state(scan[name])) for name in self._estimator.joints]
 
-    def _refuse_scan(self, scan: dict[str, bytes]) -> None:
-        """Count a complete scan without a pose; report the reason if it has changed."""
-        self._scans_refused += 1
-        if self._reported != (key := ("unusable", self._states(scan), self._estimator.faults.tolist())):
+    def _why_degraded(self, scan: dict[str, bytes]) -> Verdict:
+        """Return the verdict on a complete scan with a degraded joint."""
+        joints = [(name, faults) for name, state, faults in self._states(scan) if state]
+        faults = reduce(or_, (faults for _, faults in joints))
+        reason = ", ".join(f"{name}{_fault_names(own)}" for name, own in joints)
+        return Verdict(EndpointState.STATE_DEGRADED, faults, joints[0][0], f"degraded: {reason}")
+
+    def _why_unusable(self, scan: dict[str, bytes]) -> Verdict:
+        """Return the verdict on a complete scan with an unusable transform."""
+        reasons, worst, all_faults = [], (-1, ""), 0
+        for (name, state, faults), code in zip(self._states(scan), self._estimator.faults.tolist(), strict=True):
+            all_faults |= faults
+            if state <= State.DEGRADED and not code:
+                continue
+            severity = EndpointState.STATE_UNCOUNTED if state == State.UNCOUNTED else EndpointState.STATE_LOST
+            if worst[0] != EndpointState.STATE_LOST and severity != worst[0]:
+                worst = severity, name
+            text = _STATE_TEXTS.get(state, f"has the unknown state {state}") + _fault_names(faults)
+            reasons.append(f"{name} {FAULT_TEXTS[code] if code else text}")
+        return Verdict(worst[0], all_faults, worst[1], "; ".join(reasons))
+
+    def _scan_number(self) -> int:
+        return self._poses + self._scans_refused + self._scans_incomplete
+
+    def _report_refused_scan(self, verdict: Verdict) -> None:
+        """Report a scan without a pose if the reason has changed: as an error if false alarms do not explain it."""
+        number = self._scan_number()
+        self._has_alarm = self._alarms.add(number)
+        if self._reported != (key := (verdict, self._has_alarm)):
             self._reported = key
-            formatter = partial(_format_refusal, {**scan}, self._estimator.joints, self._counts())
-            self._status.report_status_change(Level.ERROR, formatter)
+            excess = self._alarms.excess(number)
+            text = f"no pose: {verdict.reason}" + (f"; {excess}" if excess else "")
+            self._status.report(Level.ERROR if self._has_alarm else Level.WARN, text, self._counts())
 
     def _report_no_pose(self, reason: str, key: object = None) -> None:
         """Report why there is no pose; ``key`` identifies the reason, so that the same text is not formatted again."""
@@ -245,10 +365,9 @@ class ChainNode(PosorNode[ChainParameters]):
         return response
 
 
-def _format_refusal(scan: dict[str, bytes], joints: tuple[str, ...], counts: dict[str, Value]) -> StatusText:
-    """Name the joints of a complete scan without a usable transform, and the reasons."""
-    reasons = [(name, why_unusable(deserialize_message(scan[name], JointTransform))) for name in joints]
-    return f"no pose: {'; '.join(f'{name} {reason}' for name, reason in reasons if reason)}", counts
+def _fault_names(faults: int) -> str:
+    """Return the names of faults in parentheses after a space; empty without faults."""
+    return f" ({Fault(faults).name or f'unknown faults {faults}'})" if faults else ""
 
 
 def main() -> int:

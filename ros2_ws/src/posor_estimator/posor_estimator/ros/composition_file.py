@@ -124,7 +124,7 @@ class NodeEntry(FrozenModel):
         for old, new in self.remappings.items():
             arguments += ["-r", f"{old}:={new}"]
         for name, value in self.parameters.items():
-            arguments += ["-p", f"{name}:={_yaml(value)}"]
+            arguments += ["-p", f"{name}:={yaml_text(value)}"]
         return arguments
 
     def create_node(self) -> PosorNode[Any]:
@@ -137,10 +137,10 @@ class NodeEntry(FrozenModel):
         return load_node_class(self.node)(cli_args=self.arguments())
 
 
-def _yaml(value: object) -> str:
+def yaml_text(value: object) -> str:
     """Return a value as YAML: as JSON, except for numbers that are not finite."""
     if isinstance(value, list):
-        return f"[{', '.join(map(_yaml, value))}]"
+        return f"[{', '.join(map(yaml_text, value))}]"
     if isinstance(value, float) and not math.isfinite(value):
         return ".nan" if math.isnan(value) else f"{'-' if value < 0.0 else ''}.inf"
     return json.dumps(value)

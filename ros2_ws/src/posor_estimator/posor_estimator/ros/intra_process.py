@@ -21,8 +21,8 @@ from threading import RLock
 from typing import TYPE_CHECKING, Any, ClassVar
 from weakref import WeakKeyDictionary
 
-from rclpy.duration import Duration
-from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.duration import Duration, Infinite
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.qos import HistoryPolicy
 
 from posor_estimator.errors import TopicError
@@ -190,7 +190,13 @@ class IntraProcessPublisher:
 
 
 class IntraProcessSubscription:
-    """A subscription to serialised messages of this process or, if it has no publisher, of other processes."""
+    """A subscription to serialised messages of this process or, if it has no publisher, of other processes.
+
+    Attributes:
+        topic_name: Full name of the topic.
+        on_event: Called when a deadline was missed or a liveliness has changed; only with a deadline in the profile.
+
+    """
 
     def __init__(
         self,
@@ -215,20 +221,34 @@ class IntraProcessSubscription:
         """
         self.topic_name: str = node.resolve_topic_name(topic)
         self.message_type = message_type
+        self.on_event: Callable[[], None] = lambda: None
         self._node = node
         self._topic = topic
         self._qos = qos
         self._callback = callback
         self._dds_subscription: Any = None
+        self._handle: Any = None
+        self._has_deadline = qos.deadline not in (Duration(), Infinite)
+        self._local = self._known = self._dead = self._deadlines_missed = 0
         self._closed = False
         self._manager = IntraProcessManager.of(node.context)
         self._manager.check_type(self)
         self._manager.add(self)
         node.add_cleanup(self.destroy)
 
-    def has_publisher(self) -> bool:
-        """Return whether the topic has a publisher."""
-        return self._dds_subscription is None or self._node.count_publishers(self.topic_name) > 0
+    def publisher_count(self) -> int:
+        """Return the number of publishers of the topic, without those whose liveliness is lost; takes a microsecond."""
+        return self._known if self._handle is None else int(self._handle.get_publisher_count()) - self._dead
+
+    def find_publishers(self) -> None:
+        """Look for publishers in other processes that are ignored while this process has one."""
+        if self._handle is None:
+            self._known = max(self._local, int(self._node.count_publishers(self.topic_name)))
+
+    def take_missed_deadlines(self) -> int:
+        """Return how many deadlines DDS has reported as missed since the last call; needs a deadline in the profile."""
+        missed, self._deadlines_missed = self._deadlines_missed, 0
+        return missed
 
     def receive(self, data: bytes) -> None:
         """Handle a message of a publisher of this process."""
@@ -240,21 +260,52 @@ class IntraProcessSubscription:
             self._closed = True
             self._node.request_exit(error)
 
-    def use_dds(self, *, needed: bool) -> None:
+    def connect(self, publishers: int) -> None:
+        """Receive from this number of publishers of this process or, if there is none, over DDS."""
+        self._use_dds(needed=not publishers)
+        self._local = self._known = publishers
+
+    def _use_dds(self, *, needed: bool) -> None:
         """Create the DDS subscription if it is needed, else destroy it."""
-        if needed and self._dds_subscription is None:
+        if needed and self._handle is None:
+            self._dead = 0
             self._dds_subscription = self._node.create_subscription(
-                self.message_type, self._topic, self._callback, self._qos, raw=True
+                self.message_type, self._topic, self._on_message, self._qos, raw=True, event_callbacks=self._events()
             )
-        elif not needed and self._dds_subscription is not None:
-            self._node.destroy_subscription(self._dds_subscription)
-            self._dds_subscription = None
+            self._handle = self._dds_subscription.handle
+            self._handle.__enter__()  # once, as for publishers
+        elif not needed and self._handle is not None:
+            self._handle.__exit__(None, None, None)
+            self._handle = None
+            if self._has_deadline:
+                _destroy_later(self._node, self._dds_subscription)
+            else:
+                self._node.destroy_subscription(self._dds_subscription)
+
+    def _on_message(self, data: bytes) -> None:
+        """Handle a message of another process."""
+        if self._handle is not None:
+            self._callback(data)
+
+    def _events(self) -> SubscriptionEventCallbacks:
+        """Return the callbacks of a DDS subscription: only with a deadline, see ``_destroy_later``."""
+        if not self._has_deadline:
+            return SubscriptionEventCallbacks()
+        return SubscriptionEventCallbacks(liveliness=self._on_liveliness, deadline=self._on_deadline)
+
+    def _on_liveliness(self, event: Any) -> None:
+        self._dead = event.not_alive_count
+        self.on_event()
+
+    def _on_deadline(self, event: Any) -> None:
+        self._deadlines_missed += event.total_count_change
+        self.on_event()
 
     def destroy(self) -> None:
         """Receive nothing more, not even a message that is being published."""
         self._closed = True
         self._manager.remove(self)
-        self.use_dds(needed=False)
+        self._use_dds(needed=False)
 
 
 class IntraProcessManager:
@@ -307,9 +358,24 @@ class IntraProcessManager:
         publishers = [end for end in ends if isinstance(end, IntraProcessPublisher)]
         subscriptions = tuple(end for end in ends if isinstance(end, IntraProcessSubscription))
         for subscription in subscriptions:
-            subscription.use_dds(needed=not publishers)
+            subscription.connect(len(publishers))
         for publisher in publishers:
             publisher.connect(subscriptions)
+
+
+def _destroy_later(node: PosorNode[Any], subscription: Any) -> None:
+    """Destroy a DDS subscription once the executor has forgotten its events.
+
+    ``EventsExecutor`` crashes when it handles a queued event of a subscription that was destroyed. The node forgets the
+    subscription at once; the executor learns of it in its next step, before it runs the task.
+    """
+    destroy = subscription.destroy
+    subscription.destroy = lambda: None
+    node.destroy_subscription(subscription)
+    if node.executor is None:
+        destroy()
+    else:
+        node.executor.create_task(destroy)
 
 
 def _type_name(message_type: type[Any]) -> str:

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 from rosidl_parser.definition import (
     AbstractSequence,
+    AbstractString,
     Array,
     BasicType,
     BoundedSequence,
     NamespacedType,
-    UnboundedString,
 )
 
 from posor_estimator.bags.cdr_schema import Field, Kind, Schema, code_of_type
@@ -66,6 +66,6 @@ def _fields(message_type: type[Any], prefix: str) -> Iterator[Field]:
 
 
 def _code(path: str, element: Any) -> str:
-    if isinstance(element, UnboundedString):
+    if isinstance(element, AbstractString):
         return "s"
     return code_of_type(path, element.typename if isinstance(element, BasicType) else "")

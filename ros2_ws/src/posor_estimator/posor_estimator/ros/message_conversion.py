@@ -9,14 +9,14 @@ import numpy as np
 from geometry_msgs.msg import Pose
 from posor_msgs.msg import JointTransform, RawScan
 
-from posor_estimator.chain.joint_measurements import FAULT_TEXTS, measurement_fault
-from posor_estimator.model.fault import Fault, State
+from posor_estimator.model.fault import State
 from posor_estimator.model.scan import Scan, split_by_diode
 from posor_estimator.node_parameters import COVARIANCE_KINDS
 from posor_estimator.numerics.stamps import time_ns
 
 if TYPE_CHECKING:
     import pinocchio as pin
+    from sensor_msgs.msg import JointState
 
     from posor_estimator.estimation.estimate import Estimate
     from posor_estimator.node_parameters import CovarianceKind
@@ -36,6 +36,7 @@ def scan_from_message(message: RawScan) -> Scan:
         supply_voltage=message.supply_voltage,
         temperature=message.temperature,
         at_home=bool(message.status & RawScan.STATUS_HOME_BUMP),
+        status=message.status,
     )
 
 
@@ -88,28 +89,12 @@ def transform_message(
     return message
 
 
-def why_unusable(message: JointTransform) -> str:
-    """Return why the pose of a transform is unusable; empty if it is usable.
-
-    The numbers are checked whatever the state, so that no invalid pose is passed on.
-    """
-    if message.state not in (State.OK, State.DEGRADED):
-        known = {int(state): state.name.lower() for state in State}
-        if message.state not in known:
-            return f"has the unknown state {message.state}"
-        return f"is {known[message.state]} ({Fault(message.faults).name or f'unknown faults {message.faults}'})"
-    p, q = message.pose.position, message.pose.orientation
-    pose = np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
-    fault = measurement_fault(pose, np.array(message.covariance, dtype=float).reshape(6, 6))
-    return FAULT_TEXTS[fault] if fault else ""
-
-
 def is_usable(message: JointTransform) -> bool:
-    """Return whether the pose of a transform is usable."""
-    return not why_unusable(message)
+    """Return whether the state of a transform says that its pose may be used."""
+    return message.state in (State.OK, State.DEGRADED)
 
 
-def stamp_ns(message: RawScan | JointTransform) -> int:
+def stamp_ns(message: RawScan | JointTransform | JointState) -> int:
     """Return the header's stamp in nanoseconds; 0 if the stamp is invalid."""
     stamp = message.header.stamp
     return time_ns(stamp.sec, stamp.nanosec)

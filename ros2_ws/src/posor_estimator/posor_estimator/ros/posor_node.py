@@ -4,7 +4,10 @@ Subscribes to ``raw`` (posor_msgs/RawScan) and publishes ``transform`` (posor_ms
 scan without a pose is published with the state LOST and NaN in every number; the diagnostics give the reason.
 
 Services (std_srvs/Trigger): ``~/reload`` reads the calibration file again; ``~/zero`` shifts the zero of the gap probes
-so that the present pose is home; ``~/home`` counts theta from its home mark. A refused request changes nothing.
+so that the present pose is home; ``~/home`` counts theta from its home mark; ``~/acknowledge`` ends a latched fault. A
+refused request changes nothing.
+
+With an encoder, ``encoder`` (sensor_msgs/JointState) confirms theta.
 """
 
 from __future__ import annotations
@@ -13,26 +16,32 @@ from collections import deque
 from functools import partial
 from pathlib import Path
 from threading import RLock
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from posor_msgs.msg import JointTransform, RawScan
+from posor_msgs.msg import JointReliability, JointTransform, RawScan
+from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from posor_estimator.calibration.calibration_file import load_calibration
-from posor_estimator.errors import CalibrationError, ParameterError, PosorError, TopicError
+from posor_estimator.errors import CalibrationError, FitError, ParameterError, PosorError, TopicError
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.identification.digital_zero import find_digital_zero
 from posor_estimator.model.fault import Fault, State
 from posor_estimator.model.scan import Scans
 from posor_estimator.node_parameters import PosorParameters
+from posor_estimator.ros.alarm_rate import AlarmRate
 from posor_estimator.ros.cdr_scan import RAW_SCAN, scan_of
 from posor_estimator.ros.diagnostics import Level
+from posor_estimator.ros.freshness import InputMonitor, ScanOrder, StampLimits
 from posor_estimator.ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_estimator.ros.lifecycle_node import PosorNode
+from posor_estimator.ros.message_conversion import stamp_ns as stamp_ns_of
 from posor_estimator.ros.node_program import run_node
-from posor_estimator.ros.qos import sensor_qos
+from posor_estimator.ros.qos import RELIABLE_QOS, sensor_qos
 from posor_estimator.ros.raw_scan_stream import RawScanStream
-from posor_estimator.ros_names import RAW_TOPIC, TRANSFORM_TOPIC
+from posor_estimator.ros.reliability_message import reliability_message
+from posor_estimator.ros_names import ENCODER_TOPIC, RAW_TOPIC, RELIABILITY_TOPIC, TRANSFORM_TOPIC
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -43,8 +52,8 @@ if TYPE_CHECKING:
 
 
 LOST = int(State.LOST)
-LEVELS = {State.OK: Level.OK, State.DEGRADED: Level.WARN}
-"""Level of the diagnostics by state; ERROR for all other states."""
+LEVELS = {State.OK: Level.OK, State.DEGRADED: Level.WARN, State.LOST: Level.WARN}
+"""Level of the diagnostics by state; ERROR for all other states, and where ``AlarmRate`` finds a fault."""
 
 
 class PosorEstimatorNode(PosorNode[PosorParameters]):
@@ -61,7 +70,10 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
     _stream: RawScanStream | None
     _last_stream: RawScanStream | None
     _recent_scans: deque[bytes]
-    _reported: tuple[int, int] | None
+    _reported: tuple[int, int, bool] | None
+    _alarms: AlarmRate
+    _order: ScanOrder
+    _stamp_limits: StampLimits
 
     def __init__(self, **options: Any) -> None:
         """Create the node; ``options`` are passed to rclpy."""
@@ -69,7 +81,9 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self._lock = RLock()
         self._status = self.diagnostics.add_status("estimate", logged=True)
         self._last_stream = None
+        self._inputs = InputMonitor(self, self._on_inputs_checked)
         self.diagnostics.add_refresh(self._refresh_status)
+        self.diagnostics.add_refresh(self._publish_reliability)
 
     def configure(self) -> None:
         """Read the calibration file, report its identity and open the topics and services."""
@@ -78,18 +92,46 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self._source_changes = 0
         self._count_from_next = self._is_lost = False
         self._reported = self._last_stream = None
+        self._alarms = AlarmRate(self.parameters.false_alarm, self.parameters.alarm_count)
+        self._order = ScanOrder()
         self._apply_calibration(*self._load_calibration())
         self._status.report(Level.STALE, "no scan yet")
         qos = sensor_qos(self.parameters)
         self._publisher = IntraProcessPublisher(self, JointTransform, TRANSFORM_TOPIC, qos, count_listeners=True)
+        self._reliability = self.create_publisher(JointReliability, RELIABILITY_TOPIC, RELIABLE_QOS)
+        self.add_cleanup(self.destroy_publisher, self._reliability)
         self.add_cleanup(self._forget_scans)
-        IntraProcessSubscription(self, RawScan, RAW_TOPIC, qos, self._on_raw_scan)
-        services = {"reload": self._reload_calibration, "home": self._count_from_home}
+        self.add_cleanup(self._inputs.clear)
+        self._watch = self._inputs.add(IntraProcessSubscription(self, RawScan, RAW_TOPIC, qos, self._on_raw_scan))
+        if self.parameters.encoder.sigma:
+            encoder = self.create_subscription(JointState, ENCODER_TOPIC, self._on_encoder, sensor_qos(self.parameters))
+            self.add_cleanup(self.destroy_subscription, encoder)
+        services = {
+            "reload": self._reload_calibration,
+            "home": self._count_from_home,
+            "acknowledge": self._acknowledge_fault,
+        }
         if self.parameters.home_pose:
             services["zero"] = self._zero_gap_probes
         for name, action in services.items():
             service = self.create_service(Trigger, f"~/{name}", partial(self._on_request, action))
             self.add_cleanup(self.destroy_service, service)
+
+    def activate(self) -> None:
+        """Expect scans with present stamps from now on."""
+        self._stamp_limits = StampLimits.of(self.timing.now_ns, self.parameters.freshness)
+        self._inputs.start()
+
+    def deactivate(self) -> None:
+        """Expect no scans."""
+        self._inputs.stop()
+
+    def _on_inputs_checked(self, is_new: bool) -> None:  # noqa: FBT001  a callback
+        """Report that no scan arrives; the next one is reported again."""
+        if is_new and self._inputs.silent:
+            with self._lock:
+                self._reported = None
+                self._status.report(Level.ERROR, f"no estimate: {self._inputs.silent}", self._counts())
 
     def _forget_scans(self) -> None:
         """Discard the estimator's streams after the present scan."""
@@ -181,22 +223,70 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self.get_logger().info(text)
         return text
 
+    def _acknowledge_fault(self) -> str:
+        with self._lock:
+            was_latched = self._posor.acknowledge()
+        return "the fault is released; the next scan starts anew" if was_latched else "there is no latched fault"
+
+    def _on_encoder(self, message: JointState) -> None:
+        """Confirm theta of the next scan by the encoder; a message that cannot be used is reported."""
+        try:
+            theta = self._encoder_position(message)
+            if fault := self._stamp_limits.fault(stamp_ns_of(message)):
+                raise TopicError(fault)
+            with self._lock:
+                self._posor.confirm_theta(theta, self.parameters.encoder.sigma)
+        except PosorError as error:
+            self._inputs.note(f"{ENCODER_TOPIC}: {error}")
+
+    def _encoder_position(self, message: JointState) -> float:
+        """Return the position of the encoder's joint [rad].
+
+        Raises:
+            TopicError: The message does not hold it.
+
+        """
+        names, joint = list(message.name), self.parameters.encoder.joint
+        if joint and joint not in names:
+            raise TopicError(f"no joint '{joint}' among {', '.join(names)}")
+        if not joint and len(message.position) != 1:
+            raise TopicError(f"{len(message.position)} positions", expected="one, or the parameter 'encoder.joint'")
+        index = names.index(joint) if joint else 0
+        if index >= len(message.position):
+            raise TopicError(f"no position of joint '{joint}'")
+        return float(message.position[index])
+
     def _on_raw_scan(self, data: bytes) -> None:
         """Estimate the transform of a raw scan and publish it."""
         with self._lock:
             if not self.may_publish:
                 return
-            stream = self._stream
-            transform = None if stream is None else stream.estimate_message(data)
+            self._watch.record(monotonic())
+            transform = self._estimate_scan(data)
             if transform is None:
-                transform = self._estimate_with_new_stream(data)
-                stream = self._stream
-            if transform is not None and stream is not None:
+                data = self._open_stream(data)
+                transform = self._estimate_scan(data)
+            if transform and self._stream is not None:
                 self._publisher.publish(transform)
-                self._update_counts(stream, data)
+                self._update_counts(self._stream, data)
 
-    def _estimate_with_new_stream(self, data: bytes) -> bytes | None:
-        """Make a stream for a scan of another layout and return its transform; None if the message is invalid."""
+    def _estimate_scan(self, data: bytes) -> bytes | None:
+        """Return the transform of a scan, empty for a repeated one; None if there is no stream for it."""
+        stream = self._stream
+        if stream is None or (identity := stream.identity(data)) is None:
+            return None
+        stamp_ns, number = identity[0], identity[1]
+        if not self._order.is_next(number, stamp_ns):
+            text, is_repeated = self._order.describe(number, stamp_ns)
+            if text:
+                self._inputs.note(text)
+            if is_repeated:
+                return b""
+        refusal = self._inputs.crowded() or self._stamp_limits.fault(stamp_ns)
+        return stream.refuse_message(data, refusal) if refusal else stream.estimate_message(data)
+
+    def _open_stream(self, data: bytes) -> bytes:
+        """Make a stream for a scan of another layout; return the scan in plain CDR, empty if it is invalid."""
         try:
             data = RAW_SCAN.normal(data)
             stream = RawScanStream(self._posor, data, self.parameters.covariance)
@@ -204,13 +294,14 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             self._messages_refused += 1
             self._reported = None
             self._status.report(Level.ERROR, f"no estimate: {error}", {"messages_refused": self._messages_refused})
-            return None
+            return b""
         if self._stream is not None:
             self._recent_scans.clear()
         self._stream = stream
+        self._order.restart()
         if self._count_from_next:
             stream.count_from_next()
-        return stream.estimate_message(data)
+        return data
 
     def _update_counts(self, stream: RawScanStream, data: bytes) -> None:
         """Count an answered scan, keep a sound one for the digital zero, and report a change of the status."""
@@ -218,17 +309,15 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         if stamp_ns:
             self.timing.record(stamp_ns)
         self._scans += 1
-        if changed or self._reported is None:
-            self._on_status_change(stream)
-        if self._is_lost:
-            self._scans_lost += 1
-        else:
+        if changed or self._is_lost or self._reported is None:
+            self._update_status(stream)
+        if not self._is_lost:
             self._recent_scans.append(data)
         if self._count_from_next:
             self._count_from_next = stream.counts_from_next
 
-    def _on_status_change(self, stream: RawScanStream) -> None:
-        """Handle a scan whose state, faults or light source differ from those of the scan before.
+    def _update_status(self, stream: RawScanStream) -> None:
+        """Handle a scan that is LOST, or whose state, faults or light source differ from those of the scan before.
 
         The digital zero needs consecutive scans of one light source: a LOST scan or another source discards kept scans.
         """
@@ -237,13 +326,14 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         if self._is_lost or source_changes != self._source_changes:
             self._recent_scans.clear()
             self._source_changes = source_changes
-        if (state, faults) != self._reported:
-            self._reported = (state, faults)
-            counts = {**self._counts(), "scans_lost": self._scans_lost + self._is_lost}
-            self._status.report_status_change(
-                LEVELS.get(State(state), Level.ERROR),
-                partial(_format_status, state, faults, counts, stream.last_scan()),
-            )
+        self._scans_lost += self._is_lost
+        is_alarm = self._is_lost and self._alarms.add(self._scans)
+        excess = self._alarms.excess(self._scans)
+        if (key := (state, faults, is_alarm or bool(excess))) != self._reported:
+            self._reported = key
+            level = Level.ERROR if key[2] else LEVELS.get(State(state), Level.ERROR)
+            formatter = partial(_format_status, state, faults, excess, self._counts(), stream.last_scan())
+            self._status.report_status_change(level, formatter)
 
     def _counts(self) -> dict[str, Value]:
         return {"scans": self._scans, "scans_lost": self._scans_lost}
@@ -254,12 +344,29 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             if self._last_stream is None:
                 return
             counts, last = self._counts(), self._last_stream.last_scan()
+            if self._reported is not None and self._reported[2]:
+                self._reported = None  # the rate of alarms may have become normal
+        self._inputs.update(self._order.counts)
         self._status.update(_status_values(counts, last))
 
+    def _publish_reliability(self) -> None:
+        """Publish the reliability at the last pose, once a second, if there is a pose and somebody listens."""
+        with self._lock:
+            if not self.may_publish or self._last_stream is None or not self._reliability.get_subscription_count():
+                return
+            last, posor = self._last_stream.last_scan(), self._posor
+        try:
+            message = reliability_message(posor, last)
+        except FitError:  # at a phase of three ring probes; the chain does not use the last message for long
+            return
+        if message is not None:
+            self._reliability.publish(message)
 
-def _format_status(state: int, faults: int, counts: dict[str, Value], scan: EstimatedScan) -> StatusText:
+
+def _format_status(state: int, faults: int, excess: str, counts: dict[str, Value], scan: EstimatedScan) -> StatusText:
     fault_names = str(Fault(faults).name) if faults else "none"
-    return f"{State(state).name.lower()}: {fault_names}", {"faults": fault_names, **_status_values(counts, scan)}
+    text = "; ".join(filter(None, (f"{State(state).name.lower()}: {fault_names}", excess)))
+    return text, {"faults": fault_names, **_status_values(counts, scan)}
 
 
 def _status_values(counts: dict[str, Value], scan: EstimatedScan) -> dict[str, Value]:

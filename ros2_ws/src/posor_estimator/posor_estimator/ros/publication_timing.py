@@ -139,5 +139,9 @@ class Timing:
         values: dict[str, Value] = {**latency, **period}
         self._status.report(Level.WARN if warnings else Level.OK, "; ".join(warnings) or "in time", values)
 
+    def now_ns(self) -> int:
+        """Return the node's ROS time [ns]."""
+        return self._log.now_ns()
+
     def _simulated_ns(self) -> int:
         return int(self._clock.now().nanoseconds)

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import TYPE_CHECKING
 
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.duration import Duration
+from rclpy.qos import HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
 if TYPE_CHECKING:
     from posor_estimator.node_parameters import NodeParameters
+
+LEASE_S = 1.0
+"""Time after which the publishers of a process that was killed count as dead, where a deadline is set."""
+
+STATE_DEADLINE_S = 0.2
+"""Shortest deadline that the endpoint's state offers; without scans it is published every 0.08 s."""
 
 RELIABLE_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 """For all topics except sensor topics."""
@@ -20,16 +28,30 @@ def sensor_qos(parameters: NodeParameters) -> QoSProfile:
     """Return the profile of the sensor topics (raw scans, transforms) that the node's parameters select.
 
     The default is best effort with a small depth: a servo needs the newest scan, not all of them. Reliable with depth 0
-    (keep all) at both ends makes a fast publisher wait for a slow subscription, so that a replay loses nothing.
+    (keep all) at both ends makes a fast publisher wait for a slow subscription, so that a replay loses nothing. With a
+    deadline, publishers offer and subscriptions request it, and liveliness too: the ends match only if both have it.
     """
     reliable = parameters.qos_reliability == "reliable"
-    return QoSProfile(
+    profile = QoSProfile(
         history=HistoryPolicy.KEEP_LAST if parameters.qos_depth else HistoryPolicy.KEEP_ALL,
         depth=parameters.qos_depth,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
     )
+    if parameters.freshness.deadline:
+        profile.deadline = Duration(seconds=parameters.freshness.deadline)
+        profile.liveliness = LivelinessPolicy.AUTOMATIC
+        profile.liveliness_lease_duration = Duration(seconds=LEASE_S)
+    return profile
 
 
 def result_qos(parameters: NodeParameters) -> QoSProfile:
     """Return the profile of results computed from sensor data: reliable, and keep-all where the sensor topics are."""
     return RELIABLE_QOS if parameters.qos_depth else KEEP_ALL_QOS
+
+
+def state_qos(parameters: NodeParameters) -> QoSProfile:
+    """Return the profile of the endpoint's state: as the results, and a deadline if the sensor topics have one."""
+    profile = copy(result_qos(parameters))
+    if parameters.freshness.deadline:
+        profile.deadline = Duration(seconds=max(parameters.freshness.deadline, STATE_DEADLINE_S))
+    return profile

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import struct
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from posor_estimator.bags.cdr_schema import STAMP
 from posor_estimator.bags.message_table import LEAD, TableLayout
 from posor_estimator.estimation.message_stream import MessageEstimator
 from posor_estimator.model.fault import State
-from posor_estimator.numerics.stamps import NO_TIME
+from posor_estimator.numerics.stamps import NO_TIME, NS
 from posor_estimator.ros.cdr_scan import RAW_SCAN, scan_of
 from posor_estimator.ros.stream_layout import message_stream, transform_layout
 
@@ -45,14 +47,42 @@ class RawScanStream:
         self._estimate_rows, self.status = self._estimator.estimate_rows, self._estimator.status
         self._stamp_ns, self._changed = self.status["stamp_ns"], self.status["changed"]
         self._size = raw.size
+        self._refusal = ""
+        number = raw.offset("scan")
+        self._unpack_identity = struct.Struct(f"<iI{number - STAMP.stop}xQ").unpack_from
+        self._frame_bytes = example[STAMP.stop : STAMP.stop + 5 + len(self.frame.encode())]
         self._raw = row[0, LEAD : LEAD + raw.size].data
         self._transform = out[0, LEAD : LEAD + transform.size].data.tobytes
         self._last = example
+
+    def identity(self, data: bytes) -> tuple[int, int] | None:
+        """Return stamp [ns], which is not checked, and number of a raw scan; None: its frame or length is another."""
+        if len(data) < self._size or not data.startswith(self._frame_bytes, STAMP.stop):
+            return None
+        seconds, nanoseconds, number = self._unpack_identity(data, STAMP.start)
+        return seconds * NS + nanoseconds, number
+
+    def refuse_message(self, data: bytes, refusal: str) -> bytes | None:
+        """Return a LOST transform of a raw scan that must not be used, as ``estimate_message`` does.
+
+        Args:
+            data: The scan, which the estimator does not see.
+            refusal: Sentence on the reason.
+
+        """
+        usable = self.status["readings_usable"].item()
+        self.status["readings_usable"] = 0
+        try:
+            return self.estimate_message(data)
+        finally:
+            self.status["readings_usable"] = usable
+            self._refusal = refusal
 
     def estimate_message(self, data: bytes) -> bytes | None:
         """Return the transform of a raw scan; None where the scan has another layout, which changes nothing."""
         if len(data) < self._size:
             return None
+        self._refusal = ""
         self._raw[:] = data if len(data) == self._size else data[: self._size]
         if not self._estimate_rows():
             return None
@@ -75,19 +105,16 @@ class RawScanStream:
     def last_scan(self) -> EstimatedScan:
         """Return the last scan and its estimate."""
         status = self.status[0]
-        usable = bool(status["readings_usable"])
-        return EstimatedScan(self, self._last, int(status["stamp_ns"]), usable, self._estimator.estimate[0].copy())
+        refusal = self._refusal
+        if not status["readings_usable"]:
+            refusal = f"comes from frame '{self.frame}'; expected '{self._parent}', as in the calibration"
+        return EstimatedScan(self, self._last, int(status["stamp_ns"]), refusal, self._estimator.estimate[0].copy())
 
     def reason(self, scan: EstimatedScan) -> str:
         """Return the sentence on the fault of a scan, empty where it has none; may be called in any thread."""
         raw = scan_of(scan.data)
-        if not scan.readings_usable:
-            what = f"comes from frame '{self.frame}'; expected '{self._parent}', as in the calibration."
-        elif scan.stamp_ns == 0:
-            what = f"the stamp {NO_TIME}; expected the time of exposure."
-        else:
-            return self._posor.reason(raw, scan.estimate)
-        return f"scan {raw.number}: {what}"
+        refusal = scan.refusal if scan.stamp_ns else f"the stamp {NO_TIME}; expected the time of exposure"
+        return f"scan {raw.number}: {refusal}." if refusal else self._posor.reason(raw, scan.estimate)
 
 
 class EstimatedScan(NamedTuple):
@@ -97,7 +124,7 @@ class EstimatedScan(NamedTuple):
         stream: The stream.
         data: The scan as a serialised message.
         stamp_ns: Its stamp [ns]; 0: invalid.
-        readings_usable: Whether its frame is the receiving plate.
+        refusal: Why its readings were not used; empty: they were.
         estimate: Record of dtype ESTIMATE.
 
     """
@@ -105,7 +132,7 @@ class EstimatedScan(NamedTuple):
     stream: RawScanStream
     data: bytes
     stamp_ns: int
-    readings_usable: bool
+    refusal: str
     estimate: Any
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from posor_msgs.msg import JointTransform, RawScan
+from posor_msgs.msg import JointTransform
 
 from posor_estimator.bags.message_packing import joint_transform_layout
 from posor_estimator.bags.message_table import LEAD, TableLayout
@@ -65,7 +65,7 @@ def message_stream(
 def _raw_scan_layout(raw: TableLayout) -> NDArray[np.void]:
     layout = np.zeros(1, dtype=RAW_SCAN_LAYOUT)
     layout["stamp"], layout["number"] = _offset(raw, "header.stamp.sec"), _offset(raw, "scan")
-    layout["status"], layout["home_bits"] = _offset(raw, "status"), RawScan.STATUS_HOME_BUMP
+    layout["status"] = _offset(raw, "status")
     counts = {
         "gap_voltages": "gap_count",
         "ring_voltages": "ring_count",

@@ -13,6 +13,7 @@ from posor_estimator.estimation.posor import Posor
 from posor_estimator.identification.calibration_parameters import FreeParameters
 from posor_estimator.identification.recording import Recording, Track
 from posor_estimator.model.native_coordinates import native_from_rotation, rotation_from_native
+from posor_estimator.model.scan import STATED_HOME
 from posor_estimator.testing.random_poses import readable, readable_poses
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ class DrawnPosor:
             rotations = np.array([rotation_from_native(*lean, t) for lean, t in zip(natives, thetas, strict=True)])
         stamps = np.arange(1, count + 1, dtype=np.int64) * 10_000_000
         scans = scans_at(stack, rotations, translations, stamps, noise=random)
-        scans = scans.with_fields({"at_home": (np.arange(count) == 0).astype(np.int64) * turning})
+        scans = scans.with_fields({"at_home": STATED_HOME * (np.arange(count) == 0).astype(np.int64) * turning})
         complete = np.flatnonzero(readable(scans))
         self.scans = scans.select(complete)
         self.poses = [pin.SE3(rotations[i], translations[i]) for i in complete]

@@ -11,14 +11,18 @@ import sys
 import time
 from pathlib import Path
 from threading import Condition, Thread
-from typing import IO, TYPE_CHECKING, Self
+from typing import IO, TYPE_CHECKING, Any, Self
 
 from ament_index_python.packages import get_package_prefix
+
+from posor_estimator.node_parameters import RECORDING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from types import TracebackType
 
+HAND_FED: Mapping[str, Any] = {**RECORDING, "freshness.max_silence": math.inf}
+"""Parameters of nodes whose input a test publishes now and then, with stamps of its own."""
 TIMEOUT_S = 60.0
 """Longest wait for an event that should happen at once; not a pace."""
 

@@ -17,24 +17,22 @@ if TYPE_CHECKING:
     from posor_estimator.model.scan import Scans
     from posor_estimator.numerics.array_types import BoolArray, FloatArray
 
-STACKS: tuple[DesignName, ...] = ("triad_diodes", "triad_light_ring", "triad_bumpy_ring")
+STACKS: tuple[DesignName, ...] = ("triad_diodes", "triad_light_ring", "triad_bumpy_ring", "quad_light_ring")
+"""The designs that tests go through: each sensor for theta, and a fourth gap probe."""
 
 LEAN = 0.01
 GAPS = (0.1e-3, 1.3e-3)
 TICK_NS = 1_000_000
-_RUNOUT: dict[DesignName, float] = {"triad_diodes": 1e-3, "triad_light_ring": 1e-3, "triad_bumpy_ring": 0.3e-3}
-_THETA: dict[DesignName, float] = {
-    "triad_diodes": THETA_OF_TWO_SOURCES,
-    "triad_light_ring": math.pi,
-    "triad_bumpy_ring": math.pi,
-}
+_RUNOUT, _RUNOUT_OF_BUMPY_RING = 1e-3, 0.3e-3
 
 
 def draw_poses(stack: DesignName, count: int, random: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """Draw poses uniformly over the full range: R_R_T (n, 3, 3) and the origin of T in R (n, 3) [m]."""
     leans = random.uniform(-LEAN, LEAN, (count, 2))
-    thetas = random.uniform(-_THETA[stack], _THETA[stack], count)
-    across = random.uniform(-_RUNOUT[stack], _RUNOUT[stack], (count, 2))
+    largest_theta = THETA_OF_TWO_SOURCES if stack.endswith("_diodes") else math.pi
+    runout = _RUNOUT_OF_BUMPY_RING if stack.endswith("_bumpy_ring") else _RUNOUT
+    thetas = random.uniform(-largest_theta, largest_theta, count)
+    across = random.uniform(-runout, runout, (count, 2))
     along = random.uniform(*GAPS, count)
     rotations = np.array([rotation_from_native(a, b, t) for (a, b), t in zip(leans, thetas, strict=True)])
     return rotations, np.column_stack([across, along])

@@ -11,13 +11,14 @@ import pytest
 import yaml
 from posor_estimator.bags.arm_estimator import ArmEstimator
 from posor_estimator.bags.estimate_arrays import JointEstimates, estimate_joint
-from posor_estimator.bags.raw_scan_unpacking import STATUS_HOME_BUMP, RecordedScans
+from posor_estimator.bags.raw_scan_unpacking import RecordedScans
 from posor_estimator.bags.reprocess_task import JointSettings, Settings
 from posor_estimator.calibration.designs import design
 from posor_estimator.estimation.forward import scans_at
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.model.fault import Fault, State
 from posor_estimator.model.native_coordinates import rotation_from_native
+from posor_estimator.model.scan import DIODES_ESTIMATED, HOME_BUMP, PROBES_ESTIMATED, SATURATED
 from posor_msgs.msg import RawScan
 
 if TYPE_CHECKING:
@@ -107,5 +108,6 @@ def test_no_estimates_can_be_concatenated() -> None:
     assert len(JointEstimates.concatenate([JointEstimates.none(), JointEstimates.none()])) == 0
 
 
-def test_the_home_mark_has_the_bit_of_the_message() -> None:
-    assert STATUS_HOME_BUMP == RawScan.STATUS_HOME_BUMP
+def test_the_flags_are_those_of_the_message() -> None:
+    flags = [RawScan.STATUS_PROBES_ESTIMATED, RawScan.STATUS_DIODES_ESTIMATED, RawScan.STATUS_SATURATED]
+    assert [*flags, RawScan.STATUS_HOME_BUMP] == [PROBES_ESTIMATED, DIODES_ESTIMATED, SATURATED, HOME_BUMP]

@@ -247,7 +247,7 @@ def test_serialised_rows_give_the_bits_of_arrays(chain: Chain, covariances: Floa
     scans = INITIAL_CAPACITY + 40
     poses, stamps = swinging(chain, scans)
     columns = [
-        JointRowLayout(pose=8 * (j + 1), theta=8 * (j + 8), covariance=8 * (j + 9), state=3, size=400)
+        JointRowLayout(pose=8 * (j + 1), native=8 * (j + 8), covariance=8 * (j + 14), state=3, size=440)
         for j in range(JOINTS)
     ]
     estimator, other = (chain.estimator(scans * PERIOD_NS * 1e-9, columns) for _ in range(2))
@@ -259,8 +259,8 @@ def test_serialised_rows_give_the_bits_of_arrays(chain: Chain, covariances: Floa
         states[1] = {20: int(State.LOST), 21: int(State.UNCOUNTED)}.get(n, states[1])
         for j in range(JOINTS):
             row = numbers[j]
-            row[j + 1 : j + 8], row[j + 8] = poses[n, j], thetas[n]
-            row[j + 9 : j + 45] = covariances[n % len(covariances), j].ravel()
+            row[j + 1 : j + 8], row[j + 13] = poses[n, j], thetas[n]
+            row[j + 14 : j + 50] = covariances[n % len(covariances), j].ravel()
             estimator.rows[j, 3] = states[j]
         if n == 22:
             numbers[0, 1] = math.nan

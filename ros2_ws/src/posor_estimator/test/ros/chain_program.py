@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from posor_estimator.testing.graph import Graph, set_stamp, values_of, wait_for_value
-from posor_estimator.testing.program import Program, installed, ros_arguments
+from posor_estimator.testing.program import HAND_FED, Program, installed, ros_arguments
 from posor_msgs.msg import JointTransform
 from sensor_msgs.msg import JointState
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticStatus
 
 PLATES = ("posor_receiving", "posor_target")
-LOSSLESS = {"qos_reliability": "reliable", "qos_depth": 0, "max_wait": 60.0}
+LOSSLESS = {"qos_reliability": "reliable", "qos_depth": 0, "max_wait": 60.0, "alarm_count": 1, **HAND_FED}
 
 
 def chain_node(**parameters: object) -> Program:

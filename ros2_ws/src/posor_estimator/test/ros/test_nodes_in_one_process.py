@@ -26,7 +26,7 @@ from posor_estimator.ros.qos import KEEP_ALL_QOS
 from posor_estimator.ros_names import RAW_SCAN as RAW_SCAN_TYPE
 from posor_estimator.testing.graph import Graph, values_of
 from posor_estimator.testing.in_process_nodes import NodeProcess
-from posor_estimator.testing.program import wait_until
+from posor_estimator.testing.program import HAND_FED, wait_until
 from posor_msgs.msg import JointTransform, RawScan
 from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader
@@ -40,7 +40,7 @@ pytestmark = pytest.mark.usefixtures("ros_domain")
 
 BRINGUP = Path(__file__).resolve().parents[3] / "posor_bringup"
 BAG = BRINGUP / "bags" / "ymo"
-LOSSLESS = {"qos_reliability": "reliable", "qos_depth": 0}
+LOSSLESS = {"qos_reliability": "reliable", "qos_depth": 0, "alarm_count": 1, **HAND_FED}
 POSOR = {"calibration": str(BRINGUP / "config" / "slocum1985_printed.yaml"), "session": "ymo", **LOSSLESS}
 CHAIN = {"urdf": str(BRINGUP / "urdf" / "slocum1985_rig.urdf"), "max_wait": 60.0, **LOSSLESS}
 RESULTS = {

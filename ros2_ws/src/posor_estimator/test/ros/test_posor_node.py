@@ -15,7 +15,7 @@ from posor_estimator.node_parameters import MIN_ZERO_SCANS
 from posor_estimator.ros.posor_node import PosorEstimatorNode
 from posor_estimator.testing.graph import Graph, set_stamp, values_of, wait_for_value
 from posor_estimator.testing.in_process_nodes import run_refused_node
-from posor_estimator.testing.program import Program, installed, ros_arguments
+from posor_estimator.testing.program import HAND_FED, Program, installed, ros_arguments
 from posor_msgs.msg import JointTransform, RawScan
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ YMO = ROOT / "data" / "slocum1985" / "ymo_input.csv"
 
 PLATES = ("posor_receiving", "posor_target")
 TOTAL_A = 1e-4
-LOSSLESS = {"qos_reliability": "reliable", "qos_depth": 0}
+LOSSLESS = {"qos_reliability": "reliable", "qos_depth": 0, "alarm_count": 1, **HAND_FED}
 
 
 def posor_node(**parameters: object) -> Program:
@@ -220,7 +220,7 @@ def test_a_sound_scan_becomes_a_transform_of_its_own_time_and_frames(rig: NodeRi
 
 def test_the_diagnostics_and_the_log_name_the_calibration() -> None:
     digest = load_calibration(CALIBRATION).content_hash
-    with posor_node(calibration=str(CALIBRATION), session="zmo") as node, Graph() as graph:
+    with posor_node(calibration=str(CALIBRATION), session="zmo", **HAND_FED) as node, Graph() as graph:
         graph.watch_diagnostics()
         values = values_of(graph.wait_for_status("/posor_node: estimate", "no scan yet"))
         assert values["calibration"] == "slocum1985_printed"

@@ -17,7 +17,7 @@ from posor_estimator.model.native_coordinates import rotation_from_native
 from posor_estimator.ros.posor_node import PosorEstimatorNode
 from posor_estimator.testing.graph import Graph, values_of, wait_for_value
 from posor_estimator.testing.in_process_nodes import run_refused_node
-from posor_estimator.testing.program import Program, installed, ros_arguments
+from posor_estimator.testing.program import HAND_FED, Program, installed, ros_arguments
 from posor_msgs.msg import JointTransform, RawScan
 from std_srvs.srv import Trigger
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
-LOSSLESS = {"qos_reliability": "reliable", "qos_depth": 0}
+LOSSLESS = {"qos_reliability": "reliable", "qos_depth": 0, "alarm_count": 1, **HAND_FED}
 GAP = 0.735e-3
 DRIFT = [0.02, -0.03, 0.05]
 SCANS = 50

@@ -1,0 +1,272 @@
+"""Freshness of a node's inputs: silence, number of publishers, age of stamps, order of scan numbers.
+
+Silence is measured by the steady clock, the age of a stamp by the ROS clock. A node reports all of it in its status
+line ``input``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from statistics import median
+from time import monotonic
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+
+from posor_estimator.numerics.stamps import NS
+from posor_estimator.ros.diagnostics import Level
+from posor_estimator.ros.idle_scheduler import run_when_idle
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from posor_estimator.node_parameters import FreshnessParameters
+    from posor_estimator.ros.intra_process import IntraProcessSubscription
+    from posor_estimator.ros.lifecycle_node import PosorNode
+
+CHECK_S = 0.08
+"""Time between two checks of all inputs of a node."""
+SILENT_PERIODS = 10
+"""Mean periods without input that count as silence, unless ``max_silence`` is longer."""
+PERIODS = 5
+"""Last measured periods of which the median counts, so that neither a pause nor a burst changes it."""
+MAX_NOTES = 3
+"""Anomalies that are reported in a second; all are counted."""
+INPUT_STATUS = "input"
+"""Name of the status line."""
+
+
+class InputWatch:
+    """Arrivals of one input.
+
+    Attributes:
+        name: Topic or source, for the reports.
+
+    """
+
+    __slots__ = ("_arrivals", "_arrived_s", "_counted", "_counted_s", "_periods", "name")
+
+    def __init__(self, name: str) -> None:
+        """Create a watch; ``restart`` starts it."""
+        self.name = name
+        self._periods: deque[float] = deque(maxlen=PERIODS)
+        self.restart(-math.inf)
+
+    def restart(self, now_s: float) -> None:
+        """Forget all arrivals; silence begins at a steady time [s]."""
+        self._arrivals = self._counted = 0
+        self._arrived_s = self._counted_s = now_s
+        self._periods.clear()
+
+    def record(self, now_s: float) -> None:
+        """Record an arrival at a steady time [s]; takes a fraction of a microsecond."""
+        self._arrivals += 1
+        self._arrived_s = now_s
+
+    def silence(self, now_s: float, limit_s: float) -> str:
+        """Return the sentence on a silence that exceeds the limit [s] and ``SILENT_PERIODS``; else empty."""
+        arrivals, arrived_s = self._arrivals, self._arrived_s
+        if arrivals > self._counted:
+            if self._counted:
+                self._periods.append((arrived_s - self._counted_s) / (arrivals - self._counted))
+            self._counted, self._counted_s = arrivals, arrived_s
+        age_s = now_s - arrived_s
+        if age_s <= max(limit_s, SILENT_PERIODS * median(self._periods) if self._periods else 0.0):
+            return ""
+        return f"no input on {self.name} {'for' if arrivals else 'since activation,'} {age_s:.2f} s"
+
+
+class StampLimits(NamedTuple):
+    """Ages of stamps that a node accepts.
+
+    Attributes:
+        now_ns: The node's ROS time [ns].
+        parameters: The limits.
+
+    """
+
+    now_ns: Callable[[], int]
+    parameters: FreshnessParameters
+    youngest_ns: float
+    oldest_ns: float
+
+    @classmethod
+    def of(cls, now_ns: Callable[[], int], parameters: FreshnessParameters) -> StampLimits:
+        """Return the limits of a node."""
+        return cls(now_ns, parameters, -parameters.max_future * NS, parameters.max_age * NS)
+
+    def fault(self, stamp_ns: int) -> str:
+        """Return the sentence on a stamp [ns] that is too old or too far ahead; else empty."""
+        age_ns = self.now_ns() - stamp_ns
+        return "" if self.youngest_ns <= age_ns <= self.oldest_ns else self._sentence(age_ns, stamp_ns)
+
+    def _sentence(self, age_ns: int, stamp_ns: int) -> str:
+        if age_ns + stamp_ns == 0:
+            return "there is no ROS time yet to compare the stamp with; expected messages on /clock"
+        limits = self.parameters
+        side, limit, name = (
+            ("old", limits.max_age, "max_age") if age_ns > 0 else ("ahead of ROS time", limits.max_future, "max_future")
+        )
+        return (
+            f"the stamp is {abs(age_ns) / NS:.6g} s {side}; expected at most {limit:g} s, "
+            f"or the parameter 'freshness.{name}' .inf for a recording"
+        )
+
+
+class ScanOrder:
+    """Order of scan numbers: counts missing, repeated and backward numbers.
+
+    Attributes:
+        counts: Counts by name, for the diagnostics.
+
+    """
+
+    def __init__(self) -> None:
+        """Start before the first scan."""
+        self.counts = {"numbers_missing": 0, "scans_repeated": 0, "numbers_backward": 0}
+        self.restart()
+
+    def restart(self) -> None:
+        """Expect any number next; the counts stay."""
+        self._next: int | None = None
+        self._last_ns = 0
+
+    def is_next(self, number: int, stamp_ns: int) -> bool:
+        """Return whether a scan follows the one before; if not, ``describe`` must be called."""
+        if number != self._next:
+            return False
+        self._next, self._last_ns = number + 1, stamp_ns
+        return True
+
+    def describe(self, number: int, stamp_ns: int) -> tuple[str, bool]:
+        """Count a scan that is out of order.
+
+        Returns:
+            The sentence, empty for the first scan, and whether the scan repeats the one before, which is then to be
+            dropped.
+
+        """
+        expected, last_ns = self._next, self._last_ns
+        self._next, self._last_ns = number + 1, stamp_ns
+        if expected is None:
+            return "", False
+        if number == expected - 1 and stamp_ns == last_ns:
+            self.counts["scans_repeated"] += 1
+            return f"scan {number} was repeated", True
+        if number < expected:
+            self.counts["numbers_backward"] += 1
+            return f"scan {number} came after scan {expected - 1}", False
+        self.counts["numbers_missing"] += number - expected
+        return f"{number - expected} scans are missing before scan {number}", False
+
+
+class InputMonitor:
+    """Watches all inputs of an active node and reports them in the status line ``input``.
+
+    Attributes:
+        silent: Sentence on silent inputs; empty: all arrive.
+        silent_names: Their names.
+
+    """
+
+    def __init__(self, node: PosorNode[Any], on_check: Callable[[bool], None] = lambda _: None) -> None:
+        """Create the status line.
+
+        Args:
+            node: The node.
+            on_check: Called after each check, every ``CHECK_S``, with whether a fault is new or has lasted for another
+                second.
+
+        """
+        self._node = node
+        self._on_check = on_check
+        self._status = node.diagnostics.add_status(INPUT_STATUS)
+        self._inputs: list[tuple[InputWatch, IntraProcessSubscription | None]] = []
+        self._timer: Any = None
+        self._notes: list[str] = []
+        self._reported: tuple[str, ...] | None = None
+        self.silent_names: list[str] = []
+        self.silent = ""
+        node.diagnostics.add_refresh(self._refresh)
+
+    def add(self, subscription: IntraProcessSubscription) -> InputWatch:
+        """Watch a subscription until ``clear``; the caller records the arrivals."""
+        subscription.on_event = self.check
+        return self.add_source(subscription.topic_name, subscription)
+
+    def add_source(self, name: str, subscription: IntraProcessSubscription | None = None) -> InputWatch:
+        """Watch an input that is no topic, until ``clear``; the caller records the arrivals."""
+        watch = InputWatch(name)
+        self._inputs.append((watch, subscription))
+        return watch
+
+    def clear(self) -> None:
+        """Watch nothing."""
+        self.stop()
+        self._inputs = []
+
+    def start(self) -> None:
+        """Expect input from now on."""
+        for watch, _ in self._inputs:
+            watch.restart(monotonic())
+        self._notes.clear()
+        self._timer = self._node.create_timer(
+            CHECK_S, lambda: run_when_idle(self.check), clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+
+    def stop(self) -> None:
+        """Expect no input any more."""
+        if self._timer is not None:
+            self._node.destroy_timer(self._timer)
+            self._timer = None
+        self.silent = ""
+        self._report(Level.OK, "not watched", None)
+
+    def note(self, text: str) -> None:
+        """Report an anomaly, such as a missing scan, as a warning for a second; of many only the first ones."""
+        if len(self._notes) < MAX_NOTES:
+            self._notes.append(text)
+            self._report(Level.WARN, "; ".join(self._notes), None)
+
+    def update(self, counts: dict[str, int]) -> None:
+        """Update values of the status line."""
+        self._status.update(counts)
+
+    def check(self) -> None:
+        """Check all inputs, report a fault that has changed, and call ``on_check``."""
+        if self._timer is None:
+            return
+        now_s, limit_s = monotonic(), self._node.parameters.freshness.max_silence
+        subscriptions = [each for _, each in self._inputs if each is not None]
+        for each in subscriptions:
+            each.find_publishers()
+        crowded = self.crowded()
+        missed = [each for each in subscriptions if each.take_missed_deadlines()]
+        if missed:
+            self.note(f"deadline missed on {', '.join(each.topic_name for each in missed)}")
+        silent = [(watch.name, text) for watch, _ in self._inputs if (text := watch.silence(now_s, limit_s))]
+        self.silent, self.silent_names = "; ".join(text for _, text in silent), [name for name, _ in silent]
+        key = (crowded, *self.silent_names) if crowded or silent else ()
+        is_new = key != self._reported and (bool(key) or not self._notes)
+        if is_new:
+            text = "; ".join(filter(None, (crowded, self.silent)))
+            self._report(Level.ERROR if key else Level.OK, text or "in time", key)
+        self._on_check(is_new)
+
+    def crowded(self) -> str:
+        """Return the sentence on topics with several publishers, whose messages must not be used; else empty."""
+        for _, each in self._inputs:
+            if each is not None and (count := each.publisher_count()) > 1:
+                return f"{count} publishers on {each.topic_name}; expected one"
+        return ""
+
+    def _refresh(self) -> None:
+        """Report present ages, and forget anomalies of the last second."""
+        self._notes.clear()
+        self._reported = None
+
+    def _report(self, level: Level, text: str, key: tuple[str, ...] | None) -> None:
+        self._reported = key
+        self._status.report(level, text)

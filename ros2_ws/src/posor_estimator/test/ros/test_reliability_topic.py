@@ -1,0 +1,92 @@
+"""Reliability of a joint from posor_node, and the protection level that chain_node makes of it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from posor_estimator.calibration.designs import STANDOFF
+from posor_estimator.chain.kinematic_chain import load_chain
+from posor_estimator.estimation.posor import Posor
+from posor_estimator.testing.graph import Graph, set_stamp
+from posor_estimator.uncertainty.budget_poses import scan_at
+from posor_estimator.uncertainty.protection_level import endpoint_effects, endpoint_protection_level
+from posor_estimator.uncertainty.reliability import joint_reliability
+from posor_msgs.msg import EndpointState, JointReliability, JointTransform
+
+from .chain_program import LOSSLESS, PLATES, chain_node, transform_of
+from .test_posor_services import NodeRig
+
+if TYPE_CHECKING:
+    from posor_estimator.numerics.array_types import FloatArray
+
+pytestmark = pytest.mark.usefixtures("ros_domain")
+
+URDF = Path(__file__).resolve().parents[3] / "posor_bringup" / "urdf" / "slocum1985_rig.urdf"
+
+
+def test_posor_node_publishes_what_its_redundancy_detects(tmp_path: Path) -> None:
+    with NodeRig(tmp_path) as rig:
+        messages = rig.graph.collect(JointReliability, "reliability")
+        rig.send(2, (0.0, 0.0, STANDOFF, 0.0, 0.0, 0.0))
+        rig.graph.wait_until(lambda: bool(messages), "a reliability")
+    posor, pose = Posor(rig.calibration), pin.SE3(np.eye(3), np.array([0.0, 0.0, STANDOFF]))
+    expected, found = joint_reliability(posor, scan_at(posor, pose), pose), messages[0]
+    frames = rig.calibration.frames
+    assert (found.header.frame_id, found.child_frame_id) == (frames.parent, frames.child)
+    assert found.header.stamp.nanosec == 2_000_000
+    assert (found.false_alarm, found.missed_detection) == pytest.approx((1e-3, 1e-2))
+    assert tuple(found.readings) == expected.names
+    assert np.isinf(found.detectable_biases[:3]).all()
+    np.testing.assert_allclose(found.detectable_biases, expected.biases, rtol=0.01)
+    shifts, known = np.reshape(found.undetected_shifts, (-1, 6)), expected.shifts
+    bounded = np.isfinite(known).all(axis=1)
+    assert bounded.any()
+    np.testing.assert_array_equal(np.isinf(shifts[~bounded]).any(axis=1), np.True_)
+    scale = np.repeat([np.abs(known[bounded, part]).max() for part in (slice(3), slice(3, 6))], 3)
+    np.testing.assert_allclose(shifts[bounded] / scale, known[bounded] / scale, rtol=0.0, atol=0.01)
+
+
+def reliability_message(shifts: FloatArray, plates: tuple[str, str] = PLATES) -> Any:
+    message = set_stamp(JointReliability(child_frame_id=plates[1]), 1)
+    message.header.frame_id = plates[0]
+    message.readings = [f"reading {n}" for n in range(len(shifts))]
+    message.detectable_biases, message.undetected_shifts = [1e-6] * len(shifts), shifts.ravel().tolist()
+    return message
+
+
+def test_chain_node_bounds_the_endpoint_by_the_worst_undetected_shift() -> None:
+    chain = load_chain(URDF, "endpoint")
+    random = np.random.default_rng(16)
+    shifts = 1e-6 * random.normal(size=(4, 6))
+    with chain_node(urdf=str(URDF), **LOSSLESS), Graph() as graph:
+        states = graph.collect(EndpointState, "endpoint/state")
+        transforms = graph.publisher(JointTransform, "joint1/transform")
+        reliabilities = graph.publisher(JointReliability, "joint1/reliability")
+        seconds = 0
+
+        def level_after(message: Any, accepts: Any) -> FloatArray:
+            """Return the first protection level that ``accepts`` after a message."""
+
+            def send() -> None:
+                nonlocal seconds
+                seconds += 1
+                transforms.publish(transform_of(seconds))
+
+            reliabilities.publish(message)
+            graph.wait_until(lambda: bool(states) and accepts(np.array(states[-1].protection_level)), "a level", send)
+            return np.array(states[-1].protection_level)
+
+        wrong = reliability_message(shifts, ("elsewhere", "posor_target"))
+        level_after(wrong, lambda level: np.isnan(level).all() and seconds > 10)
+        found = level_after(reliability_message(shifts), lambda level: np.isfinite(level).all())
+        covariance = np.reshape(states[-1].covariance, (6, 6))
+        effects = endpoint_effects(chain, {"joint1": pin.SE3.Identity()})["joint1"]
+        np.testing.assert_allclose(found, endpoint_protection_level([shifts], [effects], covariance), rtol=1e-9)
+        shifts[2, 2] = math.inf
+        unbounded = level_after(reliability_message(shifts), lambda level: np.isinf(level).any())
+        np.testing.assert_array_equal(np.isinf(unbounded), np.abs(effects[:, 2]) > 1e-9)
