@@ -5,6 +5,7 @@ Equal files and seeds give equal numbers in every process, for any ticks in any 
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,13 +13,15 @@ from posor_estimator.errors import CalibrationError, ChainError
 
 from posor_drivers.simulator.arm_truth import ArmTruth, true_cycle
 from posor_drivers.simulator.electronics import JointElectronics
+from posor_drivers.simulator.faults import JointFaults
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_drivers.simulator.nominal_arm import NominalArm
 from posor_drivers.simulator.scenario import load_scenario
 
 if TYPE_CHECKING:
     from posor_estimator.chain.arm_file import Arm
-    from posor_estimator.numerics.array_types import FloatArray, IntArray
+    from posor_estimator.model.scan import Scans
+    from posor_estimator.numerics.array_types import BoolArray, FloatArray, IntArray
 
     from posor_drivers.simulator.electronics import SimulatedScans
 
@@ -77,6 +80,16 @@ class ArmSimulation:
             joint: JointElectronics(self.scenario, joint, calibration, imperfections, source)
             for joint, calibration in self.calibrations.items()
         }
+        placed = [(f"{source}, key faults[{i}]", fault) for i, fault in enumerate(self.scenario.faults)]
+        self._faults = {
+            joint: JointFaults(
+                [(where, fault) for where, fault in placed if fault.joint == joint],
+                calibration,
+                self.scenario.ticks_per_second,
+                self.scenario.seed,
+            )
+            for joint, calibration in self.calibrations.items()
+        }
         for joint, electronics in self._electronics.items():
             home = electronics.home
             if home is not None and not electronics.is_at_home(self._cycle.T_parent_child[joint].rotations).any():
@@ -93,9 +106,20 @@ class ArmSimulation:
 
     def latency_ns(self, joint: str, tick: int) -> int:
         """Return the delay from the stamp of a joint's scan to its publication [ns]."""
-        return self._electronics[joint].latency_ns(tick)
+        latency_ns = self._electronics[joint].latency_ns(tick)
+        return latency_ns + self._faults[joint].delay_ns(tick, self.scenario.cycle_ticks)
 
     def scans(self, joint: str, ticks: IntArray, truth: ArmTruth | None = None) -> SimulatedScans:
         """Return the scans of a joint at ticks (n,); ``truth`` at the same ticks is needed where the stage moves."""
         truth = self.truth(ticks) if truth is None else truth
-        return self._electronics[joint].scans(ticks, truth.T_parent_child[joint])
+        published = self._electronics[joint].scans(ticks, truth.T_parent_child[joint])
+        return self._faults[joint].change(published, ticks, self.scenario.cycle_ticks, partial(self._scan_at, joint))
+
+    def has_fault(self, joint: str, ticks: IntArray) -> BoolArray:
+        """Return whether a fault of the scenario is on at ticks (n,)."""
+        return self._faults[joint].active(ticks, self.scenario.cycle_ticks)
+
+    def _scan_at(self, joint: str, tick: int) -> Scans:
+        """Return the scan of a joint at one tick, without the faults of the scenario."""
+        ticks = np.array([tick])
+        return self._electronics[joint].scans(ticks, self.truth(ticks).T_parent_child[joint]).scans

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from posor_estimator.numerics.array_types import BoolArray, FloatArray, IntArray
 
     from posor_drivers.simulator.electronics_settings import Contamination
+    from posor_drivers.simulator.faults import SimulatedFault
     from posor_drivers.simulator.imperfections import Imperfections
     from posor_drivers.simulator.pose_array import PoseArray
     from posor_drivers.simulator.scenario import Scenario
@@ -94,7 +95,7 @@ class JointElectronics:
         phases = random.uniform(0.0, 2.0 * np.pi, size=(len(PROBE_FIELDS), 16))
         self._drift_phases = dict(zip(PROBE_FIELDS, phases, strict=True))
         self._dirt = [
-            (dirt, *_find_channel(calibration, dirt, f"{source}, key electronics.contamination[{index}]"))
+            (dirt, *find_channel(calibration, dirt, f"{source}, key electronics.contamination[{index}]"))
             for index, dirt in enumerate(scenario.electronics.contamination)
             if dirt.joint == joint
         ]
@@ -243,8 +244,16 @@ def convert_to_digital(
     return low + step * codes, at_end.reshape(len(values), -1).any(axis=1)
 
 
-def _find_channel(calibration: Calibration, dirt: Contamination, where: str) -> tuple[str, tuple[int, ...]]:
+def find_channel(
+    calibration: Calibration, entry: Contamination | SimulatedFault, where: str, *, whole_diode: bool = False
+) -> tuple[str, tuple[int, ...]]:
     """Return the field of ``Scans`` that holds a channel, and the channel's index in one scan.
+
+    Args:
+        calibration: Of the joint's POSOR.
+        entry: Entry of the scenario file that names the channel.
+        where: Where it stands.
+        whole_diode: Whether a diode without a contact is all of its contacts.
 
     Raises:
         CalibrationError: There is no such channel.
@@ -257,13 +266,17 @@ def _find_channel(calibration: Calibration, dirt: Contamination, where: str) -> 
             probes.update({probe.name: (name, (index,)) for index, probe in enumerate(sensor.probes)})
         elif isinstance(sensor, DiodesCalibration):
             diodes.update({diode.name: index for index, diode in enumerate(sensor.diodes)})
-    if dirt.contact is None and dirt.channel in probes:
-        return probes[dirt.channel]
-    if dirt.contact is not None and dirt.channel in diodes:
-        return DIODE_FIELD, (diodes[dirt.channel], "ABCD".index(dirt.contact))
-    kind, known = ("probe", probes) if dirt.contact is None else ("diode", diodes)
+    if entry.contact is None and entry.channel in probes:
+        return probes[entry.channel]
+    if entry.contact is not None and entry.channel in diodes:
+        return DIODE_FIELD, (diodes[entry.channel], "ABCD".index(entry.contact))
+    if whole_diode and entry.channel in diodes:
+        return DIODE_FIELD, (diodes[entry.channel],)
+    kind, known = (
+        ("probe", [*probes, *(diodes if whole_diode else ())]) if entry.contact is None else ("diode", [*diodes])
+    )
     raise CalibrationError(
-        f"joint '{dirt.joint}' has no {kind} '{dirt.channel}'",
+        f"joint '{entry.joint}' has no {kind} '{entry.channel}'",
         where=where,
         expected=f"one of {', '.join(known)}" if known else f"a joint with {kind}s",
     )

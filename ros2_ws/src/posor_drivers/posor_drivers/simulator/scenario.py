@@ -2,7 +2,8 @@
 
 Versions of the format:
 
-1. First version: ``seed``, ``rate``, ``duration``, ``joints``, ``payload``, ``motion``, ``stage``, ``electronics``.
+1. First version: ``seed``, ``rate``, ``duration``, ``joints``, ``payload``, ``motion``, ``stage``, ``electronics``;
+   later ``faults``, which may be left out.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from posor_estimator.calibration.yaml_document import load_document
 from posor_estimator.chain.beams_file import TubeFile
 from pydantic import Field, model_validator
 
-from posor_drivers.simulator.electronics_settings import ElectronicsSettings
+from posor_drivers.simulator.electronics_settings import Contamination, ElectronicsSettings
+from posor_drivers.simulator.faults import SimulatedFault
 from posor_drivers.simulator.motion_phases import Phase, Rest, Spline
 from posor_drivers.simulator.scenario_limits import NOT_NEGATIVE, POSITIVE, Seconds
 
@@ -125,6 +127,7 @@ class Scenario(FrozenModel):
     motion: Annotated[tuple[Phase, ...], Field(min_length=1)]
     stage: StageSettings | None = None
     electronics: ElectronicsSettings
+    faults: tuple[SimulatedFault, ...] = ()
 
     @model_validator(mode="after")
     def _check_times(self) -> Self:
@@ -140,12 +143,14 @@ class Scenario(FrozenModel):
         if abs(total - duration) > _TOLERANCE:
             expected = f"{duration:g} s, the duration of the scenario"
             raise EntryError(f"the phases take {total:g} s", key=("motion",), expected=expected)
-        for index, dirt in enumerate(self.electronics.contamination):
-            key = ("electronics", "contamination", index)
-            if dirt.end.number > duration + _TOLERANCE:
+        dirt = [(("electronics", "contamination", i), each) for i, each in enumerate(self.electronics.contamination)]
+        timed: list[tuple[tuple[str | int, ...], Contamination | SimulatedFault]] = [*dirt]
+        timed += [(("faults", i), each) for i, each in enumerate(self.faults)]
+        for key, entry in timed:
+            if entry.end.number > duration + _TOLERANCE:
                 expected = f"at most {duration:g} s, the duration of the scenario"
-                raise EntryError(f"until {dirt.end.number:g} s", key=(*key, "until", "value"), expected=expected)
-            self._check_joint(dirt.joint, (*key, "joint"))
+                raise EntryError(f"until {entry.end.number:g} s", key=(*key, "until", "value"), expected=expected)
+            self._check_joint(entry.joint, (*key, "joint"))
         return self
 
     @model_validator(mode="after")

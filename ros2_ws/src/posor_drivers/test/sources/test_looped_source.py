@@ -25,6 +25,8 @@ from posor_msgs.msg import RawScan
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.serialization import deserialize_message
+from rclpy.time import Time
+from rosgraph_msgs.msg import Clock as ClockMessage
 
 from ..driver_program import driver_program
 from ..sample_bags import SECOND, Record, header, point, scan, write_bag
@@ -219,3 +221,34 @@ def test_driver_refuses_an_invalid_rate(tmp_path: Path, capfd: pytest.CaptureFix
     code, (sentence,) = run_refused_node(DriverNode, parameters, capfd, "/joint1")
     assert code == 2
     assert f"parameter 'looped.rate': {rate} is" in sentence
+
+
+@pytest.mark.usefixtures("ros_domain")
+def test_a_live_source_that_stops_is_an_error_and_its_return_is_reported(tmp_path: Path) -> None:
+    """The ticks of simulated time stop with the clock."""
+    write_bag(tmp_path / "bag", record(5))
+    parameters: dict[str, Any] = {"use_sim_time": True, "wait_for_subscribers": 0}
+    path = str(tmp_path / "bag")
+    with driver_program(source="looped", looped__path=path, looped__rate=50, **parameters), Graph() as graph:
+        graph.watch_diagnostics()
+        scans = graph.collect(RawScan, "/joint1/raw", BEST_EFFORT)
+        clock = graph.publisher(ClockMessage, "/clock", BEST_EFFORT)
+        now_ns = SECOND
+
+        def tick() -> None:
+            nonlocal now_ns
+            now_ns += SECOND // 50
+            clock.publish(ClockMessage(clock=Time(nanoseconds=now_ns).to_msg()))
+            sleep(0.02)
+
+        graph.wait_until(lambda: len(scans) > 20, "scans", tick)
+        status = graph.wait_for_status("/joint1/driver_node: input", "no input on source 'looped' for ")
+        assert status.level == b"\x02"
+        scans.clear()
+        graph.wait_until(lambda: len(scans) > 5, "scans", tick)
+        graph.diagnostics.clear()
+        graph.wait_until(
+            lambda: getattr(graph.latest("/joint1/driver_node: input"), "message", "") == "in time",
+            "input in time",
+            tick,
+        )

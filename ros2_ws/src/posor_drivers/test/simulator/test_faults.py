@@ -1,0 +1,152 @@
+"""Faults of a scenario: what each kind changes, and nothing else; wrong entries."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from posor_drivers.simulator.electronics import PROBE_FIELDS, STATUS_HOME_BUMP
+from posor_drivers.simulator.faults import KINDS
+from posor_drivers.simulator.imperfections import Imperfections
+from posor_estimator.sensors.diodes import DiodesCalibration
+from posor_estimator.sensors.gap_probes import GapProbesCalibration
+
+from ..three_joint_arm import SECOND, TICKS, N, refused, scenario, simulation
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from posor_drivers.simulator.arm_simulation import ArmSimulation
+    from posor_drivers.simulator.electronics import SimulatedScans
+
+FIRST, END = 100, 130
+"""Ticks with the fault, at 100 Hz; the lit light source changes meanwhile."""
+FIELDS = (*PROBE_FIELDS, "diode_currents", "lit_sources", "supply_voltages", "temperatures", "numbers", "stamps_ns")
+
+
+def fault(kind: str, **entries: Any) -> dict[str, Any]:
+    """Return an entry of ``faults`` for the shoulder, which has gap probes and a light ring."""
+    times = {"from": {"value": FIRST / 100, "unit": "s"}, "until": {"value": END / 100, "unit": "s"}}
+    return {"joint": "shoulder", "kind": kind, **times, **entries}
+
+
+def size(value: float, unit: str) -> dict[str, Any]:
+    return {"value": value, "unit": unit}
+
+
+def channels(arm: ArmSimulation) -> tuple[str, str]:
+    """Return the names of a gap probe and a diode of the shoulder."""
+    gap, diodes = arm.calibrations["shoulder"].sensors
+    assert isinstance(gap, GapProbesCalibration)
+    assert isinstance(diodes, DiodesCalibration)
+    return gap.probes[0].name, diodes.diodes[0].name
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> tuple[ArmSimulation, SimulatedScans]:
+    arm = simulation(tmp_path_factory.mktemp("sound"), Imperfections.only("noise"))
+    return arm, arm.scans("shoulder", TICKS)
+
+
+def changed_fields(scans: SimulatedScans, sound: SimulatedScans) -> set[str]:
+    """Return the fields that differ during the fault; check that nothing differs outside of it."""
+    during = np.zeros(N, dtype=bool)
+    during[FIRST:END] = True
+    out = set()
+    pairs = [(name, getattr(scans.scans, name), getattr(sound.scans, name)) for name in FIELDS]
+    pairs += [(name, getattr(scans, name), getattr(sound, name)) for name in ("statuses", "sent", "latencies_ns")]
+    for name, found, expected in pairs:
+        assert np.array_equal(found[~during], expected[~during], equal_nan=True)
+        if not np.array_equal(found[during], expected[during], equal_nan=True):
+            out.add(name)
+    return out
+
+
+CASES: list[tuple[str, dict[str, Any], set[str]]] = [
+    ("off", {}, {"sent"}),
+    ("late", {"size": size(0.5, "s")}, {"latencies_ns"}),
+    ("stuck", {"channel": "gap"}, {"gap_voltages"}),
+    ("frozen", {}, {"gap_voltages", "diode_currents", "lit_sources"}),
+    ("garbage", {"channel": "gap", "size": size(5.0, "V")}, {"gap_voltages"}),
+    ("nan", {"channel": "diode", "contact": "B"}, {"diode_currents"}),
+    ("offset", {"channel": "gap", "size": size(0.1, "V")}, {"gap_voltages"}),
+    ("value", {"channel": "gap", "size": size(0.0, "V")}, {"gap_voltages"}),
+    ("dark", {"channel": "diode"}, {"diode_currents"}),
+    ("slip", {"size": size(1, "1")}, {"lit_sources"}),
+    ("supply", {"size": size(16.0, "V")}, {"supply_voltages"}),
+    ("temperature", {"size": size(313.0, "K")}, {"temperatures"}),
+    ("status", {"size": size(1, "1")}, {"statuses"}),
+    ("home", {}, {"statuses"}),
+    ("clock", {"size": size(3600.0, "s")}, {"stamps_ns"}),
+    ("number", {"size": size(-7, "1")}, {"numbers"}),
+    ("repeat", {}, {"gap_voltages", "diode_currents", "lit_sources", "numbers", "stamps_ns"}),
+]
+
+
+def test_every_kind_has_a_case() -> None:
+    assert {kind for kind, *_ in CASES} == set(KINDS)
+
+
+@pytest.mark.parametrize(("kind", "entries", "fields"), CASES, ids=[kind for kind, *_ in CASES])
+def test_a_fault_changes_its_fields_at_its_time(
+    tmp_path: Path, sound: tuple[ArmSimulation, SimulatedScans], kind: str, entries: dict[str, Any], fields: set[str]
+) -> None:
+    arm, expected = sound
+    names = dict(zip(("gap", "diode"), channels(arm), strict=True))
+    if "channel" in entries:
+        entries = {**entries, "channel": names[entries["channel"]]}
+    content = {**scenario(), "faults": [fault(kind, **entries)]}
+    faulty = simulation(tmp_path, Imperfections.only("noise"), content)
+    scans = faulty.scans("shoulder", TICKS)
+    assert changed_fields(scans, expected) == fields
+    assert np.array_equal(faulty.has_fault("shoulder", TICKS), (TICKS >= FIRST) & (TICKS < END))
+    delays = [faulty.latency_ns("shoulder", tick) for tick in (FIRST - 1, FIRST, END - 1, END)]
+    assert delays == scans.latencies_ns[[FIRST - 1, FIRST, END - 1, END]].tolist()
+    one = faulty.scans("shoulder", TICKS[FIRST + 3 : FIRST + 4])
+    for name in FIELDS:  # a scan does not depend on which other scans are asked for
+        pair = getattr(one.scans, name)[0], getattr(scans.scans, name)[FIRST + 3]
+        assert np.array_equal(*pair, equal_nan=True)
+
+
+def test_sizes_of_faults(tmp_path: Path, sound: tuple[ArmSimulation, SimulatedScans]) -> None:
+    arm, expected = sound
+    gap, diode = channels(arm)
+    faults = [
+        fault("offset", channel=gap, size=size(0.1, "V")),
+        fault("stuck", channel=diode),
+        fault("slip", size=size(2, "1")),
+        fault("clock", size=size(-2.0, "s")),
+        fault("home"),
+    ]
+    scans = simulation(tmp_path, Imperfections.only("noise"), {**scenario(), "faults": faults}).scans("shoulder", TICKS)
+    part = slice(FIRST, END)
+    assert np.allclose(scans.scans.gap_voltages[part, 0] - expected.scans.gap_voltages[part, 0], 0.1, atol=1e-12)
+    assert np.all(scans.scans.diode_currents[part, 0] == expected.scans.diode_currents[FIRST, 0])
+    diodes = arm.calibrations["shoulder"].sensors[1]
+    assert isinstance(diodes, DiodesCalibration)
+    count = len(diodes.light_sources)
+    assert np.array_equal(scans.scans.lit_sources[part], (expected.scans.lit_sources[part] + 2) % count)
+    assert np.all(expected.scans.stamps_ns[part] - scans.scans.stamps_ns[part] == 2 * SECOND)
+    assert np.all(scans.statuses[part] & STATUS_HOME_BUMP)
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        (fault("melted"), "kind"),
+        (fault("offset", size=size(0.1, "V")), "expected the name of a probe or diode"),
+        (fault("offset", channel="nobody", size=size(0.1, "V")), "joint 'shoulder' has no probe 'nobody'"),
+        (fault("supply", size=size(16.0, "K")), "expected one number, unit 'V'"),
+        (fault("offset", channel="gap_1", size=size(0.1, "A")), "expected 'V'"),
+        (fault("off", size=size(1.0, "s")), "expected none for 'off'"),
+        (fault("stuck", channel="nobody"), "joint 'shoulder' has no probe 'nobody'"),
+        ({**fault("off"), "until": {"value": 99.0, "unit": "s"}}, "expected at most 8 s"),
+        ({**fault("off"), "joint": "knee"}, "joint 'knee'"),
+        ({**fault("slip", size=size(1, "1")), "joint": "base"}, "joint 'base' has no light sources"),
+    ],
+)
+def test_a_wrong_fault_is_refused(tmp_path: Path, entry: dict[str, Any], message: str) -> None:
+    error = str(refused(tmp_path, {**scenario(), "faults": [entry]}))
+    assert message in error
+    assert "faults[0]" in error
