@@ -1,7 +1,7 @@
 # POSOR for ROS 2. Every target sets the workspace up first; this takes a fraction of a second if nothing has changed.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo arm calibrate-demo test coverage accuracy budgets bench bench-core data docs lint words lines lock clean
+.PHONY: help setup demo arm calibrate-demo faults test coverage accuracy budgets bench bench-core data docs lint words lines lock clean
 
 BAG ?= ymo
 CAL ?= printed
@@ -11,6 +11,7 @@ CAMPAIGNS ?= 6
 POSOR ?= both
 TESTS ?=
 BENCH ?=
+FAULTS ?=
 FORBIDDEN_WORDS := told|abreast|eights|taking_turns|Outlet|Inlet|places, ints, floats
 IN_WORKSPACE := .venv/bin/python -E tools/in_workspace.py
 
@@ -18,6 +19,7 @@ help:
 	@echo "make demo [BAG=ymo|yzmo|zmo] [CAL=printed|section84]   replay a 1985 test through the nodes and compare"
 	@echo "make arm [ARM=five_axis|path] [CONTROLLER=path]        run a simulated arm, close a loop on it, report its errors"
 	@echo "make calibrate-demo [CAMPAIGNS=6] [POSOR=both]         calibrate simulated POSORs from bags, compare with the truth"
+	@echo "make faults [FAULTS='--quick ...']                     inject every fault, count wrong poses published as valid"
 	@echo "make test [TESTS='path ...']                           linters and all tests, or only the tests of TESTS"
 	@echo "make lint                                              ruff, mypy and forbidden words"
 	@echo "make coverage                                          covered lines of the numerical packages"
@@ -45,6 +47,9 @@ arm:
 
 calibrate-demo:
 	@./run posor_validation calibrate_demo --campaigns $(CAMPAIGNS) --posor $(POSOR)
+
+faults: setup
+	@$(IN_WORKSPACE) -m posor_validation.faults.faults_command $(FAULTS)
 
 test: setup
 	@.venv/bin/python -E tools/run_tests.py $(TESTS)

@@ -42,6 +42,7 @@ setup(
             "budgets = posor_validation.validation_programs:budgets",
             "calibrate_demo = posor_validation.validation_programs:calibrate_demo",
             "demo = posor_validation.validation_programs:demo",
+            "faults = posor_validation.validation_programs:faults",
             "golden = posor_validation.validation_programs:golden",
             "zero_drift_1985 = posor_validation.validation_programs:zero_drift_1985",
         ],

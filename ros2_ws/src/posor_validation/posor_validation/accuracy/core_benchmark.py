@@ -21,6 +21,7 @@ from posor_estimator.estimation.forward import scans_at
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.model.fault import State
 from posor_estimator.model.native_coordinates import rotation_from_native
+from posor_estimator.model.scan import STATED_HOME
 from posor_estimator.numerics.compiled import COMPILING
 from posor_estimator.testing.random_poses import STACKS, TICK_NS
 from rich.console import Console
@@ -47,7 +48,7 @@ def measure_stack(stack: DesignName, single_count: int, batch_count: int) -> dic
     translations = np.tile([1e-4, -1e-4, 0.7e-3], (batch_count, 1))
     stamps = np.arange(1, batch_count + 1, dtype=np.int64) * TICK_NS
     scans = scans_at(posor.stack, rotations, translations, stamps, noise=np.random.default_rng(1))
-    scans.at_home[0] = 1
+    scans.at_home[0] = STATED_HOME
     batch = posor.estimate_all(scans)
     posor.reset()
     singles = [scans[n] for n in range(single_count)]

@@ -14,6 +14,7 @@ from posor_estimator.estimation.posor import Posor
 from posor_estimator.estimation.tracking import NOISE_ALLOWANCE
 from posor_estimator.model.fault import State
 from posor_estimator.model.native_coordinates import rotation_from_native
+from posor_estimator.model.scan import STATED_HOME
 from posor_estimator.testing.random_poses import TICK_NS
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ def _sound_scans(posor: Posor, speed: float, count: int, random: np.random.Gener
     stamps = np.arange(1, count + 1, dtype=np.int64) * TICK_NS
     scans = scans_at(posor.stack, rotations, np.array([0.0, 0.0, 0.7e-3]) + runout, stamps, noise=random)
     at_home = np.zeros(count, dtype=np.int64)
-    at_home[0] = 1  # the ring is counted from the first scan on
+    at_home[0] = STATED_HOME  # the ring is counted from the first scan on
     return scans.with_fields({"at_home": at_home})
 
 

@@ -8,9 +8,10 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Vector3Stamped
 from posor_drivers.scan_clock import tick_stamp_ns
 from posor_drivers.simulated_messages import SimulatedTopics
+from posor_estimator.model.fault import Fault, State
 from posor_estimator.numerics.stamps import NS
 from posor_estimator.ros.lifecycle_node import LISTENERS_STATUS as LISTENERS
-from posor_estimator.ros.message_conversion import pose_from_message, why_unusable
+from posor_estimator.ros.message_conversion import is_usable, pose_from_message
 from posor_estimator.ros_names import ENDPOINT_COVARIANCE_TOPIC, TRANSFORM_TOPIC
 from posor_msgs.msg import JointTransform
 from rosgraph_msgs.msg import Clock
@@ -98,7 +99,7 @@ class ArmReceiver(GraphReceiver):
         for joint, store in self.transforms.items():
             transform = store.get(stamp)
             if transform is not None:
-                usable = usable and not why_unusable(transform)
+                usable = usable and is_usable(transform)
             elif joint not in dropped:
                 missing.append(f"the transform of {joint}")
         if usable and not missing and stamp not in self.poses:
@@ -112,9 +113,10 @@ class ArmReceiver(GraphReceiver):
         reasons = {}
         for joint, store in self.transforms.items():
             transform = store.get(stamp)
-            reason = NO_SCAN if transform is None else why_unusable(transform)
-            if reason:
-                reasons[joint] = reason
+            if transform is None:
+                reasons[joint] = NO_SCAN
+            elif not is_usable(transform):
+                reasons[joint] = f"is {State(transform.state).name.lower()} ({Fault(transform.faults).name})"
         return reasons or {CHAIN: GIVEN_UP}
 
     def record(self, ticks: range, rate: int) -> ArmRecord:

@@ -9,6 +9,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from posor_bringup.installed import JOINT
 from posor_bringup.supervisor import ProcessError, Program, RunningProgram, Supervisor
+from posor_estimator.node_parameters import RECORDING
 from posor_estimator.ros.lifecycle_node import LISTENERS_STATUS
 from posor_estimator.ros_names import ENDPOINT_TOPIC, RAW_TOPIC, TRANSFORM_TOPIC, TRUTH_TOPIC
 
@@ -26,8 +27,8 @@ if TYPE_CHECKING:
 TOPICS = (f"/{JOINT}/{RAW_TOPIC}", f"/{JOINT}/{TRANSFORM_TOPIC}", f"/{ENDPOINT_TOPIC}", TRUTH_TOPIC)
 """Recorded topics."""
 
-LOSSLESS: Mapping[str, Parameter] = {"qos_reliability": "reliable", "qos_depth": 0}
-"""Parameters that make a fast publisher wait for a slow subscriber."""
+LOSSLESS: Mapping[str, Parameter] = {"qos_reliability": "reliable", "qos_depth": 0, **RECORDING}
+"""Parameters that make a fast publisher wait for a slow subscriber and accept recorded stamps."""
 
 _SUBSCRIPTIONS: Mapping[str, tuple[str, int]] = {
     f"/{JOINT}/posor_node": (TRANSFORM_TOPIC, 3),  # chain, recorder, collector

@@ -1,0 +1,125 @@
+"""The storm of faults through real posor_nodes: the program plays their drivers, without loss, in stretches.
+
+After each stretch it waits for all transforms; between two of them an operator acknowledges. There is no encoder here:
+a ring of bumps is out after an acknowledgement until it passes its home mark. The transforms must equal those of the
+estimator alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import yaml
+from posor_bringup.supervisor import Program, Supervisor
+from posor_drivers.message_builder import raw_scan, scan_fields
+from posor_estimator.bags.message_definitions import MessageTypes
+from posor_estimator.model.fault import State
+from posor_estimator.node_parameters import RECORDING
+from posor_estimator.ros.qos import KEEP_ALL_QOS
+from posor_estimator.ros_names import RAW_SCAN, RAW_TOPIC, TRANSFORM_TOPIC
+from posor_msgs.msg import JointTransform, RawScan
+from rclpy.serialization import deserialize_message
+from std_srvs.srv import Trigger
+
+from posor_validation.faults.pose_judge import pose_array
+from posor_validation.faults.storm import NO_COUNT, StormMaker, count_storm, estimate_storm
+from posor_validation.reports.graph_receiver import GraphReceiver, GraphWatch
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from posor_estimator.calibration.calibration_file import Calibration
+
+    from posor_validation.faults.storm import Storm, StormCount
+
+NAMESPACE = "/storm"
+
+
+class StormReceiver(GraphReceiver):
+    """Plays the driver of a posor_node and receives its transforms."""
+
+    def __init__(self) -> None:
+        """Open the topics and the client."""
+        super().__init__("storm")
+        self.transforms: list[bytes] = []
+        self.raw = self.create_publisher(RawScan, f"{NAMESPACE}/{RAW_TOPIC}", KEEP_ALL_QOS)
+        self.create_subscription(
+            JointTransform, f"{NAMESPACE}/{TRANSFORM_TOPIC}", self._on_transform, KEEP_ALL_QOS, raw=True
+        )
+        self.operator = self.create_client(Trigger, f"{NAMESPACE}/posor_node/acknowledge")
+
+    def _on_transform(self, data: bytes) -> None:
+        self.received += 1
+        self.transforms.append(data)
+
+
+def run_node_storm(
+    calibration: Calibration, injected: int, seed: int, folder: Path, on_block: Callable[[int], None]
+) -> StormCount:
+    """Return the figures of a storm of one stack through posor_node.
+
+    Args:
+        calibration: Of the stack.
+        injected: Least number of faulty scans.
+        seed: Of the first block; the others follow.
+        folder: Existing folder for the calibration file and the log.
+        on_block: Called after each block with its number of faulty scans; an exception ends the run.
+
+    Raises:
+        ProcessError: The node failed, or transforms do not come.
+
+    """
+    path = folder / f"{calibration.name}.yaml"
+    path.write_text(yaml.safe_dump(calibration.model_dump(mode="json", exclude_none=True)), encoding="utf-8")
+    parameters: dict[str, Any] = {"calibration": str(path), "qos_reliability": "reliable", "qos_depth": 0, **RECORDING}
+    program = Program("posor_node", "posor_estimator", "posor_node", (), NAMESPACE, parameters)
+    maker, total = StormMaker(calibration), NO_COUNT
+    while total.injected < injected:
+        storm = maker.draw(seed)
+        with Supervisor(folder) as supervisor:  # a new node for each block: the true sensors are others
+            receiver = StormReceiver()
+            try:
+                supervisor.start(program)
+                play_storm(storm, receiver, GraphWatch(supervisor, receiver, "storm"))
+                found = [deserialize_message(data, JointTransform) for data in receiver.transforms]
+            finally:
+                receiver.close()
+        poses = pose_array([each.pose for each in found])
+        states, faults = np.array([(each.state, each.faults) for each in found], dtype=np.int64).T
+        covariances = np.array([each.covariance for each in found]).reshape(-1, 6, 6)
+        maker.posor.reset()
+        expected = estimate_storm(maker.posor, storm)
+        same = (states == expected.states) & (faults == expected.faults)
+        same &= np.all((poses.translations == expected.translations) | (states == State.LOST)[:, None], axis=1)
+        block = count_storm(calibration, storm, states, faults, poses, covariances)
+        block = replace(block, different=int(np.count_nonzero(~same)))
+        total, seed = total + block, seed + 1
+        on_block(block.injected)
+    return total
+
+
+def play_storm(storm: Storm, receiver: StormReceiver, watch: GraphWatch) -> None:
+    """Publish all scans of a storm, and acknowledge where an operator does."""
+    types, records = MessageTypes(), storm.scans
+    watch.wait(
+        lambda: (
+            receiver.raw.get_subscription_count() > 0
+            and receiver.count_publishers(f"{NAMESPACE}/{TRANSFORM_TOPIC}") > 0
+            and receiver.operator.service_is_ready()
+        ),
+        lambda: "posor_node",
+    )
+    begin = 0
+    for end in [*storm.acknowledgements.tolist(), len(records)]:
+        for n in range(begin, end):
+            scan = records[n]
+            message = raw_scan(types, scan.stamp_ns, "receiving", status=scan.status, **scan_fields(scan))
+            receiver.raw.publish(types.serialize(message, RAW_SCAN))
+        watch.wait(lambda end=end: len(receiver.transforms) >= end, lambda: "transforms")  # type: ignore[misc]
+        if end < len(records):
+            response = receiver.operator.call_async(Trigger.Request())
+            watch.wait(response.done, lambda: "the response of acknowledge")
+        begin = end

@@ -1,0 +1,463 @@
+"""A storm of faults through the estimator: many scans of which nearly a third is faulty, all kinds mixed.
+
+Three stacks with a fourth gap probe: light ring, bumpy ring, fixed diodes. The true parameters of the sensors are drawn
+within the uncertainties of their calibration. Faults come at random and last for 1 to 200 scans. A probe is off by at
+least twice its minimal detectable bias; smaller errors are rows of ``hidden_faults``. A stuck reading begins to differ
+by less than that, zero or garbage may be near the true reading, and a pose of sound readings may exceed 5 standard
+deviations by chance. These count as wrong only beyond the protection level, and are counted separately.
+
+Once readings have been sound for ``OPERATOR_SCANS``, an operator acknowledges a latched joint, and its encoder confirms
+theta. Nobody acknowledges during a fault.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from posor_drivers.simulator.electronics import DIODE_FIELD, convert_to_digital
+from posor_drivers.simulator.pose_array import PoseArray
+from posor_estimator.calibration.designs import design, sized_design
+from posor_estimator.estimation.forward import scans_at
+from posor_estimator.estimation.posor import Posor
+from posor_estimator.model.fault import Fault, State
+from posor_estimator.model.scan import DIODES_ESTIMATED, HOME_BUMP, PROBES_ESTIMATED, SATURATED, Scans
+from posor_estimator.numerics.stamps import NS
+from posor_estimator.sensors.diodes import DiodesCalibration
+from posor_estimator.sensors.gap_probes import GapProbesCalibration
+from posor_estimator.uncertainty.protection_level import endpoint_protection_level
+from posor_estimator.uncertainty.reliability import joint_reliability
+
+from posor_validation.faults.pose_judge import small_errors, wrong_poses
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from posor_estimator.calibration.calibration_file import Calibration
+    from posor_estimator.estimation.estimate import Estimates
+    from posor_estimator.numerics.array_types import BoolArray, FloatArray, IntArray
+
+RATE = 500
+BLOCK = 20_000
+"""Scans of one draw of the sensors."""
+FAULTY_SHARE = 0.3
+LONGEST = 200
+"""Scans of the longest fault; short faults are as frequent as long ones, logarithmically."""
+OPERATOR_SCANS = 20
+"""Sound scans after a fault until an operator acknowledges it."""
+ENCODER_SIGMA = 1e-3
+"""Standard uncertainty of the encoder that confirms theta after an acknowledgement [rad]."""
+START_SCANS = 1000
+"""Scans without faults at the beginning of a block, in which rings pass their home mark."""
+OBSERVABLE = 2.0
+"""Least error of a wrong reading, in minimal detectable biases."""
+RANGES = {"gap_voltages": (-7.0, 7.0), "ring_voltages": (-7.0, 7.0), DIODE_FIELD: (0.0, 1.5e-4)}
+"""Of the converters [V], [A]."""
+SWING_S, PHASES = 2.5, 40
+"""Period of theta, and poses of half of it at which the detectable biases are computed."""
+LIKE_THE_TRUE_READING = ("stuck", "zero", "garbage")
+"""Last words of the faults whose reading may differ from the true one by less than is detectable."""
+HOME_WIDTH = 0.25
+"""Half width of the home mark, in periods of theta."""
+
+
+def storm_calibrations() -> dict[str, Calibration]:
+    """Return the calibration of each stack."""
+    frames = ("receiving", "target")
+    return {
+        "light_ring": sized_design("quad_light_ring", 0.2032, frames=frames, title="storm_light_ring"),
+        "bumpy_ring": sized_design("quad_bumpy_ring", 0.2032, frames=frames, title="storm_bumpy_ring"),
+        "diodes": design("quad_diodes", motion=True, converter=True, frames=frames),
+    }
+
+
+@dataclass(frozen=True)
+class Storm:
+    """Scans with faults, and what is true.
+
+    Attributes:
+        scans: As the driver publishes them, (n).
+        faults: Which fault each scan has, (n,): an index of ``names``; -1: none.
+        names: Names of the faults.
+        truth: True poses, (n).
+        acknowledgements: Scans before which an operator acknowledges, in order.
+
+    """
+
+    scans: Scans
+    faults: IntArray
+    names: tuple[str, ...]
+    truth: PoseArray
+    acknowledgements: IntArray
+
+    @property
+    def thetas(self) -> FloatArray:
+        """True theta modulo whole turns [rad], (n,)."""
+        return np.arctan2(-self.truth.rotations[:, 0, 1], self.truth.rotations[:, 1, 1])
+
+
+@dataclass(frozen=True)
+class _Episode:
+    """One fault of a block: what its scans ``part`` of the arrays become; ``bias`` gives an observable error [V]."""
+
+    arrays: Mapping[str, Any]
+    part: slice
+    random: np.random.Generator
+    bias: Callable[[str, int], float]
+
+    def __getitem__(self, name: str) -> Any:
+        return self.arrays[name]
+
+    def channel(self, name: str) -> tuple[slice, int]:
+        """Return the part of a random channel."""
+        return self.part, int(self.random.integers(self.arrays[name].shape[1]))
+
+    def size(self) -> tuple[int, ...]:
+        """Return the number of scans as a shape."""
+        return (self.part.stop - self.part.start,)
+
+
+def _offset(name: str) -> Callable[[_Episode], None]:
+    def change(episode: _Episode) -> None:
+        part, channel = episode.channel(name)
+        factor = math.exp(episode.random.uniform(math.log(OBSERVABLE), math.log(100.0 * OBSERVABLE)))
+        episode[name][part, channel] += episode.random.choice([-1.0, 1.0]) * factor * episode.bias(name, channel)
+
+    return change
+
+
+def _value(name: str, value: float) -> Callable[[_Episode], None]:
+    def change(episode: _Episode) -> None:
+        episode[name][episode.channel(name)] = value
+
+    return change
+
+
+def _stuck(name: str) -> Callable[[_Episode], None]:
+    def change(episode: _Episode) -> None:
+        part, channel = episode.channel(name)
+        episode[name][part, channel] = episode[name][part.start, channel]
+
+    return change
+
+
+def _garbage(name: str) -> Callable[[_Episode], None]:
+    def change(episode: _Episode) -> None:
+        part = episode.channel(name)
+        episode[name][part] = episode.random.uniform(*RANGES[name], episode[name][part].shape)
+
+    return change
+
+
+def _frozen(episode: _Episode) -> None:
+    for name in RANGES:
+        episode[name][episode.part] = episode[name][episode.part.start]
+
+
+def _slip(sources: int) -> Callable[[_Episode], None]:
+    def change(episode: _Episode) -> None:
+        lit = episode["lit_sources"][episode.part]
+        lit[:] = (lit + episode.random.integers(1, sources)) % sources
+
+    return change
+
+
+def _whole(name: str, value: float) -> Callable[[_Episode], None]:
+    def change(episode: _Episode) -> None:
+        episode[name][episode.part] = value
+
+    return change
+
+
+def _flag(flag: int) -> Callable[[_Episode], None]:
+    def change(episode: _Episode) -> None:
+        episode["statuses"][episode.part] |= flag
+
+    return change
+
+
+def _home(episode: _Episode) -> None:
+    length = int(episode.random.integers(1, 6))
+    part = slice(episode.part.start, min(episode.part.stop, episode.part.start + length))
+    episode["at_home"][part] = 1
+    episode["statuses"][part] |= HOME_BUMP
+
+
+def _off(episode: _Episode) -> None:
+    episode["sent"][episode.part] = False
+
+
+def storm_faults(calibration: Calibration) -> dict[str, Callable[[_Episode], None]]:
+    """Return the faults that a stack can have, by name."""
+    faults: dict[str, Callable[[_Episode], None]] = {"no scans": _off, "all readings frozen": _frozen}
+    for value in (16.0, 0.0, math.inf):
+        faults[f"supply {value:g} V"] = _whole("supply_voltages", value)
+    for value in (313.0, 20.0, math.inf):
+        faults[f"temperature {value:g} K"] = _whole("temperatures", value)
+    flags = {"SATURATED": SATURATED, "PROBES_ESTIMATED": PROBES_ESTIMATED, "DIODES_ESTIMATED": DIODES_ESTIMATED}
+    faults |= {f"flag {name}": _flag(flag) for name, flag in flags.items()}
+    for sensor in calibration.sensors:
+        if isinstance(sensor, DiodesCalibration):
+            field, what = DIODE_FIELD, "diode"
+            faults["light-source index off"] = _slip(len(sensor.light_sources))
+            faults["no light source lit"] = _whole("lit_sources", 255)
+        else:
+            is_gap = isinstance(sensor, GapProbesCalibration)
+            field, what = ("gap_voltages", "gap probe") if is_gap else ("ring_voltages", "ring probe")
+            faults[f"{what} offset"] = _offset(field)
+        if sensor.bump_angle > 0.0:
+            faults["spurious HOME"] = _home
+        faults |= {
+            f"{what} stuck": _stuck(field),
+            f"{what} garbage": _garbage(field),
+            f"{what} zero": _value(field, 0.0),
+            f"{what} not a number": _value(field, math.nan),
+            f"{what} infinite": _value(field, math.inf),
+        }
+    return faults
+
+
+class StormMaker:
+    """Draws blocks of scans of one stack."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        """Compute the largest minimal detectable biases over the motion."""
+        self.calibration, self.posor = calibration, Posor(calibration)
+        self._faults = storm_faults(calibration)
+        self.names = tuple(self._faults)
+        poses = _motion(np.linspace(0.0, SWING_S / 2.0, PHASES), 0.0)
+        scans = scans_at(self.posor.stack, poses.rotations, poses.translations, np.arange(PHASES))
+        biases = [joint_reliability(self.posor, scans[n], poses[n]).biases for n in range(PHASES)]
+        self._biases = dict(zip(self.posor.stack.reading_names, np.max(biases, axis=0).tolist(), strict=True))
+
+    def draw(self, seed: int, count: int = BLOCK) -> Storm:
+        """Return a block of ``count`` scans; the same seed gives the same block."""
+        random = np.random.default_rng([seed, *self.calibration.name.encode()])
+        times = np.arange(count) / RATE
+        truth = _motion(times, random.uniform(0.0, 2.0 * np.pi))
+        arrays = self._sound_readings(truth, random)
+        faults = np.full(count, -1)
+        begin, acknowledgements = START_SCANS, []
+        while True:
+            length = int(math.exp(random.uniform(0.0, math.log(LONGEST + 1))))
+            begin += 1 + int(random.exponential(_mean_length() * (1.0 - FAULTY_SHARE) / FAULTY_SHARE))
+            if begin + length > count:
+                break
+            kind = int(random.integers(len(self.names)))
+            part = slice(begin, begin + length)
+            self._faults[self.names[kind]](_Episode(arrays, part, random, self._bias))
+            faults[part] = kind
+            begin += length
+            acknowledgements.append(begin + OPERATOR_SCANS)
+        sound = [n for n in acknowledgements if n < count and not np.any(faults[n - OPERATOR_SCANS : n + 1] >= 0)]
+        sent = arrays.pop("sent")
+        places = np.cumsum(sent) - 1
+        return Storm(
+            scans=Scans.from_fields(**arrays).select(sent),
+            faults=faults[sent],
+            names=self.names,
+            truth=truth.select(sent),
+            acknowledgements=places[np.array(sound, dtype=np.int64)],
+        )
+
+    def _sound_readings(self, truth: PoseArray, random: np.random.Generator) -> dict[str, Any]:
+        """Return the fields of sound scans as arrays that may be changed, and which are sent."""
+        stack, count = self.posor.stack, len(truth)
+        errors = stack.parameter_sigmas * random.normal(size=stack.parameters)
+        stamps = np.arange(1, count + 1, dtype=np.int64) * (NS // RATE)
+        stack = stack.with_parameter_values(stack.parameter_values + errors)
+        scans = scans_at(stack, truth.rotations, truth.translations, stamps, noise=random)
+        arrays: dict[str, Any] = {"stamps_ns": stamps, "numbers": np.arange(count, dtype=np.uint64)}
+        for name, limits in RANGES.items():
+            values = getattr(scans, name)
+            arrays[name] = convert_to_digital(values, np.array(limits), 16, steps=True)[0] if values.size else values
+        arrays["lit_sources"] = scans.lit_sources.copy()
+        arrays["supply_voltages"], arrays["temperatures"] = np.full(count, 15.0), np.full(count, 293.15)
+        arrays["at_home"] = self._at_home(truth).astype(np.int64)
+        arrays["statuses"] = HOME_BUMP * arrays["at_home"]
+        arrays["sent"] = np.ones(count, dtype=bool)
+        return arrays
+
+    def _at_home(self, truth: PoseArray) -> BoolArray:
+        settings = self.posor.settings
+        if not settings["bump_angle"] > 0.0:
+            return np.zeros(len(truth), dtype=bool)
+        thetas = np.arctan2(-truth.rotations[:, 0, 1], truth.rotations[:, 1, 1])
+        return np.asarray(np.abs(thetas - settings["home_theta"]) < HOME_WIDTH * settings["bump_angle"])
+
+    def _bias(self, field: str, channel: int) -> float:
+        """Return the minimal detectable bias of a probe [V]."""
+        sensor: Any = next(each for each in self.calibration.sensors if _field_of(each) == field)
+        probe, kind = sensor.probes[channel], "gap" if field == "gap_voltages" else "ring"
+        return float(self._biases[f"{kind} {probe.name}"] / abs(probe.volts_to_gap.array[1]))
+
+
+def _field_of(sensor: Any) -> str:
+    if isinstance(sensor, DiodesCalibration):
+        return DIODE_FIELD
+    return "gap_voltages" if isinstance(sensor, GapProbesCalibration) else "ring_voltages"
+
+
+def _mean_length() -> float:
+    """Return the mean length of a fault: ``floor(exp(u))``, u uniform from 0 to ln(LONGEST + 1)."""
+    lengths = np.arange(1, LONGEST + 1)
+    chances = np.log((lengths + 1) / lengths) / math.log(LONGEST + 1)
+    return float(lengths @ chances)
+
+
+def _motion(times: FloatArray, phase: float) -> PoseArray:
+    """Return the target's true poses at times [s], (n,): theta swings about home, runout and inclination follow."""
+    swing = 0.05 * np.sin(2.0 * np.pi * times / SWING_S + phase)
+    leans = 2e-5 * np.column_stack([np.sin(3.0 * times), np.cos(2.0 * times + phase), np.zeros(len(times))])
+    runout = 1e-5 * np.column_stack([np.cos(2.0 * times), np.sin(3.0 * times + phase), np.sin(5.0 * times)])
+    leaned = PoseArray.from_rotation_vectors(np.array([0.0, 0.0, 0.735e-3]) + runout, leans)
+    return leaned @ PoseArray.from_axis_angles(2, swing)
+
+
+@dataclass(frozen=True)
+class StormCount:
+    """Figures of a storm."""
+
+    scans: int
+    injected: int
+    wrong_ok: int
+    covered: int  # of sound readings, or of a stuck one that hardly differs yet: within the protection level
+    sound: int  # scans without a fault, outside of a latched period
+    sound_ok: int
+    latched: int  # scans without a fault in a latched period
+    wrong_by_fault: Mapping[str, int]  # wrong poses published as valid, by the fault before or during them
+    different: int = 0  # transforms of a node that differ from the estimator's
+
+    def __add__(self, other: StormCount) -> StormCount:
+        """Return the sums."""
+        names = {*self.wrong_by_fault, *other.wrong_by_fault}
+        return StormCount(
+            self.scans + other.scans,
+            self.injected + other.injected,
+            self.wrong_ok + other.wrong_ok,
+            self.covered + other.covered,
+            self.sound + other.sound,
+            self.sound_ok + other.sound_ok,
+            self.latched + other.latched,
+            {name: self.wrong_by_fault.get(name, 0) + other.wrong_by_fault.get(name, 0) for name in sorted(names)},
+            self.different + other.different,
+        )
+
+    @property
+    def sound_ok_share(self) -> float:
+        """Share of sound scans outside of a latched period that are OK."""
+        return self.sound_ok / self.sound if self.sound else math.nan
+
+
+NO_COUNT = StormCount(0, 0, 0, 0, 0, 0, 0, {})
+
+
+def estimate_storm(posor: Posor, storm: Storm, encoder: np.random.Generator | None = None) -> Estimates:
+    """Return the estimates of a storm, acknowledged as an operator would; ``encoder``: its noise, None: no encoder."""
+    estimates = posor.estimate_all(storm.scans.part(0, 0))
+    records = np.zeros(len(storm.scans), dtype=estimates.records.dtype)
+    scans, begin = storm.scans.records.copy(), 0
+    for end in [*storm.acknowledgements.tolist(), len(scans)]:
+        posor.estimate_records(scans[begin:end], records[begin:end])
+        if end < len(scans):
+            posor.acknowledge()
+        if end < len(scans) and posor.counting and encoder is not None:
+            posor.confirm_theta(storm.thetas[end] + ENCODER_SIGMA * encoder.normal(), ENCODER_SIGMA)
+        begin = end
+    return type(estimates)(records)
+
+
+def count_storm(
+    calibration: Calibration,
+    storm: Storm,
+    states: IntArray,
+    faults: IntArray,
+    poses: PoseArray,
+    covariances: FloatArray,
+) -> StormCount:
+    """Return the figures of a storm.
+
+    Args:
+        calibration: Of the stack.
+        storm: The scans.
+        states: ``State`` of each, (n,).
+        faults: ``Fault`` of each, (n,).
+        poses: Estimated poses, (n).
+        covariances: Total covariances, (n, 6, 6).
+
+    """
+    valid = np.isin(states, (State.OK, State.DEGRADED))
+    wrong = valid & wrong_poses(poses, covariances, storm.truth)
+    sound = storm.faults < 0
+    posor, covered = Posor(calibration), np.zeros(len(sound), dtype=bool)
+    for n in np.flatnonzero(wrong).tolist():
+        if sound[n] or storm.names[storm.faults[n]].endswith(LIKE_THE_TRUE_READING):
+            shifts = _shifts_of_sensors(calibration, joint_reliability(posor, storm.scans[n], poses[n]).shifts)
+            level = endpoint_protection_level([shifts], [np.eye(6)], covariances[n])
+            one = np.array([n])
+            covered[n] = np.all(np.abs(small_errors(poses.select(one), storm.truth.select(one))) <= level)
+    wrong &= ~covered
+    latched = sound & _latched_periods(states, faults)
+    indices = np.maximum.accumulate(np.where(sound, 0, np.arange(len(sound))))
+    by_fault = storm.faults[indices][wrong]
+    names, counts = np.unique(by_fault, return_counts=True)
+    return StormCount(
+        scans=len(sound),
+        injected=int(np.count_nonzero(~sound)),
+        wrong_ok=int(np.count_nonzero(wrong)),
+        covered=int(np.count_nonzero(covered)),
+        sound=int(np.count_nonzero(sound & ~latched)),
+        sound_ok=int(np.count_nonzero(sound & ~latched & (states == State.OK))),
+        latched=int(np.count_nonzero(latched)),
+        wrong_by_fault={
+            storm.names[name] if name >= 0 else "none": count
+            for name, count in zip(names.tolist(), counts.tolist(), strict=True)
+        },
+    )
+
+
+def _shifts_of_sensors(calibration: Calibration, shifts: FloatArray) -> FloatArray:
+    """Return the undetected shifts of the pose (m, 6) with those of both readings of a diode together, in amount."""
+    begin, together = 0, [np.abs(shifts)]
+    for sensor in calibration.sensors:
+        if isinstance(sensor, DiodesCalibration):
+            of_diodes = np.abs(shifts[begin : begin + 2 * len(sensor.diodes)])
+            together.append(of_diodes[0::2] + of_diodes[1::2])
+        else:
+            begin += len(sensor.build().reading_names)
+    return np.concatenate(together)
+
+
+def _latched_periods(states: IntArray, faults: IntArray) -> BoolArray:
+    """Return which scans are in a period from a latched or uncounted scan, or the beginning, to the next pose, (n,)."""
+    begins = (faults & Fault.LATCHED != 0) | (states == State.UNCOUNTED)
+    ends = np.isin(states, (State.OK, State.DEGRADED))
+    begins[0] |= not ends[0]
+    latest = np.maximum.accumulate(np.where(begins | ends, np.arange(len(states)), 0))
+    return np.asarray(begins[latest])
+
+
+def run_storm(calibration: Calibration, injected: int, seed: int, on_block: Callable[[int], None]) -> StormCount:
+    """Return the figures of a storm of one stack.
+
+    Args:
+        calibration: Of the stack.
+        injected: Least number of faulty scans.
+        seed: Of the first block; the others follow.
+        on_block: Called after each block with its number of faulty scans.
+
+    """
+    maker = StormMaker(calibration)
+    total = NO_COUNT
+    while total.injected < injected:
+        storm = maker.draw(seed)
+        maker.posor.reset()
+        estimates = estimate_storm(maker.posor, storm, np.random.default_rng(seed))
+        poses = PoseArray(estimates.rotations, estimates.translations)
+        covariances = estimates.covariances_random + estimates.covariances_systematic
+        block = count_storm(calibration, storm, estimates.states, estimates.faults, poses, covariances)
+        total, seed = total + block, seed + 1
+        on_block(block.injected)
+    return total
