@@ -6,6 +6,7 @@ Its results do not depend on the load of the host.
 from __future__ import annotations
 
 import itertools
+import math
 import time
 from contextlib import ExitStack
 from functools import partial
@@ -30,7 +31,12 @@ if TYPE_CHECKING:
     from posor_bringup.supervisor import Parameter
     from posor_estimator.testing.graph import Graph
 
-PARAMETERS: dict[str, Parameter] = {"use_sim_time": True, "qos_reliability": "reliable", "qos_depth": 0}
+PARAMETERS: dict[str, Parameter] = {
+    "use_sim_time": True,
+    "qos_reliability": "reliable",
+    "qos_depth": 0,
+    "freshness.max_silence": math.inf,
+}
 CHAIN_PARAMETERS: dict[str, Parameter] = {"max_wait": 60.0}
 TOPICS = {
     "truth/endpoint": PoseStamped,

@@ -13,8 +13,7 @@ from posor_estimator.bags.calibration_recording import Reference, bag_sha256, lo
 from posor_estimator.calibration.designs import STANDOFF
 from posor_estimator.errors import BagError, PosorError, TrackError
 from posor_estimator.identification.procedures.gap_linearisation import GapLinearisationOptions, linearise_gap_probes
-from posor_estimator.identification.recording import DIODES_ESTIMATED, PROBES_ESTIMATED, SATURATED
-from posor_estimator.model.scan import Scan
+from posor_estimator.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED, SATURATED, Scan
 from posor_estimator.numerics.stamps import NS
 from posor_estimator.testing.simulated_recordings import diode_calibration, lifted_recording
 from posor_msgs.msg import RawScan

@@ -20,7 +20,7 @@ from posor_estimator.model.native_coordinates import rotation_from_native
 from posor_estimator.ros.message_conversion import pose_from_message
 from posor_estimator.sensors.registry import sensor_types
 from posor_estimator.testing.graph import Graph
-from posor_estimator.testing.program import Program, installed, ros_arguments
+from posor_estimator.testing.program import HAND_FED, Program, installed, ros_arguments
 from posor_estimator.testing.random_poses import errors_in_parent
 from posor_msgs.msg import JointTransform, RawScan
 from scipy.stats import chi2
@@ -274,7 +274,7 @@ def test_a_wire_caught_on_something_contradicts_the_others(posor: Posor) -> None
 def test_posor_node_gives_the_same_pose(overlay: Overlay, posor: Posor) -> None:
     scan, rotation, translation = one_scan(posor)
     expected = posor.estimate(scan)
-    parameters = {"calibration": str(overlay.calibration), "qos_reliability": "reliable", "qos_depth": 0}
+    parameters = {"calibration": str(overlay.calibration), "qos_reliability": "reliable", "qos_depth": 0, **HAND_FED}
     node = overlay.command([*installed("posor_estimator", "posor_node"), *ros_arguments(parameters)])
     with Program(node) as program, Graph() as graph:
         transforms = graph.collect(JointTransform, "transform")

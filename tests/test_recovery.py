@@ -74,7 +74,7 @@ def test_a_killed_node_is_restarted_and_no_pose_is_wrong(tmp_path: Path, victim:
     received = [transforms[stamp] for stamp in sorted(transforms)]
     check_transforms(received, undisturbed, restarted_after=before if victim == "posor_node" else None)
     for stamp, pose in poses.items():
-        assert undisturbed[stamp].state == State.OK
+        assert undisturbed[stamp].state in (State.OK, State.DEGRADED)
         error_m = distance(pose.pose, estimate_endpoints(plan, [undisturbed[stamp]])[0])
         assert error_m <= math.sqrt(2.0) * BEAM_M * restart_error(undisturbed[stamp].scan)
         if stamp in transforms:

@@ -125,7 +125,7 @@ def test_estimated_steps_are_marked_and_step_14_of_yzmo_is_refused(replay: Compl
     flags = {step.number: step.scan_status for step in replay.test.steps if step.scan_status}
     assert flags == ESTIMATED[replay.bag]
     refused = {step.number: (step.state, step.faults) for step in replay.test.steps if not step.has_pose}
-    assert refused == ({14: (State.LOST, Fault.OUT_OF_RANGE)} if replay.bag == "yzmo" else {})
+    assert refused == ({14: (State.LOST, Fault.OUT_OF_RANGE | Fault.FLAGGED)} if replay.bag == "yzmo" else {})
 
 
 def test_the_nodes_publish_what_the_core_computes(replay: CompletedReplay) -> None:
