@@ -32,6 +32,7 @@ def scans_at(
     stamps_ns: IntArray,
     *,
     supply_voltages: FloatArray | None = None,
+    temperatures: FloatArray | None = None,
     noise: np.random.Generator | None = None,
 ) -> Scans:
     """Return the raw scans of n poses ``T_R_T``.
@@ -42,6 +43,7 @@ def scans_at(
         translations: Origin of T in R [m], shape (n, 3).
         stamps_ns: Time of each scan [ns], shape (n,).
         supply_voltages: Of the probe electronics [V], shape (n,); None: at each probe's reference, not measured.
+        temperatures: Of the probe electronics [K], shape (n,); None: at each probe's reference, not measured.
         noise: Random generator of the electronics' noise, as large as the calibration says; None: no noise.
 
     Returns:
@@ -51,6 +53,8 @@ def scans_at(
     scans = empty_scans(stamps_ns)
     if supply_voltages is not None:
         scans = scans.with_fields({"supply_voltages": supply_voltages})
+    if temperatures is not None:
+        scans = scans.with_fields({"temperatures": temperatures})
     for sensor in _row_sensors(stack):
         readings, fields = _readings(sensor, rotations, translations)
         scans = scans.with_fields(fields)

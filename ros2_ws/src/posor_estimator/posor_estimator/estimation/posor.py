@@ -83,6 +83,7 @@ class Posor:
         self.stack = Stack([sensor.build() for sensor in calibration.sensors])
         self.redundancy = max(self.stack.readings - 6, 0)
         self._false_alarm = false_alarm
+        self._slip_angle = max(sensor.slip_angle for sensor in calibration.sensors)
         correlated = any(record.covariances for record in calibration.fits)
         self._square_root = CovarianceSquareRoot.of(
             self.stack.parameter_sigmas, stated_correlation(calibration, calibration.session) if correlated else None
@@ -105,8 +106,7 @@ class Posor:
         for sensor in self.calibration.sensors:
             if sensor.bump_angle > 0.0 and settings["bump_angle"] == 0.0:
                 settings["bump_angle"], settings["home_theta"] = sensor.bump_angle, sensor.home_theta
-        slips = [sensor.slip_angle for sensor in self.calibration.sensors]
-        settings["period"] = settings["bump_angle"] or max(slips)
+        settings["period"] = settings["bump_angle"] or self._slip_angle
         self._prepare_environment(settings)
         self._prepare_frozen(settings)
         settings["tilt_lags"] = self.calibration.tilt_angle is TiltAngle.PREVIOUS_SCAN

@@ -113,29 +113,26 @@ def slip_angle(diodes: FloatArray, sources: FloatArray, sigma: float) -> float:
         return 0.0
     azimuths = np.arctan2(sources[:, 1], sources[:, 0])
     distances = np.linalg.norm(sources[:, None] - sources[None, :], axis=2)
-    pairs = _pairs_seen(diodes, sources)
+    one, other = np.tril_indices(len(diodes), -1)
+    seen = _sources_seen(diodes, sources)
+    seen_distances = distances[seen[:, one], seen[:, other]]
     smallest = math.inf
     for slip in range(1, count):
-        slipped = np.roll(distances, (-slip, -slip), axis=(0, 1))
-        if not all(_contradict(distances, slipped, seen) > CONTRADICTION * sigma for seen in pairs):
+        slipped = (seen + slip) % count
+        differences = np.abs(distances[slipped[:, one], slipped[:, other]] - seen_distances)
+        if not np.all(np.max(differences, axis=1, initial=0.0) > CONTRADICTION * sigma):
             angles = np.abs(np.mod(np.roll(azimuths, -slip) - azimuths + math.pi, 2.0 * math.pi) - math.pi)
             smallest = min(smallest, float(np.min(angles)))
     return smallest if smallest < math.inf else 0.0
 
 
-def _contradict(distances: FloatArray, slipped: FloatArray, pairs: list[tuple[int, int]]) -> float:
-    """Return the largest difference of the distances of pairs [m]; zero for a single diode, which sees no distance."""
-    return max((abs(float(distances[pair] - slipped[pair])) for pair in pairs), default=0.0)
-
-
-def _pairs_seen(diodes: FloatArray, sources: FloatArray) -> list[list[tuple[int, int]]]:
-    """Return the pairs of sources nearest to two diodes, all pairs of diodes, for every theta at which they change."""
-    found = set()
-    for theta in np.linspace(0.0, 2.0 * math.pi, 16 * len(sources), endpoint=False):
-        c, s = math.cos(theta), math.sin(theta)
-        seen = sources @ np.array([[c, s], [-s, c]])
-        found.add(tuple(int(np.argmin(np.sum(np.square(seen - diode), axis=1))) for diode in diodes))
-    return [[(lit[a], lit[b]) for a in range(len(lit)) for b in range(a)] for lit in sorted(found)]
+def _sources_seen(diodes: FloatArray, sources: FloatArray) -> IntArray:
+    """Return the source nearest to each diode for every theta at which one changes, shape (thetas, d)."""
+    thetas = np.linspace(0.0, 2.0 * math.pi, 16 * len(sources), endpoint=False)
+    c, s = np.cos(thetas)[:, None], np.sin(thetas)[:, None]
+    x, y = c * sources[:, 0] - s * sources[:, 1], s * sources[:, 0] + c * sources[:, 1]  # (thetas, n)
+    nearest = [np.argmin(np.square(x - diode[0]) + np.square(y - diode[1]), axis=1) for diode in diodes]
+    return np.unique(np.stack(nearest, axis=1), axis=0)
 
 
 class DiodesCalibration(SensorCalibration):

@@ -60,7 +60,7 @@ def test_the_new_file_is_the_old_one_with_new_values_and_a_record(rig_calibratio
     assert (probe.zero_shift.value, probe.zero_shift.sigma, probe.zero_shift.unit) == (0.123456789012, 1e-3, "V")
     assert probe.tip.sigma == [1e-5, 2e-5, 0.0]
     assert new.sessions["today"].zero_shifts is not None
-    assert new.version == 2
+    assert new.version == 3
     [record] = new.fits
     assert (record.procedure, record.date, record.method) == ("bench", "2026-01-31T12:00:00Z", "bench work")
     assert (record.recording.name, record.recording.sha256) == ("monday", "ab" * 32)

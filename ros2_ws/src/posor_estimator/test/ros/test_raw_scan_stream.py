@@ -14,6 +14,7 @@ from posor_estimator.errors import TopicError
 from posor_estimator.estimation.forward import scans_at
 from posor_estimator.estimation.message_stream import MessageEstimator
 from posor_estimator.estimation.posor import Posor
+from posor_estimator.estimation.tracking import MARKS
 from posor_estimator.model.fault import Fault, State
 from posor_estimator.model.native_coordinates import rotation_from_native
 from posor_estimator.ros.cdr_scan import RAW_SCAN, scan_of
@@ -55,7 +56,7 @@ def moving(posor: Posor, *, start: float = 0.05) -> list[RawScan]:
     translations = np.tile([2e-5, 1e-5, 0.7e-3], (COUNT, 1))
     stamps = np.arange(1, COUNT + 1, dtype=np.int64) * TICK_NS + 1_700_000_000 * 10**9
     scans = scans_at(posor.stack, rotations, translations, stamps, noise=np.random.default_rng(4))
-    scans.at_home[2] = 1
+    scans.at_home[1 : 1 + MARKS] = 1
     scans.gap_voltages[7, 1] = np.nan
     for spoiled in (scans.ring_voltages, scans.diode_currents[:, :, 0]):
         spoiled[15:16, 0:1] *= 1.05
@@ -241,7 +242,7 @@ def test_unusable_scans_are_lost_and_every_number_is_nan(spoil: str, known: bool
 def test_unusable_scans_leave_count_and_previous_pose_alone(compiled: bool) -> None:  # noqa: FBT001
     posor = Posor(design("triad_bumpy_ring", motion=True))
     posor = posor if compiled else in_python(posor)
-    messages = moving(posor, start=0.0)[:6]
+    messages = moving(posor, start=0.0)[: 1 + MARKS]
     raw = [RAW_SCAN.serialize(message) for message in messages]
     undisturbed = RawScanStream(posor, raw[0], "total")
     wanted = [undisturbed.estimate_message(data) for data in raw]

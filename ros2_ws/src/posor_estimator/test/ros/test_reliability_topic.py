@@ -12,6 +12,7 @@ import pytest
 from posor_estimator.calibration.designs import STANDOFF
 from posor_estimator.chain.kinematic_chain import load_chain
 from posor_estimator.estimation.posor import Posor
+from posor_estimator.model.native_coordinates import rotation_from_native
 from posor_estimator.testing.graph import Graph, set_stamp
 from posor_estimator.uncertainty.budget_poses import scan_at
 from posor_estimator.uncertainty.protection_level import endpoint_effects, endpoint_protection_level
@@ -32,9 +33,10 @@ URDF = Path(__file__).resolve().parents[3] / "posor_bringup" / "urdf" / "slocum1
 def test_posor_node_publishes_what_its_redundancy_detects(tmp_path: Path) -> None:
     with NodeRig(tmp_path) as rig:
         messages = rig.graph.collect(JointReliability, "reliability")
-        rig.send(2, (0.0, 0.0, STANDOFF, 0.0, 0.0, 0.0))
+        _, transform = rig.send(2, (0.0, 0.0, STANDOFF, 0.0, 0.0, 0.0))
         rig.graph.wait_until(lambda: bool(messages), "a reliability")
-    posor, pose = Posor(rig.calibration), pin.SE3(np.eye(3), np.array([0.0, 0.0, STANDOFF]))
+    posor, native = Posor(rig.calibration), transform.native
+    pose = pin.SE3(rotation_from_native(*native[3:]), native[:3])
     expected, found = joint_reliability(posor, scan_at(posor, pose), pose), messages[0]
     frames = rig.calibration.frames
     assert (found.header.frame_id, found.child_frame_id) == (frames.parent, frames.child)

@@ -1,7 +1,7 @@
 """Noise-free closure: scans of known poses through the estimator and through the closed form of the thesis.
 
-The closed form holds for small angles and probes at (-c, 0), (0, a), (0, -b), without tilts, slanting rays and bump
-profile. Source: thesis 5.3.1, equations 5.3, 5.25 and 5.32.
+The closed form holds for small angles without tilts, slanting rays and bump profile. Of more than three gap probes it
+takes the plane of least squares. Source: thesis 5.3.1, equations 5.3, 5.25 and 5.32.
 """
 
 from __future__ import annotations
@@ -64,19 +64,17 @@ def closed_form(
     """Return R_R_T (3, 3) and the origin of T in R (3,) [m] of one scan by the closed form.
 
     Args:
-        rows: Reading rows, shape (m,), dtype ROW: three gaps, then two spots or four ring gaps.
+        rows: Reading rows, shape (m,), dtype ROW: three or more gaps, then two spots or four ring gaps.
         readings: Linearised readings [m], shape (m,).
         bumps: Number of bumps of the ring.
         known_theta: Theta to half a bump [rad]; for rings.
 
     """
     kinds = rows["kind"]
-    g1, g2, g3 = readings[kinds == GAP]
     tips = rows["tip"][kinds == GAP]
-    a, b, c = tips[1, 1], -tips[2, 1], -tips[0, 0]
-    alpha = math.atan((g2 - g3) / (a + b))
-    beta = math.atan((g1 - (b * g2 + a * g3) / (a + b)) / c)
-    gap = g3 + b * math.tan(alpha)
+    plane = np.column_stack([np.ones(len(tips)), tips[:, 1], -tips[:, 0]])
+    (gap, tan_alpha, tan_beta), *_ = np.linalg.lstsq(plane, readings[kinds == GAP])
+    alpha, beta = math.atan(tan_alpha), math.atan(tan_beta)
     if np.any(kinds == RING):
         x, y, theta = _solve_ring(rows[kinds == RING], readings[kinds == RING], bumps, known_theta)
     else:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from posor_estimator.calibration.calibration_file import Environment
 from posor_estimator.calibration.designs import DesignName, design
 from posor_estimator.estimation.forward import scans_at
 from posor_estimator.estimation.posor import Posor
@@ -71,11 +73,19 @@ def monte_carlo(stack: DesignName, draws: int, seed: int) -> MonteCarlo:
     random_ratio = _worst_ratio(errors, np.mean(np.diagonal(found.covariances_random, axis1=1, axis2=2), axis=0))
 
     values, sigmas = posor.stack.parameter_values, posor.stack.parameter_sigmas
+    environment = posor.calibration.environment or Environment()
+    parts = [environment.supply, environment.temperature]
+    middles = np.array([0.0 if part is None else np.mean(part.range.array) for part in parts])
+    spreads = np.array([0.0 if part is None else part.spread.number for part in parts])
     variances = np.zeros(FREEDOMS)
     for n in range(draws):
-        # The real POSOR differs from its calibration; the estimator knows the calibration only.
+        # The real POSOR differs from its calibration; the estimator knows the calibration only. Nor is it told the
+        # supply and the temperature, which deviate from their references in the middle of the range.
         real = posor.stack.with_parameter_values(values + sigmas * random.normal(size=sigmas.size))
-        found = posor.estimate_each(scans_at(real, rotation, translation, stamps[:1]), thetas[:1])
+        supply, temperature = (middles + spreads * random.normal(size=2))[:, None]
+        scans = scans_at(real, rotation, translation, stamps[:1], supply_voltages=supply, temperatures=temperature)
+        scans = scans.with_fields({"supply_voltages": [math.nan], "temperatures": [math.nan]})
+        found = posor.estimate_each(scans, thetas[:1])
         errors[n] = errors_in_parent(found.rotations, found.translations, rotation, translation)[0]
         variances += np.diagonal(found.covariances_systematic[0]) / draws
     return MonteCarlo(random_ratio, _worst_ratio(errors, variances))

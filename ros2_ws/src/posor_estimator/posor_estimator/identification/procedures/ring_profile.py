@@ -49,7 +49,7 @@ from posor_estimator.identification.procedure import (
 )
 from posor_estimator.identification.recording import SCALAR
 from posor_estimator.model.fault import Fault, State
-from posor_estimator.model.scan import PROBES_ESTIMATED, SATURATED
+from posor_estimator.model.scan import PROBES_ESTIMATED, SATURATED, STATED_HOME
 from posor_estimator.sensors.bumpy_ring import BumpyRingCalibration
 
 if TYPE_CHECKING:
@@ -212,14 +212,16 @@ def _check_coherence(lead: FloatArray, part: BumpyRingCalibration, source: str) 
 def _estimate_poses(
     scans: Scans, calibration: Calibration, reference: FloatArray | None, bump: float, where: str
 ) -> Estimates:
-    """Return poses with theta counted from the home mark or by the reference; FitError: neither, or count lost."""
+    """Return poses with theta counted from the first home mark or by the reference; FitError: neither, or count lost."""
     posor = Posor(calibration.model_copy(update={"motion": None}), false_alarm=0.0)
     if reference is not None:
         return posor.estimate_each(scans, reference)
-    estimates = posor.estimate_all(scans)
     homes = np.flatnonzero(scans.at_home)
     if not homes.size:
         raise FitError("no scan saw the home mark", where=where, expected="at least one, or a reference of theta")
+    marks = scans.at_home.copy()
+    marks[homes[0]] = STATED_HOME  # turns that do not close show a spurious mark
+    estimates = posor.estimate_all(scans.with_fields({"at_home": marks}))
     lost = np.flatnonzero((estimates.faults[homes[0] :] & int(Fault.COUNT)) != 0)
     if lost.size:
         number = int(scans.numbers[homes[0] + lost[0]])

@@ -19,19 +19,21 @@ TOPIC = "/stage"
 PER_DWELL = 12
 STEP_NS = 20_000_000
 SIGMA = 0.3e-6
-FACING = np.radians(5.0)
-"""Where a source of the ring stands over the middle of each diode [rad]."""
+FACING, TURN = np.radians(-151.3), np.radians(-120.0)
+"""Where a source stands over the middle of the second diode, and the turn that brings it to the first one [rad]."""
+LEAN = 2e-3
+"""Spread of the true leans of the rays [rad]."""
 STAGE_LEAN = np.array([1.5e-3, -0.8e-3])
 
 
-def simulate(random: np.random.Generator, thetas: tuple[float, ...] = (FACING, FACING + np.pi)) -> SimulatedCase:
+def simulate(random: np.random.Generator, thetas: tuple[float, ...] = (FACING, FACING + TURN)) -> SimulatedCase:
     calibration = design("triad_light_ring")
     stack = Posor(calibration).stack
     names, values = list(stack.parameter_names), stack.parameter_values
     truth = {}
     for source in range(36):
         where = [names.index(f"Diodes.source_directions[{source},{i}]") for i in range(3)]
-        leaning = values[where] + [*(2e-3 * random.normal(size=2)), 0.0]
+        leaning = values[where] + [*(LEAN * random.normal(size=2)), 0.0]
         values[where] = truth[source] = leaning / np.linalg.norm(leaning)
     heights = np.linspace(0.0, 12e-3, 7)
     dwells = [(theta, height) for theta in thetas for height in heights]
@@ -61,14 +63,14 @@ def test_reversal_separates_rays_from_the_stage_and_intervals_cover(rng: np.rand
     normalised = []
     for _ in range(30):
         case = simulate(rng)
-        outcome = case.identify()
+        outcome = case.identify(expected_lean=LEAN)
         for new in outcome.replacements:
             errors = np.array(new.value)[:2] - case.truth[source_of(new.key)][:2]
             normalised.append(errors / np.array(new.sigma)[:2])
         fit = outcome.fits["light_sources"]
         assert fit.value("lean of the stage along X") == pytest.approx(STAGE_LEAN[0], abs=5.0 * fit.sigmas[0])
-    assert len(outcome.replacements) == 2
-    check_coverage(normalised, 0.04, 0.15)
+    assert len(outcome.replacements) == 3  # one source is seen by both diodes
+    check_coverage(normalised, 0.05, 0.3)  # the reference states an uncertainty of its angles that is not simulated
 
 
 def test_without_a_reversal_the_stage_must_be_known(rng: np.random.Generator) -> None:
