@@ -1,7 +1,7 @@
 # POSOR for ROS 2. Every target sets the workspace up first; this takes a fraction of a second if nothing has changed.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo arm calibrate-demo faults test coverage accuracy budgets bench bench-core data docs lint words lines lock clean
+.PHONY: help setup demo arm calibrate-demo faults test test-long coverage accuracy budgets bench bench-core data docs lint words lines lock clean
 
 BAG ?= ymo
 CAL ?= printed
@@ -21,6 +21,7 @@ help:
 	@echo "make calibrate-demo [CAMPAIGNS=6] [POSOR=both]         calibrate simulated POSORs from bags, compare with the truth"
 	@echo "make faults [FAULTS='--quick ...']                     inject every fault, count wrong poses published as valid"
 	@echo "make test [TESTS='path ...']                           linters and all tests, or only the tests of TESTS"
+	@echo "make test-long [TESTS='path ...']                      the tests that take long: many draws, whole campaigns, benchmarks"
 	@echo "make lint                                              ruff, mypy and forbidden words"
 	@echo "make coverage                                          covered lines of the numerical packages"
 	@echo "make accuracy                                          closure, consistency and fault detection of the estimator"
@@ -53,6 +54,9 @@ faults: setup
 
 test: setup
 	@.venv/bin/python -E tools/run_tests.py $(TESTS)
+
+test-long: setup
+	@.venv/bin/python -E tools/run_tests.py --long $(TESTS)
 
 coverage: setup
 	@.venv/bin/python -E tools/measure_coverage.py

@@ -91,6 +91,7 @@ def test_arm_runs_and_reports(output: Path) -> None:
     assert set(figures["budget"]) == {"extended", "bent"}
 
 
+@pytest.mark.long
 def test_same_run_gives_the_same_figures(output: Path) -> None:
     names = ("one", "two")
     with ExitStack() as stack:

@@ -75,6 +75,7 @@ def parts(messages_: list[Any]) -> tuple[list[str], FloatArray]:
     return [leaf for leaf in every if isinstance(leaf, str)], np.array([x for x in every if not isinstance(x, str)])
 
 
+@pytest.mark.long
 def test_the_script_makes_the_committed_bag_and_the_same_bytes_each_time(tmp_path: Path) -> None:
     for run in ("one", "other"):
         subprocess.run([sys.executable, str(BAGS / "make_arm_bag.py"), str(tmp_path / run)], check=True)

@@ -25,8 +25,8 @@ def write_test_files(folder: Path, **files: str) -> None:
         (folder / f"test_{name}.py").write_text(dedent(text), encoding="utf-8")
 
 
-def run_tests(*paths: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*RUNNER, *map(str, paths)], capture_output=True, text=True, check=False)
+def run_tests(*arguments: Path | str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*RUNNER, *map(str, arguments)], capture_output=True, text=True, check=False)
 
 
 def test_counts_and_reasons(tmp_path: Path) -> None:
@@ -46,6 +46,15 @@ def test_counts_and_reasons(tmp_path: Path) -> None:
     assert any(line.endswith("test_good.py: 2 passed") for line in lines)
     assert any(line.startswith("skipped: ") and line.endswith("no rig on this machine") for line in lines)
     assert lines[-1] == "2 passed, 0 failed, 1 skipped"
+
+
+def test_long_tests_run_only_when_asked_for(tmp_path: Path) -> None:
+    long = "import pytest\n@pytest.mark.long\ndef test_a(): pass\n"
+    write_test_files(tmp_path, long=long, short="def test_b(): pass\ndef test_c(): pass\n")
+    for arguments, count in (([tmp_path], 2), (["--long", tmp_path], 1)):
+        done = run_tests(*arguments)
+        assert done.returncode == 0, done.stdout
+        assert done.stdout.splitlines()[-1] == f"{count} passed, 0 failed, 0 skipped"
 
 
 @pytest.mark.parametrize(

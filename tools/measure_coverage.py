@@ -1,7 +1,7 @@
 """Measure which lines of the numerical packages their tests execute: ``make coverage``.
 
 Kernels stay uncompiled (``POSOR_COMPILE=0``), because the lines of compiled code cannot be observed. Tests with the
-marker ``statistical`` are left out: they repeat thousands of times what another test runs. The exit code is 1 if less
+marker ``long`` are left out: they repeat many times what another test runs. The exit code is 1 if less
 than 95 % of the lines of a package are covered or a test fails.
 """
 
@@ -26,7 +26,7 @@ def run_tests() -> int:
     """Run the tests of the numerical packages under observation, write the report and return pytest's exit code."""
     folders = [str(TESTS / package) for package in PACKAGES if (TESTS / package).is_dir()]
     measured = [f"--cov=posor_estimator.{package}" for package in PACKAGES]
-    options = ["-q", "-m", "not statistical", "--timeout=1200", f"--cov-report=json:{REPORT}"]
+    options = ["-q", "-m", "not long", "--timeout=1200", f"--cov-report=json:{REPORT}"]
     command = [str(THIS.python), "-m", "pytest", *options, *measured, *folders]
     environ = workspace_environment() | {"POSOR_COMPILE": "0", "OPENBLAS_NUM_THREADS": "1"}
     return subprocess.run(command, cwd=THIS.root, env=environ, check=False).returncode

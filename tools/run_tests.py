@@ -5,11 +5,13 @@ two such processes run at a time. The tests of the packages that import no ROS s
 saves a second of imports for each file. These and the linters run at low priority in the processor time that the nodes
 of the other tests leave while they wait. Every process uses one thread of linear algebra, because threads of small
 matrices wait for each other. The output ends with every skipped test and its reason, the failed files, and ``N passed,
-N failed, N skipped``. Arguments: paths of tests; without arguments, the linters and all tests run.
+N failed, N skipped``. Arguments: paths of tests; without paths, the linters and all tests run. Tests with the marker
+``long`` are left out; with the option ``--long`` they alone run.
 """
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import os
 import signal
@@ -25,13 +27,24 @@ from environment import THIS, SetupError, workspace_environment
 
 PROCESSES = min(2, os.cpu_count() or 1)  # of each priority
 LOW_PRIORITY = 4  # nice value
+NO_TESTS = 5  # pytest's exit code
 PROCESS_TIMEOUT_S = 900.0  # in addition to pytest's own timeout for each test
 INTERRUPT_TIMEOUT_S = 20.0  # for an interrupted pytest to stop the nodes of its tests
 SINGLE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}  # numpy and scipy; the caller's own setting has precedence
 REPORTS = THIS.root / "build" / "test"
 WITHOUT_ROS = tuple(  # folders whose tests share a process; tests/test_import_layers.py checks their packages
     THIS.ros2 / "src" / "posor_estimator" / "test" / package
-    for package in ("numerics", "model", "sensors", "estimation", "calibration", "identification", "uncertainty")
+    for package in (
+        "numerics",
+        "model",
+        "sensors",
+        "estimation",
+        "chain",
+        "calibration",
+        "identification",
+        "uncertainty",
+        "reporting",
+    )
 )
 
 
@@ -96,8 +109,8 @@ def display_name(path: Path) -> str:
     return str(path.relative_to(THIS.root) if path.is_relative_to(THIS.root) else path)
 
 
-def make_test_jobs(files: list[Path]) -> list[Job]:
-    """Return one job for all files of a folder without ROS, and one for each other file."""
+def make_test_jobs(files: list[Path], marked: str = "not long") -> list[Job]:
+    """Return one job for all files of a folder without ROS, and one for each other file; only tests so ``marked``."""
     groups: dict[Path, list[str]] = {}
     for file in files:
         key = next((folder for folder in WITHOUT_ROS if file.is_relative_to(folder)), file)
@@ -106,7 +119,7 @@ def make_test_jobs(files: list[Path]) -> list[Job]:
     for key, names in groups.items():
         report = REPORTS / (display_name(key).strip("/").replace("/", ".") + ".xml")
         options = ["-c", str(THIS.root / "pyproject.toml"), "-q", "--color=no", f"--junitxml={report}"]
-        command = [str(THIS.python), "-m", "pytest", *options, *names]
+        command = [str(THIS.python), "-m", "pytest", *options, "-m", marked, *names]
         jobs.append(Job(display_name(key), command, report, low_priority=key in WITHOUT_ROS))
     return jobs
 
@@ -169,6 +182,8 @@ class Runner:
         self.running.discard(process)
         job.seconds = time.monotonic() - start
         job.read_report()
+        if process.returncode == NO_TESTS and " deselected" in job.output:
+            return job
         if process.returncode and not job.failed:
             job.failed = 1
             job.output += f"{ending}\n"
@@ -206,13 +221,17 @@ def print_summary(jobs: list[Job]) -> None:
 
 def main() -> int:
     """Run the tests named on the command line, or the linters and all tests, and return the exit code."""
+    parser = argparse.ArgumentParser(description="Run the linters and the tests.")
+    parser.add_argument("--long", action="store_true", help="only the tests that are left out otherwise")
+    parser.add_argument("paths", nargs="*", help="files or folders; default: all tests, and the linters")
+    options = parser.parse_args()
     try:
-        jobs = make_test_jobs(find_test_files(sys.argv[1:]))
+        jobs = make_test_jobs(find_test_files(options.paths), "long" if options.long else "not long")
         environ = workspace_environment()
     except SetupError as error:
         sys.stderr.write(f"make test: {error}\n")
         return 2
-    if not sys.argv[1:]:
+    if not options.paths and not options.long:
         jobs.insert(0, Job("make lint", ["make", "--no-print-directory", "lint"], low_priority=True))
     REPORTS.mkdir(parents=True, exist_ok=True)
     signal.signal(signal.SIGTERM, signal.default_int_handler)

@@ -20,10 +20,10 @@ from posor_estimator.estimation.tracking import (
     MARKS,
     POSITION_FAULTS,
     REFERENCE_SIGMAS,
-    REGAIN_GAP,
     RESIDUAL_RUN,
     add_prior,
     copy_pose,
+    count_is_stale,
     forget_pose,
     is_regained,
     latch,
@@ -238,6 +238,8 @@ def locate(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in order
     tracked, elapsed = tracker.initialised, stamp - tracker.stamp
     may_retry = tracked and not tracker.start_given and settings.bump_angle == 0.0
     latched = tracker.latch
+    if limited and tracked and count_is_stale(settings, tracker, elapsed):
+        tracker.counted = 0
     estimate.residual = math.nan
     outcome, faults = _solve(model, stamp, extrapolate)
     bridged = faults != 0
@@ -299,8 +301,6 @@ def locate(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in order
             tracker.latch &= ~POSITION_FAULTS
         else:
             moved_on = False
-            if elapsed > REGAIN_GAP * tracker.latch_interval:
-                tracker.counted = 0  # nobody has followed the motion
     elif tracked and limited and not recounted:
         position, about_z = motion_gate(workspace, tracker.pose, elapsed, estimate.random)
         if max(position, about_z) > 1.0:

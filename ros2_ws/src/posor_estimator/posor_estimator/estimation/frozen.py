@@ -18,8 +18,8 @@ from posor_estimator.numerics.compiled import inlined
 if TYPE_CHECKING:
     from posor_estimator.estimation.workspace import Model
 
-FROZEN = 9.0
-"""Evidence of one channel that it is frozen: by chance once in 1e9 scans."""
+FROZEN = 6.0
+"""Evidence of one channel that it is frozen: by chance once in a million scans."""
 ALL_FROZEN = 3.5
 """Evidence of all channels together, so that the first repeated scan is seen; a wrong alarm costs one scan."""
 ALL = -1

@@ -157,6 +157,13 @@ def latch(tracker: Any, faults: int, about_theta: int, elapsed: float) -> None:
 
 
 @inlined
+def count_is_stale(settings: Any, tracker: Any, elapsed: float) -> bool:
+    """Return whether nobody has followed the motion for so long that theta can be half a period away."""
+    unseen = elapsed > REGAIN_GAP * tracker.interval and tracker.interval > 0.0
+    return bool(unseen and settings.max_theta_rate * elapsed > 0.5 * settings.period)
+
+
+@inlined
 def is_regained(workspace: Any, stamp: float, covariance: FloatArray) -> bool:
     """Return whether the pose goes on from the last accepted pose, and not from one that was rejected since."""
     tracker, centre = workspace.tracker, workspace.start_pose

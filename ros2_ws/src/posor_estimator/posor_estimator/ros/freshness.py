@@ -32,6 +32,8 @@ SILENT_PERIODS = 10
 """Mean periods without input that count as silence, unless ``max_silence`` is longer."""
 PERIODS = 5
 """Last measured periods of which the median counts, so that neither a pause nor a burst changes it."""
+AFTER_CROWD_S = 0.2
+"""Time after the last second publisher has gone, in which a message of it may still arrive."""
 MAX_NOTES = 3
 """Anomalies that are reported in a second; all are counted."""
 INPUT_STATUS = "input"
@@ -187,6 +189,7 @@ class InputMonitor:
         self._timer: Any = None
         self._notes: list[str] = []
         self._reported: tuple[str, ...] | None = None
+        self._crowd, self._crowd_until_s = "", -math.inf
         self.silent_names: list[str] = []
         self.silent = ""
         node.diagnostics.add_refresh(self._refresh)
@@ -256,11 +259,17 @@ class InputMonitor:
         self._on_check(is_new)
 
     def crowded(self) -> str:
-        """Return the sentence on topics with several publishers, whose messages must not be used; else empty."""
+        """Return the sentence on a topic that has or just had several publishers: use none of its messages.
+
+        Empty: there is none.
+        """
         for _, each in self._inputs:
             if each is not None and (count := each.publisher_count()) > 1:
-                return f"{count} publishers on {each.topic_name}; expected one"
-        return ""
+                self._crowd = f"{count} publishers on {each.topic_name}; expected one"
+                self._crowd_until_s = monotonic() + AFTER_CROWD_S
+        if self._crowd and monotonic() > self._crowd_until_s:
+            self._crowd = ""
+        return self._crowd
 
     def _refresh(self) -> None:
         """Report present ages, and forget anomalies of the last second."""

@@ -25,7 +25,7 @@ def with_shift(calibration: Calibration, shift: float) -> Calibration:
     return calibration.model_copy(update={"sensors": sensors})
 
 
-@pytest.mark.statistical
+@pytest.mark.long
 def test_drifts_of_a_calibration_that_holds_are_standard_normal() -> None:
     drifts, alarms = [], 0
     for seed in range(8):

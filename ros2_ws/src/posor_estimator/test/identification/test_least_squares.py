@@ -61,6 +61,7 @@ def test_analytic_derivatives_give_what_differences_give(given: bool) -> None:  
     np.testing.assert_allclose(found.jacobian, jacobian(found.values), rtol=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("loss", "prior"), [("linear", False), ("linear", True), ("huber", False), ("huber", True)])
 def test_stated_uncertainties_cover_the_truth(loss: Any, prior: bool) -> None:  # noqa: FBT001  a case
     runs, inside = 1000, np.zeros(3)

@@ -150,7 +150,7 @@ def budget_of(calibration: Calibration) -> ErrorBudget:
     return error_budget(posor, scan_at(posor, POSE), POSE)
 
 
-@pytest.mark.statistical
+@pytest.mark.long
 def test_the_budgets_draws_are_of_the_stated_covariance() -> None:
     # Large uncertainties that cancel in the gap, and others that do not.
     correlation = np.array([[1.0, -0.97, 0.9], [-0.97, 1.0, -0.97], [0.9, -0.97, 1.0]])
@@ -164,7 +164,7 @@ def test_the_budgets_draws_are_of_the_stated_covariance() -> None:
     assert np.max(np.abs(drawn.sigmas / alone - 1.0)) > 0.2
 
 
-@pytest.mark.statistical
+@pytest.mark.long
 def test_draws_from_the_stated_covariance_scatter_as_the_estimator_says() -> None:
     # What a linearisation leaves: large uncertainties of the coefficients that all but cancel in the gap.
     correlation = np.array([[1.0, -0.97, 0.9], [-0.97, 1.0, -0.97], [0.9, -0.97, 1.0]])

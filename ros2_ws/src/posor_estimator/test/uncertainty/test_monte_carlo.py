@@ -57,7 +57,7 @@ def case(stack: DesignName) -> tuple[Posor, pin.SE3, Scan, ErrorBudget, MonteCar
     return posor, pose, scan, budget, monte_carlo(posor, scan, pose, POINTS, seed=SEED, max_draws=2 * BATCH)
 
 
-@pytest.mark.statistical
+@pytest.mark.long
 @pytest.mark.parametrize("stack", STACKS[:3])
 def test_draws_agree_with_the_first_order(stack: DesignName) -> None:
     _, _, _, budget, drawn = case(stack)
@@ -68,7 +68,7 @@ def test_draws_agree_with_the_first_order(stack: DesignName) -> None:
     np.testing.assert_allclose((drawn.high - drawn.low) / 2.0, COVERAGE_FACTOR * budget.sigmas, rtol=0.04)
 
 
-@pytest.mark.statistical
+@pytest.mark.long
 def test_validation_detects_a_wrong_first_order() -> None:
     _, _, _, budget, drawn = case("triad_diodes")
     assert all(one.holds for one in validate(budget, drawn))
@@ -78,7 +78,7 @@ def test_validation_detects_a_wrong_first_order() -> None:
     assert not any(one.holds for one in validate(shifted, drawn))
 
 
-@pytest.mark.statistical
+@pytest.mark.long
 def test_the_seed_fixes_the_draws_and_two_digits_need_more_of_them() -> None:
     posor, pose, scan, _, first = case("triad_diodes")
     calls: list[int] = []
@@ -89,7 +89,7 @@ def test_the_seed_fixes_the_draws_and_two_digits_need_more_of_them() -> None:
     assert 0 < calls[-1] < 2 * BATCH
 
 
-@pytest.mark.statistical
+@pytest.mark.long
 def test_validation_fails_for_a_model_far_from_linear() -> None:
     # A cubic linearisation read where its slope nearly vanishes: noise is no longer passed on in proportion.
     content = design("triad_diodes").model_dump(mode="json")
@@ -114,7 +114,7 @@ def test_too_few_draws_are_refused() -> None:
         monte_carlo(posor, scan_at(posor, pose), pose, seed=SEED, max_draws=15_000)
 
 
-@pytest.mark.statistical
+@pytest.mark.long
 def test_too_many_lost_draws_are_refused() -> None:
     posor = Posor(design("triad_diodes"))
     near, far = 0.735e-3, 1.7e-3

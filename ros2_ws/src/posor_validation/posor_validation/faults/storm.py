@@ -322,8 +322,8 @@ class StormCount:
 
     scans: int
     injected: int
-    wrong_ok: int
-    covered: int  # of sound readings, or of a stuck one that hardly differs yet: within the protection level
+    wrong_ok: int  # beyond 5 standard deviations of the truth, and published as valid
+    uncovered: int  # of these, without those that the protection level covers and may cover
     sound: int  # scans without a fault, outside of a latched period
     sound_ok: int
     latched: int  # scans without a fault in a latched period
@@ -337,7 +337,7 @@ class StormCount:
             self.scans + other.scans,
             self.injected + other.injected,
             self.wrong_ok + other.wrong_ok,
-            self.covered + other.covered,
+            self.uncovered + other.uncovered,
             self.sound + other.sound,
             self.sound_ok + other.sound_ok,
             self.latched + other.latched,
@@ -398,7 +398,6 @@ def count_storm(
             level = endpoint_protection_level([shifts], [np.eye(6)], covariances[n])
             one = np.array([n])
             covered[n] = np.all(np.abs(small_errors(poses.select(one), storm.truth.select(one))) <= level)
-    wrong &= ~covered
     latched = sound & _latched_periods(states, faults)
     indices = np.maximum.accumulate(np.where(sound, 0, np.arange(len(sound))))
     by_fault = storm.faults[indices][wrong]
@@ -407,7 +406,7 @@ def count_storm(
         scans=len(sound),
         injected=int(np.count_nonzero(~sound)),
         wrong_ok=int(np.count_nonzero(wrong)),
-        covered=int(np.count_nonzero(covered)),
+        uncovered=int(np.count_nonzero(wrong & ~covered)),
         sound=int(np.count_nonzero(sound & ~latched)),
         sound_ok=int(np.count_nonzero(sound & ~latched & (states == State.OK))),
         latched=int(np.count_nonzero(latched)),

@@ -49,6 +49,7 @@ def test_normalised_errors_are_in_their_band(stack: DesignName) -> None:
     assert figures.low < figures.mean < figures.high
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("stack", STACKS)
 def test_both_covariances_agree_with_monte_carlo(stack: DesignName) -> None:
     figures = monte_carlo(stack, 4000, SEED)

@@ -44,6 +44,7 @@ def test_output_that_cannot_be_written_is_refused(tmp_path: Path, capsys: pytest
     assert str(tmp_path / "file") in capsys.readouterr().err
 
 
+@pytest.mark.long
 @pytest.mark.timeout(300)
 def test_small_run_gives_all_figures(tmp_path: Path) -> None:
     output = tmp_path / "bench.json"
@@ -117,6 +118,7 @@ def check_rest(results: dict[str, Any]) -> None:
     assert results["offline_memory_mb"] > 0
 
 
+@pytest.mark.long
 def test_interrupted_run_leaves_nothing_behind(tmp_path: Path) -> None:
     program = start_benchmark(tmp_path / "bench.json", "--joints", "1", "--only", "layouts")
     logs = tmp_path / "bench/runs/01_graph_composed_1x2000"

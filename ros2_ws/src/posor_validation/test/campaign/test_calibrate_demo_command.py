@@ -92,6 +92,7 @@ def test_figures_of_every_parameter(diodes: DemoRun) -> None:
     assert set(many["fresh_root_mean_square"]) == set(figures["fresh_poses"]["root_mean_square"])
 
 
+@pytest.mark.long
 def test_the_other_posor_without_further_campaigns(tmp_path: Path) -> None:
     ring = run_demo(tmp_path, "--posor", "triad_bumpy_ring", "--campaigns", "0")
     assert ring.code == 0

@@ -127,6 +127,7 @@ def understate_uncertainty(step: CampaignStep) -> CampaignStep:
     return replace(step, record=record)
 
 
+@pytest.mark.long
 @pytest.mark.timeout(300)
 def test_an_instrument_noisier_than_stated_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     bundle = campaign_steps("triad_diodes")[-1]

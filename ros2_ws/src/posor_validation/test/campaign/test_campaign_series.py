@@ -111,6 +111,7 @@ def test_the_interval_of_a_share_allows_for_dependence_within_a_campaign(shares:
     assert share_interval(MeanEstimate.of(np.array(shares)), len(shares), 50) == pytest.approx(exact)
 
 
+@pytest.mark.long
 def test_an_interrupt_ends_a_series() -> None:
     calls: list[int] = []
 

@@ -212,7 +212,7 @@ def _check_coherence(lead: FloatArray, part: BumpyRingCalibration, source: str) 
 def _estimate_poses(
     scans: Scans, calibration: Calibration, reference: FloatArray | None, bump: float, where: str
 ) -> Estimates:
-    """Return poses with theta counted from the first home mark or by the reference; FitError: neither, or count lost."""
+    """Return poses with theta from the first home mark or the reference on; FitError: neither, or count lost."""
     posor = Posor(calibration.model_copy(update={"motion": None}), false_alarm=0.0)
     if reference is not None:
         return posor.estimate_each(scans, reference)

@@ -69,13 +69,14 @@ def identify(recording: Recording, beam: Transform = ACROSS, **options: Any) -> 
     return PROCEDURE.identify(recording, design("triad_light_ring"), PROCEDURE.options(**given))
 
 
+@pytest.mark.long
 def test_transform_is_found_and_intervals_cover(rng: np.random.Generator) -> None:
     errors = []
     for _ in range(25):
         recording, truth = campaign(rng)
         fit = identify(recording).fits["beam_transform"]
         errors.append((fit.values - truth) / fit.sigmas)
-    assert np.mean(np.abs(errors) < 1.96) == pytest.approx(0.95, abs=0.03)
+    assert np.mean(np.abs(errors) < 1.96) == pytest.approx(0.95, abs=0.04)
     assert np.std(errors) == pytest.approx(1.0, abs=0.15)
 
 

@@ -46,7 +46,7 @@ def test_derivatives_agree_with_differences(name: DesignName, with_reference: bo
         assert (up - down) / 0.2 == pytest.approx(gradient[i], abs=0.01 * (abs(gradient[i]) + abs(bend) + 1e-3))
 
 
-@pytest.mark.statistical
+@pytest.mark.long
 @pytest.mark.parametrize("name", STACKS)
 @pytest.mark.parametrize("with_reference", [True, False])
 def test_drawn_parameters_are_recovered_within_their_stated_uncertainty(
@@ -69,7 +69,7 @@ def test_drawn_parameters_are_recovered_within_their_stated_uncertainty(
         assert np.count_nonzero(remaining < 0.5) > 10
 
 
-@pytest.mark.statistical
+@pytest.mark.long
 def test_unfitted_parameters_add_to_the_uncertainty() -> None:
     pulls = []
     for seed in range(20):

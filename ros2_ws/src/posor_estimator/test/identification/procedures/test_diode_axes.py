@@ -76,7 +76,7 @@ NUMBERS = (
 )
 
 
-@pytest.mark.statistical
+@pytest.mark.long
 def test_offset_is_found_and_intervals_cover(rng: np.random.Generator) -> None:
     normalised = []
     for _ in range(30):

@@ -87,7 +87,7 @@ def test_the_map_is_recovered(rng: np.random.Generator) -> None:
     assert not outcome.warnings
 
 
-@pytest.mark.statistical
+@pytest.mark.long
 def test_intervals_cover(rng: np.random.Generator) -> None:
     inside: list[bool] = []
     for _ in range(60):

@@ -66,7 +66,7 @@ def test_polynomials_are_recovered_and_keep_the_zero() -> None:
     assert all(fit.probability > 1e-3 for fit in outcome.fits.values())
 
 
-@pytest.mark.statistical
+@pytest.mark.long
 def test_95_percent_intervals_cover_the_truth() -> None:
     inside = trials = 0
     for seed in range(20):
@@ -80,7 +80,7 @@ def test_95_percent_intervals_cover_the_truth() -> None:
     assert binomtest(round(inside / 4), trials // 4, 0.95).pvalue > 0.01
 
 
-@pytest.mark.statistical
+@pytest.mark.long
 def test_the_curve_of_the_selected_order_is_as_good_as_stated() -> None:
     inside = trials = 0
     orders = []

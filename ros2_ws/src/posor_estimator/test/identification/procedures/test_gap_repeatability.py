@@ -36,7 +36,7 @@ def simulate(seed: int, *, drift: float = 0.0, hysteresis: float = 0.0) -> Simul
     return SimulatedCase(PROCEDURE, diode_calibration(), before).with_scans(scans)
 
 
-@pytest.mark.statistical
+@pytest.mark.long
 def test_drift_and_hysteresis_lie_in_their_intervals() -> None:
     inside = trials = 0
     for seed in range(25):

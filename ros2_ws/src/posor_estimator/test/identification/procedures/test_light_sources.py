@@ -58,7 +58,7 @@ def source_of(key: str) -> int:
     return int(key.split("[")[2].split("]", maxsplit=1)[0])
 
 
-@pytest.mark.statistical
+@pytest.mark.long
 def test_reversal_separates_rays_from_the_stage_and_intervals_cover(rng: np.random.Generator) -> None:
     normalised = []
     for _ in range(30):

@@ -43,7 +43,7 @@ def with_turns(case: SimulatedCase, turn: Callable[[Rotation], Rotation]) -> Sim
     return case.with_values(lambda values: np.hstack([values[:, :3], turn(turns).as_quat()]))
 
 
-@pytest.mark.statistical
+@pytest.mark.long
 def test_truth_lies_in_the_95_percent_intervals_of_95_percent_of_campaigns() -> None:
     inside, squares, freedoms = 0, 0.0, 0
     for seed in range(25):

@@ -68,7 +68,7 @@ def normalised_errors(case: SimulatedCase, outcome: Outcome, names: tuple[str, .
     return np.array([(fit.value(name) - case.truth[name]) / fit.sigma(name) for name in names])
 
 
-@pytest.mark.statistical
+@pytest.mark.long
 def test_full_turns_determine_the_even_orders(rng: np.random.Generator) -> None:
     errors = []
     for _ in range(CAMPAIGNS):

@@ -37,7 +37,7 @@ def simulate(seed: int = 0, levels: FloatArray = LEVELS, scans_each: int = 20) -
     return SimulatedCase(PROCEDURE, diode_calibration(), recording)
 
 
-@pytest.mark.statistical
+@pytest.mark.long
 def test_95_percent_intervals_cover_the_truth() -> None:
     inside = 0
     for seed in range(40):

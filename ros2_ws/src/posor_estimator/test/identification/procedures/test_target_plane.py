@@ -47,7 +47,7 @@ def identify(name: DesignName, recording: Recording, **options: Any) -> Fit:
     return PROCEDURE.identify(recording, design(name), PROCEDURE.options(**options)).fits["target_plane"]
 
 
-@pytest.mark.statistical
+@pytest.mark.long
 def test_intervals_cover(rng: np.random.Generator) -> None:
     normalised = []
     thetas = np.linspace(-np.pi, np.pi, 25)

@@ -52,7 +52,7 @@ def simulate(random: np.random.Generator, count: int = 40) -> SimulatedCase:
     return SimulatedCase(PROCEDURE, calibration, Recording(scans, {TOPIC: track}, "simulated"), shifts)
 
 
-@pytest.mark.statistical
+@pytest.mark.long
 def test_drift_is_found_and_intervals_cover(rng: np.random.Generator) -> None:
     normalised = []
     for _ in range(30):
