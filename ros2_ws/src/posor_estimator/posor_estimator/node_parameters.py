@@ -179,7 +179,7 @@ class ChainParameters(AlarmParameters):
     endpoint_frame: str = Field(default="endpoint", description="link of the URDF whose pose is published")
     beams: str = Field(
         default="",
-        description="path of the beams file: uncertainties and sag of the measuring beams; empty: straight and exact",
+        description="path of the beams file: uncertainty, sag, temperature of the beams; empty: straight and exact",
     )
     acceleration_window: Annotated[float, Field(ge=0.0, le=10.0)] = Field(
         default=0.0,

@@ -1,8 +1,9 @@
-"""The beams file: uncertainty and sag of an arm's measuring beams, whose transforms are in the URDF.
+"""The beams file, version 2: uncertainty, sag and temperature of an arm's beams, whose transforms are in the URDF.
 
 Versions of the format:
 
-1. First version: ``gravity`` and ``beams``, each with ``uncertainty`` and, where it sags, ``sag``.
+1. First version: ``gravity`` and ``beams``, each with ``uncertainty`` and, where it sags, ``sag``. Still read.
+2. ``temperature`` of a beam: coefficient of expansion, and largest deviation from the temperature of the URDF.
 """
 
 from __future__ import annotations
@@ -14,12 +15,14 @@ from pydantic import Field, model_validator
 from posor_estimator.calibration.calibration_file import Provenance
 from posor_estimator.calibration.file_model import EntryError, FrozenModel
 from posor_estimator.calibration.quantity import Quantity, measured
-from posor_estimator.calibration.yaml_document import load_document
+from posor_estimator.calibration.yaml_document import parse_document, read_text
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-VERSION = 1
+FILE_KIND = "beams file"
+VERSION = 2
+FORMER_VERSIONS = (1,)
 STANDARD_GRAVITY = 9.80665
 """[m/s^2] (ISO 80000-3)."""
 
@@ -95,23 +98,50 @@ class PlacementFile(FrozenModel):
         return self
 
 
+class TemperatureFile(FrozenModel):
+    """Amounts of the linear expansion of the beam, and of the largest deviation from the temperature of the URDF."""
+
+    coefficient: Annotated[Quantity, measured("1/K")]
+    deviation: Annotated[Quantity, measured("K")]
+
+    @model_validator(mode="after")
+    def _check_values(self) -> Self:
+        for name, quantity in (("coefficient", self.coefficient), ("deviation", self.deviation)):
+            if quantity.number < 0.0:
+                what = f"{name} {quantity.number:g} {quantity.unit}"
+                raise EntryError(what, key=(name,), expected="an amount, 0 or more")
+        return self
+
+
 class BeamFile(FrozenModel):
-    """One beam; the origin of the fixed URDF joint ``joint`` is its transform."""
+    """One beam; the origin of the fixed URDF joint ``joint`` is its transform at the temperature of the URDF.
+
+    Without ``temperature`` the beam keeps its length.
+    """
 
     joint: str
     uncertainty: PlacementFile
     sag: SagFile | None = None
+    temperature: TemperatureFile | None = None
 
 
 class BeamsFile(FrozenModel):
     """Content of a beams file. ``gravity`` is in the base frame of the URDF; default: along -Z."""
 
     format: Literal["posor_beams"]
-    version: Literal[1]
+    version: Literal[1, 2]
     name: str
     provenance: Provenance
     gravity: Annotated[Quantity, measured("m/s^2", 3)] = Quantity(value=[0.0, 0.0, -STANDARD_GRAVITY], unit="m/s^2")
     beams: Annotated[list[BeamFile], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _check_version(self) -> Self:
+        for index, beam in enumerate(self.beams):
+            if beam.temperature is not None and self.version < VERSION:
+                what, key = f"temperature in a file of version {self.version}", ("beams", index, "temperature")
+                raise EntryError(what, key=key, expected=f"version {VERSION}")
+        return self
 
     @model_validator(mode="after")
     def _check_duplicates(self) -> Self:
@@ -131,4 +161,5 @@ def load_beams(path: Path) -> BeamsFile:
 
     """
     keys = "format, version, name, provenance, beams"
-    return load_document(path, "beams file", keys, VERSION, BeamsFile.model_validate)[0]
+    text, versions = read_text(path, FILE_KIND), (*FORMER_VERSIONS, VERSION)
+    return parse_document(text, str(path), keys, versions, BeamsFile.model_validate)[0]

@@ -1,8 +1,9 @@
-"""A measuring beam: the bar between two POSORs, and its sag on its gimbals.
+"""A measuring beam: the bar between two POSORs, its sag on its gimbals, and its thermal expansion.
 
 The beam carries only its own weight and the plates of the POSORs at its ends. Its sag follows from its section and
 from the direction of gravity, and is corrected (thesis 6.2.2, 9.3.2). Sag is linear in the component of the specific
-force (gravity minus acceleration) across the beam.
+force (gravity minus acceleration) across the beam. The temperature of the beam is not measured: the expansion is a
+bound, which only protection levels use (``uncertainty.protection_level``).
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ class MeasuringBeam:
         T_start_end: The beam without sag.
         covariance: (6, 6) of x, y, z [m], about X, Y, Z [rad] of the end, axes of the start, the small turn applied on
             the start's side at the end's origin.
+        expansion: Largest change of the end's translation by the temperature, (3,) [m], axes of the start: coefficient
+            of expansion times deviation times translation; zero: not stated.
         sag_sigma: Standard uncertainty of the sag, relative to the sag.
         start_gain: (6, 3): translation [m] and rotation vector [rad] of the plate at the start, axes of the start, for
             a specific force [m/s^2] in the same axes, counted from the line through the gimbals.
@@ -51,6 +54,10 @@ class MeasuringBeam:
         self.T_start_end = T_start_end
         sigmas = np.concatenate([entry.uncertainty.position.array, entry.uncertainty.orientation.array])
         self.covariance: FloatArray = np.diag(np.square(sigmas))
+        self.expansion: FloatArray = np.zeros(3)
+        if entry.temperature is not None:
+            strain = entry.temperature.coefficient.number * entry.temperature.deviation.number
+            self.expansion = strain * T_start_end.translation
         self.start_gain: FloatArray = np.zeros((6, 3))
         self.end_gain: FloatArray = np.zeros((6, 3))
         self.sag_sigma = 0.0

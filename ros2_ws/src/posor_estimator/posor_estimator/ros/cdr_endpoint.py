@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
@@ -14,28 +14,12 @@ from posor_estimator.ros.cdr_writer import MessageWriter
 
 if TYPE_CHECKING:
     from posor_estimator.chain.endpoint_estimator import EndpointEstimator
+    from posor_estimator.ros.endpoint_verdict import Verdict
 
 MAX_JOINT, MAX_REASON = 128, 255
 """Bounds of the strings in ``posor_msgs/EndpointState`` [bytes]."""
 WRITERS = 16
 """Number of verdicts whose messages are kept prepared."""
-
-
-class Verdict(NamedTuple):
-    """Whether there is an endpoint, and why not; the fields of ``posor_msgs/EndpointState``."""
-
-    state: int
-    faults: int = 0
-    joint: str = ""
-    reason: str = ""
-
-    @property
-    def has_pose(self) -> bool:
-        """Whether the endpoint's numbers are valid."""
-        return self.state <= int(EndpointState.STATE_DEGRADED)
-
-
-SOUND = Verdict(EndpointState.STATE_OK)
 
 
 class EndpointWriter:

@@ -3,8 +3,8 @@
 Subscribes to ``<joint>/transform`` (posor_msgs/JointTransform) for every floating joint of the URDF. Publishes
 ``endpoint/pose``, ``endpoint/pose_with_covariance`` and ``joint_states``, the angles about the joints' nominal axes.
 Transforms are joined by equal stamps. Without a usable transform of every joint in time there is no pose.
-``endpoint/state`` (posor_msgs/EndpointState) says so for every scan, and every 0.08 s while no scan arrives; it and the
-diagnostics name the joint and the reason.
+``endpoint/state`` (posor_msgs/EndpointState) says so for every scan and for every transform that is refused, and every
+0.08 s while no scan arrives; it and the diagnostics name the joint and the reason.
 """
 
 from __future__ import annotations
@@ -12,8 +12,6 @@ from __future__ import annotations
 import math
 import struct
 import time
-from functools import reduce
-from operator import or_
 from pathlib import Path
 from threading import RLock
 from typing import TYPE_CHECKING, Any
@@ -30,18 +28,18 @@ from std_srvs.srv import Trigger
 from posor_estimator.bags.cdr_schema import STAMP
 from posor_estimator.bags.message_table import LEAD
 from posor_estimator.chain.chain_parameters import CHAIN_NODE
-from posor_estimator.chain.joint_measurements import FAULT_TEXTS
 from posor_estimator.chain.kinematic_chain import load_chain
 from posor_estimator.chain.time_synchroniser import MAX_OPEN_SCANS, TimeSynchroniser
 from posor_estimator.errors import TopicError
-from posor_estimator.model.fault import Fault, State
+from posor_estimator.model.fault import State
 from posor_estimator.node_parameters import ChainParameters
 from posor_estimator.numerics.stamps import NO_TIME, NS
 from posor_estimator.ros.alarm_rate import AlarmRate
-from posor_estimator.ros.cdr_endpoint import SOUND, EndpointStateWriter, EndpointWriter, Verdict
+from posor_estimator.ros.cdr_endpoint import EndpointStateWriter, EndpointWriter
 from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM, JointTransformFormat, stamp_ns_of
 from posor_estimator.ros.diagnostics import Level
 from posor_estimator.ros.endpoint_protection import ProtectionLevel
+from posor_estimator.ros.endpoint_verdict import SOUND, JointStatus, Verdict, degraded_verdict, unusable_verdict
 from posor_estimator.ros.freshness import InputMonitor, InputWatch, StampLimits
 from posor_estimator.ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_estimator.ros.lifecycle_node import PosorNode
@@ -64,7 +62,6 @@ if TYPE_CHECKING:
 
 
 _STAMP = struct.Struct("<iI")
-_STATE_TEXTS = {int(state): f"is {state.name.lower()}" for state in State}
 LATE_CHECK_S = 0.5
 """Longest time between two checks for late joints; each takes the interpreter lock from the thread of the scans."""
 
@@ -94,6 +91,7 @@ class ChainNode(PosorNode[ChainParameters]):
         self._status = self.diagnostics.add_status("endpoint", logged=True)
         self._inputs = InputMonitor(self, self._on_inputs_checked)
         self._poses = self._scans_refused = self._scans_incomplete = 0
+        self._refusals: dict[str, tuple[float, str]] = {}  # by joint: monotonic time [s] and reason of the latest
         self._reported = None
         self._last_stamp = bytes(8)
         self._state_published = self._has_alarm = False
@@ -117,6 +115,7 @@ class ChainNode(PosorNode[ChainParameters]):
         ]
         self._home = self._last_pose = self._reported = None
         self._poses = self._scans_refused = self._scans_incomplete = 0
+        self._refusals.clear()
         self._last_stamp, self._has_alarm = bytes(8), False
         false_alarm = 1.0 - (1.0 - self.parameters.false_alarm) ** len(names)
         self._alarms = AlarmRate(false_alarm, self.parameters.alarm_count)
@@ -200,19 +199,17 @@ class ChainNode(PosorNode[ChainParameters]):
             silent = self._inputs.silent
             if silent and is_new:
                 self._report_no_pose(silent, ("silent",))
-            if silent and not self._state_published and self._endpoint_state.has_subscriptions:
+            if silent and not self._state_published:
                 joint = self._joint_of_topic[self._inputs.silent_names[0]]
                 verdict = Verdict(EndpointState.STATE_STALE, 0, joint, silent)
-                stamp_ns = stamp_ns_of(self._last_stamp)
-                age_s = (self.timing.now_ns() - stamp_ns) / NS if stamp_ns else math.nan
-                self._endpoint_state.publish(self._state_writer.write(self._last_stamp, age_s, verdict))
+                self._publish_state(self._last_stamp, stamp_ns_of(self._last_stamp), verdict)
             self._state_published = False
 
     def _publish_state(self, stamp: bytes, stamp_ns: int, verdict: Verdict) -> None:
-        """Publish the state of a scan."""
+        """Publish the state of a scan; a stamp of zero: there is no scan yet."""
         self._state_published = True
         if self._endpoint_state.has_subscriptions:
-            age_s = (self.timing.now_ns() - stamp_ns) / NS
+            age_s = (self.timing.now_ns() - stamp_ns) / NS if stamp_ns else math.nan
             self._endpoint_state.publish(self._state_writer.write(stamp, age_s, verdict))
 
     def _on_transform(self, joint: FreeJoint, kind: JointTransformFormat, watch: InputWatch, data: bytes) -> None:
@@ -226,8 +223,8 @@ class ChainNode(PosorNode[ChainParameters]):
                 return
             stamp_ns = stamp_ns_of(data[STAMP])
             if stamp_ns == 0:  # the synchroniser would take it for a time that has gone back
-                self._scans_refused += 1
-                self._report_no_pose(f"{joint.name}: the stamp of a transform {NO_TIME}; expected the time of exposure")
+                reason = f"the stamp of a transform {NO_TIME}; expected the time of exposure"
+                self._refuse_transform(joint, reason, data[STAMP])
                 return
             scan = self._synchroniser.add(joint.name, stamp_ns, data, now_s)
             if self._synchroniser.incomplete:
@@ -236,23 +233,31 @@ class ChainNode(PosorNode[ChainParameters]):
                 self._publish_endpoint(scan, stamp_ns)
 
     def _normalise(self, joint: FreeJoint, data: bytes) -> bytes:
-        """Return a transform in plain CDR; report an invalid transform or wrong frames and return empty bytes."""
+        """Return a transform in plain CDR; refuse an invalid transform or wrong frames and return empty bytes."""
         try:
             data = JOINT_TRANSFORM.normal(data)
             values = JOINT_TRANSFORM.values(data)
         except TopicError as error:
-            reason = str(error)
-        else:
-            frames = (str(values["header.frame_id"]), str(values["child_frame_id"]))
-            if frames == (joint.parent, joint.child):
-                return data
-            reason = (
-                f"transforms from '{frames[0]}' to '{frames[1]}' arrive; "
-                f"expected '{joint.parent}' to '{joint.child}', as in the URDF"
-            )
-        self._scans_refused += 1
-        self._report_no_pose(f"{joint.name}: {reason}")
+            self._refuse_transform(joint, str(error), bytes(8))
+            return b""
+        frames = (str(values["header.frame_id"]), str(values["child_frame_id"]))
+        if frames == (joint.parent, joint.child):
+            return data
+        reason = (
+            f"transforms from '{frames[0]}' to '{frames[1]}' arrive; "
+            f"expected '{joint.parent}' to '{joint.child}', as in the URDF"
+        )
+        self._refuse_transform(joint, reason, data[STAMP])
         return b""
+
+    def _refuse_transform(self, joint: FreeJoint, reason: str, stamp: bytes) -> None:
+        """Report that a transform does not enter a scan; if its stamp is invalid, as of the last complete scan."""
+        self._scans_refused += 1
+        text = f"{joint.name}: {reason}"
+        self._refusals[joint.name] = time.monotonic(), text
+        stamp = stamp if stamp_ns_of(stamp) else self._last_stamp
+        self._publish_state(stamp, stamp_ns_of(stamp), Verdict(EndpointState.STATE_LOST, 0, joint.name, text))
+        self._report_no_pose(text)
 
     def _close_late_scans(self) -> None:
         """Close scans that have waited for longer than ``max_wait``."""
@@ -260,10 +265,19 @@ class ChainNode(PosorNode[ChainParameters]):
             self._synchroniser.close_before(time.monotonic() - self.parameters.max_wait)
             self._report_incomplete_scans()
 
+    def _why_missing(self, joints: tuple[str, ...]) -> str:
+        """Return why an incomplete scan lacks the transforms of these joints."""
+        oldest_s = time.monotonic() - self.parameters.max_wait - LATE_CHECK_S
+        recent = {name: text for name, (refused_s, text) in self._refusals.items() if refused_s > oldest_s}
+        reasons = [recent[name] for name in joints if name in recent]
+        if absent := ", ".join(name for name in joints if name not in recent):
+            reasons.append(f"{absent}: transform missing from a scan that the other joints sent")
+        return "; ".join(reasons)
+
     def _report_incomplete_scans(self) -> None:
         for stamp_ns, missing in self._synchroniser.take_incomplete().items():
             self._scans_incomplete += 1
-            reason = f"{', '.join(missing)}: transform missing from a scan that the other joints sent"
+            reason = self._why_missing(missing)
             if too_old := self._stamp_limits.fault(stamp_ns):
                 reason = f"{reason}; {too_old}"
             verdict = Verdict(EndpointState.STATE_LOST, 0, missing[0], reason)
@@ -279,11 +293,11 @@ class ChainNode(PosorNode[ChainParameters]):
         estimator = self._estimator
         stamp = self._last_stamp = data[STAMP]
         refusal = self._inputs.crowded() or self._stamp_limits.fault(stamp_ns)
-        if refusal or (worst := estimator.estimate_rows(stamp_ns)) < 0:
-            verdict = Verdict(EndpointState.STATE_LOST, 0, "", refusal) if refusal else self._why_unusable(scan)
-            self._scans_refused += 1
-            self._publish_state(stamp, stamp_ns, verdict)
-            self._report_refused_scan(verdict)
+        if refusal:
+            self._refuse_scan(stamp, stamp_ns, Verdict(EndpointState.STATE_LOST, 0, "", refusal))
+            return
+        if (worst := estimator.estimate_rows(stamp_ns)) < 0:
+            self._refuse_scan(stamp, stamp_ns, unusable_verdict(self._joints_of(scan)))
             return
         if self._is_relative:
             self._last_pose = estimator.pose.copy()
@@ -295,7 +309,7 @@ class ChainNode(PosorNode[ChainParameters]):
             self._pose_with_covariance.publish(writer.pose_with_covariance.write(stamp))
         if self._joint_states.has_subscriptions:
             self._joint_states.publish(writer.joint_states.write(stamp))
-        verdict = SOUND if worst == State.OK else self._why_degraded(scan)
+        verdict = SOUND if worst == State.OK else degraded_verdict(self._joints_of(scan))
         self._publish_state(stamp, stamp_ns, verdict)
         self.timing.record(stamp_ns)
         self._poses += 1
@@ -306,30 +320,16 @@ class ChainNode(PosorNode[ChainParameters]):
             self._status.report(level, f"{text}; {excess}" if excess else text, self._counts())
             self._reported, self._has_alarm = key, bool(excess)
 
-    def _states(self, scan: dict[str, bytes]) -> list[tuple[str, int, int]]:
-        """Return the name, state and faults of each joint, in the chain's order."""
-        return [(name, *self._kinds[name].read_state(scan[name])) for name in self._estimator.joints]
+    def _refuse_scan(self, stamp: bytes, stamp_ns: int, verdict: Verdict) -> None:
+        """Publish and report that a complete scan gives no endpoint."""
+        self._scans_refused += 1
+        self._publish_state(stamp, stamp_ns, verdict)
+        self._report_refused_scan(verdict)
 
-    def _why_degraded(self, scan: dict[str, bytes]) -> Verdict:
-        """Return the verdict on a complete scan with a degraded joint."""
-        joints = [(name, faults) for name, state, faults in self._states(scan) if state]
-        faults = reduce(or_, (faults for _, faults in joints))
-        reason = ", ".join(f"{name}{_fault_names(own)}" for name, own in joints)
-        return Verdict(EndpointState.STATE_DEGRADED, faults, joints[0][0], f"degraded: {reason}")
-
-    def _why_unusable(self, scan: dict[str, bytes]) -> Verdict:
-        """Return the verdict on a complete scan with an unusable transform."""
-        reasons, worst, all_faults = [], (-1, ""), 0
-        for (name, state, faults), code in zip(self._states(scan), self._estimator.faults.tolist(), strict=True):
-            all_faults |= faults
-            if state <= State.DEGRADED and not code:
-                continue
-            severity = EndpointState.STATE_UNCOUNTED if state == State.UNCOUNTED else EndpointState.STATE_LOST
-            if worst[0] != EndpointState.STATE_LOST and severity != worst[0]:
-                worst = severity, name
-            text = _STATE_TEXTS.get(state, f"has the unknown state {state}") + _fault_names(faults)
-            reasons.append(f"{name} {FAULT_TEXTS[code] if code else text}")
-        return Verdict(worst[0], all_faults, worst[1], "; ".join(reasons))
+    def _joints_of(self, scan: dict[str, bytes]) -> list[JointStatus]:
+        """Return the status of each joint of a complete scan after the estimate, in the chain's order."""
+        codes = zip(self._estimator.joints, self._estimator.faults.tolist(), strict=True)
+        return [JointStatus(name, *self._kinds[name].read_state(scan[name]), code) for name, code in codes]
 
     def _scan_number(self) -> int:
         return self._poses + self._scans_refused + self._scans_incomplete
@@ -363,11 +363,6 @@ class ChainNode(PosorNode[ChainParameters]):
                 self._home = self._last_pose
                 response.success, response.message = True, "home is the endpoint's last pose"
         return response
-
-
-def _fault_names(faults: int) -> str:
-    """Return the names of faults in parentheses after a space; empty without faults."""
-    return f" ({Fault(faults).name or f'unknown faults {faults}'})" if faults else ""
 
 
 def main() -> int:

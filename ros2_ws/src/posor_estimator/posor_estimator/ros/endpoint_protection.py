@@ -1,4 +1,4 @@
-"""Protection level of the endpoint from the messages on the reliability of the joints."""
+"""Protection level of the endpoint from the messages on the reliability of the joints, and from the beams file."""
 
 from __future__ import annotations
 
@@ -8,7 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from posor_estimator.uncertainty.protection_level import endpoint_effects, endpoint_protection_level
+from posor_estimator.uncertainty.protection_level import (
+    endpoint_effects,
+    endpoint_protection_level,
+    expansion_shifts,
+)
 
 if TYPE_CHECKING:
     from posor_msgs.msg import JointReliability
@@ -52,5 +56,8 @@ class ProtectionLevel:
         effects = endpoint_effects(self._chain, transforms)
         turn = np.kron(np.eye(2), axes.T)
         return endpoint_protection_level(
-            [self._received[name][1] for name in names], [turn @ effects[name] for name in names], covariance
+            [self._received[name][1] for name in names],
+            [turn @ effects[name] for name in names],
+            covariance,
+            expansion_shifts(self._chain, transforms) @ turn.T,
         )

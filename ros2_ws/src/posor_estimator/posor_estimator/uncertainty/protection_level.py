@@ -2,11 +2,15 @@
 
 As in receiver autonomous integrity monitoring (RAIM) of satellite navigation. Along and about each axis k of the base,
 
-    PL_k = max over joints and readings |effect_k of the minimal detectable bias| + K sigma_k,
+    PL_k = max over joints and readings |effect_k of the minimal detectable bias|
+           + sum over beams |effect_k of the largest expansion| + K sigma_k,
 
 K the two-sided normal quantile of the integrity risk. An error of a reading beyond its minimal detectable bias passes a
 scan with at most the probability of a missed detection; a smaller one, or none, leaves the error of the endpoint within
 PL_k except with at most the integrity risk. Errors of two readings at once are not covered.
+
+No reading shows the temperature of the measuring beams. Their expansions enter as a sum of amounts, so that the bound
+holds for beams that deviate together, alone or against each other. The covariance does not contain them.
 
 Source: R. G. Brown, *A baseline GPS RAIM scheme and a note on the equivalence of three RAIM methods*, Navigation 39(3),
 1992; RTCA DO-229 (protection levels).
@@ -40,6 +44,8 @@ INTEGRITY_RISK = 1e-5
 """Probability, of one scan and axis, that noise and calibration errors alone exceed their part of the level."""
 COVERAGE_FACTOR = float(-ndtri(0.5 * INTEGRITY_RISK))
 """K, 4.42: the standard uncertainties of the endpoint in a protection level."""
+NO_EXPANSIONS: FloatArray = np.zeros((0, 6))
+"""Of an arm without measuring beams, or of a single joint."""
 
 
 def endpoint_effects(chain: Chain, T_parent_child: Mapping[str, pin.SE3]) -> dict[str, FloatArray]:
@@ -74,8 +80,45 @@ def _effect(rotation: FloatArray, lever: FloatArray) -> FloatArray:
     return effect
 
 
+def expansion_shifts(chain: Chain, T_parent_child: Mapping[str, pin.SE3]) -> FloatArray:
+    """Return how the endpoint moves if each measuring beam has the largest expansion that its temperature may cause.
+
+    A beam of uniform temperature keeps its shape, so its expansion moves the endpoint without turning it. The sag of
+    the beams is left out, as in ``endpoint_effects``.
+
+    Args:
+        chain: The arm.
+        T_parent_child: Transform of each joint, by name.
+
+    Returns:
+        Shift by each of the b beams between the base and the endpoint, (b, 6), ROS order, axes of the base [m, rad].
+
+    """
+    moved = [T_parent_child[joint.name].rotation for joint in chain.joints]
+    shifts, rotation = [], np.eye(3)
+    for link, turn in zip(chain.links, [*moved, np.eye(3)], strict=True):
+        if link.beam is not None:
+            shift = rotation @ link.before.rotation @ link.beam.expansion
+            shifts.append(np.concatenate([shift, np.zeros(3)]))
+        rotation = rotation @ link.T_nominal.rotation @ turn
+    return np.reshape(shifts, (-1, 6))
+
+
+def expansion_bound(expansions: FloatArray) -> FloatArray:
+    """Return the bound of the endpoint's error by the temperature of the measuring beams, (6,) [m, rad].
+
+    Args:
+        expansions: Of the beams, (b, 6), as ``expansion_shifts``.
+
+    """
+    return np.asarray(np.abs(expansions).sum(axis=0))
+
+
 def endpoint_protection_level(
-    shifts: Sequence[FloatArray], effects: Sequence[FloatArray], covariance: FloatArray
+    shifts: Sequence[FloatArray],
+    effects: Sequence[FloatArray],
+    covariance: FloatArray,
+    expansions: FloatArray = NO_EXPANSIONS,
 ) -> FloatArray:
     """Return the protection level of the endpoint along and about X, Y, Z of the base, (6,) [m, rad].
 
@@ -83,6 +126,7 @@ def endpoint_protection_level(
         shifts: Of each joint: the undetected shifts of its readings, (m, 6), as ``Reliability.shifts``.
         effects: Of each joint: its matrix of ``endpoint_effects``, (6, 6).
         covariance: Of the endpoint, (6, 6).
+        expansions: Of the measuring beams, (b, 6), as ``expansion_shifts``.
 
     Returns:
         The levels; infinite where an error that moves the endpoint is not detectable.
@@ -90,7 +134,7 @@ def endpoint_protection_level(
     """
     moved = [np.abs(transformed(effect, shift)) for own, effect in zip(shifts, effects, strict=True) for shift in own]
     sigmas = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    return np.asarray(np.max(moved, axis=0, initial=0.0) + COVERAGE_FACTOR * sigmas)
+    return np.asarray(np.max(moved, axis=0, initial=0.0) + expansion_bound(expansions) + COVERAGE_FACTOR * sigmas)
 
 
 @dataclass(frozen=True)
@@ -102,6 +146,7 @@ class ArmReliability:
         joints: Reliability of each joint.
         endpoint_shifts: Of each joint: change of the endpoint by the minimal detectable bias of each reading, (m, 6),
             ROS order, axes of the base [m, rad]; infinite: not bounded.
+        expansions: Change of the endpoint by the largest expansion of each measuring beam, (b, 6), likewise.
         protection_level: Of the endpoint, (6,).
 
     """
@@ -109,6 +154,7 @@ class ArmReliability:
     angles: Mapping[str, float]
     joints: Mapping[str, Reliability]
     endpoint_shifts: Mapping[str, FloatArray]
+    expansions: FloatArray
     protection_level: FloatArray
 
 
@@ -118,7 +164,7 @@ def arm_reliability(
     """Return the reliability of an arm at rest.
 
     Args:
-        chain: The arm, with the uncertainty of its beams.
+        chain: The arm, with uncertainty and temperature of its beams.
         calibrations: Of the POSORs, by joint.
         angles: Of the joints [rad], by name.
 
@@ -137,5 +183,6 @@ def arm_reliability(
         joints[name] = joint_reliability(posor, scan_at(posor, poses[name]), poses[name])
         endpoint_shifts[name] = np.array([transformed(effect, shift) for shift in joints[name].shifts])
     shifts, unchanged = list(endpoint_shifts.values()), np.eye(6)
-    level = endpoint_protection_level(shifts, [unchanged] * len(shifts), chain.estimate(measured).covariance)
-    return ArmReliability(angles, joints, endpoint_shifts, level)
+    covariance, expansions = chain.estimate(measured).covariance, expansion_shifts(chain, poses)
+    level = endpoint_protection_level(shifts, [unchanged] * len(shifts), covariance, expansions)
+    return ArmReliability(angles, joints, endpoint_shifts, expansions, level)

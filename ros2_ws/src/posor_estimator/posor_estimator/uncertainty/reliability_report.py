@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from posor_estimator.uncertainty.protection_level import COVERAGE_FACTOR, INTEGRITY_RISK
+from posor_estimator.uncertainty.protection_level import COVERAGE_FACTOR, INTEGRITY_RISK, expansion_bound
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -35,8 +35,8 @@ def protection_note(arm: ArmReliability) -> str:
     angles = ", ".join(f"{name} {angle:g}" for name, angle in arm.angles.items())
     return (
         f"Endpoint at the angles {angles} rad, axes of the base. Protection level: the largest change by an undetected "
-        f"bias of one reading, and {COVERAGE_FACTOR:.3g} standard uncertainties (integrity risk {INTEGRITY_RISK:g} for "
-        "one scan and axis). ∞: not bounded."
+        f"bias of one reading, the bound of the temperature of the measuring beams, and {COVERAGE_FACTOR:.3g} standard "
+        f"uncertainties (integrity risk {INTEGRITY_RISK:g} for one scan and axis). ∞: not bounded."
     )
 
 
@@ -61,13 +61,17 @@ def reliability_rows(reliability: Reliability) -> list[list[str]]:
 
 
 def arm_rows(arm: ArmReliability) -> list[list[str]]:
-    """Return a row of ``ARM_HEADER`` for each reading of each joint, and the protection level."""
+    """Return a row of ``ARM_HEADER`` for each reading of each joint, the bound of the beams, and the level."""
     rows = [
         [joint, name, _micro(bias) if math.isfinite(bias) else NOT_DETECTABLE, *map(_micro, shift)]
         for joint, own in arm.joints.items()
         for name, bias, shift in zip(own.names, own.biases, arm.endpoint_shifts[joint], strict=True)
     ]
-    return [*rows, ["all", "protection level", "", *map(_micro, arm.protection_level)]]
+    return [
+        *rows,
+        ["beams", "temperature", "", *map(_micro, expansion_bound(arm.expansions))],
+        ["all", "protection level", "", *map(_micro, arm.protection_level)],
+    ]
 
 
 def reliability_json(reliability: Reliability) -> dict[str, Any]:
@@ -96,6 +100,7 @@ def arm_json(arm: ArmReliability) -> dict[str, Any]:
             name: {**reliability_json(own), "endpoint_shifts": [_finite(row) for row in arm.endpoint_shifts[name]]}
             for name, own in arm.joints.items()
         },
+        "beam_temperature_bound": _finite(expansion_bound(arm.expansions)),
         "protection_level": _finite(arm.protection_level),
         "integrity_risk": INTEGRITY_RISK,
         "coverage_factor": COVERAGE_FACTOR,

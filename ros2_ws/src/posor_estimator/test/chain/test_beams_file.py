@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 GOOD = """\
 format: posor_beams
-version: 1
+version: 2
 name: one beam
 provenance: {source: test, method: none, date: none}
 beams:
@@ -30,6 +30,11 @@ beams:
         - {name: target, at: {value: 0, unit: m}, mass: {value: 1.2, unit: kg}}
       uncertainty: {value: 0.03, unit: "1"}
 """
+TEMPERATURE = """\
+    temperature:
+      coefficient: {value: 23.0e-6, unit: 1/K}
+      deviation: {value: 5.0, unit: K}
+"""
 
 
 @pytest.fixture
@@ -43,6 +48,21 @@ def test_a_good_file_is_read(path: Path) -> None:
     assert said.gravity.value == [0.0, 0.0, -9.80665]
     assert said.beams[0].sag is not None
     assert said.beams[0].sag.plates[0].mass.number == 1.2
+    assert said.beams[0].temperature is None
+    path.write_text(GOOD + TEMPERATURE, encoding="utf-8")
+    temperature = load_beams(path).beams[0].temperature
+    assert temperature is not None
+    assert (temperature.coefficient.number, temperature.deviation.number) == (23e-6, 5.0)
+
+
+def test_a_file_of_the_first_version_is_read_but_has_no_temperature(path: Path) -> None:
+    former = GOOD.replace("version: 2", "version: 1")
+    path.write_text(former, encoding="utf-8")
+    assert load_beams(path).version == 1
+    path.write_text(former + TEMPERATURE, encoding="utf-8")
+    sentence = r"line 20, key beams\[0\].temperature: temperature in a file of version 1; expected version 2"
+    with pytest.raises(CalibrationError, match=sentence):
+        load_beams(path)
 
 
 @pytest.mark.parametrize(
@@ -64,14 +84,24 @@ def test_a_good_file_is_read(path: Path) -> None:
         ("value: 1.2", "value: -1.2", "mass -1.2 kg; expected 0 kg or more"),
         ("value: 0.03", "value: -0.03", "uncertainty -0.03; expected 0 or more"),
         ("[1.0e-6, 1.0e-6, 2.0e-6]", "[1.0e-6, -1.0e-6, 2.0e-6]", "expected standard uncertainties, 0 or more"),
-        ("version: 1", "version: 2", "line 2, key version: version 2; expected 1"),
+        ("23.0e-6", "-23.0e-6", "temperature.coefficient: coefficient -2.3e-05 1/K; expected an amount, 0 or more"),
+        (
+            "value: 5.0",
+            "value: -5.0",
+            "line 22, key beams[0].temperature.deviation: deviation -5 K; expected",
+        ),
+        ("value: 5.0", "value: .inf", "beams[0].temperature.deviation.value: inf is not finite"),
+        ("23.0e-6", ".nan", "beams[0].temperature.coefficient.value: nan is not finite"),
+        ("unit: 1/K", "unit: um/m/K", "unit 'um/m/K'; expected '1/K'"),
+        ("version: 2", "version: 3", "line 2, key version: version 3; expected 1 or 2"),
         ("format: posor_beams", "format: posor_calibration", "expected 'posor_beams'"),
         ("    sag:", "    sagg:", "unknown key 'sagg'; expected 'sag'"),
     ],
 )
 def test_a_wrong_file_is_refused_with_its_line(path: Path, old: str, new: str, sentence: str) -> None:
-    assert GOOD.count(old) >= 1
-    path.write_text(GOOD.replace(old, new, 1), encoding="utf-8")
+    text = GOOD + TEMPERATURE
+    assert text.count(old) >= 1
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(CalibrationError) as caught:
         load_beams(path)
     assert str(path) in str(caught.value)

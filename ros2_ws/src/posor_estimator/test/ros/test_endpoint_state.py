@@ -15,7 +15,7 @@ from posor_estimator.testing.program import Program, installed, ros_arguments
 from posor_msgs.msg import EndpointState, JointTransform
 from rclpy.qos import QoSProfile
 
-from .chain_program import lost_transform, transform_of
+from .chain_program import PLATES, lost_transform, transform_of
 from .live_topics import BRINGUP, PERIOD_S, POSOR, ScanSender
 
 if TYPE_CHECKING:
@@ -153,6 +153,49 @@ def test_a_scan_that_is_too_old_or_ahead_gives_no_pose(rig: Rig, age_s: float, r
     state = rig.state_of(transform_of(1), age_s)
     assert state.state == EndpointState.STATE_LOST
     assert reason in state.reason
+    assert not has_pose(state)
+
+
+def test_a_transform_between_other_frames_is_refused_in_the_state(rig: Rig) -> None:
+    wrong = transform_of(1, plates=("posor_receiving", "another_plate"))
+    state = rig.state_of(wrong)
+    assert (state.state, state.faults, state.joint) == (EndpointState.STATE_LOST, 0, "joint1")
+    assert state.reason == (
+        "joint1: transforms from 'posor_receiving' to 'another_plate' arrive; "
+        "expected 'posor_receiving' to 'posor_target', as in the URDF"
+    )
+    assert 0.0 <= state.age < 1.0
+    assert not has_pose(state)
+    for _ in range(20):  # longer than max_silence: wrong transforms do not conceal themselves
+        rig.send(wrong)
+        time.sleep(PERIOD_S)
+    newest = rig.send(wrong)
+    rig.graph.wait_until(lambda: stamp_ns(rig.states[-1]) == newest, "the latest state")
+    assert (rig.states[-1].state, rig.states[-1].reason) == (EndpointState.STATE_LOST, state.reason)
+    assert rig.state_of(transform_of(1)).state == EndpointState.STATE_OK
+
+
+@pytest.mark.parametrize(
+    ("plates", "reason"),
+    [
+        (
+            PLATES,
+            "joint1: the stamp of a transform is zero, or its nanoseconds are a second or more; expected",
+        ),
+        (("posor_receiving", "x"), "joint1: transforms from 'posor_receiving' to 'x' arrive; expected"),
+    ],
+)
+def test_a_transform_without_a_stamp_is_refused_in_the_state(rig: Rig, plates: tuple[str, str], reason: str) -> None:
+    """The state has the stamp of the last complete scan."""
+    complete = stamp_ns(rig.state_of(transform_of(1)))
+    rig.states.clear()
+    unstamped = transform_of(0, plates=plates)
+    unstamped.header.stamp.nanosec = 0
+    rig.publisher.publish(unstamped)
+    state = rig.wait_for_state(EndpointState.STATE_LOST)
+    assert (stamp_ns(state), state.joint) == (complete, "joint1")
+    assert state.reason.startswith(reason)
+    assert 0.0 < state.age < 2.0
     assert not has_pose(state)
 
 

@@ -15,7 +15,12 @@ from posor_estimator.estimation.posor import Posor
 from posor_estimator.model.native_coordinates import rotation_from_native
 from posor_estimator.testing.graph import Graph, set_stamp
 from posor_estimator.uncertainty.budget_poses import scan_at
-from posor_estimator.uncertainty.protection_level import endpoint_effects, endpoint_protection_level
+from posor_estimator.uncertainty.protection_level import (
+    endpoint_effects,
+    endpoint_protection_level,
+    expansion_bound,
+    expansion_shifts,
+)
 from posor_estimator.uncertainty.reliability import joint_reliability
 from posor_msgs.msg import EndpointState, JointReliability, JointTransform
 
@@ -61,11 +66,28 @@ def reliability_message(shifts: FloatArray, plates: tuple[str, str] = PLATES) ->
     return message
 
 
-def test_chain_node_bounds_the_endpoint_by_the_worst_undetected_shift() -> None:
-    chain = load_chain(URDF, "endpoint")
+BEAMS = """format: posor_beams
+version: 2
+name: rig
+provenance: {source: test, method: none, date: none}
+beams:
+  - joint: measuring_beam
+    uncertainty:
+      position: {value: [0.0, 0.0, 0.0], unit: m}
+      orientation: {value: [0.0, 0.0, 0.0], unit: rad}
+    temperature:
+      coefficient: {value: 23.0e-6, unit: 1/K}
+      deviation: {value: 5.0, unit: K}
+"""
+
+
+def test_chain_node_bounds_the_endpoint_by_the_worst_undetected_shift_and_the_warmest_beam(tmp_path: Path) -> None:
+    beams = tmp_path / "beams.yaml"
+    beams.write_text(BEAMS, encoding="utf-8")
+    chain = load_chain(URDF, "endpoint", beams)
     random = np.random.default_rng(16)
     shifts = 1e-6 * random.normal(size=(4, 6))
-    with chain_node(urdf=str(URDF), **LOSSLESS), Graph() as graph:
+    with chain_node(urdf=str(URDF), beams=str(beams), **LOSSLESS), Graph() as graph:
         states = graph.collect(EndpointState, "endpoint/state")
         transforms = graph.publisher(JointTransform, "joint1/transform")
         reliabilities = graph.publisher(JointReliability, "joint1/reliability")
@@ -87,8 +109,11 @@ def test_chain_node_bounds_the_endpoint_by_the_worst_undetected_shift() -> None:
         level_after(wrong, lambda level: np.isnan(level).all() and seconds > 10)
         found = level_after(reliability_message(shifts), lambda level: np.isfinite(level).all())
         covariance = np.reshape(states[-1].covariance, (6, 6))
-        effects = endpoint_effects(chain, {"joint1": pin.SE3.Identity()})["joint1"]
-        np.testing.assert_allclose(found, endpoint_protection_level([shifts], [effects], covariance), rtol=1e-9)
+        poses = {"joint1": pin.SE3.Identity()}
+        effects, expansions = endpoint_effects(chain, poses)["joint1"], expansion_shifts(chain, poses)
+        assert expansion_bound(expansions).max() == pytest.approx(5.0 * 23e-6 * 0.84836)
+        expected = endpoint_protection_level([shifts], [effects], covariance, expansions)
+        np.testing.assert_allclose(found, expected, rtol=1e-9)
         shifts[2, 2] = math.inf
         unbounded = level_after(reliability_message(shifts), lambda level: np.isinf(level).any())
         np.testing.assert_array_equal(np.isinf(unbounded), np.abs(effects[:, 2]) > 1e-9)

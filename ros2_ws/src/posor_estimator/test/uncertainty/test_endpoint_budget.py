@@ -138,7 +138,7 @@ def test_the_contribution_of_beams_agrees_with_a_hand_calculation() -> None:
     np.testing.assert_allclose(part.spread.displacement[1:], math.hypot(shift, 0.5 * BEAM_LEAN), rtol=1e-6)
 
 
-@pytest.mark.statistical
+@pytest.mark.long
 @pytest.mark.parametrize("angles", [STILL, {"turn": 0.4, "lift": -1.2}], ids=["extended", "bent"])
 @pytest.mark.parametrize("kind", ["exact", "uncertain", "sagging"])
 def test_monte_carlo_agrees_with_the_budget(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -77,14 +76,14 @@ def monte_carlo(stack: DesignName, draws: int, seed: int) -> MonteCarlo:
     parts = [environment.supply, environment.temperature]
     middles = np.array([0.0 if part is None else np.mean(part.range.array) for part in parts])
     spreads = np.array([0.0 if part is None else part.spread.number for part in parts])
-    variances = np.zeros(FREEDOMS)
+    variances, unknown = np.zeros(FREEDOMS), np.full(1, np.nan)
     for n in range(draws):
-        # The real POSOR differs from its calibration; the estimator knows the calibration only. Nor is it told the
-        # supply and the temperature, which deviate from their references in the middle of the range.
+        # The real POSOR differs from its calibration; the estimator knows the calibration only, and neither the
+        # supply nor the temperature, which deviate from their references in the middle of the range.
         real = posor.stack.with_parameter_values(values + sigmas * random.normal(size=sigmas.size))
         supply, temperature = (middles + spreads * random.normal(size=2))[:, None]
         scans = scans_at(real, rotation, translation, stamps[:1], supply_voltages=supply, temperatures=temperature)
-        scans = scans.with_fields({"supply_voltages": [math.nan], "temperatures": [math.nan]})
+        scans = scans.with_fields({"supply_voltages": unknown, "temperatures": unknown})
         found = posor.estimate_each(scans, thetas[:1])
         errors[n] = errors_in_parent(found.rotations, found.translations, rotation, translation)[0]
         variances += np.diagonal(found.covariances_systematic[0]) / draws

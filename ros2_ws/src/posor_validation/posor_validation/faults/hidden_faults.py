@@ -19,7 +19,11 @@ from posor_estimator.errors import PosorError
 from posor_estimator.estimation.forward import scans_at
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.model.fault import State
-from posor_estimator.uncertainty.protection_level import endpoint_effects, endpoint_protection_level
+from posor_estimator.uncertainty.protection_level import (
+    endpoint_effects,
+    endpoint_protection_level,
+    expansion_shifts,
+)
 from posor_estimator.uncertainty.reliability import joint_reliability
 
 from posor_validation.faults.fault_table import FaultRow, RowResult
@@ -159,7 +163,10 @@ def warm_beam_cases(cases: int, random: np.random.Generator) -> tuple[float, int
         effects = endpoint_effects(chain, poses)
         packed = np.array([[pin.SE3ToXYZQUAT(pose) for pose in poses.values()]])
         endpoint = chain.estimate_all(packed, np.array([covariances]))
-        levels[n] = endpoint_protection_level(shifts, [effects[name] for name in poses], endpoint.covariances[0])
+        expansions = expansion_shifts(chain, poses)
+        levels[n] = endpoint_protection_level(
+            shifts, [effects[name] for name in poses], endpoint.covariances[0], expansions
+        )
         spreads[n] = np.sqrt(np.diagonal(endpoint.covariances[0]))
         warm = cold = chain.links[0].T_nominal
         for pose, link in zip(poses.values(), chain.links[1:], strict=True):

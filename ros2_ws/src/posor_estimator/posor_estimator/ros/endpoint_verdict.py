@@ -1,0 +1,84 @@
+"""Verdicts on the endpoint of a scan: whether there is one, which joint decides, and why."""
+
+from __future__ import annotations
+
+from functools import reduce
+from operator import or_
+from typing import TYPE_CHECKING, NamedTuple
+
+from posor_msgs.msg import EndpointState
+
+from posor_estimator.chain.joint_measurements import FAULT_TEXTS
+from posor_estimator.model.fault import Fault, State
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+_STATE_TEXTS = {int(state): f"is {state.name.lower()}" for state in State}
+
+
+class Verdict(NamedTuple):
+    """Whether there is an endpoint, and why not; the fields of ``posor_msgs/EndpointState``."""
+
+    state: int
+    faults: int = 0
+    joint: str = ""
+    reason: str = ""
+
+    @property
+    def has_pose(self) -> bool:
+        """Whether the endpoint's numbers are valid."""
+        return self.state <= int(EndpointState.STATE_DEGRADED)
+
+
+SOUND = Verdict(EndpointState.STATE_OK)
+
+
+class JointStatus(NamedTuple):
+    """What a transform and the chain say about a joint in one scan.
+
+    Attributes:
+        name: Of the joint.
+        state: ``State`` of the transform, or an unknown number.
+        faults: ``Fault`` of the transform.
+        code: Why the chain cannot use the transform, a key of ``FAULT_TEXTS``; zero: no reason.
+
+    """
+
+    name: str
+    state: int
+    faults: int
+    code: int = 0
+
+
+def degraded_verdict(joints: Sequence[JointStatus]) -> Verdict:
+    """Return the verdict on a scan with an endpoint and at least one degraded joint."""
+    degraded = [joint for joint in joints if joint.state]
+    reason = ", ".join(f"{joint.name}{_fault_names(joint.faults)}" for joint in degraded)
+    return Verdict(EndpointState.STATE_DEGRADED, _all_faults(degraded), degraded[0].name, f"degraded: {reason}")
+
+
+def unusable_verdict(joints: Sequence[JointStatus]) -> Verdict:
+    """Return the verdict on a scan without an endpoint: UNCOUNTED if all unusable joints are, else LOST."""
+    unusable = [joint for joint in joints if joint.state > State.DEGRADED or joint.code]
+    if not unusable:
+        return Verdict(EndpointState.STATE_LOST, _all_faults(joints), "", "the endpoint is not finite")
+    lost = [joint for joint in unusable if joint.state != State.UNCOUNTED]
+    state = EndpointState.STATE_LOST if lost else EndpointState.STATE_UNCOUNTED
+    reason = "; ".join(f"{joint.name} {_reason(joint)}" for joint in unusable)
+    return Verdict(state, _all_faults(joints), (lost or unusable)[0].name, reason)
+
+
+def _reason(joint: JointStatus) -> str:
+    if joint.code:
+        return FAULT_TEXTS[joint.code]
+    return _STATE_TEXTS.get(joint.state, f"has the unknown state {joint.state}") + _fault_names(joint.faults)
+
+
+def _all_faults(joints: Sequence[JointStatus]) -> int:
+    return reduce(or_, (joint.faults for joint in joints), 0)
+
+
+def _fault_names(faults: int) -> str:
+    """Return the names of faults in parentheses after a space; empty without faults."""
+    return f" ({Fault(faults).name or f'unknown faults {faults}'})" if faults else ""

@@ -1,0 +1,52 @@
+"""Verdicts on the endpoint of a scan."""
+
+from __future__ import annotations
+
+import pytest
+from posor_estimator.chain.joint_measurements import POSE_TOO_FAR
+from posor_estimator.model.fault import Fault, State
+from posor_estimator.ros.endpoint_verdict import JointStatus, Verdict, degraded_verdict, unusable_verdict
+from posor_msgs.msg import EndpointState
+
+SOUND_JOINT = JointStatus("base", State.OK, 0)
+FLAGGED = JointStatus("wrist", State.DEGRADED, Fault.FLAGGED)
+LOST = JointStatus("elbow", State.LOST, Fault.RESIDUAL)
+UNCOUNTED = JointStatus("shoulder", State.UNCOUNTED, Fault.COUNT)
+TOO_FAR = JointStatus("tool", State.OK, 0, POSE_TOO_FAR)
+FAR_TEXT = "tool is further than 0.02 m from the nominal joint of the URDF"
+
+
+@pytest.mark.parametrize(
+    ("joints", "state", "faults", "joint", "reason"),
+    [
+        ([SOUND_JOINT, LOST], "LOST", Fault.RESIDUAL, "elbow", "elbow is lost (RESIDUAL)"),
+        ([SOUND_JOINT, UNCOUNTED], "UNCOUNTED", Fault.COUNT, "shoulder", "shoulder is uncounted (COUNT)"),
+        (
+            [UNCOUNTED, FLAGGED, LOST],
+            "LOST",
+            Fault.COUNT | Fault.FLAGGED | Fault.RESIDUAL,
+            "elbow",
+            "shoulder is uncounted (COUNT); elbow is lost (RESIDUAL)",
+        ),
+        ([SOUND_JOINT, TOO_FAR], "LOST", 0, "tool", FAR_TEXT),
+        ([JointStatus("base", 200, 0)], "LOST", 0, "base", "base has the unknown state 200"),
+        ([SOUND_JOINT, FLAGGED], "LOST", Fault.FLAGGED, "", "the endpoint is not finite"),
+        ([], "LOST", 0, "", "the endpoint is not finite"),
+    ],
+)
+def test_a_scan_without_an_endpoint_always_has_a_state_of_the_message_and_a_reason(
+    joints: list[JointStatus], state: str, faults: int, joint: str, reason: str
+) -> None:
+    verdict = unusable_verdict(joints)
+    assert verdict == Verdict(getattr(EndpointState, f"STATE_{state}"), faults, joint, reason)
+    assert not verdict.has_pose
+    EndpointState(state=verdict.state, faults=verdict.faults, joint=verdict.joint, reason=verdict.reason)
+
+
+def test_a_degraded_scan_names_its_degraded_joints() -> None:
+    other = JointStatus("tool", State.DEGRADED, Fault.OUT_OF_RANGE)
+    verdict = degraded_verdict([SOUND_JOINT, FLAGGED, other])
+    faults = Fault.FLAGGED | Fault.OUT_OF_RANGE
+    reason = "degraded: wrist (FLAGGED), tool (OUT_OF_RANGE)"
+    assert verdict == Verdict(EndpointState.STATE_DEGRADED, faults, "wrist", reason)
+    assert verdict.has_pose
