@@ -105,6 +105,7 @@ def test_same_run_gives_the_same_figures(output: Path) -> None:
     assert found[0] == found[1]
 
 
+@pytest.mark.long
 def test_coverage_needs_no_nodes(output: Path) -> None:
     with run_arm(output, "--arm", "test_rig", "--coverage-only", "--arms", "20") as program:
         assert exit_code(program) == 0, program.stderr
@@ -128,6 +129,7 @@ def test_killed_node_ends_the_program_with_a_message(output: Path) -> None:
         assert sentence.startswith("joint1/posor_node: was ended by SIGKILL; until then: ")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("moment", ["starting 3 nodes", RUNNING])
 def test_interruption_leaves_no_process(output: Path, moment: str) -> None:
     with run_arm(output, "--arm", "test_rig", "--arms", "0", "--seconds", "60") as program:
@@ -136,6 +138,7 @@ def test_interruption_leaves_no_process(output: Path, moment: str) -> None:
         assert program.stderr == ["arm: interrupted."]
 
 
+@pytest.mark.long
 def test_coverage_can_be_interrupted(output: Path) -> None:
     with run_arm(output, "--arm", "test_rig", "--coverage-only", "--arms", "100000") as program:
         program.wait_for_line("drawing 100000 arms")
@@ -154,6 +157,7 @@ def rig_with_a_stage(tmp_path: Path) -> Path:
     return folder / "arm.yaml"
 
 
+@pytest.mark.long
 def test_message_of_a_failed_controller_is_quoted(output: Path, tmp_path: Path, rig_with_a_stage: Path) -> None:
     script = tmp_path / "controller.py"
     script.write_text("raise SystemExit('no idea what to do')\n", encoding="utf-8")

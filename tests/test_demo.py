@@ -98,6 +98,7 @@ def test_the_demo_holds_and_writes_its_report(demo: Demo, tmp_path: Path, monkey
     )
 
 
+@pytest.mark.long
 def test_a_failed_comparison_gives_exit_code_1(demo: Demo, tmp_path: Path, installed_files: Path) -> None:
     table = installed_files / "posor_validation" / "data" / "ymo_output.csv"
     text = table.read_text(encoding="utf-8")
@@ -115,6 +116,7 @@ def test_a_failed_comparison_gives_exit_code_1(demo: Demo, tmp_path: Path, insta
     assert "The comparison does not hold." in page
 
 
+@pytest.mark.long
 def test_a_refusal_of_a_node_is_reported(demo: Demo, installed_files: Path) -> None:
     calibration = installed_files / "posor_bringup" / "config" / "slocum1985_printed.yaml"
     text = calibration.read_text(encoding="utf-8")

@@ -206,6 +206,7 @@ def rms_um(lengths: FloatArray) -> float:
     return 1e6 * float(np.sqrt(np.mean(lengths**2)))
 
 
+@pytest.mark.long
 @pytest.mark.timeout(300)
 def test_endpoint_of_the_arm_reaches_its_target() -> None:
     with Graph() as graph, SteppedArm(graph, ARM) as arm:

@@ -73,6 +73,7 @@ def run(python: Path, code: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT, env=plain_environment())
 
 
+@pytest.mark.long
 @pytest.mark.timeout(900)
 def test_the_example_gives_the_published_poses_without_ros(python: Path) -> None:
     done = run(python, RUN_EXAMPLE)

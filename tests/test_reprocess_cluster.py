@@ -60,6 +60,7 @@ def files(folder: Path) -> Iterator[tuple[str, bytes]]:
             yield str(path.relative_to(folder)), path.read_bytes()
 
 
+@pytest.mark.long
 @pytest.mark.timeout(300)
 def test_the_results_are_whole_and_the_same_though_a_worker_is_killed(bags: Path, tmp_path: Path) -> None:
     given = [*(str(bags / name) for name in BAGS), *ARM]

@@ -132,6 +132,7 @@ def test_killed_during_colcon_build(checkout: Miniature, *, whole_group: bool) -
     assert "things 42" in checkout.run("miniature", "tell").stdout
 
 
+@pytest.mark.long
 def test_changed_lock_file_renews_the_environment_also_after_a_kill(checkout: Miniature) -> None:
     checkout.write("requirements/dev.txt", "# nothing more\n")
     with checkout.start_set_up() as process:

@@ -127,6 +127,7 @@ def test_index_without_a_pinned_library(checkout: Miniature) -> None:
     assert last.startswith("posor set-up: pip's package index has no no-such-library==1.0 for this Python")
 
 
+@pytest.mark.long
 def test_failed_build_prints_the_end_of_its_log(checkout: Miniature) -> None:
     (checkout.ros2 / "src" / "miniature" / "config" / "numbers.txt").unlink()
     done = checkout.set_up()

@@ -88,11 +88,11 @@ class SimulatedFault(FrozenModel):
 
 @dataclass(frozen=True)
 class PlacedFault:
-    """A fault with what its kind needs to know of the joint.
+    """A fault of a joint, with the ticks, channel and random numbers that its kind needs.
 
     Attributes:
         fault: Entry of the scenario file.
-        ticks: First tick, and the tick behind the last, within a cycle.
+        ticks: First tick, and the tick after the last, within a cycle.
         field: Attribute of ``Scans`` that holds the channel; empty: none.
         index: Of the channel in one scan.
         light_sources: Number of light sources that a diode can see.
@@ -123,7 +123,7 @@ def _with_fields(published: SimulatedScans, which: IntArray, **values: object) -
 
 
 def _with_channel(published: SimulatedScans, which: IntArray, placed: PlacedFault, values: object) -> SimulatedScans:
-    """Return scans in which some have other values of one channel; a diode without a contact has four."""
+    """Return scans in which some have other values of one channel; without ``contact``, a diode has four."""
     readings = getattr(published.scans, placed.field).copy()
     readings[(which, *placed.index)] = values
     return replace(published, scans=published.scans.with_fields({placed.field: readings}))

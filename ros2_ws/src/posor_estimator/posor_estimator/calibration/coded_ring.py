@@ -1,8 +1,8 @@
-"""Spacing of the light sources on a ring such that the two lit sources tell which ones they are.
+"""Spacing of the light sources on a ring such that the readings contradict wrong indices of the two lit sources.
 
 Two diodes see two sources. Of the four coordinates of the spots, x, y and theta explain three; the distance of the
-spots is left to contradict a wrong source. If the sources are evenly spaced, it does not: with both sources named one
-too high, the spots fit a theta that is wrong by one pitch. Here the pitch grows steadily around the ring,
+spots is redundant and can contradict a wrong index. With evenly spaced sources it does not: if both indices are one too
+high, the spots fit a theta that is wrong by one pitch. Here the pitch grows steadily around the ring,
 
     phi_i = 2 pi (u + c u (u - 1)),  u = (i + offset) / N,
 

@@ -13,7 +13,7 @@ from scipy.special import bdtrc
 WINDOW = 1000
 """Number of scans over which the rate is judged."""
 SIGNIFICANCE = 1e-6
-"""Probability that ``WINDOW`` sound scans are called a fault."""
+"""Largest probability that ``WINDOW`` sound scans are reported as a fault."""
 
 
 def alarm_limit(probability: float) -> int:
@@ -41,7 +41,7 @@ class AlarmRate:
         """Count a scan without a pose; return whether there is a fault.
 
         Args:
-            scan: How many scans came before, with and without a pose.
+            scan: Number of the scan, counted with and without a pose.
 
         """
         self._row = self._row + 1 if scan == self._last + 1 else 1

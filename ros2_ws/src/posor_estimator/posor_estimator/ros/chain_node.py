@@ -3,8 +3,8 @@
 Subscribes to ``<joint>/transform`` (posor_msgs/JointTransform) for every floating joint of the URDF. Publishes
 ``endpoint/pose``, ``endpoint/pose_with_covariance`` and ``joint_states``, the angles about the joints' nominal axes.
 Transforms are joined by equal stamps. Without a usable transform of every joint in time there is no pose.
-``endpoint/state`` (posor_msgs/EndpointState) says so for every scan and for every transform that is refused, and every
-0.08 s while no scan arrives; it and the diagnostics name the joint and the reason.
+``endpoint/state`` (posor_msgs/EndpointState) is published for every scan, for every transform that is refused, and
+every 0.08 s during a silence of the input; it and the diagnostics name the joint and the reason.
 """
 
 from __future__ import annotations

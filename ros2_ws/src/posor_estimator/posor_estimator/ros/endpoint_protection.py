@@ -33,7 +33,7 @@ class ProtectionLevel:
         self._received: dict[str, tuple[float, FloatArray]] = {}
 
     def receive(self, joint: str, message: JointReliability) -> None:
-        """Keep the message of a joint; one of another frame or length is not used."""
+        """Keep the message of a joint; ignore a message with other frames or another length."""
         expected = next(own for own in self._chain.joints if own.name == joint)
         shifts = np.array(message.undetected_shifts)
         frames = message.header.frame_id, message.child_frame_id
@@ -41,7 +41,7 @@ class ProtectionLevel:
             self._received[joint] = monotonic(), shifts.reshape(-1, 6)
 
     def compute(self, poses: FloatArray, covariance: FloatArray, axes: FloatArray) -> FloatArray:
-        """Return the protection level, (6,); NaN without a covariance, or without a present message of each joint.
+        """Return the protection level, (6,); NaN without a covariance, or without a recent message of each joint.
 
         Args:
             poses: Of the joints, (j, 7), as ``EndpointEstimator.poses``.

@@ -1,4 +1,4 @@
-"""Verdicts on the endpoint of a scan: whether there is one, which joint decides, and why."""
+"""Verdicts on the endpoint of a scan: whether there is an endpoint, which joint decides, and why."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ SOUND = Verdict(EndpointState.STATE_OK)
 
 
 class JointStatus(NamedTuple):
-    """What a transform and the chain say about a joint in one scan.
+    """State of a joint in one scan, from its transform and from the checks of the chain.
 
     Attributes:
         name: Of the joint.

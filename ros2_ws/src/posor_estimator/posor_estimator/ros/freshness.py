@@ -29,11 +29,11 @@ if TYPE_CHECKING:
 CHECK_S = 0.08
 """Time between two checks of all inputs of a node."""
 SILENT_PERIODS = 10
-"""Mean periods without input that count as silence, unless ``max_silence`` is longer."""
+"""Median periods without input that count as silence, unless ``max_silence`` is longer."""
 PERIODS = 5
-"""Last measured periods of which the median counts, so that neither a pause nor a burst changes it."""
+"""Number of last measured periods whose median is used, so that neither a pause nor a burst changes it."""
 AFTER_CROWD_S = 0.2
-"""Time after the last second publisher has gone, in which a message of it may still arrive."""
+"""Time after a second publisher has gone in which its last messages may still arrive [s]."""
 MAX_NOTES = 3
 """Anomalies that are reported in a second; all are counted."""
 INPUT_STATUS = "input"
@@ -86,6 +86,8 @@ class StampLimits(NamedTuple):
     Attributes:
         now_ns: The node's ROS time [ns].
         parameters: The limits.
+        youngest_ns: Least age [ns]; negative: ahead of ROS time.
+        oldest_ns: Greatest age [ns].
 
     """
 
@@ -178,8 +180,8 @@ class InputMonitor:
 
         Args:
             node: The node.
-            on_check: Called after each check, every ``CHECK_S``, with whether a fault is new or has lasted for another
-                second.
+            on_check: Called after each check, every ``CHECK_S``, with whether the report has changed or is repeated
+                after another second.
 
         """
         self._node = node
@@ -200,7 +202,7 @@ class InputMonitor:
         return self.add_source(subscription.topic_name, subscription)
 
     def add_source(self, name: str, subscription: IntraProcessSubscription | None = None) -> InputWatch:
-        """Watch an input that is no topic, until ``clear``; the caller records the arrivals."""
+        """Watch an input until ``clear``; no subscription: a source. The caller records the arrivals."""
         watch = InputWatch(name)
         self._inputs.append((watch, subscription))
         return watch
@@ -228,7 +230,7 @@ class InputMonitor:
         self._report(Level.OK, "not watched", None)
 
     def note(self, text: str) -> None:
-        """Report an anomaly, such as a missing scan, as a warning for a second; of many only the first ones."""
+        """Report an anomaly, such as a missing scan, as a warning for a second; at most ``MAX_NOTES`` of them."""
         if len(self._notes) < MAX_NOTES:
             self._notes.append(text)
             self._report(Level.WARN, "; ".join(self._notes), None)
@@ -259,9 +261,9 @@ class InputMonitor:
         self._on_check(is_new)
 
     def crowded(self) -> str:
-        """Return the sentence on a topic that has or just had several publishers: use none of its messages.
+        """Return the sentence on a topic that has or just had several publishers; else empty.
 
-        Empty: there is none.
+        No message of such a topic may be used.
         """
         for _, each in self._inputs:
             if each is not None and (count := each.publisher_count()) > 1:
@@ -272,7 +274,7 @@ class InputMonitor:
         return self._crowd
 
     def _refresh(self) -> None:
-        """Report present ages, and forget anomalies of the last second."""
+        """Discard the anomalies of the last second; the next check reports again, with present ages."""
         self._notes.clear()
         self._reported = None
 

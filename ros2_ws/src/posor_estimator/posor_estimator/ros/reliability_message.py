@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def reliability_message(posor: Posor, last: EstimatedScan) -> JointReliability | None:
-    """Return the reliability of a POSOR at the pose of a scan; None: the scan has no pose.
+    """Return the reliability of a POSOR at the pose of a scan; None: the scan has no usable pose.
 
     Raises:
         FitError: The readings do not determine all six freedoms at this pose.

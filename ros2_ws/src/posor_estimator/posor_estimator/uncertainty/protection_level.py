@@ -1,4 +1,4 @@
-"""Protection levels of an arm's endpoint: what an undetected error of a single reading may do to it, with a margin.
+"""Protection levels of an arm's endpoint: bounds of its error in spite of an undetected error of a single reading.
 
 As in receiver autonomous integrity monitoring (RAIM) of satellite navigation. Along and about each axis k of the base,
 

@@ -1,14 +1,14 @@
-"""Reliability of a POSOR after Baarda: which error of a single reading its redundancy detects, and what the rest does.
+"""Reliability of a POSOR after Baarda: which error of a single reading is detected, and the effect of smaller ones.
 
 The estimator tests the redundant readings by one chi-square (``estimation.residual_test``). An error b of a single
-reading makes it non-central, lambda = c b^2 with c of ``Posor.sensitivity``. With r redundant readings, the error that
-is missed with the probability ``missed_detection`` has the lambda_0 at which the non-central chi-square is below the
-limit of the test just so often. Hence
+reading makes it non-central, lambda = c b^2 with c of ``Posor.sensitivity``. lambda_0 is the lambda at which the
+non-central chi-square with r degrees of freedom, the number of redundant readings, is below the limit of the test with
+the probability ``missed_detection``. Hence
 
     minimal detectable bias  b = sqrt(lambda_0 / c),    undetected shift of the pose  G b,
 
-G the estimator's gain. A reading that no other one checks has c = 0, or next to nothing: its bias is not
-detectable.
+G the estimator's gain. If no other reading checks a reading, its redundancy number and c are zero up to rounding, and
+its bias is not detectable.
 
 Source: W. Baarda, *A testing procedure for use in geodetic networks*, Delft 1968 (internal and external reliability).
 """
@@ -108,12 +108,12 @@ def joint_reliability(
 
 
 def noncentrality(redundant: int, limit: float, missed_detection: float) -> float:
-    """Return the non-centrality at which a chi-square of a number of degrees of freedom passes a limit that rarely."""
+    """Return the non-centrality at which chi-square of ``redundant`` degrees of freedom passes a limit that rarely."""
     return float(chndtrinc(limit, redundant, missed_detection))
 
 
 def transformed(matrix: FloatArray, vector: FloatArray) -> FloatArray:
-    """Return ``matrix @ vector`` where infinite components act through coefficients that are not zero only."""
+    """Return ``matrix @ vector``, in which infinite components act only through coefficients that are not zero."""
     finite = np.isfinite(vector)
     product = matrix @ np.where(finite, vector, 0.0)
     unbounded = (np.abs(matrix) > _NO_COEFFICIENT * np.abs(matrix).max(initial=0.0)) @ ~finite

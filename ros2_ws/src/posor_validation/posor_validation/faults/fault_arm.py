@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 RATES: Mapping[Arm, int] = {"six_axis": 50, "five_axis": 50, "test_rig": 100}
 """Scans per second that two processors can follow with all drivers and nodes."""
 AMPLITUDES: Mapping[Arm, float] = {"six_axis": 0.03, "five_axis": 0.06, "test_rig": 0.03}
-"""Of the motion about home [rad]: rings of bumps move by more than a bump and pass their home marks once a second."""
+"""Of the motion about home [rad]: bumpy rings move by more than a bump and pass their home marks once a second."""
 WAYPOINT_S = 1.0
 """Time between two waypoints of the motion, which changes its direction there."""
 

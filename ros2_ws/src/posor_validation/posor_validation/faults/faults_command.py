@@ -1,7 +1,7 @@
 """faults: injects every fault of the fault table into nodes and estimator, and a storm of all of them.
 
 Prints fault, expected and seen behaviour, time to naming, and wrong poses published as valid; writes ``faults.json``.
-The exit code is 0 only if every aim is reached.
+The exit code is 0 only if every aim is reached; the aims are in ``docs/how_to/faults.md``.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ AXES = ("x", "y", "z", "about X", "about Y", "about Z")
 EXPANSION = 23e-6
 """Thermal expansion of aluminium [1/K]."""
 BEAM_WARMING = 5.0
-"""[K]."""
+"""Temperature of the beams above that of the URDF [K]."""
 
 
 class HiddenFault(NamedTuple):
@@ -141,7 +141,10 @@ def draw_joint_poses(count: int, random: np.random.Generator) -> PoseArray:
 
 
 def warm_beam_cases(cases: int, random: np.random.Generator) -> tuple[float, int, str]:
-    """Return how the endpoint's protection level covers measuring beams that are longer by ``BEAM_WARMING``."""
+    """Return how the endpoint's protection level covers measuring beams that are longer by ``BEAM_WARMING``.
+
+    The joints are taken as exact: the error of the endpoint is that of the beams alone. At most 50 cases.
+    """
     arm = load_arm(find_arm("six_axis"))
     chain = arm.chain()
     cases = min(cases, 50)

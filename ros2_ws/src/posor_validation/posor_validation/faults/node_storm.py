@@ -1,7 +1,7 @@
 """The storm of faults through real posor_nodes: the program plays their drivers, without loss, in stretches.
 
 After each stretch it waits for all transforms; between two of them an operator acknowledges. There is no encoder here:
-a ring of bumps is out after an acknowledgement until it passes its home mark. The transforms must equal those of the
+after an acknowledgement a bumpy ring is UNCOUNTED until it passes its home mark. The transforms must equal those of the
 estimator alone.
 """
 

@@ -27,7 +27,7 @@ SMALL_TURN = 0.1
 """Turn [rad] beyond which a pose is wrong whatever its covariance."""
 
 STALE_S = 1.2
-"""Age at which a pose published as valid is wrong, whatever its numbers: the greatest age of a stamp and a reserve."""
+"""Age beyond which a pose published as valid is wrong, whatever its numbers [s]: ``freshness.max_age`` and a margin."""
 
 
 def wrong_poses(found: PoseArray, covariances: FloatArray, true: PoseArray) -> BoolArray:

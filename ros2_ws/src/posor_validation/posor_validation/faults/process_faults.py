@@ -1,7 +1,7 @@
 """Faults of processes and links: nodes of the test rig are stopped or killed, its link is cut, one after the other.
 
 The nodes run in processes of their own. A relay between driver_node and posor_node is the link: when its process is
-stopped, nothing arrives any more and nobody says so, as when a cable is pulled.
+stopped, no scan arrives and no node announces its end, as when a cable is pulled.
 """
 
 from __future__ import annotations
@@ -38,7 +38,10 @@ FAULT_S = 1.0
 """Time from a fault to the restart or continuation of the process."""
 SOUND_S = 0.5
 ABSENCE_S = 0.25
-"""Silence of the endpoint's state that a subscriber takes for its loss; it is published every 0.08 s at least."""
+"""Silence of the endpoint's state that a subscriber takes for the loss of chain_node [s].
+
+During a silence of the input the state is published every 0.08 s, but only from its detection on (0.2 s to 0.28 s).
+"""
 ABSENCE = "absence"
 """In ``FaultRow.named_by``: the fault is named by the absence of the endpoint's state."""
 CYCLE_S = 20

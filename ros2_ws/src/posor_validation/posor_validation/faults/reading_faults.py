@@ -39,7 +39,7 @@ SOUND_S = 0.2
 ATTEMPTS = 3
 """Cycles after which a fault is judged in any case; later ones are for faults that a problem of the host concealed."""
 NEEDS_FIRST_SCAN = ("frozen", "stuck")
-"""Kinds that repeat their first reading, which must have been published once."""
+"""Kinds that repeat the reading at the beginning of the fault, which must have been published."""
 SETTLING_TIMEOUT_S = 90.0
 """Longest time from the start of the nodes until the arm has poses."""
 SETTLED_POSES = 20
@@ -47,7 +47,7 @@ SETTLED_POSES = 20
 HOUR_S = 3601.3
 """Shift of a clock; no multiple of a cycle, after which the motion repeats."""
 IMPERFECTIONS = {"simulated.dropouts": False, "simulated.zero_drift": False}
-"""Drifts of the zero are no part of the stated covariance, and dropouts are faults in themselves."""
+"""Disabled: zero drift is not part of the stated covariance, and dropouts are faults themselves."""
 
 
 class ScenarioFault(NamedTuple):
@@ -185,7 +185,7 @@ class ReadingRun:
         self._cycle_ns = duration_s * NS
 
     def run(self) -> list[RowResult]:
-        """Run the nodes until each fault has been once; return the results.
+        """Run the nodes until each fault has occurred; return the results.
 
         Raises:
             ProcessError: A node failed, or the arm has no poses.
@@ -212,7 +212,7 @@ class ReadingRun:
                 receiver.close()
 
     def _is_settled(self, receiver: FaultReceiver) -> bool:
-        """Return whether the arm has poses; acknowledge faults of the present cycle, which the run does not count."""
+        """Return whether the arm has poses; acknowledge latched faults, which occur before the run begins to count."""
         now_s = time.monotonic()
         if now_s - self._started_s > SETTLING_TIMEOUT_S:
             raise ProcessError(f"no endpoint poses in {SETTLING_TIMEOUT_S:g} s", where=self._arm.name)
@@ -225,7 +225,7 @@ class ReadingRun:
         return receiver.usable_endpoints(SETTLED_POSES)
 
     def _receive_faults(self, receiver: FaultReceiver, watch: GraphWatch) -> dict[int, int]:
-        """Receive until each fault has been once, and acknowledge each; return when each began [ns]."""
+        """Receive until each fault has occurred, and acknowledge each; return when each began [ns]."""
         now_ns = time.time_ns()
         begins = {}
         for n in range(len(self._faults)):

@@ -41,10 +41,10 @@ if TYPE_CHECKING:
 
 RATE = 500
 BLOCK = 20_000
-"""Scans of one draw of the sensors."""
+"""Scans of one block, for which the true parameters of the sensors are drawn once."""
 FAULTY_SHARE = 0.3
 LONGEST = 200
-"""Scans of the longest fault; short faults are as frequent as long ones, logarithmically."""
+"""Scans of the longest fault; the logarithm of the length is uniformly distributed."""
 OPERATOR_SCANS = 20
 """Sound scans after a fault until an operator acknowledges it."""
 ENCODER_SIGMA = 1e-3
@@ -100,7 +100,7 @@ class Storm:
 
 @dataclass(frozen=True)
 class _Episode:
-    """One fault of a block: what its scans ``part`` of the arrays become; ``bias`` gives an observable error [V]."""
+    """One fault of a block, in the scans ``part`` of its arrays; ``bias`` returns a minimal detectable bias [V]."""
 
     arrays: Mapping[str, Any]
     part: slice
@@ -323,7 +323,7 @@ class StormCount:
     scans: int
     injected: int
     wrong_ok: int  # beyond 5 standard deviations of the truth, and published as valid
-    uncovered: int  # of these, without those that the protection level covers and may cover
+    uncovered: int  # of these, without sound and LIKE_THE_TRUE_READING scans that the protection level covers
     sound: int  # scans without a fault, outside of a latched period
     sound_ok: int
     latched: int  # scans without a fault in a latched period
