@@ -113,6 +113,7 @@ def test_the_bag_holds_one_cycle_of_the_scenario() -> None:
     assert 1e-6 < np.sqrt(np.mean(np.sum(np.square(errors), axis=1))) < 2e-5
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("ros_domain")
 @pytest.mark.timeout(300)
 def test_the_bag_replays_bit_for_bit(tmp_path: Path) -> None:

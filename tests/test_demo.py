@@ -128,6 +128,7 @@ def test_a_refusal_of_a_node_is_reported(demo: Demo, installed_files: Path) -> N
     assert err == f"posor_node: ended with exit code 1: {calibration}, {sentence}\n"
 
 
+@pytest.mark.long
 def test_a_node_that_dies_is_reported(demo: Demo, tmp_path: Path) -> None:
     process = demo("--rate", "0.2")
     wait_for_first_step(process)

@@ -55,7 +55,7 @@ def run_until(replay: Replay, count: Callable[[], int], more: int = FURTHER_POSE
     replay.wait_until(lambda: count() >= goal, lambda: f"{goal - count()} of {more}")
 
 
-@pytest.mark.parametrize("victim", ["posor_node", "chain_node"])
+@pytest.mark.parametrize("victim", ["posor_node", pytest.param("chain_node", marks=pytest.mark.long)])
 def test_a_killed_node_is_restarted_and_no_pose_is_wrong(tmp_path: Path, victim: str) -> None:
     plan = make_plan(tmp_path / "run", "ymo", "printed", rate=1.0, loop=True)
     with open_replay(plan) as replay:

@@ -63,7 +63,16 @@ class CompletedReplay:
 
 
 @pytest.fixture(
-    scope="module", params=[(bag, calibration) for bag in BAGS for calibration in CALIBRATIONS], ids="-".join
+    scope="module",
+    params=[
+        pytest.param(
+            (bag, calibration),
+            id=f"{bag}-{calibration}",
+            marks=() if (bag == "ymo" or calibration == "printed") else pytest.mark.long,
+        )
+        for bag in BAGS
+        for calibration in CALIBRATIONS
+    ],
 )
 def replay(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> CompletedReplay:
     """Replay one bag with one calibration, as fast as possible."""

@@ -131,6 +131,7 @@ def test_the_summary_counts_lost_scans(capsys: pytest.CaptureFixture[str]) -> No
     assert "no --output: nothing is written" in said
 
 
+@pytest.mark.long
 def test_several_bags_at_a_time_give_the_same_bytes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bags = [str(BAGS / name) for name in ("ymo", "yzmo", "zmo")]
     options = ["--calibration", f"joint1={calibration_path('printed')}", "--format", "csv", "--output"]

@@ -22,7 +22,12 @@ ARM = ["--arm", str(find_arm("five_axis"))]
 INTERRUPTED = "reprocess: interrupted; what was not finished is not there."
 LONG = ("b", "c", "d")
 WAYS = pytest.mark.parametrize(
-    ("number", "to"), [(signal.SIGINT, "group"), (signal.SIGINT, "parent"), (signal.SIGTERM, "parent")]
+    ("number", "to"),
+    [
+        (signal.SIGINT, "group"),
+        pytest.param(signal.SIGINT, "parent", marks=pytest.mark.long),
+        pytest.param(signal.SIGTERM, "parent", marks=pytest.mark.long),
+    ],
 )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -53,10 +54,15 @@ def random_rotation(rng: np.random.Generator) -> Callable[[], FloatArray]:
     return make
 
 
+@pytest.fixture(scope="session")
+def _content(rig_calibrations: dict[str, Path]) -> Any:
+    return yaml.load(rig_calibrations["printed"].read_text(encoding="utf-8"), Loader=yaml.CSafeLoader)
+
+
 @pytest.fixture
-def content(rig_calibrations: dict[str, Path]) -> dict[str, Any]:
-    """Content of the rig's file ``printed`` as plain data."""
-    return dict(yaml.safe_load(rig_calibrations["printed"].read_text(encoding="utf-8")))
+def content(_content: Any) -> dict[str, Any]:
+    """Content of the rig's file ``printed`` as plain data, which the test may change."""
+    return dict(copy.deepcopy(_content))
 
 
 @pytest.fixture

@@ -222,7 +222,6 @@ class Kind(NamedTuple):
         of_channel: Whether it concerns one channel.
         sized: Whether it has a size.
         unit: Of the size; empty: that of the reading.
-        description: What is published.
 
     """
 
@@ -230,31 +229,26 @@ class Kind(NamedTuple):
     of_channel: bool
     sized: bool
     unit: str
-    description: str
 
 
 KINDS: dict[FaultKind, Kind] = {
-    "off": Kind(_off, of_channel=False, sized=False, unit="", description="no scan"),
-    "late": Kind(_late, of_channel=False, sized=True, unit="s", description="the scan, later by `size`"),
-    "stuck": Kind(_stuck, of_channel=True, sized=False, unit="", description="the channel's reading at the beginning"),
-    "frozen": Kind(_frozen, of_channel=False, sized=False, unit="", description="all readings of the beginning"),
-    "garbage": Kind(
-        _garbage, of_channel=True, sized=True, unit="", description="random readings, at most `size` in amount"
-    ),
-    "nan": Kind(_nan, of_channel=True, sized=False, unit="", description="not a number"),
-    "offset": Kind(_offset, of_channel=True, sized=True, unit="", description="the reading plus `size`"),
-    "value": Kind(_value, of_channel=True, sized=True, unit="", description="`size`"),
-    "dark": Kind(_dark, of_channel=True, sized=False, unit="", description="no current"),
-    "slip": Kind(
-        _slip, of_channel=False, sized=True, unit="1", description="light sources counted on by `size` for all diodes"
-    ),
-    "supply": Kind(_supply, of_channel=False, sized=True, unit="V", description="`size` as supply voltage"),
-    "temperature": Kind(_temperature, of_channel=False, sized=True, unit="K", description="`size` as temperature"),
-    "status": Kind(_status, of_channel=False, sized=True, unit="1", description="the flags `size` besides the others"),
-    "home": Kind(_home, of_channel=False, sized=False, unit="", description="a home mark"),
-    "clock": Kind(_clock, of_channel=False, sized=True, unit="s", description="the stamp, later by `size`"),
-    "number": Kind(_number, of_channel=False, sized=True, unit="1", description="the scan number plus `size`"),
-    "repeat": Kind(_repeat, of_channel=False, sized=False, unit="", description="the scan of the beginning, again"),
+    "off": Kind(_off, of_channel=False, sized=False, unit=""),
+    "late": Kind(_late, of_channel=False, sized=True, unit="s"),
+    "stuck": Kind(_stuck, of_channel=True, sized=False, unit=""),
+    "frozen": Kind(_frozen, of_channel=False, sized=False, unit=""),
+    "garbage": Kind(_garbage, of_channel=True, sized=True, unit=""),
+    "nan": Kind(_nan, of_channel=True, sized=False, unit=""),
+    "offset": Kind(_offset, of_channel=True, sized=True, unit=""),
+    "value": Kind(_value, of_channel=True, sized=True, unit=""),
+    "dark": Kind(_dark, of_channel=True, sized=False, unit=""),
+    "slip": Kind(_slip, of_channel=False, sized=True, unit="1"),
+    "supply": Kind(_supply, of_channel=False, sized=True, unit="V"),
+    "temperature": Kind(_temperature, of_channel=False, sized=True, unit="K"),
+    "status": Kind(_status, of_channel=False, sized=True, unit="1"),
+    "home": Kind(_home, of_channel=False, sized=False, unit=""),
+    "clock": Kind(_clock, of_channel=False, sized=True, unit="s"),
+    "number": Kind(_number, of_channel=False, sized=True, unit="1"),
+    "repeat": Kind(_repeat, of_channel=False, sized=False, unit=""),
 }
 """All kinds: what is published instead of the scan."""
 

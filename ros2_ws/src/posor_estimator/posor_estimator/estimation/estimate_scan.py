@@ -18,8 +18,8 @@ from posor_estimator.estimation.solver import CONVERGED, ILL_CONDITIONED, SINGUL
 from posor_estimator.estimation.supply_and_temperature import add_unmeasured, environment_is_valid, unmeasured
 from posor_estimator.estimation.tracking import (
     MARKS,
-    POSITION_FAULTS,
     REFERENCE_SIGMAS,
+    REGAINABLE_FAULTS,
     RESIDUAL_RUN,
     add_prior,
     copy_pose,
@@ -58,8 +58,8 @@ if TYPE_CHECKING:
     from posor_estimator.estimation.workspace import Model
 
 DONE, START, RETRY = 0, 1, 2
-"""What is left to do for a scan: nothing; a start, since no pose is known; a retry from a start, since it failed
-from the previous pose."""
+"""What is left to do for a scan: nothing; a start, because no pose is known; a retry from a closed form, because the
+solution from the previous pose failed."""
 
 OK, DEGRADED, LOST, UNCOUNTED = (int(state) for state in (State.OK, State.DEGRADED, State.LOST, State.UNCOUNTED))
 NOT_CONVERGED_FAULT, ILL_CONDITIONED_FAULT = int(Fault.NOT_CONVERGED), int(Fault.ILL_CONDITIONED)
@@ -121,7 +121,7 @@ def begin_scan_estimate(model: Model, scan: Any, estimate: Any, linearised: bool
         if lacking != workspace.unmeasured:
             workspace.unmeasured, workspace.rows_active = lacking, 0
         restart_where_time_goes_back(tracker, stamp)
-        if not _is_out_for_good(tracker):
+        if not _needs_acknowledgement(tracker):
             return True
     tracker.reference_sigma = 0.0
     faults, latched = estimate.faults, tracker.latch
@@ -133,10 +133,10 @@ def begin_scan_estimate(model: Model, scan: Any, estimate: Any, linearised: bool
 
 
 @inlined
-def _is_out_for_good(tracker: Any) -> bool:
-    """Return whether no pose of this scan could release the latch: a start from a closed form would be in vain."""
+def _needs_acknowledgement(tracker: Any) -> bool:
+    """Return whether only an acknowledgement can release the latch; the scan is not solved then."""
     known = tracker.initialised or tracker.start_given
-    return bool(not known and tracker.latch & POSITION_FAULTS and not tracker.latch_about_theta)
+    return bool(not known and tracker.latch & REGAINABLE_FAULTS and not tracker.latch_about_theta)
 
 
 @inlined
@@ -296,9 +296,9 @@ def locate(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in order
         tracker.contradictions = tracker.contradictions - 1 if tracker.latch & RESIDUAL_FAULT else 0
         if tracker.contradictions == 0:
             tracker.latch &= ~RESIDUAL_FAULT
-    if tracker.latch & POSITION_FAULTS:
+    if tracker.latch & REGAINABLE_FAULTS:
         if not contradictory and is_regained(workspace, stamp, estimate.random):
-            tracker.latch &= ~POSITION_FAULTS
+            tracker.latch &= ~REGAINABLE_FAULTS
         else:
             moved_on = False
     elif tracked and limited and not recounted:

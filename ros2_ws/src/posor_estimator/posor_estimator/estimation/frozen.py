@@ -1,8 +1,9 @@
-"""Readings that repeat to the last bit although they have noise: an electronics that no longer measures.
+"""Readings that repeat to the last bit although they have noise: electronics that no longer measure.
 
 Two readings of a channel at rest are equal with the probability p that the noise stays within a step of the converter.
-The evidence of n repetitions is ``-n log10 p``: a channel is frozen where its own is FROZEN, or where all channels
-repeat at once and the sum of theirs is ALL_FROZEN. A channel without noise above its step has no evidence.
+The evidence of n repetitions is ``-n log10 p``: a channel is frozen where its own is FROZEN_EVIDENCE, or where all
+channels repeat at once and the sum of theirs is ALL_FROZEN_EVIDENCE. A channel without noise above its step has no
+evidence.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ from posor_estimator.numerics.compiled import inlined
 if TYPE_CHECKING:
     from posor_estimator.estimation.workspace import Model
 
-FROZEN = 6.0
+FROZEN_EVIDENCE = 6.0
 """Evidence of one channel that it is frozen: by chance once in a million scans."""
-ALL_FROZEN = 3.5
+ALL_FROZEN_EVIDENCE = 3.5
 """Evidence of all channels together, so that the first repeated scan is seen; a wrong alarm costs one scan."""
 ALL = -1
 """Frozen reading where it is all of them together."""
@@ -30,7 +31,7 @@ _CELLS = 200
 
 
 def evidence_of_repetition(step: float, noise: float) -> float:
-    """Return ``-log10`` of the probability that a reading repeats by chance, at most FROZEN.
+    """Return ``-log10`` of the probability that a reading repeats by chance, at most FROZEN_EVIDENCE.
 
     Args:
         step: Of the converter; zero: readings are not rounded.
@@ -38,10 +39,11 @@ def evidence_of_repetition(step: float, noise: float) -> float:
 
     """
     if step <= 0.0 or step < 0.1 * noise:
-        return FROZEN if step <= 0.0 else min(FROZEN, -math.log10(0.5 * step / (noise * math.sqrt(math.pi))))
+        likely = 0.5 * max(step, 0.0) / (noise * math.sqrt(math.pi))
+        return min(FROZEN_EVIDENCE, -math.log10(likely)) if likely > 0.0 else FROZEN_EVIDENCE
     edges = [0.5 * math.erf((cell - 0.5) * step / noise * math.sqrt(0.5)) for cell in range(-_CELLS, _CELLS + 2)]
     likely = sum((high - low) ** 2 for low, high in pairwise(edges))
-    return min(FROZEN, max(0.0, -math.log10(likely)))
+    return min(FROZEN_EVIDENCE, max(0.0, -math.log10(likely)))
 
 
 @inlined
@@ -73,8 +75,8 @@ def count_repetitions(model: Model, scan: Any) -> int:
             tracker.last_raw[r, 0], tracker.last_raw[r, 1] = one, other
             if workspace.evidence[r] > 0.0:
                 fewest = min(fewest, tracker.repeats[r])
-                if tracker.repeats[r] * workspace.evidence[r] >= FROZEN:
+                if tracker.repeats[r] * workspace.evidence[r] >= FROZEN_EVIDENCE:
                     frozen = r
-    if fewest > 0 and fewest * workspace.settings.all_evidence >= ALL_FROZEN:
+    if fewest > 0 and fewest * workspace.settings.all_evidence >= ALL_FROZEN_EVIDENCE:
         frozen = ALL
     return frozen

@@ -43,6 +43,11 @@ PHASE_GUESSES = 8
 """Starts within one bump that are tried where theta is unknown."""
 LIKELY_RUNOUT = 1e-4
 """Of starts that fit alike, as three ring probes have several, the start of least runout is taken; scale [m]."""
+RELEASE = (
+    "until the earlier motion is regained, the readings agree again, a reference confirms theta, "
+    "or ~/acknowledge is called"
+)
+"""What releases a latch, for messages."""
 LARGEST_SIGMA = 0.1
 """Largest standard uncertainty of a reference of theta, in periods: five of them are half a period."""
 COUNT_WINDOW = 0.52
@@ -91,7 +96,7 @@ class Posor:
         self._prepare()
 
     def _prepare(self) -> None:
-        """Lay the stack out for the kernels; nothing is remembered."""
+        """Lay the stack out for the kernels; the tracker is reset."""
         self.model = self.stack.model(self._square_root)
         self._plain = PlainSensors(self.stack, self.model, self.parameter_square_root)
         self._known_theta: float | None = None
@@ -163,7 +168,7 @@ class Posor:
         return other
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Posor:
-        """Return a POSOR that goes on from the same previous pose, with memory of its own."""
+        """Return a POSOR that goes on from the same previous pose, with a workspace of its own."""
         other = self.with_parameter_values(self.stack.parameter_values)
         other.model.workspace["tracker"] = self.model.workspace["tracker"]
         return other
@@ -448,7 +453,7 @@ class Posor:
         found = [sentence for fault, sentence in sentences.items() if faults & fault]
         if faults & Fault.LATCHED:
             names = Fault(faults & ~Fault.LATCHED).name
-            found = [f"out after {names}, until a reference confirms theta or the fault is acknowledged"]
+            found = [f"latched after {names}, {RELEASE}"]
         return f"scan {scan.number}: {'; '.join(found)}." if found else ""
 
     def _environment_sentence(self, scan: Scan) -> str:

@@ -1,10 +1,10 @@
 """From scan to scan: prediction of the next pose, motion gate, latch, prior where readings are blind, counting.
 
-A fault latches the joint out. Faults of the position (POSITION_FAULTS) hold the tracker at the last accepted pose. They
-are released where one of the next scans regains the extrapolated motion within the gate of one scan interval, by a jump
-back from the poses rejected meanwhile. Waiting does not widen this gate: later, only a reference of theta releases a
-latch that is about theta, or an operator any latch. Where a home mark or an encoder disagrees, the tracker goes on, and
-the reference releases the latch.
+A fault latches the joint. REGAINABLE_FAULTS hold the tracker at the last accepted pose. They are released where one of
+the next scans regains the extrapolated motion within the gate of one scan interval, by a jump back from the poses
+rejected meanwhile. Waiting does not widen this gate: later, only a reference of theta releases a latch that is about
+theta, or an operator any latch. Where a home mark or an encoder disagrees, the tracker goes on, and the reference
+releases the latch.
 """
 
 from __future__ import annotations
@@ -21,16 +21,17 @@ if TYPE_CHECKING:
     from posor_estimator.numerics.array_types import FloatArray
 
 LONGEST_GAP = 3.5
-"""Intervals of the previous scans, over which a motion is extrapolated."""
+"""Longest extrapolation of the motion, in intervals of the previous scans."""
 REGAIN_GAP = 4.5
 """Intervals after the last accepted pose within which the motion is regained: up to three bad scans in a row."""
 MARKS = 6
-"""Scans in a row with consistent home marks that count theta, or whose disagreement is no longer taken for spurious."""
+"""Consecutive scans with agreeing home marks that count theta; as many disagreeing marks are not taken for spurious."""
 RESIDUAL_RUN = 10
 """Scans in a row that fail the residual test before the joint is latched, and that pass it before it is released."""
 REFERENCE_SIGMAS = 5.0
 """Standard deviations within which a reference of theta agrees."""
-POSITION_FAULTS = int(Fault.INNOVATION | Fault.SOURCE | Fault.FROZEN)
+REGAINABLE_FAULTS = int(Fault.INNOVATION | Fault.SOURCE | Fault.FROZEN)
+"""Faults whose latch a pose that goes on from the earlier motion releases."""
 NOISE_ALLOWANCE = 5.0
 """Standard deviations of noise that are added to the largest motion before a jump is a fault."""
 
@@ -83,7 +84,7 @@ def forget_pose(tracker: Any) -> None:
 
 @inlined
 def write_start(settings: Any, tracker: Any, stamp: float, pose: Any) -> None:
-    """Write the start of a scan: the given one, or the previous pose, a counted theta turned on at the last rate."""
+    """Write the start of a scan: the given one, or the previous pose, a counted theta extrapolated at the last rate."""
     if tracker.start_given:
         copy_pose(tracker.start, pose)
         return
@@ -145,7 +146,7 @@ def motion_gate(workspace: Any, previous: Any, elapsed: float, covariance: Float
 @in_place
 def latch(tracker: Any, faults: int, about_theta: int, elapsed: float) -> None:
     """Keep the joint out; ``elapsed`` [s] since the last accepted pose, ``about_theta``: a reference may release it."""
-    if faults & POSITION_FAULTS and tracker.latch & POSITION_FAULTS == 0:
+    if faults & REGAINABLE_FAULTS and tracker.latch & REGAINABLE_FAULTS == 0:
         tracker.latch_interval = tracker.interval
         if elapsed > 0.0 and (tracker.interval <= 0.0 or elapsed < tracker.interval):
             tracker.latch_interval = elapsed
@@ -158,7 +159,7 @@ def latch(tracker: Any, faults: int, about_theta: int, elapsed: float) -> None:
 
 @inlined
 def count_is_stale(settings: Any, tracker: Any, elapsed: float) -> bool:
-    """Return whether nobody has followed the motion for so long that theta can be half a period away."""
+    """Return whether no scan was accepted for so long that theta can be half a period off: UNCOUNTED, no fault."""
     unseen = elapsed > REGAIN_GAP * tracker.interval and tracker.interval > 0.0
     return bool(unseen and settings.max_theta_rate * elapsed > 0.5 * settings.period)
 

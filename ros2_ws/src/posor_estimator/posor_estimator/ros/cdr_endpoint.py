@@ -52,10 +52,10 @@ class EndpointWriter:
 
 
 class EndpointStateWriter:
-    """Writes ``EndpointState``; pose and covariance are NaN without a pose.
+    """Writes ``EndpointState``; pose, covariance and protection level are NaN without a pose.
 
     Attributes:
-        protection_level: Written into every message, (6,) [m], [rad]; NaN: not known.
+        protection_level: Written into every message with a pose, (6,) [m], [rad]; NaN: not known.
 
     """
 
@@ -65,8 +65,8 @@ class EndpointStateWriter:
         covariance = estimator.relative_covariance if relative else estimator.covariance
         self.protection_level = np.full(6, np.nan)
         self._age = np.full(1, np.nan)
-        common = {"age": self._age, "protection_level": self.protection_level}
-        nothing = {"pose.position.x": np.full(7, np.nan), "covariance": np.full((6, 6), np.nan)}
+        endpoint = {"pose.position.x": pose, "covariance": covariance, "protection_level": self.protection_level}
+        nothing = {name: np.full(numbers.shape, np.nan) for name, numbers in endpoint.items()}
 
         @lru_cache(maxsize=WRITERS)
         def writer_of(verdict: Verdict) -> MessageWriter:
@@ -78,8 +78,7 @@ class EndpointStateWriter:
                 child_frame_id=child_frame, state=verdict.state, faults=verdict.faults, joint=joint, reason=reason
             )
             message.header.frame_id = frame
-            numbers = {"pose.position.x": pose, "covariance": covariance} if verdict.has_pose else nothing
-            return MessageWriter(message, {**numbers, **common})
+            return MessageWriter(message, {"age": self._age, **(endpoint if verdict.has_pose else nothing)})
 
         self._writer_of = writer_of
 

@@ -176,13 +176,12 @@ class ChainNode(PosorNode[ChainParameters]):
     def _refresh_status(self) -> None:
         """Update the counts, once a second."""
         with self._lock:
-            if self._reported is not None:
-                self._status.update(self._counts())
+            self._status.update(self._counts())
 
     def _update_protection_level(self) -> None:
         """Update the protection level of the endpoint, once a second."""
         with self._lock:
-            if self._reported is None:
+            if not self._poses:
                 return
             protection, estimator = self._protection, self._estimator
             poses, axes = estimator.poses.copy(), np.eye(3)
@@ -292,7 +291,7 @@ class ChainNode(PosorNode[ChainParameters]):
             row[:] = data if len(data) == size else data[:size]
         estimator = self._estimator
         stamp = self._last_stamp = data[STAMP]
-        refusal = self._inputs.crowded() or self._stamp_limits.fault(stamp_ns)
+        refusal = self._inputs.several_publishers() or self._stamp_limits.fault(stamp_ns)
         if refusal:
             self._refuse_scan(stamp, stamp_ns, Verdict(EndpointState.STATE_LOST, 0, "", refusal))
             return

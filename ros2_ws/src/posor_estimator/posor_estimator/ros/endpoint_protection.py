@@ -50,7 +50,10 @@ class ProtectionLevel:
 
         """
         names, oldest_s = [joint.name for joint in self._chain.joints], monotonic() - VALID_S
-        if any(self._received.get(name, (0.0,))[0] < oldest_s for name in names) or np.isnan(covariance).any():
+        if (
+            any(name not in self._received or self._received[name][0] < oldest_s for name in names)
+            or np.isnan(covariance).any()
+        ):
             return np.full(6, np.nan)
         transforms = {name: pin.XYZQUATToSE3(pose) for name, pose in zip(names, poses, strict=True)}
         effects = endpoint_effects(self._chain, transforms)

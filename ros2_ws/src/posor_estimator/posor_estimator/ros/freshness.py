@@ -32,7 +32,7 @@ SILENT_PERIODS = 10
 """Median periods without input that count as silence, unless ``max_silence`` is longer."""
 PERIODS = 5
 """Number of last measured periods whose median is used, so that neither a pause nor a burst changes it."""
-AFTER_CROWD_S = 0.2
+PUBLISHER_GONE_S = 0.2
 """Time after a second publisher has gone in which its last messages may still arrive [s]."""
 MAX_NOTES = 3
 """Anomalies that are reported in a second; all are counted."""
@@ -191,7 +191,7 @@ class InputMonitor:
         self._timer: Any = None
         self._notes: list[str] = []
         self._reported: tuple[str, ...] | None = None
-        self._crowd, self._crowd_until_s = "", -math.inf
+        self._several, self._several_until_s = "", -math.inf
         self.silent_names: list[str] = []
         self.silent = ""
         node.diagnostics.add_refresh(self._refresh)
@@ -247,31 +247,31 @@ class InputMonitor:
         subscriptions = [each for _, each in self._inputs if each is not None]
         for each in subscriptions:
             each.find_publishers()
-        crowded = self.crowded()
+        several = self.several_publishers()
         missed = [each for each in subscriptions if each.take_missed_deadlines()]
         if missed:
             self.note(f"deadline missed on {', '.join(each.topic_name for each in missed)}")
         silent = [(watch.name, text) for watch, _ in self._inputs if (text := watch.silence(now_s, limit_s))]
         self.silent, self.silent_names = "; ".join(text for _, text in silent), [name for name, _ in silent]
-        key = (crowded, *self.silent_names) if crowded or silent else ()
+        key = (several, *self.silent_names) if several or silent else ()
         is_new = key != self._reported and (bool(key) or not self._notes)
         if is_new:
-            text = "; ".join(filter(None, (crowded, self.silent)))
+            text = "; ".join(filter(None, (several, self.silent)))
             self._report(Level.ERROR if key else Level.OK, text or "in time", key)
         self._on_check(is_new)
 
-    def crowded(self) -> str:
+    def several_publishers(self) -> str:
         """Return the sentence on a topic that has or just had several publishers; else empty.
 
         No message of such a topic may be used.
         """
         for _, each in self._inputs:
             if each is not None and (count := each.publisher_count()) > 1:
-                self._crowd = f"{count} publishers on {each.topic_name}; expected one"
-                self._crowd_until_s = monotonic() + AFTER_CROWD_S
-        if self._crowd and monotonic() > self._crowd_until_s:
-            self._crowd = ""
-        return self._crowd
+                self._several = f"{count} publishers on {each.topic_name}; expected one"
+                self._several_until_s = monotonic() + PUBLISHER_GONE_S
+        if self._several and monotonic() > self._several_until_s:
+            self._several = ""
+        return self._several
 
     def _refresh(self) -> None:
         """Discard the anomalies of the last second; the next check reports again, with present ages."""

@@ -282,7 +282,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
                 self._inputs.note(text)
             if is_repeated:
                 return b""
-        refusal = self._inputs.crowded() or self._stamp_limits.fault(stamp_ns)
+        refusal = self._inputs.several_publishers() or self._stamp_limits.fault(stamp_ns)
         return stream.refuse_message(data, refusal) if refusal else stream.estimate_message(data)
 
     def _open_stream(self, data: bytes) -> bytes:

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 LEASE_S = 1.0
 """Time after which the publishers of a process that was killed count as dead, where a deadline is set."""
 
-STATE_DEADLINE_S = 0.2
-"""Shortest deadline that the endpoint's state offers; without scans it is published every 0.08 s."""
+STATE_DEADLINE_S = 0.3
+"""Shortest deadline that the endpoint's state offers: silence is found after 0.2 to 0.28 s, and then named."""
 
 RELIABLE_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 """For all topics except sensor topics."""
@@ -50,8 +50,11 @@ def result_qos(parameters: NodeParameters) -> QoSProfile:
 
 
 def state_qos(parameters: NodeParameters) -> QoSProfile:
-    """Return the profile of the endpoint's state: as the results, and a deadline if the sensor topics have one."""
+    """Return the profile of the endpoint's state: as the results, and a deadline if the sensor topics have one.
+
+    Silence of slow scans is found after ten periods at the earliest.
+    """
     profile = copy(result_qos(parameters))
     if parameters.freshness.deadline:
-        profile.deadline = Duration(seconds=max(parameters.freshness.deadline, STATE_DEADLINE_S))
+        profile.deadline = Duration(seconds=max(10.0 * parameters.freshness.deadline, STATE_DEADLINE_S))
     return profile

@@ -57,7 +57,7 @@ def written(key: Key) -> str:
 
 
 def write(file: Path, content: Any) -> str:
-    text = yaml.safe_dump(content, sort_keys=False)
+    text: str = yaml.dump(content, Dumper=yaml.CSafeDumper, sort_keys=False)
     file.write_text(text, encoding="utf-8")
     return text
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 def line_of(text: str, key: Key) -> int:
     """Return the line in which a key (or an entry of a list) begins."""
-    node: Any = yaml.compose(text)
+    node: Any = yaml.compose(text, Loader=yaml.CSafeLoader)
     line = 1
     for part in key:
         if isinstance(part, int):

@@ -12,7 +12,7 @@ from posor_estimator.calibration.calibration_file import calibration_from
 from posor_estimator.calibration.designs import design
 from posor_estimator.errors import CalibrationError, ParameterError, ShapeError
 from posor_estimator.estimation.forward import scans_at
-from posor_estimator.estimation.frozen import FROZEN, evidence_of_repetition
+from posor_estimator.estimation.frozen import FROZEN_EVIDENCE, evidence_of_repetition
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.model.fault import Fault, State
 from posor_estimator.model.native_coordinates import rotation_from_native
@@ -168,7 +168,7 @@ def test_evidence_is_the_probability_of_a_repetition() -> None:
         readings = np.round(random.normal(size=(2, 400_000)) / step)
         equal = np.mean(readings[0] == readings[1])
         assert evidence_of_repetition(step, 1.0) == pytest.approx(-math.log10(equal), abs=0.02)
-    assert evidence_of_repetition(0.0, 1.0) == FROZEN
+    assert evidence_of_repetition(0.0, 1.0) == FROZEN_EVIDENCE
     assert evidence_of_repetition(1e-5, 1.0) == pytest.approx(-math.log10(1e-5 / (2.0 * math.sqrt(math.pi))))
 
 

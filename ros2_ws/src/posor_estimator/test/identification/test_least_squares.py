@@ -147,6 +147,7 @@ def test_weak_directions_are_named_and_candidate_poses_ranked() -> None:
     assert weak_directions(jacobian[:1], ("a", "b", "c"))[0].remaining == np.inf
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("estimated_along", [True, False])
 def test_fixed_parameters_add_to_the_uncertainty(estimated_along: bool) -> None:  # noqa: FBT001  a case
     """A scale common to all readings, known to 1 %, and an offset of the second half."""

@@ -39,6 +39,7 @@ def fast(tmp_path_factory: pytest.TempPathFactory) -> dict[str, FloatArray]:
     return run(tmp_path_factory.mktemp("fast"), compiled=True)
 
 
+@pytest.mark.long
 def test_the_environment_variable_leaves_kernels_uncompiled(plain: dict[str, FloatArray]) -> None:
     assert not plain["compiling"]
 
@@ -47,6 +48,7 @@ def test_kernels_are_compiled_where_numba_is_installed(fast: dict[str, FloatArra
     assert bool(fast["compiling"]) == NUMBA
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("which", ["rows", "scans", "arms", "raw", "messages"])
 def test_compiled_or_not_the_kernels_give_the_same_bits(
     which: str, plain: dict[str, FloatArray], fast: dict[str, FloatArray]
@@ -55,6 +57,7 @@ def test_compiled_or_not_the_kernels_give_the_same_bits(
     np.testing.assert_array_equal(plain[which].view(np.uint64), fast[which].view(np.uint64))
 
 
+@pytest.mark.long
 def test_the_inputs_reach_every_end_of_the_solver_that_a_scan_can_take(plain: dict[str, FloatArray]) -> None:
     assert {solve.CONVERGED, solve.ILL_CONDITIONED} <= {int(outcome) for outcome in plain["scans"][:, 0]}
     assert np.isfinite(plain["rows"]).all()

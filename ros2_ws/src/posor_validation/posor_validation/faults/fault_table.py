@@ -103,4 +103,6 @@ class RowResult:
             "seen": self.seen,
             "naming_s": None if self.naming_s is None else round(self.naming_s, 4),
             "wrong_ok": self.wrong_ok,
+            "covered": None if math.isnan(self.covered) else round(self.covered, 4),
+            "failures": self.failures,
         }

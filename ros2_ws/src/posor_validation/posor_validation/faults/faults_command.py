@@ -139,7 +139,14 @@ def _run(options: Namespace, argv: Sequence[str]) -> Findings:
     if console.is_terminal:
         print_rows(results, console)
     print_findings(findings, console, "fault table", HEADINGS)
-    write_json(options.output, {"faults": [each.as_json() for each in results], "storm": storm_json(storms)})
+    write_json(
+        options.output,
+        {
+            "faults": [each.as_json() for each in results],
+            "without_faults": [{**asdict(each), "holds": each.holds} for each in soaks],
+            "storm": storm_json(storms),
+        },
+    )
     console.print(findings.sentence, style="green" if findings.holds else "bold red")
     return findings
 

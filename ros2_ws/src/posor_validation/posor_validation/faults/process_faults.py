@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 FAULT_S = 1.0
 """Time from a fault to the restart or continuation of the process."""
 SOUND_S = 0.5
-ABSENCE_S = 0.25
+ABSENCE_S = 0.3
 """Silence of the endpoint's state that a subscriber takes for the loss of chain_node [s].
 
 During a silence of the input the state is published every 0.08 s, but only from its detection on (0.2 s to 0.28 s).
@@ -61,7 +61,7 @@ def _rows() -> list[ProcessFault]:
     def add(name: str, kind: FaultKind, expected: str, program: str, number: signal.Signals, *named_by: str) -> None:
         rows.append(ProcessFault(FaultRow(name, kind, "test_rig", expected, named_by), program, number))
 
-    stale, gone = ("no input", "missing", "nobody publishes"), "the endpoint's state stays away"
+    stale, gone = ("no input", "missing"), "the endpoint's state stays away"
     names = "STALE within 0.5 s, names the topic"
     add("driver_node stopped", "off", names, "driver_node", signal.SIGSTOP, *stale)
     add("posor_node stopped", "off", names, "posor_node", signal.SIGSTOP, *stale)

@@ -103,7 +103,7 @@ def _rows() -> list[ScenarioFault]:
                 "ENVIRONMENT",
                 size=quantity(supply, "V"),
             )
-        add(name, "no scans", "off", "off", "STALE within 0.5 s, names the topic", "no input", "missing", "silent")
+        add(name, "no scans", "off", "off", "STALE within 0.5 s, names the topic", "no input", "missing")
     for kelvin, text in ((313.0, "temperature 313 K"), (20.0, "temperature 20 (Celsius)")):
         add(arm, text, "wrong", "temperature", "LOST, ENVIRONMENT", "ENVIRONMENT", size=quantity(kelvin, "K"))
     for flag, text in (

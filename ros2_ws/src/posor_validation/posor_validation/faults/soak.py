@@ -52,6 +52,11 @@ class Soak:
     band: tuple[int, int]
 
     @property
+    def holds(self) -> bool:
+        """Whether there was no error, and the number of alarms is as expected."""
+        return not self.errors and self.is_in_band
+
+    @property
     def is_in_band(self) -> bool:
         """Whether the number of alarms is as expected."""
         return self.band[0] <= self.alarms <= self.band[1]

@@ -20,6 +20,7 @@ import numpy as np
 from posor_drivers.simulator.electronics import DIODE_FIELD, convert_to_digital
 from posor_drivers.simulator.pose_array import PoseArray
 from posor_estimator.calibration.designs import design, sized_design
+from posor_estimator.estimation.estimate import ESTIMATE, Estimates
 from posor_estimator.estimation.forward import scans_at
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.model.fault import Fault, State
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from posor_estimator.calibration.calibration_file import Calibration
-    from posor_estimator.estimation.estimate import Estimates
     from posor_estimator.numerics.array_types import BoolArray, FloatArray, IntArray
 
 RATE = 500
@@ -356,8 +356,7 @@ NO_COUNT = StormCount(0, 0, 0, 0, 0, 0, 0, {})
 
 def estimate_storm(posor: Posor, storm: Storm, encoder: np.random.Generator | None = None) -> Estimates:
     """Return the estimates of a storm, acknowledged as an operator would; ``encoder``: its noise, None: no encoder."""
-    estimates = posor.estimate_all(storm.scans.part(0, 0))
-    records = np.zeros(len(storm.scans), dtype=estimates.records.dtype)
+    records = np.zeros(len(storm.scans), dtype=ESTIMATE)
     scans, begin = storm.scans.records.copy(), 0
     for end in [*storm.acknowledgements.tolist(), len(scans)]:
         posor.estimate_records(scans[begin:end], records[begin:end])
@@ -366,7 +365,7 @@ def estimate_storm(posor: Posor, storm: Storm, encoder: np.random.Generator | No
         if end < len(scans) and posor.counting and encoder is not None:
             posor.confirm_theta(storm.thetas[end] + ENCODER_SIGMA * encoder.normal(), ENCODER_SIGMA)
         begin = end
-    return type(estimates)(records)
+    return Estimates(records)
 
 
 def count_storm(

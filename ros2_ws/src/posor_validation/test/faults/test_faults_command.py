@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 pytestmark = pytest.mark.timeout(300)
-KEYS = {"fault", "kind", "observable", "expected", "seen", "naming_s", "wrong_ok"}
+KEYS = {"fault", "kind", "observable", "expected", "seen", "naming_s", "wrong_ok", "covered", "failures"}
 MIN_ROWS = 40
 
 

@@ -129,6 +129,7 @@ def test_a_misaligned_reference_frame_is_fitted_as_its_mounting() -> None:
     assert abs(about - 1e-4) < 4.0 * free.fit.sigma("mounting of the reference on the receiving plate, about z")
 
 
+@pytest.mark.long
 def test_five_percent_of_outliers_are_survived_and_named() -> None:
     campaign = DrawnPosor("triad_diodes", 200, 31)
     sound = solve_bundle(campaign.recording(), campaign.calibration, BundleOptions())

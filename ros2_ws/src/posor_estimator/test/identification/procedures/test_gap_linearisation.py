@@ -183,6 +183,7 @@ def test_a_probe_without_a_calibration_follows_the_reference() -> None:
 # Bad data.
 
 
+@pytest.mark.long
 def test_five_percent_of_outliers_are_named_and_survived() -> None:
     clean = simulate(sigma=0.0, scans_each=20).identify(order=4)
     path = dwell_path(LIFTS[:, None], 20)
