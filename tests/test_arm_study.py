@@ -115,6 +115,7 @@ def test_coverage_needs_no_nodes(output: Path) -> None:
     assert "endpoint_error_rms_m" not in figures
 
 
+@pytest.mark.long
 def test_killed_node_ends_the_program_with_a_message(output: Path) -> None:
     with run_arm(output, "--arm", "test_rig", "--arms", "0", "--seconds", "60") as program:
         program.wait_for_line(RUNNING)

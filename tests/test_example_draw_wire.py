@@ -73,6 +73,7 @@ def posor(posor_maker: Callable[[], Posor]) -> Posor:
 # Found through its entry point.
 
 
+@pytest.mark.long
 def test_a_new_process_finds_the_installed_type(overlay: Overlay) -> None:
     without = subprocess.run([sys.executable, "-c", TELL_TYPES], capture_output=True, text=True, check=True)
     assert set(json.loads(without.stdout)) == {"gap_probes", "diodes", "bumpy_ring"}

@@ -92,6 +92,7 @@ def test_the_example_gives_the_published_poses_without_ros(python: Path) -> None
     assert lines[0].startswith(f"{stamps[0]} ns: {positions[0][0]:.9f} m ± ")
 
 
+@pytest.mark.long
 @pytest.mark.timeout(900)
 def test_the_import_takes_milliseconds(python: Path) -> None:
     seconds, numpy_is_imported = min(run(python, IMPORT).stdout.split() for _ in range(3))

@@ -149,6 +149,7 @@ def test_a_killed_process_is_reported_with_the_unfinished_bags(bags: Path, tmp_p
     )
 
 
+@pytest.mark.long
 def test_processes_end_when_the_program_is_killed(bags: Path, tmp_path: Path) -> None:
     output = tmp_path / "out"
     with program(bags, LONG, output) as run:

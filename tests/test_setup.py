@@ -67,6 +67,7 @@ def processes_started(workspace: Workspace) -> str:
     return done.stdout
 
 
+@pytest.mark.long
 def test_second_set_up_starts_no_process(checkout: Miniature) -> None:
     assert processes_started(checkout) == "started\n"
 
@@ -205,6 +206,7 @@ def test_two_concurrent_set_ups_build_once(checkout: Miniature) -> None:
     assert checkout.run("miniature", "tell").returncode == 0
 
 
+@pytest.mark.long
 def test_moved_checkout_is_set_up_again(checkout: Miniature, tmp_path: Path) -> None:
     moved = Miniature(tmp_path / "moved")
     shutil.copytree(checkout.root, moved.root, symlinks=True)

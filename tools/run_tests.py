@@ -1,10 +1,10 @@
 """Run the linters and the tests in parallel processes, and print one line for each.
 
 A test file that may use ROS has a pytest process of its own, so that no ROS context leaks from one file into another;
-two such processes run at a time. The tests of the packages that import no ROS share one process for each folder, which
-saves a second of imports for each file. These and the linters run at low priority in the processor time that the nodes
-of the other tests leave while they wait. Every process uses one thread of linear algebra, because threads of small
-matrices wait for each other. The output ends with every skipped test and its reason, the failed files, and ``N passed,
+two such processes run at a time. A folder whose tests make no ROS context has one process, which saves seconds of
+imports for each file. These and the linters run at low priority in the processor time that the nodes of the other tests
+leave while they wait. Every process uses one thread of linear algebra, because threads of small matrices wait for each
+other. The output ends with every skipped test and its reason, the failed files, and ``N passed,
 N failed, N skipped``. Arguments: paths of tests; without paths, the linters and all tests run. Tests with the marker
 ``long`` are left out; with the option ``--long`` they alone run.
 """
@@ -32,19 +32,17 @@ PROCESS_TIMEOUT_S = 900.0  # in addition to pytest's own timeout for each test
 INTERRUPT_TIMEOUT_S = 20.0  # for an interrupted pytest to stop the nodes of its tests
 SINGLE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}  # numpy and scipy; the caller's own setting has precedence
 REPORTS = THIS.root / "build" / "test"
-WITHOUT_ROS = tuple(  # folders whose tests share a process; tests/test_import_layers.py checks their packages
-    THIS.ros2 / "src" / "posor_estimator" / "test" / package
-    for package in (
-        "numerics",
-        "model",
-        "sensors",
-        "estimation",
-        "chain",
-        "calibration",
-        "identification",
-        "uncertainty",
-        "reporting",
-    )
+WITHOUT_ROS = tuple(  # folders whose tests make no ROS context and share a process
+    THIS.ros2 / "src" / package / "test" / folder
+    for package, folders in {
+        "posor_drivers": ("simulator",),
+        "posor_estimator": (
+            *("numerics", "model", "sensors", "estimation", "chain", "calibration", "identification", "uncertainty"),
+            *("bags", "reporting"),
+        ),
+        "posor_validation": ("benchmark", "thesis_budgets"),
+    }.items()
+    for folder in folders
 )
 
 

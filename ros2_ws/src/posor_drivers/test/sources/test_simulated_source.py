@@ -303,6 +303,7 @@ def test_invalid_stage_commands_are_refused_and_reported(arm: Path) -> None:
             assert program.end() == 0
 
 
+@pytest.mark.long
 def test_only_the_last_joint_of_an_arm_with_stage_subscribes_to_commands(tmp_path: Path) -> None:
     content = scenario()
     del content["stage"]

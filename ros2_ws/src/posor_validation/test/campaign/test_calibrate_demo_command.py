@@ -46,6 +46,7 @@ def diodes(tmp_path_factory: pytest.TempPathFactory) -> DemoRun:
     return run_demo(tmp_path_factory.mktemp("diodes"), "--posor", "triad_diodes", "--campaigns", str(CAMPAIGNS))
 
 
+@pytest.mark.long
 def test_bags_pictures_and_verdict(diodes: DemoRun) -> None:
     assert diodes.code == 0
     assert "triad_diodes: recording bags: 10 done in" in diodes.out
