@@ -68,6 +68,7 @@ def processes(program: Program, count: int) -> dict[str, int]:
     return {match[1]: int(match[2]) for match in found if match}
 
 
+@pytest.mark.long
 def test_all_nodes_end_on_sigterm(tmp_path: Path, rig: Path, pids: list[int]) -> None:
     with start(tmp_path, rig, "--no-driver") as program, Graph() as graph:
         started = processes(program, 2)
@@ -107,6 +108,7 @@ def test_message_of_a_refusing_node_is_quoted(tmp_path: Path, rig: Path, pids: l
         assert "bag.speed" in sentence
 
 
+@pytest.mark.long
 def test_arm_with_recorded_scans_plays_them_to_the_end(tmp_path: Path, rig: Path, pids: list[int]) -> None:
     with Graph() as graph:
         poses = graph.collect(PoseStamped, "/rig/endpoint/pose")

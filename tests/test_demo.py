@@ -141,6 +141,7 @@ def test_a_node_that_dies_is_reported(demo: Demo, tmp_path: Path) -> None:
     assert err.count("\n") == 1
 
 
+@pytest.mark.long
 def test_an_interrupted_demo_ends_all_programs(demo: Demo, tmp_path: Path) -> None:
     process = demo("--rate", "0.2")
     wait_for_first_step(process)

@@ -149,6 +149,7 @@ def test_the_nodes_publish_what_the_core_computes(replay: CompletedReplay) -> No
     ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("replay", [("yzmo", "printed")], indirect=True, ids="-".join)
 def test_a_recorded_bag_replays_to_the_same_bits_at_another_rate(replay: CompletedReplay, tmp_path: Path) -> None:
     first = replay.plan

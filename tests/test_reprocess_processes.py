@@ -114,6 +114,7 @@ def test_an_interrupt_during_the_start_ends_all(bags: Path, tmp_path: Path, numb
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.long
 def test_repeated_interrupts_do_not_disturb_the_clean_up(bags: Path, tmp_path: Path) -> None:
     output = tmp_path / "out"
     with program(bags, LONG, output) as run:
@@ -134,6 +135,7 @@ def test_an_interrupt_of_one_bag_leaves_nothing(bags: Path, tmp_path: Path) -> N
     assert there(output.parent) == []
 
 
+@pytest.mark.long
 def test_a_killed_process_is_reported_with_the_unfinished_bags(bags: Path, tmp_path: Path) -> None:
     output = tmp_path / "out"
     with program(bags, LONG, output) as run:

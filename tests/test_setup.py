@@ -72,6 +72,7 @@ def test_second_set_up_starts_no_process(checkout: Miniature) -> None:
     assert processes_started(checkout) == "started\n"
 
 
+@pytest.mark.long
 def test_changed_data_file_starts_a_build(checkout: Miniature) -> None:
     checkout.write("ros2_ws/src/miniature/config/more.txt", "4\n")
     assert "subprocess.Popen" in processes_started(checkout)
@@ -119,6 +120,7 @@ def test_new_executable_is_built(checkout: Miniature) -> None:
     assert "arguments -x" in checkout.run("miniature", "more", "-x").stdout
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("whole_group", [True, False], ids=["with its commands", "alone"])
 def test_killed_during_colcon_build(checkout: Miniature, *, whole_group: bool) -> None:
     shutil.rmtree(checkout.install)
@@ -170,6 +172,7 @@ def test_interrupted_by_the_user(checkout: Miniature) -> None:
     assert checkout.set_up().returncode == 0
 
 
+@pytest.mark.long
 def test_run_interrupted_during_the_set_up(checkout: Miniature) -> None:
     shutil.rmtree(checkout.install)
     command = [str(checkout.root / "run"), "miniature", "tell"]
@@ -190,6 +193,7 @@ def test_run_interrupted_during_the_set_up(checkout: Miniature) -> None:
     assert checkout.set_up().returncode == 0
 
 
+@pytest.mark.long
 def test_removed_package_is_installed_again(checkout: Miniature) -> None:
     shutil.rmtree(checkout.install / "miniature")
     done = checkout.set_up()
@@ -197,6 +201,7 @@ def test_removed_package_is_installed_again(checkout: Miniature) -> None:
     assert checkout.run("miniature", "tell").returncode == 0
 
 
+@pytest.mark.long
 def test_two_concurrent_set_ups_build_once(checkout: Miniature) -> None:
     checkout.build_stamp.unlink()
     both = [checkout.start_set_up() for _ in range(2)]

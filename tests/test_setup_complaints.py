@@ -119,6 +119,7 @@ def test_no_network(checkout: Miniature) -> None:
     assert reasons_to_set_up(checkout, {}, official=False) == ("unfinished or damaged", "new environment")
 
 
+@pytest.mark.long
 def test_index_without_a_pinned_library(checkout: Miniature) -> None:
     checkout.write("requirements/dev.in", "no-such-library\n")
     checkout.write("requirements/dev.txt", "no-such-library==1.0\n")

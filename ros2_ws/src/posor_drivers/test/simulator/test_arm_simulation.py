@@ -195,6 +195,7 @@ np.savez(sys.argv[2], **out)
 """
 
 
+@pytest.mark.long
 def test_other_processes_that_start_elsewhere_give_the_same_numbers(tmp_path: Path) -> None:
     path = write_arm(tmp_path)
     found = []

@@ -77,6 +77,7 @@ def test_joint_is_published_at_the_ticks_of_the_clock(arm: Path) -> None:
     assert scans[0].status & RawScan.STATUS_SIMULATED
 
 
+@pytest.mark.long
 def test_drivers_of_one_arm_publish_one_truth(arm: Path) -> None:
     simulation = ArmSimulation(load_arm(arm))
     with Graph() as graph:
@@ -171,6 +172,7 @@ def test_simulated_time_sets_the_pace_and_may_stop(arm: Path) -> None:
     assert run.scans[-1].scan - last <= 1
 
 
+@pytest.mark.long
 def test_deactivation_works_on_a_stopped_clock_and_activation_continues_at_present(arm: Path) -> None:
     with SimulatedRun(arm) as run:
         run.wait_for_scans(5)
@@ -197,6 +199,7 @@ def test_ticks_go_back_with_the_time(arm: Path) -> None:
         assert early() == sorted(early())
 
 
+@pytest.mark.long
 def test_clock_that_leaps_skips_and_counts_ticks(arm: Path) -> None:
     with SimulatedRun(arm, simulated__dropouts=False) as run:
         run.wait_for_scans(5)

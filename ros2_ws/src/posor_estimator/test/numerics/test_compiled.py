@@ -44,6 +44,7 @@ def test_the_environment_variable_leaves_kernels_uncompiled(plain: dict[str, Flo
     assert not plain["compiling"]
 
 
+@pytest.mark.long
 def test_kernels_are_compiled_where_numba_is_installed(fast: dict[str, FloatArray]) -> None:
     assert bool(fast["compiling"]) == NUMBA
 

@@ -188,12 +188,15 @@ class Replay:
         for names in (("driver_node",), ("posor_node", "chain_node"), ("record",)):
             self._supervisor.end([self._running[name] for name in names])
 
-    def restart_node(self, name: str) -> None:
-        """Kill ``posor_node`` or ``chain_node`` as in a crash and start it again."""
+    def kill_node(self, name: str) -> None:
+        """Kill ``posor_node`` or ``chain_node`` as in a crash."""
         self._supervisor.kill(self._running[name])
         for node in _SUBSCRIPTIONS:
             if node.endswith(f"/{name}"):
                 self.collector.forget_node(node)
+
+    def start_node(self, name: str) -> None:
+        """Start a node again that was killed."""
         self._running[name] = self._supervisor.start(self._running[name].program)
 
     def wait_until(self, condition: Callable[[], bool], missing: Callable[[], str]) -> None:

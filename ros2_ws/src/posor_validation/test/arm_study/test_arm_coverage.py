@@ -52,6 +52,7 @@ def test_seed_determines_an_arm(sampler: ArmSampler, sample: ArmSample) -> None:
     assert not np.array_equal(one.errors[0], sample.errors[8])
 
 
+@pytest.mark.long
 def test_sample_does_not_depend_on_the_number_of_processes(sample: ArmSample) -> None:
     drawn: list[int] = []
     parts = sample_arms(load_checked_arm("five_axis"), 30, POSES, SEED, workers=2, on_drawn=drawn.append)

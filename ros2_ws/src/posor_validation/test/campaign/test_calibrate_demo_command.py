@@ -67,6 +67,7 @@ def test_bags_pictures_and_verdict(diodes: DemoRun) -> None:
     assert "measuring machine: 0.3 µm, 3 µrad<" in text
 
 
+@pytest.mark.long
 def test_figures_of_every_parameter(diodes: DemoRun) -> None:
     figures = diodes.figures["triad_diodes"]
     assert diodes.figures["holds"] is True

@@ -102,6 +102,7 @@ def test_squares_of_angles_on_a_diode() -> None:
         assert found == pytest.approx(expected, abs=1e-6), turned
 
 
+@pytest.mark.long
 def test_draws_of_the_probes_noise_give_the_first_row() -> None:
     model = Chapter5(WORST)
     points = [PlatePoint(0.0, 0.0), PlatePoint(-INCH, 1.5 * INCH)]

@@ -106,6 +106,7 @@ def test_the_new_profile_measures_better(rng: np.random.Generator) -> None:
     assert rms[1] < 0.2 * rms[0]
 
 
+@pytest.mark.long
 def test_turns_are_counted_by_the_reference(rng: np.random.Generator) -> None:
     method = simulate(rng, turns=2.0, count=400).identify(theta=THETA, **OPTIONS).method
     assert method.startswith("self-calibration over 2.00 turns, 400 scans")
