@@ -64,6 +64,7 @@ def exit_code(program: Program) -> int:
     return program.wait()
 
 
+@pytest.mark.long
 def test_arm_runs_and_reports(output: Path) -> None:
     with run_arm(output, "--seconds", "1", "--arms", "0", "--controller", str(CONTROLLER)) as program:
         assert exit_code(program) == 0, program.stderr

@@ -90,6 +90,7 @@ def test_the_script_makes_the_committed_bag_and_the_same_bytes_each_time(tmp_pat
         np.testing.assert_allclose(numbers, known_numbers, rtol=WITHIN, atol=WITHIN, err_msg=topic)
 
 
+@pytest.mark.long
 def test_the_bag_holds_one_cycle_of_the_scenario() -> None:
     assert sum(path.stat().st_size for path in BAG.iterdir()) < 4_000_000
     held = messages(BAG)

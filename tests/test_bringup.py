@@ -99,6 +99,7 @@ def test_killed_node_is_named_and_the_others_end(tmp_path: Path, rig: Path, pids
         assert program.stderr[0].startswith("joint1/posor_node: was ended by SIGKILL; until then: ")
 
 
+@pytest.mark.long
 def test_message_of_a_refusing_node_is_quoted(tmp_path: Path, rig: Path, pids: list[int]) -> None:
     with start(tmp_path, rig, "-p", "bag.speed:=2.0") as program:
         pids += processes(program, 3).values()

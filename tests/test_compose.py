@@ -124,6 +124,7 @@ def ends_cleanly(program: Program, graph: Graph, number: signal.Signals) -> bool
     return code == 0 and error_lines(program.stderr) == []
 
 
+@pytest.mark.long
 def test_all_nodes_end_at_a_signal(tmp_path: Path) -> None:
     with Program([*COMPOSE, str(write_composition(tmp_path, RIG))]) as program, Graph() as graph:
         graph.watch_diagnostics()
@@ -175,6 +176,7 @@ def test_the_end_of_one_node_leaves_the_others_running(tmp_path: Path) -> None:
         assert program.end() == 0
 
 
+@pytest.mark.long
 def test_the_diagnostics_have_statistics_and_sigterm_ends_all_nodes(tmp_path: Path) -> None:
     text = RIG.replace("session: ymo}", "session: ymo, limits: {latency: 1.0e-9, jitter: 1.0e-9}}")
     with Program([*COMPOSE, str(write_composition(tmp_path, text))]) as program, Graph() as graph:

@@ -31,6 +31,7 @@ def refusal(capfd: pytest.CaptureFixture[str]) -> Callable[[Path], tuple[int, li
     return run_refused
 
 
+@pytest.mark.long
 def test_a_node_that_cannot_start_is_named_and_ends_all_nodes(
     tmp_path: Path, refusal: Callable[[Path], tuple[int, list[str]]]
 ) -> None:

@@ -158,6 +158,7 @@ def test_the_noise_of_a_voltage_comes_through_the_slope(posor: Posor) -> None:
 # The estimator with it.
 
 
+@pytest.mark.long
 def test_closure(posor: Posor) -> None:
     rotations, translations = poses(50, np.random.default_rng(50))
     found = posor.estimate_each(read_by(posor.stack, rotations, translations))
@@ -168,6 +169,7 @@ def test_closure(posor: Posor) -> None:
     assert found.residuals == pytest.approx(np.zeros(50), abs=1e-9)
 
 
+@pytest.mark.long
 def test_the_stated_uncertainty_holds(posor: Posor) -> None:
     """Each run has another noise, and another real POSOR, drawn from the uncertainties of its calibration."""
     random, runs = np.random.default_rng(8), 400

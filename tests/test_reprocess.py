@@ -83,6 +83,7 @@ def test_messages_keep_the_log_time_and_quality_of_service_of_the_scans(made: Pa
     assert given["/five_axis/endpoint/pose"].offered_qos_profiles[0].reliability.name == "RELIABLE"
 
 
+@pytest.mark.long
 def test_tables_and_bag_hold_the_same_numbers(made: Path) -> None:
     messages = read_bag_messages(made / "bag")
     for joint in JOINTS:

@@ -28,6 +28,7 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Miniature:
     return miniature
 
 
+@pytest.mark.long
 def test_arguments_entry_points_and_environment(checkout: Miniature) -> None:
     done = checkout.run("miniature", "tell", "--ros-args", "-p", "a:='b c'")
     assert done.returncode == 0, done.stderr

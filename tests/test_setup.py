@@ -161,6 +161,7 @@ def test_environment_without_its_python_is_detected(checkout: Miniature) -> None
     assert not any(reasons_to_set_up(checkout, {}, official=official))
 
 
+@pytest.mark.long
 def test_interrupted_by_the_user(checkout: Miniature) -> None:
     shutil.rmtree(checkout.install)
     with checkout.start_set_up() as process:

@@ -104,6 +104,7 @@ def test_supported_python_is_found_behind_an_unsupported_one(checkout: Miniature
     assert "no cmake was found" in error_message(checkout.set_up(PATH=path, PYTHON=""))
 
 
+@pytest.mark.long
 def test_no_network(checkout: Miniature) -> None:
     with socket.socket() as closed:  # bound but not listening: refuses connections
         closed.bind(("127.0.0.1", 0))

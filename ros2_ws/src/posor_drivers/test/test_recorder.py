@@ -111,6 +111,7 @@ def test_no_scan_of_five_joints_at_a_kilohertz_is_lost(tmp_path: Path) -> None:
     assert numbers == {topic: list(range(ticks)) for topic in topics}
 
 
+@pytest.mark.long
 def test_recording_of_a_replay_is_the_replayed_bag(tmp_path: Path) -> None:
     records = [scan(number, 1000 + number) for number in range(300)]
     original = write_bag(tmp_path / "original", records)

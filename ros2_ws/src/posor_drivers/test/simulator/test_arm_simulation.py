@@ -104,6 +104,7 @@ def test_chain_is_unaffected_by_bending_backlash_runout_and_sag(tmp_path: Path) 
         assert np.linalg.norm(by_chain(arm, truth, n).translation - truth.endpoint.translations[n]) < 1e-9
 
 
+@pytest.mark.long
 def test_beam_errors_limit_the_accuracy_of_the_chain(tmp_path: Path) -> None:
     arm = simulation(tmp_path, Imperfections.only("sag", "beam_errors"))
     truth = arm.truth(TICKS)
@@ -262,6 +263,7 @@ def test_every_imperfection_is_tested() -> None:
     assert set(" ".join(CHANGES).split()) == set(Imperfections.model_fields)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("names", CHANGES)
 def test_each_imperfection_changes_only_its_own_quantities(tmp_path: Path, names: str) -> None:
     clean = simulation(tmp_path, Imperfections.only())

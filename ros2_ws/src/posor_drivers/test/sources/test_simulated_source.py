@@ -155,6 +155,7 @@ class SimulatedRun:
         self.graph.wait_until(lambda: len(self.scans) >= count, f"{count} scans", self.advance)
 
 
+@pytest.mark.long
 def test_simulated_time_sets_the_pace_and_may_stop(arm: Path) -> None:
     with SimulatedRun(arm, simulated__dropouts=False) as run:
         latest: dict[int, int] = {}
@@ -278,6 +279,7 @@ def command(graph: Graph, goal: tuple[float, float, float], frame: str = "endpoi
     return message
 
 
+@pytest.mark.long
 def test_invalid_stage_commands_are_refused_and_reported(arm: Path) -> None:
     cases = (
         (

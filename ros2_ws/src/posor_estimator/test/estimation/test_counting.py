@@ -46,6 +46,7 @@ def test_uncounted_until_home_then_counted() -> None:
     assert off / BUMP == pytest.approx(np.round(off / BUMP), abs=0.01)  # known up to whole bumps
 
 
+@pytest.mark.long
 def test_reversals_and_many_turns_keep_the_count() -> None:
     posor = Posor(design("triad_bumpy_ring"))
     there = np.linspace(0.0, 6.7 * math.pi, 9000)

@@ -205,6 +205,7 @@ def test_blind_phases_are_carried_over() -> None:
     check_alike(rows, twin, scans)
 
 
+@pytest.mark.long
 def test_blind_phases_with_noise() -> None:
     """Which scan counts as blind depends on the way to its solution; the stated uncertainty holds all the same."""
     thetas = BUMP * np.linspace(0.1, 0.45, 300)

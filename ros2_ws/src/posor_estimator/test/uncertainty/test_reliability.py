@@ -41,6 +41,7 @@ def one_bias(reliability: Reliability, name: str, size: float) -> FloatArray:
     return np.where(np.array(reliability.names) == name, size, 0.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("stack", "reading"),
     [("quad_diodes", "gap gap_2"), ("quad_light_ring", "spot x diode_1"), ("triad_bumpy_ring", "ring ring_3")],

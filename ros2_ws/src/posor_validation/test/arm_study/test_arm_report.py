@@ -170,6 +170,7 @@ def pixels_of(picture: bytes, color: str) -> int:
     return int(np.sum(np.all(np.abs(image - wanted) < 0.02, axis=-1)))
 
 
+@pytest.mark.long
 def test_picture_shows_every_part(outcome: ArmOutcome) -> None:
     picture = draw_arm(outcome, "title")
     for color in (BLUE, ORANGE, GREEN):

@@ -131,6 +131,7 @@ def test_an_output_folder_that_is_a_file_is_refused(tmp_path: Path, capsys: pyte
     assert "taken: cannot be created:" in capsys.readouterr().err
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupt_ends_the_run_with_one_line(tmp_path: Path, number: signal.Signals) -> None:
     command = [

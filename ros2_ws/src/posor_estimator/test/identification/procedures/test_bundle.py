@@ -115,6 +115,7 @@ def test_the_calibrated_posor_measures_new_poses_better() -> None:
     assert errors[1] < 0.3 * errors[0]
 
 
+@pytest.mark.long
 def test_a_misaligned_reference_frame_is_fitted_as_its_mounting() -> None:
     campaign = DrawnPosor("triad_diodes", 120, 21)
     turn, hold = pin.exp6(np.array([30e-6, -20e-6, 10e-6, 1e-4, -2e-4, 1e-4])), pin.exp6(np.full(6, 2e-5))

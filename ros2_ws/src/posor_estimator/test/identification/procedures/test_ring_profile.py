@@ -93,6 +93,7 @@ def test_references_determine_the_others(rng: np.random.Generator) -> None:
     assert not any("cannot be separated" in sentence for sentence in outcome.warnings)
 
 
+@pytest.mark.long
 def test_the_new_profile_measures_better(rng: np.random.Generator) -> None:
     case = simulate(rng)
     (part,) = case.identify(theta=THETA, runout_sigma=RUNOUT, **OPTIONS).parts
