@@ -169,6 +169,7 @@ def test_message_of_a_failed_controller_is_quoted(output: Path, tmp_path: Path, 
         assert program.stderr == ["controller: ended with exit code 1: no idea what to do."]
 
 
+@pytest.mark.long
 def test_unknown_arm_is_refused(output: Path) -> None:
     with run_arm(output, "--arm", "six_fingers") as program:
         assert exit_code(program) == 2

@@ -278,6 +278,7 @@ def test_harmless_fault_is_reported(
     assert max(abs(number.normalised_error) for number in numbers) < SOUND
 
 
+@pytest.mark.long
 def test_scans_of_another_joint_are_refused(tmp_path: Path) -> None:
     own, step, taken = recorded("1_gaps")
     other = own.as_built.model_copy(
@@ -293,6 +294,7 @@ def test_scans_of_another_joint_are_refused(tmp_path: Path) -> None:
     assert not output.exists()
 
 
+@pytest.mark.long
 def test_a_file_that_was_cut_short_is_refused(tmp_path: Path) -> None:
     own, step, taken = recorded("8_drift")
     bag = write_bag(tmp_path / "bag", entries(taken))

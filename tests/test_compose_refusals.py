@@ -122,6 +122,7 @@ def test_a_parameter_of_the_command_line_is_refused_with_the_line_of_its_node(
     )
 
 
+@pytest.mark.long
 def test_a_node_that_fails_later_ends_all_nodes(tmp_path: Path) -> None:
     text = RIG.replace("loop: true", "stop_offset: 60.0, start_offset: 50.0, wait_for_subscribers: 1")
     with Program([*COMPOSE, str(write_composition(tmp_path, text))]) as program:

@@ -197,6 +197,7 @@ def test_the_stated_uncertainty_holds(posor: Posor) -> None:
     assert chi2.ppf(0.01, kept) < sum(residuals) < chi2.ppf(0.99, kept)
 
 
+@pytest.mark.long
 def test_one_by_one_together_and_again_give_the_same_bits(posor_maker: Callable[[], Posor]) -> None:
     posor, again = posor_maker(), posor_maker()
     thetas = 0.1 * np.sin(np.linspace(0.0, 3.0, 40))

@@ -43,6 +43,7 @@ def test_every_package_has_programs() -> None:
     assert {program.module.partition(".")[0] for program in PROGRAMS} == set(PACKAGES)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("program", PROGRAMS, ids=lambda program: program.name)
 def test_an_interrupted_import_ends_with_one_line(path: str, program: EntryPoint) -> None:
     lazy_program = program.load()

@@ -39,6 +39,7 @@ def test_arguments_entry_points_and_environment(checkout: Miniature) -> None:
     assert done.stderr == ""
 
 
+@pytest.mark.long
 def test_called_from_elsewhere_through_a_link(checkout: Miniature, tmp_path: Path) -> None:
     link = tmp_path / "posor-run"
     link.symlink_to(checkout.root / "run")

@@ -101,6 +101,7 @@ def test_changed_kernels_are_compiled_by_the_set_up(tmp_path: Path, name: str, i
     assert (inputs[0] != inputs[1]) == rebuilds
 
 
+@pytest.mark.long
 def test_python_and_data_files_need_no_build(checkout: Miniature) -> None:
     installed = checkout.install / "miniature" / "share" / "miniature" / "config" / "numbers.txt"
     for number in ("17", "23"):

@@ -162,6 +162,7 @@ def test_existing_output_is_refused(tmp_path: Path) -> None:
     assert refusal("--output", str(tmp_path), "--all") == (1, [f"{tmp_path}: exists already; expected a new folder."])
 
 
+@pytest.mark.long
 def test_invalid_command_line_is_refused_with_one_sentence(tmp_path: Path) -> None:
     bag = str(tmp_path / "bag")
     for arguments in ([], ["--output", bag], ["--all"], ["--output", bag, "--all", "--topics", "/x"], ["--what"]):

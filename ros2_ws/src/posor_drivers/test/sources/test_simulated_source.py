@@ -219,6 +219,7 @@ def test_clock_that_leaps_skips_and_counts_ticks(arm: Path) -> None:
         assert late[0].level == b"\x01"
 
 
+@pytest.mark.long
 def test_run_of_whole_cycles_ends_with_a_cycle(tmp_path: Path) -> None:
     content = scenario()
     content["motion"] = [{"kind": "rest", "duration": {"value": 0.2, "unit": "s"}}]

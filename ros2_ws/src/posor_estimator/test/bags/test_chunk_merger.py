@@ -34,6 +34,7 @@ LOGGED: dict[str, Callable[[np.random.Generator, int], IntArray]] = {
 """Log times [ns] of so many messages."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("logged", LOGGED.values(), ids=LOGGED.keys())
 def test_the_whole_sequence_is_that_of_rosbags(
     logged: Callable[[np.random.Generator, int], IntArray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -89,6 +89,7 @@ def test_uncertainty_of_theta_is_nearly_that_of_the_thesis_at_every_phase(diamet
     assert np.all(sigmas < 1.2 * thesis)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("diameter_in", DIAMETERS_IN)
 @pytest.mark.parametrize("name", NAMES)
 def test_poses_are_recovered_all_around(name: SizedDesignName, diameter_in: float, rng: np.random.Generator) -> None:

@@ -67,6 +67,7 @@ def test_derivatives_of_the_outputs(stack: DesignName, central_difference: Diffe
     assert not others.any()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("stack", STACKS)
 def test_sensitivities_agree_with_changed_parameters(stack: DesignName) -> None:
     posor = Posor(design(stack), false_alarm=1e-300)

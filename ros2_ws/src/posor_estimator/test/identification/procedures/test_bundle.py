@@ -27,6 +27,7 @@ PROBES = "sensors[0].probes[*].*"
 # Recovered parameters.
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", STACKS)
 @pytest.mark.parametrize("with_reference", [True, False])
 def test_derivatives_agree_with_differences(name: DesignName, with_reference: bool) -> None:  # noqa: FBT001  a case
