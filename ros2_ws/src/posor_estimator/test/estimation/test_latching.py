@@ -133,6 +133,15 @@ def test_missing_scans_without_a_fault_widen_the_gate() -> None:
     assert posor.estimate(scans[600]).state is State.OK
 
 
+@pytest.mark.parametrize(("missing", "state"), [(3, State.OK), (60, State.UNCOUNTED)])
+def test_a_count_that_nobody_followed_for_long_is_given_up(missing: int, state: State) -> None:
+    """The joint stands still in the pause, at its turning point, but it could have turned by half a bump."""
+    posor = sized("triad_bumpy_ring")
+    scans, _, _ = oscillating(posor)
+    assert posor.estimate_all(scans.part(0, 330)).states[-1] == State.OK
+    assert posor.estimate(scans[329 + missing]).state is state
+
+
 @pytest.mark.parametrize("slip", [1, 5, 12, -1])
 @pytest.mark.parametrize("first", [0, 100])
 def test_light_sources_that_slip_are_lost(slip: int, first: int) -> None:
