@@ -84,7 +84,7 @@ def test_perfect_posors_and_chain_give_the_endpoint(tmp_path: Path) -> None:
     found = {}
     for i, joint in enumerate(JOINTS):
         posor = Posor(arm.calibrations[joint])
-        thetas = truth.angles[:, i] if posor.counting else None
+        thetas = truth.angles[:, i] if posor.counts_bumps else None
         found[joint] = posor.estimate_each(arm.scans(joint, TICKS).scans, thetas)
         assert np.all(found[joint].states == State.OK)
     for n in range(N):

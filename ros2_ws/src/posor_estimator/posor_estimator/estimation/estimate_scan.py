@@ -14,21 +14,24 @@ from posor_estimator.estimation.frozen import NOT_FROZEN, count_repetitions
 from posor_estimator.estimation.linearise import linearise_scan
 from posor_estimator.estimation.parameter_effects import add_systematic_covariance, find_contributions
 from posor_estimator.estimation.residual_test import chi_square
+from posor_estimator.estimation.scan_checks import (
+    REGAINABLE_FAULTS,
+    begin_checks,
+    check_count,
+    check_home_mark,
+    check_motion,
+    check_reference,
+    check_residuals,
+    count_theta,
+    latch,
+    use_confirmation,
+)
 from posor_estimator.estimation.solver import CONVERGED, ILL_CONDITIONED, SINGULAR, solve_pose
 from posor_estimator.estimation.supply_and_temperature import add_unmeasured, environment_is_valid, unmeasured
 from posor_estimator.estimation.tracking import (
-    MARKS,
-    REFERENCE_SIGMAS,
-    REGAINABLE_FAULTS,
-    RESIDUAL_RUN,
     add_prior,
     copy_pose,
-    count_is_stale,
     forget_pose,
-    is_regained,
-    latch,
-    motion_gate,
-    periods_off,
     predict,
     restart_where_time_goes_back,
     theta_of,
@@ -45,11 +48,11 @@ from posor_estimator.model.reading_rows import (
     prepare_row,
     turn_row,
 )
-from posor_estimator.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED, SATURATED, STATED_HOME
+from posor_estimator.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED, SATURATED
 from posor_estimator.numerics.compiled import in_place, inlined, without_lock
 from posor_estimator.numerics.matrix import matrix
 from posor_estimator.numerics.pose import write_pose
-from posor_estimator.numerics.vector import at, square, store
+from posor_estimator.numerics.vector import at, store
 
 if TYPE_CHECKING:
     import numpy as np
@@ -63,9 +66,8 @@ solution from the previous pose failed."""
 
 OK, DEGRADED, LOST, UNCOUNTED = (int(state) for state in (State.OK, State.DEGRADED, State.LOST, State.UNCOUNTED))
 NOT_CONVERGED_FAULT, ILL_CONDITIONED_FAULT = int(Fault.NOT_CONVERGED), int(Fault.ILL_CONDITIONED)
-RESIDUAL_FAULT, INNOVATION_FAULT, COUNT_FAULT = int(Fault.RESIDUAL), int(Fault.INNOVATION), int(Fault.COUNT)
 SOURCE_FAULT, FROZEN_FAULT, ENVIRONMENT_FAULT = int(Fault.SOURCE), int(Fault.FROZEN), int(Fault.ENVIRONMENT)
-FLAGGED_FAULT, LATCHED_FAULT, ENCODER_FAULT = int(Fault.FLAGGED), int(Fault.LATCHED), int(Fault.ENCODER)
+FLAGGED_FAULT, LATCHED_FAULT = int(Fault.FLAGGED), int(Fault.LATCHED)
 
 WEAK = 1e-4
 """At a smaller pivot ratio the previous pose fills the blind direction: its uncertainty is 100 times the usual one."""
@@ -93,7 +95,7 @@ def estimate_scan(model: Model, scan: Any, estimate: Any) -> int:
     for i in range(workspace.reading_count):
         for j in range(workspace.reading_count):
             workspace.systematic_readings[i, j] = 0.0
-    return int(locate(model, stamp, scan, True, estimate))  # noqa: FBT003  kernels take no keywords
+    return int(solve_and_check(model, stamp, scan, True, estimate))  # noqa: FBT003  kernels take no keywords
 
 
 @inlined
@@ -211,14 +213,14 @@ def _solve(model: Model, stamp: float, extrapolate: bool) -> tuple[int, int]:  #
 
 
 @in_place
-def locate(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in order
+def solve_and_check(
     model: Model,
     stamp: float,
     scan: Any,
     extrapolate: bool,  # noqa: FBT001  kernels take no keywords
     estimate: Any,
 ) -> int:
-    """Solve the active rows from ``workspace.pose`` on, find covariances, test the solution, and update the tracker.
+    """Solve the active rows from ``workspace.pose`` on, find covariances, check the solution, and update the tracker.
 
     Args:
         model: The POSOR; ``systematic_readings`` hold what of the readings' systematic covariance does not come from
@@ -233,42 +235,21 @@ def locate(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in order
 
     """
     workspace = model.workspace[0]
-    settings, tracker, pose = workspace.settings, workspace.tracker, workspace.pose
-    counting, limited = settings.period > 0.0, settings.max_velocity < math.inf
-    tracked, elapsed = tracker.initialised, stamp - tracker.stamp
-    may_retry = tracked and not tracker.start_given and settings.bump_angle == 0.0
+    settings, tracker, pose, checks = workspace.settings, workspace.tracker, workspace.pose, workspace.checks
+    may_retry = tracker.initialised and not tracker.start_given and settings.bump_angle == 0.0
     latched = tracker.latch
-    if limited and tracked and count_is_stale(settings, tracker, elapsed):
-        tracker.counted = 0
     estimate.residual = math.nan
-    outcome, faults = _solve(model, stamp, extrapolate)
-    bridged = faults != 0
-    counted, recounted, off, marks = tracker.counted, 0, 0.0, 0
-    if outcome == CONVERGED and counting:
-        # What counts theta in this scan: a statement, enough home marks, or a reference.
-        theta = theta_of(pose.rotation)
-        if scan.at_home == STATED_HOME or (scan.at_home and not counted):
-            off = periods_off(settings, theta)
-            marks = tracker.marks + 1 if tracker.marks > 0 and off == tracker.marks_off else 1
-            recounted = 1 if marks >= MARKS or scan.at_home == STATED_HOME else 0
-        elif tracker.reference_sigma > 0.0 and not counted:
-            off = float(round(wrapped(theta - tracker.reference_theta) / settings.period))
-            recounted = 1
-        if recounted and off != 0.0 and settings.bump_angle == 0.0:
-            faults |= COUNT_FAULT  # the numbers of the light sources say something else
-            recounted = 0
-        if recounted and off != 0.0:
-            turn_about_z(pose.rotation, -off * settings.bump_angle)
-            bridged, faults = False, 0
-            outcome = solve_pose(workspace, workspace.reading_count, SINGULAR, math.nan)
+    begin_checks(workspace, stamp)
+    outcome, checks.faults = _solve(model, stamp, extrapolate)
+    bridged = checks.faults != 0
+    if outcome == CONVERGED and settings.period > 0.0 and count_theta(workspace, theta_of(pose.rotation), scan.at_home):
+        turn_about_z(pose.rotation, -checks.marks_off * settings.bump_angle)
+        bridged, checks.faults = False, 0
+        outcome = solve_pose(workspace, workspace.reading_count, SINGULAR, math.nan)
     if outcome != CONVERGED:
-        faults = ILL_CONDITIONED_FAULT if outcome == ILL_CONDITIONED else NOT_CONVERGED_FAULT
         if may_retry and outcome != ILL_CONDITIONED:
             return RETRY
-        if counting or not limited:
-            forget_pose(tracker)
-        _end_start(settings, tracker)
-        write_lost(estimate, _with_latch(faults, latched) | _flagged(scan))
+        _write_unsolved(workspace, outcome, _flagged(scan), estimate)
         return DONE
     differentiate_by_parameters(workspace.rows, workspace.reading_count, pose, model.by_row)
     add_systematic_covariance(model)
@@ -278,89 +259,56 @@ def locate(  # noqa: C901, PLR0912, PLR0915  the steps of one scan, in order
     estimate.residual = 0.0
     if workspace.redundant_count > 0 and not bridged:
         estimate.residual = chi_square(workspace)
-    contradictory = not estimate.residual <= settings.residual_limit
-    if contradictory and may_retry:
+    checks.contradictory = 0 if estimate.residual <= settings.residual_limit else 1
+    if checks.contradictory and may_retry:
         return RETRY
     theta = theta_of(pose.rotation)
-    confirmed, moved_on = recounted, True
-    if contradictory:
-        faults |= RESIDUAL_FAULT
-        if tracker.latch & RESIDUAL_FAULT:
-            tracker.contradictions = RESIDUAL_RUN
-        else:
-            tracker.contradictions += 1
-            if limited and tracker.contradictions >= RESIDUAL_RUN:
-                latch(tracker, RESIDUAL_FAULT, 1, elapsed)
-        confirmed, recounted = 0, 0
-    elif tracker.contradictions > 0:
-        tracker.contradictions = tracker.contradictions - 1 if tracker.latch & RESIDUAL_FAULT else 0
-        if tracker.contradictions == 0:
-            tracker.latch &= ~RESIDUAL_FAULT
-    if tracker.latch & REGAINABLE_FAULTS:
-        if not contradictory and is_regained(workspace, stamp, estimate.random):
-            tracker.latch &= ~REGAINABLE_FAULTS
-        else:
-            moved_on = False
-    elif tracked and limited and not recounted:
-        position, about_z = motion_gate(workspace, tracker.pose, elapsed, estimate.random)
-        if max(position, about_z) > 1.0:
-            faults |= INNOVATION_FAULT
-            slipped = counting and abs(wrapped(theta - tracker.theta)) > 0.5 * settings.period
-            latch(tracker, INNOVATION_FAULT, 1 if position <= 1.0 or slipped else 0, elapsed)
-            moved_on = False
-    if counting and tracked and moved_on and not contradictory and not recounted:
-        predicted = tracker.theta + tracker.theta_rate * elapsed
-        reach = max(abs(tracker.theta_rate) * elapsed, abs(wrapped(theta - predicted)))
-        if reach > 0.25 * settings.period:
-            faults |= COUNT_FAULT
-            tracker.counted = 0
-            marks, recounted = 0, 0
-    if moved_on and not contradictory and scan.at_home and counting and counted and not recounted:
-        off = periods_off(settings, theta)
-        if off == 0.0:
-            marks = max(0, tracker.marks) + 1
-            confirmed = 1 if marks >= MARKS else 0
-        else:
-            marks = min(0, tracker.marks) - 1
-            faults |= COUNT_FAULT
-            latch(tracker, COUNT_FAULT, 1, elapsed)
-    elif tracker.latch & COUNT_FAULT and not scan.at_home:
-        if -MARKS < tracker.marks < 0:
-            tracker.latch &= ~COUNT_FAULT  # the disagreeing mark was spurious
-        else:
-            marks = -MARKS
-    if tracker.reference_sigma > 0.0 and not contradictory:
-        difference = abs(wrapped(tracker.reference_theta - theta))
-        variance = square(tracker.reference_sigma) + estimate.random[5, 5] + estimate.systematic[5, 5]
-        confirmed = 1 if difference <= REFERENCE_SIGMAS * math.sqrt(variance) else 0
-        if not confirmed:
-            faults |= ENCODER_FAULT
-            latch(tracker, ENCODER_FAULT, 1, elapsed)
-    tracker.reference_sigma = 0.0
-    tracker.marks, tracker.marks_off = marks, off
-    if confirmed and (moved_on or tracker.latch_about_theta):
-        tracker.counted = 1
-        if tracker.latch_about_theta:
-            tracker.latch &= RESIDUAL_FAULT
-            faults &= ~(INNOVATION_FAULT | COUNT_FAULT)
-            if not moved_on:
-                recounted, moved_on = 1, True
-    faults |= _flagged(scan)
+    check_residuals(workspace)
+    check_motion(workspace, theta, stamp, estimate)
+    check_count(workspace, theta)
+    check_home_mark(workspace, theta, scan.at_home)
+    check_reference(workspace, theta, estimate)
+    use_confirmation(workspace)
+    checks.faults |= _flagged(scan)
     _end_start(settings, tracker)
-    if moved_on and not contradictory:
-        theta = tracker.theta + wrapped(theta - tracker.theta)
-        update_tracker(tracker, pose, stamp, theta, elapsed if tracked and not recounted else math.nan)
-    elif not contradictory:
-        tracker.rejected_known, tracker.rejected_stamp = 1, stamp
-        copy_pose(pose, tracker.rejected)
-    if contradictory or tracker.latch:
-        write_lost(estimate, _with_latch(faults, latched))
+    theta = _keep_pose(workspace, stamp, theta)
+    if checks.contradictory or tracker.latch:
+        write_lost(estimate, _with_latch(checks.faults, latched))
         return DONE
     _write_pose(workspace, theta, estimate)
-    estimate.state, estimate.faults = DEGRADED if faults else OK, faults
-    if counting and not tracker.counted:
+    estimate.state, estimate.faults = DEGRADED if checks.faults else OK, checks.faults
+    if settings.period > 0.0 and not tracker.counted:
         estimate.state = UNCOUNTED
     return DONE
+
+
+@in_place
+def _write_unsolved(workspace: Any, outcome: int, flagged: int, estimate: Any) -> None:
+    """Write that a scan without a solution is LOST."""
+    settings, tracker = workspace.settings, workspace.tracker
+    faults = ILL_CONDITIONED_FAULT if outcome == ILL_CONDITIONED else NOT_CONVERGED_FAULT
+    latched = tracker.latch
+    if settings.period > 0.0 or not settings.max_velocity < math.inf:
+        forget_pose(tracker)
+    tracker.reference_sigma = 0.0
+    _end_start(settings, tracker)
+    write_lost(estimate, _with_latch(faults, latched) | flagged)
+
+
+@inlined
+def _keep_pose(workspace: Any, stamp: float, theta: float) -> float:
+    """Keep an accepted pose as the previous one, else as rejected; return theta, of an accepted one with its turns."""
+    tracker, checks = workspace.tracker, workspace.checks
+    if checks.contradictory:
+        return theta
+    if not checks.accepted:
+        tracker.rejected_known, tracker.rejected_stamp = 1, stamp
+        copy_pose(workspace.pose, tracker.rejected)
+        return theta
+    theta = tracker.theta + wrapped(theta - tracker.theta)
+    moved_from_previous = tracker.initialised and not checks.recounted
+    update_tracker(tracker, workspace.pose, stamp, theta, checks.elapsed if moved_from_previous else math.nan)
+    return theta
 
 
 @inlined

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from posor_estimator.estimation.estimate_scan import DONE, LOST, START, begin_scan_estimate, locate, write_lost
+from posor_estimator.estimation.estimate_scan import DONE, LOST, START, begin_scan_estimate, solve_and_check, write_lost
 from posor_estimator.estimation.linearise import linearise_scan
 from posor_estimator.estimation.solver import ITERATIONS, LENGTH, TOLERANCE
 from posor_estimator.estimation.tracking import (
@@ -84,13 +84,13 @@ class PlainSensors:
         if not tracker["initialised"] and not tracker["start_given"]:
             return START
         stamp = float((scans[n]["stamp_ns"] - tracker["epoch_ns"]) * 1e-9)
-        left = self._locate(scans, estimates, n, stamp)
+        left = self._solve(scans, estimates, n, stamp)
         if left == DONE and estimate["state"] == LOST:
             write_lost(estimate, int(estimate["faults"]))
         return left
 
-    def _locate(self, scans: NDArray[np.void], estimates: NDArray[np.void], n: int, stamp: float) -> int:
-        """Locate scan n, whose readings are linearised, and update the tracker; return what ``locate`` returns."""
+    def _solve(self, scans: NDArray[np.void], estimates: NDArray[np.void], n: int, stamp: float) -> int:
+        """Solve scan n, whose readings are linearised, and update the tracker; return what is left to do."""
         import pinocchio as pin  # noqa: PLC0415  50 MB that a node does not need before its first scan
 
         workspace, estimate, m = self._model.workspace[0], estimates[n], self._stack.readings
@@ -98,12 +98,12 @@ class PlainSensors:
         rows = self._activate_rows(workspace, m)
         scan = Scans(scans)[n]
 
-        def locate_once() -> tuple[int, Any]:
-            """Locate with the rows as they are; return what is left to do, and the tracker afterwards."""
+        def solve_once() -> tuple[int, Any]:
+            """Solve with the rows as they are; return what is left to do, and the tracker afterwards."""
             prepare_rows(record_view(rows))
             workspace["systematic_readings"][:m, :m] = systematic
             workspace["tracker"] = former
-            left = locate(self._model, stamp, scans[n], False, estimate)  # noqa: FBT003  kernels take no keywords
+            left = solve_and_check(self._model, stamp, scans[n], False, estimate)  # noqa: FBT003  kernels take no keywords
             return int(left), workspace["tracker"].copy()
 
         # Affine rows hold where they were expanded; therefore the lag of the tilts is followed here, not in the kernel.
@@ -120,7 +120,7 @@ class PlainSensors:
                 turn_rows(record_view(rows), wrapped(former_theta - theta_of(before.rotation)))
             effects = self._stack.residual_jacobian(scan, before.rotation, before.translation) @ self._square_root
             systematic = effects @ effects.T
-            left, updated = locate_once()
+            left, updated = solve_once()
             blind = int(estimate["faults"]) & Fault.ILL_CONDITIONED
             if attempt == 0:
                 former_theta += self._correction(start.rotation)
@@ -131,7 +131,7 @@ class PlainSensors:
                 back = pin.log6(start.actInv(before)).vector
                 rows["value"][affine] -= rows["derivative"][affine] @ back
                 pose["rotation"], pose["translation"] = start.rotation, start.translation
-                left, updated = locate_once()
+                left, updated = solve_once()
             if int(estimate["faults"]) & Fault.ILL_CONDITIONED or _distance(before, pose) < TOLERANCE_OF_EXPANSION:
                 break
         else:

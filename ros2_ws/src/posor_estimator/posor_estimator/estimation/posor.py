@@ -15,12 +15,14 @@ from posor_estimator.calibration.parameter_covariance import CovarianceSquareRoo
 from posor_estimator.errors import ParameterError, ShapeError
 from posor_estimator.estimation.estimate import ESTIMATE, Estimate, Estimates
 from posor_estimator.estimation.estimate_scan import DONE, START, estimate_scans
-from posor_estimator.estimation.frozen import ALL, evidence_of_repetition
+from posor_estimator.estimation.fault_sentence import fault_sentence
+from posor_estimator.estimation.frozen import evidence_of_repetition
 from posor_estimator.estimation.linearise import linearise_scan
 from posor_estimator.estimation.plain_sensors import PlainSensors
 from posor_estimator.estimation.sensor_stack import Stack
 from posor_estimator.estimation.solver import CONVERGED, SINGULAR, solve_start
 from posor_estimator.estimation.start_poses import start_poses
+from posor_estimator.estimation.supply_and_temperature import ANY_FINITE
 from posor_estimator.estimation.tracking import wrapped
 from posor_estimator.model.fault import Fault
 from posor_estimator.model.native_coordinates import native_from_rotation
@@ -38,16 +40,10 @@ if TYPE_CHECKING:
     from posor_estimator.numerics.array_types import FloatArray
     from posor_estimator.sensors.base import Linearised
 
-MAX_FLOAT = float(np.finfo(float).max)
 PHASE_GUESSES = 8
 """Starts within one bump that are tried where theta is unknown."""
 LIKELY_RUNOUT = 1e-4
 """Of starts that fit alike, as three ring probes have several, the start of least runout is taken; scale [m]."""
-RELEASE = (
-    "until the earlier motion is regained, the readings agree again, a reference confirms theta, "
-    "or ~/acknowledge is called"
-)
-"""What releases a latch, for messages."""
 LARGEST_SIGMA = 0.1
 """Largest standard uncertainty of a reference of theta, in periods: five of them are half a period."""
 COUNT_WINDOW = 0.52
@@ -119,7 +115,7 @@ class Posor:
     def _prepare_environment(self, settings: Any) -> None:
         environment = self.calibration.environment or Environment()
         for k, part in enumerate((environment.supply, environment.temperature)):
-            settings["environment"][k] = (-MAX_FLOAT, MAX_FLOAT) if part is None else part.range.array
+            settings["environment"][k] = ANY_FINITE if part is None else part.range.array
             settings["spreads"][k] = 0.0 if part is None else part.spread.number
         workspace, channels = self.model.workspace[0], self.model.channels
         for sensor in self.model.sensors:
@@ -194,8 +190,8 @@ class Posor:
         return self._plain.present
 
     @property
-    def counting(self) -> bool:
-        """Whether theta is counted, in bumps from a home mark or another reference."""
+    def counts_bumps(self) -> bool:
+        """Whether theta is found within one bump and counted in bumps, from a home mark or another reference."""
         return bool(self.settings["bump_angle"] > 0.0)
 
     @property
@@ -334,7 +330,7 @@ class Posor:
 
         The arrays are those of ``estimate_records`` in the view for kernels (``numerics.compiled.record_view``).
         """
-        if left == START and self.counting:
+        if left == START and self.counts_bumps:
             self.tracker["counted"] = 0  # a closed form does not know the count
         self._start(scans, estimates, n)
         self.model.workspace["again"] = 1
@@ -354,14 +350,14 @@ class Posor:
         guesses = [(known or 0.0) + bump * (i / PHASE_GUESSES - 0.5) for i in range(PHASE_GUESSES)]
         workspace["rows_active"] = 0
         best = math.inf
-        for start in start_poses(selected, values, guesses if self.counting else [0.0]):
+        for start in start_poses(selected, values, guesses if self.counts_bumps else [0.0]):
             rows[:m] = selected
             self.stack.expand_plain_rows(rows, start.rotation, start.translation)
             pose["rotation"], pose["translation"] = start.rotation, start.translation
             settled = solve_start(self.model, SINGULAR) == CONVERGED
             misfit = float((1.0 / variances) @ np.square(workspace["residuals"][:m])) if settled else math.inf
             misfit += float(np.sum(np.square(pose["translation"][:2] / LIKELY_RUNOUT)))
-            if settled and self.counting and known is not None:
+            if settled and self.counts_bumps and known is not None:
                 off = abs(wrapped(native_from_rotation(pose["rotation"])[2] - known))
                 misfit = misfit if off < COUNT_WINDOW * bump else math.inf
             if misfit < best or math.isinf(best):
@@ -433,42 +429,7 @@ class Posor:
 
     def reason(self, scan: Scan, estimate: Any) -> str:
         """Return the sentence on the fault of a scan's estimate (record of dtype ESTIMATE), empty where it has none."""
-        faults = int(estimate["faults"])
-        if faults == 0:
-            return ""
-        if estimate["sensor"] >= 0:
-            return str(self.stack.sensors[estimate["sensor"]].explain(scan, int(estimate["code"])))
-        sentences = {
-            Fault.NOT_CONVERGED: "the estimate did not converge",
-            Fault.ILL_CONDITIONED: "the readings do not determine all six freedoms",
-            Fault.RESIDUAL: f"the redundant readings contradict one another, chi-square {estimate['residual']:.3g}; "
-            f"expected at most {self.residual_limit:.3g}",
-            Fault.INNOVATION: "the pose is further from the previous pose than the target can have moved",
-            Fault.COUNT: "the count of theta is in doubt, or a home mark disagrees with it",
-            Fault.ENVIRONMENT: self._environment_sentence(scan),
-            Fault.FLAGGED: "the driver marked a reading as saturated or filled in",
-            Fault.FROZEN: f"{self._frozen_name(estimate)} repeats to the last bit although it has noise",
-            Fault.ENCODER: "theta disagrees with the encoder",
-        }
-        found = [sentence for fault, sentence in sentences.items() if faults & fault]
-        if faults & Fault.LATCHED:
-            names = Fault(faults & ~Fault.LATCHED).name
-            found = [f"latched after {names}, {RELEASE}"]
-        return f"scan {scan.number}: {'; '.join(found)}." if found else ""
-
-    def _environment_sentence(self, scan: Scan) -> str:
-        parts = (("supply voltage", scan.supply_voltage, "V"), ("temperature", scan.temperature, "K"))
-        invalid = [
-            f"{name} {value:g} {unit} is outside the calibration's range; expected "
-            + ("a finite number or NaN" if high == MAX_FLOAT else f"{low:g} to {high:g} {unit}")
-            for (name, value, unit), (low, high) in zip(parts, self.settings["environment"], strict=True)
-            if not (math.isnan(value) or low <= value <= high)
-        ]
-        return "; ".join(invalid)
-
-    def _frozen_name(self, estimate: Any) -> str:
-        code = int(estimate["code"])
-        return "every reading" if code == ALL else self.stack.reading_names[code]
+        return fault_sentence(self.stack, self.settings, scan, estimate)
 
 
 class _OneScan:

@@ -8,12 +8,15 @@ covariance of the readings (JCGM 100, F.1.2.3: effects common to several reading
 from __future__ import annotations
 
 import math
+import sys
 from typing import Any
 
 from posor_estimator.numerics.compiled import in_place, inlined
 from posor_estimator.numerics.vector import square
 
 SUPPLY, TEMPERATURE = 0, 1
+ANY_FINITE = (-sys.float_info.max, sys.float_info.max)
+"""Range of a calibration that states none."""
 
 
 @inlined

@@ -75,10 +75,27 @@ TRACKER = np.dtype(
 )
 """What is known from the previous scans."""
 
+CHECKS = np.dtype(
+    [
+        ("elapsed", "f8"),  # since the previous pose [s]
+        ("faults", "i8"),  # found so far
+        ("contradictory", "i8"),  # 1: the redundant readings fail the residual test
+        ("accepted", "i8"),  # 1: the pose is where the target can have moved
+        ("counted", "i8"),  # 1: theta was counted before this scan
+        ("recounted", "i8"),  # 1: this scan counts theta anew
+        ("confirmed", "i8"),  # 1: home marks or a reference confirm theta
+        ("marks", "i8"),  # as in the tracker, with this scan
+        ("marks_off", "f8"),
+    ],
+    align=True,
+)
+"""What the checks of one scan have found (``estimation.scan_checks``)."""
+
 WORKSPACE = np.dtype(
     [
         ("settings", SETTINGS),
         ("tracker", TRACKER),
+        ("checks", CHECKS),
         ("scan", SCAN),  # the scan of a stream
         ("estimate", ESTIMATE),  # its estimate
         ("reading_count", "i8"),

@@ -193,7 +193,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         return f"calibration '{calibration.name}', hash {calibration.content_hash}"
 
     def _count_from_home(self) -> str:
-        if not self._posor.counting:
+        if not self._posor.counts_bumps:
             raise ParameterError(
                 "theta is not counted",
                 where=f"calibration '{self._calibration.name}'",

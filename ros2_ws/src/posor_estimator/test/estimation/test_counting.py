@@ -10,7 +10,7 @@ import pytest
 from posor_estimator.calibration.designs import BUMPS, design
 from posor_estimator.estimation.forward import scans_at
 from posor_estimator.estimation.posor import Posor
-from posor_estimator.estimation.tracking import MARKS
+from posor_estimator.estimation.scan_checks import MARKS
 from posor_estimator.model.fault import Fault, State
 from posor_estimator.model.native_coordinates import rotation_from_native
 from posor_estimator.model.scan import STATED_HOME

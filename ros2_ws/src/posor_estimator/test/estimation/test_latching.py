@@ -12,7 +12,7 @@ from posor_estimator.calibration.designs import design, sized_design
 from posor_estimator.errors import ParameterError
 from posor_estimator.estimation.forward import scans_at
 from posor_estimator.estimation.posor import Posor
-from posor_estimator.estimation.tracking import RESIDUAL_RUN
+from posor_estimator.estimation.scan_checks import RESIDUAL_RUN
 from posor_estimator.model.fault import Fault, State
 from posor_estimator.model.native_coordinates import rotation_from_native
 from posor_estimator.model.scan import NO_SOURCE, STATED_HOME
@@ -290,3 +290,15 @@ def test_without_limits_of_motion_nothing_is_latched() -> None:
     found = posor.estimate_all(scans.with_fields({"lit_sources": lit}))
     assert (found.states[30:] == State.OK).all()
     assert posor.latched == Fault.NONE
+
+
+def test_a_reference_judges_only_the_scan_it_was_given_for() -> None:
+    content = design("triad_diodes").model_dump(mode="json", exclude_none=True)
+    first, second = content["sensors"][1]["diodes"]
+    second["origin"] = first["origin"]  # both diodes see the same spot: no reading is about theta
+    content["sensors"][1]["light_sources"][1]["origin"] = content["sensors"][1]["light_sources"][0]["origin"]
+    posor = Posor(calibration_from(content))
+    scans = turned(posor, np.array([0.0]))
+    posor.confirm_theta(0.0, 0.01)
+    assert posor.estimate(scans[0]).faults == Fault.ILL_CONDITIONED
+    assert posor.tracker["reference_sigma"] == 0.0

@@ -14,7 +14,7 @@ from posor_estimator.errors import TopicError
 from posor_estimator.estimation.forward import scans_at
 from posor_estimator.estimation.message_stream import MessageEstimator
 from posor_estimator.estimation.posor import Posor
-from posor_estimator.estimation.tracking import MARKS
+from posor_estimator.estimation.scan_checks import MARKS
 from posor_estimator.model.fault import Fault, State
 from posor_estimator.model.native_coordinates import rotation_from_native
 from posor_estimator.ros.cdr_scan import RAW_SCAN, scan_of

@@ -11,7 +11,7 @@ import pinocchio as pin
 from posor_estimator.calibration.designs import DesignName, design
 from posor_estimator.estimation.forward import scans_at
 from posor_estimator.estimation.posor import Posor
-from posor_estimator.estimation.tracking import NOISE_ALLOWANCE
+from posor_estimator.estimation.scan_checks import NOISE_ALLOWANCE
 from posor_estimator.model.fault import State
 from posor_estimator.model.native_coordinates import rotation_from_native
 from posor_estimator.model.scan import STATED_HOME

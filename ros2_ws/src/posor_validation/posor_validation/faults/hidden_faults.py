@@ -116,7 +116,7 @@ def probe_cases(
         volts = scan.gap_voltages.copy()
         volts[0, channel] += draw_volts(random, reliability.biases[channel] / slope)
         theta = math.atan2(-true.rotations[0, 0, 1], true.rotations[0, 1, 1])
-        thetas = np.array([theta]) if posor.counting else None
+        thetas = np.array([theta]) if posor.counts_bumps else None
         found = posor.estimate_each(scan.with_fields({"gap_voltages": volts}), thetas)
         covariance = (found.covariances_random + found.covariances_systematic)[0]
         if found.states[0] not in (State.OK, State.DEGRADED):

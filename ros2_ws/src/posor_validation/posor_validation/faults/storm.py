@@ -362,7 +362,7 @@ def estimate_storm(posor: Posor, storm: Storm, encoder: np.random.Generator | No
         posor.estimate_records(scans[begin:end], records[begin:end])
         if end < len(scans):
             posor.acknowledge()
-        if end < len(scans) and posor.counting and encoder is not None:
+        if end < len(scans) and posor.counts_bumps and encoder is not None:
             posor.confirm_theta(storm.thetas[end] + ENCODER_SIGMA * encoder.normal(), ENCODER_SIGMA)
         begin = end
     return Estimates(records)
