@@ -21,7 +21,7 @@ from posor_drivers.simulator.scenario import load_scenario
 if TYPE_CHECKING:
     from posor_estimator.chain.arm_file import Arm
     from posor_estimator.model.scan import Scans
-    from posor_estimator.numerics.array_types import BoolArray, FloatArray, IntArray
+    from posor_estimator.numerics.array_types import FloatArray, IntArray
 
     from posor_drivers.simulator.electronics import SimulatedScans
 
@@ -114,10 +114,6 @@ class ArmSimulation:
         truth = self.truth(ticks) if truth is None else truth
         published = self._electronics[joint].scans(ticks, truth.T_parent_child[joint])
         return self._faults[joint].change(published, ticks, self.scenario.cycle_ticks, partial(self._scan_at, joint))
-
-    def has_fault(self, joint: str, ticks: IntArray) -> BoolArray:
-        """Return whether a fault of the scenario is on at ticks (n,)."""
-        return self._faults[joint].active(ticks, self.scenario.cycle_ticks)
 
     def _scan_at(self, joint: str, tick: int) -> Scans:
         """Return the scan of a joint at one tick, without the faults of the scenario."""

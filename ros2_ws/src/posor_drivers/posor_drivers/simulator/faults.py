@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from posor_estimator.calibration.calibration_file import Calibration
     from posor_estimator.model.scan import Scans
-    from posor_estimator.numerics.array_types import BoolArray, IntArray
+    from posor_estimator.numerics.array_types import IntArray
 
     from posor_drivers.simulator.electronics import SimulatedScans
 
@@ -320,11 +320,3 @@ class JointFaults:
         in_cycle = tick % cycle_ticks
         late = (each for each in self._placed if each.fault.kind == "late")
         return sum(round(each.size * NS) for each in late if each.ticks[0] <= in_cycle < each.ticks[1])
-
-    def active(self, ticks: IntArray, cycle_ticks: int) -> BoolArray:
-        """Return whether there is any fault at ticks (n,)."""
-        in_cycle = np.mod(ticks, cycle_ticks)
-        active = np.zeros(len(ticks), dtype=bool)
-        for placed in self._placed:
-            active |= (in_cycle >= placed.ticks[0]) & (in_cycle < placed.ticks[1])
-        return active

@@ -17,21 +17,21 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from posor_drivers.simulator.electronics import DIODE_FIELD, convert_to_digital
+from posor_drivers.simulator.electronics import convert_to_digital
 from posor_drivers.simulator.pose_array import PoseArray
 from posor_estimator.calibration.designs import design, sized_design
 from posor_estimator.estimation.estimate import ESTIMATE, Estimates
 from posor_estimator.estimation.forward import scans_at
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.model.fault import Fault, State
-from posor_estimator.model.scan import DIODES_ESTIMATED, HOME_BUMP, PROBES_ESTIMATED, SATURATED, Scans
+from posor_estimator.model.scan import HOME_BUMP, Scans
 from posor_estimator.numerics.stamps import NS
 from posor_estimator.sensors.diodes import DiodesCalibration
-from posor_estimator.sensors.gap_probes import GapProbesCalibration
 from posor_estimator.uncertainty.protection_level import endpoint_protection_level
 from posor_estimator.uncertainty.reliability import joint_reliability
 
 from posor_validation.faults.pose_judge import small_errors, wrong_poses
+from posor_validation.faults.storm_faults import RANGES, Episode, field_of, storm_faults
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -51,10 +51,6 @@ ENCODER_SIGMA = 1e-3
 """Standard uncertainty of the encoder that confirms theta after an acknowledgement [rad]."""
 START_SCANS = 1000
 """Scans without faults at the beginning of a block, in which rings pass their home mark."""
-OBSERVABLE = 2.0
-"""Least error of a wrong reading, in minimal detectable biases."""
-RANGES = {"gap_voltages": (-7.0, 7.0), "ring_voltages": (-7.0, 7.0), DIODE_FIELD: (0.0, 1.5e-4)}
-"""Of the converters [V], [A]."""
 SWING_S, PHASES = 2.5, 40
 """Period of theta, and poses of half of it at which the detectable biases are computed."""
 LIKE_THE_TRUE_READING = ("stuck", "zero", "garbage")
@@ -98,127 +94,6 @@ class Storm:
         return np.arctan2(-self.truth.rotations[:, 0, 1], self.truth.rotations[:, 1, 1])
 
 
-@dataclass(frozen=True)
-class _Episode:
-    """One fault of a block, in the scans ``part`` of its arrays; ``bias`` returns a minimal detectable bias [V]."""
-
-    arrays: Mapping[str, Any]
-    part: slice
-    random: np.random.Generator
-    bias: Callable[[str, int], float]
-
-    def __getitem__(self, name: str) -> Any:
-        return self.arrays[name]
-
-    def channel(self, name: str) -> tuple[slice, int]:
-        """Return the part of a random channel."""
-        return self.part, int(self.random.integers(self.arrays[name].shape[1]))
-
-    def size(self) -> tuple[int, ...]:
-        """Return the number of scans as a shape."""
-        return (self.part.stop - self.part.start,)
-
-
-def _offset(name: str) -> Callable[[_Episode], None]:
-    def change(episode: _Episode) -> None:
-        part, channel = episode.channel(name)
-        factor = math.exp(episode.random.uniform(math.log(OBSERVABLE), math.log(100.0 * OBSERVABLE)))
-        episode[name][part, channel] += episode.random.choice([-1.0, 1.0]) * factor * episode.bias(name, channel)
-
-    return change
-
-
-def _value(name: str, value: float) -> Callable[[_Episode], None]:
-    def change(episode: _Episode) -> None:
-        episode[name][episode.channel(name)] = value
-
-    return change
-
-
-def _stuck(name: str) -> Callable[[_Episode], None]:
-    def change(episode: _Episode) -> None:
-        part, channel = episode.channel(name)
-        episode[name][part, channel] = episode[name][part.start, channel]
-
-    return change
-
-
-def _garbage(name: str) -> Callable[[_Episode], None]:
-    def change(episode: _Episode) -> None:
-        part = episode.channel(name)
-        episode[name][part] = episode.random.uniform(*RANGES[name], episode[name][part].shape)
-
-    return change
-
-
-def _frozen(episode: _Episode) -> None:
-    for name in RANGES:
-        episode[name][episode.part] = episode[name][episode.part.start]
-
-
-def _slip(sources: int) -> Callable[[_Episode], None]:
-    def change(episode: _Episode) -> None:
-        lit = episode["lit_sources"][episode.part]
-        lit[:] = (lit + episode.random.integers(1, sources)) % sources
-
-    return change
-
-
-def _whole(name: str, value: float) -> Callable[[_Episode], None]:
-    def change(episode: _Episode) -> None:
-        episode[name][episode.part] = value
-
-    return change
-
-
-def _flag(flag: int) -> Callable[[_Episode], None]:
-    def change(episode: _Episode) -> None:
-        episode["statuses"][episode.part] |= flag
-
-    return change
-
-
-def _home(episode: _Episode) -> None:
-    length = int(episode.random.integers(1, 6))
-    part = slice(episode.part.start, min(episode.part.stop, episode.part.start + length))
-    episode["at_home"][part] = 1
-    episode["statuses"][part] |= HOME_BUMP
-
-
-def _off(episode: _Episode) -> None:
-    episode["sent"][episode.part] = False
-
-
-def storm_faults(calibration: Calibration) -> dict[str, Callable[[_Episode], None]]:
-    """Return the faults that a stack can have, by name."""
-    faults: dict[str, Callable[[_Episode], None]] = {"no scans": _off, "all readings frozen": _frozen}
-    for value in (16.0, 0.0, math.inf):
-        faults[f"supply {value:g} V"] = _whole("supply_voltages", value)
-    for value in (313.0, 20.0, math.inf):
-        faults[f"temperature {value:g} K"] = _whole("temperatures", value)
-    flags = {"SATURATED": SATURATED, "PROBES_ESTIMATED": PROBES_ESTIMATED, "DIODES_ESTIMATED": DIODES_ESTIMATED}
-    faults |= {f"flag {name}": _flag(flag) for name, flag in flags.items()}
-    for sensor in calibration.sensors:
-        if isinstance(sensor, DiodesCalibration):
-            field, what = DIODE_FIELD, "diode"
-            faults["light-source index off"] = _slip(len(sensor.light_sources))
-            faults["no light source lit"] = _whole("lit_sources", 255)
-        else:
-            is_gap = isinstance(sensor, GapProbesCalibration)
-            field, what = ("gap_voltages", "gap probe") if is_gap else ("ring_voltages", "ring probe")
-            faults[f"{what} offset"] = _offset(field)
-        if sensor.bump_angle > 0.0:
-            faults["spurious HOME"] = _home
-        faults |= {
-            f"{what} stuck": _stuck(field),
-            f"{what} garbage": _garbage(field),
-            f"{what} zero": _value(field, 0.0),
-            f"{what} not a number": _value(field, math.nan),
-            f"{what} infinite": _value(field, math.inf),
-        }
-    return faults
-
-
 class StormMaker:
     """Draws blocks of scans of one stack."""
 
@@ -247,7 +122,7 @@ class StormMaker:
                 break
             kind = int(random.integers(len(self.names)))
             part = slice(begin, begin + length)
-            self._faults[self.names[kind]](_Episode(arrays, part, random, self._bias))
+            self._faults[self.names[kind]](Episode(arrays, part, random, self._bias))
             faults[part] = kind
             begin += length
             acknowledgements.append(begin + OPERATOR_SCANS)
@@ -289,15 +164,9 @@ class StormMaker:
 
     def _bias(self, field: str, channel: int) -> float:
         """Return the minimal detectable bias of a probe [V]."""
-        sensor: Any = next(each for each in self.calibration.sensors if _field_of(each) == field)
+        sensor: Any = next(each for each in self.calibration.sensors if field_of(each) == field)
         probe, kind = sensor.probes[channel], "gap" if field == "gap_voltages" else "ring"
         return float(self._biases[f"{kind} {probe.name}"] / abs(probe.volts_to_gap.array[1]))
-
-
-def _field_of(sensor: Any) -> str:
-    if isinstance(sensor, DiodesCalibration):
-        return DIODE_FIELD
-    return "gap_voltages" if isinstance(sensor, GapProbesCalibration) else "ring_voltages"
 
 
 def _mean_length() -> float:
