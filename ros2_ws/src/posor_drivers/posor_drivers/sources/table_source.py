@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from posor_estimator.errors import DataFileError
+from posor_estimator.input_text import read_input_text
 from posor_estimator.parameter_model import ParameterGroup
 from posor_estimator.ros_names import POINT_STAMPED, RAW_SCAN, RAW_TOPIC, TRUTH_TOPIC
 from pydantic import Field
@@ -145,7 +146,7 @@ def read_table(path: Path) -> list[TableRow]:
 
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_input_text(path)
     except OSError as error:
         raise DataFileError(f"cannot be read, {(error.strerror or str(error)).lower()}", where=str(path)) from None
     except UnicodeDecodeError as error:

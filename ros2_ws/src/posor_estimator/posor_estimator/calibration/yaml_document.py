@@ -1,8 +1,8 @@
 """Read YAML files strictly, and name file, line and key of every problem.
 
-Duplicate keys, several documents, recursive aliases and deep nesting are refused. Only plain decimals are numbers: YAML
-1.1 reads ``010`` as 8, ``1:30`` as 90 and ``2e-5`` as text. Here the first two are text, which is then refused where a
-number is expected, and the last is a number.
+Duplicate keys, several documents, recursive aliases, aliases that expand to too much, and deep nesting are refused.
+Only plain decimals are numbers: YAML 1.1 reads ``010`` as 8, ``1:30`` as 90 and ``2e-5`` as text. Here the first two
+are text, which is then refused where a number is expected, and the last is a number.
 
 Positions come from PyYAML's nodes: ``ruamel.yaml``, which keeps positions itself, takes nine times as long to load a
 calibration file, and needs the same code for strictness and dotted keys.
@@ -19,6 +19,7 @@ from pydantic import ValidationError
 
 from posor_estimator.calibration.file_model import first_problem, format_value
 from posor_estimator.errors import CalibrationError
+from posor_estimator.input_text import read_input_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 Document = TypeVar("Document")
 
 _MAX_DEPTH = 50
+_MAX_NODES = 200_000
+"""Largest number of nodes with all aliases expanded; the largest calibration files have some 10,000."""
 _INTEGER = "tag:yaml.org,2002:int"
 _FLOAT = "tag:yaml.org,2002:float"
 
@@ -37,6 +40,8 @@ class StrictLoader(yaml.SafeLoader):
     def __init__(self, text: str) -> None:
         super().__init__(text)
         self._open: list[str | None] = []
+        self._nodes = 0  # so far, aliases expanded
+        self._nodes_of: dict[str, int] = {}  # of each anchor
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         """Compose a node; refuse recursive aliases and deep nesting."""
@@ -46,13 +51,24 @@ class StrictLoader(yaml.SafeLoader):
             if event.anchor in self._open:
                 problem = f"alias '{event.anchor}' is inside its own anchor"
                 raise yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
+            self._count(self._nodes_of.get(event.anchor, 0), mark)
             return super().compose_node(parent, index)
         if len(self._open) == _MAX_DEPTH:
             raise yaml.MarkedYAMLError(problem="it is nested too deeply", problem_mark=mark)
+        before = self._nodes
+        self._count(1, mark)
         self._open.append(event.anchor)
         node = super().compose_node(parent, index)
         self._open.pop()
+        if event.anchor is not None:
+            self._nodes_of[event.anchor] = self._nodes - before
         return node
+
+    def _count(self, nodes: int, mark: yaml.Mark) -> None:
+        self._nodes += nodes
+        if self._nodes > _MAX_NODES:
+            problem = f"with its aliases expanded it has more than {_MAX_NODES} entries"
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
 
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:  # PyYAML's stubs call it a dict
         """Compose a mapping; refuse duplicate keys."""
@@ -217,7 +233,7 @@ def read_text(path: Path, kind: str) -> str:
 
     """
     try:
-        return path.read_text(encoding="utf-8")
+        return read_input_text(path)
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise CalibrationError(
@@ -261,6 +277,8 @@ def parse_document(
     if type(version) is not int or version not in versions:  # True and 1.0 are equal to 1
         what = f"version {format_value(version)}" if "version" in content else "key 'version' is missing"
         known = " or ".join(", ".join(str(number) for number in versions).rsplit(", ", 1))
+        if type(version) is int and version > max(versions):
+            known += f", or a later release of this software, which reads version {version}"
         raise CalibrationError(what, where=locations.describe("version"), expected=known)
     try:
         return validate(content), locations

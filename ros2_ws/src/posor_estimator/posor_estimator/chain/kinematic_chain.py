@@ -19,6 +19,7 @@ from posor_estimator.chain.endpoint_estimator import EndpointEstimator
 from posor_estimator.chain.measuring_beam import MeasuringBeam
 from posor_estimator.chain.robot_model import FreeJoint, RobotModel
 from posor_estimator.errors import ChainError
+from posor_estimator.input_text import read_input_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -215,7 +216,7 @@ def load_chain(urdf: Path, endpoint_frame: str, beams: Path | None = None) -> Ch
 
     """
     try:
-        text = urdf.read_text(encoding="utf-8")
+        text = read_input_text(urdf)
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise ChainError(f"cannot be read: {reason}", where=f"URDF {urdf}", expected="a robot description") from error

@@ -68,8 +68,10 @@ class RobotModel:
 
         """
         names = tuple(freed)
-        self.model = _build_model(_float_joints(urdf, names, source), source)
+        root = _parse(urdf, source)
+        self.model = _build_model(_float_joints(urdf, root, names, source), source)
         self.base_frame: str = self._links(0)[0]
+        self._check_all_joints(root, source)
         if not self.model.existBodyName(endpoint_frame):
             raise ChainError(
                 f"has no link '{endpoint_frame}'", where=source, expected=f"one of {', '.join(self._all_links())}"
@@ -90,6 +92,16 @@ class RobotModel:
             raise ChainError(
                 f"no POSOR joint moves link '{endpoint_frame}'", where=source, expected=f"one of {', '.join(moved)}"
             )
+
+    def _check_all_joints(self, root: ET.Element, source: str) -> None:
+        """Refuse joints that the parser left out: their links are not connected to the root link."""
+        for joint in root.findall("joint"):
+            if not self.model.existFrame(joint.get("name", "")):
+                raise ChainError(
+                    f"joint '{joint.get('name')}' is not connected to the root link '{self.base_frame}'",
+                    where=source,
+                    expected="one tree, in which each link but the root is the child of one joint",
+                )
 
     def path(self) -> list[int]:
         """Return the indices of the joints from the base to the endpoint."""
@@ -126,12 +138,15 @@ class RobotModel:
         return FreeJoint(name, parent.name, self._links(index)[0], index, T_parent_joint, T_before_parent)
 
 
-def _float_joints(urdf: str, names: tuple[str, ...], source: str) -> str:
-    """Return the URDF with some fixed joints converted to floating joints."""
+def _parse(urdf: str, source: str) -> ET.Element:
     try:
-        root = ET.fromstring(urdf)  # noqa: S314  urdfdom parses the same text afterwards
+        return ET.fromstring(urdf)  # noqa: S314  urdfdom parses the same text afterwards
     except ET.ParseError as error:
         raise ChainError(f"is not XML: {error}", where=source, expected="a robot description (URDF)") from error
+
+
+def _float_joints(urdf: str, root: ET.Element, names: tuple[str, ...], source: str) -> str:
+    """Return the URDF with some fixed joints converted to floating joints."""
     if not names:
         return urdf
     fixed = {joint.get("name", ""): joint for joint in root.iter("joint") if joint.get("type") == "fixed"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -11,6 +12,8 @@ from .calibration_content import PROBE, refusal, write, written, zero_shifts
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+ALIAS_BOMB = "a0: &a0 [x]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]\n" for i in range(1, 10))
 
 
 @pytest.mark.parametrize(
@@ -43,11 +46,12 @@ if TYPE_CHECKING:
         ("? [a, b]\n: c\n", "line 1: is not YAML: while constructing a mapping, found unhashable key."),
         ("date: 2020-99-99\n", "line 1: is not YAML: month must be in 1..12."),
         ("[" * 5000, "line 1: is not YAML: it is nested too deeply."),
+        (ALIAS_BOMB, "line 6: is not YAML: with its aliases expanded it has more than 200000 entries."),
     ],
     ids=[
         *("empty", "comment only", "list", "text", "open bracket", "tab", "two documents", "control character"),
         *("key twice", "endless", "text that its tag does not allow", "Python object", "list as a key"),
-        *("impossible date", "very deep"),
+        *("impossible date", "very deep", "alias bomb"),
     ],
 )
 def test_text_that_is_not_a_yaml_mapping_is_refused(text: str, says: str, file: Path) -> None:
@@ -139,4 +143,11 @@ def test_a_missing_file_is_refused(file: Path) -> None:
 def test_a_folder_is_refused(tmp_path: Path) -> None:
     assert refusal(tmp_path) == (
         f"calibration file {tmp_path}: cannot be read: Is a directory; expected a YAML calibration file."
+    )
+
+
+def test_a_pipe_is_refused_at_once(file: Path) -> None:
+    os.mkfifo(file)
+    assert refusal(file) == (
+        f"calibration file {file}: cannot be read: a pipe or device, not a file; expected a YAML calibration file."
     )

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import os
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -8,13 +9,15 @@ import pinocchio as pin
 import pytest
 from posor_estimator.chain.forward_kinematics import Endpoints
 from posor_estimator.chain.joint_measurements import MeasuredJoint
-from posor_estimator.chain.kinematic_chain import Chain, Endpoint
+from posor_estimator.chain.kinematic_chain import Chain, Endpoint, load_chain
 from posor_estimator.errors import ChainError
+from posor_estimator.input_text import MAX_BYTES
 from posor_estimator.model.native_coordinates import native_from_rotation
 from scipy.spatial.transform import Rotation
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from posor_estimator.numerics.array_types import FloatArray
 
@@ -328,3 +331,25 @@ def test_errors_of_the_urdf_parser_are_reported(case: str, capfd: pytest.Capture
 def test_an_endpoint_that_no_joint_moves_is_refused() -> None:
     with pytest.raises(ChainError, match=r"no POSOR joint moves link 'base'; expected one of .*tip"):
         Chain(ONE_JOINT, "base")
+
+
+def test_joints_of_a_cycle_are_refused() -> None:
+    """The parser starts at the root link and leaves out, without a word, what is not connected to it."""
+    cycle = (
+        '<link name="left"/><link name="right"/>'
+        '<joint name="there" type="floating"><parent link="left"/><child link="right"/></joint>'
+        '<joint name="back" type="floating"><parent link="right"/><child link="left"/></joint>'
+    )
+    assert refusal(ONE_JOINT.replace("</robot>", f"{cycle}</robot>")) == (
+        "arm.urdf: joint 'there' is not connected to the root link 'base'; expected one tree, in which each link but "
+        "the root is the child of one joint."
+    )
+
+
+@pytest.mark.parametrize(("path", "reason"), [("pipe", "a pipe or device, not a file"), ("large", "32 MiB, more than")])
+def test_a_urdf_that_is_no_file_or_too_large_is_refused(tmp_path: Path, path: str, reason: str) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with (tmp_path / "large").open("wb") as file:
+        file.truncate(MAX_BYTES + 1)
+    with pytest.raises(ChainError, match=f"cannot be read: {reason}"):
+        load_chain(tmp_path / path, "tip")

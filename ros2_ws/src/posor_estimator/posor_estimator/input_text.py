@@ -1,0 +1,30 @@
+"""Text files that a user names: read whole, without waiting for anybody."""
+
+from __future__ import annotations
+
+import errno
+import stat
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+MAX_BYTES = 1 << 25
+"""Largest size; a calibration file has some 100 kB."""
+
+
+def read_input_text(path: Path) -> str:
+    """Return the text of a file.
+
+    Raises:
+        OSError: The file cannot be read, is larger than MAX_BYTES, or is a pipe or device, on which a reader may wait
+            for ever. ``strerror`` says which.
+        UnicodeDecodeError: It is not UTF-8 text.
+
+    """
+    status = path.stat()
+    if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):  # open() refuses a folder
+        raise OSError(errno.EINVAL, "a pipe or device, not a file", str(path))
+    if status.st_size > MAX_BYTES:
+        raise OSError(errno.EFBIG, f"{status.st_size >> 20} MiB, more than {MAX_BYTES >> 20} MiB", str(path))
+    return path.read_text(encoding="utf-8")
