@@ -70,7 +70,7 @@ def _run_arm(options: Namespace) -> None:
         driver_parameters=dict(options.parameters),
         parameters=parameters,
     )
-    folder = prepare_output_folder(options.output / arm.name, (), "bringup")
+    folder = prepare_output_folder(options.output / arm.name, ())
     stop = StopSignal()
     try:
         with Supervisor(folder / LOGS) as supervisor:

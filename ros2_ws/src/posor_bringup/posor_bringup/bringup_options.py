@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import shutil
 from argparse import ArgumentParser, ArgumentTypeError
 from typing import TYPE_CHECKING, cast
 
 import yaml
+from posor_estimator.bags.result_folder import prepare_outputs, writing
 from posor_estimator.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -58,31 +58,18 @@ def parse_driver_parameters(text: str) -> dict[str, Parameter]:
         raise ParameterError(str(error), where="launch argument 'driver_parameters'") from None
 
 
-def prepare_output_folder(folder: Path, outputs: Sequence[str], program: str) -> Path:
-    """Create an output folder with an empty folder for logs; remove the outputs of an earlier run.
+def prepare_output_folder(folder: Path, outputs: Sequence[str]) -> Path:
+    """Create an output folder with an empty folder for logs; replace the outputs of an earlier run.
 
     Args:
         folder: The folder.
         outputs: Files and folders that the program writes there; everything else in the folder stays.
-        program: Name of the program in error messages.
 
     Raises:
-        ParameterError: The folder cannot be created.
+        OutputError: The folder holds one of these names, but not from an earlier run; or it cannot be written.
 
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name in (*outputs, LOGS):
-            entry = folder / name
-            if entry.is_dir():
-                shutil.rmtree(entry)
-            else:
-                entry.unlink(missing_ok=True)
+    prepare_outputs(folder, (*outputs, LOGS))
+    with writing(folder):
         (folder / LOGS).mkdir()
-    except OSError as error:
-        raise ParameterError(
-            f"cannot be created: {error.strerror}",
-            where=f"{program}, --output, {folder}",
-            expected="a folder to write to",
-        ) from error
     return folder

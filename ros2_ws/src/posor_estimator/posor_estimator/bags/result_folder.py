@@ -1,7 +1,8 @@
 """The folder of results: it appears under its name when it is complete, and replaces nothing but results.
 
 A mark, a file among the results, lists the other files with their sizes. So neither recordings nor results to which
-something was added are taken for results, whatever they are called.
+something was added are taken for results, whatever they are called. A program that leaves its outputs in a folder of
+the user (``prepare_outputs``) lists them without sizes, and replaces none that is not listed.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ from typing import TYPE_CHECKING
 from posor_estimator.errors import OutputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
-MARK = ".reprocess.json"
+MARK = ".results.json"
 """Name of the mark; readers of tables and bags ignore names that begin with a dot."""
 UNFINISHED = ".making-"
 """Prefix of a folder with unfinished results; the name of the run follows."""
@@ -51,7 +52,7 @@ def new_result_folder(output: Path, run: str, *, force: bool) -> Iterator[Path]:
         yield new
         check_replaceable(output, force=force)
         with writing(output):
-            _write_mark(new)
+            _write_mark(new, {path.name: path.stat().st_size for path in sorted(new.iterdir())})
             if output.exists():
                 output.rename(unfinished / FORMER / output.name)
             new.rename(output)
@@ -75,14 +76,40 @@ def check_replaceable(output: Path, *, force: bool) -> None:
             return
         if not output.is_dir() or output.is_symlink():
             raise OutputError("is no folder of results", where=str(output), expected="another name")
-        sizes = _marked_sizes(output)
+        sizes = _marked(output)
         for entry in sorted(output.iterdir()):
-            if entry.is_symlink() or not entry.is_file() or entry.stat().st_size != sizes.get(entry.name):
-                raise OutputError(
-                    f"holds {entry.name}, which is not marked as a result", where=str(output), expected="another name"
-                )
+            is_mark = entry.name == MARK and sizes
+            is_file = entry.is_file() and not entry.is_symlink()
+            if not is_file or not (is_mark or entry.stat().st_size == sizes.get(entry.name)):
+                raise _not_marked(entry)
     if not force:
         raise OutputError("exists already", where=str(output), expected="another name, or --force to replace it")
+
+
+def prepare_outputs(folder: Path, names: Sequence[str]) -> None:
+    """Create a folder, and remove the outputs of an earlier run from it; everything else stays.
+
+    Args:
+        folder: The folder.
+        names: Files and folders that the caller will write there.
+
+    Raises:
+        OutputError: The folder holds one of the names without a mark, or cannot be written.
+
+    """
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        marked = _marked(folder)
+        present = [entry for entry in map(folder.joinpath, names) if entry.exists() or entry.is_symlink()]
+        for entry in present:
+            if entry.name not in marked:
+                raise _not_marked(entry)
+        for entry in present:
+            if entry.is_dir() and not entry.is_symlink():
+                shutil.rmtree(entry)
+            else:
+                entry.unlink()
+        _write_mark(folder, dict.fromkeys(names) | marked)
 
 
 def check_outside_of_bags(output: Path, bags: Sequence[Path]) -> None:
@@ -124,18 +151,20 @@ def _discard(unfinished: Path) -> None:
         shutil.rmtree(unfinished, ignore_errors=True)
 
 
-def _write_mark(folder: Path) -> None:
-    """Mark all files of a folder as results."""
-    sizes = {path.name: path.stat().st_size for path in sorted(folder.iterdir())}
+def _not_marked(entry: Path) -> OutputError:
+    what = f"holds {entry.name}, which is not marked as a result"
+    return OutputError(what, where=str(entry.parent), expected="another name")
+
+
+def _write_mark(folder: Path, sizes: Mapping[str, int | None]) -> None:
+    """Mark files of a folder as results; size None: the entry may change."""
     (folder / MARK).write_text(json.dumps({"results": sizes}, indent=1) + "\n", encoding="utf-8")
 
 
-def _marked_sizes(folder: Path) -> dict[str, int]:
-    """Return the sizes of the files that are marked as results, and of the mark."""
-    path = folder / MARK
+def _marked(folder: Path) -> dict[str, int | None]:
+    """Return the sizes of the entries that are marked as results."""
     try:
-        marked = dict(json.loads(path.read_text(encoding="utf-8"))["results"])
-        return marked | {MARK: path.stat().st_size}
+        return dict(json.loads((folder / MARK).read_text(encoding="utf-8"))["results"])
     except (OSError, ValueError, KeyError, TypeError):
         return {}
 

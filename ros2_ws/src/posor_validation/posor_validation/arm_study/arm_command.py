@@ -106,7 +106,7 @@ def _study_arm(options: Namespace, argv: Sequence[str]) -> Findings:
     console = Console(highlight=False)
     arm = load_checked_arm(options.arm)
     simulation = _checked_simulation(arm, options)
-    folder = prepare_output_folder(options.output, OUTPUTS, "arm")
+    folder = prepare_output_folder(options.output, OUTPUTS)
     outcome = ArmOutcome()
     if not options.coverage_only:
         outcome = _run_nodes(options, argv, simulation, folder / LOGS, console)

@@ -127,7 +127,7 @@ def _measure_sections(options: Namespace, results: dict[str, Any], stop: StopSig
     if options.profile:
         selected = (*selected, "profile")
     output = options.output.resolve()
-    folder = prepare_output_folder(output.parent / output.stem, ("arms", "runs"), "make bench")
+    folder = prepare_output_folder(output.parent / output.stem, ("arms", "runs"))
     arms_folder = folder / "arms"
     with isolated_network(), Graph() as graph:
         arms = BenchmarkArms(arms_folder, max([plan.joints, *(plan.growth_joints if "growth" in selected else ())]))

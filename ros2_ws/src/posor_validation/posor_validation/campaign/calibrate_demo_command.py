@@ -87,7 +87,7 @@ def run_posors(options: argparse.Namespace, progress: StageProgress) -> list[Cam
 
     """
     reports = []
-    folder = prepare_output_folder(options.output, OUTPUTS, "calibrate_demo")
+    folder = prepare_output_folder(options.output, OUTPUTS)
     for name in POSORS if options.posor == "both" else (options.posor,):
         count = len(campaign_steps(name))
         truth = GroundTruth.draw(name, options.seed)

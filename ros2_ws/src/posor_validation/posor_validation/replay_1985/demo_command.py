@@ -97,7 +97,7 @@ def _run(argv: Sequence[str]) -> Findings:
     """Replay, compare and report."""
     options = parse_options(non_ros_arguments(argv))
     console = Console(highlight=False)
-    folder = prepare_output_folder(options.output / f"{options.bag}_{options.calibration}", OUTPUT_FILES, "demo")
+    folder = prepare_output_folder(options.output / f"{options.bag}_{options.calibration}", OUTPUT_FILES)
     plan = ReplayPlan(
         bag=bag_path(options.bag),
         calibration=calibration_path(options.calibration),

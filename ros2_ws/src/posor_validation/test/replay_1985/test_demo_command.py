@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from posor_bringup.bringup_options import prepare_output_folder
-from posor_estimator.errors import ParameterError
+from posor_estimator.errors import OutputError
 from posor_validation.replay_1985.demo_command import OUTPUT_FILES, main, parse_options
 
 
@@ -42,24 +42,35 @@ def test_an_output_that_cannot_be_created_is_refused_in_one_line(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").touch()
-    assert main(["demo", "--output", str(tmp_path / "file")]) == 2
+    assert main(["demo", "--output", str(tmp_path / "file")]) == 1
     err = capfd.readouterr().err
-    assert err == (
-        f"demo, --output, {tmp_path / 'file' / 'ymo_printed'}: cannot be created: Not a directory; "
-        "expected a folder to write to.\n"
-    )
+    assert err == f"{tmp_path / 'file' / 'ymo_printed'}: cannot be written, Not a directory.\n"
 
 
 def test_an_earlier_report_is_replaced_and_nothing_else(tmp_path: Path) -> None:
-    for name in ("report.html", "steps.csv", "bag/bag_0.mcap", "logs/record.log", "my notes.txt"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).touch()
-    assert prepare_output_folder(tmp_path, OUTPUT_FILES, "demo") == tmp_path
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["logs", "my notes.txt"]
-    assert not list((tmp_path / "logs").iterdir())
+    for _ in range(2):
+        assert prepare_output_folder(tmp_path, OUTPUT_FILES) == tmp_path
+        assert not list((tmp_path / "logs").iterdir())
+        assert sorted(path.name for path in tmp_path.iterdir() if path.name[0] != ".") in (
+            ["logs"],
+            ["logs", "my notes.txt"],
+        )
+        for name in ("report.html", "steps.csv", "bag/bag_0.mcap", "logs/record.log", "my notes.txt"):
+            (tmp_path / name).parent.mkdir(exist_ok=True)
+            (tmp_path / name).touch()
+
+
+@pytest.mark.parametrize("name", ["logs/mine.txt", "report.html", "bag/bag_0.mcap"])
+def test_what_no_earlier_run_has_made_is_not_replaced(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text("mine")
+    entry = name.split("/", maxsplit=1)[0]
+    with pytest.raises(OutputError, match=f"holds {entry}, which is not marked as a result; expected another name"):
+        prepare_output_folder(tmp_path, OUTPUT_FILES)
+    assert (tmp_path / name).read_text() == "mine"
 
 
 def test_a_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "report").touch()
-    with pytest.raises(ParameterError):
-        prepare_output_folder(tmp_path / "report", OUTPUT_FILES, "demo")
+    with pytest.raises(OutputError):
+        prepare_output_folder(tmp_path / "report", OUTPUT_FILES)
