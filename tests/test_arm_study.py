@@ -75,7 +75,7 @@ def test_arm_runs_and_reports(output: Path) -> None:
         assert all(
             re.search(r"POSOR off [\d.]+ um, .* NEES [\d.]+ \(6 expected\); scans 200, ", line) for line in shown
         )
-    assert sorted(path.name for path in output.iterdir()) == ["logs", "report.html", "report.png"]
+    assert sorted(path.name for path in output.iterdir()) == [".results.json", "logs", "report.html", "report.png"]
     assert len(list((output / "logs").iterdir())) == 12
     figures = json.loads(output.with_name("arm.json").read_text(encoding="utf-8"))
     assert figures["ticks"]["recorded"] == 400
@@ -114,6 +114,19 @@ def test_coverage_needs_no_nodes(output: Path) -> None:
     assert figures["coverage"]["arms"] == 20
     assert 0.8 <= figures["coverage95"] <= 1.0
     assert "endpoint_error_rms_m" not in figures
+
+
+@pytest.mark.long
+def test_a_scenario_without_latency_runs(output: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "rig"
+    shutil.copytree(find_arm("test_rig").parent, folder)
+    path = folder / "scenario.yaml"
+    scenario = yaml.safe_load(path.read_text(encoding="utf-8"))
+    del scenario["electronics"]["latency"]
+    path.write_text(yaml.safe_dump(scenario), encoding="utf-8")
+    with run_arm(output, "--arm", str(folder), "--arms", "0", "--seconds", "1") as program:
+        assert exit_code(program) == 0
+        assert any("none unaccounted for; 200 with a pose" in line for line in program.stdout)
 
 
 @pytest.mark.long

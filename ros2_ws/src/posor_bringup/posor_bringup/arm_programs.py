@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import yaml
 from posor_drivers.sources.source import LiveSource, load_source_class
-from posor_estimator.chain.chain_parameters import chain_parameters as chain_parameters_of
+from posor_estimator.chain.arm_parameters import chain_parameters as chain_parameters_of
+from posor_estimator.chain.arm_parameters import posor_parameters
 from posor_estimator.errors import ParameterError
 from posor_estimator.node_parameters import RECORDING
 
@@ -47,15 +48,15 @@ def arm_programs(
             follows from the source.
 
     Raises:
-        NodeError: The arm file has an unknown parameter of chain_node.
+        NodeError: The arm file has an unknown parameter of chain_node or of a posor_node.
         ParameterError: A driver parameter of the arm file contains an unknown placeholder.
 
     """
     common = {**(_freshness(arm, driver_parameters or {}) if drivers else {}), **(parameters or {})}
     chain = {**chain_parameters_of(arm), **common, **(chain_parameters or {})}
     programs = [Program("chain_node", "posor_estimator", "chain_node", (), f"/{arm.name}", chain)]
-    for joint, calibration in arm.calibrations.items():
-        posor: dict[str, Parameter] = {"calibration": str(calibration), "session": arm.sessions[joint], **common}
+    for joint in arm.calibrations:
+        posor = {**posor_parameters(arm, joint), **common}
         namespace = f"/{arm.name}/{joint}"
         programs.append(Program(f"{joint}/posor_node", "posor_estimator", "posor_node", (), namespace, posor))
     for joint in arm.calibrations if drivers else ():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_estimator.chain.arm_file import Arm, load_arm
 from posor_estimator.errors import ChainError, ParameterError
 
@@ -42,7 +43,7 @@ def load_checked_arm(text: str) -> Arm:
 
     Raises:
         ParameterError: There is no such arm.
-        CalibrationError: A file cannot be read or is invalid.
+        CalibrationError: A file cannot be read or is invalid, or the scenario does not fit the arm.
         ChainError: The URDF is invalid, or the calibrations do not match its joints.
 
     """
@@ -55,8 +56,6 @@ def load_checked_arm(text: str) -> Arm:
                 where=f"{arm.calibrations[joint.name]}, calibration of joint '{joint.name}'",
                 expected=f"'{joint.child}' in '{joint.parent}', as in {arm.urdf}",
             )
-    if arm.scenario is not None and not arm.scenario.is_file():
-        raise ParameterError(
-            f"there is no file {arm.scenario}", where=f"{arm.path}, key scenario", expected="the simulator's scenario"
-        )
+    if arm.scenario is not None:
+        ArmSimulation(arm)  # each driver makes one; here its errors are reported before anything is started
     return arm

@@ -134,6 +134,22 @@ def test_unknown_parameter_of_chain_node_is_reported_with_its_line(rig_copy: Pat
     assert arm_programs(load_arm(path))[0].parameters["use_sim_time"] is True
 
 
+def test_parameters_of_a_joint_go_to_its_posor_node(rig_copy: Path) -> None:
+    path = rig_copy / "arm.yaml"
+    own = "    parameters: {encoder.sigma: 0.001, encoder.topic: /test_rig/encoders}"
+    change(rig_copy, "^  joint1: .*$", f"  joint1:\n    calibration: calibrations/joint1.yaml\n{own}")
+    chain, posor, _ = arm_programs(load_arm(path))
+    assert (posor.parameters["encoder.sigma"], posor.parameters["encoder.topic"]) == (0.001, "/test_rig/encoders")
+    assert not [name for name in chain.parameters if name.startswith("encoder")]
+    line = path.read_text(encoding="utf-8").splitlines().index(own) + 1
+    for wrong, says in (("0.001", "'encoder.sigma'"), ("encoder.sigma", "there is no such parameter")):
+        change(rig_copy, wrong, "-1.0" if wrong == "0.001" else "encoder.sgma")
+        with pytest.raises(NodeError, match=re.escape(f"{path}, line {line}, key joints.joint1.parameters")) as caught:
+            arm_programs(load_arm(path))
+        assert says in str(caught.value)
+        assert "node joint1/posor_node" in str(caught.value)
+
+
 def test_arm_is_found_by_name_file_or_folder(rig_copy: Path) -> None:
     assert find_arm("test_rig") == share() / "arms" / "test_rig" / "arm.yaml"
     assert find_arm(str(rig_copy)) == find_arm(str(rig_copy / "arm.yaml")) == rig_copy / "arm.yaml"
@@ -151,6 +167,16 @@ def test_joint_missing_in_the_urdf_is_named(rig_copy: Path) -> None:
 def test_missing_file_is_named(rig_copy: Path, file: str) -> None:
     (rig_copy / file).unlink()
     with pytest.raises((CalibrationError, ChainError, ParameterError), match=re.escape(file)):
+        load_checked_arm(str(rig_copy))
+
+
+@pytest.mark.parametrize(
+    ("pattern", "replacement", "says"),
+    [("^seed: .*$", "sead: 1", "unknown key 'sead'"), ("^  joint1:", "  joint9:", "expected one of joint9")],
+)
+def test_a_scenario_that_does_not_fit_is_refused(rig_copy: Path, pattern: str, replacement: str, says: str) -> None:
+    change(rig_copy, pattern, replacement, "scenario.yaml")
+    with pytest.raises(CalibrationError, match=says):
         load_checked_arm(str(rig_copy))
 
 

@@ -130,7 +130,7 @@ class AlarmParameters(NodeParameters):
 
 
 class EncoderParameters(ParameterGroup):
-    """Encoder of the joint on the topic ``encoder``, a coarse measurement of theta."""
+    """Encoder of the joint (sensor_msgs/JointState), a coarse measurement of theta."""
 
     sigma: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
         default=0.0, description="standard uncertainty of the encoder's angle as theta [rad]; 0: no encoder"
@@ -138,6 +138,7 @@ class EncoderParameters(ParameterGroup):
     joint: str = Field(
         default="", description="name of the joint in the encoder's messages; empty: they hold one position only"
     )
+    topic: str = Field(default="encoder", description="topic of the encoder, relative to the node's namespace")
 
 
 class PosorParameters(AlarmParameters):

@@ -10,7 +10,6 @@ ENDPOINT_COVARIANCE_TOPIC = "endpoint/pose_with_covariance"
 JOINT_STATES_TOPIC = "joint_states"
 DIAGNOSTICS_TOPIC = "/diagnostics"
 RELIABILITY_TOPIC = "reliability"
-ENCODER_TOPIC = "encoder"
 TRUTH_TOPIC = "/truth/machining_centre"
 
 RAW_SCAN = "posor_msgs/msg/RawScan"

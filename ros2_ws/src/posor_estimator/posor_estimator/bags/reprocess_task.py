@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from posor_estimator.calibration.calibration_file import load_calibration
-from posor_estimator.chain.chain_parameters import CHAIN_NODE, chain_parameters
+from posor_estimator.chain.arm_parameters import CHAIN_NODE, chain_parameters
 from posor_estimator.chain.kinematic_chain import load_chain
 from posor_estimator.node_parameters import ChainParameters
 from posor_estimator.parameter_model import validate_parameters

@@ -44,28 +44,28 @@ Name = Annotated[str, AfterValidator(_check_ros_name)]
 ParameterValue = bool | int | float | str | list[str]
 
 
+ParameterValues = dict[str, Annotated[ParameterValue, BeforeValidator(_check_parameter_value)]]
+
+
 class JointFile(FrozenModel):
-    """Calibration file and session of the POSOR of a joint."""
+    """Calibration file and session of the POSOR of a joint, and further ROS parameters of its posor_node."""
 
     calibration: str
     session: str = ""
+    parameters: ParameterValues = Field(default_factory=dict)
 
 
 class DriverFile(FrozenModel):
     """Source of the scans, and ROS parameters of all driver_nodes of the arm."""
 
     source: str
-    parameters: dict[str, Annotated[ParameterValue, BeforeValidator(_check_parameter_value)]] = Field(
-        default_factory=dict
-    )
+    parameters: ParameterValues = Field(default_factory=dict)
 
 
 class ChainFile(FrozenModel):
     """ROS parameters of the arm's chain_node, besides the files named by the arm file."""
 
-    parameters: dict[str, Annotated[ParameterValue, BeforeValidator(_check_parameter_value)]] = Field(
-        default_factory=dict
-    )
+    parameters: ParameterValues = Field(default_factory=dict)
 
 
 class ArmFile(FrozenModel):
@@ -102,8 +102,9 @@ class Arm:
         beams: Path of the beams file; None: straight and exact beams.
         calibrations: Path of each joint's calibration file, in the order of the chain.
         sessions: Session of each joint's calibration.
+        posor_parameters: ROS parameters of each joint's posor_node, besides calibration and session.
         chain_parameters: ROS parameters of chain_node, besides the files named by the arm file.
-        parameter_locations: File, line and key of each of them.
+        parameter_locations: File, line and key of these parameters, by joint ('' for chain_node) and name.
         driver: Source and parameters of the drivers.
         scenario: Path of the simulator's scenario; None: no scenario.
 
@@ -116,8 +117,9 @@ class Arm:
     beams: Path | None
     calibrations: Mapping[str, Path]
     sessions: Mapping[str, str]
+    posor_parameters: Mapping[str, Mapping[str, ParameterValue]]
     chain_parameters: Mapping[str, ParameterValue]
-    parameter_locations: Mapping[str, str]
+    parameter_locations: Mapping[tuple[str, str], str]
     driver: DriverFile
     scenario: Path | None
 
@@ -171,9 +173,15 @@ def load_arm(path: Path) -> Arm:
         beams=folder / content.beams if content.beams else None,
         calibrations={name: folder / joint.calibration for name, joint in content.joints.items()},
         sessions={name: joint.session for name, joint in content.joints.items()},
+        posor_parameters={name: joint.parameters for name, joint in content.joints.items()},
         chain_parameters=content.chain.parameters,
         parameter_locations={
-            name: locations.describe("chain", "parameters", name) for name in content.chain.parameters
+            **{("", name): locations.describe("chain", "parameters", name) for name in content.chain.parameters},
+            **{
+                (joint, name): locations.describe("joints", joint, "parameters", name)
+                for joint, entry in content.joints.items()
+                for name in entry.parameters
+            },
         },
         driver=content.driver,
         scenario=folder / content.scenario if content.scenario else None,

@@ -27,7 +27,7 @@ from std_srvs.srv import Trigger
 
 from posor_estimator.bags.cdr_schema import STAMP
 from posor_estimator.bags.message_table import LEAD
-from posor_estimator.chain.chain_parameters import CHAIN_NODE
+from posor_estimator.chain.arm_parameters import CHAIN_NODE
 from posor_estimator.chain.kinematic_chain import load_chain
 from posor_estimator.chain.time_synchroniser import MAX_OPEN_SCANS, TimeSynchroniser
 from posor_estimator.errors import TopicError

@@ -41,10 +41,12 @@ from posor_estimator.ros.node_program import run_node
 from posor_estimator.ros.qos import RELIABLE_QOS, sensor_qos
 from posor_estimator.ros.raw_scan_stream import RawScanStream
 from posor_estimator.ros.reliability_message import reliability_message
-from posor_estimator.ros_names import ENCODER_TOPIC, RAW_TOPIC, RELIABILITY_TOPIC, TRANSFORM_TOPIC
+from posor_estimator.ros_names import RAW_TOPIC, RELIABILITY_TOPIC, TRANSFORM_TOPIC
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
+
+    from rclpy.publisher import Publisher
 
     from posor_estimator.calibration.calibration_file import Calibration
     from posor_estimator.ros.diagnostics import StatusText, Value
@@ -67,6 +69,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
 
     _calibration: Calibration
     _posor: Posor
+    _reliability: Publisher | None
     _stream: RawScanStream | None
     _last_stream: RawScanStream | None
     _recent_scans: deque[bytes]
@@ -98,13 +101,16 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self._status.report(Level.STALE, "no scan yet")
         qos = sensor_qos(self.parameters)
         self._publisher = IntraProcessPublisher(self, JointTransform, TRANSFORM_TOPIC, qos, count_listeners=True)
-        self._reliability = self.create_publisher(JointReliability, RELIABILITY_TOPIC, RELIABLE_QOS)
-        self.add_cleanup(self.destroy_publisher, self._reliability)
+        self._reliability = None
+        if self.parameters.covariance == "total":  # the chain adds it to the biases that the reliability is about
+            self._reliability = self.create_publisher(JointReliability, RELIABILITY_TOPIC, RELIABLE_QOS)
+            self.add_cleanup(self.destroy_publisher, self._reliability)
         self.add_cleanup(self._forget_scans)
         self.add_cleanup(self._inputs.clear)
         self._watch = self._inputs.add(IntraProcessSubscription(self, RawScan, RAW_TOPIC, qos, self._on_raw_scan))
         if self.parameters.encoder.sigma:
-            encoder = self.create_subscription(JointState, ENCODER_TOPIC, self._on_encoder, sensor_qos(self.parameters))
+            topic = self.parameters.encoder.topic
+            encoder = self.create_subscription(JointState, topic, self._on_encoder, sensor_qos(self.parameters))
             self.add_cleanup(self.destroy_subscription, encoder)
         services = {
             "reload": self._reload_calibration,
@@ -237,7 +243,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             with self._lock:
                 self._posor.confirm_theta(theta, self.parameters.encoder.sigma)
         except PosorError as error:
-            self._inputs.note(f"{ENCODER_TOPIC}: {error}")
+            self._inputs.note(f"{self.parameters.encoder.topic}: {error}")
 
     def _encoder_position(self, message: JointState) -> float:
         """Return the position of the encoder's joint [rad].
@@ -351,8 +357,11 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
 
     def _publish_reliability(self) -> None:
         """Publish the reliability at the last pose, once a second, if there is a pose and somebody listens."""
+        publisher = self._reliability
         with self._lock:
-            if not self.may_publish or self._last_stream is None or not self._reliability.get_subscription_count():
+            if publisher is None or not publisher.get_subscription_count():
+                return
+            if not self.may_publish or self._last_stream is None:
                 return
             last, posor = self._last_stream.last_scan(), self._posor
         try:
@@ -360,7 +369,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         except FitError:  # at a phase of three ring probes; the chain does not use the last message for long
             return
         if message is not None:
-            self._reliability.publish(message)
+            publisher.publish(message)
 
 
 def _format_status(state: int, faults: int, excess: str, counts: dict[str, Value], scan: EstimatedScan) -> StatusText:

@@ -219,11 +219,12 @@ def test_a_deadline_is_requested_and_a_missed_one_is_reported() -> None:
 
 
 def test_an_encoder_that_disagrees_latches_a_fault_until_it_is_acknowledged() -> None:
-    parameters = {**POSOR, "qos_reliability": "reliable", "encoder.sigma": 1e-3, "freshness.max_silence": math.inf}
+    parameters = {**POSOR, "qos_reliability": "reliable", "freshness.max_silence": math.inf}
+    parameters |= {"encoder.sigma": 1e-3, "encoder.topic": "/arm/encoders"}
     command = [*installed("posor_estimator", "posor_node"), *ros_arguments(parameters)]
     with Program(command), Graph() as graph:
         rig = Rig(graph)
-        encoder = graph.publisher(JointState, "encoder")
+        encoder = graph.publisher(JointState, "/arm/encoders")
 
         def acknowledge() -> str:
             return str(graph.call(Trigger, "/posor_node/acknowledge", Trigger.Request()).message)
@@ -233,7 +234,7 @@ def test_an_encoder_that_disagrees_latches_a_fault_until_it_is_acknowledged() ->
         message = JointState(name=["joint1"], position=[0.5])
         message.header.stamp = graph.node.get_clock().now().to_msg()
         encoder.publish(JointState())
-        rig.wait_for_input_status("encoder: 0 positions; expected one, or the parameter 'encoder.joint'", WARN)
+        rig.wait_for_input_status("/arm/encoders: 0 positions; expected one, or the parameter 'encoder.joint'", WARN)
 
         def send_both() -> None:
             time.sleep(PERIOD_S)

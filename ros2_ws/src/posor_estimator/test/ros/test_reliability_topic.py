@@ -37,6 +37,7 @@ URDF = Path(__file__).resolve().parents[3] / "posor_bringup" / "urdf" / "slocum1
 
 def test_posor_node_publishes_what_its_redundancy_detects(tmp_path: Path) -> None:
     with NodeRig(tmp_path) as rig:
+        assert rig.graph.node.count_publishers("reliability") == 1
         messages = rig.graph.collect(JointReliability, "reliability")
         _, transform = rig.send(2, (0.0, 0.0, STANDOFF, 0.0, 0.0, 0.0))
         rig.graph.wait_until(lambda: bool(messages), "a reliability")
@@ -56,6 +57,12 @@ def test_posor_node_publishes_what_its_redundancy_detects(tmp_path: Path) -> Non
     np.testing.assert_array_equal(np.isinf(shifts[~bounded]).any(axis=1), np.True_)
     scale = np.repeat([np.abs(known[bounded, part]).max() for part in (slice(3), slice(3, 6))], 3)
     np.testing.assert_allclose(shifts[bounded] / scale, known[bounded] / scale, rtol=0.0, atol=0.01)
+
+
+def test_without_the_total_covariance_there_is_no_reliability(tmp_path: Path) -> None:
+    with NodeRig(tmp_path, covariance="random") as rig:
+        rig.send(2, (0.0, 0.0, STANDOFF, 0.0, 0.0, 0.0))
+        assert rig.graph.node.count_publishers("reliability") == 0
 
 
 def reliability_message(shifts: FloatArray, plates: tuple[str, str] = PLATES) -> Any:

@@ -6,6 +6,7 @@ tick has come. On a slow host the arm moves more slowly, but no tick is missed.
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -39,6 +40,8 @@ TICK_TIMEOUT_S = 10.0
 """Wall time until the clock advances although something of a tick is missing; ``tick_outcomes`` reports it."""
 FIRST_TICK_TIMEOUT_S = 1.0
 """The same until all nodes publish: a node that receives the clock late begins with a later tick."""
+INCOMPLETE_LIMIT_S = 60.0
+"""Wall time without a complete tick after which the run fails."""
 COMMAND_TIMEOUT_S = 1.0
 """Wall time for a controller to answer a pose; it may hold the stage."""
 REPEAT_S = 0.2
@@ -99,6 +102,7 @@ class ArmRun:
         self._controller: RunningProgram | None = None
         self._dropouts = Dropouts(plan.simulation)
         self._tick = plan.cycle - WARM_UP_TICKS
+        self._complete_s = math.inf  # wall time of the latest complete tick
         self._watch = GraphWatch(supervisor, receiver, "arm", interrupted=interrupted)
 
     def start_nodes(self) -> None:
@@ -120,6 +124,7 @@ class ArmRun:
         self._watch.wait(
             lambda: not self._receiver.missing_connections(), lambda: "; ".join(self._receiver.missing_connections())
         )
+        self._complete_s = time.monotonic()
         while self._tick < plan.cycle or self._receiver.missing_topics():
             self._advance(FIRST_TICK_TIMEOUT_S if self._receiver.missing_topics() else TICK_TIMEOUT_S)
 
@@ -147,8 +152,13 @@ class ArmRun:
         return self._receiver.record(ticks, self.plan.rate)
 
     def _advance(self, timeout_s: float = TICK_TIMEOUT_S) -> None:
-        """Advance the clock to the next tick, so that the scans of this tick are published; wait for their results."""
-        stamp, now = tick_stamp_ns(self._tick, self.plan.rate), tick_stamp_ns(self._tick + 1, self.plan.rate)
+        """Advance the clock to just before the next tick, and wait for the results of this tick.
+
+        Raises:
+            ProcessError: For INCOMPLETE_LIMIT_S no tick was complete.
+
+        """
+        stamp, now = tick_stamp_ns(self._tick, self.plan.rate), tick_stamp_ns(self._tick + 1, self.plan.rate) - 1
         dropped = self._dropouts.dropped_joints(self._tick)
         receiver, began = self._receiver, time.monotonic()
         repeat = began + REPEAT_S
@@ -160,8 +170,12 @@ class ArmRun:
             if time.monotonic() > repeat:
                 repeat += REPEAT_S
                 receiver.set_clock(now)
-            if receiver.missing_of_tick(stamp, dropped):
+            if missing := receiver.missing_of_tick(stamp, dropped):
+                if time.monotonic() > self._complete_s + INCOMPLETE_LIMIT_S:
+                    what = f"no tick was complete for {INCOMPLETE_LIMIT_S:g} s, missing: {'; '.join(missing)}"
+                    raise ProcessError(what, where="arm")
                 return waited > timeout_s
+            self._complete_s = time.monotonic()
             commanded = self._controller is None or stamp in receiver.commands or stamp not in receiver.poses
             return commanded or waited > COMMAND_TIMEOUT_S
 

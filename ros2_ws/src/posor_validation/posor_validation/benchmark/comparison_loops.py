@@ -17,7 +17,7 @@ from geometry_msgs.msg import Point, Pose, PoseStamped, PoseWithCovarianceStampe
 from posor_drivers.bag_writer import BagWriter
 from posor_estimator.bags.bag_reader import opened_bag
 from posor_estimator.bags.message_definitions import MessageTypes
-from posor_estimator.chain.chain_parameters import chain_parameters
+from posor_estimator.chain.arm_parameters import chain_parameters
 from posor_estimator.chain.joint_measurements import MeasuredJoint
 from posor_estimator.errors import BagError
 from posor_estimator.estimation.posor import Posor
