@@ -1,7 +1,7 @@
 # POSOR for ROS 2. Every target sets the workspace up first; this takes a fraction of a second if nothing has changed.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo arm calibrate-demo faults test test-long coverage accuracy budgets bench bench-core data docs lint words lines lock clean
+.PHONY: help setup demo arm calibrate-demo faults fuzz test test-long coverage accuracy budgets bench bench-core data docs lint words lines lock clean
 
 BAG ?= ymo
 CAL ?= printed
@@ -20,6 +20,7 @@ help:
 	@echo "make arm [ARM=five_axis|path] [CONTROLLER=path]        run a simulated arm, close a loop on it, report its errors"
 	@echo "make calibrate-demo [CAMPAIGNS=6] [POSOR=both]         calibrate simulated POSORs from bags, compare with the truth"
 	@echo "make faults [FAULTS='--quick ...']                     inject every fault, count wrong poses published as valid"
+	@echo "make fuzz [FUZZ='--scans 10000 ...']                   damage messages and files, count wrong poses"
 	@echo "make test [TESTS='path ...']                           linters and all tests, or only the tests of TESTS"
 	@echo "make test-long [TESTS='path ...']                      the tests that take long: many draws, whole campaigns, benchmarks"
 	@echo "make lint                                              ruff, mypy and forbidden words"
@@ -51,6 +52,9 @@ calibrate-demo:
 
 faults: setup
 	@$(IN_WORKSPACE) -m posor_validation.faults.faults_command $(FAULTS)
+
+fuzz: setup
+	@$(IN_WORKSPACE) -m posor_validation.fuzz.fuzz_command $(FUZZ)
 
 test: setup
 	@.venv/bin/python -E tools/run_tests.py $(TESTS)

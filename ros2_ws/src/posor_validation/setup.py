@@ -43,6 +43,7 @@ setup(
             "calibrate_demo = posor_validation.validation_programs:calibrate_demo",
             "demo = posor_validation.validation_programs:demo",
             "faults = posor_validation.validation_programs:faults",
+            "fuzz = posor_validation.validation_programs:fuzz",
             "golden = posor_validation.validation_programs:golden",
             "zero_drift_1985 = posor_validation.validation_programs:zero_drift_1985",
         ],

@@ -13,5 +13,6 @@ budgets = LazyProgram("budgets", "posor_validation.thesis_budgets.thesis_budgets
 calibrate_demo = LazyProgram("calibrate_demo", "posor_validation.campaign.calibrate_demo_command")
 demo = LazyProgram("demo", "posor_validation.replay_1985.demo_command")
 faults = LazyProgram("faults", "posor_validation.faults.faults_command")
+fuzz = LazyProgram("fuzz", "posor_validation.fuzz.fuzz_command")
 golden = LazyProgram("golden", "posor_validation.accuracy.golden_command")
 zero_drift_1985 = LazyProgram("zero_drift_1985", "posor_validation.replay_1985.zero_drift_command")

@@ -41,7 +41,7 @@ class StrictLoader(yaml.SafeLoader):
         super().__init__(text)
         self._open: list[str | None] = []
         self._nodes = 0  # so far, aliases expanded
-        self._nodes_of: dict[str, int] = {}  # of each anchor
+        self._nodes_of: dict[str | None, int] = {}  # of each anchor
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         """Compose a node; refuse recursive aliases and deep nesting."""

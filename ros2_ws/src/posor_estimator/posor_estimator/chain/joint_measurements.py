@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from posor_estimator.numerics.compiled import in_place, inlined
+from posor_estimator.numerics.pose import rotation_of_pose
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,13 +26,13 @@ MAX_OFFSET = 0.02
 """Largest distance of a target plate's origin from the nominal joint in the URDF [m]; a POSOR measures millimetres."""
 MAX_VARIANCE = 100.0
 """Largest variance of a measurement [m^2], [rad^2]; a greater one tells nothing and may overflow along the arm."""
-POSE_NOT_FINITE, QUATERNION_NOT_UNIT, COVARIANCE_NOT_FINITE, NATIVE_NOT_FINITE, POSE_TOO_FAR = 1, 2, 3, 4, 5
+POSE_NOT_FINITE, QUATERNION_NOT_UNIT, COVARIANCE_NOT_FINITE, NATIVE_DISAGREES, POSE_TOO_FAR = 1, 2, 3, 4, 5
 VARIANCE_TOO_LARGE, COVARIANCE_NOT_SYMMETRIC, COVARIANCE_NOT_POSITIVE, ENDPOINT_NOT_FINITE = 6, 7, 8, 9
 FAULT_TEXTS = {
     POSE_NOT_FINITE: "has a pose that is not finite",
     QUATERNION_NOT_UNIT: "has an orientation that is not a unit quaternion",
     COVARIANCE_NOT_FINITE: "has a covariance that is not finite",
-    NATIVE_NOT_FINITE: "has native coordinates that are not finite",
+    NATIVE_DISAGREES: "has native coordinates that are not finite or do not agree with its pose",
     POSE_TOO_FAR: f"is further than {MAX_OFFSET:g} m from the nominal joint of the URDF",
     VARIANCE_TOO_LARGE: f"has a variance above {MAX_VARIANCE:g} m^2 or rad^2",
     COVARIANCE_NOT_SYMMETRIC: "has a covariance that is not symmetric",
@@ -41,6 +42,8 @@ FAULT_TEXTS = {
 """Why a joint's measurement cannot be used, by its fault in ``Endpoints.faults``."""
 UNIT_QUATERNION_TOLERANCE = 1e-6
 """Largest difference of a quaternion's length from one."""
+NATIVE_TOLERANCE = 1e-8
+"""Largest difference of native coordinates from the pose [m], [rad]: damaged bytes of either are seen by the other."""
 SYMMETRY_TOLERANCE = 1e-6
 """Largest difference of two opposite elements of a covariance, relative to the two standard deviations."""
 PIVOT_TOLERANCE = 1e-9
@@ -72,7 +75,7 @@ class JointMeasurements(NamedTuple):
         stamps_ns: Times of the scans, (n,).
         poses: Target plate in receiving plate, (n, j, 7): x, y, z [m], unit quaternion x, y, z, w.
         covariances: As ``MeasuredJoint.covariance``, (n, j, 6, 6).
-        thetas: Counted large rotations [rad], (n, j); NaN: not counted; infinite: native coordinates are not finite.
+        thetas: Counted large rotations [rad], (n, j); NaN: not counted; infinite: see NATIVE_DISAGREES.
 
     """
 
@@ -214,8 +217,23 @@ def measurement_fault(
     if not x * x + y * y + z * z <= MAX_OFFSET * MAX_OFFSET:
         return POSE_TOO_FAR
     if math.isinf(theta):
-        return NATIVE_NOT_FINITE
+        return NATIVE_DISAGREES
     return covariance_fault(covariance, scratch)
+
+
+@inlined
+def native_agrees(native: FloatArray, pose: FloatArray) -> bool:
+    """Return whether native coordinates (6,) are finite and those of a pose (7,) (``model.native_coordinates``)."""
+    rotation = rotation_of_pose(pose)
+    alpha, beta, theta = native[3], native[4], native[5]
+    off_beta = math.cos(beta) * rotation[0][2] - math.sin(beta) * rotation[2][2]
+    off_theta = math.cos(theta) * rotation[0][1] + math.sin(theta) * rotation[1][1]
+    largest = max(abs(math.sin(alpha) + rotation[1][2]), abs(off_beta), abs(off_theta))
+    same = largest <= NATIVE_TOLERANCE and math.cos(theta) * rotation[1][1] >= math.sin(theta) * rotation[0][1]
+    for k in range(3):
+        same &= abs(native[k] - pose[k]) <= NATIVE_TOLERANCE
+        same &= abs(native[3 + k]) <= LARGEST_FLOAT
+    return same
 
 
 @inlined
@@ -223,7 +241,7 @@ def read_row(layouts: RecordArray, joint: int, numbers: FloatArray, pose: FloatA
     """Copy a row of numbers (w,) into ``pose`` (7,) and ``covariance`` (6, 6).
 
     Returns:
-        Theta; infinite where a native coordinate is not finite.
+        Theta; infinite where the native coordinates do not agree with the pose.
 
     """
     layout = layouts[joint]
@@ -234,10 +252,8 @@ def read_row(layouts: RecordArray, joint: int, numbers: FloatArray, pose: FloatA
     for i in range(6):
         for k in range(6):
             covariance[i, k] = entries[6 * i + k]
-    finite = True
-    for k in range(6):
-        finite &= abs(numbers[first_of_native + k]) <= LARGEST_FLOAT
-    return float(numbers[first_of_native + 5]) if finite else math.inf
+    native = numbers[first_of_native : first_of_native + 6]
+    return float(native[5]) if native_agrees(native, pose) else math.inf
 
 
 @in_place

@@ -252,14 +252,18 @@ def test_serialised_rows_give_the_bits_of_arrays(chain: Chain, covariances: Floa
     ]
     estimator, other = (chain.estimator(scans * PERIOD_NS * 1e-9, columns) for _ in range(2))
     numbers = estimator.rows.view(np.float64)
-    thetas = np.linspace(-20.0, 20.0, scans)
+    turns = 2.0 * math.pi * np.round(np.linspace(-3.0, 3.0, scans))
+    natives = np.array(
+        [[[*pose[:3], *native_from_rotation(pin.XYZQUATToSE3(pose).rotation)] for pose in row] for row in poses]
+    )
+    natives[..., 5] += turns[:, None]
     for n in range(scans):
         states = [int(State.DEGRADED) if n % 7 == j else int(State.OK) for j in range(JOINTS)]
         bad = n in (20, 21, 22)
         states[1] = {20: int(State.LOST), 21: int(State.UNCOUNTED)}.get(n, states[1])
         for j in range(JOINTS):
             row = numbers[j]
-            row[j + 1 : j + 8], row[j + 13] = poses[n, j], thetas[n]
+            row[j + 1 : j + 8], row[j + 8 : j + 14] = poses[n, j], natives[n, j]
             row[j + 14 : j + 50] = covariances[n % len(covariances), j].ravel()
             estimator.rows[j, 3] = states[j]
         if n == 22:
@@ -271,7 +275,7 @@ def test_serialised_rows_give_the_bits_of_arrays(chain: Chain, covariances: Floa
             continue
         assert worst == max(states)
         other.poses[:], other.covariances[:] = poses[n], covariances[n % len(covariances)]
-        other.thetas[:] = thetas[n]
+        other.thetas[:] = natives[n, :, 5]
         assert other.estimate(int(stamps[n]))
         for name in ("pose", "covariance", "angles", "accelerations"):
             assert_bits(getattr(estimator, name), getattr(other, name))

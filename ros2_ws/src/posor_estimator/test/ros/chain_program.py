@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from posor_estimator.model.native_coordinates import native_from_rotation
 from posor_estimator.testing.graph import Graph, set_stamp, values_of, wait_for_value
 from posor_estimator.testing.program import HAND_FED, Program, installed, ros_arguments
 from posor_msgs.msg import JointTransform
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticStatus
 
 PLATES = ("posor_receiving", "posor_target")
+TURN = 2.0 * math.pi
+"""The joint has made one turn."""
 LOSSLESS = {"qos_reliability": "reliable", "qos_depth": 0, "max_wait": 60.0, "alarm_count": 1, **HAND_FED}
 
 
@@ -33,7 +36,8 @@ def transform_of(seconds: int, pose: pin.SE3 | None = None, plates: tuple[str, s
     message.pose.orientation.x, message.pose.orientation.y = qx, qy
     message.pose.orientation.z, message.pose.orientation.w = qz, qw
     message.covariance = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 4.0]).ravel() * 1e-12
-    message.native = [x, y, z, 0.0, 0.0, 7.5]
+    alpha, beta, theta = native_from_rotation((pose or pin.SE3.Identity()).rotation)
+    message.native = [x, y, z, alpha, beta, theta + TURN]
     return message
 
 

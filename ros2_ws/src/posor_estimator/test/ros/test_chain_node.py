@@ -15,7 +15,7 @@ from posor_estimator.testing.in_process_nodes import run_refused_node
 from posor_msgs.msg import JointTransform
 from std_srvs.srv import Trigger
 
-from .chain_program import LOSSLESS, ChainRig, chain_node, lost_transform, transform_of
+from .chain_program import LOSSLESS, TURN, ChainRig, chain_node, lost_transform, transform_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -133,7 +133,7 @@ def test_the_endpoint_has_the_scans_stamp_its_frames_and_its_covariance(rig: Sin
     # Theta's 2 urad at the joint are a turn about -Y of the machining centre, and move the beam's end along its Z.
     assert covariance[4, 4] == pytest.approx(4e-12, rel=1e-9)
     assert covariance[2, 2] == pytest.approx((1.0 + 4.0 * (BEAM_M * math.cos(0.01)) ** 2) * 1e-12, rel=1e-9)
-    assert (list(joints.name), list(joints.position)) == (["joint1"], [7.5])
+    assert (list(joints.name), list(joints.position)) == (["joint1"], [pytest.approx(TURN + 0.01)])
     status = rig.graph.wait_for_status("/chain_node: endpoint", "ok")
     assert values_of(status)["joints"] == "joint1"
 

@@ -15,6 +15,7 @@ from posor_estimator.chain.joint_measurements import JointMeasurements, read_row
 from posor_estimator.errors import TopicError
 from posor_estimator.estimation.estimate import Estimate
 from posor_estimator.model.fault import Fault, State
+from posor_estimator.model.native_coordinates import native_from_rotation
 from posor_estimator.numerics.stamps import NS
 from posor_estimator.ros.cdr_scan import RAW_SCAN, ScanTemplate
 from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM, JointTransformFormat, stamp_ns_of
@@ -72,10 +73,11 @@ def estimates() -> Iterator[Estimate]:
     yield lost
     for state in State:
         if state is not State.LOST:
+            pose = pin.exp6(chance.normal(size=6))
             yield lost._replace(
                 state=state,
-                T_R_T=pin.exp6(chance.normal(size=6)),
-                theta=20.0,
+                T_R_T=pose,
+                theta=native_from_rotation(pose.rotation)[2] + 6.0 * math.pi,
                 covariance_random=chance.normal(size=(6, 6)),
                 covariance_systematic=chance.normal(size=(6, 6)),
                 residual=chance.normal(),
@@ -101,7 +103,7 @@ def test_a_transform_is_recognised_and_read_for_the_chain() -> None:
         p, q = message.pose.position, message.pose.orientation
         assert measured.poses[n, 0].tobytes() == np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w]).tobytes()
         assert measured.covariances[n, 0].tobytes() == np.asarray(message.covariance).tobytes()
-        theta = message.native[5] if np.isfinite(message.native).all() else math.inf
+        theta = math.inf if message.state == State.LOST else message.native[5]
         assert repr(float(measured.thetas[n, 0])) == repr(float(theta))
         assert rows[n, kind.row_layout.state] == message.state
 

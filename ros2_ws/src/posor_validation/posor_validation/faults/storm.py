@@ -262,7 +262,7 @@ def count_storm(
     posor, covered = Posor(calibration), np.zeros(len(sound), dtype=bool)
     for n in np.flatnonzero(wrong).tolist():
         if sound[n] or storm.names[storm.faults[n]].endswith(LIKE_THE_TRUE_READING):
-            shifts = _shifts_of_sensors(calibration, joint_reliability(posor, storm.scans[n], poses[n]).shifts)
+            shifts = sensor_shifts(calibration, joint_reliability(posor, storm.scans[n], poses[n]).shifts)
             level = endpoint_protection_level([shifts], [np.eye(6)], covariances[n])
             one = np.array([n])
             covered[n] = np.all(np.abs(small_errors(poses.select(one), storm.truth.select(one))) <= level)
@@ -285,7 +285,7 @@ def count_storm(
     )
 
 
-def _shifts_of_sensors(calibration: Calibration, shifts: FloatArray) -> FloatArray:
+def sensor_shifts(calibration: Calibration, shifts: FloatArray) -> FloatArray:
     """Return the undetected shifts of the pose (m, 6) with those of both readings of a diode together, in amount."""
     begin, together = 0, [np.abs(shifts)]
     for sensor in calibration.sensors:

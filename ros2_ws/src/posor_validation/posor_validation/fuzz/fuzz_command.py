@@ -1,0 +1,125 @@
+"""fuzz: damages messages and files at random and counts what the programs make of them.
+
+The exit code is 0 only if no damaged message gives a wrong pose, and every reader of a file gives a result or one
+sentence. The rule is in ``docs/integrity.md``.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from posor_bringup.arms import load_checked_arm
+from posor_estimator.errors import ParameterError
+from posor_estimator.reporting.command_line_parser import CommandLineParser
+from posor_estimator.ros.node_program import StopSignal, exit_code_of
+from rich.console import Console
+
+from posor_validation.fuzz.file_fuzz import FileFailureError, fuzz_files, readers
+from posor_validation.fuzz.message_fuzz import ScanFuzz, TransformFuzz, fuzz_simulation
+from posor_validation.reports.console_progress import InterruptedRunError, StageProgress
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Sequence
+
+    from posor_drivers.simulator.arm_simulation import ArmSimulation
+
+    from posor_validation.fuzz.message_fuzz import FuzzCount
+
+SEED = 1985
+STEP = 1000
+"""Mutations between two looks at Ctrl-C."""
+
+
+def parse_options(arguments: Sequence[str]) -> Namespace:
+    """Return the options.
+
+    Raises:
+        ParameterError: An option is unknown or its value is invalid.
+
+    """
+    parser = CommandLineParser(prog="fuzz", description="Damage messages and files and count wrong poses.")
+    parser.add_argument("--arm", default="six_axis", help="a simulated arm (default: six_axis)")
+    parser.add_argument("--scans", type=int, default=1_000_000, metavar="N", help="damaged raw scans (1,000,000)")
+    parser.add_argument("--transforms", type=int, default=1_000_000, metavar="N", help="damaged transforms (1,000,000)")
+    parser.add_argument("--files", type=int, default=1000, metavar="N", help="damaged files of each format (1000)")
+    parser.add_argument("--seed", type=int, default=SEED, help=f"of the damage (default: {SEED})")
+    options = parser.parse_args(list(arguments))
+    for name in ("scans", "transforms", "files"):
+        if getattr(options, name) < 0:
+            raise ParameterError(f"--{name} {getattr(options, name)}", where="fuzz", expected="0 or more")
+    return options
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; the exit code is 0 if nothing failed."""
+    argv = sys.argv if arguments is None else arguments
+    failures: list[str] = []
+    code = exit_code_of(lambda: failures.extend(_run(parse_options(argv[1:]))))
+    return code or int(bool(failures))
+
+
+def _run(options: Namespace) -> list[str]:
+    console, stop = Console(highlight=False, soft_wrap=True), StopSignal()
+
+    def check() -> None:
+        if stop.requested:
+            raise InterruptedRunError("interrupted", where="fuzz")
+
+    try:
+        with StageProgress(console, check) as progress, tempfile.TemporaryDirectory(prefix="fuzz-") as folder:
+            simulation = fuzz_simulation(load_checked_arm(options.arm))
+            counts = run_messages(simulation, options, progress)
+            failures = [text for count in counts.values() for text in count.examples]
+            failures += run_files(options, Path(folder), progress)
+    finally:
+        stop.restore()
+    for name, count in counts.items():
+        console.print(
+            f"{name}: {count.mutations} damaged: {count.refused} refused, {count.unharmed} unharmed, {count.covered} "
+            f"within the protection level, {count.possible} possible, {count.wrong} wrong"
+        )
+    for failure in failures:
+        console.print(f"FAILS  {failure}", markup=False)
+    console.print("Nothing failed." if not failures else "Something failed.")
+    return failures
+
+
+def run_messages(simulation: ArmSimulation, options: Namespace, progress: StageProgress) -> dict[str, FuzzCount]:
+    """Return what became of damaged messages, by kind of message."""
+    joints, counts = simulation.joints, {}
+    runs: list[tuple[str, ScanFuzz | TransformFuzz, int]] = [
+        (f"raw scans of {joint}", ScanFuzz(simulation, joint, options.seed), options.scans // len(joints))
+        for joint in joints
+    ]
+    runs.append(("transforms", TransformFuzz(simulation, options.seed), options.transforms))
+    for name, fuzz, mutations in runs:
+        with progress.stage(name, mutations) as on_done:
+            for begin in range(0, mutations, STEP):
+                step = min(STEP, mutations - begin)
+                fuzz.run(step)
+                on_done(step)
+        counts[name] = fuzz.count
+    return counts
+
+
+def run_files(options: Namespace, folder: Path, progress: StageProgress) -> list[str]:
+    """Damage files of every format; return the failures."""
+    failures = []
+    for name in readers() if options.files else ():
+        with progress.stage(f"{name} files", options.files) as on_done:
+            try:
+                count = fuzz_files(name, options.files, options.seed, folder)
+            except FileFailureError as error:
+                failures.append(str(error))
+                continue
+            on_done(count.mutations)
+        progress.line(f"{name}: {count.refused} refused, {count.read} read, the slowest in {count.slowest_s:.2f} s")
+    return failures
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,74 @@
+"""Damaged messages and files, a seeded part of the program ``fuzz``."""
+
+from __future__ import annotations
+
+import random
+from typing import TYPE_CHECKING
+
+import pytest
+from posor_bringup.arms import load_checked_arm
+from posor_validation.fuzz.file_fuzz import fuzz_files, readers
+from posor_validation.fuzz.fuzz_command import main
+from posor_validation.fuzz.message_fuzz import ScanFuzz, TransformFuzz, changed_readings, fuzz_simulation, record
+from posor_validation.fuzz.mutation import MUTATIONS, mutate
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from posor_drivers.simulator.arm_simulation import ArmSimulation
+
+SEED = 1985
+
+
+@pytest.fixture(scope="module")
+def simulation() -> ArmSimulation:
+    return fuzz_simulation(load_checked_arm("six_axis"))
+
+
+def test_every_kind_of_damage_changes_bytes() -> None:
+    chance, data = random.Random(SEED), bytes(range(256))  # noqa: S311
+    for damage in MUTATIONS:
+        changed = bytearray(data)
+        damage(changed, chance)
+        assert changed != data
+    assert len({mutate(data, chance) for _ in range(200)}) > 180
+    assert mutate(b"", chance)
+
+
+@pytest.mark.parametrize("joint", ["base_turn", "wrist_roll"])
+def test_no_damaged_scan_gives_a_wrong_pose(simulation: ArmSimulation, joint: str) -> None:
+    fuzz = ScanFuzz(simulation, joint, SEED)
+    fuzz.run(2000)
+    count = fuzz.count
+    assert count.wrong == 0, count.examples
+    assert count.mutations == count.refused + count.unharmed + count.covered + count.possible == 2000
+    assert min(count.refused, count.unharmed) > 100
+
+
+def test_no_damaged_transform_gives_a_wrong_endpoint(simulation: ArmSimulation) -> None:
+    fuzz = TransformFuzz(simulation, SEED)
+    fuzz.run(5000)
+    assert fuzz.count.wrong == 0, fuzz.count.examples
+    assert min(fuzz.count.refused, fuzz.count.unharmed) > 500
+
+
+def test_readings_that_differ_are_found(simulation: ArmSimulation) -> None:
+    one, other = record(simulation, "elbow", 2).scans
+    assert "gap_voltages[0]" in changed_readings(one, other)
+    assert not changed_readings(one, one)
+
+
+@pytest.mark.parametrize("name", readers())
+def test_a_damaged_file_is_read_or_refused_in_one_sentence(name: str, tmp_path: Path) -> None:
+    count = fuzz_files(name, 40, SEED, tmp_path)
+    assert count.mutations == 40
+    assert count.refused > 10
+
+
+@pytest.mark.long
+def test_the_program_reports_what_it_found(capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["fuzz", "--scans", "600", "--transforms", "100", "--files", "5"]) == 0
+    out = capfd.readouterr().out
+    assert "transforms: 100 damaged" in out
+    assert out.splitlines()[-1] == "Nothing failed."
+    assert main(["fuzz", "--scans", "-1"]) == 2
