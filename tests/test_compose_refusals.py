@@ -134,7 +134,11 @@ def test_a_node_that_fails_later_ends_all_nodes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ("version: 1", "version: 2", "line 2, key version: version 2; expected 1."),
+        (
+            "version: 1",
+            "version: 2",
+            "line 2, key version: version 2; expected 1, or a later release of this software, which reads version 2.",
+        ),
         ("node: chain_node", "node: chian_node", "line 4, key nodes[0].node: node 'chian_node' is unknown; expected"),
         ("namespace: /rig\n", "namespace: rig\n", "line 5, key nodes[0].namespace: namespace 'rig'; expected names"),
         ("{urdf:", "{3: 4, urdf:", "line 6, key nodes[0].parameters.3: name 3; expected text."),

@@ -29,6 +29,7 @@ from posor_estimator.node_parameters import NodeParameters
 from posor_estimator.ros.diagnostics import Level
 from posor_estimator.ros.intra_process import IntraProcessPublisher
 from posor_estimator.ros.lifecycle_node import PosorNode
+from posor_estimator.ros.message_classes import schema_of_class
 from posor_estimator.ros.message_conversion import pose_from_message, stamp_ns
 from posor_estimator.ros.node_program import run_node
 from posor_estimator.ros.qos import RELIABLE_QOS
@@ -36,7 +37,6 @@ from posor_estimator.ros_names import ENDPOINT_COVARIANCE_TOPIC
 from pydantic import Field
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.serialization import serialize_message
 
 if TYPE_CHECKING:
     from posor_estimator.numerics.array_types import FloatArray
@@ -149,7 +149,7 @@ class EndpointController(PosorNode[ControllerParameters]):
             return
         command = Vector3Stamped(header=stage.header)
         command.vector.x, command.vector.y, command.vector.z = goal.tolist()
-        self._output.publish(serialize_message(command))
+        self._output.publish(schema_of_class(Vector3Stamped).serialize(command))
         self._commands += 1
         self._status.report(Level.OK, "following", {**self._counts(), "miss": float(np.linalg.norm(miss))})
 

@@ -54,6 +54,7 @@ setup(
             "budget = posor_estimator.estimator_programs:budget",
             "calibrate = posor_estimator.estimator_programs:calibrate",
             "reprocess = posor_estimator.estimator_programs:reprocess",
+            "recover = posor_estimator.estimator_programs:recover",
         ],
         "posor_estimator.nodes": [
             "chain_node = posor_estimator.ros.chain_node:ChainNode",

@@ -1,28 +1,32 @@
-"""Writes rosbag2 bags: MCAP storage, metadata version 9, type definitions and hashes, offered quality of service."""
+"""Writes rosbag2 bags: MCAP storage, metadata version 9, type definitions and hashes, offered quality of service.
+
+Chunks and index have checksums (``posor_estimator.bags.mcap_writer``).
+"""
 
 from __future__ import annotations
 
+import json
 import shutil
 import tempfile
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Self
 
+from posor_estimator.bags.mcap_writer import McapBagWriter
+from posor_estimator.bags.provenance import PENDING
 from posor_estimator.errors import BagError
 from posor_estimator.numerics.stamps import NS
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
-from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.errors import WriterError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from posor_estimator.bags.message_definitions import Definition
     from rclpy.duration import Duration
     from rclpy.qos import QoSProfile
     from rosbags.interfaces import Connection
 
-METADATA_VERSION: Literal[9] = 9
 INFINITE_NS = 2**63 - 1
 
 
@@ -32,8 +36,12 @@ class BagWriter:
     Equal calls give equal bytes.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, custom_data: Mapping[str, str] | None = None) -> None:
         """Create the bag's folder.
+
+        Args:
+            path: The folder.
+            custom_data: Of the bag's metadata; until the bag is closed it is in a file of its own.
 
         Raises:
             BagError: The folder exists already or cannot be created.
@@ -45,8 +53,12 @@ class BagWriter:
         if path.exists():
             raise BagError("exists already", where=str(path), expected="a new folder")
         with self._storage_errors():
-            self._writer = Writer(path, version=METADATA_VERSION, storage_plugin=StoragePlugin.MCAP)
+            self._writer = McapBagWriter(path)
             self._writer.open()
+            if custom_data:
+                (path / PENDING).write_text(json.dumps(dict(custom_data), indent=1) + "\n", encoding="utf-8")
+                for key, value in custom_data.items():
+                    self._writer.set_custom_data(key, value)
 
     def add_topic(self, name: str, type_name: str, definition: Definition, qos: Sequence[QoSProfile]) -> None:
         """Add a topic; ``qos`` holds the profiles that its publishers offer.
@@ -73,6 +85,16 @@ class BagWriter:
             self._writer.write(self._connections[topic], time_ns, data)
         self.counts[topic] += 1
 
+    def flush(self) -> None:
+        """Hand all messages so far to the operating system; they survive the end of this process, not a loss of power.
+
+        Raises:
+            BagError: The storage fails.
+
+        """
+        with self._storage_errors():
+            self._writer.flush()
+
     def close(self) -> None:
         """Write index and metadata.
 
@@ -82,6 +104,7 @@ class BagWriter:
         """
         with self._storage_errors():
             self._writer.close()
+            (self.path / PENDING).unlink(missing_ok=True)
 
     @contextmanager
     def _storage_errors(self) -> Iterator[None]:

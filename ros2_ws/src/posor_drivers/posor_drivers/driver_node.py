@@ -19,11 +19,10 @@ from posor_estimator.ros.diagnostics import Level
 from posor_estimator.ros.freshness import InputMonitor
 from posor_estimator.ros.intra_process import IntraProcessPublisher
 from posor_estimator.ros.lifecycle_node import PosorNode
-from posor_estimator.ros.message_classes import message_class
+from posor_estimator.ros.message_classes import message_class, schema_of_class
 from posor_estimator.ros.node_program import run_node
 from posor_estimator.ros.qos import RELIABLE_QOS, sensor_qos
 from posor_estimator.ros_names import RAW_TOPIC
-from rclpy.serialization import serialize_message
 
 from posor_drivers.conditioning import condition_scans
 from posor_drivers.driver_parameters import (
@@ -171,7 +170,7 @@ class DriverNode(PosorNode[DriverParameters]):
     def _publish(self, publication: ScheduledPublication) -> None:
         topic, data = publication.topic, publication.content
         if not isinstance(data, bytes):
-            data = serialize_message(data)
+            data = schema_of_class(type(data)).serialize(data)
         if self._topic_publishers[topic].publish(data):
             self._counts[topic] += 1
             if topic == RAW_TOPIC:

@@ -1,7 +1,7 @@
 """record: writes topics into a rosbag2 bag (MCAP) until SIGINT or SIGTERM.
 
-Messages are stored as received, without deserialising them. Prints ``ready: ...`` once every named topic is connected,
-and at the end ``closed ...`` with the number of messages of each topic.
+Messages are stored as received, without deserialising them, and flushed twice a second. Prints ``ready: ...`` once
+every named topic is connected, and at the end ``closed ...`` with the number of messages of each topic.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from threading import Thread
 from typing import TYPE_CHECKING
 
 from posor_estimator.bags.message_definitions import MessageTypes
+from posor_estimator.bags.provenance import provenance_of
 from posor_estimator.errors import BagError, ParameterError, PosorError
 from posor_estimator.reporting.command_line_parser import CommandLineParser
 from posor_estimator.ros.diagnostics import Diagnostics, Level
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 
 DISCOVERY_PERIOD_S = 0.1
 TAKE_PERIOD_S = 0.005
+FLUSH_PERIOD_S = 0.5
+"""Half of the time whose messages may be lost when the recorder is killed: the other half is for a busy machine."""
 
 
 class _WriterThread(Thread):
@@ -93,6 +96,7 @@ class Recorder(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._discovery_timer = self.create_timer(DISCOVERY_PERIOD_S, self._discover, clock=steady)
         self._take_timer = self.create_timer(TAKE_PERIOD_S, self._take_messages, clock=steady)
+        self._flush_timer = self.create_timer(FLUSH_PERIOD_S, self._flush, clock=steady)
 
     @property
     def failure(self) -> PosorError | None:
@@ -116,6 +120,10 @@ class Recorder(Node):
         for topic in self.topics.values():
             for time_ns, data in topic.take_messages():
                 self._thread.tasks.put(partial(self._writer.write, topic.name, time_ns, data))
+
+    def _flush(self) -> None:
+        self._take_messages()
+        self._thread.tasks.put(self._writer.flush)
 
     def _discover(self) -> None:
         try:
@@ -183,6 +191,8 @@ def _single_type(topic: str, type_names: Sequence[str]) -> str:
 def _parse_arguments(arguments: Sequence[str]) -> Namespace:
     parser = CommandLineParser(prog="record", description="Record topics into a rosbag2 bag until interrupted.")
     parser.add_argument("--output", type=Path, required=True, metavar="FOLDER", help="the bag; must not exist yet")
+    text = "arm file of the recorded arm: the bag states the hashes of its calibrations, URDF and beams"
+    parser.add_argument("--arm", type=Path, metavar="FILE.yaml", help=text)
     choice = parser.add_mutually_exclusive_group(required=True)
     choice.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="topics to record")
     choice.add_argument("--all", action="store_true", help="record every topic that appears")
@@ -196,11 +206,21 @@ def _parse_arguments(arguments: Sequence[str]) -> Namespace:
     return options
 
 
+def _custom_data(arm: Path | None) -> dict[str, str]:
+    """Return the version of the software, and the hashes of the files of an arm."""
+    if arm is None:
+        return provenance_of(None)
+    from posor_estimator.bags.reprocess_task import Settings  # noqa: PLC0415  pinocchio: 50 MB, for this option only
+    from posor_estimator.chain.arm_file import load_arm  # noqa: PLC0415
+
+    return provenance_of(Settings.of_arm(load_arm(arm)))
+
+
 def _record(arguments: Sequence[str]) -> None:
     print_line = partial(print, flush=True)
     with ros_context(arguments) as stop:
         options = _parse_arguments(non_ros_arguments(arguments))
-        with BagWriter(options.output) as writer:
+        with BagWriter(options.output, _custom_data(options.arm)) as writer:
             recorder = Recorder(writer, options.topics, print_line)
             try:
                 spin_until(recorder, lambda: stop.requested or recorder.failure is not None)

@@ -27,7 +27,7 @@ from posor_estimator.ros_names import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from rosbags.interfaces import Connection, Qos
@@ -49,7 +49,14 @@ ENDPOINT_TOPICS = {
 class BagOutput:
     """Writes one bag."""
 
-    def __init__(self, folder: Path, topics: BagTopics, estimator: ArmEstimator, covariance: CovarianceKind) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        topics: BagTopics,
+        estimator: ArmEstimator,
+        covariance: CovarianceKind,
+        custom_data: Mapping[str, str],
+    ) -> None:
         """Create the bag.
 
         Args:
@@ -57,11 +64,14 @@ class BagOutput:
             topics: Of the raw scans; the transforms have the same quality of service.
             estimator: Of the arm.
             covariance: Part of the uncertainty in the transforms' covariances.
+            custom_data: Of the bag's metadata.
 
         """
         self._types = types = MessageTypes()
         self._writer = ChunkedBagWriter(folder)
         self._writer.open()
+        for key, value in custom_data.items():
+            self._writer.set_custom_data(key, value)
         transform = types.schema(JOINT_TRANSFORM)
         self._joints = {
             name: (

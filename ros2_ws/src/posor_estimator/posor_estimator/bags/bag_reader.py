@@ -1,4 +1,8 @@
-"""Opens rosbag2 bags, MCAP or SQLite, and checks their topics; every error is one sentence that names the bag."""
+"""Opens rosbag2 bags, MCAP or SQLite, and checks their topics; every error is one sentence that names the bag.
+
+The checksums of MCAP files are checked: that of the index when a bag is opened, that of a chunk when it is read. SQLite
+files have none.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from rosbags.rosbag2 import Reader
 
+from posor_estimator.bags.mcap_file import RECOVER, check_index, damage_error, first_damage
 from posor_estimator.errors import BagError, PosorError
 from posor_estimator.ros_names import RAW_SCAN
 
@@ -21,9 +26,11 @@ if TYPE_CHECKING:
 
 METADATA = "metadata.yaml"
 EXPECTED = "a rosbag2 bag, MCAP or SQLite, that was closed properly"
-EXPECTED_MCAP = (
-    f"{EXPECTED}; 'mcap recover' mends a file that was cut off, then 'ros2 bag reindex' makes {METADATA} anew"
-)
+ADVICE = {
+    ".mcap": f"it; {RECOVER} with {METADATA}",
+    ".db3": "it, as 'ros2 bag reindex' makes it",
+}
+"""What helps if the metadata are missing, by the suffix of the files."""
 SQLITE_MAGIC = b"SQLite format 3\0"
 
 
@@ -37,17 +44,24 @@ def opened_bag(path: Path) -> Iterator[Reader]:
     """
     if not path.exists():
         raise BagError("does not exist", where=str(path), expected=EXPECTED)
+    if not (path.is_dir() or path.is_file()):
+        raise BagError("is neither a folder nor a file", where=str(path), expected=EXPECTED)
     _check_metadata(path)
     try:
         _check_size(path)
+        for file in storage_files(path, ".mcap"):
+            check_index(file)
         with Reader(path) as reader:
             _check_not_empty(reader, path)
             yield reader
     except PosorError:
         raise
     except Exception as error:
+        for file in storage_files(path, ".mcap"):
+            if (damage := first_damage(file)) is not None:
+                raise damage_error(file, damage) from error
         reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-        expected = EXPECTED_MCAP if _storage(path, ".mcap") else EXPECTED
+        expected = f"{EXPECTED}; {RECOVER}" if storage_files(path, ".mcap") else EXPECTED
         raise BagError(f"the bag cannot be read, {reason}", where=str(path), expected=expected) from error
 
 
@@ -150,9 +164,9 @@ def _listed(connections: Sequence[Connection]) -> str:
     return ", ".join(sorted({f"{connection.topic} ({connection.msgtype})" for connection in connections})) or "none"
 
 
-def _storage(path: Path, *suffixes: str) -> list[Path]:
-    """Return the files of a bag (a folder or a single file) with one of some suffixes."""
-    files = sorted(path.iterdir()) if path.is_dir() else [path]
+def storage_files(path: Path, *suffixes: str) -> list[Path]:
+    """Return the files of a bag (a folder or a single file) with one of some suffixes, ``x_2`` before ``x_10``."""
+    files = sorted(path.iterdir(), key=lambda file: (len(file.name), file.name)) if path.is_dir() else [path]
     return [file for file in files if file.suffix in suffixes]
 
 
@@ -160,13 +174,10 @@ def _check_metadata(path: Path) -> None:
     """Refuse a folder without metadata."""
     if not path.is_dir() or (path / METADATA).exists():
         return
-    if not _storage(path, ".mcap", ".db3"):
+    files = storage_files(path, *ADVICE)
+    if not files:
         raise BagError("the folder holds no bag", where=str(path), expected=EXPECTED)
-    raise BagError(
-        f"{METADATA} is missing in the folder of the bag",
-        where=str(path),
-        expected="it, as 'ros2 bag reindex' makes it",
-    )
+    raise BagError(f"{METADATA} is missing in the folder of the bag", where=str(path), expected=ADVICE[files[0].suffix])
 
 
 def _check_not_empty(reader: Reader, path: Path) -> None:
@@ -176,7 +187,7 @@ def _check_not_empty(reader: Reader, path: Path) -> None:
 
 def _check_size(bag: Path) -> None:
     """Refuse a truncated SQLite file; SQLite itself notices only when it reads beyond the end."""
-    for path in _storage(bag, ".db3") if bag.is_dir() else [bag]:
+    for path in storage_files(bag, ".db3") if bag.is_dir() else [bag]:
         with path.open("rb") as file:
             head = file.read(32)
         if len(head) == len(SQLITE_MAGIC) + 16 and head.startswith(SQLITE_MAGIC):

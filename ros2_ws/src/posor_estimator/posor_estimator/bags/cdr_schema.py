@@ -14,6 +14,7 @@ import math
 import struct
 from dataclasses import dataclass
 from enum import Enum
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 from posor_estimator.errors import TopicError
@@ -29,14 +30,14 @@ STAMP = slice(4, 12)
 """Stamp of a message that begins with a header: seconds (int32), nanoseconds (uint32)."""
 
 Value: TypeAlias = Any
-"""Value of a field: a number, a list of numbers, a string or a list of strings."""
+"""Value of a field: a number, a byte, a string, a message (values by path), or a list of them."""
 
 
 CODES = {
     "bool": "?",
     "boolean": "?",
-    "octet": "B",
-    "byte": "B",
+    "octet": "c",
+    "byte": "c",
     "char": "B",
     "uint8": "B",
     "int8": "b",
@@ -65,13 +66,14 @@ class Kind(Enum):
 
 @dataclass(frozen=True)
 class Field:
-    """One field of a message; the fields of a nested message count as fields of the whole.
+    """One field of a message; the fields of a single nested message count as fields of the whole.
 
     Attributes:
         path: Name, for instance ``header.stamp.sec``.
-        code: ``struct`` code of one element; ``s`` for a string.
+        code: ``struct`` code of one element; ``s`` for a string, empty for a message.
         kind: Number of elements.
         count: Length of an array, bound of a sequence (None: unbounded).
+        parts: Fields of each element of an array or sequence of messages.
 
     """
 
@@ -79,13 +81,14 @@ class Field:
     code: str
     kind: Kind = Kind.ONE
     count: int | None = None
+    parts: tuple[Field, ...] = ()
 
     @property
     def default(self) -> Value:
         """Zero, zeros, an empty string or an empty list."""
         if self.kind is Kind.SEQUENCE:
             return []
-        zero: Value = "" if self.code == "s" else 0
+        zero: Value = {"s": "", "c": b"\x00", "": {}}.get(self.code, 0)
         return [zero] * (self.count or 0) if self.kind is Kind.ARRAY else zero
 
 
@@ -110,8 +113,8 @@ class Layout:
     Attributes:
         schema: Of the message type.
         size: Of a message [bytes]; surplus bytes at its end are ignored.
-        spans: Of each field by its path; a list of strings has none.
-        lengths: Offset of the length of each string and sequence by its path; of a list of strings, that of the list.
+        spans: Of each field by its path; a list of strings or messages has none.
+        lengths: Offset of the length of each string and sequence by its path; of such a list, that of the list.
         decisive: The bytes that a message of this layout must have, by offset: encapsulation and lengths.
 
     """
@@ -213,19 +216,16 @@ class Schema:
 
         """
         out = bytearray(LITTLE_ENDIAN + b"\x00\x00")
-        for field in self.fields:
-            self._encode_field(out, field, values.get(field.path, field.default))
+        self._encode_fields(out, self.fields, values)
         return bytes(out)
 
     def serialize(self, message: Any) -> bytes:
-        """Return a message object, such as of rclpy, in plain CDR: see ``encode``."""
-        values = {}
-        for field in self.fields:
-            value = message
-            for part in field.path.split("."):
-                value = getattr(value, part)
-            values[field.path] = value
-        return self.encode(values)
+        """Return a message object, such as of rclpy, in plain CDR: see ``encode``.
+
+        Messages are published as these bytes. The serialisation of the middleware appends surplus bytes and leaves
+        padding as it was in memory, so bytes of the process would reach the network.
+        """
+        return self.encode(_values_of(message, self.fields))
 
     def normal(self, data: bytes) -> bytes:
         """Return the same message in plain CDR, little endian.
@@ -236,6 +236,11 @@ class Schema:
         """
         return data if data[:2] == LITTLE_ENDIAN else self.encode(self.values(data))
 
+    def _encode_fields(self, out: bytearray, fields: Sequence[Field], values: Mapping[str, Value]) -> None:
+        for field in fields:
+            value = values.get(field.path)
+            self._encode_field(out, field, field.default if value is None else value)
+
     def _encode_field(self, out: bytearray, field: Field, value: Value) -> None:
         elements = [value] if field.kind is Kind.ONE else value
         if field.kind is Kind.SEQUENCE:
@@ -243,13 +248,17 @@ class Schema:
                 raise TopicError(
                     f"a message has {len(elements)} {field.path}", where=self.name, expected=f"at most {field.count}"
                 )
-            _append(out, "I", [len(elements)])
+            _append_length(out, len(elements))
+        if field.parts:
+            for element in elements:
+                self._encode_fields(out, field.parts, element)
+            return
         if field.code != "s":
             _append(out, field.code, elements)
             return
         for text in elements:
             encoded = text.encode("utf-8") + b"\x00"
-            _append(out, "I", [len(encoded)])
+            _append_length(out, len(encoded))
             out += encoded
 
 
@@ -280,12 +289,23 @@ class _Walk:
                     where=self._schema.name,
                     expected=f"at most {field.count}",
                 )
+        if field.parts:
+            return [self._read_message(field.parts) for _ in range(count)]
         if field.code != "s":
             return self._read_numbers(field, count)
         if field.kind is not Kind.ONE:
             return [self._read_string(field)[1] for _ in range(count)]
         self.spans[field.path], text = self._read_string(field)
         return text
+
+    def _read_message(self, parts: Sequence[Field]) -> Value:
+        """Read one of several messages, whose fields get no spans."""
+        walk = _Walk(self._schema, self._data, self._order)
+        walk.position = self.position
+        values = {part.path: walk._read_field(part) for part in parts}
+        self.position = walk.position
+        self.length_bytes |= walk.length_bytes
+        return values
 
     def _read_numbers(self, field: Field, count: int) -> Value:
         size = struct.calcsize(field.code)
@@ -321,10 +341,30 @@ class _Walk:
         self.position = position
 
 
+def _values_of(message: Any, fields: Iterable[Field]) -> dict[str, Value]:
+    """Return the values of a message object by path."""
+    values = {}
+    for field in fields:
+        value = message
+        for part in field.path.split("."):
+            value = getattr(value, part)
+        values[field.path] = [_values_of(element, field.parts) for element in value] if field.parts else value
+    return values
+
+
+def _append_length(out: bytearray, length: int) -> None:
+    out += bytes((BODY - len(out)) % 4) + length.to_bytes(4, "little")
+
+
 def _append(out: bytearray, code: str, elements: Sequence[Value]) -> None:
     if len(elements):
-        out.extend(bytes(_aligned(len(out), struct.calcsize(code)) - len(out)))
-        out.extend(struct.pack(f"<{len(elements)}{code}", *elements))
+        form = _form(len(elements), code)
+        out += bytes((BODY - len(out)) % (form.size // len(elements))) + form.pack(*elements)
+
+
+@lru_cache(maxsize=1024)
+def _form(count: int, code: str) -> struct.Struct:
+    return struct.Struct(f"<{count}{code}")
 
 
 def _aligned(position: int, size: int) -> int:
@@ -340,10 +380,6 @@ def code_of_type(path: str, type_name: str) -> str:
 
     """
     if type_name not in CODES:
-        raise unsupported_type(path)
+        message = f"field '{path}': its type is not supported"
+        raise TypeError(message)
     return CODES[type_name]
-
-
-def unsupported_type(path: str) -> TypeError:
-    """Return the error for a field of a type that is not supported: a wide string, or a sequence of messages."""
-    return TypeError(f"field '{path}': its type is not supported")

@@ -10,7 +10,7 @@ from rosbags.rosbag2.storage_mcap import decompress, read_exact
 
 from posor_estimator.bags.byte_kernels import MESSAGE_HEAD, RECORD_HEAD, index_messages
 from posor_estimator.bags.chunk_merger import END, ReadPosition
-from posor_estimator.bags.chunk_writer import INDEX_HEAD
+from posor_estimator.bags.mcap_file import INDEX_HEAD
 from posor_estimator.bags.message_block import MessageBlock
 from posor_estimator.errors import BagError
 

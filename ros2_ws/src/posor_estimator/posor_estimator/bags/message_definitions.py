@@ -9,11 +9,11 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+from rosbags.interfaces import MessageDefinitionFormat, Nodetype
+from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from posor_estimator.bags.cdr_schema import Field, Kind, Schema, code_of_type, unsupported_type
+from posor_estimator.bags.cdr_schema import Field, Kind, Schema, code_of_type
 from posor_estimator.errors import BagError
 
 if TYPE_CHECKING:
@@ -105,6 +105,17 @@ def schema_of_connection(connection: Connection, where: str) -> Schema:
         ) from error
 
 
+def stored_type_hash(connection: Connection) -> str:
+    """Return the RIHS01 hash of a topic's definition in a bag; ``INVALID`` without a valid definition."""
+    text, name, store = connection.msgdef.data, connection.msgtype, Typestore()
+    is_idl = connection.msgdef.format == MessageDefinitionFormat.IDL
+    try:
+        store.register(get_types_from_idl(text) if is_idl else get_types_from_msg(text, name))
+        return store.hash_rihs01(name)
+    except (TypesysError, TypeError, KeyError):
+        return "INVALID"
+
+
 def _schema(name: str, types: Mapping[str, Any]) -> Schema:
     return Schema(name.rpartition("/")[2], _fields_of_definition(types, name, ""))
 
@@ -118,13 +129,12 @@ def _fields_of_definition(types: Mapping[str, Any], name: str, prefix: str) -> I
         elif node == Nodetype.BASE:
             yield Field(path, code_of_type(path, detail[0]))
         else:
-            element, count = detail
-            if element[0] != Nodetype.BASE:
-                raise unsupported_type(path)
-            if node == Nodetype.ARRAY:
-                yield Field(path, code_of_type(path, element[1][0]), Kind.ARRAY, count)
+            (element, inner), count = detail
+            kind, number = (Kind.ARRAY, count) if node == Nodetype.ARRAY else (Kind.SEQUENCE, count or None)
+            if element == Nodetype.NAME:
+                yield Field(path, "", kind, number, tuple(_fields_of_definition(types, inner, "")))
             else:
-                yield Field(path, code_of_type(path, element[1][0]), Kind.SEQUENCE, count or None)
+                yield Field(path, code_of_type(path, inner[0]), kind, number)
 
 
 def _nested_types(descriptor: Any) -> Iterator[str]:

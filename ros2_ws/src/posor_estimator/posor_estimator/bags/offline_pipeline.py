@@ -13,6 +13,7 @@ from posor_estimator.bags.arm_estimator import ArmEstimator
 from posor_estimator.bags.bag_reader import opened_bag
 from posor_estimator.bags.bag_topics import topics_of
 from posor_estimator.bags.block_reader import read_blocks
+from posor_estimator.bags.provenance import custom_data, differences, provenance_of
 from posor_estimator.bags.raw_scan_unpacking import unpack_scans
 from posor_estimator.bags.reprocess_task import Summary, Task
 from posor_estimator.bags.result_folder import new_result_folder, writing
@@ -69,7 +70,8 @@ def reprocess_bag(task: Task, progress: Callable[[int], object] = lambda _: None
                 output.close()
     joints, endpoint = estimator.summarise()
     wall_s, cpu_s = perf_counter() - wall, process_time() - cpu
-    return Summary(task.bag, task.output, joints, endpoint, topics.left_out, wall_s, cpu_s)
+    changed = differences(custom_data(task.bag), task.settings)
+    return Summary(task.bag, task.output, joints, endpoint, topics.left_out, changed, wall_s, cpu_s)
 
 
 def estimate_bag(bag: Path, topics: BagTopics, estimator: ArmEstimator) -> Iterator[ArmEstimates]:
@@ -121,7 +123,7 @@ def _open_output(task: Task, folder: Path, topics: BagTopics, estimator: ArmEsti
     if task.format == "bag":
         from posor_estimator.bags.bag_output import BagOutput  # noqa: PLC0415
 
-        return BagOutput(folder, topics, estimator, task.settings.covariance)
+        return BagOutput(folder, topics, estimator, task.settings.covariance, provenance_of(task.settings))
     from posor_estimator.bags.table_output import TableOutput  # noqa: PLC0415
 
     endpoint = estimator.endpoint

@@ -163,6 +163,7 @@ class Summary:
         joints: By joint.
         endpoint: None without a chain.
         left_out: Topics of raw scans of other joints.
+        differences: Files that differ from those named by the bag, one sentence each.
         wall_s: Elapsed time.
         cpu_s: Processor time.
 
@@ -173,6 +174,7 @@ class Summary:
     joints: Mapping[str, JointSummary]
     endpoint: EndpointSummary | None
     left_out: tuple[str, ...] = ()
+    differences: tuple[str, ...] = ()
     wall_s: float = 0.0
     cpu_s: float = 0.0
 

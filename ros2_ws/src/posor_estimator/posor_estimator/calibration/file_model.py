@@ -104,12 +104,12 @@ def select_model_by_key(key: str, models: Mapping[str, type[FrozenModel]]) -> Be
             return part
         if not isinstance(part, dict):
             raise EntryError(format_value(part), expected="a mapping")
+        known = ", ".join(f"'{each}'" for each in sorted(models))
+        expected = known if len(models) == 1 else f"one of {known}"
         if key not in part:
-            raise EntryError(f"key '{key}' is missing")
+            raise EntryError(f"key '{key}' is missing", expected=expected)
         name = part[key]
         if not isinstance(name, str) or name not in models:
-            known = ", ".join(f"'{each}'" for each in sorted(models))
-            expected = known if len(models) == 1 else f"one of {known}"
             raise EntryError(f"{key} {format_value(name)}", key=(key,), expected=expected)
         return models[name].model_validate(part)
 

@@ -12,11 +12,12 @@ from threading import RLock
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
 from posor_estimator.ros.idle_scheduler import run_when_idle
+from posor_estimator.ros.message_classes import schema_of_class
 from posor_estimator.ros.qos import RELIABLE_QOS
 from posor_estimator.ros_names import DIAGNOSTICS_TOPIC
 
@@ -90,12 +91,16 @@ class StatusReport:
             self._values.update(values)
             self._formatter = None
 
-    def to_message(self, name: str, hardware_id: str) -> DiagnosticStatus:
-        """Return the report as a ROS message."""
-        values = [KeyValue(key=key, value=_value_text(value)) for key, value in self.values.copy().items()]
-        return DiagnosticStatus(
-            level=self.level.value, name=name, message=self.message, hardware_id=hardware_id, values=values
-        )
+    def to_fields(self, name: str, hardware_id: str) -> dict[str, Any]:
+        """Return the fields of a ``diagnostic_msgs/DiagnosticStatus``."""
+        values = [{"key": key, "value": _value_text(value)} for key, value in self.values.copy().items()]
+        return {
+            "level": self.level.value,
+            "name": name,
+            "message": self.message,
+            "hardware_id": hardware_id,
+            "values": values,
+        }
 
 
 def _value_text(value: Value) -> str:
@@ -260,11 +265,13 @@ class Diagnostics:
             self._scheduled = False
             reports = [(status, *status.next_report()) for status in self._statuses]
         name = self._node.get_fully_qualified_name()
-        message = DiagnosticArray(
-            status=[report.to_message(f"{name}: {status.name}", self._hardware_id) for status, report, _ in reports]
-        )
-        message.header.stamp = self._node.get_clock().now().to_msg()
-        self._publisher.publish(message)
+        sec, nanosec = self._node.get_clock().now().seconds_nanoseconds()
+        fields = {
+            "header.stamp.sec": sec,
+            "header.stamp.nanosec": nanosec,
+            "status": [report.to_fields(f"{name}: {status.name}", self._hardware_id) for status, report, _ in reports],
+        }
+        self._publisher.publish(schema_of_class(DiagnosticArray).encode(fields))
         self._published_s = monotonic()
         for status, report, _ in reports:
             if status in self._error_logs:

@@ -28,7 +28,7 @@ def schema_of_class(message_type: type[Any]) -> Schema:
     """Return the schema of the Python class of a message type.
 
     Raises:
-        TypeError: A field's type is not supported: a wide string, or a sequence of messages.
+        TypeError: A field's type is not supported, such as a wide string.
 
     """
     if message_type not in _SCHEMAS:
@@ -55,17 +55,28 @@ def _fields(message_type: type[Any], prefix: str) -> Iterator[Field]:
     for leaf, slot in zip(message_type.get_fields_and_field_types(), message_type.SLOT_TYPES, strict=True):
         path = prefix + leaf
         if isinstance(slot, NamespacedType):
-            yield from _fields(message_class("/".join([*slot.namespaces, slot.name])), f"{path}.")
+            yield from _fields(_class_of(slot), f"{path}.")
         elif isinstance(slot, Array):
-            yield Field(path, _code(path, slot.value_type), Kind.ARRAY, slot.size)
+            yield Field(path, _code(path, slot.value_type), Kind.ARRAY, slot.size, _parts(slot.value_type))
         elif isinstance(slot, AbstractSequence):
             bound = slot.maximum_size if isinstance(slot, BoundedSequence) else None
-            yield Field(path, _code(path, slot.value_type), Kind.SEQUENCE, bound)
+            yield Field(path, _code(path, slot.value_type), Kind.SEQUENCE, bound, _parts(slot.value_type))
         else:
             yield Field(path, _code(path, slot))
 
 
+def _class_of(slot: NamespacedType) -> Any:
+    return message_class("/".join([*slot.namespaces, slot.name]))
+
+
+def _parts(element: Any) -> tuple[Field, ...]:
+    """Return the fields of each element of an array or sequence of messages."""
+    return tuple(_fields(_class_of(element), "")) if isinstance(element, NamespacedType) else ()
+
+
 def _code(path: str, element: Any) -> str:
+    if isinstance(element, NamespacedType):
+        return ""
     if isinstance(element, AbstractString):
         return "s"
     return code_of_type(path, element.typename if isinstance(element, BasicType) else "")

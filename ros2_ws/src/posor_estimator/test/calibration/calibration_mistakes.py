@@ -56,7 +56,11 @@ WRONG = {
         drop(*DIODES, "maps", "B", 1, "domain"), (*DIODES, "maps", "B", 1), "key 'domain' is missing"
     ),
     "missing version": Wrong(drop("version"), (), "key 'version' is missing; expected 1, 2 or 3"),
-    "missing type": Wrong(drop(*DIODES, "type"), DIODES, "key 'type' is missing"),
+    "missing type": Wrong(
+        drop(*DIODES, "type"),
+        DIODES,
+        "key 'type' is missing; expected one of 'bumpy_ring', 'diodes', 'gap_probes'",
+    ),
     "wrong unit": Wrong(
         put("mV", *PROBE, "zero_shift", "unit"), (*PROBE, "zero_shift", "unit"), "unit 'mV'; expected 'V'"
     ),
@@ -127,7 +131,11 @@ WRONG = {
     "number for a sensor": Wrong(put(1, "sensors", 0), ("sensors", 0), "1; expected a mapping"),
     "no sensor": Wrong(put([], "sensors"), ("sensors",), "has 0 entries; expected at least 1"),
     "no probe": Wrong(put([], "sensors", 0, "probes"), ("sensors", 0, "probes"), "has 0 entries; expected at least 1"),
-    "later version": Wrong(put(4, "version"), ("version",), "version 4; expected 1, 2 or 3"),
+    "later version": Wrong(
+        put(4, "version"),
+        ("version",),
+        "version 4; expected 1, 2 or 3, or a later release of this software, which reads version 4",
+    ),
     "version in quotes": Wrong(put("1", "version"), ("version",), "version '1'; expected 1, 2 or 3"),
     "version with a fraction": Wrong(put(1.0, "version"), ("version",), "version 1.0; expected 1, 2 or 3"),
     "truth for a version": Wrong(put(YES, "version"), ("version",), "version True; expected 1, 2 or 3"),

@@ -13,6 +13,7 @@ from posor_estimator.node_parameters import NodeParameters
 from posor_estimator.ros.composition_file import NODE_ENTRY_POINTS
 from posor_estimator.ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_estimator.ros.lifecycle_node import PosorNode
+from posor_estimator.ros.message_classes import schema_of_class
 from posor_estimator.ros.qos import result_qos, sensor_qos
 from posor_estimator.ros_names import (
     ENDPOINT_COVARIANCE_TOPIC,
@@ -23,7 +24,6 @@ from posor_estimator.ros_names import (
 )
 from posor_msgs.msg import JointTransform, RawScan
 from pydantic import Field
-from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ class _PreparedMessage:
     """A serialised message whose stamp is replaced before it is published."""
 
     def __init__(self, node: PosorNode[Any], message: Any, topic: str, qos: Any) -> None:
-        data = serialize_message(message)
+        data = schema_of_class(type(message)).serialize(message)
         self._before, self._after = data[: STAMP.start], data[STAMP.stop :]
         self._publisher = IntraProcessPublisher(node, type(message), topic, qos)
         node.add_cleanup(self._publisher.destroy)

@@ -1,0 +1,148 @@
+"""Every message that the nodes publish: rosbags reads it and writes the same bytes, so that none comes from memory.
+
+Messages of rcl itself (rosout, parameter events, transition events) are serialised by the middleware and left out.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from posor_bringup.arm_programs import LAYOUTS, Layout, arm_programs, group_programs
+from posor_bringup.arms import load_checked_arm
+from posor_bringup.installed import bag_path, calibration_path, urdf_path
+from posor_estimator.ros.message_classes import message_class
+from posor_estimator.testing.graph import BEST_EFFORT, LOSSLESS, Graph
+from posor_estimator.testing.program import Program
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from tests.composed_rig import COMPOSE, write_composition
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from rosbags.typesys.store import Typestore
+
+pytestmark = pytest.mark.usefixtures("ros_domain")
+
+ROOT = Path(__file__).resolve().parents[1]
+BAG = f"source: bag, bag: {{path: {bag_path('ymo')}, other_topics: [/truth/machining_centre]}}, loop: true"
+DRIVERS = {
+    "bag, restamped": f"{BAG}, restamp: true",
+    "bag, means": f"{BAG}, restamp: true, rate: 4.0, conditioning: {{method: mean, samples: 2, subtract_dark: true}}",
+    "bag, looped": f"{BAG}, rate: 20.0",
+    "table": f"source: table, table: {{path: {ROOT}/data/slocum1985/ymo_input.csv}}, loop: true, restamp: true",
+    "looped": f"source: looped, looped: {{path: {bag_path('ymo')}, rate: 20}}",
+}
+RIG_TOPICS = (
+    "/diagnostics",
+    "/rig/endpoint/pose",
+    "/rig/endpoint/pose_with_covariance",
+    "/rig/endpoint/state",
+    "/rig/joint1/raw",
+    "/rig/joint1/reliability",
+    "/rig/joint1/transform",
+    "/rig/joint_states",
+)
+OF_RCL = ("rcl_interfaces/", "lifecycle_msgs/")
+LEAST = 8
+"""Messages of each topic that are compared; the reliability is published once a second and twice is enough."""
+
+
+def typestore() -> Typestore:
+    """Return rosbags' own types of Jazzy with those of this workspace."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for path in sorted((ROOT / "ros2_ws/src/posor_msgs/msg").glob("*.msg")):
+        store.register(get_types_from_msg(path.read_text(), f"posor_msgs/msg/{path.stem}"))
+    return store
+
+
+def composition(driver: str) -> str:
+    recorded = "" if driver.startswith("source: looped") or "restamp" in driver else "freshness: {max_age: .inf}, "
+    return f"""\
+format: posor_composition
+version: 1
+nodes:
+  - node: chain_node
+    namespace: /rig
+    parameters: {{{recorded}urdf: {urdf_path()}}}
+  - node: posor_node
+    namespace: /rig/joint1
+    parameters: {{{recorded}calibration: {calibration_path("printed")}, session: ymo}}
+  - node: driver_node
+    namespace: /rig/joint1
+    parameters: {{{recorded}{driver}}}
+"""
+
+
+class EveryTopic:
+    """Subscribes to all topics of our nodes as they appear."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.types: dict[str, str] = {}
+        self.messages: Mapping[str, list[bytes]] = {}
+        self._graph = graph
+
+    def discover(self) -> None:
+        """Subscribe to new topics."""
+        for name, (kind, *_) in self._graph.node.get_topic_names_and_types():
+            publishers = self._graph.node.get_publishers_info_by_topic(name)
+            if name not in self.types and publishers and not kind.startswith(OF_RCL):
+                self.types[name] = kind
+                qos = BEST_EFFORT if name.endswith(("/raw", "/transform")) else LOSSLESS
+                self.messages = {
+                    **self.messages,
+                    name: self._graph.collect(message_class(kind), name, qos, raw=True),
+                }
+
+    def missing(self, topics: tuple[str, ...]) -> list[str]:
+        """Return the topics of which not enough messages have arrived."""
+        return [name for name in topics if len(self.messages.get(name, ())) < (2 if "reliab" in name else LEAST)]
+
+    def check(self) -> None:
+        """Read and write every message with rosbags."""
+        store = typestore()
+        for name, messages in self.messages.items():
+            kind: Any = self.types[name]
+            for data in messages:
+                again = bytes(store.serialize_cdr(store.deserialize_cdr(data, kind), kind))
+                # RTPS fills up what it sends with zeros to a multiple of 4 bytes.
+                assert data in (again, again + bytes(-len(again) % 4)), name
+
+
+def check_graph(graph: Graph, topics: tuple[str, ...]) -> None:
+    received = EveryTopic(graph)
+    try:
+        graph.wait_until(lambda: not received.missing(topics), "messages of all topics", received.discover)
+    except AssertionError:
+        pytest.fail(f"waited in vain for messages of {', '.join(received.missing(topics))}")
+    received.check()
+
+
+@pytest.mark.parametrize(
+    "driver", ["bag, means", *(pytest.param(name, marks=pytest.mark.long) for name in DRIVERS if name != "bag, means")]
+)
+def test_rosbags_rereads_every_message_of_the_rig(tmp_path: Path, driver: str) -> None:
+    composed = write_composition(tmp_path, composition(DRIVERS[driver]))
+    topics = RIG_TOPICS + (("/truth/machining_centre",) if driver.startswith(("bag", "table")) else ())
+    with Program([*COMPOSE, str(composed)]) as program, Graph() as graph:
+        check_graph(graph, topics)
+        assert program.end() == 0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_rosbags_rereads_every_message_of_a_simulated_arm(tmp_path: Path, layout: Layout) -> None:
+    arm = load_checked_arm("test_rig")
+    programs = group_programs(arm_programs(arm), layout, tmp_path)
+    topics = [f"/test_rig/{name}" for name in ("endpoint/pose", "endpoint/state", "joint_states", "encoders")]
+    topics += [f"/test_rig/joint1/{name}" for name in ("raw", "transform", "reliability")]
+    running = [Program(each.command()) for each in programs]
+    try:
+        with Graph() as graph:
+            check_graph(graph, ("/diagnostics", *topics))
+        assert {program.end() for program in running} == {0}
+    finally:
+        for program in running:
+            program.__exit__(None, None, None)

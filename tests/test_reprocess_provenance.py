@@ -1,0 +1,116 @@
+"""Bags that name the files they were recorded with, and damaged bags, reprocessed."""
+
+from __future__ import annotations
+
+import shutil
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from posor_bringup.arms import find_arm
+from posor_drivers.bag_writer import BagWriter
+from posor_estimator.bags.message_definitions import MessageTypes
+from posor_estimator.bags.offline_arm import load_arm as load_offline_arm
+from posor_estimator.bags.provenance import SOFTWARE, custom_data, provenance_of
+from posor_estimator.bags.reprocess_command import main
+from posor_estimator.bags.reprocess_task import Settings
+from posor_estimator.chain.arm_file import load_arm
+from posor_estimator.errors import BagError
+from posor_estimator.ros_names import RAW_SCAN
+from rosbags.rosbag2 import Reader
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+ROOT = Path(__file__).resolve().parents[1]
+BAG = ROOT / "bags" / "five_axis"
+"""Simulated."""
+
+
+def write_bag(path: Path, hashes: Mapping[str, str], scans: int = 100) -> Path:
+    """Write the first raw scans of the five-axis arm as the recorder would."""
+    definition = MessageTypes().definition(RAW_SCAN)
+    with BagWriter(path, hashes) as writer, Reader(BAG) as reader:
+        topics = [connection for connection in reader.connections if connection.msgtype == RAW_SCAN]
+        for topic in topics:
+            writer.add_topic(topic.topic, RAW_SCAN, definition, [])
+        for number, (topic, time_ns, data) in enumerate(islice(reader.messages(topics), scans)):
+            writer.write(topic.topic, time_ns, data)
+            if number % 20 == 19:
+                writer.flush()
+    return path
+
+
+def warnings(capsys: pytest.CaptureFixture[str], *arguments: str) -> list[str]:
+    assert main(list(arguments)) == 0
+    return [line.removeprefix("warning: ") for line in capsys.readouterr().out.splitlines() if "warning" in line]
+
+
+def test_files_that_differ_from_those_of_the_recording_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = find_arm("five_axis")
+    arm = load_arm(path)
+    hashes = provenance_of(Settings.of_arm(arm))
+    bag = write_bag(tmp_path / "bag", hashes)
+    assert custom_data(bag) == hashes
+    assert [file.name for file in sorted(bag.iterdir())] == ["bag.mcap", "metadata.yaml"]
+    assert warnings(capsys, str(bag), "--arm", str(path), "--output", str(tmp_path / "out")) == []
+    assert custom_data(tmp_path / "out") == hashes
+    # Comments do not change a calibration.
+    elbow = tmp_path / "elbow.yaml"
+    elbow.write_text("# a comment\n" + arm.calibrations["elbow"].read_text())
+    changed = [str(bag), "--arm", str(path), "--calibration", f"elbow={elbow}"]
+    assert warnings(capsys, *changed) == []
+    elbow.write_text(elbow.read_text().replace("name: ", "name: other_", 1))
+    assert arm.beams is not None
+    beams = tmp_path / "beams.yaml"
+    beams.write_text(arm.beams.read_text() + "# a comment\n")
+    found = warnings(capsys, *changed, "--beams", str(beams))
+    assert [line.split(": ")[0] for line in found] == [str(elbow), str(beams)]
+    for line, key in zip(found, ("posor.calibration.elbow", "posor.beams"), strict=True):
+        assert line.endswith(f"; the bag was recorded with {hashes[key]}")
+        assert len(line.split("hash ")[1].split(";")[0]) == 64
+        assert hashes[key] not in line.split(";")[0]
+
+
+def test_another_version_of_the_software_is_named_and_a_bag_without_hashes_is_not_compared(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arm = str(find_arm("five_axis"))
+    own = provenance_of(None)[SOFTWARE]
+    bag = write_bag(tmp_path / "bag", {SOFTWARE: "posor_estimator 0.0.1"})
+    assert warnings(capsys, str(bag), "--arm", arm) == [
+        f"this software: {own}; the bag was recorded with posor_estimator 0.0.1"
+    ]
+    assert warnings(capsys, str(write_bag(tmp_path / "plain", {})), "--arm", arm) == []
+    assert warnings(capsys, str(bag / "bag.mcap"), "--arm", arm) == []
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_no_flipped_bit_changes_results_without_an_error(tmp_path: Path) -> None:
+    arm, bag = load_offline_arm(find_arm("five_axis")), write_bag(tmp_path / "bag", {})
+
+    def results() -> bytes | str:
+        try:
+            estimates = arm.estimate(bag)
+        except BagError as error:
+            return str(error)
+        joints = [np.concatenate([each.poses.ravel(), each.covariances.ravel()]) for each in estimates.joints.values()]
+        return b"".join(each.tobytes() for each in (*joints, estimates.endpoint.poses, estimates.endpoint.covariances))
+
+    file, chance, refused = bag / "bag.mcap", np.random.default_rng(43), 0
+    whole, known = file.read_bytes(), results()
+    for _ in range(200):
+        data = bytearray(whole)
+        data[int(chance.integers(len(data)))] ^= 1 << int(chance.integers(8))
+        file.write_bytes(data)
+        found = results()
+        refused += found != known
+        assert found == known or str(found).startswith(f"{file}, byte ")
+    print(f"{refused} of 200 files refused, {200 - refused} with the same results")
+    assert refused > 100
+    shutil.rmtree(bag)
