@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("posor_estimator", "posor_drivers", "posor_bringup", "posor_validation")
 LAYERS = (  # lowest first; packages of one line may import each other
     ("errors", "input_text", "lazy_program", "estimator_programs", "reporting", "ros_names"),
-    ("numerics",),
+    ("numerics", "compilation"),
     ("model",),
     ("calibration", "sensors", "node_parameters", "parameter_model"),
     ("estimation",),

@@ -1,4 +1,4 @@
-"""Every installed program, interrupted during its imports."""
+"""Installed programs that are interrupted while they start, or started with low limits of the process."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from importlib.metadata import entry_points
 from typing import TYPE_CHECKING
 
 import pytest
-from posor_estimator.lazy_program import LazyProgram
-from posor_estimator.testing.program import Program, installed
+from posor_estimator.lazy_program import LazyProgram, interrupts_blocked
+from posor_estimator.testing.program import Program, installed, script
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -55,3 +55,58 @@ def test_an_interrupted_import_ends_with_one_line(path: str, program: EntryPoint
         running.wait_for_line("loading")
         assert running.end(number) == 130
         assert running.stderr == [f"{program.name}: interrupted."]
+
+
+def test_an_interrupt_during_the_start_of_python_waits_for_the_program(path: str) -> None:
+    with interrupts_blocked():
+        running = Program(installed("posor_estimator", "chain_node"), {"PYTHONPATH": path})
+    with running:
+        assert running.end() == 130
+        assert running.stderr == ["chain_node: interrupted."]
+
+
+def run_with_limit(limit: str, command: list[str]) -> list[str]:
+    """Run a program that fails with exit code 1; return the lines of standard error."""
+    with Program(["sh", "-c", f'ulimit {limit}; exec "$@"', "sh", *command]) as running:
+        assert running.wait() == 1
+        return running.stderr
+
+
+@pytest.mark.parametrize(
+    ("limit", "sentence"),
+    [
+        ("-n 16", "16 files open at a time (ulimit -n); expected at least 64"),
+        ("-v 200000", "204800000 bytes of address space (ulimit -v counts kilobytes); expected at least 2147483648"),
+    ],
+)
+def test_a_limit_that_is_too_low_is_one_sentence(limit: str, sentence: str) -> None:
+    lines = run_with_limit(limit, installed("posor_estimator", "posor_node"))
+    assert lines == [f"posor_node: the process is limited to {sentence}."]
+
+
+GREEDY_PROGRAM = """\
+import sys
+from posor_estimator.lazy_program import LazyProgram
+
+def main():
+    files, buffers = [], []
+    while sys.argv[1] == "files":
+        files.append(open("/dev/null"))
+    while True:
+        buffers.append(bytearray(2**28))
+
+sys.exit(LazyProgram("greedy", "__main__")())
+"""
+
+
+@pytest.mark.parametrize(
+    ("what", "limit", "sentence"),
+    [
+        ("files", "-n 64", "/dev/null: too many open files; expected a higher limit (ulimit -n)"),
+        ("buffers", "-v 2200000", "cannot allocate memory; expected more memory, or a higher limit (ulimit -v)"),
+    ],
+)
+def test_a_shortage_of_a_running_program_is_one_sentence(tmp_path: Path, what: str, limit: str, sentence: str) -> None:
+    (tmp_path / "greedy.py").write_text(GREEDY_PROGRAM, encoding="utf-8")
+    lines = run_with_limit(limit, [*script(tmp_path / "greedy.py"), what])
+    assert lines == [f"greedy: {sentence}."]

@@ -9,13 +9,15 @@ import re
 import signal
 import subprocess
 import sys
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
+from shutil import disk_usage
 from typing import TYPE_CHECKING, Self
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from posor_estimator.errors import PosorError
-from posor_estimator.lazy_program import EXIT_INTERRUPTED
+from posor_estimator.lazy_program import EXIT_INTERRUPTED, interrupts_blocked
 from posor_estimator.ros.composition_file import yaml_text
 
 if TYPE_CHECKING:
@@ -24,6 +26,10 @@ if TYPE_CHECKING:
 
 END_TIMEOUT_S = 20.0
 """Time from SIGINT until a program is killed; a recorder has files to close."""
+LAZY_PACKAGES = ("posor_drivers", "posor_estimator")
+"""Packages whose programs are LazyPrograms; others may leave signals blocked that are blocked when they start."""
+FULL_BYTES = 4096
+"""Free bytes of a disk on which no log can grow."""
 EXIT_CODES_AFTER_SIGINT = (0, EXIT_INTERRUPTED, -signal.SIGINT)
 
 _ROS_LOG_PREFIX = re.compile(r"^\[\w+\] \[[\d.]+\] \[[^\]]+\]: ")
@@ -85,10 +91,12 @@ class RunningProgram:
         self.program = program
         self.log = log
         with log.open("wb") as file:
-            # In its own session: Ctrl-C in the terminal reaches only the supervisor, which ends all programs in order.
-            self.process = subprocess.Popen(
-                program.command(), stdin=subprocess.DEVNULL, stdout=file, stderr=file, start_new_session=True
-            )
+            command = program.command()
+            with interrupts_blocked() if program.package in LAZY_PACKAGES else nullcontext():
+                # In its own session: Ctrl-C in the terminal reaches only the supervisor, which ends all in order.
+                self.process = subprocess.Popen(
+                    command, stdin=subprocess.DEVNULL, stdout=file, stderr=file, start_new_session=True
+                )
 
     @property
     def has_ended(self) -> bool:
@@ -96,9 +104,11 @@ class RunningProgram:
         return self.process.poll() is not None
 
     def last_sentence(self) -> str:
-        """Return the last line of the log without the prefix of ROS log messages."""
+        """Return the last line of the log without the prefix of ROS log messages; if there is none, the reason."""
         lines = self.log.read_text(encoding="utf-8", errors="replace").splitlines()
-        last = next((line.strip() for line in reversed(lines) if line.strip()), "it wrote nothing")
+        is_full = disk_usage(self.log).free < FULL_BYTES
+        nothing = f"it wrote nothing{f', the disk of {self.log.parent} is full' if is_full else ''}"
+        last = next((line.strip() for line in reversed(lines) if line.strip()), nothing)
         return _ROS_LOG_PREFIX.sub("", last).rstrip(".")
 
     def check(self, *, after_sigint: bool = False) -> None:

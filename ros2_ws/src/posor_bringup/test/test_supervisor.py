@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from typing import TYPE_CHECKING
 
 import pytest
@@ -96,6 +98,35 @@ def test_check_reports_a_program_that_failed_or_ended_early(
     else:
         supervisor.check()
     supervisor._running.clear()
+
+
+FAIL_ON_A_FULL_DISK = """\
+import sys
+from pathlib import Path
+from posor_bringup.supervisor import ProcessError, Program, Supervisor
+with Supervisor(Path(sys.argv[1])) as supervisor:
+    supervisor.start(Program("record", "", sys.argv[2])).process.wait()
+    try:
+        supervisor.end(supervisor._running)
+    except ProcessError as error:
+        print(error)
+"""
+IN_A_NAMESPACE = ("/usr/bin/unshare", "-rm", "/bin/sh", "-c")
+"""Runs a shell command that may mount file systems, which no other process sees."""
+
+
+def test_a_full_disk_of_the_log_is_named(tmp_path: Path) -> None:
+    disk, script, failing = tmp_path / "disk", tmp_path / "script.py", tmp_path / "failing.py"
+    disk.mkdir()
+    script.write_text(FAIL_ON_A_FULL_DISK, encoding="utf-8")
+    failing.write_text("raise SystemExit('no space for the recording')", encoding="utf-8")
+    mount = f"mount -t tmpfs -o size=16k none {disk}"
+    if subprocess.run([*IN_A_NAMESPACE, mount], check=False).returncode:
+        pytest.skip("this host lets no test mount a file system")
+    fill = f"head -c 16k /dev/zero > {disk}/zeros"
+    command = f"{mount} && {fill} && exec {sys.executable} {script} {disk} {failing}"
+    output = subprocess.run([*IN_A_NAMESPACE, command], check=True, capture_output=True, text=True).stdout
+    assert output == f"record: ended with exit code 1: it wrote nothing, the disk of {disk} is full.\n"
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,13 @@
 """Compile every kernel once, so that no node has to: ``python -m posor_estimator.warm_up``.
 
-Numba keeps the compiled code on disk. Without numba there is nothing to do.
+Numba keeps the compiled code on disk. Without numba there is nothing to do. Of several processes that start at the same
+time, as the nodes of a graph do, the first one compiles and the others wait.
 """
 
 from __future__ import annotations
 
 import sys
+from fcntl import LOCK_EX, flock
 from typing import get_args
 
 import numpy as np
@@ -13,6 +15,7 @@ import numpy as np
 from posor_estimator.calibration.designs import DesignName, design
 from posor_estimator.chain.joint_measurements import JointMeasurements, JointRowLayout, read_rows
 from posor_estimator.chain.kinematic_chain import Chain
+from posor_estimator.compilation import completion_mark
 from posor_estimator.estimation.forward import scans_at
 from posor_estimator.estimation.message_stream import (
     RAW_SCAN_LAYOUT,
@@ -24,7 +27,7 @@ from posor_estimator.estimation.message_stream import (
 )
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.model.fault import State
-from posor_estimator.numerics.compiled import COMPILING, record_view
+from posor_estimator.numerics.compiled import record_view
 from posor_estimator.numerics.summary_statistics import FIGURES, figures_of
 
 ROW_BYTES = 1024
@@ -92,8 +95,18 @@ def warm_up_chain() -> None:
 
 def main() -> int:
     """Compile and report it."""
-    warm_up()
-    print("kernels compiled" if COMPILING else "numba is not installed: kernels run uncompiled")
+    mark = completion_mark()
+    if mark is None:
+        warm_up()
+        print("numba is not installed: kernels run uncompiled")
+        return 0
+    mark.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    with mark.with_name("compiling").open("w") as lock:
+        flock(lock, LOCK_EX)
+        if not mark.exists():
+            warm_up()
+            mark.touch()
+    print("kernels compiled")
     return 0
 
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 from urllib.parse import urlsplit
 
 from posor_estimator.errors import ParameterError, PosorError, SystemRefusal
-from posor_estimator.lazy_program import INTERRUPT_SIGNALS
+from posor_estimator.lazy_program import interrupts_blocked
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -66,7 +66,7 @@ def run_tasks(
     try:
         while running or (waiting and first_error is None):
             while waiting and len(running) < at_once and first_error is None:
-                with _interrupts_blocked():
+                with interrupts_blocked():  # a worker keeps the block of SIGINT, the Ctrl-C of a terminal
                     running[executor.submit(function, waiting[0])] = waiting[0]
                 waiting.pop(0)
                 processes |= {process.pid: process for process in multiprocessing.active_children()}
@@ -139,16 +139,6 @@ def _terminated_worker(processes: Any, unfinished: Sequence[BagTask]) -> SystemR
         where=", ".join(str(task.bag) for task in unfinished),
         expected="memory for as many bags at a time, or a smaller --jobs" if code == -signal.SIGKILL else "",
     )
-
-
-@contextmanager
-def _interrupts_blocked() -> Iterator[None]:
-    """Block interrupts while workers are started; a worker keeps the block of SIGINT, a terminal's Ctrl-C."""
-    former = signal.pthread_sigmask(signal.SIG_BLOCK, INTERRUPT_SIGNALS)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, former)
 
 
 def _init_worker() -> None:

@@ -277,10 +277,7 @@ class IntraProcessSubscription:
         elif not needed and self._handle is not None:
             self._handle.__exit__(None, None, None)
             self._handle = None
-            if self._has_deadline:
-                _destroy_later(self._node, self._dds_subscription)
-            else:
-                self._node.destroy_subscription(self._dds_subscription)
+            self._node.destroy_subscription(self._dds_subscription)
 
     def _on_message(self, data: bytes) -> None:
         """Handle a message of another process."""
@@ -288,7 +285,7 @@ class IntraProcessSubscription:
             self._callback(data)
 
     def _events(self) -> SubscriptionEventCallbacks:
-        """Return the callbacks of a DDS subscription: only with a deadline, see ``_destroy_later``."""
+        """Return the callbacks of a DDS subscription, which has events only with a deadline."""
         if not self._has_deadline:
             return SubscriptionEventCallbacks()
         return SubscriptionEventCallbacks(liveliness=self._on_liveliness, deadline=self._on_deadline)
@@ -361,21 +358,6 @@ class IntraProcessManager:
             subscription.connect(len(publishers))
         for publisher in publishers:
             publisher.connect(subscriptions)
-
-
-def _destroy_later(node: PosorNode[Any], subscription: Any) -> None:
-    """Destroy a DDS subscription once the executor has forgotten its events.
-
-    ``EventsExecutor`` crashes when it handles a queued event of a subscription that was destroyed. The node forgets the
-    subscription at once; the executor learns of it in its next step, before it runs the task.
-    """
-    destroy = subscription.destroy
-    subscription.destroy = lambda: None
-    node.destroy_subscription(subscription)
-    if node.executor is None:
-        destroy()
-    else:
-        node.executor.create_task(destroy)
 
 
 def _type_name(message_type: type[Any]) -> str:

@@ -7,6 +7,8 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any, ClassVar, Generic
 
 from lifecycle_msgs.srv import ChangeState
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.exceptions import NameValidationException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
@@ -15,11 +17,20 @@ from posor_estimator.node_parameters import ParametersT
 from posor_estimator.parameter_model import help_text
 from posor_estimator.ros.declared_parameters import DeclaredParameters, take_overrides
 from posor_estimator.ros.diagnostics import Diagnostics, Level
+from posor_estimator.ros.idle_scheduler import run_when_idle
 from posor_estimator.ros.publication_timing import TIMING_STATUS, Timing
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
+    from rclpy.service import Service
+    from rclpy.subscription import Subscription
+    from rclpy.waitable import Waitable
+
+EVENTS_PERIOD_S = 0.1
+"""Time between two looks at the events of publishers and subscriptions."""
+STATUS_CHANGES = ("total_count_change", "current_count_change", "alive_count_change", "not_alive_count_change")
+"""Fields of the events, not zero after a change."""
 LISTENERS_STATUS = "listeners"
 """Name of the status line that counts the subscriptions of each topic.
 
@@ -38,6 +49,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
     Attributes:
         NAME: Default node name.
         Parameters: Model of the node's parameters.
+        USES_KERNELS: Whether the program compiles the kernels, if they are not compiled, before it starts its nodes.
         diagnostics: Diagnostics of the node.
         timing: Records the stamps of published scans, for the status line ``timing``.
         exit_requested: Whether the node wants its program to end.
@@ -47,6 +59,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
 
     NAME: ClassVar[str]
     Parameters: ClassVar[type[Any]]
+    USES_KERNELS: ClassVar[bool] = False
 
     def __init__(self, **options: Any) -> None:
         """Create the node and declare its parameters.
@@ -70,6 +83,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         self._starting = False
         self._finalized = False
         self._cleanups = ExitStack()
+        self._retired: list[Callable[[], object]] = []
         try:
             overrides = take_overrides(self)
             self._declared: DeclaredParameters[ParametersT] = DeclaredParameters(
@@ -89,6 +103,9 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         self.timing = Timing(timing_status, self.get_clock(), lambda: self.parameters.limits)
         self.diagnostics.add_refresh(self.timing.report)
         self._listener_counts: dict[str, int] = {}
+        self.create_timer(
+            EVENTS_PERIOD_S, lambda: run_when_idle(self._take_events), clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
 
     def _answer_impossible_transitions(self) -> None:
         """Refuse a request for a transition that the present state does not have; rclpy would end the program."""
@@ -175,13 +192,61 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         self._starting = False
 
     def stop(self) -> None:
-        """Shut down through the lifecycle and destroy the node."""
+        """Shut down through the lifecycle and destroy the node; it has no executor any more, see ``leave_executor``."""
+        for destroy in self._retired:
+            destroy()
         if not self._finalized:
             self.trigger_shutdown()
         self.diagnostics.close()
         self.destroy_node()
         # rclpy leaves this to the garbage collector; until then the node stays in the graph.
         self._state_machine.destroy_when_not_in_use()
+
+    @property
+    def waitables(self) -> Iterator[Waitable]:
+        """No waitables: ``EventsExecutor`` crashes if it removes one with a queued event, see ``_take_events``."""
+        return iter(())
+
+    def _take_events(self) -> None:
+        """Call the event callbacks of publishers and subscriptions whose status has changed since the last call."""
+        entities: list[Any] = [*self.publishers, *self.subscriptions]
+        for entity in entities:
+            for handler in entity.event_handlers:
+                handler._ready_to_take_data = True  # noqa: SLF001  as the wait set of other executors does
+                event = handler.take_data()
+                if any(getattr(event, change, 0) for change in STATUS_CHANGES):
+                    handler.callback(event)
+
+    def destroy_subscription(self, subscription: Subscription) -> bool:
+        """Destroy a subscription, see ``_retire``; return whether it was one of this node."""
+        self._retire(subscription)
+        return super().destroy_subscription(subscription)
+
+    def destroy_service(self, service: Service) -> bool:
+        """Destroy a service, see ``_retire``; return whether it was one of this node."""
+        self._retire(service)
+        return super().destroy_service(service)
+
+    def _retire(self, entity: Any) -> None:
+        """Destroy an entity that the node forgets now once no event of it is queued in the executor.
+
+        ``EventsExecutor`` drops a queued event if it does not know the address of the entity. A new entity may have the
+        address of a destroyed one; the event would then reach the destroyed one and crash the process.
+
+        The executor forgets the entity in its next step, before the first task; the second task runs after the events
+        that were queued until then.
+        """
+        executor, destroy = self.executor, entity.destroy
+        if executor is None:
+            return
+
+        def destroy_retired() -> None:
+            self._retired.remove(destroy)
+            destroy()
+
+        entity.destroy = lambda: None
+        self._retired.append(destroy)
+        executor.create_task(executor.create_task, destroy_retired)
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Run ``configure``, then the hooks of managed entities."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import signal
 import sys
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from typing import TYPE_CHECKING, Any, Self
 
 import rclpy
@@ -13,6 +13,7 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args, try_shutdown
 
+from posor_estimator.compilation import compile_kernels
 from posor_estimator.errors import NodeError, ParameterError, PosorError
 from posor_estimator.node_parameters import RealtimeParameters
 from posor_estimator.ros.realtime_process import (
@@ -21,6 +22,7 @@ from posor_estimator.ros.realtime_process import (
     apply_realtime_parameters,
     prepare_heap,
 )
+from posor_estimator.ros.service_manager import ServiceManager
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -35,7 +37,7 @@ SPIN_TIMEOUT_S = 0.1
 
 
 class StopSignal:
-    """Records SIGINT and SIGTERM; a second signal ends the program at once.
+    """Records SIGINT and SIGTERM. Further signals change nothing: launch repeats the Ctrl-C of a terminal.
 
     rclpy's own handlers would shut the context down before the nodes have published their end and closed their files.
     """
@@ -44,10 +46,7 @@ class StopSignal:
         self.requested = False
         self._former = {number: signal.signal(number, self._on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
 
-    def _on_signal(self, number: int, _frame: FrameType | None) -> None:
-        if self.requested:
-            signal.signal(number, signal.SIG_DFL)
-            signal.raise_signal(number)
+    def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self.requested = True
 
     def restore(self) -> None:
@@ -107,7 +106,7 @@ def _argument_error(error: RuntimeError) -> ParameterError:
 
 
 @contextmanager
-def node_executor(nodes: Sequence[Node]) -> Iterator[Any]:
+def node_executor(nodes: Sequence[Any]) -> Iterator[Any]:
     """Yield an executor of the nodes; the nodes left in the end are removed."""
     executor = EventsExecutor()
     for node in nodes:
@@ -115,9 +114,20 @@ def node_executor(nodes: Sequence[Node]) -> Iterator[Any]:
     try:
         yield executor
     finally:
-        for node in executor.get_nodes():
-            executor.remove_node(node)
+        for node in nodes:
+            node.executor = None
         executor.shutdown()
+
+
+def leave_executor(node: Any) -> None:
+    """Remove a node from its spinning executor, until no event of the node is queued there."""
+    executor = node.executor
+    node.executor = None
+    # The executor forgets the node's entities before the first task, and drops their queued events before the second.
+    for _ in range(2):
+        task = executor.create_task(lambda: None)
+        while not task.done():
+            executor.spin_once(timeout_sec=SPIN_TIMEOUT_S)
 
 
 def spin_until(node: Node, done: Callable[[], bool]) -> None:
@@ -188,16 +198,24 @@ class NodeGroup:
 
         """
         several = len(self._locations) > 1
+        manager = ServiceManager()
+        user = next((node for node in self._locations if node.USES_KERNELS), None)
+        if user is not None:
+            compile_kernels(user.get_logger().info, stop)
         self._report_process_health()
-        with node_executor(list(self._locations)) as executor:
+        with node_executor(list(self._locations)) as executor, closing(manager):
             for node, location in self._locations.items():
+                if stop():
+                    return
                 with _name_node_in_errors(node, location, several=several):
                     node.start()
             prepare_heap()
+            manager.report_ready()
             while self._locations and not stop():
                 executor.spin_once(timeout_sec=SPIN_TIMEOUT_S)
+                manager.report_alive()
                 for node in [node for node in self._locations if node.exit_requested]:
-                    executor.remove_node(node)
+                    leave_executor(node)
                     del self._locations[node]
                     with _name_node_in_errors(node, lambda _: "", several=several):
                         node.stop()

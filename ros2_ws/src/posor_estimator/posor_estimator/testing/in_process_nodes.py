@@ -10,7 +10,7 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.parameter import Parameter
 
 from posor_estimator.ros.lifecycle_node import PosorNode
-from posor_estimator.ros.node_program import run_node
+from posor_estimator.ros.node_program import leave_executor, run_node
 from posor_estimator.testing.program import ros_arguments
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ class NodeProcess:
     ) -> None:
         """Stop the nodes, the last one first."""
         for node in reversed(self.nodes):
-            self._executor.remove_node(node)
+            leave_executor(node)
             node.stop()
         self._executor.shutdown()
         self._context.try_shutdown()

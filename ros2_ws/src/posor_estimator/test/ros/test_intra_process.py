@@ -13,6 +13,7 @@ from posor_estimator.ros.lifecycle_node import LISTENERS_STATUS, PosorNode
 from posor_estimator.ros.qos import KEEP_ALL_QOS
 from posor_estimator.testing.graph import Graph, values_of
 from posor_estimator.testing.in_process_nodes import NodeProcess
+from posor_estimator.testing.program import wait_until
 from posor_msgs.msg import JointTransform, RawScan
 from rclpy.serialization import serialize_message
 
@@ -66,7 +67,7 @@ def test_the_published_object_is_delivered_within_a_process(process: NodeProcess
     if first == "subscription":
         publisher = publish_from(node, "raw")
     assert publisher.topic_name == TOPIC
-    assert publisher.subscription_count == 1
+    wait_until(lambda: publisher.subscription_count == 1, "the end of the DDS subscription", process.spin_once)
     for data in MESSAGES:
         publisher.publish(data)
     assert [a is b for a, b in zip(received, MESSAGES, strict=True)] == [True] * 3
