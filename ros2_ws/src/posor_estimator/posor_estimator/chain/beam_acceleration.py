@@ -105,7 +105,9 @@ def append_centres(stamp_ns: int, history: BeamHistory) -> None:
 
 @inlined
 def estimate_accelerations(history: BeamHistory) -> None:
-    """Write ``accelerations``: curvature of the least-squares parabola; zero with fewer than ``MINIMUM_SCANS`` scans.
+    """Write ``accelerations``: curvature of the least-squares parabola; zero where the scans do not determine it.
+
+    That takes ``MINIMUM_SCANS`` scans over half of the window: over less, noise would pass for acceleration.
 
     Each centre has as its weight the orthogonal polynomial of second degree: the square of its time without the mean
     and the slope over all stamps.
@@ -118,6 +120,8 @@ def estimate_accelerations(history: BeamHistory) -> None:
     if count < MINIMUM_SCANS:
         return
     last = stamps_ns[end - 1]
+    if 2 * (last - stamps_ns[begin]) < history.window[0]["length_ns"]:
+        return
     mean = 0.0
     for n in range(begin, end):
         mean += (stamps_ns[n] - last) * 1e-9

@@ -43,7 +43,7 @@ FAULT_TEXTS = {
 UNIT_QUATERNION_TOLERANCE = 1e-6
 """Largest difference of a quaternion's length from one."""
 NATIVE_TOLERANCE = 1e-8
-"""Largest difference of native coordinates from the pose [m], [rad]: damaged bytes of either are seen by the other."""
+"""Largest difference of native angles from the pose [rad]; x, y and gap are equal. Damage to one shows in the other."""
 SYMMETRY_TOLERANCE = 1e-6
 """Largest difference of two opposite elements of a covariance, relative to the two standard deviations."""
 PIVOT_TOLERANCE = 1e-9
@@ -231,7 +231,7 @@ def native_agrees(native: FloatArray, pose: FloatArray) -> bool:
     largest = max(abs(math.sin(alpha) + rotation[1][2]), abs(off_beta), abs(off_theta))
     same = largest <= NATIVE_TOLERANCE and math.cos(theta) * rotation[1][1] >= math.sin(theta) * rotation[0][1]
     for k in range(3):
-        same &= abs(native[k] - pose[k]) <= NATIVE_TOLERANCE
+        same &= native[k] == pose[k]
         same &= abs(native[3 + k]) <= LARGEST_FLOAT
     return same
 

@@ -31,9 +31,9 @@ from posor_estimator.estimation.supply_and_temperature import add_unmeasured, en
 from posor_estimator.estimation.tracking import (
     add_prior,
     copy_pose,
+    follow_time,
     forget_pose,
     predict,
-    restart_where_time_goes_back,
     theta_of,
     turn_about_z,
     update_tracker,
@@ -65,7 +65,8 @@ DONE, START, RETRY = 0, 1, 2
 solution from the previous pose failed."""
 
 OK, DEGRADED, LOST, UNCOUNTED = (int(state) for state in (State.OK, State.DEGRADED, State.LOST, State.UNCOUNTED))
-NOT_CONVERGED_FAULT, ILL_CONDITIONED_FAULT = int(Fault.NOT_CONVERGED), int(Fault.ILL_CONDITIONED)
+BAD_READING_FAULT, NOT_CONVERGED_FAULT = int(Fault.BAD_READING), int(Fault.NOT_CONVERGED)
+ILL_CONDITIONED_FAULT = int(Fault.ILL_CONDITIONED)
 SOURCE_FAULT, FROZEN_FAULT, ENVIRONMENT_FAULT = int(Fault.SOURCE), int(Fault.FROZEN), int(Fault.ENVIRONMENT)
 FLAGGED_FAULT, LATCHED_FAULT = int(Fault.FLAGGED), int(Fault.LATCHED)
 
@@ -122,9 +123,11 @@ def begin_scan_estimate(model: Model, scan: Any, estimate: Any, linearised: bool
         lacking = unmeasured(settings, scan)
         if lacking != workspace.unmeasured:
             workspace.unmeasured, workspace.rows_active = lacking, 0
-        restart_where_time_goes_back(tracker, stamp)
-        if not _needs_acknowledgement(tracker):
-            return True
+        if workspace.again or follow_time(tracker, stamp, scan.number):
+            if not _needs_acknowledgement(tracker):
+                return True
+        else:
+            estimate.faults, estimate.sensor = BAD_READING_FAULT, -1
     tracker.reference_sigma = 0.0
     faults, latched = estimate.faults, tracker.latch
     if settings.max_velocity < math.inf and tracker.initialised and faults & (SOURCE_FAULT | FROZEN_FAULT):

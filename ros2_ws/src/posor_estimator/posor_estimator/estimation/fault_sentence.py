@@ -38,6 +38,7 @@ def fault_sentence(stack: Stack, settings: Any, scan: Scan, estimate: Any) -> st
     code = int(estimate["code"])
     frozen = "every reading" if code == ALL else stack.reading_names[code]
     sentences = {
+        Fault.BAD_READING: "its stamp does not come after that of the scan before",
         Fault.NOT_CONVERGED: "the estimate did not converge",
         Fault.ILL_CONDITIONED: "the readings do not determine all six freedoms",
         Fault.RESIDUAL: f"the redundant readings contradict one another, chi-square {estimate['residual']:.3g}; "

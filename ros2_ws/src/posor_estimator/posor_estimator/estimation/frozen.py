@@ -1,5 +1,7 @@
 """Readings that repeat to the last bit although they have noise: electronics that no longer measure.
 
+They repeat from scan to scan, or all of them in a loop, as from a buffer that nobody fills any more.
+
 Two readings of a channel at rest are equal with the probability p that the noise stays within a step of the converter.
 The evidence of n repetitions is ``-n log10 p``: a channel is frozen where its own is FROZEN_EVIDENCE, or where all
 channels repeat at once and the sum of theirs is ALL_FROZEN_EVIDENCE. A channel without noise above its step has no
@@ -12,6 +14,7 @@ import math
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
+from posor_estimator.estimation.workspace import LONGEST_LOOP
 from posor_estimator.model.readings import DIODE_CURRENTS, GAP_VOLTAGES, PYTHON
 from posor_estimator.model.scan import CONTACTS, DIODES_ESTIMATED, PROBES_ESTIMATED
 from posor_estimator.numerics.compiled import inlined
@@ -23,6 +26,11 @@ FROZEN_EVIDENCE = 6.0
 """Evidence of one channel that it is frozen: by chance once in a million scans."""
 ALL_FROZEN_EVIDENCE = 3.5
 """Evidence of all channels together, so that the first repeated scan is seen; a wrong alarm costs one scan."""
+LOOP_EVIDENCE = 8.0
+"""Evidence of all channels together that scans repeat in a loop of 2 to LONGEST_LOOP scans."""
+LOOP_WEIGHT = 0.7390851332151607
+"""Weight of a reading in the signature of a scan: no polynomial with whole coefficients is zero there, so that readings
+which are whole multiples of a step give equal signatures only where all of them are equal."""
 ALL = -1
 """Frozen reading where it is all of them together."""
 NOT_FROZEN = -2
@@ -56,6 +64,7 @@ def count_repetitions(model: Model, scan: Any) -> int:
     tracker, frozen, fewest = workspace.tracker, NOT_FROZEN, 1 << 30
     if workspace.settings.all_evidence <= 0.0:
         return frozen
+    signature = float(scan.status)
     for s in range(model.sensors.shape[0]):
         sensor = model.sensors[s]
         if sensor.source == PYTHON:
@@ -73,10 +82,27 @@ def count_repetitions(model: Model, scan: Any) -> int:
             repeated = measured and one == tracker.last_raw[r, 0] and other == tracker.last_raw[r, 1]
             tracker.repeats[r] = tracker.repeats[r] + 1 if repeated else 0
             tracker.last_raw[r, 0], tracker.last_raw[r, 1] = one, other
+            signature = (signature * LOOP_WEIGHT + one) * LOOP_WEIGHT + other
             if workspace.evidence[r] > 0.0:
                 fewest = min(fewest, tracker.repeats[r])
                 if tracker.repeats[r] * workspace.evidence[r] >= FROZEN_EVIDENCE:
                     frozen = r
     if fewest > 0 and fewest * workspace.settings.all_evidence >= ALL_FROZEN_EVIDENCE:
         frozen = ALL
+    if _repeats_in_a_loop(tracker, signature, workspace.settings.all_evidence):
+        frozen = ALL
     return frozen
+
+
+@inlined
+def _repeats_in_a_loop(tracker: Any, signature: float, evidence: float) -> bool:
+    """Return whether the readings repeat those of some scans before; their weighted sum differs where one does."""
+    count, longest = tracker.signature_count, 0
+    for lag in range(1, LONGEST_LOOP):
+        same = lag <= count and tracker.signatures[(count - lag) % LONGEST_LOOP] == signature
+        tracker.loop_repeats[lag] = tracker.loop_repeats[lag] + 1 if same else 0
+        if lag > 1:
+            longest = max(longest, tracker.loop_repeats[lag])
+    tracker.signatures[count % LONGEST_LOOP] = signature
+    tracker.signature_count = count + 1
+    return longest * evidence >= LOOP_EVIDENCE and longest > 0

@@ -253,10 +253,14 @@ class Posor:
         """Faults that keep the joint out until the earlier motion is regained, confirmed or acknowledged."""
         return Fault(int(self.tracker["latch"]))
 
-    def continue_from(self, other: Posor) -> None:
+    def continue_from(self, other: Posor, last: Scan | None = None) -> None:
         """Start the next scan from the previous pose of another POSOR of the same kind, with its count and latch.
 
-        The next scan skips the motion gate: the two calibrations may see one place differently.
+        Args:
+            other: The other POSOR.
+            last: The scan of that pose. It is estimated once more, because the two calibrations may see one place
+                differently; None: the next scan skips the motion gate.
+
         """
         repeats = ["bump_angle", "period", "home_theta"]
         if all(self.settings[name] == other.settings[name] for name in repeats):
@@ -264,6 +268,10 @@ class Posor:
             if self.tracker["initialised"]:
                 self.tracker["start"] = self.tracker["pose"]
                 self.tracker["start_given"], self.tracker["initialised"] = 1, 0
+                for name in ("last_raw", "repeats", "signatures", "signature_count", "loop_repeats"):
+                    self.tracker[name] = 0
+                if last is not None:
+                    self.estimate(last)
 
     def estimate(self, scan: Scan) -> Estimate:
         """Return the pose of one scan, starting from the pose of the previous scan.

@@ -48,7 +48,8 @@ def begin_checks(workspace: Any, stamp: float) -> None:
     checks.elapsed = stamp - tracker.stamp
     checks.faults, checks.contradictory, checks.accepted = 0, 0, 1
     checks.recounted, checks.confirmed, checks.marks, checks.marks_off = 0, 0, 0, 0.0
-    if tracker.initialised and count_is_stale(workspace.settings, tracker, checks.elapsed):
+    limited = workspace.settings.max_velocity < math.inf
+    if limited and tracker.initialised and count_is_stale(workspace.settings, tracker, checks.elapsed):
         tracker.counted = 0
     checks.counted = tracker.counted
 
@@ -100,6 +101,8 @@ def check_motion(workspace: Any, theta: float, stamp: float, estimate: Any) -> N
             tracker.latch &= ~REGAINABLE_FAULTS
         else:
             checks.accepted = 0
+            if _position_jumped(workspace, stamp, estimate):
+                tracker.latch_about_theta = 0
     elif tracker.initialised and settings.max_velocity < math.inf and not checks.recounted:
         position, about_z = motion_gate(workspace, tracker.pose, checks.elapsed, estimate.random)
         if max(position, about_z) > 1.0:
@@ -107,6 +110,27 @@ def check_motion(workspace: Any, theta: float, stamp: float, estimate: Any) -> N
             slipped = settings.period > 0.0 and abs(wrapped(theta - tracker.theta)) > 0.5 * settings.period
             latch(tracker, INNOVATION, 1 if position <= 1.0 or slipped else 0, checks.elapsed)
             checks.accepted = 0
+
+
+@in_place
+def _position_jumped(workspace: Any, stamp: float, estimate: Any) -> bool:
+    """Return whether position or inclination jumped during a latch."""
+    tracker, checks = workspace.tracker, workspace.checks
+    if tracker.initialised and _jumped_from(workspace, tracker.pose, checks.elapsed, estimate):
+        return True
+    if not tracker.rejected_known:
+        return False
+    return bool(_jumped_from(workspace, tracker.rejected, stamp - tracker.rejected_stamp, estimate))
+
+
+@in_place
+def _jumped_from(workspace: Any, previous: Any, elapsed: float, estimate: Any) -> bool:
+    """Return whether the position jumped without theta; a slip by a period changes both."""
+    turned = wrapped(theta_of(workspace.pose.rotation) - theta_of(previous.rotation))
+    if abs(turned) > 0.5 * workspace.settings.period > 0.0:
+        return False
+    position, _ = motion_gate(workspace, previous, elapsed, estimate.random)
+    return bool(position > 1.0)
 
 
 @in_place
@@ -209,9 +233,9 @@ def latch(tracker: Any, faults: int, about_theta: int, elapsed: float) -> None:
 
 @inlined
 def count_is_stale(settings: Any, tracker: Any, elapsed: float) -> bool:
-    """Return whether no scan was accepted for so long that theta can be half a period off: UNCOUNTED, no fault."""
-    unseen = elapsed > REGAIN_GAP * tracker.interval and tracker.interval > 0.0
-    return bool(unseen and settings.max_theta_rate * elapsed > 0.5 * settings.period)
+    """Return whether theta can be half a period off, for want of a recent motion: UNCOUNTED, no fault."""
+    followed = tracker.interval > 0.0 and elapsed <= REGAIN_GAP * tracker.interval
+    return bool(not followed and settings.max_theta_rate * elapsed > 0.5 * settings.period)
 
 
 @inlined

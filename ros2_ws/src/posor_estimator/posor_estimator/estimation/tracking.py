@@ -12,6 +12,8 @@ from posor_estimator.numerics.vector import square
 if TYPE_CHECKING:
     from posor_estimator.numerics.array_types import FloatArray
 
+CLOCK_STEP_S = 1.0
+"""Largest time by which a wrong stamp is behind the scan before; beyond, the clock was set."""
 LONGEST_GAP = 3.5
 """Longest extrapolation of the motion, in intervals of the previous scans."""
 
@@ -48,11 +50,25 @@ def copy_pose(source: Any, target: Any) -> None:
 
 
 @in_place
-def restart_where_time_goes_back(tracker: Any, stamp: float) -> None:
-    """Forget the previous pose where time has not gone on: a replay has started over."""
-    if tracker.initialised and not stamp > tracker.stamp:
+def follow_time(tracker: Any, stamp: float, number: int) -> bool:
+    """Return whether a scan comes after the one before; else its stamp is wrong.
+
+    Where its number has not gone on either, a recording has started over: the previous pose is forgotten. Where time
+    goes back by more than CLOCK_STEP_S, the clock was set: the previous pose stays, one interval before the scan.
+    """
+    goes_on, is_later = number > tracker.number, stamp > tracker.stamp
+    if not tracker.initialised or is_later:
+        tracker.number = number
+        return True
+    if goes_on and tracker.stamp - stamp <= CLOCK_STEP_S:
+        return False
+    tracker.number = number
+    if goes_on and tracker.interval > 0.0:
+        tracker.stamp, tracker.rejected_known = stamp - tracker.interval, 0
+    else:
         forget_pose(tracker)
         tracker.theta = 0.0
+    return True
 
 
 @inlined

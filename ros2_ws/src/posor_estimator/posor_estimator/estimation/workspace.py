@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
     from posor_estimator.numerics.array_types import FloatArray, IntArray
 
+LONGEST_LOOP = 64
+"""Scans of the longest buffer whose repetition is detected."""
 READINGS = MAX_GAP_PROBES + MAX_RING_PROBES + 2 * MAX_DIODES + 8
 """Capacity for linearised readings: all of a raw scan, and 8 of sensors written in plain Python."""
 ROWS = READINGS + 6
@@ -70,6 +72,10 @@ TRACKER = np.dtype(
         ("reference_sigma", "f8"),  # its standard uncertainty [rad]; zero: there is none
         ("last_raw", "f8", (READINGS, 2)),  # raw readings of the scan before, two of each diode axis [V], [A]
         ("repeats", "i8", (READINGS,)),  # how often each has repeated without a break
+        ("signatures", "f8", (LONGEST_LOOP,)),  # of all raw readings of the last scans, by number modulo LONGEST_LOOP
+        ("signature_count", "i8"),
+        ("loop_repeats", "i8", (LONGEST_LOOP,)),  # scans in a row that equal the one 1, 2, ... scans before
+        ("number", "u8"),  # of the last scan
     ],
     align=True,
 )

@@ -74,6 +74,7 @@ class ChainNode(PosorNode[ChainParameters]):
 
     NAME = CHAIN_NODE
     Parameters = ChainParameters
+    USES_KERNELS = True
 
     _estimator: EndpointEstimator
     _synchroniser: TimeSynchroniser[bytes]
@@ -114,6 +115,7 @@ class ChainNode(PosorNode[ChainParameters]):
             for name, row in zip(names, self._estimator.rows, strict=True)
         ]
         self._home = self._last_pose = self._reported = None
+        self._reliability_topics: list[str] = []
         self._poses = self._scans_refused = self._scans_incomplete = 0
         self._refusals.clear()
         self._last_stamp, self._has_alarm = bytes(8), False
@@ -161,6 +163,7 @@ class ChainNode(PosorNode[ChainParameters]):
                 self._protection.receive(joint.name, message)
 
         topic = f"{joint.name}/{RELIABILITY_TOPIC}"
+        self._reliability_topics.append(topic)
         subscription = self.create_subscription(JointReliability, topic, on_reliability, RELIABLE_QOS)
         self.add_cleanup(self.destroy_subscription, subscription)
 
@@ -189,6 +192,8 @@ class ChainNode(PosorNode[ChainParameters]):
             if self._is_relative and self._home is not None:
                 axes = pin.XYZQUATToSE3(self._home).rotation
         level = protection.compute(poses, covariance, axes)
+        if any(self.count_publishers(topic) > 1 for topic in self._reliability_topics):
+            level[:] = math.nan
         with self._lock:
             self._state_writer.protection_level[:] = level
 
@@ -197,6 +202,7 @@ class ChainNode(PosorNode[ChainParameters]):
         with self._lock:
             silent = self._inputs.silent
             if silent and is_new:
+                self._last_pose = None
                 self._report_no_pose(silent, ("silent",))
             if silent and not self._state_published:
                 joint = self._joint_of_topic[self._inputs.silent_names[0]]
@@ -322,6 +328,7 @@ class ChainNode(PosorNode[ChainParameters]):
     def _refuse_scan(self, stamp: bytes, stamp_ns: int, verdict: Verdict) -> None:
         """Publish and report that a complete scan gives no endpoint."""
         self._scans_refused += 1
+        self._last_pose = None
         self._publish_state(stamp, stamp_ns, verdict)
         self._report_refused_scan(verdict)
 
@@ -357,7 +364,7 @@ class ChainNode(PosorNode[ChainParameters]):
             if not self._is_relative:
                 response.message = "reference is 'absolute'; start the node with reference:=home for relative poses"
             elif self._last_pose is None:
-                response.message = "there is no pose yet to take as home"
+                response.message = "there is no pose now to take as home"
             else:
                 self._home = self._last_pose
                 response.success, response.message = True, "home is the endpoint's last pose"

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from posor_estimator.chain.kinematic_chain import Chain
     from posor_estimator.numerics.array_types import FloatArray
 
+FREEDOMS = 6
 VALID_S = 5.0
 """Time after which a message on the reliability of a joint is not used any more [s]."""
 
@@ -33,11 +34,12 @@ class ProtectionLevel:
         self._received: dict[str, tuple[float, FloatArray]] = {}
 
     def receive(self, joint: str, message: JointReliability) -> None:
-        """Keep the message of a joint; ignore a message with other frames or another length."""
+        """Keep the message of a joint; ignore one with other frames, another length, or too few readings for a pose."""
         expected = next(own for own in self._chain.joints if own.name == joint)
         shifts = np.array(message.undetected_shifts)
         frames = message.header.frame_id, message.child_frame_id
-        if frames == (expected.parent, expected.child) and shifts.size == 6 * len(message.readings):
+        is_whole = shifts.size == 6 * len(message.readings) and len(message.readings) >= FREEDOMS
+        if frames == (expected.parent, expected.child) and is_whole:
             self._received[joint] = monotonic(), shifts.reshape(-1, 6)
 
     def compute(self, poses: FloatArray, covariance: FloatArray, axes: FloatArray) -> FloatArray:

@@ -36,6 +36,7 @@ from posor_estimator.ros.diagnostics import Level
 from posor_estimator.ros.freshness import InputMonitor, ScanOrder, StampLimits
 from posor_estimator.ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_estimator.ros.lifecycle_node import PosorNode
+from posor_estimator.ros.message_classes import schema_of_class
 from posor_estimator.ros.message_conversion import stamp_ns as stamp_ns_of
 from posor_estimator.ros.node_program import run_node
 from posor_estimator.ros.qos import RELIABLE_QOS, sensor_qos
@@ -66,6 +67,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
 
     NAME = "posor_node"
     Parameters = PosorParameters
+    USES_KERNELS = True
 
     _calibration: Calibration
     _posor: Posor
@@ -168,8 +170,9 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         """Use a calibration from the next scan on; the new estimator starts from the last pose, if any."""
         posor = Posor(calibration, false_alarm=self.parameters.false_alarm)
         with self._lock:
-            if self._last_stream is not None:
-                posor.continue_from(self._posor)
+            if self._stream is not None:
+                last = None if self._is_lost else self._stream.last_scan()
+                posor.continue_from(self._posor, None if last is None else scan_of(last.data))
             self._posor, self._calibration, self._stream = posor, calibration, None
             self._source_changes = 0  # the first scan of the new estimator discards the kept scans
 
@@ -206,10 +209,19 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
                 expected="a bumpy ring; ~/set_home of the chain makes poses relative to home",
             )
         with self._lock:
+            if refusal := self._inputs.silent or ("the last scan is LOST" if self._is_lost else ""):
+                raise ParameterError(refusal, where="home", expected="sound scans while the joint is at the home mark")
             self._count_from_next = True
             if self._stream is not None:
                 self._stream.count_from_next()
         return "theta is counted from the next scan, which is taken to be within half a bump of the home mark"
+
+    def _forget_home(self) -> None:
+        """Forget that theta is to be counted from the next scan: by now the joint may be elsewhere."""
+        self._count_from_next = False
+        if self._stream is not None:
+            self._stream.count_from_next(stated=False)
+        self._inputs.note("the call of ~/home is void, because no scan followed it at once")
 
     def _zero_gap_probes(self) -> str:
         """Shift the zero of the gap probes by the most recent scans (thesis 8.3.1)."""
@@ -268,6 +280,8 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             if not self.may_publish:
                 return
             self._watch.record(monotonic())
+            if self._count_from_next and self._inputs.silent:
+                self._forget_home()
             transform = self._estimate_scan(data)
             if transform is None:
                 data = self._open_stream(data)
@@ -369,7 +383,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         except FitError:  # at a phase of three ring probes; the chain does not use the last message for long
             return
         if message is not None:
-            publisher.publish(message)
+            publisher.publish(schema_of_class(JointReliability).serialize(message))
 
 
 def _format_status(state: int, faults: int, excess: str, counts: dict[str, Value], scan: EstimatedScan) -> StatusText:

@@ -93,9 +93,9 @@ class RawScanStream:
         """Return the stamp of the last scan [ns] (0: invalid), and whether its status differs from the scan before."""
         return self._stamp_ns.item(), self._changed.item()
 
-    def count_from_next(self) -> None:
-        """Take the next scan as one that has seen the home mark."""
-        self.status["count_from_next"] = 1
+    def count_from_next(self, *, stated: bool = True) -> None:
+        """Take the next scan as one that has seen the home mark, or no longer."""
+        self.status["count_from_next"] = int(stated)
 
     @property
     def counts_from_next(self) -> bool:

@@ -206,3 +206,18 @@ def test_parameter_vectors_of_another_length_or_without_a_number_are_refused() -
     values[3] = math.nan
     with pytest.raises(ParameterError, match="finite"):
         posor.with_parameter_values(values)
+
+
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("length", [2, 3, 8, 40])
+def test_readings_that_repeat_in_a_loop_are_frozen(stack: DesignName, length: int) -> None:
+    """As from a buffer of several scans that nobody fills any more."""
+    posor = Posor(design(stack, motion=True, converter=True))
+    scans = resting(posor, 300, rounded=True)
+    loop = 100 - length + np.arange(200) % length
+    for name in ("gap_voltages", "ring_voltages", "diode_currents"):
+        getattr(scans, name)[100:] = getattr(scans, name)[loop]
+    found = posor.estimate_all(scans)
+    assert (found.states[:100] == State.OK).mean() > 0.97
+    assert (found.states[105:] == State.LOST).all()
+    assert found.faults[105] & Fault.FROZEN

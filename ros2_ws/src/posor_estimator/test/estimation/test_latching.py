@@ -302,3 +302,75 @@ def test_a_reference_judges_only_the_scan_it_was_given_for() -> None:
     posor.confirm_theta(0.0, 0.01)
     assert posor.estimate(scans[0]).faults == Fault.ILL_CONDITIONED
     assert posor.tracker["reference_sigma"] == 0.0
+
+
+def test_a_stamp_that_does_not_go_on_costs_its_scan_and_not_the_gate() -> None:
+    posor = sized("quad_light_ring")
+    scans, rotations, translations = oscillating(posor, count=1000)
+    scans.stamps_ns[500] = scans.stamps_ns[499]
+    scans.gap_voltages[500:] += 2.0  # all probes: the target seems to be elsewhere, without a contradiction
+    found = posor.estimate_all(scans)
+    assert (found.states[500], found.faults[500]) == (State.LOST, Fault.BAD_READING)
+    assert "does not come after" in posor.reason(scans[500], found.records[500])
+    assert found.faults[501] & Fault.INNOVATION
+    assert not wrong(found, translations, rotations).any()
+    posor.reset()
+    scans.gap_voltages[500:] -= 2.0
+    assert (posor.estimate_all(scans).states[501:] == State.OK).mean() > 0.99
+
+
+@pytest.mark.parametrize("biased", [False, True])
+def test_a_clock_that_is_set_back_keeps_the_gate(biased: bool) -> None:  # noqa: FBT001
+    posor = sized("quad_light_ring")
+    scans, rotations, translations = oscillating(posor, count=1000)
+    scans.stamps_ns[500:] -= 3600 * 10**9
+    if biased:
+        scans.gap_voltages[500:] += 2.0
+    found = posor.estimate_all(scans)
+    assert (found.states[500:] == (State.LOST if biased else State.OK)).mean() > 0.99
+    assert not wrong(found, translations, rotations).any()
+
+
+def test_a_recording_that_starts_over_is_estimated_anew() -> None:
+    posor = sized("quad_light_ring")
+    scans, _, _ = oscillating(posor, count=300)
+    first = posor.estimate_all(scans)
+    again = posor.estimate_all(scans)
+    assert (first.states == again.states).all()
+    np.testing.assert_allclose(again.translations, first.translations, rtol=0.0, atol=1e-12)
+
+
+def test_an_encoder_releases_theta_and_not_a_position_that_jumped() -> None:
+    posor = sized("quad_light_ring")
+    scans, rotations, _ = oscillating(posor, count=1000)
+    scans.lit_sources[500:502] = NO_SOURCE
+    scans.gap_voltages[500:] += 2.0
+    thetas = np.arctan2(-rotations[:, 0, 1], rotations[:, 1, 1])
+    assert (posor.estimate_all(scans.part(0, 502)).states[:500] == State.OK).mean() > 0.99
+    for n in range(502, 520):
+        posor.confirm_theta(thetas[n], 1e-3)
+        assert posor.estimate(scans[n]).state is State.LOST
+    assert (posor.estimate_all(scans.part(520, 1000)).states == State.LOST).all()
+
+
+@pytest.mark.parametrize("biased", [False, True])
+def test_a_new_calibration_keeps_the_gate(biased: bool) -> None:  # noqa: FBT001
+    before = sized("quad_light_ring")
+    scans, _, _ = oscillating(before, count=600)
+    before.estimate_all(scans.part(0, 500))
+    after = Posor(before.calibration)
+    after.continue_from(before, scans[499])
+    if biased:
+        scans.gap_voltages[500:] += 2.0
+    found = after.estimate_all(scans.part(500, 600))
+    assert (found.states == (State.LOST if biased else State.OK)).mean() > 0.98
+    assert bool(found.faults[0] & Fault.INNOVATION) is biased
+
+
+def test_a_count_is_given_up_where_scans_are_missing_after_the_first() -> None:
+    posor = sized("quad_bumpy_ring")
+    scans, _, _ = oscillating(posor, count=1000)
+    kept = np.r_[0:1, 700:1000]
+    found = posor.estimate_all(scans.select(kept))
+    assert found.states[0] == State.OK
+    assert (found.states[1:] == State.UNCOUNTED).all()

@@ -43,6 +43,8 @@ SCANS = 200
 USABLE = (State.OK, State.DEGRADED)
 READINGS = ("gap_voltages", "ring_voltages", "diode_currents", "lit_sources")
 ENVIRONMENT = "supply or temperature"
+COUPLED = (ENVIRONMENT, "diode_currents")
+"""Damage to one of these changes several readings: those of all probes, or both coordinates of a spot."""
 MOST_EXAMPLES = 10
 
 
@@ -134,10 +136,10 @@ class ScanFuzz:
             count.unharmed += 1
             return
         changed = changed_readings(self._recording.scans[n], data)
-        if changed == {ENVIRONMENT} or len(changed) > 1:
-            count.possible += 1
-        elif changed and np.all(np.abs(error) <= self._protection_level(n)):
+        if len(changed) == 1 and ENVIRONMENT not in changed and np.all(np.abs(error) <= self._protection_level(n)):
             count.covered += 1
+        elif len(changed) > 1 or any(name.startswith(COUPLED) for name in changed):
+            count.possible += 1
         else:
             readings = ", ".join(sorted(changed)) or "no reading"
             count.add_wrong(f"scan {n}, {readings} changed: off by {np.round(1e6 * error, 2).tolist()} um, urad")
@@ -191,8 +193,8 @@ def changed_readings(before: bytes, after: bytes) -> set[str]:
         if values.size:
             differs = (values != others).reshape(len(values), -1).any(axis=1)
             changed |= {f"{name}[{i}]" for i in np.flatnonzero(differs)}
-    environments = [(each.supply_voltage, each.temperature) for each in (one, other)]
-    if not np.array_equal(*environments, equal_nan=True):
+    first, second = ((each.supply_voltage, each.temperature) for each in (one, other))
+    if not np.array_equal(first, second, equal_nan=True):
         changed.add(ENVIRONMENT)
     return changed
 
