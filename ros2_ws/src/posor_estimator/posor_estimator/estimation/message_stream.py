@@ -234,7 +234,8 @@ def estimate_messages(model: Model, stream: MessageStream, begin: int, end: int)
             left = estimate_scan(model, workspace.scan, workspace.estimate)
             if left != DONE:
                 return n, left
-            stream.status[0].count_from_next = 0
+            if workspace.estimate.state != LOST:
+                stream.status[0].count_from_next = 0
         end_message(model, stream, n)
     return end, DONE
 
@@ -288,5 +289,6 @@ class MessageEstimator:
         return n + 1, DONE
 
     def _end(self, n: int) -> None:
-        self._stream.status["count_from_next"] = 0
+        if self.estimate[0]["state"] != LOST:
+            self._stream.status["count_from_next"] = 0
         end_message(self._posor.model, self._stream, n)

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 REGAIN_GAP = 4.5
 """Intervals after the last accepted pose within which the motion is regained: up to three bad scans in a row."""
+FIRST_GAP_S = 0.2
+"""The same after a scan that counted theta anew, whose motion is not known yet [s]."""
 MARKS = 6
 """Consecutive scans with agreeing home marks that count theta; as many disagreeing marks are not taken for spurious."""
 RESIDUAL_RUN = 10
@@ -234,8 +236,8 @@ def latch(tracker: Any, faults: int, about_theta: int, elapsed: float) -> None:
 @inlined
 def count_is_stale(settings: Any, tracker: Any, elapsed: float) -> bool:
     """Return whether theta can be half a period off, for want of a recent motion: UNCOUNTED, no fault."""
-    followed = tracker.interval > 0.0 and elapsed <= REGAIN_GAP * tracker.interval
-    return bool(not followed and settings.max_theta_rate * elapsed > 0.5 * settings.period)
+    followed_for = REGAIN_GAP * tracker.interval if tracker.interval > 0.0 else FIRST_GAP_S
+    return bool(elapsed > followed_for and settings.max_theta_rate * elapsed > 0.5 * settings.period)
 
 
 @inlined

@@ -170,8 +170,8 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         """Use a calibration from the next scan on; the new estimator starts from the last pose, if any."""
         posor = Posor(calibration, false_alarm=self.parameters.false_alarm)
         with self._lock:
-            if self._stream is not None:
-                last = None if self._is_lost else self._stream.last_scan()
+            if self._last_stream is not None:
+                last = None if self._is_lost else self._last_stream.last_scan()
                 posor.continue_from(self._posor, None if last is None else scan_of(last.data))
             self._posor, self._calibration, self._stream = posor, calibration, None
             self._source_changes = 0  # the first scan of the new estimator discards the kept scans
@@ -221,7 +221,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self._count_from_next = False
         if self._stream is not None:
             self._stream.count_from_next(stated=False)
-        self._inputs.note("the call of ~/home is void, because no scan followed it at once")
+        self._inputs.note("the call of ~/home is void, because no sound scan followed it at once")
 
     def _zero_gap_probes(self) -> str:
         """Shift the zero of the gap probes by the most recent scans (thesis 8.3.1)."""
@@ -334,6 +334,8 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         if not self._is_lost:
             self._recent_scans.append(data)
         if self._count_from_next:
+            if self._is_lost:
+                self._forget_home()
             self._count_from_next = stream.counts_from_next
 
     def _update_status(self, stream: RawScanStream) -> None:

@@ -12,7 +12,7 @@ import pytest
 from posor_estimator.ros.chain_node import ChainNode
 from posor_estimator.testing.graph import Graph, set_stamp, stamp_seconds, values_of
 from posor_estimator.testing.in_process_nodes import run_refused_node
-from posor_msgs.msg import JointTransform
+from posor_msgs.msg import EndpointState, JointTransform
 from std_srvs.srv import Trigger
 
 from .chain_program import LOSSLESS, TURN, ChainRig, chain_node, lost_transform, transform_of
@@ -215,7 +215,7 @@ def test_poses_are_relative_to_the_first_pose_or_to_the_last_set_home() -> None:
     with chain_node(urdf=str(URDF), reference="home", **LOSSLESS), Graph() as graph:
         chain = ChainRig(graph)
         joint = chain.joint_publisher("joint1")
-        assert call_set_home(graph) == (False, "there is no pose yet to take as home")
+        assert call_set_home(graph) == (False, "there is no pose now to take as home")
         up = pin.SE3(np.eye(3), np.array([0.0, 1e-3, 0.0]))
         joint.publish(transform_of(1))
         joint.publish(transform_of(2, up))
@@ -230,6 +230,10 @@ def test_poses_are_relative_to_the_first_pose_or_to_the_last_set_home() -> None:
         chain.wait_for_poses(4)
         heights = [[p.pose.position.x, p.pose.position.y, p.pose.position.z] for p in chain.poses[2:]]
         np.testing.assert_allclose(heights, [[0.0, 0.0, 0.0], [0.0, -1e-3, 0.0]], rtol=0.0, atol=1e-15)
+        states = graph.collect(EndpointState, "endpoint/state")
+        joint.publish(lost_transform(5, JointTransform.FAULT_RESIDUAL))
+        graph.wait_until(lambda: any(s.state == EndpointState.STATE_LOST for s in states), "the loss")
+        assert call_set_home(graph) == (False, "there is no pose now to take as home")
 
 
 def test_set_home_is_refused_for_absolute_poses(rig: SingleJointRig) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -92,14 +93,16 @@ class NodeRig:
         self.graph.__exit__(None, None, None)
         self.node.__exit__(None, None, None)
 
-    def send(self, count: int, natives: Any = (0.0, 0.0, GAP, 0.0, 0.0, 0.0), *, step: float = 0.0) -> list[Any]:
-        """Send scans at a pose, rising by ``step`` [m] from scan to scan; return their transforms."""
+    def send(
+        self, count: int, natives: Any = (0.0, 0.0, GAP, 0.0, 0.0, 0.0), *, step: float = 0.0, gaps: float = 0.0
+    ) -> list[Any]:
+        """Send scans at a pose, rising by ``step`` [m] a scan, gap probes ``gaps`` [V] off; return their transforms."""
         x, y, gap, alpha, beta, theta = natives
         rotations = np.tile(rotation_from_native(alpha, beta, theta), (count, 1, 1))
         translations = np.tile([x, y, gap], (count, 1)) + step * np.arange(count)[:, None] * [0.0, 0.0, 1.0]
         numbers = np.arange(self.sent + 1, self.sent + count + 1)
         scans = scans_at(self.stack, rotations, translations, numbers * 1_000_000, noise=self.random)
-        scans = scans.with_fields({"numbers": numbers})
+        scans = scans.with_fields({"numbers": numbers, "gap_voltages": scans.gap_voltages + gaps})
         before = len(self.transforms)
         for index in range(count):
             self.raw.publish(message_of(scans, index))
@@ -271,3 +274,14 @@ def test_home_starts_the_count_of_bumps_and_zero_needs_a_home_pose(tmp_path: Pat
         # The count outlives a reload.
         assert rig.call("reload")[0]
         assert {transform.state for transform in rig.send(3)} == {JointTransform.STATE_OK}
+        # A call belongs to the next scan: it is void if that scan is LOST, and refused after a LOST scan.
+        assert rig.call("home")[0]
+        dark = rig.send(1, gaps=math.nan)
+        assert dark[0].state == JointTransform.STATE_LOST
+        assert {transform.state for transform in rig.send(1, gaps=math.nan)} == {JointTransform.STATE_LOST}
+        success, message = rig.call("home")
+        assert not success
+        assert message == "home: the last scan is LOST; expected sound scans while the joint is at the home mark."
+        rig.graph.wait_until(
+            lambda: any("the call of ~/home is void" in status.message for status in rig.graph.diagnostics), "the note"
+        )

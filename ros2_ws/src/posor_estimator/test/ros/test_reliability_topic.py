@@ -93,7 +93,7 @@ def test_chain_node_bounds_the_endpoint_by_the_worst_undetected_shift_and_the_wa
     beams.write_text(BEAMS, encoding="utf-8")
     chain = load_chain(URDF, "endpoint", beams)
     random = np.random.default_rng(16)
-    shifts = 1e-6 * random.normal(size=(4, 6))
+    shifts = 1e-6 * random.normal(size=(7, 6))
     with chain_node(urdf=str(URDF), beams=str(beams), **LOSSLESS), Graph() as graph:
         states = graph.collect(EndpointState, "endpoint/state")
         transforms = graph.publisher(JointTransform, "joint1/transform")
@@ -114,6 +114,8 @@ def test_chain_node_bounds_the_endpoint_by_the_worst_undetected_shift_and_the_wa
 
         wrong = reliability_message(shifts, ("elsewhere", "posor_target"))
         level_after(wrong, lambda level: np.isnan(level).all() and seconds > 10)
+        too_few = reliability_message(shifts[:5])  # no six freedoms: forged, or of something else
+        level_after(too_few, lambda level: np.isnan(level).all() and seconds > 20)
         found = level_after(reliability_message(shifts), lambda level: np.isfinite(level).all())
         covariance = np.reshape(states[-1].covariance, (6, 6))
         poses = {"joint1": pin.SE3.Identity()}
