@@ -18,6 +18,7 @@ from posor_drivers.simulated_messages import SimulatedMessages
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_estimator.bags.message_definitions import MessageTypes
+from posor_estimator.model.native_coordinates import native_from_rotation
 from posor_estimator.numerics.stamps import NS
 from posor_estimator.ros.message_conversion import pose_message
 from posor_estimator.ros_names import RAW_TOPIC, TRANSFORM_TOPIC
@@ -106,6 +107,7 @@ def _set_x(value: float) -> Callable[[Any], None]:
 
 def _displace(message: JointTransform) -> None:
     message.pose.position.x += 0.01
+    message.native[0] += 0.01
 
 
 def _set_frame(message: Any) -> None:
@@ -274,7 +276,7 @@ class InputRun:
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, NS)
         message.pose = pose_message(pose)
         message.covariance = (SIGMA**2 * np.eye(6)).ravel()
-        message.native = [*pose.translation.tolist(), 0.0, 0.0, math.atan2(-pose.rotation[0, 1], pose.rotation[1, 1])]
+        message.native = [*pose.translation.tolist(), *native_from_rotation(pose.rotation)]
         return message
 
     def _judge(self, receiver: FaultReceiver, fault: MessageFault, begin_ns: int, usable: bool) -> RowResult:  # noqa: FBT001
