@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import stat
 import tempfile
 from contextlib import suppress
 from importlib import import_module
@@ -42,28 +43,31 @@ CACHE_LOCATORS = (
 
 
 def cache_folder() -> str:
-    """Return where the machine code of exactly these kernels is kept: beside them, or in the user's cache."""
+    """Return where the machine code of exactly these kernels is kept: beside them, or in the user's cache.
+
+    Machine code is run as it is read. So the folder is the user's alone; where none can be, it is a new one.
+    """
     digest = hashlib.sha256()
     for file in sorted(file for pattern in KERNEL_FILES for file in PACKAGE.glob(pattern)):
         digest.update(file.read_bytes())
     name = f"posor-kernels-{digest.hexdigest()[:16]}"
-    if chosen := os.environ.get("NUMBA_CACHE_DIR"):
-        return str(Path(chosen) / name)
-    beside = PACKAGE / "numerics" / "__pycache__"
-    if os.access(beside if beside.exists() else beside.parent, os.W_OK):
-        return str(beside / name)
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # noqa: PTH111  ~ may be unknown
-    with suppress(OSError):
-        Path(home).mkdir(mode=0o700, parents=True, exist_ok=True)
-    if os.access(home, os.W_OK):
-        return str(Path(home) / name)
-    # Machine code is run as it is read: never from a folder that another user could have made.
-    shared = Path(tempfile.gettempdir()) / f"posor-{os.getuid()}"
-    with suppress(OSError):
-        shared.mkdir(mode=0o700, exist_ok=True)
-        if shared.stat().st_uid == os.getuid() and not shared.stat().st_mode & 0o022:
-            return str(shared / name)
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    for parent in [chosen] if chosen else [PACKAGE / "numerics" / "__pycache__", home]:
+        if _make_private(folder := Path(parent) / name):
+            return str(folder)
     return tempfile.mkdtemp(prefix="posor-")
+
+
+def _make_private(folder: Path) -> bool:
+    """Make a folder that only the user can enter; return whether it is one."""
+    with suppress(OSError):
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        status = folder.lstat()
+        if stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid():
+            folder.chmod(0o700)
+            return os.access(folder, os.W_OK)
+    return False
 
 
 def _numba_njit() -> Any | None:

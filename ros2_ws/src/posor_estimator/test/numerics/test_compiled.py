@@ -105,3 +105,26 @@ def test_copies_of_the_package_share_machine_code_until_a_kernel_that_it_calls_c
     kernel.write_text(text.replace("    return reading\n", "    return 2.0 * reading\n"), encoding="utf-8")
     assert read(environ) == 0.002
     assert (len(machine_code()) > len(code)) == NUMBA
+
+
+def test_machine_code_is_kept_where_only_the_user_can_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    folder = Path(cache_folder())
+    assert folder.parent == tmp_path
+    assert folder.stat().st_mode & 0o777 == 0o700
+    folder.chmod(0o777)
+    assert Path(cache_folder()) == folder
+    assert folder.stat().st_mode & 0o777 == 0o700
+    folder.rename(tmp_path / "elsewhere")
+    folder.symlink_to(tmp_path / "elsewhere")
+    refuge = Path(cache_folder())
+    assert refuge.parent != tmp_path
+    assert refuge.stat().st_mode & 0o777 == 0o700
+    refuge.rmdir()
+    folder.unlink()
+    if os.getuid() == 0:
+        folder.mkdir()
+        os.chown(folder, 12345, 12345)
+        refuge = Path(cache_folder())
+        assert refuge.parent != tmp_path
+        refuge.rmdir()
