@@ -53,8 +53,8 @@ def cache_folder() -> str:
     name = f"posor-kernels-{digest.hexdigest()[:16]}"
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # noqa: PTH111  ~ may be unknown
     chosen = os.environ.get("NUMBA_CACHE_DIR")
-    for parent in [chosen] if chosen else [PACKAGE / "numerics" / "__pycache__", home]:
-        if _make_private(folder := Path(parent) / name):
+    for parent in [Path(chosen)] if chosen else [PACKAGE / "numerics" / "__pycache__", Path(home)]:
+        if _make_private(folder := parent / name):
             return str(folder)
     return tempfile.mkdtemp(prefix="posor-")
 
