@@ -27,7 +27,7 @@ FROZEN_EVIDENCE = 6.0
 ALL_FROZEN_EVIDENCE = 3.5
 """Evidence of all channels together, so that the first repeated scan is seen; a wrong alarm costs one scan."""
 LOOP_EVIDENCE = 8.0
-"""Evidence of all channels together that scans repeat in a loop of 2 to LONGEST_LOOP scans."""
+"""Evidence of all channels together that scans repeat in a loop of two or more."""
 LOOP_WEIGHT = 0.7390851332151607
 """Weight of a reading in the signature of a scan: no polynomial with whole coefficients is zero there, so that readings
 which are whole multiples of a step give equal signatures only where all of them are equal."""
@@ -64,7 +64,8 @@ def count_repetitions(model: Model, scan: Any) -> int:
     tracker, frozen, fewest = workspace.tracker, NOT_FROZEN, 1 << 30
     if workspace.settings.all_evidence <= 0.0:
         return frozen
-    signature = float(scan.status)
+    filled_in = scan.status & (PROBES_ESTIMATED | DIODES_ESTIMATED) != 0
+    signature = math.nan if filled_in else 0.0  # NaN equals nothing
     for s in range(model.sensors.shape[0]):
         sensor = model.sensors[s]
         if sensor.source == PYTHON:

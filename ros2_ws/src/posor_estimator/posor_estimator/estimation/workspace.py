@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from posor_estimator.numerics.array_types import FloatArray, IntArray
 
 LONGEST_LOOP = 64
-"""Scans of the longest buffer whose repetition is detected."""
+"""Loops of fewer scans are detected."""
 READINGS = MAX_GAP_PROBES + MAX_RING_PROBES + 2 * MAX_DIODES + 8
 """Capacity for linearised readings: all of a raw scan, and 8 of sensors written in plain Python."""
 ROWS = READINGS + 6

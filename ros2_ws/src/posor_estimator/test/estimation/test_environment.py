@@ -16,7 +16,7 @@ from posor_estimator.estimation.frozen import FROZEN_EVIDENCE, evidence_of_repet
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.model.fault import Fault, State
 from posor_estimator.model.native_coordinates import rotation_from_native
-from posor_estimator.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED, SATURATED, STATED_HOME
+from posor_estimator.model.scan import DIODES_ESTIMATED, HOME_BUMP, PROBES_ESTIMATED, SATURATED, STATED_HOME
 from posor_estimator.testing.random_poses import STACKS, TICK_NS
 
 if TYPE_CHECKING:
@@ -221,3 +221,21 @@ def test_readings_that_repeat_in_a_loop_are_frozen(stack: DesignName, length: in
     assert (found.states[:100] == State.OK).mean() > 0.97
     assert (found.states[105:] == State.LOST).all()
     assert found.faults[105] & Fault.FROZEN
+
+
+def test_a_loop_is_seen_whatever_the_home_mark_says() -> None:
+    posor = Posor(design("triad_light_ring", motion=True, converter=True))
+    scans = resting(posor, 300, rounded=True)
+    for name in ("gap_voltages", "diode_currents"):
+        getattr(scans, name)[100:] = getattr(scans, name)[92 + np.arange(200) % 8]
+    scans.statuses[::3] = HOME_BUMP
+    assert (posor.estimate_all(scans).states[106:] == State.LOST).all()
+
+
+def test_readings_filled_in_by_the_driver_may_repeat_in_a_loop() -> None:
+    posor = Posor(design("triad_light_ring", motion=True, converter=True))
+    scans = resting(posor, 300, rounded=True)
+    for name in ("gap_voltages", "diode_currents"):
+        getattr(scans, name)[100:] = getattr(scans, name)[92 + np.arange(200) % 8]
+    scans.statuses[100:] = PROBES_ESTIMATED | DIODES_ESTIMATED
+    assert not (posor.estimate_all(scans).faults & Fault.FROZEN).any()

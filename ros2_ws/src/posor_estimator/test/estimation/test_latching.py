@@ -374,3 +374,11 @@ def test_a_count_is_given_up_where_scans_are_missing_after_the_first() -> None:
     found = posor.estimate_all(scans.select(kept))
     assert found.states[0] == State.OK
     assert (found.states[1:] == State.UNCOUNTED).all()
+
+
+def test_without_limits_of_motion_a_gap_does_not_end_the_count() -> None:
+    posor = Posor(design("triad_bumpy_ring"))
+    scans = turned(posor, np.full(100, 0.02))
+    scans.at_home[0] = STATED_HOME
+    kept = np.r_[0:20, 40:100]
+    assert (posor.estimate_all(scans.select(kept)).states == State.OK).all()
