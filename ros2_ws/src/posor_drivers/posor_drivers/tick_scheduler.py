@@ -177,7 +177,7 @@ class TickScheduler:
         while tasks := self._tasks:
             sys.setswitchinterval(SWITCH_AT_TICK_S)
             due_ns = min([task.due_ns for task in tasks])
-            schedule.due_ns = due_ns if is_wall else NEVER_NS
+            schedule.end_tick(due_ns if is_wall else NEVER_NS)
             clock.wait(due_ns)
             sys.setswitchinterval(SWITCH_DURING_TICK_S)
             now_ns = clock.turn_ns = clock.now_ns

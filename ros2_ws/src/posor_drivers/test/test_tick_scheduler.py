@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from threading import Event, Semaphore, get_ident
-from time import sleep
+from threading import Event, get_ident
 from typing import TYPE_CHECKING
 
 import pytest
@@ -96,20 +95,21 @@ def test_drivers_of_one_rate_share_a_thread_and_keep_their_order(clock: Clock) -
 def test_idle_work_waits_for_the_ticks_of_the_drivers(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("MAX_WAIT_PERIODS", "MAX_WAIT_NS"):
         monkeypatch.setattr(f"posor_estimator.ros.idle_scheduler.{name}", 10**18)  # work never runs during a tick
-    in_tick, polled = Event(), Semaphore(0)
+    in_tick, waiting = Event(), Event()
     waited: list[bool] = []
 
-    def poll(seconds: float) -> None:
-        polled.release()
-        sleep(seconds)
+    class ObservedEvent(Event):
+        def wait(self, timeout: float | None = None) -> bool:
+            waiting.set()
+            return super().wait(timeout)
 
-    monkeypatch.setattr("posor_estimator.ros.idle_scheduler.sleep", poll)
+    monkeypatch.setattr("posor_estimator.ros.idle_scheduler._tick_ended", ObservedEvent())
 
     class SlowDriver(Driver):
         def publish(self, publication: ScheduledPublication) -> None:
             if not in_tick.is_set():
                 in_tick.set()
-                waited.append(all(polled.acquire(timeout=30.0) for _ in range(3)))
+                waited.append(waiting.wait(30.0))
             super().publish(publication)
 
     driver = SlowDriver(clock, "slow")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
@@ -48,6 +48,28 @@ LARGEST_SIGMA = 0.1
 """Largest standard uncertainty of a reference of theta, in periods: five of them are half a period."""
 COUNT_WINDOW = 0.52
 """Largest distance of a solution from a theta that is known to half a bump, in bumps."""
+
+
+class Sensitivity(NamedTuple):
+    """What a shift of each of the m linearised readings does.
+
+    Attributes:
+        gain: Change of the pose, (6, m), ROS order, axes of R [m/m, rad/m].
+        chi_square: Chi-square for a square metre of shift, (m,).
+        redundancy_numbers: Share of a shift that the reading's own residual shows, (m,), from 0 to 1; their sum is the
+            number of redundant readings.
+
+    """
+
+    gain: FloatArray
+    chi_square: FloatArray
+    redundancy_numbers: FloatArray
+
+    @classmethod
+    def of(cls, gain: FloatArray, jacobian: FloatArray, rotation: FloatArray, chi_square: FloatArray) -> Sensitivity:
+        """Return it from gain and derivatives of the readings in the local tangent, (m, 6) each."""
+        turned = np.concatenate([rotation @ gain[:, :3].T, rotation @ gain[:, 3:].T])
+        return cls(turned, chi_square, 1.0 - (jacobian * gain).sum(axis=1))
 
 
 class Posor:
@@ -405,11 +427,8 @@ class Posor:
             raise self._invalid_scan(scan, linearised)
         return self.stack.evaluate(selected, T_R_T.rotation, T_R_T.translation)[0]
 
-    def sensitivity(self, scan: Scan, T_R_T: pin.SE3) -> tuple[FloatArray, FloatArray]:
+    def sensitivity(self, scan: Scan, T_R_T: pin.SE3) -> Sensitivity:
         """Return what a shift of each linearised reading does at a pose.
-
-        Returns:
-            Change of the pose in ROS order (6, m) [m/m, rad/m], and of chi-square for a square metre of shift (m,).
 
         Raises:
             ScanError: A reading of the scan is invalid.
@@ -428,7 +447,19 @@ class Posor:
         systematic = parameters @ parameters.T + unmeasured @ unmeasured.T
         whole = np.linalg.inv(np.diag(variances) + systematic)
         seen = whole - whole @ jacobian @ np.linalg.solve(jacobian.T @ whole @ jacobian, jacobian.T @ whole)
-        return np.kron(np.eye(2), T_R_T.rotation) @ gain, np.diagonal(seen).copy()
+        return Sensitivity.of(gain.T, jacobian, T_R_T.rotation, np.diagonal(seen).copy())
+
+    def last_sensitivity(self) -> Sensitivity:
+        """Return the sensitivity at the last estimate, which is not LOST and for which the readings sufficed.
+
+        It comes from the matrices of that estimate: nodes compute it between two scans, for which ``sensitivity`` is
+        too slow.
+        """
+        workspace, m = self.model.workspace[0], self.stack.readings
+        space, factor = (workspace[name][: self.redundancy] for name in ("residual_space", "residual_covariance"))
+        components = np.linalg.solve(np.tril(factor[:, : self.redundancy]), space[:, :m])
+        rotation, seen = workspace["pose"]["rotation"].copy(), np.square(components).sum(axis=0)
+        return Sensitivity.of(workspace["gain"][:m], workspace["jacobian"][:m], rotation, seen)
 
     def _invalid_scan(self, scan: Scan, linearised: Linearised) -> ScanError:
         """Return the error of a scan of which a sensor's readings are invalid."""

@@ -173,7 +173,7 @@ class _AngleModel:
         out = np.zeros((len(self._scans), 3, self.posor.stack.parameters))
         for n in np.flatnonzero(used).tolist():
             scan, T_R_T = self._scans[n], pin.SE3(estimates.rotations[n], estimates.translations[n])
-            by_reading = native_jacobian(T_R_T.rotation) @ self.posor.sensitivity(scan, T_R_T)[0][3:]
+            by_reading = native_jacobian(T_R_T.rotation) @ self.posor.sensitivity(scan, T_R_T).gain[3:]
             out[n] = by_reading @ self.posor.stack.residual_jacobian(scan, T_R_T.rotation, T_R_T.translation)
         return out
 

@@ -40,7 +40,7 @@ from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM, JointTransformFor
 from posor_estimator.ros.diagnostics import Level
 from posor_estimator.ros.endpoint_protection import ProtectionLevel
 from posor_estimator.ros.endpoint_verdict import SOUND, JointStatus, Verdict, degraded_verdict, unusable_verdict
-from posor_estimator.ros.freshness import InputMonitor, InputWatch, StampLimits
+from posor_estimator.ros.freshness import InputMonitor, InputWatch
 from posor_estimator.ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_estimator.ros.lifecycle_node import PosorNode
 from posor_estimator.ros.node_program import run_node
@@ -83,7 +83,6 @@ class ChainNode(PosorNode[ChainParameters]):
     _last_pose: FloatArray | None
     _reported: object
     _alarms: AlarmRate
-    _stamp_limits: StampLimits
 
     def __init__(self, **options: Any) -> None:
         """Create the node; ``options`` are passed to rclpy."""
@@ -169,7 +168,6 @@ class ChainNode(PosorNode[ChainParameters]):
 
     def activate(self) -> None:
         """Expect transforms with present stamps from now on."""
-        self._stamp_limits = StampLimits.of(self.timing.now_ns, self.parameters.freshness)
         self._inputs.start()
 
     def deactivate(self) -> None:
@@ -283,7 +281,7 @@ class ChainNode(PosorNode[ChainParameters]):
         for stamp_ns, missing in self._synchroniser.take_incomplete().items():
             self._scans_incomplete += 1
             reason = self._why_missing(missing)
-            if too_old := self._stamp_limits.fault(stamp_ns):
+            if too_old := self._inputs.stamp_limits.fault(stamp_ns):
                 reason = f"{reason}; {too_old}"
             verdict = Verdict(EndpointState.STATE_LOST, 0, missing[0], reason)
             self._publish_state(_STAMP.pack(*divmod(stamp_ns, NS)), stamp_ns, verdict)
@@ -297,7 +295,7 @@ class ChainNode(PosorNode[ChainParameters]):
             row[:] = data if len(data) == size else data[:size]
         estimator = self._estimator
         stamp = self._last_stamp = data[STAMP]
-        refusal = self._inputs.several_publishers() or self._stamp_limits.fault(stamp_ns)
+        refusal = self._inputs.refusal(stamp_ns)
         if refusal:
             self._refuse_scan(stamp, stamp_ns, Verdict(EndpointState.STATE_LOST, 0, "", refusal))
             return

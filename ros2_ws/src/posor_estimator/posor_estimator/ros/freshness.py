@@ -172,6 +172,7 @@ class InputMonitor:
     Attributes:
         silent: Sentence on silent inputs; empty: all arrive.
         silent_names: Their names.
+        stamp_limits: Ages of stamps that the node accepts.
 
     """
 
@@ -187,11 +188,13 @@ class InputMonitor:
         self._node = node
         self._on_check = on_check
         self._status = node.diagnostics.add_status(INPUT_STATUS)
-        self._inputs: list[tuple[InputWatch, IntraProcessSubscription | None]] = []
+        self._watches: list[InputWatch] = []
+        self._subscriptions: list[IntraProcessSubscription] = []
         self._timer: Any = None
         self._notes: list[str] = []
         self._reported: tuple[str, ...] | None = None
         self._several, self._several_until_s = "", -math.inf
+        self.stamp_limits = StampLimits.of(node.timing.now_ns, node.parameters.freshness)
         self.silent_names: list[str] = []
         self.silent = ""
         node.diagnostics.add_refresh(self._refresh)
@@ -199,22 +202,24 @@ class InputMonitor:
     def add(self, subscription: IntraProcessSubscription) -> InputWatch:
         """Watch a subscription until ``clear``; the caller records the arrivals."""
         subscription.on_event = self.check
-        return self.add_source(subscription.topic_name, subscription)
+        self._subscriptions.append(subscription)
+        return self.add_source(subscription.topic_name)
 
-    def add_source(self, name: str, subscription: IntraProcessSubscription | None = None) -> InputWatch:
-        """Watch an input until ``clear``; no subscription: a source. The caller records the arrivals."""
+    def add_source(self, name: str) -> InputWatch:
+        """Watch an input that is no subscription until ``clear``; the caller records the arrivals."""
         watch = InputWatch(name)
-        self._inputs.append((watch, subscription))
+        self._watches.append(watch)
         return watch
 
     def clear(self) -> None:
         """Watch nothing."""
         self.stop()
-        self._inputs = []
+        self._watches, self._subscriptions = [], []
 
     def start(self) -> None:
-        """Expect input from now on."""
-        for watch, _ in self._inputs:
+        """Expect input with present stamps from now on."""
+        self.stamp_limits = StampLimits.of(self._node.timing.now_ns, self._node.parameters.freshness)
+        for watch in self._watches:
             watch.restart(monotonic())
         self._notes.clear()
         self._timer = self._node.create_timer(
@@ -244,14 +249,13 @@ class InputMonitor:
         if self._timer is None:
             return
         now_s, limit_s = monotonic(), self._node.parameters.freshness.max_silence
-        subscriptions = [each for _, each in self._inputs if each is not None]
-        for each in subscriptions:
+        for each in self._subscriptions:
             each.find_publishers()
-        several = self.several_publishers()
-        missed = [each for each in subscriptions if each.take_missed_deadlines()]
+        several = self._several_publishers()
+        missed = [each for each in self._subscriptions if each.take_missed_deadlines()]
         if missed:
             self.note(f"deadline missed on {', '.join(each.topic_name for each in missed)}")
-        silent = [(watch.name, text) for watch, _ in self._inputs if (text := watch.silence(now_s, limit_s))]
+        silent = [(watch.name, text) for watch in self._watches if (text := watch.silence(now_s, limit_s))]
         self.silent, self.silent_names = "; ".join(text for _, text in silent), [name for name, _ in silent]
         key = (several, *self.silent_names) if several or silent else ()
         is_new = key != self._reported and (bool(key) or not self._notes)
@@ -260,13 +264,14 @@ class InputMonitor:
             self._report(Level.ERROR if key else Level.OK, text or "in time", key)
         self._on_check(is_new)
 
-    def several_publishers(self) -> str:
-        """Return the sentence on a topic that has or just had several publishers; else empty.
+    def refusal(self, stamp_ns: int) -> str:
+        """Return why a message with a stamp [ns] must not be used: several publishers, or the stamp; else empty."""
+        return self._several_publishers() or self.stamp_limits.fault(stamp_ns)
 
-        No message of such a topic may be used.
-        """
-        for _, each in self._inputs:
-            if each is not None and (count := each.publisher_count()) > 1:
+    def _several_publishers(self) -> str:
+        """Return the sentence on a topic that has or just had several publishers; else empty."""
+        for each in self._subscriptions:
+            if (count := each.publisher_count()) > 1:
                 self._several = f"{count} publishers on {each.topic_name}; expected one"
                 self._several_until_s = monotonic() + PUBLISHER_GONE_S
         if self._several and monotonic() > self._several_until_s:

@@ -24,7 +24,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from posor_estimator.calibration.calibration_file import load_calibration
-from posor_estimator.errors import CalibrationError, FitError, ParameterError, PosorError, TopicError
+from posor_estimator.errors import CalibrationError, ParameterError, PosorError, TopicError
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.identification.digital_zero import find_digital_zero
 from posor_estimator.model.fault import Fault, State
@@ -33,7 +33,7 @@ from posor_estimator.node_parameters import PosorParameters
 from posor_estimator.ros.alarm_rate import AlarmRate
 from posor_estimator.ros.cdr_scan import RAW_SCAN, scan_of
 from posor_estimator.ros.diagnostics import Level
-from posor_estimator.ros.freshness import InputMonitor, ScanOrder, StampLimits
+from posor_estimator.ros.freshness import InputMonitor, ScanOrder
 from posor_estimator.ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_estimator.ros.lifecycle_node import PosorNode
 from posor_estimator.ros.message_classes import schema_of_class
@@ -78,7 +78,6 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
     _reported: tuple[int, int, bool] | None
     _alarms: AlarmRate
     _order: ScanOrder
-    _stamp_limits: StampLimits
 
     def __init__(self, **options: Any) -> None:
         """Create the node; ``options`` are passed to rclpy."""
@@ -127,7 +126,6 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
 
     def activate(self) -> None:
         """Expect scans with present stamps from now on."""
-        self._stamp_limits = StampLimits.of(self.timing.now_ns, self.parameters.freshness)
         self._inputs.start()
 
     def deactivate(self) -> None:
@@ -248,9 +246,11 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
 
     def _on_encoder(self, message: JointState) -> None:
         """Confirm theta of the next scan by the encoder; a message that cannot be used is reported."""
+        if not self.may_publish:
+            return
         try:
             theta = self._encoder_position(message)
-            if fault := self._stamp_limits.fault(stamp_ns_of(message)):
+            if fault := self._inputs.stamp_limits.fault(stamp_ns_of(message)):
                 raise TopicError(fault)
             with self._lock:
                 self._posor.confirm_theta(theta, self.parameters.encoder.sigma)
@@ -295,14 +295,14 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         stream = self._stream
         if stream is None or (identity := stream.identity(data)) is None:
             return None
-        stamp_ns, number = identity[0], identity[1]
+        stamp_ns, number = identity
         if not self._order.is_next(number, stamp_ns):
             text, is_repeated = self._order.describe(number, stamp_ns)
             if text:
                 self._inputs.note(text)
             if is_repeated:
                 return b""
-        refusal = self._inputs.several_publishers() or self._stamp_limits.fault(stamp_ns)
+        refusal = self._inputs.refusal(stamp_ns)
         return stream.refuse_message(data, refusal) if refusal else stream.estimate_message(data)
 
     def _open_stream(self, data: bytes) -> bytes:
@@ -377,13 +377,9 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         with self._lock:
             if publisher is None or not publisher.get_subscription_count():
                 return
-            if not self.may_publish or self._last_stream is None:
-                return
-            last, posor = self._last_stream.last_scan(), self._posor
-        try:
-            message = reliability_message(posor, last)
-        except FitError:  # at a phase of three ring probes; the chain does not use the last message for long
-            return
+            if not self.may_publish or self._stream is None or self._stream is not self._last_stream:
+                return  # a new estimator has seen no scan yet
+            message = reliability_message(self._posor, self._stream.last_scan())
         if message is not None:
             publisher.publish(schema_of_class(JointReliability).serialize(message))
 

@@ -91,6 +91,7 @@ class Timing:
 
     Attributes:
         record: Takes the stamp [ns] of the scan published just now; takes a fraction of a microsecond.
+        now_ns: Returns the node's ROS time [ns]; of an active node.
 
     """
 
@@ -114,7 +115,7 @@ class Timing:
         """Discard the record: the time without publications that ends now is no period."""
         # Where ROS time is system time, time_ns() is the same clock, without the detour through rclpy.
         simulated = isinstance(self._clock, ROSClock) and self._clock.ros_time_is_active
-        self._log.now_ns = self._simulated_ns if simulated else time_ns
+        self.now_ns = self._log.now_ns = self._simulated_ns if simulated else time_ns
         self._log.drain()
         self._last_ns = np.empty(0, np.int64)
         self._status.report(Level.OK, "nothing was published")
@@ -138,10 +139,6 @@ class Timing:
                 warnings.append(f"period off its mean by more than {limits.jitter:g} s")
         values: dict[str, Value] = {**latency, **period}
         self._status.report(Level.WARN if warnings else Level.OK, "; ".join(warnings) or "in time", values)
-
-    def now_ns(self) -> int:
-        """Return the node's ROS time [ns]."""
-        return self._log.now_ns()
 
     def _simulated_ns(self) -> int:
         return int(self._clock.now().nanoseconds)

@@ -62,6 +62,10 @@ class RawScanStream:
         seconds, nanoseconds, number = self._unpack_identity(data, STAMP.start)
         return seconds * NS + nanoseconds, number
 
+    def number_of(self, data: bytes) -> int:
+        """Return the number of a raw scan of this layout."""
+        return int(self._unpack_identity(data, STAMP.start)[2])
+
     def refuse_message(self, data: bytes, refusal: str) -> bytes | None:
         """Return a LOST transform of a raw scan that must not be used, as ``estimate_message`` does.
 
@@ -112,6 +116,8 @@ class RawScanStream:
 
     def reason(self, scan: EstimatedScan) -> str:
         """Return the sentence on the fault of a scan, empty where it has none; may be called in any thread."""
+        if not scan.refusal and scan.stamp_ns and scan.estimate["faults"] == 0:
+            return ""
         raw = scan_of(scan.data)
         refusal = scan.refusal if scan.stamp_ns else f"the stamp {NO_TIME}; expected the time of exposure"
         return f"scan {raw.number}: {refusal}." if refusal else self._posor.reason(raw, scan.estimate)
@@ -138,7 +144,7 @@ class EstimatedScan(NamedTuple):
     @property
     def number(self) -> int:
         """The scan's number."""
-        return scan_of(self.data).number
+        return self.stream.number_of(self.data)
 
     @property
     def reason(self) -> str:

@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING
 
 from posor_msgs.msg import JointReliability
 
-from posor_estimator.model.fault import State
+from posor_estimator.model.fault import Fault, State
 from posor_estimator.numerics.stamps import NS
-from posor_estimator.ros.cdr_scan import scan_of
-from posor_estimator.uncertainty.reliability import joint_reliability
+from posor_estimator.uncertainty.reliability import reliability
 
 if TYPE_CHECKING:
     from posor_estimator.estimation.posor import Posor
@@ -17,19 +16,11 @@ if TYPE_CHECKING:
 
 
 def reliability_message(posor: Posor, last: EstimatedScan) -> JointReliability | None:
-    """Return the reliability of a POSOR at the pose of a scan; None: the scan has no usable pose.
-
-    Raises:
-        FitError: The readings do not determine all six freedoms at this pose.
-
-    """
-    import pinocchio as pin  # noqa: PLC0415  50 MB that a node does not need before its first scan
-
-    estimate = last.estimate
-    if last.refusal or estimate["state"] not in {State.OK, State.DEGRADED}:
+    """Return the reliability of a POSOR at its last estimate; None: that has no usable pose, or not from it alone."""
+    usable = last.estimate["state"] in {State.OK, State.DEGRADED}
+    if last.refusal or not usable or last.estimate["faults"] & Fault.ILL_CONDITIONED:
         return None
-    scan = scan_of(last.data)
-    found = joint_reliability(posor, scan, pin.SE3(estimate["rotation"], estimate["translation"]))
+    found = reliability(posor, posor.last_sensitivity())
     frames = posor.calibration.frames
     message = JointReliability(child_frame_id=frames.child)
     message.header.frame_id = frames.parent

@@ -127,7 +127,7 @@ def sensitivities(posor: Posor, scan: Scan, T_R_T: pin.SE3, points: Sequence[Pla
             raise sensor.explain(scan, int(code))
     require_determined(stack, readings, T_R_T)
     outputs = Outputs(stack, points)
-    by_reading = outputs.by_motion(rotation, translation) @ posor.sensitivity(scan, T_R_T)[0]
+    by_reading = outputs.by_motion(rotation, translation) @ posor.sensitivity(scan, T_R_T).gain
     by_parameter = by_reading @ stack.residual_jacobian(scan, rotation, translation)
     by_parameter += outputs.by_parameters(rotation, translation)
     return Sensitivities(

@@ -132,7 +132,7 @@ def endpoint_protection_level(
         The levels; infinite where an error that moves the endpoint is not detectable.
 
     """
-    moved = [np.abs(transformed(effect, shift)) for own, effect in zip(shifts, effects, strict=True) for shift in own]
+    moved = np.concatenate([np.abs(transformed(effect, own)) for own, effect in zip(shifts, effects, strict=True)])
     sigmas = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     return np.asarray(np.max(moved, axis=0, initial=0.0) + expansion_bound(expansions) + COVERAGE_FACTOR * sigmas)
 
@@ -181,7 +181,7 @@ def arm_reliability(
     for name, effect in endpoint_effects(chain, poses).items():
         posor = Posor(calibrations[name])
         joints[name] = joint_reliability(posor, scan_at(posor, poses[name]), poses[name])
-        endpoint_shifts[name] = np.array([transformed(effect, shift) for shift in joints[name].shifts])
+        endpoint_shifts[name] = transformed(effect, joints[name].shifts)
     shifts, unchanged = list(endpoint_shifts.values()), np.eye(6)
     covariance, expansions = chain.estimate(measured).covariance, expansion_shifts(chain, poses)
     level = endpoint_protection_level(shifts, [unchanged] * len(shifts), covariance, expansions)

@@ -1,7 +1,7 @@
 """Reliability of a POSOR after Baarda: which error of a single reading is detected, and the effect of smaller ones.
 
 The estimator tests the redundant readings by one chi-square (``estimation.residual_test``). An error b of a single
-reading makes it non-central, lambda = c b^2 with c of ``Posor.sensitivity``. lambda_0 is the lambda at which the
+reading makes it non-central, lambda = c b^2 with c of ``Sensitivity.chi_square``. lambda_0 is the lambda at which the
 non-central chi-square with r degrees of freedom, the number of redundant readings, is below the limit of the test with
 the probability ``missed_detection``. Hence
 
@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,7 +29,7 @@ from posor_estimator.uncertainty.first_order import require_determined
 if TYPE_CHECKING:
     import pinocchio as pin
 
-    from posor_estimator.estimation.posor import Posor
+    from posor_estimator.estimation.posor import Posor, Sensitivity
     from posor_estimator.model.scan import Scan
     from posor_estimator.numerics.array_types import FloatArray
 
@@ -81,40 +82,46 @@ def joint_reliability(
         FitError: The readings do not determine all six freedoms at this pose.
 
     """
-    gain, chi_square_per_m2 = posor.sensitivity(scan, T_R_T)
-    readings = posor.stack.linearise(Scans.of([scan]))
-    require_determined(posor.stack, readings, T_R_T)
-    jacobian = posor.stack.evaluate(readings.selected[0], T_R_T.rotation, T_R_T.translation)[1]
-    local_gain = np.kron(np.eye(2), T_R_T.rotation.T) @ gain
-    redundancy_numbers = 1.0 - np.einsum("mi,im->m", jacobian, local_gain)
+    require_determined(posor.stack, posor.stack.linearise(Scans.of([scan])), T_R_T)
+    return reliability(posor, posor.sensitivity(scan, T_R_T), missed_detection)
+
+
+def reliability(posor: Posor, sensitivity: Sensitivity, missed_detection: float = MISSED_DETECTION) -> Reliability:
+    """Return the reliability of a POSOR from its sensitivity; arguments as ``joint_reliability``."""
     false_alarm, root = 0.0, math.inf
     if math.isfinite(posor.residual_limit):
         false_alarm = float(chdtrc(posor.redundancy, posor.residual_limit))
         root = math.sqrt(noncentrality(posor.redundancy, posor.residual_limit, missed_detection))
-    biases = np.full(len(gain.T), math.inf)
-    checked = redundancy_numbers > UNCHECKED
-    biases[checked] = root / np.sqrt(chi_square_per_m2[checked])
+    gains, biases = sensitivity.gain.T, np.full(len(sensitivity.gain.T), math.inf)
+    checked = sensitivity.redundancy_numbers > UNCHECKED
+    biases[checked] = root / np.sqrt(sensitivity.chi_square[checked])
     return Reliability(
         names=posor.stack.reading_names,
-        redundancy_numbers=redundancy_numbers,
+        redundancy_numbers=sensitivity.redundancy_numbers,
         biases=biases,
-        gains=gain.T,
-        shifts=np.array(
-            [transformed(own[:, None], np.array([bias])) for own, bias in zip(gain.T, biases, strict=True)]
-        ),
+        gains=gains,
+        shifts=_shifts(gains, biases),
         false_alarm=false_alarm,
         missed_detection=missed_detection,
     )
 
 
+def _shifts(gains: FloatArray, biases: FloatArray) -> FloatArray:
+    """Return the change of the pose by each bias, (m, 6); infinite ones act only through gains that are not zero."""
+    magnitudes, finite = np.abs(gains), np.isfinite(biases)[:, None]
+    unbounded = ~finite & (magnitudes > _NO_COEFFICIENT * magnitudes.max(axis=1, keepdims=True))
+    return np.where(unbounded, math.inf, gains * np.where(finite, biases[:, None], 0.0))
+
+
+@lru_cache
 def noncentrality(redundant: int, limit: float, missed_detection: float) -> float:
     """Return the non-centrality at which chi-square of ``redundant`` degrees of freedom passes a limit that rarely."""
     return float(chndtrinc(limit, redundant, missed_detection))
 
 
-def transformed(matrix: FloatArray, vector: FloatArray) -> FloatArray:
-    """Return ``matrix @ vector``, in which infinite components act only through coefficients that are not zero."""
-    finite = np.isfinite(vector)
-    product = matrix @ np.where(finite, vector, 0.0)
-    unbounded = (np.abs(matrix) > _NO_COEFFICIENT * np.abs(matrix).max(initial=0.0)) @ ~finite
-    return np.where(unbounded, math.inf, product)
+def transformed(matrix: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Return ``matrix @ v`` of each vector v, (..., n); infinite components act only through coefficients not zero."""
+    finite = np.isfinite(vectors)
+    products = np.where(finite, vectors, 0.0) @ matrix.T
+    unbounded = ~finite @ (np.abs(matrix) > _NO_COEFFICIENT * np.abs(matrix).max(initial=0.0)).T
+    return np.where(unbounded, math.inf, products)

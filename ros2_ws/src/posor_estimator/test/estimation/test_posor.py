@@ -207,6 +207,19 @@ def test_prediction_needs_the_lit_sources_and_sensitivity_valid_readings() -> No
             posor.sensitivity(invalid, pose)
 
 
+@pytest.mark.parametrize("temperature", [math.nan, 293.15])
+@pytest.mark.parametrize("stack", STACKS)
+def test_the_sensitivity_of_the_last_estimate_is_that_at_its_pose(stack: DesignName, temperature: float) -> None:
+    posor = Posor(design(stack))
+    scans, _ = sweep(posor, np.linspace(0.05, 0.06, 5))
+    for n in range(len(scans)):
+        scan = replace(scans[n], temperature=temperature)
+        pose = posor.estimate(scan).T_R_T
+        assert pose is not None
+        for found, expected in zip(posor.last_sensitivity(), posor.sensitivity(scan, pose), strict=True):
+            np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
+
+
 @pytest.mark.parametrize("stack", STACKS)
 def test_an_impossible_temperature_never_raises(stack: DesignName) -> None:
     posor = Posor(design(stack))

@@ -80,7 +80,7 @@ def random_correlation(size: int, directions: int, seed: int) -> FloatArray:
 def pushed(posor: Posor, covariance: FloatArray) -> FloatArray:
     """Return J C J' at the pose, ROS order, from the budget's derivatives."""
     scan = scan_at(posor, POSE)
-    jacobian = posor.sensitivity(scan, POSE)[0] @ posor.stack.residual_jacobian(scan, POSE.rotation, POSE.translation)
+    jacobian = posor.sensitivity(scan, POSE).gain @ posor.stack.residual_jacobian(scan, POSE.rotation, POSE.translation)
     return np.asarray(jacobian @ covariance @ jacobian.T)
 
 

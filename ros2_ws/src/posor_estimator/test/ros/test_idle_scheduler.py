@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from threading import Event, Semaphore, Thread
-from time import sleep, time_ns
+from time import time_ns
 from typing import TYPE_CHECKING
 
 import pytest
@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 SLOW_RATE = 1.0
-POLLS = 3
 
 
 def no_work() -> None:
@@ -31,29 +30,37 @@ def schedule(monkeypatch: pytest.MonkeyPatch) -> Iterator[TickSchedule]:
     schedule.remove()
 
 
+class ObservedEvent(Event):
+    """An event that counts the waits for it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.waits = Semaphore(0)
+
+    def wait(self, timeout: float | None = None) -> bool:
+        self.waits.release()
+        return super().wait(timeout)
+
+
 class WaitingThread:
     """A thread with deferrable work."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(idle_scheduler, "sleep", self._sleep)
+        self._tick_ended = ObservedEvent()
+        monkeypatch.setattr(idle_scheduler, "_tick_ended", self._tick_ended)
         self._done = Event()
         self._was_idle: bool | None = None
-        self._polls = Semaphore(0)
         self._thread = Thread(target=self._run)
         self._thread.start()
 
-    def _sleep(self, seconds: float) -> None:
-        self._polls.release()
-        sleep(seconds)
-
     def _run(self) -> None:
         self._was_idle = run_when_idle(self._done.set)
-        self._polls.release(POLLS)
 
     def is_waiting(self) -> bool:
-        """Return whether the thread still waits after a few more polls."""
-        for _ in range(POLLS):
-            assert self._polls.acquire(timeout=30.0)
+        """Return whether the thread begins to wait, once more after a tick that changes nothing."""
+        for _ in range(2):
+            assert self._tick_ended.waits.acquire(timeout=30.0)
+            self._tick_ended.set()
         return not self._done.is_set()
 
     def runs(self) -> bool:
@@ -68,7 +75,7 @@ def test_work_runs_at_once_without_ticks() -> None:
 
 
 def test_work_runs_at_once_long_before_a_tick(schedule: TickSchedule) -> None:
-    schedule.due_ns = time_ns() + schedule.period_ns
+    schedule.end_tick(time_ns() + schedule.period_ns)
     assert run_when_idle(no_work)
 
 
@@ -76,25 +83,25 @@ def test_work_runs_at_once_long_before_a_tick(schedule: TickSchedule) -> None:
 def test_work_waits_for_a_running_or_late_tick(
     schedule: TickSchedule, before_ns: int | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    schedule.due_ns = 0 if before_ns is None else time_ns() + before_ns
+    schedule.end_tick(0 if before_ns is None else time_ns() + before_ns)
     thread = WaitingThread(monkeypatch)
     assert thread.is_waiting()
-    schedule.due_ns = time_ns() + schedule.period_ns
+    schedule.end_tick(time_ns() + schedule.period_ns)
     assert thread.runs()
 
 
 def test_work_waits_for_a_tick_that_is_due_soon(schedule: TickSchedule, monkeypatch: pytest.MonkeyPatch) -> None:
     now_ns = time_ns()
     monkeypatch.setattr(idle_scheduler, "time_ns", lambda: now_ns)
-    schedule.due_ns = now_ns + MAX_MARGIN_NS
+    schedule.end_tick(now_ns + MAX_MARGIN_NS)
     thread = WaitingThread(monkeypatch)
     assert thread.is_waiting()
-    schedule.due_ns = now_ns + MAX_MARGIN_NS + 1
+    schedule.end_tick(now_ns + MAX_MARGIN_NS + 1)
     assert thread.runs()
 
 
 def test_work_waits_for_every_thread_with_ticks(schedule: TickSchedule, monkeypatch: pytest.MonkeyPatch) -> None:
-    schedule.due_ns = time_ns() + schedule.period_ns
+    schedule.end_tick(time_ns() + schedule.period_ns)
     other = TickSchedule(SLOW_RATE)
     thread = WaitingThread(monkeypatch)
     assert thread.is_waiting()

@@ -164,13 +164,15 @@ def detectable_shifts(stack: DesignName) -> list[DetectableShift]:
     motion = cast("Motion", posor.calibration.motion)
     rates = np.array([motion.translation.number] * 3 + [motion.lean.number] * 2 + [motion.theta.number])
     allowed = rates * TICK_NS * 1e-9 + NOISE_ALLOWANCE * spread
-    moves, misfits = posor.sensitivity(scans[0], pin.SE3(centre.rotations[0], centre.translations[0]))
+    sensitivity = posor.sensitivity(scans[0], pin.SE3(centre.rotations[0], centre.translations[0]))
     limit = posor.residual_limit
     return [
         DetectableShift(
             name,
             float(np.min(allowed / np.maximum(np.abs(move), 1e-300))),
-            math.sqrt(limit / misfit) if misfit > 1e-6 * float(np.max(misfits)) else math.inf,
+            math.sqrt(limit / misfit) if misfit > 1e-6 * float(np.max(sensitivity.chi_square)) else math.inf,
         )
-        for name, move, misfit in zip(posor.stack.reading_names, moves.T, misfits, strict=True)
+        for name, move, misfit in zip(
+            posor.stack.reading_names, sensitivity.gain.T, sensitivity.chi_square, strict=True
+        )
     ]
