@@ -375,9 +375,9 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         """Publish the reliability at the last pose, once a second, if there is a pose and somebody listens."""
         publisher = self._reliability
         with self._lock:
-            if publisher is None or not publisher.get_subscription_count():
+            if not self.may_publish or publisher is None or not publisher.get_subscription_count():
                 return
-            if not self.may_publish or self._stream is None or self._stream is not self._last_stream:
+            if self._stream is None or self._stream is not self._last_stream:
                 return  # a new estimator has seen no scan yet
             message = reliability_message(self._posor, self._stream.last_scan())
         if message is not None:
