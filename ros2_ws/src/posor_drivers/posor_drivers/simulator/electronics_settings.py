@@ -17,7 +17,7 @@ Amplitude = Annotated[Quantity, measured("V"), NOT_NEGATIVE]
 class Converter(FrozenModel):
     """Analogue-to-digital converter: ``2^bits`` codes over the range of probe voltages and of diode currents."""
 
-    bits: Annotated[int, Field(strict=True, ge=12, le=16)]
+    bits: Annotated[int, Field(strict=True, ge=12, le=24)]
     probes: Annotated[Quantity, measured("V", 2), INTERVAL]
     diodes: Annotated[Quantity, measured("A", 2), INTERVAL]
 

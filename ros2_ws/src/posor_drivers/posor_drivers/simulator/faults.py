@@ -35,6 +35,7 @@ FaultKind = Literal[
     "late",
     "stuck",
     "frozen",
+    "frozen_diodes",
     "garbage",
     "nan",
     "offset",
@@ -149,6 +150,10 @@ def _frozen(published: SimulatedScans, which: IntArray, _placed: PlacedFault, fi
     return _with_fields(published, which, **{name: getattr(first, name)[0] for name in READING_FIELDS})
 
 
+def _frozen_diodes(published: SimulatedScans, which: IntArray, _placed: PlacedFault, first: Scans) -> SimulatedScans:
+    return _with_fields(published, which, **{name: getattr(first, name)[0] for name in (DIODE_FIELD, "lit_sources")})
+
+
 def _garbage(published: SimulatedScans, which: IntArray, placed: PlacedFault, _first: Scans) -> SimulatedScans:
     numbers = published.scans.numbers[which].tolist()
     lowest = -placed.size if placed.field != DIODE_FIELD else 0.0
@@ -236,6 +241,7 @@ KINDS: dict[FaultKind, Kind] = {
     "late": Kind(_late, of_channel=False, sized=True, unit="s"),
     "stuck": Kind(_stuck, of_channel=True, sized=False, unit=""),
     "frozen": Kind(_frozen, of_channel=False, sized=False, unit=""),
+    "frozen_diodes": Kind(_frozen_diodes, of_channel=False, sized=False, unit=""),
     "garbage": Kind(_garbage, of_channel=True, sized=True, unit=""),
     "nan": Kind(_nan, of_channel=True, sized=False, unit=""),
     "offset": Kind(_offset, of_channel=True, sized=True, unit=""),

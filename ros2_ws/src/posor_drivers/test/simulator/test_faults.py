@@ -68,6 +68,7 @@ CASES: list[tuple[str, dict[str, Any], set[str]]] = [
     ("late", {"size": size(0.5, "s")}, {"latencies_ns"}),
     ("stuck", {"channel": "gap"}, {"gap_voltages"}),
     ("frozen", {}, {"gap_voltages", "diode_currents", "lit_sources"}),
+    ("frozen_diodes", {}, {"diode_currents", "lit_sources"}),
     ("garbage", {"channel": "gap", "size": size(5.0, "V")}, {"gap_voltages"}),
     ("nan", {"channel": "diode", "contact": "B"}, {"diode_currents"}),
     ("offset", {"channel": "gap", "size": size(0.1, "V")}, {"gap_voltages"}),

@@ -76,7 +76,7 @@ joints.elbow.structure.inner_diameter.value = 0.2 | joints.elbow.structure.inner
     | inner_diameter 0.2 m | 0 to less than 0.12 m, the outer
 joints.elbow.gears = {} | joints.elbow.gears | unknown key 'gears' | a key of the format
 electronics.converter = null | electronics | key 'converter' is missing |
-electronics.converter.bits = 18 | electronics.converter.bits | 18 | at most 16
+electronics.converter.bits = 26 | electronics.converter.bits | 26 | at most 24
 electronics.converter.probes.value = [5.0, -5.0] \
     | electronics.converter.probes.value | [5.0, -5.0] V | [lowest, highest]
 electronics.contamination.0.joint = knee | electronics.contamination[0].joint \

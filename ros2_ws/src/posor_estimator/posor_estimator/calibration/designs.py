@@ -145,11 +145,16 @@ def _environment(supply_spread: float) -> Part:
     }
 
 
-CONVERTER: Part = {
-    "voltage": quantity_entry(14.0 / 2**16, "V"),
-    "current": quantity_entry(1.5e-4 / 2**16, "A"),
-}
-"""Steps of a converter of 16 bits over the ranges of the readings."""
+CONVERTER_BITS, LIGHT_RING_BITS = 16, 24
+"""The noise of light spots on a ring is below a step of 16 bits; frozen diodes would look like a joint at rest."""
+
+
+def _converter(bits: int) -> Part:
+    """Return the steps of a converter over the ranges of the readings."""
+    return {
+        "voltage": quantity_entry(14.0 / 2**bits, "V"),
+        "current": quantity_entry(1.5e-4 / 2**bits, "A"),
+    }
 
 
 def _calibration(
@@ -218,7 +223,7 @@ def design(
     else:
         sensors.append(bumpy_ring(_PROBE, _RING, ring_probes))
     limits, environment = _limits(1e-3) if motion else None, _environment(_PROBE.supply_sigma)
-    steps = CONVERTER if converter else None
+    steps = _converter(CONVERTER_BITS) if converter else None
     return _calibration(name, "assumed design", (), frames, limits, environment, steps, sensors)
 
 
@@ -250,11 +255,12 @@ def sized_design(
     circle = 0.5 * (outside_diameter - INCH)
     half_side = circle * math.sqrt(0.75)
     tips = [[-circle, 0.0, 0.0], [0.5 * circle, half_side, 0.0], [0.5 * circle, -half_side, 0.0]]
+    bits = LIGHT_RING_BITS if name.endswith("_light_ring") else CONVERTER_BITS
     notes = [
         "thesis 9.3.1: probes of 5 microinch on a circle of the outside diameter less 1 in, ring of it less 2 in",
         "assumed: all calibrated as assembled, hence the small uncertainties; the 5 microinch taken for noise",
         "assumed: linearisation and range of the probes, tilt of the target plane, limits of motion",
-        "assumed: converters of 16 bits, ranges of supply and temperature",
+        f"assumed: converters of {bits} bits, ranges of supply and temperature",
     ]
     if _with_fourth_probe(name):
         tips = [[-circle, 0.0, 0.0], [0.0, circle, 0.0], [circle, 0.0, 0.0], [0.0, -circle, 0.0]]
@@ -272,4 +278,4 @@ def sized_design(
         notes.append("assumed: bumps of 0.4 mm every 3.32 mm, ring probes of 1.5 times the range of the others")
     source = f"assumed design of {outside_diameter / INCH:g} in outside diameter"
     environment = _environment(_SIZED_GAP_PROBE.supply_sigma)
-    return _calibration(title, source, tuple(notes), frames, _limits(0.02), environment, CONVERTER, sensors)
+    return _calibration(title, source, tuple(notes), frames, _limits(0.02), environment, _converter(bits), sensors)

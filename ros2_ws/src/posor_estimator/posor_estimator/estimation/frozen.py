@@ -3,9 +3,9 @@
 They repeat from scan to scan, or all of them in a loop, as from a buffer that nobody fills any more.
 
 Two readings of a channel at rest are equal with the probability p that the noise stays within a step of the converter.
-The evidence of n repetitions is ``-n log10 p``: a channel is frozen where its own is FROZEN_EVIDENCE, or where all
-channels repeat at once and the sum of theirs is ALL_FROZEN_EVIDENCE. A channel without noise above its step has no
-evidence.
+The evidence of n repetitions is ``-n log10 p``: a channel is frozen where its own is FROZEN_EVIDENCE, a sensor where
+all its channels repeat at once and the sum of theirs is, and everything where all channels repeat and the sum is
+ALL_FROZEN_EVIDENCE. A channel without noise above its step has no evidence.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from posor_estimator.estimation.workspace import Model
 
 FROZEN_EVIDENCE = 6.0
-"""Evidence of one channel that it is frozen: by chance once in a million scans."""
+"""Evidence of a channel or a sensor that it is frozen: by chance once in a million scans."""
 ALL_FROZEN_EVIDENCE = 3.5
 """Evidence of all channels together, so that the first repeated scan is seen; a wrong alarm costs one scan."""
 LOOP_EVIDENCE = 8.0
@@ -56,7 +56,7 @@ def evidence_of_repetition(step: float, noise: float) -> float:
 
 @inlined
 def count_repetitions(model: Model, scan: Any) -> int:
-    """Count how often each raw reading has repeated; return the reading that is frozen, ALL or NOT_FROZEN.
+    """Count how often each raw reading has repeated; return a reading that is frozen, ALL or NOT_FROZEN.
 
     Readings that the driver has filled in count as new ones.
     """
@@ -72,6 +72,7 @@ def count_repetitions(model: Model, scan: Any) -> int:
             continue
         of_diodes = sensor.source == DIODE_CURRENTS
         measured = scan.status & (DIODES_ESTIMATED if of_diodes else PROBES_ESTIMATED) == 0
+        fewest_of_sensor, evidence_of_sensor = 1 << 30, 0.0
         for i in range(2 * sensor.count if of_diodes else sensor.count):
             r = sensor.first_reading + i
             if of_diodes:
@@ -85,9 +86,14 @@ def count_repetitions(model: Model, scan: Any) -> int:
             tracker.last_raw[r, 0], tracker.last_raw[r, 1] = one, other
             signature = (signature * LOOP_WEIGHT + one) * LOOP_WEIGHT + other
             if workspace.evidence[r] > 0.0:
-                fewest = min(fewest, tracker.repeats[r])
+                fewest_of_sensor = min(fewest_of_sensor, tracker.repeats[r])
+                evidence_of_sensor += workspace.evidence[r]
                 if tracker.repeats[r] * workspace.evidence[r] >= FROZEN_EVIDENCE:
                     frozen = r
+        if evidence_of_sensor > 0.0:
+            fewest = min(fewest, fewest_of_sensor)
+            if fewest_of_sensor * evidence_of_sensor >= FROZEN_EVIDENCE:
+                frozen = sensor.first_reading
     if fewest > 0 and fewest * workspace.settings.all_evidence >= ALL_FROZEN_EVIDENCE:
         frozen = ALL
     if _repeats_in_a_loop(tracker, signature, workspace.settings.all_evidence):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from posor_estimator.calibration.calibration_file import calibration_from
-from posor_estimator.calibration.designs import design
+from posor_estimator.calibration.designs import design, sized_design
 from posor_estimator.errors import CalibrationError, ParameterError, ShapeError
 from posor_estimator.estimation.forward import scans_at
 from posor_estimator.estimation.frozen import FROZEN_EVIDENCE, evidence_of_repetition
@@ -23,20 +23,23 @@ if TYPE_CHECKING:
     from posor_estimator.calibration.designs import DesignName
     from posor_estimator.model.scan import Scans
 
-STEPS = {"voltage": 2e-4, "current": 2e-9}
-
 
 def resting(posor: Posor, count: int, seed: int | None = 3, *, rounded: bool = False) -> Scans:
-    """Scans at 1 kHz of a target at rest, counted from the first on, as a converter rounds them if asked."""
+    """Scans at 1 kHz of a target at rest, counted from the first on, rounded to the stated steps if asked."""
     rotations = np.tile(rotation_from_native(1e-4, -2e-4, 0.02), (count, 1, 1))
     translations = np.tile([2e-5, 1e-5, 0.7e-3], (count, 1))
     noise = None if seed is None else np.random.default_rng(seed)
     scans = scans_at(posor.stack, rotations, translations, np.arange(1, count + 1) * TICK_NS, noise=noise)
     scans.at_home[:1] = STATED_HOME
     scans.supply_voltages[:], scans.temperatures[:] = 15.0, 293.15
-    for name, step in (("gap_voltages", "voltage"), ("ring_voltages", "voltage"), ("diode_currents", "current")):
-        if rounded:
-            scans = scans.with_fields({name: STEPS[step] * np.round(getattr(scans, name) / STEPS[step])})
+    converter = posor.calibration.converter
+    if rounded and converter is not None:
+        for name, step in (
+            ("gap_voltages", converter.voltage.number),
+            ("ring_voltages", converter.voltage.number),
+            ("diode_currents", converter.current.number),
+        ):
+            scans = scans.with_fields({name: step * np.round(getattr(scans, name) / step)})
     return scans
 
 
@@ -145,6 +148,18 @@ def test_frozen_readings_are_lost_at_once_and_a_frozen_channel_soon(stack: Desig
     first = int(np.flatnonzero(found.faults & Fault.FROZEN)[0])
     assert 104 < first <= 112
     assert "gap_2 repeats" in Posor.reason(alone, scans[first], found.records[first])
+
+
+def test_frozen_diodes_of_a_light_ring_are_lost_at_once() -> None:
+    """Gap probes do not show whether the joint turns meanwhile."""
+    posor = Posor(sized_design("quad_light_ring", 0.15, frames=("receiving", "target"), title="ring"))
+    scans = resting(posor, 300, rounded=True)
+    scans.diode_currents[100:] = scans.diode_currents[99]
+    found = posor.estimate_all(scans)
+    assert (found.states[:100] == State.OK).mean() > 0.97
+    assert (found.states[100:] == State.LOST).all()
+    assert found.faults[100] & Fault.FROZEN
+    assert "repeats" in Posor.reason(posor, scans[100], found.records[100])
 
 
 def test_readings_filled_in_by_the_driver_may_repeat() -> None:

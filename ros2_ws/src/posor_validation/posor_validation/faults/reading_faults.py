@@ -38,7 +38,7 @@ SOUND_S = 0.2
 """Time before a fault in which its joint must have poses."""
 ATTEMPTS = 3
 """Cycles after which a fault is judged in any case; later ones are for faults that a problem of the host concealed."""
-NEEDS_FIRST_SCAN = ("frozen", "stuck")
+NEEDS_FIRST_SCAN = ("frozen", "frozen_diodes", "stuck")
 """Kinds that repeat the reading at the beginning of the fault, which must have been published."""
 SETTLING_TIMEOUT_S = 90.0
 """Longest time from the start of the nodes until the arm has poses."""
@@ -77,6 +77,7 @@ def _rows() -> list[ScenarioFault]:
     add(arm, "gap probe not a number", "garbage", "nan", "LOST, BAD_READING", "BAD_READING", **volts)
     add(arm, "diode dark", "off", "dark", "LOST, DARK_DIODE", "DARK_DIODE", channel="diode_1")
     add(arm, "diode stuck", "stuck", "stuck", "LOST, FROZEN or RESIDUAL", *contradiction, channel="diode_1")
+    add(arm, "all diodes frozen while the probes go on", "stuck", "frozen_diodes", "LOST, FROZEN", "FROZEN")
     garbage = quantity(1e-4, "A")
     add(arm, "diode garbage", "garbage", "garbage", jump, *contradiction, channel="diode_1", size=garbage)
     add(arm, "diode contact +5 uA", "wrong", "offset", jump, *contradiction, **amperes, size=quantity(5e-6, "A"))
