@@ -1,7 +1,7 @@
 # POSOR for ROS 2. Every target sets the workspace up first; this takes a fraction of a second if nothing has changed.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo arm calibrate-demo faults fuzz test test-long coverage accuracy budgets bench bench-core data docs lint words lines lock clean
+.PHONY: help setup audit demo arm calibrate-demo faults fuzz test test-long coverage accuracy budgets bench bench-core data docs lint words lines lock clean
 
 BAG ?= ymo
 CAL ?= printed
@@ -33,6 +33,7 @@ help:
 	@echo "make data                                              regenerate bags and calibrations from tables and designs"
 	@echo "make docs                                              regenerate the page of parameters"
 	@echo "make setup                                             virtual environment, ROS 2 Jazzy, colcon build"
+	@echo "make audit                                             known vulnerabilities of the pinned libraries; needs pypi.org"
 	@echo "make lock                                              update the exact versions in requirements/*.txt"
 	@echo "make clean                                             remove all results of the targets above"
 	@echo "./run PACKAGE EXECUTABLE [--ros-args ...]              run one node, as 'ros2 run' does"
@@ -40,6 +41,9 @@ help:
 
 setup:
 	@tools/python.sh tools/setup_workspace.py
+
+audit: setup
+	@.venv/bin/python -I tools/audit_requirements.py
 
 demo:
 	@./run posor_validation demo --bag $(BAG) --calibration $(CAL)

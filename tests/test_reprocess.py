@@ -187,12 +187,12 @@ YMO = str(BAGS / "ymo")
         ),
         (
             [YMO, *CALIBRATION, "--scheduler", "tcp://127.0.0.1:9"],
-            "option --scheduler: no Dask scheduler answers at tcp://127.0.0.1:9; expected an address such as tcp://host:87",
+            "option --scheduler: no Dask scheduler answers at tcp://127.0.0.1:9; expected an address such as tls://host:87",
         ),
         *(
             (
                 [YMO, *CALIBRATION, "--scheduler", each],
-                f"--scheduler: '{each}'; expected an address such as tcp://host:8",
+                f"--scheduler: '{each}'; expected an address such as tls://host:8",
             )
             for each in (
                 "localhost",
@@ -202,6 +202,21 @@ YMO = str(BAGS / "ymo")
                 "http://host:8786",
                 "tcp://host:99999",
             )
+        ),
+        *(
+            (
+                [YMO, *CALIBRATION, "--scheduler", each],
+                f"{each} is on another machine and not encrypted: whoever reaches it runs code on its workers; exp",
+            )
+            for each in ("tcp://host:8786", "ws://192.168.0.1:8786", "tcp://[fe80::1]:8786")
+        ),
+        (
+            [YMO, *CALIBRATION, "--scheduler", f"tcp://{socket.gethostname()}:9", "--unencrypted"],
+            f"option --scheduler: no Dask scheduler answers at tcp://{socket.gethostname()}:9; ",
+        ),
+        (
+            [YMO, *CALIBRATION, "--scheduler", "tls://127.0.0.1:9"],
+            "option --scheduler: there are no certificates for TLS; expected 'distributed.comm.tls' in Dask's",
         ),
         ([str(BAG), *ARM, *CALIBRATION], "there are no scans of joint joint1"),
     ],

@@ -1,17 +1,20 @@
-"""Bags reprocessed on a real Dask cluster, one of whose two workers is killed at its work."""
+"""Bags reprocessed on real Dask clusters: one of two workers is killed at its work; TLS with certificates."""
 
 from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import sys
 import time
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import dask
 import pytest
 from posor_bringup.arms import find_arm, load_checked_arm
+from posor_bringup.installed import bag_path, calibration_path
 from posor_estimator.bags.reprocess_command import main
 from posor_estimator.bags.result_folder import UNFINISHED
 from posor_estimator.testing.program import Program, installed, wait_until
@@ -20,7 +23,8 @@ from posor_validation.benchmark.offline_benchmark import repeat_bag
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-BAG = Path(__file__).resolve().parents[1] / "bags" / "five_axis"
+ROOT = Path(__file__).resolve().parents[1]
+BAG = ROOT / "bags" / "five_axis"
 ARM = ["--arm", str(find_arm("five_axis"))]
 BAGS = ("a", "b", "c")
 LOCAL = {"DASK_DISTRIBUTED__DASHBOARD__LINK": "", "DASK_DISTRIBUTED__COMM__RETRY__COUNT": "0"}
@@ -40,7 +44,7 @@ def part(name: str, *arguments: str) -> list[str]:
 
 
 def address_of(scheduler: Program) -> str:
-    return next(word for word in scheduler.wait_for_line("Scheduler at:").split() if word.startswith("tcp://"))
+    return scheduler.wait_for_line("Scheduler at:").split()[-1]
 
 
 def at_work(worker: Program) -> bool:
@@ -82,3 +86,61 @@ def test_the_results_are_whole_and_the_same_though_a_worker_is_killed(bags: Path
         assert client.process.wait(240) == 0, client.stderr
     assert sorted(path.name for path in (tmp_path / "cluster").iterdir()) == list(BAGS)
     assert dict(files(tmp_path / "cluster")) == dict(files(tmp_path / "alone"))
+
+
+@pytest.fixture
+def certificates(tmp_path: Path) -> Iterator[Path]:
+    """Return the folder of certificates made by the example; Dask's configuration is restored afterwards."""
+    folder = tmp_path / "certificates"
+    subprocess.run([ROOT / "examples/security/make_dask_certificates.sh", folder], check=True)
+    yield folder
+    dask.config.refresh()
+
+
+def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """Return the sentence of a refused command line."""
+    capsys.readouterr()
+    assert main(arguments) == 2
+    return capsys.readouterr().err.strip()
+
+
+def test_a_cluster_with_tls_has_the_same_results_and_refuses_others(
+    certificates: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert {path.stat().st_mode & 0o777 for path in certificates.iterdir()} == {0o600}
+    given = [str(bag_path("ymo")), "--calibration", f"joint1={calibration_path('printed')}"]
+    assert main([*given, "--output", str(tmp_path / "alone" / "ymo")]) == 0
+    environ = {**LOCAL, "DASK_CONFIG": str(certificates / "dask.yaml")}
+    with ExitStack() as stack:
+        options = ["--host", "127.0.0.1", "--port", "0", "--protocol", "tls"]
+        scheduler = stack.enter_context(Program(part("scheduler", *options), environ))
+        address = address_of(scheduler)
+        assert address.startswith("tls://127.0.0.1:")
+        options = ["--nthreads", "1", "--no-nanny", "--local-directory", str(tmp_path / "spill")]
+        worker = stack.enter_context(Program(part("worker", address, *options), environ))
+        worker.wait_for_line("Registered to:")
+        cluster = [*given, "--scheduler", address]
+        assert said(capsys, *cluster) == (
+            "option --scheduler: there are no certificates for TLS; expected 'distributed.comm.tls' in Dask's "
+            "configuration, see docs/how_to/secure_network.md."
+        )
+        dask.config.refresh(paths=[str(certificates / "dask.yaml")])
+        assert main([*cluster, "--output", str(tmp_path / "cluster" / "ymo")]) == 0
+        assert dict(files(tmp_path / "cluster")) == dict(files(tmp_path / "alone"))
+        plain = address.replace("tls", "tcp")
+        assert said(capsys, *given, "--scheduler", plain) == (
+            f"option --scheduler: {plain} is not encrypted; expected tls://, as Dask's configuration says."
+        )
+        monkeypatch.setattr("posor_estimator.bags.executors.CONNECT_WITHIN_S", 1)
+        dask.config.set({"distributed.comm.require-encryption": False})
+        assert said(capsys, *given, "--scheduler", plain).startswith(
+            f"option --scheduler: no Dask scheduler answers at {plain}; "
+        )
+        subprocess.run([ROOT / "examples/security/make_dask_certificates.sh", tmp_path / "others"], check=True)
+        dask.config.refresh(paths=[str(tmp_path / "others" / "dask.yaml")])
+        assert said(capsys, *cluster) == (
+            f"option --scheduler: the scheduler at {address} and this program do not accept each other's certificates; "
+            "expected certificates of one authority, see docs/how_to/secure_network.md."
+        )
+        (tmp_path / "others" / "client.key").unlink()
+        assert said(capsys, *cluster).startswith("option --scheduler: the certificates cannot be used: ")

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 FOLDER = THIS.root / "requirements"
+LOCKS = (*WHEEL_LOCKS, "audit.txt")
 PIN = re.compile(r"(?P<name>[A-Za-z0-9][A-Za-z0-9._-]*)==(?P<version>[A-Za-z0-9.]+)")
 
 
@@ -33,10 +34,10 @@ def pins(name: str) -> dict[str, str]:
 
 
 def test_every_list_has_its_lock_file() -> None:
-    assert {path.stem for path in FOLDER.glob("*.in")} == {name.removesuffix(".txt") for name in WHEEL_LOCKS}
+    assert {path.stem for path in FOLDER.glob("*.in")} == {name.removesuffix(".txt") for name in LOCKS}
 
 
-@pytest.mark.parametrize("name", WHEEL_LOCKS)
+@pytest.mark.parametrize("name", LOCKS)
 def test_lock_meets_its_list(name: str) -> None:
     locked = pins(name)
     for line in lines((FOLDER / name).with_suffix(".in")):
@@ -46,7 +47,7 @@ def test_lock_meets_its_list(name: str) -> None:
 
 def test_locks_have_one_version_of_each_library() -> None:
     versions: dict[str, str] = {}
-    for name in WHEEL_LOCKS:
+    for name in LOCKS:
         for library, version in pins(name).items():
             assert versions.setdefault(library, version) == version
 
@@ -57,7 +58,7 @@ def test_document_names_every_library_with_its_locked_version() -> None:
     documented = {str(canonicalize_name(name)): version for name, version in rows}
     named = {
         str(canonicalize_name(Requirement(line).name)): name
-        for name in WHEEL_LOCKS
+        for name in LOCKS
         for line in lines((FOLDER / name).with_suffix(".in"))
     }
     assert documented == {library: pins(name)[library] for library, name in named.items()}

@@ -27,7 +27,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
-        *data_files("arms", "bags", "config", "launch", "urdf"),
+        *data_files("arms", "bags", "config", "launch", "security", "urdf"),
     ],
     python_requires=">=3.11",
     install_requires=["setuptools"],

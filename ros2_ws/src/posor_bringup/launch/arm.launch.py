@@ -38,6 +38,7 @@ def arm_nodes(context: LaunchContext) -> list[Node]:
             executable=program.executable,
             namespace=program.namespace,
             parameters=[dict(program.parameters)],
+            ros_arguments=["--enclave", program.enclave],
             output="screen",
         )
         for program in programs

@@ -54,16 +54,22 @@ def arm_programs(
     """
     common = {**(_freshness(arm, driver_parameters or {}) if drivers else {}), **(parameters or {})}
     chain = {**chain_parameters_of(arm), **common, **(chain_parameters or {})}
-    programs = [Program("chain_node", "posor_estimator", "chain_node", (), f"/{arm.name}", chain)]
+    programs = [_arm_node("posor_estimator", "chain_node", f"/{arm.name}", chain)]
     for joint in arm.calibrations:
         posor = {**posor_parameters(arm, joint), **common}
-        namespace = f"/{arm.name}/{joint}"
-        programs.append(Program(f"{joint}/posor_node", "posor_estimator", "posor_node", (), namespace, posor))
+        programs.append(_arm_node("posor_estimator", "posor_node", f"/{arm.name}/{joint}", posor))
     for joint in arm.calibrations if drivers else ():
         driver = {**_driver_parameters(arm, joint), **common, **(driver_parameters or {})}
-        name, namespace = f"{joint}/driver_node", f"/{arm.name}/{joint}"
-        programs.append(Program(name, "posor_drivers", "driver_node", (), namespace, driver, ends=True))
+        programs.append(_arm_node("posor_drivers", "driver_node", f"/{arm.name}/{joint}", driver))
     return programs
+
+
+def _arm_node(package: str, executable: str, namespace: str, parameters: Mapping[str, Parameter]) -> Program:
+    """Return the program of one node in the namespace of its arm or joint."""
+    joint = "".join(f"{name}/" for name in namespace.split("/")[2:])
+    ends = executable == "driver_node"
+    enclave = f"{namespace}/{executable}"
+    return Program(f"{joint}{executable}", package, executable, (), namespace, parameters, ends, enclave)
 
 
 def _freshness(arm: Arm, driver_parameters: Mapping[str, Parameter]) -> Mapping[str, Parameter]:
@@ -127,4 +133,5 @@ def _compose(name: str, programs: Sequence[Program], folder: Path) -> Program:
     content = {"format": "posor_composition", "version": 1, "nodes": nodes}
     path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
     ends = all(program.ends for program in programs)
-    return Program(name, "posor_estimator", "compose", (str(path),), ends=ends)
+    enclave = "/".join(["", *programs[0].namespace.split("/")[1:2], "compose"])
+    return Program(name, "posor_estimator", "compose", (str(path),), ends=ends, enclave=enclave)

@@ -52,6 +52,7 @@ class Program:
     namespace: str = ""  # ROS namespace, such as ``/joint1``; empty: the root
     parameters: Mapping[str, Parameter] = field(default_factory=dict)  # ROS parameters by name
     ends: bool = False  # whether it ends by itself when its work is done
+    enclave: str = ""  # identity of the process in a network with SROS 2, such as ``/arm/chain_node``; empty: the root
 
     def command(self) -> list[str]:
         """Return the command line.
@@ -61,6 +62,7 @@ class Program:
 
         """
         ros_arguments = ["--ros-args", *(["-r", f"__ns:={self.namespace}"] if self.namespace else [])]
+        ros_arguments += ["--enclave", self.enclave] if self.enclave else []
         for name, value in self.parameters.items():
             ros_arguments += ["-p", f"{name}:={yaml_text(value)}"]
         return [*self._interpreter_and_path(), *self.arguments, *ros_arguments]

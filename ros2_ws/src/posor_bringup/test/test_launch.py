@@ -59,7 +59,7 @@ def test_arm_launch_file_uses_existing_functions_and_attributes() -> None:
     for module, name in imported:
         assert hasattr(importlib.import_module(module), name)
     used = {node.attr for node in nodes if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "program"}
-    assert used == {"package", "executable", "namespace", "parameters"}
+    assert used == {"package", "executable", "namespace", "parameters", "enclave"}
     (call,) = (node for node in nodes if isinstance(node, ast.Call) and ast.unparse(node.func) == "arm_programs")
     assert {keyword.arg for keyword in call.keywords} <= set(inspect.signature(arm_programs).parameters)
     for program in arm_programs(load_checked_arm("five_axis")):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal, TypeVar
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from posor_estimator.parameter_model import ChangeableAtRunTime, ParameterGroup
 
@@ -98,6 +98,11 @@ class NodeParameters(ParameterGroup):
     autostart: bool = Field(
         default=True, description="configure and activate at start; false: wait for the lifecycle services"
     )
+    allow_changes: bool = Field(
+        default=True,
+        description="open the services that change state: ~/reload, ~/zero, ~/home, ~/acknowledge, ~/set_home, those "
+        "that set parameters, and those of the lifecycle; false: they do not exist",
+    )
     hardware_id: str = Field(
         default="", description="hardware named in the diagnostics; empty: the node's namespace, or its name"
     )
@@ -110,6 +115,16 @@ class NodeParameters(ParameterGroup):
     freshness: FreshnessParameters = FreshnessParameters()
     limits: LimitParameters = LimitParameters()
     realtime: RealtimeParameters = RealtimeParameters()
+
+    @model_validator(mode="after")
+    def _check_changes(self) -> NodeParameters:
+        if not (self.autostart or self.allow_changes):
+            text = (
+                "'autostart' and 'allow_changes' are both false, so that nothing can start the node; "
+                "expected one of them true"
+            )
+            raise ValueError(text)
+        return self
 
 
 RECORDING: dict[str, float] = {"freshness.max_age": math.inf, "freshness.max_future": math.inf}

@@ -6,12 +6,14 @@ import asyncio
 import multiprocessing
 import os
 import signal
+import ssl
 import threading
 import time
 from _thread import interrupt_main
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from ipaddress import ip_address
 from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 from urllib.parse import urlsplit
@@ -27,9 +29,10 @@ CONNECT_WITHIN_S = 10
 """Time limit for the answer of a cluster."""
 END_WITHIN_S = 5.0
 """Time limit for a worker to remove its unfinished results after the program has been killed."""
-SCHEMES = ("tcp", "tls", "ws", "wss")
+ENCRYPTED_SCHEMES = ("tls", "wss")
+SCHEMES = ("tcp", "ws", *ENCRYPTED_SCHEMES)
 OPTION = "option --scheduler"
-EXPECTED = "an address such as tcp://host:8786"
+EXPECTED = "an address such as tls://host:8786"
 
 
 class BagTask(Protocol):
@@ -102,17 +105,28 @@ def local_processes(count: int) -> Iterator[Executor]:
 
 
 @contextmanager
-def dask_cluster(scheduler: str) -> Iterator[Executor]:
+def dask_cluster(scheduler: str, *, unencrypted: bool = False) -> Iterator[Executor]:
     """Yield an executor on a Dask cluster whose workers see the same files.
 
     A task whose worker is lost is done again by another worker.
 
+    Args:
+        scheduler: Address of the scheduler; the certificates for TLS are those of Dask's configuration.
+        unencrypted: Whether a scheduler on another machine may be used without TLS.
+
     Raises:
-        ParameterError: The address is invalid, Dask is not installed, or no scheduler answers.
+        ParameterError: The address is invalid or not encrypted, Dask is not installed, the certificates cannot be used,
+            or no scheduler answers.
 
     """
     if not _is_address(scheduler):
         raise ParameterError(f"'{scheduler}'", where=OPTION, expected=EXPECTED)
+    if not (unencrypted or _is_protected(scheduler)):
+        raise ParameterError(
+            f"{scheduler} is on another machine and not encrypted: whoever reaches it runs code on its workers",
+            where=OPTION,
+            expected="a tls:// address, or --unencrypted too",
+        )
     try:
         import distributed  # noqa: PLC0415  an optional library
     except ImportError:
@@ -120,10 +134,17 @@ def dask_cluster(scheduler: str) -> Iterator[Executor]:
             "Dask is not installed", where=OPTION, expected="the Python library 'distributed'"
         ) from None
     dask: Any = distributed
+    security = _connection_security(dask, scheduler)
     try:
-        asyncio.run(_ping_scheduler(dask, scheduler))
+        asyncio.run(_ping_scheduler(dask, scheduler, security))
         client = dask.Client(scheduler, timeout=CONNECT_WITHIN_S, set_as_default=False)
     except (OSError, ValueError) as error:
+        if isinstance(error.__cause__, ssl.SSLError):
+            raise ParameterError(
+                f"the scheduler at {scheduler} and this program do not accept each other's certificates",
+                where=OPTION,
+                expected="certificates of one authority, see docs/how_to/secure_network.md",
+            ) from error
         raise ParameterError(f"no Dask scheduler answers at {scheduler}", where=OPTION, expected=EXPECTED) from error
     with client:
         yield client.get_executor(pure=False, retries=0)
@@ -167,14 +188,48 @@ def _is_address(text: str) -> bool:
     return address.scheme in SCHEMES and bool(address.hostname) and bool(port) and not rest
 
 
-async def _ping_scheduler(dask: Any, scheduler: str) -> None:
+def _is_protected(scheduler: str) -> bool:
+    """Return whether a valid address is one with TLS, or one of this machine."""
+    address = urlsplit(scheduler)
+    if address.scheme in ENCRYPTED_SCHEMES or address.hostname == "localhost":
+        return True
+    try:
+        return ip_address(address.hostname or "").is_loopback
+    except ValueError:  # a name
+        return False
+
+
+def _connection_security(dask: Any, scheduler: str) -> dict[str, Any]:
+    """Return Dask's arguments of a connection, with the certificates of Dask's configuration.
+
+    Raises:
+        ParameterError: Certificates are missing or cannot be read.
+
+    """
+    expected = "'distributed.comm.tls' in Dask's configuration, see docs/how_to/secure_network.md"
+    try:
+        security: dict[str, Any] = dask.Security().get_connection_args("client")
+    except OSError as error:
+        raise ParameterError(
+            f"the certificates cannot be used: {error}", where=OPTION, expected=f"those of {expected}"
+        ) from error
+    encrypted = urlsplit(scheduler).scheme in ENCRYPTED_SCHEMES
+    if security["require_encryption"] and not encrypted:
+        raise ParameterError(
+            f"{scheduler} is not encrypted", where=OPTION, expected="tls://, as Dask's configuration says"
+        )
+    if encrypted and security.get("ssl_context") is None:
+        raise ParameterError("there are no certificates for TLS", where=OPTION, expected=expected)
+    return security
+
+
+async def _ping_scheduler(dask: Any, scheduler: str, security: dict[str, Any]) -> None:
     """Connect to the scheduler once: a client without an answer cannot be closed, and may wait for ever.
 
     Raises:
         OSError: No answer in time.
 
     """
-    security = dask.Security().get_connection_args("client")
     async with asyncio.timeout(CONNECT_WITHIN_S):
         comm = await dask.comm.connect(scheduler, CONNECT_WITHIN_S, **security)
     await comm.close()

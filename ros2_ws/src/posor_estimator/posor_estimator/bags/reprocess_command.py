@@ -62,6 +62,8 @@ def parser() -> CommandLineParser:
     command.add_argument("--force", action="store_true", help="replace existing results")
     command.add_argument("--jobs", type=int, default=1, metavar="N", help="bags at a time, each in its own process")
     command.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster whose workers see the same files")
+    text = "use a --scheduler on another machine without TLS: whoever reaches it runs code on its workers"
+    command.add_argument("--unencrypted", action="store_true", help=text)
     return command
 
 
@@ -207,7 +209,10 @@ def _run_tasks(options: argparse.Namespace, tasks: Sequence[Task]) -> Iterator[S
                 yield reprocess_bag(task, partial(progress.advance, bar))
             return
         bar = progress.add_task("bags", total=len(tasks))
-        parallel = local_processes(jobs) if options.scheduler is None else dask_cluster(options.scheduler)
+        if options.scheduler is None:
+            parallel = local_processes(jobs)
+        else:
+            parallel = dask_cluster(options.scheduler, unencrypted=options.unencrypted)
         with parallel as executor:
             at_once = jobs if options.scheduler is None else len(tasks)
             for summary in run_tasks(executor, reprocess_in_worker, tasks, at_once):

@@ -23,7 +23,6 @@ from posor_msgs.msg import EndpointState, JointReliability, JointTransform
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
 
 from posor_estimator.bags.cdr_schema import STAMP
 from posor_estimator.bags.message_table import LEAD
@@ -55,6 +54,8 @@ from posor_estimator.ros_names import (
 )
 
 if TYPE_CHECKING:
+    from std_srvs.srv import Trigger
+
     from posor_estimator.chain.endpoint_estimator import EndpointEstimator
     from posor_estimator.chain.robot_model import FreeJoint
     from posor_estimator.numerics.array_types import FloatArray
@@ -142,7 +143,7 @@ class ChainNode(PosorNode[ChainParameters]):
         steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         period_s = min(self.parameters.max_wait, LATE_CHECK_S)
         self.add_cleanup(self.destroy_timer, self.create_timer(period_s, self._close_late_scans, clock=steady_clock))
-        self.add_cleanup(self.destroy_service, self.create_service(Trigger, "~/set_home", self._on_set_home))
+        self.add_change_service("set_home", self._on_set_home)
 
     def _create_publisher(self, message_type: type[Any], topic: str) -> IntraProcessPublisher:
         return IntraProcessPublisher(self, message_type, topic, result_qos(self.parameters), count_listeners=True)

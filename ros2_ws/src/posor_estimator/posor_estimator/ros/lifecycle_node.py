@@ -7,10 +7,14 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any, ClassVar, Generic
 
 from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.exceptions import NameValidationException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle.node import LifecycleNodeMixin
+from rclpy.node import Node
+from std_srvs.srv import Trigger
 
 from posor_estimator.errors import ParameterError, PosorError
 from posor_estimator.node_parameters import ParametersT
@@ -72,11 +76,11 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
 
         """
         try:
-            super().__init__(self.NAME, automatically_declare_parameters_from_overrides=True, **options)
+            # The two steps of LifecycleNode's initialiser; the parameters decide whether the second opens services.
+            Node.__init__(self, self.NAME, automatically_declare_parameters_from_overrides=True, **options)
         except (RuntimeError, NameValidationException) as error:
             reason = " ".join(str(error).split(", at ")[0].split())
             raise ParameterError(reason, where=f"node {self.NAME}") from None
-        self._answer_impossible_transitions()
         self.exit_requested = self.may_publish = False
         self._failure: Exception | None = None
         self._refusal: Exception | None = None
@@ -96,6 +100,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         except PosorError:
             self.destroy_node()
             raise
+        self._open_lifecycle()
         self.diagnostics = Diagnostics(self, self.parameters.hardware_id)
         self._lifecycle_status = self.diagnostics.add_status("lifecycle")
         self._lifecycle_status.report(Level.WARN, "unconfigured")
@@ -106,6 +111,21 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         self.create_timer(
             EVENTS_PERIOD_S, lambda: run_when_idle(self._take_events), clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
+
+    def _open_lifecycle(self) -> None:
+        """Create the state machine; without ``allow_changes``, keep only the services that read parameters.
+
+        rcl opens all services of the lifecycle or none. The parameter services exist since the creation of the node,
+        but no executor has served them yet.
+        """
+        allow_changes = self.parameters.allow_changes
+        LifecycleNodeMixin.__init__(self, enable_communication_interface=allow_changes)
+        if allow_changes:
+            self._answer_impossible_transitions()
+            return
+        for service in list(self.services):
+            if service.srv_type in (SetParameters, SetParametersAtomically):
+                self.destroy_service(service)
 
     def _answer_impossible_transitions(self) -> None:
         """Refuse a request for a transition that the present state does not have; rclpy would end the program."""
@@ -157,6 +177,14 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
     def add_cleanup(self, cleanup: Callable[..., object], *arguments: object) -> None:
         """Register a function that undoes a part of ``configure``; the last one runs first."""
         self._cleanups.callback(cleanup, *arguments)
+
+    def add_change_service(self, name: str, callback: Callable[[Any, Any], Any]) -> None:
+        """Open the service ``~/name`` (std_srvs/Trigger), which changes state, until the clean-up.
+
+        Without the parameter ``allow_changes`` it is not opened.
+        """
+        if self.parameters.allow_changes:
+            self.add_cleanup(self.destroy_service, self.create_service(Trigger, f"~/{name}", callback))
 
     def report_listeners(self, topic: str, count: int) -> None:
         """Report the number of subscriptions of a topic of this node, in any process."""

@@ -5,7 +5,7 @@ scan without a pose is published with the state LOST and NaN in every number; th
 
 Services (std_srvs/Trigger): ``~/reload`` reads the calibration file again; ``~/zero`` shifts the zero of the gap probes
 so that the present pose is home; ``~/home`` counts theta from its home mark; ``~/acknowledge`` ends a latched fault. A
-refused request changes nothing.
+refused request changes nothing. With ``allow_changes: false`` these services do not exist.
 
 With an encoder, ``encoder`` (sensor_msgs/JointState) confirms theta.
 """
@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Any
 
 from posor_msgs.msg import JointReliability, JointTransform, RawScan
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
 
 from posor_estimator.calibration.calibration_file import load_calibration
 from posor_estimator.errors import CalibrationError, ParameterError, PosorError, TopicError
@@ -48,6 +47,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from rclpy.publisher import Publisher
+    from std_srvs.srv import Trigger
 
     from posor_estimator.calibration.calibration_file import Calibration
     from posor_estimator.ros.diagnostics import StatusText, Value
@@ -121,8 +121,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         if self.parameters.home_pose:
             services["zero"] = self._zero_gap_probes
         for name, action in services.items():
-            service = self.create_service(Trigger, f"~/{name}", partial(self._on_request, action))
-            self.add_cleanup(self.destroy_service, service)
+            self.add_change_service(name, partial(self._on_request, action))
 
     def activate(self) -> None:
         """Expect scans with present stamps from now on."""

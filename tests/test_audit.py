@@ -1,0 +1,46 @@
+"""The audit of the pinned libraries where it is not possible: one sentence, and an exit code that is no success."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+import audit_requirements
+import pytest
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+CLOSED = "http://127.0.0.1:9"
+"""Nothing listens there."""
+
+
+def test_without_an_index_the_audit_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(audit_requirements, "TOOL", tmp_path)
+    for name, value in {"NO_INDEX": "1", "FIND_LINKS": "", "CONFIG_FILE": os.devnull}.items():
+        monkeypatch.setenv(f"PIP_{name}", value)
+    assert audit_requirements.main() == audit_requirements.NOT_POSSIBLE
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert err.startswith("make audit: pip-audit cannot be installed: ERROR: No matching distribution found for ")
+    assert err.endswith("; expected a connection to pypi.org.\n")
+    assert err.count("\n") == 1
+
+
+@pytest.mark.long
+def test_without_the_database_the_audit_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(audit_requirements, "TOOL", tmp_path)
+    assert audit_requirements.install_tool() == ""
+    for name in ("HTTPS_PROXY", "https_proxy"):
+        monkeypatch.setenv(name, CLOSED)
+    capfd.readouterr()
+    assert audit_requirements.main() == audit_requirements.NOT_POSSIBLE
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert err.startswith("make audit: the database of vulnerabilities cannot be read: ")
+    assert err.endswith("; expected a connection to pypi.org.\n")
+    assert err.count("\n") == 1
