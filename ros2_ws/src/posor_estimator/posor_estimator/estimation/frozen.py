@@ -55,7 +55,7 @@ def evidence_of_repetition(step: float, noise: float) -> float:
 
 
 @inlined
-def count_repetitions(model: Model, scan: Any) -> int:
+def count_repetitions(model: Model, scan: Any) -> int:  # noqa: C901  loops over plain numbers
     """Count how often each raw reading has repeated; return a reading that is frozen, ALL or NOT_FROZEN.
 
     Readings that the driver has filled in count as new ones.

@@ -68,9 +68,8 @@ def _rows() -> list[ScenarioFault]:
     contradiction = ("RESIDUAL", "OUT_OF_RANGE", "INNOVATION", "BAD_READING", "FROZEN", "SOURCE", "DARK_DIODE")
     volts, amperes = {"channel": "gap_1"}, {"channel": "diode_1", "contact": "A"}
     arm: Arm = "six_axis"
-    add(arm, "gap probe +50 mV", "wrong", "offset", lost, *contradiction, **volts, size=quantity(0.05, "V"))
-    add(arm, "gap probe +100 mV", "wrong", "offset", lost, *contradiction, **volts, size=quantity(0.1, "V"))
-    add(arm, "gap probe +1 V", "wrong", "offset", lost, *contradiction, **volts, size=quantity(1.0, "V"))
+    for offset, text in ((0.05, "+50 mV"), (0.1, "+100 mV"), (1.0, "+1 V")):
+        add(arm, f"gap probe {text}", "wrong", "offset", lost, *contradiction, **volts, size=quantity(offset, "V"))
     add(arm, "gap probe stuck at 0 V", "stuck", "value", lost, *contradiction, **volts, size=quantity(0.0, "V"))
     add(arm, "gap probe stuck at a reading", "stuck", "stuck", "LOST, FROZEN or RESIDUAL", *contradiction, **volts)
     add(arm, "gap probe garbage", "garbage", "garbage", lost, *contradiction, **volts, size=quantity(5.0, "V"))

@@ -14,10 +14,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-from posor_drivers.simulator.electronics import convert_to_digital
+from posor_drivers.simulator.electronics import DIODE_FIELD, convert_to_digital
 from posor_drivers.simulator.pose_array import PoseArray
 from posor_estimator.calibration.designs import design, sized_design
 from posor_estimator.estimation.estimate import ESTIMATE, Estimates
@@ -36,7 +36,7 @@ from posor_validation.faults.storm_faults import RANGES, Episode, field_of, stor
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from posor_estimator.calibration.calibration_file import Calibration
+    from posor_estimator.calibration.calibration_file import Calibration, Converter
     from posor_estimator.numerics.array_types import BoolArray, FloatArray, IntArray
 
 RATE = 500
@@ -145,9 +145,12 @@ class StormMaker:
         stack = stack.with_parameter_values(stack.parameter_values + errors)
         scans = scans_at(stack, truth.rotations, truth.translations, stamps, noise=random)
         arrays: dict[str, Any] = {"stamps_ns": stamps, "numbers": np.arange(count, dtype=np.uint64)}
+        converter = cast("Converter", self.calibration.converter)
         for name, limits in RANGES.items():
             values = getattr(scans, name)
-            arrays[name] = convert_to_digital(values, np.array(limits), 16, steps=True)[0] if values.size else values
+            step = (converter.current if name == DIODE_FIELD else converter.voltage).number
+            bits = round(math.log2((limits[1] - limits[0]) / step))
+            arrays[name] = convert_to_digital(values, np.array(limits), bits, steps=True)[0] if values.size else values
         arrays["lit_sources"] = scans.lit_sources.copy()
         arrays["supply_voltages"], arrays["temperatures"] = np.full(count, 15.0), np.full(count, 293.15)
         arrays["at_home"] = self._at_home(truth).astype(np.int64)
