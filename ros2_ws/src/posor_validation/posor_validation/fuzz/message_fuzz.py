@@ -91,10 +91,10 @@ class JointRecording:
     usable: list[int]
 
 
-def record(simulation: ArmSimulation, joint: str, count: int = SCANS) -> JointRecording:
-    """Estimate simulated scans of a joint."""
+def record(simulation: ArmSimulation, joint: str, count: int = SCANS, cycle: int = 0) -> JointRecording:
+    """Estimate simulated scans of a joint from the beginning of a cycle of the scenario on."""
     messages = SimulatedMessages(MessageTypes(), simulation)
-    ticks = np.arange(1, count + 1)
+    ticks = np.arange(1, count + 1) + cycle * simulation.scenario.cycle_ticks
     simulated = simulation.scans(joint, ticks, simulation.truth(ticks))
     scans = [messages.raw_scan(joint, simulated, n).data for n in range(count)]
     posor = Posor(simulation.calibrations[joint])
@@ -114,28 +114,35 @@ class ScanFuzz:
     def __init__(self, simulation: ArmSimulation, joint: str, seed: int) -> None:
         """Estimate the undamaged scans; ``seed`` is that of the damage."""
         self.count = FuzzCount()
-        self._recording = record(simulation, joint)
-        self._chance = random.Random(f"{joint} {seed}")  # noqa: S311  damage
+        self.chance = random.Random(f"{joint} {seed}")  # noqa: S311  damage
+        self._simulation, self._joint = simulation, joint
+        self.begin_cycle(0)
+
+    def begin_cycle(self, cycle: int) -> None:
+        """Damage scans from the beginning of this cycle of the scenario on."""
+        self.recording = record(self._simulation, self._joint, cycle=cycle)
         self._levels: dict[int, FloatArray] = {}
 
     def run(self, mutations: int) -> None:
         """Damage so many scans."""
         for _ in range(mutations):
-            n = self._chance.choice(self._recording.usable)
-            self.count.mutations += 1
-            self._judge(n, mutate(self._recording.scans[n], self._chance))
+            n = self.chance.choice(self.recording.usable)
+            data = mutate(self.recording.scans[n], self.chance)
+            found = self._estimate(n, data)
+            self.judge(n, data, None if found is None or found["state"] not in USABLE else _pose_of(found))
 
-    def _judge(self, n: int, data: bytes) -> None:
-        count, expected = self.count, self._recording.estimates[n]
-        found = self._estimate(n, data)
-        if found is None or found["state"] not in USABLE:
+    def judge(self, n: int, data: bytes, found: pin.SE3 | None) -> None:
+        """Count what became of damaged bytes in place of scan n: a pose that is published as valid, or None."""
+        count, expected = self.count, self.recording.estimates[n]
+        count.mutations += 1
+        if found is None:
             count.refused += 1
             return
-        error = pose_difference(_pose_of(found), _pose_of(expected))
-        if np.all(np.abs(error) <= SIGMAS * np.sqrt(np.diag(expected["random"] + expected["systematic"]))):
+        if self.is_near(n, found):
             count.unharmed += 1
             return
-        changed = changed_readings(self._recording.scans[n], data)
+        error = pose_difference(found, _pose_of(expected))
+        changed = changed_readings(self.recording.scans[n], data)
         if len(changed) == 1 and ENVIRONMENT not in changed and np.all(np.abs(error) <= self._protection_level(n)):
             count.covered += 1
         elif len(changed) > 1 or any(name.startswith(COUPLED) for name in changed):
@@ -144,9 +151,15 @@ class ScanFuzz:
             readings = ", ".join(sorted(changed)) or "no reading"
             count.add_wrong(f"scan {n}, {readings} changed: off by {np.round(1e6 * error, 2).tolist()} um, urad")
 
+    def is_near(self, n: int, found: pin.SE3) -> bool:
+        """Return whether a pose is that of scan n within 5 standard deviations."""
+        expected = self.recording.estimates[n]
+        sigmas = np.sqrt(np.diag(expected["random"] + expected["systematic"]))
+        return bool(np.all(np.abs(pose_difference(found, _pose_of(expected))) <= SIGMAS * sigmas))
+
     def _estimate(self, n: int, data: bytes) -> Any | None:
         """Return the estimate of damaged bytes in place of scan n, as posor_node makes it; None: it refuses them."""
-        recording = self._recording
+        recording = self.recording
         recording.posor.model.workspace["tracker"] = recording.trackers[n]
         stream = recording.stream
         if stream.identity(data) is None or stream.estimate_message(data) is None:
@@ -163,8 +176,8 @@ class ScanFuzz:
     def _protection_level(self, n: int) -> FloatArray:
         """Return the bound of the error of pose n by one reading, (6,)."""
         if n not in self._levels:
-            posor, estimate = self._recording.posor, self._recording.estimates[n]
-            found = joint_reliability(posor, scan_of(self._recording.scans[n]), _pose_of(estimate))
+            posor, estimate = self.recording.posor, self.recording.estimates[n]
+            found = joint_reliability(posor, scan_of(self.recording.scans[n]), _pose_of(estimate))
             shifts = sensor_shifts(posor.calibration, found.shifts)
             covariance = estimate["random"] + estimate["systematic"]
             self._levels[n] = endpoint_protection_level([shifts], [np.eye(6)], covariance)
@@ -211,30 +224,41 @@ class TransformFuzz:
         recordings = [record(simulation, joint.name) for joint in chain.joints]
         usable = set.intersection(*(set(each.usable) for each in recordings))
         self._scans = [[each.transforms[n] for each in recordings] for n in sorted(usable)]
-        self._chance = random.Random(f"transforms {seed}")  # noqa: S311  damage
+        self.chance = random.Random(f"transforms {seed}")  # noqa: S311  damage
 
     def run(self, mutations: int) -> None:
         """Damage so many transforms."""
         for _ in range(mutations):
-            scan, j = self._chance.choice(self._scans), self._chance.randrange(len(self._formats))
-            self.count.mutations += 1
-            self._judge(scan, j, mutate(scan[j], self._chance))
+            scan, j = self.choose()
+            found = self._endpoint([*scan[:j], mutate(scan[j], self.chance), *scan[j + 1 :]])
+            self.judge(scan, j, None if found is None else found[0])
 
-    def _judge(self, scan: list[bytes], j: int, data: bytes) -> None:
-        count, expected = self.count, self._endpoint(scan)
+    def choose(self) -> tuple[list[bytes], int]:
+        """Return the transforms of a scan and the joint whose one is to be damaged."""
+        return self.chance.choice(self._scans), self.chance.randrange(len(self._formats))
+
+    def judge(self, scan: list[bytes], j: int, found: pin.SE3 | None) -> None:
+        """Count what became of a scan whose transform of joint j was damaged: an endpoint pose, or None."""
+        self.count.mutations += 1
+        if found is None:
+            self.count.refused += 1
+        elif self.is_near(scan, found):
+            self.count.unharmed += 1
+        else:
+            error = pose_difference(found, self._expected(scan)[0])
+            self.count.add_wrong(f"joint {j}: endpoint off by {np.round(1e6 * error, 2).tolist()} um, urad")
+
+    def is_near(self, scan: list[bytes], found: pin.SE3) -> bool:
+        """Return whether an endpoint pose is that of the undamaged transforms within 5 standard deviations."""
+        pose, covariance = self._expected(scan)
+        return bool(np.all(np.abs(pose_difference(found, pose)) <= SIGMAS * np.sqrt(np.diag(covariance))))
+
+    def _expected(self, scan: list[bytes]) -> tuple[pin.SE3, FloatArray]:
+        expected = self._endpoint(scan)
         if expected is None:
             message = "undamaged transforms were refused"
             raise AssertionError(message)
-        pose, covariance = expected
-        found = self._endpoint([*scan[:j], data, *scan[j + 1 :]])
-        if found is None:
-            count.refused += 1
-            return
-        error = pose_difference(found[0], pose)
-        if np.all(np.abs(error) <= SIGMAS * np.sqrt(np.diag(covariance))):
-            count.unharmed += 1
-        else:
-            count.add_wrong(f"joint {j}: endpoint off by {np.round(1e6 * error, 2).tolist()} um, urad")
+        return expected
 
     def _endpoint(self, scan: list[bytes]) -> tuple[pin.SE3, FloatArray] | None:
         """Return pose and covariance of the endpoint; None: refused."""

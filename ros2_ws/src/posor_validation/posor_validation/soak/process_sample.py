@@ -1,0 +1,39 @@
+"""What a process holds at one moment, from /proc, and the growth of its memory."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from scipy.stats import theilslopes
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+MEGABYTE = 1e6
+
+
+@dataclass(frozen=True)
+class ProcessSample:
+    """What a process holds at one moment."""
+
+    seconds: float  # since the warm-up
+    memory_mb: float  # resident
+    descriptors: int
+    threads: int
+
+    @classmethod
+    def take(cls, pid: int, seconds: float) -> ProcessSample:
+        """Return a sample of a running process."""
+        folder = Path(f"/proc/{pid}")
+        status = (folder / "status").read_text(encoding="ascii")
+        kilobytes, threads = (int(re.findall(rf"{name}:\s+(\d+)", status)[0]) for name in ("VmRSS", "Threads"))
+        return cls(seconds, kilobytes * 1024 / MEGABYTE, len(list((folder / "fd").iterdir())), threads)
+
+
+def growth_mb(samples: Sequence[ProcessSample]) -> float:
+    """Return the growth of the memory [MB] along the median of the slopes between all pairs of samples (Theil, Sen)."""
+    seconds, memory = [each.seconds for each in samples], [each.memory_mb for each in samples]
+    return float(theilslopes(memory, seconds).slope) * (seconds[-1] - seconds[0])
