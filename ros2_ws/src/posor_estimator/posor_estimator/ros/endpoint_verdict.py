@@ -14,6 +14,7 @@ from posor_estimator.model.fault import Fault, State
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+ALL_FAULTS = sum(int(flag) for flag in Fault)
 _STATE_TEXTS = {int(state): f"is {state.name.lower()}" for state in State}
 
 
@@ -81,4 +82,8 @@ def _all_faults(joints: Sequence[JointStatus]) -> int:
 
 def _fault_names(faults: int) -> str:
     """Return the names of faults in parentheses after a space; empty without faults."""
-    return f" ({Fault(faults).name or f'unknown faults {faults}'})" if faults else ""
+    # Not Fault(faults): enum keeps a member of every value for ever, and damaged messages have any value.
+    names = [str(flag.name) for flag in Fault if flag & faults]
+    if unknown := faults & ~ALL_FAULTS:
+        names.append(f"unknown faults {unknown}")
+    return f" ({'|'.join(names)})" if faults else ""

@@ -125,6 +125,8 @@ def test_a_change_waits_for_the_shortest_interval_between_publications(
     status = observer.diagnostics.add_status("status")
     status.report(Level.OK, "ok")
     observer.wait_until(lambda: bool(observer.messages), "the first message")
+    kept = observer.reporter.node.default_callback_group.entities  # of which rclpy forgets none
+    entities = len(kept)
     status.report(Level.WARN, "degraded")
     before = polls
     observer.wait_until(lambda: polls >= before + 3, "three polls of a stopped clock")
@@ -132,6 +134,7 @@ def test_a_change_waits_for_the_shortest_interval_between_publications(
     now_s += MIN_INTERVAL_S
     observer.wait_until(lambda: len(observer.messages) > 1, "the second message")
     assert observer.first_status_messages()[1] == "degraded"
+    assert len(kept) == entities
 
 
 def test_queued_reports_are_published_when_the_node_ends(observer: Observer) -> None:

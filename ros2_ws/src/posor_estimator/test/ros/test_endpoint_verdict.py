@@ -50,3 +50,12 @@ def test_a_degraded_scan_names_its_degraded_joints() -> None:
     reason = "degraded: wrist (FLAGGED), tool (OUT_OF_RANGE)"
     assert verdict == Verdict(EndpointState.STATE_DEGRADED, faults, "wrist", reason)
     assert verdict.has_pose
+
+
+def test_unknown_faults_are_named_and_not_kept_in_memory() -> None:
+    known = len(Fault.__members__), len(Fault._value2member_map_)
+    for damage in range(1, 200):
+        faults = int(Fault.FLAGGED) | damage << 40
+        verdict = degraded_verdict([JointStatus("wrist", State.DEGRADED, faults)])
+        assert verdict.reason == f"degraded: wrist (FLAGGED|unknown faults {damage << 40})"
+    assert (len(Fault.__members__), len(Fault._value2member_map_)) == known
