@@ -40,7 +40,7 @@ WITHOUT_ROS = tuple(  # folders whose tests make no ROS context and share a proc
             *("numerics", "model", "sensors", "estimation", "chain", "calibration", "identification", "uncertainty"),
             *("bags", "reporting"),
         ),
-        "posor_validation": ("benchmark", "fuzz", "thesis_budgets"),
+        "posor_validation": ("benchmark", "thesis_budgets"),
     }.items()
     for folder in folders
 )
