@@ -28,6 +28,8 @@ ALL_FROZEN_EVIDENCE = 3.5
 """Evidence of all channels together, so that the first repeated scan is seen; a wrong alarm costs one scan."""
 LOOP_EVIDENCE = 8.0
 """Evidence of all channels together that scans repeat in a loop of two or more."""
+LOOP_SCANS = 2
+"""Fewest scans in a row that repeat earlier ones; a recording that is played back and forth has one at each end."""
 LOOP_WEIGHT = 0.7390851332151607
 """Weight of a reading in the signature of a scan: no polynomial with whole coefficients is zero there, so that readings
 which are whole multiples of a step give equal signatures only where all of them are equal."""
@@ -112,4 +114,4 @@ def _repeats_in_a_loop(tracker: Any, signature: float, evidence: float) -> bool:
             longest = max(longest, tracker.loop_repeats[lag])
     tracker.signatures[count % LONGEST_LOOP] = signature
     tracker.signature_count = count + 1
-    return longest * evidence >= LOOP_EVIDENCE and longest > 0
+    return longest * evidence >= LOOP_EVIDENCE and longest >= LOOP_SCANS
