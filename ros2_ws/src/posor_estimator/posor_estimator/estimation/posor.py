@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.special import chdtri
@@ -36,9 +36,7 @@ if TYPE_CHECKING:
     import pinocchio as pin
     from numpy.typing import NDArray
 
-    from posor_estimator.errors import ScanError
     from posor_estimator.numerics.array_types import FloatArray
-    from posor_estimator.sensors.base import Linearised
 
 PHASE_GUESSES = 8
 """Starts within one bump that are tried where theta is unknown."""
@@ -48,28 +46,6 @@ LARGEST_SIGMA = 0.1
 """Largest standard uncertainty of a reference of theta, in periods: five of them are half a period."""
 COUNT_WINDOW = 0.52
 """Largest distance of a solution from a theta that is known to half a bump, in bumps."""
-
-
-class Sensitivity(NamedTuple):
-    """What a shift of each of the m linearised readings does.
-
-    Attributes:
-        gain: Change of the pose, (6, m), ROS order, axes of R [m/m, rad/m].
-        chi_square: Chi-square for a square metre of shift, (m,).
-        redundancy_numbers: Share of a shift that the reading's own residual shows, (m,), from 0 to 1; their sum is the
-            number of redundant readings.
-
-    """
-
-    gain: FloatArray
-    chi_square: FloatArray
-    redundancy_numbers: FloatArray
-
-    @classmethod
-    def of(cls, gain: FloatArray, jacobian: FloatArray, rotation: FloatArray, chi_square: FloatArray) -> Sensitivity:
-        """Return it from gain and derivatives of the readings in the local tangent, (m, 6) each."""
-        turned = np.concatenate([rotation @ gain[:, :3].T, rotation @ gain[:, 3:].T])
-        return cls(turned, chi_square, 1.0 - (jacobian * gain).sum(axis=1))
 
 
 class Posor:
@@ -424,47 +400,8 @@ class Posor:
         linearised = self.stack.linearise(Scans.of([scan]))
         selected = linearised.selected[0]
         if (selected < 0).any():
-            raise self._invalid_scan(scan, linearised)
+            raise self.stack.invalid_scan(scan, linearised)
         return self.stack.evaluate(selected, T_R_T.rotation, T_R_T.translation)[0]
-
-    def sensitivity(self, scan: Scan, T_R_T: pin.SE3) -> Sensitivity:
-        """Return what a shift of each linearised reading does at a pose.
-
-        Raises:
-            ScanError: A reading of the scan is invalid.
-
-        """
-        linearised = self.stack.linearise(Scans.of([scan]))
-        if not linearised.valid[0]:
-            raise self._invalid_scan(scan, linearised)
-        variances = linearised.variances[0]
-        jacobian = self.stack.evaluate(linearised.selected[0], T_R_T.rotation, T_R_T.translation)[1]
-        weights = 1.0 / variances
-        gain = np.linalg.solve(jacobian.T @ (weights[:, None] * jacobian), (weights[:, None] * jacobian).T)
-        parameters = self.stack.residual_jacobian(scan, T_R_T.rotation, T_R_T.translation) @ self.parameter_square_root
-        spreads = np.where(np.isnan([scan.supply_voltage, scan.temperature]), self.settings["spreads"], 0.0)
-        unmeasured = self.model.workspace[0]["sensitivities"][: self.stack.readings] * spreads
-        systematic = parameters @ parameters.T + unmeasured @ unmeasured.T
-        whole = np.linalg.inv(np.diag(variances) + systematic)
-        seen = whole - whole @ jacobian @ np.linalg.solve(jacobian.T @ whole @ jacobian, jacobian.T @ whole)
-        return Sensitivity.of(gain.T, jacobian, T_R_T.rotation, np.diagonal(seen).copy())
-
-    def last_sensitivity(self) -> Sensitivity:
-        """Return the sensitivity at the last estimate, which is not LOST and for which the readings sufficed.
-
-        It comes from the matrices of that estimate: nodes compute it between two scans, for which ``sensitivity`` is
-        too slow.
-        """
-        workspace, m = self.model.workspace[0], self.stack.readings
-        space, factor = (workspace[name][: self.redundancy] for name in ("residual_space", "residual_covariance"))
-        components = np.linalg.solve(np.tril(factor[:, : self.redundancy]), space[:, :m])
-        rotation, seen = workspace["pose"]["rotation"].copy(), np.square(components).sum(axis=0)
-        return Sensitivity.of(workspace["gain"][:m], workspace["jacobian"][:m], rotation, seen)
-
-    def _invalid_scan(self, scan: Scan, linearised: Linearised) -> ScanError:
-        """Return the error of a scan of which a sensor's readings are invalid."""
-        sensor = int(np.flatnonzero(linearised.codes[0])[0])
-        return self.stack.sensors[sensor].explain(scan, int(linearised.codes[0, sensor]))
 
     def reason(self, scan: Scan, estimate: Any) -> str:
         """Return the sentence on the fault of a scan's estimate (record of dtype ESTIMATE), empty where it has none."""

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from posor_estimator.calibration.parameter_covariance import CovarianceSquareRoot
+    from posor_estimator.errors import ScanError
     from posor_estimator.model.scan import Scan, Scans
     from posor_estimator.numerics.array_types import FloatArray, IntArray
     from posor_estimator.sensors.base import Sensor
@@ -180,6 +181,11 @@ class Stack:
                 else:
                     out.values[i, readings], out.variances[i, readings] = reading.values, reading.variances
         return out
+
+    def invalid_scan(self, scan: Scan, linearised: Linearised) -> ScanError:
+        """Return the error of a scan of which the readings of a sensor are invalid."""
+        sensor = int(np.flatnonzero(linearised.codes[0])[0])
+        return self.sensors[sensor].explain(scan, int(linearised.codes[0, sensor]))
 
     def expand_plain_rows(self, rows: NDArray[np.void], rotation: FloatArray, translation: FloatArray) -> None:
         """Fill in the affine rows of plain sensors, among the rows (m or more,) of a scan, at a pose ``T_R_T``."""

@@ -28,6 +28,7 @@ from posor_estimator.identification.least_squares import Fit, Loss, fit_paramete
 from posor_estimator.identification.procedure import Figure
 from posor_estimator.identification.recording import POINT, POSE, unpack_poses
 from posor_estimator.model.native_coordinates import native_from_rotation, native_jacobian
+from posor_estimator.uncertainty.reading_sensitivity import sensitivity_at
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -173,7 +174,7 @@ class _AngleModel:
         out = np.zeros((len(self._scans), 3, self.posor.stack.parameters))
         for n in np.flatnonzero(used).tolist():
             scan, T_R_T = self._scans[n], pin.SE3(estimates.rotations[n], estimates.translations[n])
-            by_reading = native_jacobian(T_R_T.rotation) @ self.posor.sensitivity(scan, T_R_T).gain[3:]
+            by_reading = native_jacobian(T_R_T.rotation) @ sensitivity_at(self.posor, scan, T_R_T).gain[3:]
             out[n] = by_reading @ self.posor.stack.residual_jacobian(scan, T_R_T.rotation, T_R_T.translation)
         return out
 

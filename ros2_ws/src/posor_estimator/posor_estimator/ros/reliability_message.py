@@ -8,6 +8,7 @@ from posor_msgs.msg import JointReliability
 
 from posor_estimator.model.fault import Fault, State
 from posor_estimator.numerics.stamps import NS
+from posor_estimator.uncertainty.reading_sensitivity import last_sensitivity
 from posor_estimator.uncertainty.reliability import reliability
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ def reliability_message(posor: Posor, last: EstimatedScan) -> JointReliability |
     usable = last.estimate["state"] in {State.OK, State.DEGRADED}
     if last.refusal or not usable or last.estimate["faults"] & Fault.ILL_CONDITIONED:
         return None
-    found = reliability(posor, posor.last_sensitivity())
+    found = reliability(posor, last_sensitivity(posor))
     frames = posor.calibration.frames
     message = JointReliability(child_frame_id=frames.child)
     message.header.frame_id = frames.parent

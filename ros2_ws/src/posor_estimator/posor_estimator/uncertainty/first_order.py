@@ -1,6 +1,6 @@
 """First-order error budget of a POSOR at a pose (JCGM 100, 5.1 and 5.2).
 
-All derivatives are those of the measurement model: of the pose with respect to readings (``Posor.sensitivity``), and of
+All derivatives are those of the measurement model: of the pose with respect to readings (``sensitivity_at``), and of
 the readings with respect to parameters (``Stack.residual_jacobian``).
 """
 
@@ -16,6 +16,7 @@ from posor_estimator.errors import FitError
 from posor_estimator.estimation.solver import ILL_CONDITIONED
 from posor_estimator.model.scan import Scans
 from posor_estimator.uncertainty.budget_quantities import Output, Outputs, physical_quantities
+from posor_estimator.uncertainty.reading_sensitivity import sensitivity_at
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -122,12 +123,11 @@ def sensitivities(posor: Posor, scan: Scan, T_R_T: pin.SE3, points: Sequence[Pla
     """Return the derivatives of the outputs; arguments and errors as ``error_budget``."""
     stack, rotation, translation = posor.stack, T_R_T.rotation.copy(), T_R_T.translation.copy()
     readings = stack.linearise(Scans.of([scan]))
-    for sensor, code in zip(stack.sensors, readings.codes[0], strict=True):
-        if code != 0:
-            raise sensor.explain(scan, int(code))
+    if not readings.valid[0]:
+        raise stack.invalid_scan(scan, readings)
     require_determined(stack, readings, T_R_T)
     outputs = Outputs(stack, points)
-    by_reading = outputs.by_motion(rotation, translation) @ posor.sensitivity(scan, T_R_T).gain
+    by_reading = outputs.by_motion(rotation, translation) @ sensitivity_at(posor, scan, T_R_T).gain
     by_parameter = by_reading @ stack.residual_jacobian(scan, rotation, translation)
     by_parameter += outputs.by_parameters(rotation, translation)
     return Sensitivities(

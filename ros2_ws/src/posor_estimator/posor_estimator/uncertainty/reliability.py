@@ -1,9 +1,9 @@
 """Reliability of a POSOR after Baarda: which error of a single reading is detected, and the effect of smaller ones.
 
 The estimator tests the redundant readings by one chi-square (``estimation.residual_test``). An error b of a single
-reading makes it non-central, lambda = c b^2 with c of ``Sensitivity.chi_square``. lambda_0 is the lambda at which the
-non-central chi-square with r degrees of freedom, the number of redundant readings, is below the limit of the test with
-the probability ``missed_detection``. Hence
+reading makes it non-central, lambda = c b^2 with c of ``ReadingSensitivity.chi_square``. lambda_0 is the lambda at
+which the non-central chi-square with r degrees of freedom, the number of redundant readings, is below the limit of the
+test with the probability ``missed_detection``. Hence
 
     minimal detectable bias  b = sqrt(lambda_0 / c),    undetected shift of the pose  G b,
 
@@ -25,13 +25,15 @@ from scipy.special import chdtrc, chndtrinc
 
 from posor_estimator.model.scan import Scans
 from posor_estimator.uncertainty.first_order import require_determined
+from posor_estimator.uncertainty.reading_sensitivity import sensitivity_at
 
 if TYPE_CHECKING:
     import pinocchio as pin
 
-    from posor_estimator.estimation.posor import Posor, Sensitivity
+    from posor_estimator.estimation.posor import Posor
     from posor_estimator.model.scan import Scan
     from posor_estimator.numerics.array_types import FloatArray
+    from posor_estimator.uncertainty.reading_sensitivity import ReadingSensitivity
 
 MISSED_DETECTION = 1e-2
 """Probability that a bias of the minimal detectable size passes the test of one scan."""
@@ -83,10 +85,12 @@ def joint_reliability(
 
     """
     require_determined(posor.stack, posor.stack.linearise(Scans.of([scan])), T_R_T)
-    return reliability(posor, posor.sensitivity(scan, T_R_T), missed_detection)
+    return reliability(posor, sensitivity_at(posor, scan, T_R_T), missed_detection)
 
 
-def reliability(posor: Posor, sensitivity: Sensitivity, missed_detection: float = MISSED_DETECTION) -> Reliability:
+def reliability(
+    posor: Posor, sensitivity: ReadingSensitivity, missed_detection: float = MISSED_DETECTION
+) -> Reliability:
     """Return the reliability of a POSOR from its sensitivity; arguments as ``joint_reliability``."""
     false_alarm, root = 0.0, math.inf
     if math.isfinite(posor.residual_limit):

@@ -238,6 +238,16 @@ def test_readings_that_repeat_in_a_loop_are_frozen(stack: DesignName, length: in
     assert found.faults[105] & Fault.FROZEN
 
 
+def test_a_recording_that_is_played_back_and_forth_is_no_loop() -> None:
+    """At each end, one scan repeats the one before the last."""
+    posor = Posor(sized_design("quad_light_ring", 0.15, frames=("receiving", "target"), title="ring"))
+    scans = resting(posor, 300, rounded=True)
+    place = np.abs((np.arange(300) + 50) % 198 - 99)
+    for name in ("gap_voltages", "diode_currents"):
+        getattr(scans, name)[:] = getattr(scans, name)[place]
+    assert not (posor.estimate_all(scans).faults & Fault.FROZEN).any()
+
+
 def test_a_loop_is_seen_whatever_the_home_mark_says() -> None:
     posor = Posor(design("triad_light_ring", motion=True, converter=True))
     scans = resting(posor, 300, rounded=True)

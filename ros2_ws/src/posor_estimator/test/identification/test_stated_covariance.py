@@ -25,6 +25,7 @@ from posor_estimator.testing.random_poses import TICK_NS
 from posor_estimator.uncertainty.budget_poses import pose_from_native, scan_at
 from posor_estimator.uncertainty.first_order import error_budget, sensitivities
 from posor_estimator.uncertainty.monte_carlo import BATCH, monte_carlo
+from posor_estimator.uncertainty.reading_sensitivity import sensitivity_at
 
 if TYPE_CHECKING:
     from posor_estimator.calibration.calibration_file import Calibration
@@ -80,7 +81,9 @@ def random_correlation(size: int, directions: int, seed: int) -> FloatArray:
 def pushed(posor: Posor, covariance: FloatArray) -> FloatArray:
     """Return J C J' at the pose, ROS order, from the budget's derivatives."""
     scan = scan_at(posor, POSE)
-    jacobian = posor.sensitivity(scan, POSE).gain @ posor.stack.residual_jacobian(scan, POSE.rotation, POSE.translation)
+    jacobian = sensitivity_at(posor, scan, POSE).gain @ posor.stack.residual_jacobian(
+        scan, POSE.rotation, POSE.translation
+    )
     return np.asarray(jacobian @ covariance @ jacobian.T)
 
 

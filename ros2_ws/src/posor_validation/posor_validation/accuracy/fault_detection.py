@@ -16,6 +16,7 @@ from posor_estimator.model.fault import State
 from posor_estimator.model.native_coordinates import rotation_from_native
 from posor_estimator.model.scan import STATED_HOME
 from posor_estimator.testing.random_poses import TICK_NS
+from posor_estimator.uncertainty.reading_sensitivity import sensitivity_at
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -164,7 +165,7 @@ def detectable_shifts(stack: DesignName) -> list[DetectableShift]:
     motion = cast("Motion", posor.calibration.motion)
     rates = np.array([motion.translation.number] * 3 + [motion.lean.number] * 2 + [motion.theta.number])
     allowed = rates * TICK_NS * 1e-9 + NOISE_ALLOWANCE * spread
-    sensitivity = posor.sensitivity(scans[0], pin.SE3(centre.rotations[0], centre.translations[0]))
+    sensitivity = sensitivity_at(posor, scans[0], pin.SE3(centre.rotations[0], centre.translations[0]))
     limit = posor.residual_limit
     return [
         DetectableShift(

@@ -6,6 +6,7 @@ does not grow, and every reader of a file gives a result or one sentence. The ru
 
 from __future__ import annotations
 
+import math
 import sys
 import tempfile
 from functools import partial
@@ -87,9 +88,9 @@ def _run(options: Namespace, argv: Sequence[str]) -> list[str]:
             nodes, failures = run_nodes(simulation, options, Path(folder), progress)
             failures += run_files(options, Path(folder), progress)
     for name, node in nodes.items():
+        growth = "memory not judged" if math.isnan(node.growth_mb) else f"memory grown by {node.growth_mb:.2f} MB"
         console.print(
-            f"{name}: the slowest answer in {node.slowest_s:.2f} s, {node.acknowledged} faults acknowledged, "
-            f"memory grown by {node.growth_mb:.2f} MB"
+            f"{name}: the slowest answer in {node.slowest_s:.2f} s, {node.acknowledged} faults acknowledged, {growth}"
         )
         counts[name] = node.messages
         if node.growth_mb >= MOST_GROWTH_MB:
