@@ -179,8 +179,9 @@ def run_rows(
     for topic in (RAW_TOPIC, TRANSFORM_TOPIC):
         messages = [each for each in MESSAGE_FAULTS if each.topic == topic and is_selected(each.row)]
         runs.append((f"messages on {topic}", len(messages), live(InputRun, topic, messages)))
-    processes = [each for each in PROCESS_FAULTS if is_selected(each.row)]
-    runs.append(("processes and links", len(processes), live(ProcessRun, processes)))
+    for layout in ("separate", "composed"):
+        processes = [each for each in PROCESS_FAULTS if each.layout == layout and is_selected(each.row)]
+        runs.append((f"{layout} processes and links", len(processes), live(ProcessRun, processes)))
     cases = QUICK_CASES if options.quick else CASES
     hidden = [each for each in HIDDEN_FAULTS if is_selected(each.row)]
     runs.append(("hidden faults", len(hidden), lambda _: [run_hidden(each, seed, cases) for each in hidden]))

@@ -1,19 +1,23 @@
-"""Faults of processes and links: nodes of the test rig are stopped or killed, its link is cut, one after the other.
+"""Faults of processes and links: nodes of the test rig are ended in every way, its link is cut, one after the other.
 
 The nodes run in processes of their own. A relay between driver_node and posor_node is the link: when its process is
-stopped, no scan arrives and no node announces its end, as when a cable is pulled.
+stopped, no scan arrives and no node announces its end, as when a cable is pulled. Lifecycle transitions are faults of
+nodes that share a process: it must survive them.
 """
 
 from __future__ import annotations
 
 import signal
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from posor_bringup.arm_programs import arm_programs
-from posor_bringup.supervisor import Program, Supervisor
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from posor_bringup.arm_programs import arm_programs, group_programs
+from posor_bringup.supervisor import ProcessError, Program, Supervisor
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_estimator.numerics.stamps import NS
@@ -30,9 +34,8 @@ from posor_validation.reports.graph_receiver import GraphWatch
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from posor_bringup.arm_programs import Layout
     from posor_bringup.supervisor import RunningProgram
-
-    from posor_validation.faults.fault_table import FaultKind
 
 FAULT_S = 1.0
 """Time from a fault to the restart or continuation of the process."""
@@ -47,29 +50,41 @@ ABSENCE = "absence"
 CYCLE_S = 20
 
 
+class Disturbance(StrEnum):
+    """What happens to a node, and how it is undone."""
+
+    STOP = "stopped"
+    """SIGSTOP, then SIGCONT."""
+    KILL = "killed"
+    """SIGKILL, then a new process."""
+    INTERRUPT = "interrupted twice"
+    """SIGINT, twice, then a new process; the exit code must be one of an orderly end."""
+    CLEAN_UP = "deactivated and cleaned up beside other nodes"
+    """Two lifecycle transitions of a node that shares its process, then two back."""
+
+
 class ProcessFault(NamedTuple):
-    """A row, the program that it concerns, and the signal that it receives."""
+    """A row, the program that it concerns, and what happens to it."""
 
     row: FaultRow
     program: str
-    signal: signal.Signals
+    disturbance: Disturbance
+
+    @property
+    def layout(self) -> Layout:
+        """Which nodes share a process."""
+        return "composed" if self.disturbance == Disturbance.CLEAN_UP else "separate"
 
 
 def _rows() -> list[ProcessFault]:
-    rows = []
-
-    def add(name: str, kind: FaultKind, expected: str, program: str, number: signal.Signals, *named_by: str) -> None:
-        rows.append(ProcessFault(FaultRow(name, kind, "test_rig", expected, named_by), program, number))
-
-    stale, gone = ("no input", "missing"), "the endpoint's state stays away"
-    names = "STALE within 0.5 s, names the topic"
-    add("driver_node stopped", "off", names, "driver_node", signal.SIGSTOP, *stale)
-    add("posor_node stopped", "off", names, "posor_node", signal.SIGSTOP, *stale)
-    add("chain_node stopped", "off", gone, "chain_node", signal.SIGSTOP, ABSENCE)
-    add("link cut", "network", names, "relay", signal.SIGSTOP, *stale)
-    add("driver_node killed", "off", names, "driver_node", signal.SIGKILL, *stale)
-    add("posor_node killed", "off", names, "posor_node", signal.SIGKILL, *stale)
-    add("chain_node killed", "off", gone, "chain_node", signal.SIGKILL, ABSENCE)
+    stale = ("STALE within 0.5 s, names the topic", "no input", "missing")
+    gone = ("the endpoint's state stays away", ABSENCE)
+    link = FaultRow("link cut", "network", "test_rig", stale[0], stale[1:])
+    rows = [ProcessFault(link, "relay", Disturbance.STOP)]
+    for disturbance in Disturbance:
+        for program, (expected, *named_by) in {"driver_node": stale, "posor_node": stale, "chain_node": gone}.items():
+            row = FaultRow(f"{program} {disturbance}", "off", "test_rig", expected, tuple(named_by))
+            rows.append(ProcessFault(row, program, disturbance))
     return rows
 
 
@@ -77,7 +92,7 @@ PROCESS_FAULTS = tuple(_rows())
 
 
 class ProcessRun:
-    """A run of the test rig in separate processes."""
+    """A run of the test rig with one layout of its processes."""
 
     def __init__(
         self, faults: Sequence[ProcessFault], folder: Path, seed: int, interrupted: Callable[[], bool] = lambda: False
@@ -85,7 +100,7 @@ class ProcessRun:
         """Write the arm; nothing is started yet.
 
         Args:
-            faults: What to do, in this order.
+            faults: What to do, in this order, all with the same layout.
             folder: Existing folder for the copy of the arm and the logs.
             seed: Of motion and noise.
             interrupted: Whether the user has interrupted the run.
@@ -109,15 +124,19 @@ class ProcessRun:
             try:
                 self._watch = GraphWatch(supervisor, receiver, "faults", interrupted=self._interrupted)
                 running = {program.name.rpartition("/")[2]: supervisor.start(program) for program in self._programs()}
-                return [self._inject(fault, receiver, supervisor, running) for fault in self._faults]
+                self._rig = _RunningRig(self._arm.name, self._joint, supervisor, receiver, self._watch, running)
+                return [self._inject(fault, receiver) for fault in self._faults]
             finally:
                 receiver.close()
 
     def _programs(self) -> list[Program]:
-        """Return the nodes, with a relay between the driver and the topic of its scans."""
+        """Return the nodes; in separate processes with a relay between the driver and the topic of its scans."""
+        programs = arm_programs(self._arm, driver_parameters=IMPERFECTIONS)
+        layout = self._faults[0].layout
+        if layout == "composed":
+            return group_programs(programs, layout, self._folder)
         link = f"/{self._arm.name}/link"
         path, ends = str(Path(relay.__file__)), (f"{link}/{RAW_TOPIC}", f"/{self._arm.name}/{self._joint}/{RAW_TOPIC}")
-        programs = arm_programs(self._arm, driver_parameters=IMPERFECTIONS)
         return [
             *(replace(each, namespace=link) if each.ends else each for each in programs),
             Program("relay", "", path, ends),
@@ -127,23 +146,14 @@ class ProcessRun:
         self._watch.wait(lambda: receiver.usable_endpoints(SETTLED_POSES), lambda: "endpoint poses")
         receiver.receive_for(SOUND_S)
 
-    def _inject(
-        self, fault: ProcessFault, receiver: FaultReceiver, supervisor: Supervisor, running: dict[str, RunningProgram]
-    ) -> RowResult:
+    def _inject(self, fault: ProcessFault, receiver: FaultReceiver) -> RowResult:
         """Inject one fault, end it, and wait until the arm has poses again."""
         self._wait_for_poses(receiver)
-        program, begin_ns = running[fault.program], time.time_ns()
-        is_killed = fault.signal == signal.SIGKILL
-        if is_killed:
-            supervisor.kill(program)
-        else:
-            program.process.send_signal(fault.signal)
+        begin_ns = time.time_ns()
+        self._rig.disturb(fault)
         receiver.receive_for(FAULT_S)
         end_ns = time.time_ns()
-        if is_killed:
-            running[fault.program] = supervisor.start(program.program)
-        else:
-            program.process.send_signal(signal.SIGCONT)
+        self._rig.restore(fault)
         receiver.receive_for(SOUND_S)
         receiver.acknowledge(self._joint)
         self._wait_for_poses(receiver)
@@ -157,6 +167,70 @@ class ProcessRun:
             None if named_ns is None else (named_ns - begin_ns) / NS,
             self._poses.count_wrong(receiver, begin_ns, time.time_ns(), self._joint),
         )
+
+
+@dataclass
+class _RunningRig:
+    """The running programs, by name, and what disturbs them."""
+
+    arm: str
+    joint: str
+    supervisor: Supervisor
+    receiver: FaultReceiver
+    watch: GraphWatch
+    running: dict[str, RunningProgram]
+
+    def disturb(self, fault: ProcessFault) -> None:
+        """Do to a node what the fault says.
+
+        Raises:
+            ProcessError: A process ended, or a transition failed.
+
+        """
+        match fault.disturbance:
+            case Disturbance.STOP:
+                self.running[fault.program].process.send_signal(signal.SIGSTOP)
+            case Disturbance.KILL:
+                self.supervisor.kill(self.running[fault.program])
+            case Disturbance.INTERRUPT:
+                for _ in range(2):
+                    self.running[fault.program].process.send_signal(signal.SIGINT)
+            case Disturbance.CLEAN_UP:
+                self._change(fault.program, Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP)
+
+    def restore(self, fault: ProcessFault) -> None:
+        """Let the node work again.
+
+        Raises:
+            ProcessError: The process did not end in order, or a transition failed.
+
+        """
+        match fault.disturbance:
+            case Disturbance.STOP:
+                self.running[fault.program].process.send_signal(signal.SIGCONT)
+            case Disturbance.KILL:
+                self._start_again(fault.program)
+            case Disturbance.INTERRUPT:
+                self.supervisor.end([self.running[fault.program]])
+                self._start_again(fault.program)
+            case Disturbance.CLEAN_UP:
+                self._change(fault.program, Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE)
+
+    def _start_again(self, name: str) -> None:
+        self.running[name] = self.supervisor.start(self.running[name].program)
+
+    def _change(self, name: str, *transitions: int) -> None:
+        joint = "" if name == "chain_node" else f"{self.joint}/"
+        client: Any = self.receiver.create_client(ChangeState, f"/{self.arm}/{joint}{name}/change_state")
+        self.watch.wait(client.service_is_ready, lambda: f"the lifecycle service of {name}")
+        for transition in transitions:
+            request = ChangeState.Request()
+            request.transition.id = transition
+            answer = client.call_async(request)
+            self.watch.wait(answer.done, lambda: f"a lifecycle transition of {name}")
+            if not answer.result().success:
+                raise ProcessError(f"lifecycle transition {transition} failed", where=name)
+        self.receiver.destroy_client(client)
 
 
 def first_absence_ns(receiver: FaultReceiver, begin_ns: int, end_ns: int) -> int | None:
