@@ -84,17 +84,19 @@ class SteppedArm:
         self._published = (0, 0.0)
 
     def __enter__(self) -> Self:
-        """Start the nodes and wait for their connections."""
-        for program in arm_programs(self._arm, chain_parameters=CHAIN_PARAMETERS, parameters=PARAMETERS):
-            self._running[program.name] = self._stack.enter_context(Program(program.command()))
-        self._graph.watch_diagnostics()
-        for name in self._running:
-            self._graph.wait_for_status(f"{self.name}/{name}: lifecycle", "active")
-        self._clock = self._graph.publisher(Clock, "/clock", subscriptions=len(self._running))
-        wait_for_value(self._graph, f"{self.name}/chain_node: listeners", "endpoint/pose", "1")
-        for joint in self._transforms:
-            wait_for_value(self._graph, f"{self.name}/{joint}/posor_node: listeners", "transform", "2")
-            self._graph.wait_for_status(f"{self.name}/{joint}/driver_node: source", "running")
+        """Start the nodes and wait for their connections; end them if that fails."""
+        with ExitStack() as started:
+            for program in arm_programs(self._arm, chain_parameters=CHAIN_PARAMETERS, parameters=PARAMETERS):
+                self._running[program.name] = started.enter_context(Program(program.command()))
+            self._graph.watch_diagnostics()
+            for name in self._running:
+                self._graph.wait_for_status(f"{self.name}/{name}: lifecycle", "active")
+            self._clock = self._graph.publisher(Clock, "/clock", subscriptions=len(self._running))
+            wait_for_value(self._graph, f"{self.name}/chain_node: listeners", "endpoint/pose", "1")
+            for joint in self._transforms:
+                wait_for_value(self._graph, f"{self.name}/{joint}/posor_node: listeners", "transform", "2")
+                self._graph.wait_for_status(f"{self.name}/{joint}/driver_node: source", "running")
+            self._stack = started.pop_all()
         return self
 
     def __exit__(self, *error: object) -> None:

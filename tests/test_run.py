@@ -66,6 +66,11 @@ def test_nested_call_is_the_same(checkout: Miniature) -> None:
     assert "things 42" in done.stdout
 
 
+def test_programs_store_their_bytecode(checkout: Miniature) -> None:
+    environ = checkout.environ() | {"PYTHONDONTWRITEBYTECODE": "1"}
+    assert "PYTHONDONTWRITEBYTECODE" not in workspace_environment(checkout, environ)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -47,8 +47,7 @@ def measure(command: list[str], hook_folder: str) -> Startup:
         RuntimeError: The program ended before it was active.
 
     """
-    environ = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-    environ["PYTHONPATH"] = os.pathsep.join([hook_folder, os.environ.get("PYTHONPATH", "")])
+    environ = os.environ | {"PYTHONPATH": os.pathsep.join([hook_folder, os.environ.get("PYTHONPATH", "")])}
     begin_s = time.monotonic()
     with subprocess.Popen(command, stderr=subprocess.PIPE, env=environ) as program:
         if program.stderr is None or not any(line == ACTIVE for line in program.stderr):

@@ -90,7 +90,7 @@ def _beams() -> dict[str, Any]:
 
 def scenario() -> dict[str, Any]:
     """Return the scenario as its file has it, to be changed."""
-    content: dict[str, Any] = yaml.safe_load(SCENARIO.read_text(encoding="utf-8"))
+    content: dict[str, Any] = yaml.load(SCENARIO.read_text(encoding="utf-8"), Loader=yaml.CSafeLoader)
     return content
 
 
@@ -126,7 +126,7 @@ def write_arm(folder: Path, content: dict[str, Any] | None = None) -> Path:
 
 
 def _write(path: Path, content: object) -> None:
-    path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    path.write_text(yaml.dump(content, Dumper=yaml.CSafeDumper, sort_keys=False), encoding="utf-8")
 
 
 def simulation(
