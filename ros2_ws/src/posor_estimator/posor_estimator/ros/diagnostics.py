@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
 
 from posor_estimator.numerics.stamps import NS
 from posor_estimator.ros.idle_scheduler import run_when_idle
@@ -32,6 +33,8 @@ MIN_INTERVAL_S = 0.1
 """Shortest time between two publications."""
 MAX_QUEUED = 4
 """Queued changes of a status, the present one included; of more, the most severe."""
+DELIVERY_S = 0.1
+"""Longest wait for the subscribers of the last reports: what a process has not sent at its end is lost."""
 LASTING_ERROR_S = 2.0
 """How long a status must be an error before it is logged."""
 
@@ -223,12 +226,13 @@ class Diagnostics:
         self._refreshers.append(refresh)
 
     def close(self) -> None:
-        """Publish the queued reports, and nothing more."""
+        """Publish the queued reports, and nothing more; wait until subscribers have them, at most ``DELIVERY_S``."""
         with self._lock:
             while self._scheduled:
                 self._scheduled = False
                 self._publish()
             self._closed = True
+        self._publisher.wait_for_all_acked(Duration(seconds=DELIVERY_S))
 
     def _now_s(self) -> float:
         return float(self._node.get_clock().now().nanoseconds) * 1e-9
