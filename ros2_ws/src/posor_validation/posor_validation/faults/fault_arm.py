@@ -23,7 +23,7 @@ RATES: Mapping[Arm, int] = {"six_axis": 50, "five_axis": 50, "test_rig": 100}
 AMPLITUDES: Mapping[Arm, float] = {"six_axis": 0.03, "five_axis": 0.06, "test_rig": 0.03}
 """Of the motion about home [rad]: bumpy rings move by more than a bump and pass their home marks once a second."""
 WAYPOINT_S = 1.0
-"""Time between two waypoints of the motion, which changes its direction there."""
+"""See ``write_fault_arm``."""
 
 
 def quantity(value: float, unit: str) -> dict[str, Any]:
@@ -38,7 +38,12 @@ def fault_entry(joint: str, kind: str, begin_s: float, end_s: float, **entries: 
 
 
 def write_fault_arm(
-    name: Arm, folder: Path, duration_s: int, seed: int, faults: Sequence[dict[str, Any]] = ()
+    name: Arm,
+    folder: Path,
+    duration_s: int,
+    seed: int,
+    faults: Sequence[dict[str, Any]] = (),
+    waypoint_s: float = WAYPOINT_S,
 ) -> ArmFile:
     """Write the arm and return it.
 
@@ -48,12 +53,13 @@ def write_fault_arm(
         duration_s: Duration of the scenario's cycle.
         seed: Of the motion and of all noise.
         faults: Section ``faults`` of the scenario.
+        waypoint_s: Time between two waypoints of the motion, which changes its direction there.
 
     """
     shutil.copytree(find_arm(name).parent, folder)
     arm = load_arm(folder / ARM_FILE)
     joints = list(arm.calibrations)
-    count = round(duration_s / WAYPOINT_S)
+    count = round(duration_s / waypoint_s)
     signs = np.where(np.arange(count) % 2, 1.0, -1.0)[:, None]
     waypoints = AMPLITUDES[name] * signs * np.random.default_rng(seed).uniform(0.5, 1.0, (count, len(joints)))
     waypoints[-1] = 0.0

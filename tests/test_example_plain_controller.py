@@ -1,0 +1,89 @@
+"""The controller that needs ROS packages only, on the simulated arm: the endpoint at its target, and a stop in time."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped, Vector3Stamped
+from posor_bringup.arm_programs import arm_programs, group_programs
+from posor_estimator.ros.message_conversion import stamp_ns
+from posor_estimator.testing.graph import Graph
+from posor_estimator.testing.program import Program, ros_arguments, script
+from posor_validation.faults.fault_arm import write_fault_arm
+
+if TYPE_CHECKING:
+    from posor_bringup.supervisor import Program as NodeProgram
+    from posor_validation.faults.fault_table import Arm
+
+pytestmark = pytest.mark.usefixtures("ros_domain")
+
+EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "plain_controller" / "plain_controller.py"
+MAX_LINES = 60
+ALLOWED = ("contextlib", "geometry_msgs", "posor_msgs", "rclpy")
+ARM: Arm = "five_axis"
+KILLED = "elbow/driver_node"
+CYCLE_S, SEED, WAYPOINT_S = 60, 4, 5.0
+JUDGED = 100
+"""Poses of the true endpoint before and after, 2 s each."""
+MAX_STOP_S = 0.2
+
+
+def command_of(program: NodeProgram) -> Program:
+    return Program(program.command())
+
+
+class Errors:
+    """Distances of the true endpoint from its target [m], by stamp."""
+
+    def __init__(self, graph: Graph) -> None:
+        self._graph = graph
+        self._truths: list[Any] = graph.collect(PoseStamped, f"/{ARM}/truth/endpoint")
+        self._targets: list[Any] = graph.collect(PoseStamped, f"/{ARM}/target/endpoint")
+
+    def next_rms(self) -> float:
+        """Return the rms of the next ones."""
+        self._truths.clear()
+        self._targets.clear()
+        self._graph.wait_until(lambda: len(self._truths) > JUDGED and len(self._targets) > JUDGED, "the true endpoint")
+        targets = {stamp_ns(target): target.pose.position for target in self._targets}
+        pairs = [(t.pose.position, targets[stamp_ns(t)]) for t in self._truths if stamp_ns(t) in targets]
+        miss = np.array([[one.x - other.x, one.y - other.y, one.z - other.z] for one, other in pairs])
+        return float(np.sqrt(np.mean(np.sum(miss**2, axis=1))))
+
+
+def test_the_example_is_short_and_needs_ros_packages_only() -> None:
+    lines = EXAMPLE.read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= MAX_LINES
+    modules = {line.split()[1].partition(".")[0] for line in lines if line.startswith(("import ", "from "))}
+    assert modules == set(ALLOWED)
+
+
+@pytest.mark.timeout(300)
+def test_the_endpoint_reaches_its_target_and_a_killed_driver_stops_the_controller(tmp_path: Path) -> None:
+    programs = arm_programs(write_fault_arm(ARM, tmp_path / "arm", CYCLE_S, SEED, waypoint_s=WAYPOINT_S))
+    (driver,) = (program for program in programs if program.name == KILLED)
+    (others,) = group_programs([program for program in programs if program is not driver], "composed", tmp_path)
+    command = [*script(EXAMPLE), *ros_arguments({}, f"/{ARM}")]
+    arrivals: list[float] = []
+    with command_of(others), command_of(driver) as killed, Graph() as graph:
+        errors = Errors(graph)
+        before = errors.next_rms()
+        with Program(command) as controller:
+            kept: Any = graph.node.create_subscription(
+                Vector3Stamped, f"/{ARM}/stage/command", lambda _: arrivals.append(time.monotonic()), 10
+            )
+            graph.wait_until(lambda: len(arrivals) > JUDGED, "commands")
+            after = errors.next_rms()
+            print(f"endpoint to target, rms: {1e6 * before:.1f} um without, {1e6 * after:.1f} um with the controller")
+            killed.process.kill()
+            killed_s = time.monotonic()
+            graph.wait_until(lambda: any("stopped: " in line for line in controller.stderr), "the controller's stop")
+            graph.wait_until(lambda: time.monotonic() > killed_s + 5.0 * MAX_STOP_S, "late commands")
+            assert kept.topic_name.endswith("stage/command")
+            assert controller.end() == 0
+    assert before > 10.0 * after
+    assert arrivals[-1] < killed_s + MAX_STOP_S
