@@ -87,7 +87,8 @@ class Miniature(Workspace):
 
     def fill(self) -> None:
         """Write the files of the checkout; a wheel refers to the libraries of this checkout."""
-        shutil.copytree(THIS.root / "tools", self.root / "tools", ignore=shutil.ignore_patterns("__pycache__"))
+        ignored = shutil.ignore_patterns("__pycache__", "wheel_packages")
+        shutil.copytree(THIS.root / "tools", self.root / "tools", ignore=ignored)
         shutil.copy(THIS.root / "run", self.root / "run")
         for path in (THIS.root / "requirements").iterdir():
             self.write(f"requirements/{path.name}", "")

@@ -97,7 +97,7 @@ def test_changed_kernels_are_compiled_by_the_set_up(tmp_path: Path, name: str, i
     inputs = []
     for number in (1, 2):
         file.write_text(f"import {imports}\nnumber = {number}\n", encoding="utf-8")
-        inputs.append(build_inputs(Workspace(tmp_path)))
+        inputs.append(build_inputs(Workspace(tmp_path), official=False))
     assert (inputs[0] != inputs[1]) == rebuilds
 
 

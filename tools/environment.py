@@ -51,6 +51,7 @@ class Workspace:
         self.python = self.venv / "bin" / "python"
         self.ros2 = root / "ros2_ws"
         self.install = self.ros2 / "install"
+        self.wheel_packages = root / "tools" / "wheel_packages"  # that an official Jazzy has and the wheels lack
         self.logs = root / "build" / "setup"
         self.environment_stamp = self.venv / "posor-setup.json"
         self.build_stamp = self.install / "posor-setup.json"

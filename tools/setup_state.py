@@ -35,15 +35,16 @@ def environment_inputs(workspace: Workspace, *, official: bool) -> str:
     return digest.hexdigest()
 
 
-def build_inputs(workspace: Workspace) -> str:
+def build_inputs(workspace: Workspace, *, official: bool) -> str:
     """Return a hash of everything that determines the installed workspace.
 
     Python modules and data files are installed as links into the source tree: only their names count. Kernels are
     compiled once after the build, so that no node has to wait for the compiler: their content counts.
     """
     digest = hashlib.sha256(f"{SETUP_VERSION}".encode())
-    for file in sorted(path for package in source_packages(workspace) for path in package_files(package)):
-        digest.update(f"{file.relative_to(workspace.ros2)}\0".encode())
+    packages = source_packages(workspace, official=official)
+    for file in sorted(path for package in packages for path in package_files(package)):
+        digest.update(f"{file.relative_to(workspace.root)}\0".encode())
         if file.suffix in INTERFACE_SUFFIXES or file.name in BUILD_FILES:
             digest.update(file.read_bytes())
     for file in kernel_files(workspace):
@@ -56,9 +57,10 @@ def kernel_files(workspace: Workspace) -> list[Path]:
     return sorted(file for pattern in KERNEL_FILES for file in workspace.ros2.glob(pattern))
 
 
-def source_packages(workspace: Workspace) -> list[Path]:
+def source_packages(workspace: Workspace, *, official: bool) -> list[Path]:
     """Return the folders of the ROS packages. The name of each folder is the name of its package."""
-    return [manifest.parent for manifest in sorted(workspace.ros2.glob("src/*/package.xml"))]
+    folders = [workspace.ros2 / "src", *([] if official else [workspace.wheel_packages])]
+    return [manifest.parent for folder in folders for manifest in sorted(folder.glob("*/package.xml"))]
 
 
 def is_installed_as_links(workspace: Workspace, package: Path) -> bool:
@@ -87,11 +89,12 @@ def reasons_to_set_up(workspace: Workspace, environ: Mapping[str, str], *, offic
     build_stamp = read_stamp(workspace.build_stamp)
     if not build_stamp or not (workspace.ros2 / "build").is_dir():
         return "", "none yet or unfinished"
-    if not all(is_installed_as_links(workspace, package) for package in source_packages(workspace)):
+    packages = source_packages(workspace, official=official)
+    if not all(is_installed_as_links(workspace, package) for package in packages):
         return "", "incomplete, or by a plain colcon build"
     if build_stamp.get("environment") != inputs:
         return "", "new environment"
-    if build_stamp.get("inputs") != build_inputs(workspace):
+    if build_stamp.get("inputs") != build_inputs(workspace, official=official):
         return "", SOURCES_CHANGED
     return "", ""
 

@@ -43,6 +43,7 @@ from setup_state import (
     interpreter_identity,
     kernel_files,
     reasons_to_set_up,
+    source_packages,
 )
 
 if TYPE_CHECKING:
@@ -133,22 +134,18 @@ class Setup:
         """
         workspace = self.workspace
         with self.report.step(f"colcon build of ros2_ws ({reason})", "colcon.log"):
-            inputs = build_inputs(workspace)
+            inputs = build_inputs(workspace, official=self.official)
             workspace.build_stamp.unlink(missing_ok=True)
             if reason != SOURCES_CHANGED:
                 for name in ("build", "install", "log"):
                     shutil.rmtree(workspace.ros2 / name, ignore_errors=True)
-            folders = {name: workspace.ros2 / name for name in ("build", "install", "log", "src")}
+            folders = {name: workspace.ros2 / name for name in ("build", "install", "log")}
+            packages = source_packages(workspace, official=self.official)
             command: list[str | Path] = [
                 *(workspace.python, "-m", "colcon", "--log-base", folders["log"], "build", "--symlink-install"),
-                *(
-                    "--base-paths",
-                    folders["src"],
-                    "--build-base",
-                    folders["build"],
-                    "--install-base",
-                    folders["install"],
-                ),
+                "--base-paths",
+                *packages,
+                *("--build-base", folders["build"], "--install-base", folders["install"]),
                 *("--event-handlers", "console_cohesion+", "console_stderr-", "desktop_notification-", "--cmake-args"),
                 *(f"-DPython3_EXECUTABLE={workspace.python}", "-DCMAKE_BUILD_TYPE=Release", "-DBUILD_TESTING=OFF"),
             ]

@@ -213,3 +213,6 @@ class ChainParameters(AlarmParameters):
         description="publish the endpoint in the URDF's base frame, or relative to its pose at home: at the first "
         "pose, or at the last call of ~/set_home",
     )
+    tf_rate: Annotated[float, Field(ge=0.0, le=1000.0)] = Field(
+        default=30.0, description="how often /tf is published [1/s], with the stamp of the last pose; 0: not at all"
+    )

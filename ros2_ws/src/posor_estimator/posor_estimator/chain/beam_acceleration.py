@@ -34,6 +34,7 @@ class BeamHistory(NamedTuple):
         past_centres: Centres of the beams then [m], (capacity, 3 b), axes of the base.
         centres: Centres in the present scan [m], (3 b,).
         accelerations: [m/s^2], (3 b,), axes of the base.
+        transforms: Plates at the beams' ends in the plates at their starts in the present scan, (b, 7), as poses.
 
     """
 
@@ -42,6 +43,7 @@ class BeamHistory(NamedTuple):
     past_centres: FloatArray
     centres: FloatArray
     accelerations: FloatArray
+    transforms: FloatArray
 
     @classmethod
     def allocate(cls, window_s: float, beams: int) -> BeamHistory:
@@ -53,10 +55,11 @@ class BeamHistory(NamedTuple):
             np.zeros((capacity, 3 * beams)),
             np.empty(3 * beams),
             np.zeros(3 * beams),
+            np.full((beams, 7), np.nan),
         )
 
     def enlarged(self) -> BeamHistory:
-        """Return the same history with twice the capacity; window, centres and accelerations are shared."""
+        """Return the same history with twice the capacity; all other arrays are shared."""
         return self._replace(
             stamps_ns=np.concatenate([self.stamps_ns, np.zeros_like(self.stamps_ns)]),
             past_centres=np.concatenate([self.past_centres, np.zeros_like(self.past_centres)]),

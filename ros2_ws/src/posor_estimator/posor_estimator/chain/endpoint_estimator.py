@@ -40,6 +40,8 @@ class EndpointEstimator:
         poses: Target plates in receiving plates, (j, 7): x, y, z [m], unit quaternion x, y, z, w.
         covariances: Of the same, (j, 6, 6), as ``MeasuredJoint.covariance``.
         thetas: Counted large rotations of the joints [rad], (j,), for ``angles``; NaN: not counted.
+        beam_transforms: Plates at the beams' ends in the plates at their starts, with the sag of the last scan, (b, 7),
+            as ``poses``.
         accelerations: Of the beams [m/s^2], (b, 3), axes of the base: written if there is an acceleration window, read
             if there is none.
         rows: Serialised measurements of one scan, (j, bytes).
@@ -80,6 +82,7 @@ class EndpointEstimator:
         self._stamp_ns, *measured = self._measurements
         self.poses, self.covariances, self.thetas = (array[0] for array in measured)
         self.accelerations = self._history.accelerations.reshape(-1, 3)
+        self.beam_transforms = self._history.transforms
         self.pose, self.covariance, self.angles, self.faults = (array[0] for array in self._endpoints)
         self.relative_pose, self.relative_covariance = self._relative.poses[0], self._relative.covariances[0]
         self._prepare_arguments()

@@ -82,14 +82,12 @@ class Endpoints(NamedTuple):
 
 
 @inlined
-def cross_beam(
-    beams: RecordArray, b: int, force: Vector, rotation: Matrix, translation: Vector
-) -> tuple[Matrix, Vector]:
-    """Go from the plate at a beam's start to the plate at its end; a specific force [m/s^2] bends the beam."""
+def bent_beam(beams: RecordArray, b: int, force: Vector) -> tuple[Matrix, Vector]:
+    """Return the plate at a beam's end in the plate at its start; a specific force [m/s^2] bends the beam."""
     beam = beams[b]
-    rotation = turned_by(rotation, times(-1.0, applied(matrix(beam["start_turn_gain"], 0), force)))
+    rotation = turned_by(IDENTITY, times(-1.0, applied(matrix(beam["start_turn_gain"], 0), force)))
     span = plus(at(beam["translation"], 0), applied(matrix(beam["shift_gain"], 0), force))
-    translation = plus(translation, applied(rotation, span))
+    translation = applied(rotation, span)
     rotation = product(rotation, matrix(beam["rotation"], 0))
     return turned_by(rotation, applied(matrix(beam["end_turn_gain"], 0), force)), translation
 
@@ -107,7 +105,7 @@ def compute_endpoint(
 
     Args:
         arm: The arm.
-        history: ``accelerations`` are read, ``centres`` are written.
+        history: ``accelerations`` are read, ``centres`` and ``transforms`` are written.
         poses: Of the joints in this scan, (j, 7).
         covariances: Of the joints in this scan, (j, 6, 6).
         endpoint: Pose to write, (7,), in the base.
@@ -136,7 +134,9 @@ def compute_endpoint(
             centres = history.centres
             centres[3 * b], centres[3 * b + 1], centres[3 * b + 2] = plus(translation, half_span)
             force = row_times(minus(at(arm.gravity, 0), at(history.accelerations, 3 * b)), unbent)
-            rotation, translation = cross_beam(arm.beams, b, force, rotation, translation)
+            turn, span = bent_beam(arm.beams, b, force)
+            write_pose(turn, span, history.transforms[b])
+            rotation, translation = product(rotation, turn), plus(translation, applied(rotation, span))
             unbent = product(unbent, matrix(beam["rotation"], 0))
             blocks = add_rotated(moved_along(blocks, minus(translation, last)), parent, beam["covariance"])
             shift = applied(parent, applied(matrix(beam["sigma_shift_gain"], 0), force))

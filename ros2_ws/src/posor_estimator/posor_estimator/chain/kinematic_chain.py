@@ -74,6 +74,9 @@ class Chain:
         base_frame: The URDF's root link.
         joints: The POSORs.
         beams: The measuring beams of the beams file, in its order.
+        beam_joints: The joints of the URDF that they are, in the same order.
+        fixed_transforms: The fixed joints of the URDF that are no beams of the beams file.
+        urdf: The robot description (XML text).
         gravity: [m/s^2], (3,), in the base frame.
 
     """
@@ -105,18 +108,20 @@ class Chain:
         self._robot = RobotModel(urdf, endpoint_frame, (beam.joint for beam in entries), source)
         self.base_frame = self._robot.base_frame
         self.joints = self._robot.joints
-        freed = self._robot.freed
+        self.urdf = urdf
+        self.beam_joints = self._robot.freed
+        self.fixed_transforms = self._robot.fixed_transforms()
         self.beams = tuple(
-            MeasuringBeam(beam, joint.T_parent_joint, beams_source) for beam, joint in zip(entries, freed, strict=True)
+            MeasuringBeam(beam, joint.T_parent_joint, beams_source)
+            for beam, joint in zip(entries, self.beam_joints, strict=True)
         )
-        self._beam_joints = tuple(zip(self.beams, freed, strict=True))
         self.gravity: FloatArray = np.array([0.0, 0.0, -STANDARD_GRAVITY]) if beams is None else beams.gravity.array
         self.links = self._links(source)
         self._geometry = ArmGeometry.from_model(self._robot, self.beams, self.gravity)
         self._estimator = self.estimator()
 
     def _links(self, source: str) -> tuple[FixedLink, ...]:
-        beams = {joint.index: (beam, joint) for beam, joint in self._beam_joints}
+        beams = {joint.index: (beam, joint) for beam, joint in zip(self.beams, self.beam_joints, strict=True)}
         joints = {joint.index: joint for joint in self.joints}
         links: list[FixedLink] = []
         before, beam, after = pin.SE3.Identity(), None, pin.SE3.Identity()

@@ -7,7 +7,7 @@ import sys
 import tempfile
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 from xml.etree import ElementTree as ET
 
 import pinocchio as pin
@@ -16,6 +16,14 @@ from posor_estimator.errors import ChainError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
+
+
+class FixedTransform(NamedTuple):
+    """A fixed joint of the URDF: its child link in its parent link."""
+
+    parent: str
+    child: str
+    T_parent_child: pin.SE3
 
 
 @dataclass(frozen=True)
@@ -111,6 +119,18 @@ class RobotModel:
             found.append(index)
             index = self.model.parents[index]
         return found[::-1]
+
+    def fixed_transforms(self) -> list[FixedTransform]:
+        """Return the fixed joints that were not converted, on the way to the endpoint or not."""
+        frames, found = self.model.frames, []
+        for link in frames:
+            joint = frames[link.parentFrame]
+            is_link = link.type == pin.FrameType.BODY and link.name != self.base_frame
+            if is_link and joint.type == pin.FrameType.FIXED_JOINT:
+                parent = frames[joint.parentFrame]
+                T_parent_child = parent.placement.inverse() * link.placement
+                found.append(FixedTransform(parent.name, link.name, T_parent_child))
+        return found
 
     def _all_links(self) -> list[str]:
         return [frame.name for frame in self.model.frames if frame.type == pin.FrameType.BODY]

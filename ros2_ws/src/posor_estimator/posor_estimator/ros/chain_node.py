@@ -2,6 +2,7 @@
 
 Subscribes to ``<joint>/transform`` (posor_msgs/JointTransform) for every floating joint of the URDF. Publishes
 ``endpoint/pose``, ``endpoint/pose_with_covariance`` and ``joint_states``, the angles about the joints' nominal axes.
+/tf has the frames of the arm with the stamp of the last pose; /tf_static and ``robot_description`` have what is fixed.
 Transforms are joined by equal stamps. Without a usable transform of every joint in time there is no pose.
 ``endpoint/state`` (posor_msgs/EndpointState) is published for every scan, for every transform that is refused, and
 every 0.08 s during a silence of the input; it and the diagnostics name the joint and the reason.
@@ -39,6 +40,7 @@ from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM, JointTransformFor
 from posor_estimator.ros.diagnostics import Level
 from posor_estimator.ros.endpoint_protection import ProtectionLevel
 from posor_estimator.ros.endpoint_verdict import SOUND, JointStatus, Verdict, degraded_verdict, unusable_verdict
+from posor_estimator.ros.frame_publisher import FramePublisher
 from posor_estimator.ros.freshness import InputMonitor, InputWatch
 from posor_estimator.ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_estimator.ros.lifecycle_node import PosorNode
@@ -81,7 +83,7 @@ class ChainNode(PosorNode[ChainParameters]):
     _synchroniser: TimeSynchroniser[bytes]
     _kinds: dict[str, JointTransformFormat]
     _home: FloatArray | None
-    _last_pose: FloatArray | None
+    _pose_stamp: bytes  # of the last complete scan; empty: it has no pose
     _reported: object
     _alarms: AlarmRate
 
@@ -114,7 +116,7 @@ class ChainNode(PosorNode[ChainParameters]):
             (name, self._kinds[name].size, row[LEAD : LEAD + self._kinds[name].size].data)
             for name, row in zip(names, self._estimator.rows, strict=True)
         ]
-        self._home = self._last_pose = self._reported = None
+        self._home, self._pose_stamp, self._reported = None, b"", None
         self._reliability_topics: list[str] = []
         self._poses = self._scans_refused = self._scans_incomplete = 0
         self._refusals.clear()
@@ -129,6 +131,8 @@ class ChainNode(PosorNode[ChainParameters]):
         self._writer = EndpointWriter(self._estimator, frame, relative=self._is_relative)
         endpoint = self.parameters.endpoint_frame
         self._state_writer = EndpointStateWriter(self._estimator, frame, endpoint, relative=self._is_relative)
+        if self.parameters.tf_rate:
+            FramePublisher(self, chain, self.parameters.tf_rate, self._newest_transforms)
         self._protection = ProtectionLevel(chain)
         self._pose = self._create_publisher(PoseStamped, ENDPOINT_TOPIC)
         self._pose_with_covariance = self._create_publisher(PoseWithCovarianceStamped, ENDPOINT_COVARIANCE_TOPIC)
@@ -201,7 +205,7 @@ class ChainNode(PosorNode[ChainParameters]):
         with self._lock:
             silent = self._inputs.silent
             if silent and is_new:
-                self._last_pose = None
+                self._pose_stamp = b""
                 self._report_no_pose(silent, ("silent",))
             if silent and not self._state_published:
                 joint = self._joint_of_topic[self._inputs.silent_names[0]]
@@ -303,9 +307,9 @@ class ChainNode(PosorNode[ChainParameters]):
         if (worst := estimator.estimate_rows(stamp_ns)) < 0:
             self._refuse_scan(stamp, stamp_ns, unusable_verdict(self._joints_of(scan)))
             return
+        self._pose_stamp = stamp
         if self._is_relative:
-            self._last_pose = estimator.pose.copy()
-            self._home = self._last_pose if self._home is None else self._home
+            self._home = estimator.pose.copy() if self._home is None else self._home
             estimator.estimate_relative_to(self._home)
         writer = self._writer
         self._pose.publish(writer.pose.write(stamp))
@@ -324,10 +328,18 @@ class ChainNode(PosorNode[ChainParameters]):
             self._status.report(level, f"{text}; {excess}" if excess else text, self._counts())
             self._reported, self._has_alarm = key, bool(excess)
 
+    def _newest_transforms(self) -> tuple[int, FloatArray] | None:
+        """Return the stamp [ns] of the last scan, and the poses of its joints and beams; None: it has no pose."""
+        with self._lock:
+            if not self.may_publish or not self._pose_stamp:
+                return None
+            poses = np.concatenate([self._estimator.poses, self._estimator.beam_transforms])
+            return stamp_ns_of(self._pose_stamp), poses
+
     def _refuse_scan(self, stamp: bytes, stamp_ns: int, verdict: Verdict) -> None:
         """Publish and report that a complete scan gives no endpoint."""
         self._scans_refused += 1
-        self._last_pose = None
+        self._pose_stamp = b""
         self._publish_state(stamp, stamp_ns, verdict)
         self._report_refused_scan(verdict)
 
@@ -362,10 +374,10 @@ class ChainNode(PosorNode[ChainParameters]):
         with self._lock:
             if not self._is_relative:
                 response.message = "reference is 'absolute'; start the node with reference:=home for relative poses"
-            elif self._last_pose is None:
+            elif not self._pose_stamp:
                 response.message = "there is no pose now to take as home"
             else:
-                self._home = self._last_pose
+                self._home = self._estimator.pose.copy()
                 response.success, response.message = True, "home is the endpoint's last pose"
         return response
 

@@ -6,7 +6,7 @@ from copy import copy
 from typing import TYPE_CHECKING
 
 from rclpy.duration import Duration
-from rclpy.qos import HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
 if TYPE_CHECKING:
     from posor_estimator.node_parameters import NodeParameters
@@ -22,6 +22,12 @@ RELIABLE_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 
 KEEP_ALL_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL, depth=0, reliability=ReliabilityPolicy.RELIABLE)
 """For all topics except sensor topics in a replay without loss."""
+
+TF_QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
+"""For /tf, as the broadcasters of tf2."""
+
+LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""For what does not change and late subscribers need: /tf_static, the robot description."""
 
 
 def sensor_qos(parameters: NodeParameters) -> QoSProfile:

@@ -1,0 +1,90 @@
+"""Publishes the frames of an arm for viewers: /tf, /tf_static and the robot description.
+
+The joints and the beams of the beams file move; their product with the fixed joints of the URDF, in the order of the
+links, is the endpoint's pose of the same stamp. robot_state_publisher leaves floating joints out.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import TransformStamped
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from std_msgs.msg import String
+from tf2_msgs.msg import TFMessage
+
+from posor_estimator.numerics.stamps import NS
+from posor_estimator.ros.idle_scheduler import run_when_idle
+from posor_estimator.ros.message_classes import schema_of_class
+from posor_estimator.ros.qos import LATCHED_QOS, TF_QOS
+from posor_estimator.ros_names import ROBOT_DESCRIPTION_TOPIC, TF_STATIC_TOPIC, TF_TOPIC
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from posor_estimator.chain.kinematic_chain import Chain
+    from posor_estimator.numerics.array_types import FloatArray
+    from posor_estimator.ros.lifecycle_node import PosorNode
+
+
+class FramePublisher:
+    """Publishes the frames of an arm while its node is configured."""
+
+    def __init__(
+        self, node: PosorNode[Any], chain: Chain, rate: float, newest: Callable[[], tuple[int, FloatArray] | None]
+    ) -> None:
+        """Publish what does not move, and start to publish the rest.
+
+        Args:
+            node: The node, which is being configured.
+            chain: The arm.
+            rate: How often /tf is published [1/s].
+            newest: Returns the stamp [ns] of the newest scan with a pose, and the poses of its joints and beams,
+                (j + b, 7); None: the newest scan has no pose, or the node must not publish.
+
+        """
+        self._newest, self._published_ns = newest, 0
+        joints = (*chain.joints, *chain.beam_joints)
+        self._moving = TFMessage(transforms=[_transform(joint.parent, joint.child) for joint in joints])
+        self._publisher = node.create_publisher(TFMessage, TF_TOPIC, TF_QOS)
+        fixed = TFMessage(transforms=[_transform(each.parent, each.child) for each in chain.fixed_transforms])
+        poses = [pin.SE3ToXYZQUAT(each.T_parent_child) for each in chain.fixed_transforms]
+        _write(fixed, node.timing.now_ns(), np.array(poses).reshape(-1, 7))
+        static = node.create_publisher(TFMessage, TF_STATIC_TOPIC, LATCHED_QOS)
+        description = node.create_publisher(String, ROBOT_DESCRIPTION_TOPIC, LATCHED_QOS)
+        for publisher, message in ((static, fixed), (description, String(data=chain.urdf))):
+            publisher.publish(schema_of_class(type(message)).serialize(message))
+        for publisher in (self._publisher, static, description):
+            node.add_cleanup(node.destroy_publisher, publisher)
+        clock = Clock(clock_type=ClockType.STEADY_TIME)
+        timer = node.create_timer(1.0 / rate, lambda: run_when_idle(self._publish), clock=clock)
+        node.add_cleanup(node.destroy_timer, timer)
+
+    def _publish(self) -> None:
+        """Publish the transforms of the newest scan with a pose, unless they were published before."""
+        newest = self._newest()
+        if newest is None or newest[0] == self._published_ns:
+            return
+        self._published_ns, poses = newest
+        _write(self._moving, self._published_ns, poses)
+        self._publisher.publish(schema_of_class(TFMessage).serialize(self._moving))
+
+
+def _transform(parent: str, child: str) -> TransformStamped:
+    message = TransformStamped(child_frame_id=child)
+    message.header.frame_id = parent
+    return message
+
+
+def _write(message: TFMessage, stamp_ns: int, poses: FloatArray) -> None:
+    """Write poses, (n, 7), as the n transforms of a message."""
+    stamp = Time(sec=stamp_ns // NS, nanosec=stamp_ns % NS)
+    for each, (x, y, z, qx, qy, qz, qw) in zip(message.transforms, poses.tolist(), strict=True):
+        each.header.stamp = stamp
+        translation, rotation = each.transform.translation, each.transform.rotation
+        translation.x, translation.y, translation.z = x, y, z
+        rotation.x, rotation.y, rotation.z, rotation.w = qx, qy, qz, qw
