@@ -13,6 +13,7 @@ from posor_bringup.arm_programs import LAYOUTS, Layout, arm_programs, group_prog
 from posor_bringup.arms import load_checked_arm
 from posor_bringup.installed import bag_path, calibration_path, urdf_path
 from posor_estimator.ros.message_classes import message_class
+from posor_estimator.ros.qos import LATCHED_QOS
 from posor_estimator.testing.graph import BEST_EFFORT, LOSSLESS, Graph
 from posor_estimator.testing.program import Program
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -44,10 +45,14 @@ RIG_TOPICS = (
     "/rig/joint1/reliability",
     "/rig/joint1/transform",
     "/rig/joint_states",
+    "/rig/robot_description",
+    "/tf",
+    "/tf_static",
 )
 OF_RCL = ("rcl_interfaces/", "lifecycle_msgs/")
-LEAST = 8
-"""Messages of each topic that are compared; the reliability is published once a second and twice is enough."""
+LEAST, FEWER = 8, {"reliability": 2, "tf_static": 1, "robot_description": 1}
+"""Messages of each topic that are compared, and of topics with this end, which are published seldom or once."""
+LATCHED = ("/tf_static", "/robot_description")
 
 
 def typestore() -> Typestore:
@@ -90,7 +95,8 @@ class EveryTopic:
             publishers = self._graph.node.get_publishers_info_by_topic(name)
             if name not in self.types and publishers and not kind.startswith(OF_RCL):
                 self.types[name] = kind
-                qos = BEST_EFFORT if name.endswith(("/raw", "/transform")) else LOSSLESS
+                qos = LATCHED_QOS if name.endswith(LATCHED) else LOSSLESS
+                qos = BEST_EFFORT if name.endswith(("/raw", "/transform")) else qos
                 self.messages = {
                     **self.messages,
                     name: self._graph.collect(message_class(kind), name, qos, raw=True),
@@ -98,7 +104,8 @@ class EveryTopic:
 
     def missing(self, topics: tuple[str, ...]) -> list[str]:
         """Return the topics of which not enough messages have arrived."""
-        return [name for name in topics if len(self.messages.get(name, ())) < (2 if "reliab" in name else LEAST)]
+        least = {name: FEWER.get(name.rpartition("/")[2], LEAST) for name in topics}
+        return [name for name in topics if len(self.messages.get(name, ())) < least[name]]
 
     def check(self) -> None:
         """Read and write every message with rosbags."""
