@@ -32,7 +32,7 @@ OTHER_ROS_VARIABLES = (
 
 
 NO_BYTECODE = "PYTHONDONTWRITEBYTECODE"
-"""The set-up leaves the bytecode of the libraries to their first import; without it, each start takes twice as long."""
+"""The set-up leaves the bytecode of the libraries to their first import. A start without it takes twice as long."""
 
 
 class SetupError(Exception):

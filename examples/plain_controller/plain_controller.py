@@ -1,6 +1,4 @@
-"""Moves a stage so that the endpoint stays at its target; stops where the pose is not OK. Needs ROS packages only.
-
-python plain_controller.py --ros-args -r __ns:=/five_axis"""
+"""Keeps an endpoint at its target by a stage: python plain_controller.py --ros-args -r __ns:=/five_axis"""
 
 from contextlib import suppress
 
@@ -9,32 +7,32 @@ from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from posor_msgs.msg import EndpointState
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.time import Time
 
-SILENCE_S, KEPT = 0.1, 100
+MAX_AGE_S, KEPT = 0.1, 100
 
 
 class PlainController(Node):
     def __init__(self):
         super().__init__("plain_controller")
-        self.targets, self.positions, self.reason = {}, {}, "no pose yet"
+        self.targets, self.positions, self.reason = {}, {}, ""
         self.output = self.create_publisher(Vector3Stamped, "stage/command", 10)
         self.create_subscription(PoseStamped, "target/endpoint", lambda target: self.keep(self.targets, target), 10)
         self.create_subscription(Vector3Stamped, "stage/position", lambda stage: self.keep(self.positions, stage), 10)
         self.create_subscription(EndpointState, "endpoint/state", self.on_state, 10)
-        self.watchdog = self.create_timer(SILENCE_S, lambda: self.stop(f"no usable state for {SILENCE_S} s"))
+        self.watchdog = self.create_timer(MAX_AGE_S, lambda: self.stop(f"nothing to command for {MAX_AGE_S} s"))
 
     def keep(self, messages, message):
-        messages[message.header.stamp.sec, message.header.stamp.nanosec] = message
+        messages[Time.from_msg(message.header.stamp).nanoseconds] = message
         if len(messages) > KEPT:
             del messages[next(iter(messages))]
 
     def on_state(self, measured):
-        stamp = measured.header.stamp.sec, measured.header.stamp.nanosec
-        if measured.state != EndpointState.STATE_OK or not measured.age < SILENCE_S:
-            self.stop(measured.reason or f"the pose is {measured.age:.3f} s old")
+        stamp = Time.from_msg(measured.header.stamp).nanoseconds
+        age_s = (self.get_clock().now().nanoseconds - stamp) * 1e-9
+        if measured.state != EndpointState.STATE_OK or abs(age_s) > MAX_AGE_S:
+            self.stop(measured.reason or f"the pose is {age_s:.3f} s old")
         elif stamp in self.targets and stamp in self.positions:
-            self.watchdog.reset()
-            self.reason = ""
             self.command(measured.pose, self.targets[stamp].pose.position, self.positions[stamp])
 
     def command(self, measured, target, stage):
@@ -46,6 +44,8 @@ class PlainController(Node):
         command.vector.y = y + 2.0 * (q.w * b + c * q.x - a * q.z) + stage.vector.y
         command.vector.z = z + 2.0 * (q.w * c + a * q.y - b * q.x) + stage.vector.z
         self.output.publish(command)
+        self.watchdog.reset()
+        self.reason = ""
 
     def stop(self, reason):
         """Command nothing, and the stage stays where it is; another machine would brake here."""

@@ -17,6 +17,7 @@ CovarianceKind = Literal["random", "systematic", "total"]
 """Which part of a covariance a message carries."""
 COVARIANCE_KINDS: dict[CovarianceKind, int] = {"random": 0, "systematic": 1, "total": 2}
 """The constants ``COVARIANCE_...`` of ``posor_msgs/JointTransform``."""
+MIN_TF_RATE = 0.01
 MIN_ZERO_SCANS = 10
 """Scans below which their scatter is unknown."""
 HOME_COORDINATES = ("gap", "alpha", "beta")
@@ -216,3 +217,11 @@ class ChainParameters(AlarmParameters):
     tf_rate: Annotated[float, Field(ge=0.0, le=1000.0)] = Field(
         default=30.0, description="how often /tf is published [1/s], with the stamp of the last pose; 0: not at all"
     )
+
+    @field_validator("tf_rate")
+    @classmethod
+    def _check_tf_rate(cls, rate: float) -> float:
+        if 0.0 < rate < MIN_TF_RATE:
+            message = f"{rate:g} is wrong; expected 0, or at least {MIN_TF_RATE:g}"
+            raise ValueError(message)
+        return rate

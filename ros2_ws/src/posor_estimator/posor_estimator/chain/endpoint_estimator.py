@@ -83,6 +83,8 @@ class EndpointEstimator:
         self.poses, self.covariances, self.thetas = (array[0] for array in measured)
         self.accelerations = self._history.accelerations.reshape(-1, 3)
         self.beam_transforms = self._history.transforms
+        for row, beam in zip(self.beam_transforms, arm.beams, strict=True):  # without sag; stays of beams off the way
+            row[:] = pin.SE3ToXYZQUAT(pin.SE3(beam["rotation"], beam["translation"]))
         self.pose, self.covariance, self.angles, self.faults = (array[0] for array in self._endpoints)
         self.relative_pose, self.relative_covariance = self._relative.poses[0], self._relative.covariances[0]
         self._prepare_arguments()

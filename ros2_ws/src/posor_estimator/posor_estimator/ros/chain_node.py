@@ -40,7 +40,7 @@ from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM, JointTransformFor
 from posor_estimator.ros.diagnostics import Level
 from posor_estimator.ros.endpoint_protection import ProtectionLevel
 from posor_estimator.ros.endpoint_verdict import SOUND, JointStatus, Verdict, degraded_verdict, unusable_verdict
-from posor_estimator.ros.frame_publisher import FramePublisher
+from posor_estimator.ros.frame_publisher import FramePublisher, StampedPoses
 from posor_estimator.ros.freshness import InputMonitor, InputWatch
 from posor_estimator.ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_estimator.ros.lifecycle_node import PosorNode
@@ -83,6 +83,7 @@ class ChainNode(PosorNode[ChainParameters]):
     _synchroniser: TimeSynchroniser[bytes]
     _kinds: dict[str, JointTransformFormat]
     _home: FloatArray | None
+    _frames: FramePublisher
     _pose_stamp: bytes  # of the last complete scan; empty: it has no pose
     _reported: object
     _alarms: AlarmRate
@@ -132,7 +133,7 @@ class ChainNode(PosorNode[ChainParameters]):
         endpoint = self.parameters.endpoint_frame
         self._state_writer = EndpointStateWriter(self._estimator, frame, endpoint, relative=self._is_relative)
         if self.parameters.tf_rate:
-            FramePublisher(self, chain, self.parameters.tf_rate, self._newest_transforms)
+            self._frames = FramePublisher(self, chain, self.parameters.tf_rate, self._newest_frames)
         self._protection = ProtectionLevel(chain)
         self._pose = self._create_publisher(PoseStamped, ENDPOINT_TOPIC)
         self._pose_with_covariance = self._create_publisher(PoseWithCovarianceStamped, ENDPOINT_COVARIANCE_TOPIC)
@@ -328,13 +329,13 @@ class ChainNode(PosorNode[ChainParameters]):
             self._status.report(level, f"{text}; {excess}" if excess else text, self._counts())
             self._reported, self._has_alarm = key, bool(excess)
 
-    def _newest_transforms(self) -> tuple[int, FloatArray] | None:
-        """Return the stamp [ns] of the last scan, and the poses of its joints and beams; None: it has no pose."""
+    def _newest_frames(self) -> StampedPoses | None:
+        """Return the poses of joints and beams of the last complete scan; None: it has no pose."""
         with self._lock:
             if not self.may_publish or not self._pose_stamp:
                 return None
             poses = np.concatenate([self._estimator.poses, self._estimator.beam_transforms])
-            return stamp_ns_of(self._pose_stamp), poses
+            return StampedPoses(stamp_ns_of(self._pose_stamp), poses)
 
     def _refuse_scan(self, stamp: bytes, stamp_ns: int, verdict: Verdict) -> None:
         """Publish and report that a complete scan gives no endpoint."""
@@ -354,10 +355,10 @@ class ChainNode(PosorNode[ChainParameters]):
     def _report_refused_scan(self, verdict: Verdict) -> None:
         """Report a scan without a pose if the reason has changed: as an error if false alarms do not explain it."""
         number = self._scan_number()
-        self._has_alarm = self._alarms.add(number)
+        self._has_alarm = not verdict.is_waiting and self._alarms.add(number)
         if self._reported != (key := (verdict, self._has_alarm)):
             self._reported = key
-            excess = self._alarms.excess(number)
+            excess = "" if verdict.is_waiting else self._alarms.excess(number)
             text = f"no pose: {verdict.reason}" + (f"; {excess}" if excess else "")
             self._status.report(Level.ERROR if self._has_alarm else Level.WARN, text, self._counts())
 

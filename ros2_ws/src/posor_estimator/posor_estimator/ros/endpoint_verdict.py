@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 ALL_FAULTS = sum(int(flag) for flag in Fault)
+NOT_COUNTED = "waiting for the home mark or another reference"
+"""Said of a joint without a fault whose large rotation is not counted."""
 _STATE_TEXTS = {int(state): f"is {state.name.lower()}" for state in State}
 
 
@@ -25,6 +27,7 @@ class Verdict(NamedTuple):
     faults: int = 0
     joint: str = ""
     reason: str = ""
+    is_waiting: bool = False  # each joint that gives no pose has no fault and only waits to be counted; no field there
 
     @property
     def has_pose(self) -> bool:
@@ -52,6 +55,11 @@ class JointStatus(NamedTuple):
     code: int = 0
 
 
+def waits_to_be_counted(state: int, faults: int) -> bool:
+    """Return whether a joint has no fault and only waits for its home mark or another reference."""
+    return state == State.UNCOUNTED and not faults
+
+
 def degraded_verdict(joints: Sequence[JointStatus]) -> Verdict:
     """Return the verdict on a scan with an endpoint and at least one degraded joint."""
     degraded = [joint for joint in joints if joint.state]
@@ -67,12 +75,15 @@ def unusable_verdict(joints: Sequence[JointStatus]) -> Verdict:
     lost = [joint for joint in unusable if joint.state != State.UNCOUNTED]
     state = EndpointState.STATE_LOST if lost else EndpointState.STATE_UNCOUNTED
     reason = "; ".join(f"{joint.name} {_reason(joint)}" for joint in unusable)
-    return Verdict(state, _all_faults(joints), (lost or unusable)[0].name, reason)
+    is_waiting = all(waits_to_be_counted(joint.state, joint.faults) and not joint.code for joint in unusable)
+    return Verdict(state, _all_faults(joints), (lost or unusable)[0].name, reason, is_waiting)
 
 
 def _reason(joint: JointStatus) -> str:
     if joint.code:
         return FAULT_TEXTS[joint.code]
+    if waits_to_be_counted(joint.state, joint.faults):
+        return f"is {NOT_COUNTED}"
     return _STATE_TEXTS.get(joint.state, f"has the unknown state {joint.state}") + _fault_names(joint.faults)
 
 

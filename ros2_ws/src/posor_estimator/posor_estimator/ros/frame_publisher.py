@@ -1,12 +1,12 @@
 """Publishes the frames of an arm for viewers: /tf, /tf_static and the robot description.
 
 The joints and the beams of the beams file move; their product with the fixed joints of the URDF, in the order of the
-links, is the endpoint's pose of the same stamp. robot_state_publisher leaves floating joints out.
+links, is the endpoint's pose of the same stamp in the base frame. robot_state_publisher leaves floating joints out.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -31,20 +31,32 @@ if TYPE_CHECKING:
     from posor_estimator.ros.lifecycle_node import PosorNode
 
 
+class StampedPoses(NamedTuple):
+    """Poses of the joints, then of the beams, of one scan.
+
+    Attributes:
+        stamp_ns: Of the scan [ns].
+        poses: Child link in parent link, (j + b, 7): x, y, z [m], unit quaternion x, y, z, w.
+
+    """
+
+    stamp_ns: int
+    poses: FloatArray
+
+
 class FramePublisher:
     """Publishes the frames of an arm while its node is configured."""
 
     def __init__(
-        self, node: PosorNode[Any], chain: Chain, rate: float, newest: Callable[[], tuple[int, FloatArray] | None]
+        self, node: PosorNode[Any], chain: Chain, rate: float, newest: Callable[[], StampedPoses | None]
     ) -> None:
-        """Publish what does not move, and start to publish the rest.
+        """Publish what does not move, also while the node is inactive, and start to publish the rest.
 
         Args:
             node: The node, which is being configured.
             chain: The arm.
             rate: How often /tf is published [1/s].
-            newest: Returns the stamp [ns] of the newest scan with a pose, and the poses of its joints and beams,
-                (j + b, 7); None: the newest scan has no pose, or the node must not publish.
+            newest: Returns the poses of the newest scan; None: it gives no endpoint, or the node must not publish.
 
         """
         self._newest, self._published_ns = newest, 0
@@ -53,7 +65,7 @@ class FramePublisher:
         self._publisher = node.create_publisher(TFMessage, TF_TOPIC, TF_QOS)
         fixed = TFMessage(transforms=[_transform(each.parent, each.child) for each in chain.fixed_transforms])
         poses = [pin.SE3ToXYZQUAT(each.T_parent_child) for each in chain.fixed_transforms]
-        _write(fixed, node.timing.now_ns(), np.array(poses).reshape(-1, 7))
+        _set_transforms(fixed, StampedPoses(node.timing.now_ns(), np.array(poses).reshape(-1, 7)))
         static = node.create_publisher(TFMessage, TF_STATIC_TOPIC, LATCHED_QOS)
         description = node.create_publisher(String, ROBOT_DESCRIPTION_TOPIC, LATCHED_QOS)
         for publisher, message in ((static, fixed), (description, String(data=chain.urdf))):
@@ -67,10 +79,10 @@ class FramePublisher:
     def _publish(self) -> None:
         """Publish the transforms of the newest scan with a pose, unless they were published before."""
         newest = self._newest()
-        if newest is None or newest[0] == self._published_ns:
+        if newest is None or newest.stamp_ns == self._published_ns:
             return
-        self._published_ns, poses = newest
-        _write(self._moving, self._published_ns, poses)
+        self._published_ns = newest.stamp_ns
+        _set_transforms(self._moving, newest)
         self._publisher.publish(schema_of_class(TFMessage).serialize(self._moving))
 
 
@@ -80,10 +92,10 @@ def _transform(parent: str, child: str) -> TransformStamped:
     return message
 
 
-def _write(message: TFMessage, stamp_ns: int, poses: FloatArray) -> None:
-    """Write poses, (n, 7), as the n transforms of a message."""
-    stamp = Time(sec=stamp_ns // NS, nanosec=stamp_ns % NS)
-    for each, (x, y, z, qx, qy, qz, qw) in zip(message.transforms, poses.tolist(), strict=True):
+def _set_transforms(message: TFMessage, frames: StampedPoses) -> None:
+    """Set stamps and numbers of all transforms of a message."""
+    stamp = Time(sec=frames.stamp_ns // NS, nanosec=frames.stamp_ns % NS)
+    for each, (x, y, z, qx, qy, qz, qw) in zip(message.transforms, frames.poses.tolist(), strict=True):
         each.header.stamp = stamp
         translation, rotation = each.transform.translation, each.transform.rotation
         translation.x, translation.y, translation.z = x, y, z

@@ -32,6 +32,7 @@ from posor_estimator.node_parameters import PosorParameters
 from posor_estimator.ros.alarm_rate import AlarmRate
 from posor_estimator.ros.cdr_scan import RAW_SCAN, scan_of
 from posor_estimator.ros.diagnostics import Level
+from posor_estimator.ros.endpoint_verdict import NOT_COUNTED, waits_to_be_counted
 from posor_estimator.ros.freshness import InputMonitor, ScanOrder
 from posor_estimator.ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_estimator.ros.lifecycle_node import PosorNode
@@ -349,10 +350,11 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             self._source_changes = source_changes
         self._scans_lost += self._is_lost
         is_alarm = self._is_lost and self._alarms.add(self._scans)
-        excess = self._alarms.excess(self._scans)
+        is_waiting = waits_to_be_counted(state, faults)
+        excess = "" if is_waiting else self._alarms.excess(self._scans)
         if (key := (state, faults, is_alarm or bool(excess))) != self._reported:
             self._reported = key
-            level = Level.ERROR if key[2] else LEVELS.get(State(state), Level.ERROR)
+            level = Level.ERROR if key[2] else Level.WARN if is_waiting else LEVELS.get(State(state), Level.ERROR)
             formatter = partial(_format_status, state, faults, excess, self._counts(), stream.last_scan())
             self._status.report_status_change(level, formatter)
 
@@ -385,7 +387,8 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
 
 def _format_status(state: int, faults: int, excess: str, counts: dict[str, Value], scan: EstimatedScan) -> StatusText:
     fault_names = str(Fault(faults).name) if faults else "none"
-    text = "; ".join(filter(None, (f"{State(state).name.lower()}: {fault_names}", excess)))
+    state_text = NOT_COUNTED if waits_to_be_counted(state, faults) else f"{State(state).name.lower()}: {fault_names}"
+    text = "; ".join(filter(None, (state_text, excess)))
     return text, {"faults": fault_names, **_status_values(counts, scan)}
 
 

@@ -168,6 +168,20 @@ def test_an_uncounted_joint_gives_no_pose(rig: SingleJointRig) -> None:
     assert rig.has_seconds([2])
 
 
+def test_a_joint_that_waits_for_its_home_mark_is_a_warning_however_long(rig: SingleJointRig) -> None:
+    waiting = transform_of(1)
+    waiting.state = JointTransform.STATE_UNCOUNTED
+    sentence = "no pose: joint1 is waiting for the home mark"
+    for second in (1, 2, 3):
+        rig.send(waiting, second)
+        assert rig.wait_for_message(sentence).level == b"\x01"
+    rig.send(transform_of(4), 4)
+    rig.wait_for_poses(1)
+    rig.graph.wait_for_status("/chain_node: endpoint", "ok")
+    levels = {status.level for status in rig.graph.diagnostics if status.message.startswith(sentence)}
+    assert levels == {b"\x01"}
+
+
 def nan_position(message: Any) -> None:
     message.pose.position.y = math.nan
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import pytest
 from posor_estimator.chain.joint_measurements import POSE_TOO_FAR
 from posor_estimator.model.fault import Fault, State
-from posor_estimator.ros.endpoint_verdict import JointStatus, Verdict, degraded_verdict, unusable_verdict
+from posor_estimator.ros.endpoint_verdict import NOT_COUNTED, JointStatus, Verdict, degraded_verdict, unusable_verdict
 from posor_msgs.msg import EndpointState
 
 SOUND_JOINT = JointStatus("base", State.OK, 0)
 FLAGGED = JointStatus("wrist", State.DEGRADED, Fault.FLAGGED)
 LOST = JointStatus("elbow", State.LOST, Fault.RESIDUAL)
 UNCOUNTED = JointStatus("shoulder", State.UNCOUNTED, Fault.COUNT)
+WAITING = JointStatus("shoulder", State.UNCOUNTED, 0)
 TOO_FAR = JointStatus("tool", State.OK, 0, POSE_TOO_FAR)
 FAR_TEXT = "tool is further than 0.02 m from the nominal joint of the URDF"
 
@@ -21,6 +22,13 @@ FAR_TEXT = "tool is further than 0.02 m from the nominal joint of the URDF"
     [
         ([SOUND_JOINT, LOST], "LOST", Fault.RESIDUAL, "elbow", "elbow is lost (RESIDUAL)"),
         ([SOUND_JOINT, UNCOUNTED], "UNCOUNTED", Fault.COUNT, "shoulder", "shoulder is uncounted (COUNT)"),
+        (
+            [SOUND_JOINT, WAITING],
+            "UNCOUNTED",
+            0,
+            "shoulder",
+            f"shoulder is {NOT_COUNTED}",
+        ),
         (
             [UNCOUNTED, FLAGGED, LOST],
             "LOST",
@@ -38,9 +46,25 @@ def test_a_scan_without_an_endpoint_always_has_a_state_of_the_message_and_a_reas
     joints: list[JointStatus], state: str, faults: int, joint: str, reason: str
 ) -> None:
     verdict = unusable_verdict(joints)
-    assert verdict == Verdict(getattr(EndpointState, f"STATE_{state}"), faults, joint, reason)
+    assert verdict[:4] == (getattr(EndpointState, f"STATE_{state}"), faults, joint, reason)
     assert not verdict.has_pose
     EndpointState(state=verdict.state, faults=verdict.faults, joint=verdict.joint, reason=verdict.reason)
+
+
+@pytest.mark.parametrize(
+    ("joints", "is_waiting"),
+    [
+        ([SOUND_JOINT, WAITING], True),
+        ([FLAGGED, WAITING], True),
+        ([UNCOUNTED, WAITING], False),
+        ([LOST, WAITING], False),
+        ([JointStatus("shoulder", State.UNCOUNTED, 0, POSE_TOO_FAR)], False),
+    ],
+)
+def test_the_endpoint_waits_only_if_every_joint_without_a_pose_does(
+    joints: list[JointStatus], *, is_waiting: bool
+) -> None:
+    assert unusable_verdict(joints).is_waiting == is_waiting
 
 
 def test_a_degraded_scan_names_its_degraded_joints() -> None:

@@ -265,6 +265,7 @@ def test_home_starts_the_count_of_bumps_and_zero_needs_a_home_pose(tmp_path: Pat
         rig.graph.wait_until(lambda: {"/posor_node/reload", "/posor_node/home"} <= service_names(rig), "the services")
         assert "/posor_node/zero" not in service_names(rig)
         assert {transform.state for transform in rig.send(3)} == {JointTransform.STATE_UNCOUNTED}
+        assert rig.graph.wait_for_status("/posor_node: estimate", "waiting for the home mark").level == b"\x01"
         success, message = rig.call("home")
         assert success
         assert message.startswith("theta is counted from the next scan")

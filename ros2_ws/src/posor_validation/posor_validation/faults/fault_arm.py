@@ -23,7 +23,7 @@ RATES: Mapping[Arm, int] = {"six_axis": 50, "five_axis": 50, "test_rig": 100}
 AMPLITUDES: Mapping[Arm, float] = {"six_axis": 0.03, "five_axis": 0.06, "test_rig": 0.03}
 """Of the motion about home [rad]: bumpy rings move by more than a bump and pass their home marks once a second."""
 WAYPOINT_S = 1.0
-"""See ``write_fault_arm``."""
+"""Usual time between two waypoints of the motion."""
 
 
 def quantity(value: float, unit: str) -> dict[str, Any]:

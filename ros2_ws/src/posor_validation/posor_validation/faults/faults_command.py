@@ -181,7 +181,7 @@ def run_rows(
         runs.append((f"messages on {topic}", len(messages), live(InputRun, topic, messages)))
     for layout in ("separate", "composed"):
         processes = [each for each in PROCESS_FAULTS if each.layout == layout and is_selected(each.row)]
-        runs.append((f"{layout} processes and links", len(processes), live(ProcessRun, processes)))
+        runs.append((f"processes, layout {layout}", len(processes), live(ProcessRun, processes)))
     cases = QUICK_CASES if options.quick else CASES
     hidden = [each for each in HIDDEN_FAULTS if is_selected(each.row)]
     runs.append(("hidden faults", len(hidden), lambda _: [run_hidden(each, seed, cases) for each in hidden]))
@@ -191,7 +191,7 @@ def run_rows(
     results = []
     for title, count, run in runs:
         if count:
-            part = folder / title.replace(" ", "_")
+            part = folder / title.replace(", ", "_").replace(" ", "_")
             part.mkdir()
             with progress.stage(title, count) as on_done:
                 found = run(part)

@@ -211,6 +211,8 @@ class _RunningRig:
             case Disturbance.KILL:
                 self._start_again(fault.program)
             case Disturbance.INTERRUPT:
+                if not self.running[fault.program].wait_or_kill():
+                    raise ProcessError("did not end after two SIGINTs", where=fault.program)
                 self.supervisor.end([self.running[fault.program]])
                 self._start_again(fault.program)
             case Disturbance.CLEAN_UP:

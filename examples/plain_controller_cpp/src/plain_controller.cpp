@@ -1,0 +1,118 @@
+// Moves a stage so that the endpoint stays at its target; stops where the pose is not OK.
+//
+// ros2 run plain_controller_cpp plain_controller --ros-args -r __ns:=/five_axis
+
+#include <chrono>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <string>
+#include <utility>
+
+#include "geometry_msgs/msg/pose_stamped.hpp"
+#include "geometry_msgs/msg/vector3_stamped.hpp"
+#include "posor_msgs/msg/endpoint_state.hpp"
+#include "rclcpp/rclcpp.hpp"
+
+using geometry_msgs::msg::PoseStamped;
+using geometry_msgs::msg::Vector3Stamped;
+using posor_msgs::msg::EndpointState;
+using Stamp = std::pair<int32_t, uint32_t>;
+
+constexpr double MAX_AGE_S = 0.1;
+constexpr std::size_t KEPT = 100;
+
+template<typename Message>
+Stamp stamp_of(const Message & message)
+{
+  return {message.header.stamp.sec, message.header.stamp.nanosec};
+}
+
+template<typename Message>
+void keep(std::map<Stamp, Message> & messages, const Message & message)
+{
+  if (!messages.empty() && stamp_of(message) < messages.rbegin()->first) {
+    messages.clear();  // time has gone back
+  }
+  messages[stamp_of(message)] = message;
+  if (messages.size() > KEPT) {
+    messages.erase(messages.begin());
+  }
+}
+
+class PlainController : public rclcpp::Node
+{
+public:
+  PlainController()
+  : Node("plain_controller")
+  {
+    output_ = create_publisher<Vector3Stamped>("stage/command", 10);
+    target_subscription_ = create_subscription<PoseStamped>(
+      "target/endpoint", 10, [this](const PoseStamped & target) {keep(targets_, target);});
+    stage_subscription_ = create_subscription<Vector3Stamped>(
+      "stage/position", 10, [this](const Vector3Stamped & stage) {keep(positions_, stage);});
+    state_subscription_ = create_subscription<EndpointState>(
+      "endpoint/state", 10, [this](const EndpointState & measured) {on_state(measured);});
+    watchdog_ = create_wall_timer(
+      std::chrono::duration<double>(MAX_AGE_S), [this] {stop("nothing to command");});
+  }
+
+private:
+  void on_state(const EndpointState & measured)
+  {
+    const auto target = targets_.find(stamp_of(measured));
+    const auto stage = positions_.find(stamp_of(measured));
+    const double age_s = (now() - rclcpp::Time(measured.header.stamp, get_clock()->get_clock_type())).seconds();
+    if (measured.state != EndpointState::STATE_OK || std::abs(age_s) > MAX_AGE_S) {
+      stop(measured.reason.empty() ? "the pose is too old" : measured.reason);
+    } else if (target != targets_.end() && stage != positions_.end()) {
+      command(measured.pose, target->second.pose.position, stage->second);
+    }
+  }
+
+  // Commands R^T (target - measured) + stage: the position of the stage that would have removed the error.
+  void command(
+    const geometry_msgs::msg::Pose & measured, const geometry_msgs::msg::Point & target,
+    const Vector3Stamped & stage)
+  {
+    const auto & p = measured.position;
+    const auto & q = measured.orientation;
+    const double x = target.x - p.x, y = target.y - p.y, z = target.z - p.z;
+    const double a = y * q.z - z * q.y, b = z * q.x - x * q.z, c = x * q.y - y * q.x;
+    auto message = stage;
+    message.vector.x += x + 2.0 * (q.w * a + b * q.z - c * q.y);
+    message.vector.y += y + 2.0 * (q.w * b + c * q.x - a * q.z);
+    message.vector.z += z + 2.0 * (q.w * c + a * q.y - b * q.x);
+    output_->publish(message);
+    watchdog_->reset();
+    reason_.clear();
+  }
+
+  // Commands nothing, and the stage stays where it is; another machine would brake here.
+  void stop(const std::string & reason)
+  {
+    if (reason != reason_) {
+      RCLCPP_WARN(get_logger(), "stopped: %s", reason.c_str());
+    }
+    reason_ = reason;
+  }
+
+  std::map<Stamp, PoseStamped> targets_;
+  std::map<Stamp, Vector3Stamped> positions_;
+  std::string reason_;
+  rclcpp::Publisher<Vector3Stamped>::SharedPtr output_;
+  rclcpp::Subscription<PoseStamped>::SharedPtr target_subscription_;
+  rclcpp::Subscription<Vector3Stamped>::SharedPtr stage_subscription_;
+  rclcpp::Subscription<EndpointState>::SharedPtr state_subscription_;
+  rclcpp::TimerBase::SharedPtr watchdog_;
+};
+
+int main(int argc, char ** argv)
+{
+  rclcpp::init(argc, argv);
+  rclcpp::spin(std::make_shared<PlainController>());
+  rclcpp::shutdown();
+  return 0;
+}
