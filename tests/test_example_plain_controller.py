@@ -23,7 +23,7 @@ pytestmark = pytest.mark.usefixtures("ros_domain")
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "plain_controller" / "plain_controller.py"
 MAX_LINES = 60
-ALLOWED = ("contextlib", "geometry_msgs", "posor_msgs", "rclpy")
+ALLOWED = ("contextlib", "math", "geometry_msgs", "posor_msgs", "rclpy")
 ARM: Arm = "five_axis"
 KILLED = "elbow/driver_node"
 CYCLE_S, SEED, WAYPOINT_S = 60, 4, 5.0

@@ -1,5 +1,6 @@
 """Keeps an endpoint at its target by a stage: python plain_controller.py --ros-args -r __ns:=/five_axis"""
 
+import math
 from contextlib import suppress
 
 import rclpy
@@ -7,7 +8,6 @@ from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from posor_msgs.msg import EndpointState
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
-from rclpy.time import Time
 
 MAX_AGE_S, KEPT = 0.1, 100
 
@@ -15,7 +15,7 @@ MAX_AGE_S, KEPT = 0.1, 100
 class PlainController(Node):
     def __init__(self):
         super().__init__("plain_controller")
-        self.targets, self.positions, self.reason = {}, {}, ""
+        self.targets, self.positions = {}, {}
         self.output = self.create_publisher(Vector3Stamped, "stage/command", 10)
         self.create_subscription(PoseStamped, "target/endpoint", lambda target: self.keep(self.targets, target), 10)
         self.create_subscription(Vector3Stamped, "stage/position", lambda stage: self.keep(self.positions, stage), 10)
@@ -23,15 +23,15 @@ class PlainController(Node):
         self.watchdog = self.create_timer(MAX_AGE_S, lambda: self.stop(f"nothing to command for {MAX_AGE_S} s"))
 
     def keep(self, messages, message):
-        messages[Time.from_msg(message.header.stamp).nanoseconds] = message
+        messages[message.header.stamp.sec * 10**9 + message.header.stamp.nanosec] = message
         if len(messages) > KEPT:
             del messages[next(iter(messages))]
 
     def on_state(self, measured):
-        stamp = Time.from_msg(measured.header.stamp).nanoseconds
+        stamp = measured.header.stamp.sec * 10**9 + measured.header.stamp.nanosec
         age_s = (self.get_clock().now().nanoseconds - stamp) * 1e-9
         if measured.state != EndpointState.STATE_OK or abs(age_s) > MAX_AGE_S:
-            self.stop(measured.reason or f"the pose is {age_s:.3f} s old")
+            self.stop(measured.reason or f"state {measured.state}, {age_s:.3f} s old")
         elif stamp in self.targets and stamp in self.positions:
             self.command(measured.pose, self.targets[stamp].pose.position, self.positions[stamp])
 
@@ -43,15 +43,15 @@ class PlainController(Node):
         command.vector.x = x + 2.0 * (q.w * a + b * q.z - c * q.y) + stage.vector.x
         command.vector.y = y + 2.0 * (q.w * b + c * q.x - a * q.z) + stage.vector.y
         command.vector.z = z + 2.0 * (q.w * c + a * q.y - b * q.x) + stage.vector.z
-        self.output.publish(command)
-        self.watchdog.reset()
-        self.reason = ""
+        if math.isfinite(command.vector.x + command.vector.y + command.vector.z):
+            self.output.publish(command)
+            self.watchdog.reset()
+        else:
+            self.stop("a pose, a target or the position of the stage is not finite")
 
     def stop(self, reason):
         """Command nothing, and the stage stays where it is; another machine would brake here."""
-        if reason != self.reason:
-            self.get_logger().warning(f"stopped: {reason}")
-        self.reason = reason
+        self.get_logger().warning(f"stopped: {reason}", throttle_duration_sec=1.0)
 
 
 if __name__ == "__main__":

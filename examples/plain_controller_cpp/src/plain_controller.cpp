@@ -64,9 +64,10 @@ private:
   {
     const auto target = targets_.find(stamp_of(measured));
     const auto stage = positions_.find(stamp_of(measured));
-    const double age_s = (now() - rclcpp::Time(measured.header.stamp, get_clock()->get_clock_type())).seconds();
+    const double age_s =
+      now().seconds() - (measured.header.stamp.sec + 1e-9 * measured.header.stamp.nanosec);
     if (measured.state != EndpointState::STATE_OK || std::abs(age_s) > MAX_AGE_S) {
-      stop(measured.reason.empty() ? "the pose is too old" : measured.reason);
+      stop(measured.reason.empty() ? "the pose is not OK or too old" : measured.reason);
     } else if (target != targets_.end() && stage != positions_.end()) {
       command(measured.pose, target->second.pose.position, stage->second);
     }
@@ -85,23 +86,22 @@ private:
     message.vector.x += x + 2.0 * (q.w * a + b * q.z - c * q.y);
     message.vector.y += y + 2.0 * (q.w * b + c * q.x - a * q.z);
     message.vector.z += z + 2.0 * (q.w * c + a * q.y - b * q.x);
+    if (!std::isfinite(message.vector.x + message.vector.y + message.vector.z)) {
+      stop("a pose, a target or the position of the stage is not finite");
+      return;
+    }
     output_->publish(message);
     watchdog_->reset();
-    reason_.clear();
   }
 
   // Commands nothing, and the stage stays where it is; another machine would brake here.
   void stop(const std::string & reason)
   {
-    if (reason != reason_) {
-      RCLCPP_WARN(get_logger(), "stopped: %s", reason.c_str());
-    }
-    reason_ = reason;
+    RCLCPP_WARN_THROTTLE(get_logger(), *get_clock(), 1000, "stopped: %s", reason.c_str());
   }
 
   std::map<Stamp, PoseStamped> targets_;
   std::map<Stamp, Vector3Stamped> positions_;
-  std::string reason_;
   rclcpp::Publisher<Vector3Stamped>::SharedPtr output_;
   rclcpp::Subscription<PoseStamped>::SharedPtr target_subscription_;
   rclcpp::Subscription<Vector3Stamped>::SharedPtr stage_subscription_;

@@ -177,8 +177,10 @@ class ChainNode(PosorNode[ChainParameters]):
         self._inputs.start()
 
     def deactivate(self) -> None:
-        """Expect no transforms."""
+        """Expect no transforms; the arm may move before the next."""
         self._inputs.stop()
+        with self._lock:
+            self._pose_stamp = b""
 
     def _refresh_status(self) -> None:
         """Update the counts, once a second."""

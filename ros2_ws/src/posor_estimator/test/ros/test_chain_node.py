@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from posor_estimator.ros.chain_node import ChainNode
 from posor_estimator.testing.graph import Graph, set_stamp, stamp_seconds, values_of
 from posor_estimator.testing.in_process_nodes import run_refused_node
@@ -244,6 +246,10 @@ def test_poses_are_relative_to_the_first_pose_or_to_the_last_set_home() -> None:
         chain.wait_for_poses(4)
         heights = [[p.pose.position.x, p.pose.position.y, p.pose.position.z] for p in chain.poses[2:]]
         np.testing.assert_allclose(heights, [[0.0, 0.0, 0.0], [0.0, -1e-3, 0.0]], rtol=0.0, atol=1e-15)
+        for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE):
+            request = ChangeState.Request(transition=Transition(id=transition))
+            assert graph.call(ChangeState, "/chain_node/change_state", request).success
+            assert call_set_home(graph) == (False, "there is no pose now to take as home")  # the arm may have moved
         states = graph.collect(EndpointState, "endpoint/state")
         joint.publish(lost_transform(5, JointTransform.FAULT_RESIDUAL))
         graph.wait_until(lambda: any(s.state == EndpointState.STATE_LOST for s in states), "the loss")

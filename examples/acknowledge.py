@@ -1,0 +1,21 @@
+"""Releases a joint that a fault has latched: ``python acknowledge.py /six_axis/elbow``."""
+
+import sys
+from typing import Any
+
+import rclpy
+from std_srvs.srv import Trigger
+
+if len(sys.argv) != 2:
+    sys.exit("usage: acknowledge.py /ARM/JOINT")
+rclpy.init()
+node = rclpy.create_node("acknowledge")
+client: Any = node.create_client(Trigger, f"{sys.argv[1]}/posor_node/acknowledge")
+if not client.wait_for_service(5.0):
+    sys.exit(f"no service {client.srv_name} within 5 s; expected a posor_node with 'allow_changes'")
+answer: Any = client.call_async(Trigger.Request())
+rclpy.spin_until_future_complete(node, answer, timeout_sec=5.0)
+if not answer.done():
+    sys.exit(f"no answer of {client.srv_name} within 5 s")
+print(answer.result().message)
+sys.exit(0 if answer.result().success else 1)
