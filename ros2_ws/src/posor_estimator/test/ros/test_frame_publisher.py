@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from ament_index_python.packages import get_package_share_path
+from posor_estimator.chain.joint_measurements import MeasuredJoint
 from posor_estimator.chain.kinematic_chain import load_chain
+from posor_estimator.ros.chain_node import ChainNode
 from posor_estimator.ros.message_conversion import stamp_ns
 from posor_estimator.ros.qos import LATCHED_QOS, TF_QOS
 from posor_estimator.testing.graph import Graph
+from posor_estimator.testing.in_process_nodes import run_refused_node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
@@ -26,6 +31,8 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
 ARM = Path(__file__).resolve().parents[3] / "posor_bringup" / "arms" / "five_axis"
+TYPE_HASH = "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087"
+"""Of tf2_msgs/msg/TFMessage: endpoints with another hash do not understand each other."""
 URDF, BEAMS = ARM / "five_axis.urdf", ARM / "beams.yaml"
 MOVING: dict[str, object] = {"urdf": str(URDF), "beams": str(BEAMS), "tf_rate": 200.0, **LOSSLESS}
 
@@ -99,6 +106,30 @@ def test_usual_subscribers_receive_frames(qos: QoSProfile) -> None:
         frames = graph.collect(TFMessage, "/tf", qos)
         seconds = iter(range(1, 1000))
         graph.wait_until(lambda: bool(frames), "frames", lambda: send(publishers, chain.joints, next(seconds), rng))
+
+
+def test_a_beam_off_the_way_to_the_endpoint_has_its_frame_without_sag() -> None:
+    chain = load_chain(URDF, "shoulder_receiving", BEAMS)
+    estimator = chain.estimator()
+    estimator.set_measurements(
+        {joint.name: MeasuredJoint(joint.T_parent_joint, 1e-12 * np.eye(6)) for joint in chain.joints}
+    )
+    assert estimator.estimate()
+    _, *others = zip(chain.beams, estimator.beam_transforms, strict=True)
+    assert others
+    for beam, transform in others:
+        np.testing.assert_allclose(transform, pin.SE3ToXYZQUAT(beam.T_start_end), rtol=0.0, atol=1e-15)
+
+
+def test_a_rate_whose_period_has_no_end_is_refused(capfd: pytest.CaptureFixture[str]) -> None:
+    sentence = "node /chain_node, parameter 'tf_rate': 1e-12 is wrong; expected 0, or at least 0.01."
+    assert run_refused_node(ChainNode, {"urdf": str(URDF), "tf_rate": 1e-12}, capfd) == (2, [sentence])
+
+
+def test_the_message_has_the_type_hash_of_an_official_jazzy() -> None:
+    path = get_package_share_path("tf2_msgs") / "msg" / "TFMessage.json"
+    hashes = {each["type_name"]: each["hash_string"] for each in json.loads(path.read_text())["type_hashes"]}
+    assert hashes["tf2_msgs/msg/TFMessage"] == TYPE_HASH
 
 
 def test_without_a_rate_nothing_is_published() -> None:
