@@ -32,7 +32,3 @@ def write_composition(folder: Path, text: str) -> Path:
     path = folder / "nodes.yaml"
     path.write_text(text, encoding="utf-8")
     return path
-
-
-def error_lines(lines: list[str]) -> list[str]:
-    return [line for line in lines if "[INFO]" not in line]

@@ -33,8 +33,7 @@ if TYPE_CHECKING:
 
 PARAMETERS: dict[str, Parameter] = {
     "use_sim_time": True,
-    "qos_reliability": "reliable",
-    "qos_depth": 0,
+    "lossless": True,
     "freshness.max_silence": math.inf,
 }
 CHAIN_PARAMETERS: dict[str, Parameter] = {"max_wait": 60.0}

@@ -49,7 +49,7 @@ OTHERS = {
 }
 """What the nodes publish beside the endpoint."""
 TICKS, RATE, START_NS = 2000, 200, 1_767_225_600_000_000_000
-LOSSLESS: dict[str, Parameter] = {"qos_reliability": "reliable", "qos_depth": 0}
+LOSSLESS: dict[str, Parameter] = {"lossless": True}
 WITHIN = 1e-12
 """What another machine's arithmetic may differ by, in metres, radians and quaternions."""
 

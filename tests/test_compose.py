@@ -28,7 +28,7 @@ from posor_msgs.msg import JointTransform
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
-from tests.composed_rig import COMPOSE, NODES, RIG, error_lines, write_composition
+from tests.composed_rig import COMPOSE, NODES, RIG, write_composition
 from tests.rig_replay import all_message_bits, read_bag_messages
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ pytestmark = pytest.mark.usefixtures("ros_domain")
 BAG = Path(__file__).resolve().parents[1] / "bags" / "five_axis"
 BAG_START_NS = 1_767_225_600 * 1_000_000_000
 JOINTS = ("base_swivel", "shoulder", "elbow", "wrist_roll", "wrist_yaw")
-LOSSLESS: dict[str, Parameter] = {"qos_reliability": "reliable", "qos_depth": 0}
+LOSSLESS: dict[str, Parameter] = {"lossless": True}
 TICKS, SPAN_S = 200, 0.999
 TOPICS = {
     **{f"/five_axis/{joint}/transform": JointTransform for joint in JOINTS},
@@ -121,7 +121,7 @@ def ends_cleanly(program: Program, graph: Graph, number: signal.Signals) -> bool
     """End a composition and wait until its nodes have left the graph; return whether it ended without errors."""
     code = program.end(number)
     graph.wait_until(lambda: not set(NODES) & node_names(graph), "the end of all nodes")
-    return code == 0 and error_lines(program.stderr) == []
+    return code == 0 and program.errors == []
 
 
 @pytest.mark.long

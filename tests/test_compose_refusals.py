@@ -9,9 +9,9 @@ from posor_bringup.installed import calibration_path, urdf_path
 from posor_estimator.errors import CalibrationError
 from posor_estimator.ros.compose_command import main
 from posor_estimator.ros.composition_file import load_composition
-from posor_estimator.testing.program import Program
+from posor_estimator.testing.program import Program, error_lines
 
-from tests.composed_rig import COMPOSE, NODES, RIG, error_lines, write_composition
+from tests.composed_rig import COMPOSE, NODES, RIG, write_composition
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -38,7 +38,7 @@ def test_a_node_that_cannot_start_is_named_and_ends_all_nodes(
     path = write_composition(tmp_path, RIG.replace("session: ymo}", "session: nmo}"))
     with Program([*COMPOSE, str(path)]) as program:
         assert program.wait() == 1
-        (sentence,) = error_lines(program.stderr)
+        (sentence,) = program.errors
         assert sentence.startswith(f"{path}, line 7, key nodes[1], node /rig/joint1/posor_node: ")
         assert "'nmo'" in sentence
     code, (sentence,) = refusal(write_composition(tmp_path, RIG.replace("restamp: true", "realtime: {priority: 5}")))
@@ -127,7 +127,7 @@ def test_a_node_that_fails_later_ends_all_nodes(tmp_path: Path) -> None:
     text = RIG.replace("loop: true", "stop_offset: 60.0, start_offset: 50.0, wait_for_subscribers: 1")
     with Program([*COMPOSE, str(write_composition(tmp_path, text))]) as program:
         assert program.wait() == 2
-        (sentence,) = error_lines(program.stderr)
+        (sentence,) = program.errors
         assert sentence.startswith("node /rig/joint1/driver_node: no scan lies between 'start_offset' 50.0")
 
 

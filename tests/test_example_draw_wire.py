@@ -278,7 +278,7 @@ def test_a_wire_caught_on_something_contradicts_the_others(posor: Posor) -> None
 def test_posor_node_gives_the_same_pose(overlay: Overlay, posor: Posor) -> None:
     scan, rotation, translation = one_scan(posor)
     expected = posor.estimate(scan)
-    parameters = {"calibration": str(overlay.calibration), "qos_reliability": "reliable", "qos_depth": 0, **HAND_FED}
+    parameters = {"calibration": str(overlay.calibration), "lossless": True, **HAND_FED}
     node = overlay.command([*installed("posor_estimator", "posor_node"), *ros_arguments(parameters)])
     with Program(node) as program, Graph() as graph:
         transforms = graph.collect(JointTransform, "transform")

@@ -13,7 +13,7 @@ from posor_bringup.installed import bag_path
 from posor_estimator.testing.graph import Graph
 from posor_estimator.testing.program import Program, installed, ros_arguments
 
-from tests.composed_rig import COMPOSE, NODES, RIG, error_lines, write_composition
+from tests.composed_rig import COMPOSE, NODES, RIG, write_composition
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -84,7 +84,7 @@ def survives(folder: Path, seed: int, transitions: int, *, driver_apart: bool) -
         poses.clear()
         graph.wait_until(lambda: len(poses) > 10, "poses after all transitions")
         assert composed.end() == 0
-        assert error_lines(composed.stderr) == []
+        assert composed.errors == []
         if driver_apart:
             assert driver.end() == 0
 

@@ -13,7 +13,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 from posor_estimator.node_parameters import RECORDING
 
-LOSSLESS = {"qos_reliability": "reliable", "qos_depth": 0, **RECORDING}
+LOSSLESS = {"lossless": True, **RECORDING}
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -16,6 +16,7 @@ from posor_bringup.arm_programs import LAYOUTS, arm_programs, group_programs
 from posor_bringup.arms import installed_arms, load_checked_arm
 from posor_bringup.bringup_options import LOGS, add_driver_parameters, prepare_output_folder
 from posor_bringup.supervisor import Supervisor
+from posor_bringup.tool_views import VIEWS, write_views
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -46,7 +47,7 @@ def parse_options(arguments: Sequence[str]) -> Namespace:
     )
     add_driver_parameters(parser)
     parser.add_argument(
-        "--output", type=Path, default=Path("build/bringup"), metavar="FOLDER", help="logs; default: build/bringup"
+        "--output", type=Path, default=Path("build/bringup"), metavar="FOLDER", help="logs and views; default: build/bringup"
     )
     return parser.parse_args(list(arguments))
 
@@ -70,7 +71,8 @@ def _run_arm(options: Namespace) -> None:
         driver_parameters=dict(options.parameters),
         parameters=parameters,
     )
-    folder = prepare_output_folder(options.output / arm.name, ())
+    folder = prepare_output_folder(options.output / arm.name, tuple(VIEWS.values()))
+    write_views(arm, folder)
     stop = StopSignal()
     try:
         with Supervisor(folder / LOGS) as supervisor:
@@ -78,6 +80,7 @@ def _run_arm(options: Namespace) -> None:
             for started in running:
                 console.print(f"{started.program.name}: process {started.process.pid}")
             console.print(f"{arm.name}: {len(nodes)} nodes started, their logs in {folder / LOGS}; Ctrl-C ends them")
+            console.print(f"views for RViz, Foxglove and PlotJuggler: {folder}/{', '.join(VIEWS.values())}")
             _watch(supervisor, running, stop, console)
     finally:
         stop.restore()

@@ -21,7 +21,7 @@ from posor_estimator.ros.intra_process import IntraProcessPublisher
 from posor_estimator.ros.lifecycle_node import PosorNode
 from posor_estimator.ros.message_classes import message_class, schema_of_class
 from posor_estimator.ros.node_program import run_node
-from posor_estimator.ros.qos import RELIABLE_QOS, sensor_qos
+from posor_estimator.ros.qos import RELIABLE_QOS, sensor_publisher_qos
 from posor_estimator.ros_names import RAW_TOPIC
 
 from posor_drivers.conditioning import condition_scans
@@ -105,7 +105,7 @@ class DriverNode(PosorNode[DriverParameters]):
         self._status.report(Level.OK, "ready", {"source": name, "record": self._source.record})
 
     def _new_publisher(self, topic: str) -> IntraProcessPublisher:
-        qos = sensor_qos(self.parameters) if topic == RAW_TOPIC else RELIABLE_QOS
+        qos = sensor_publisher_qos(self.parameters) if topic == RAW_TOPIC else RELIABLE_QOS
         return IntraProcessPublisher(self, self._classes[topic], topic, qos, cancelled=self._is_stopping)
 
     def activate(self) -> None:
@@ -164,7 +164,10 @@ class DriverNode(PosorNode[DriverParameters]):
             if (count := publisher.subscription_count) < wanted:
                 missing.append(f"{publisher.topic_name} ({count} of {wanted})")
         if missing:
-            self._status.report(Level.OK, "waiting for subscriptions to " + ", ".join(missing))
+            text = "waiting for subscriptions to " + ", ".join(missing)
+            if self._status.message != text:
+                self.get_logger().info(text)
+            self._status.report(Level.OK, text)
         return not missing
 
     def _publish(self, publication: ScheduledPublication) -> None:

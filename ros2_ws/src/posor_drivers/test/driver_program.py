@@ -6,7 +6,7 @@ from typing import Any
 
 from posor_estimator.testing.program import Program, installed, ros_arguments
 
-LOSSLESS: dict[str, Any] = {"qos_reliability": "reliable", "qos_depth": 0}
+LOSSLESS: dict[str, Any] = {"lossless": True}
 
 
 def ros_names(parameters: dict[str, object]) -> dict[str, object]:

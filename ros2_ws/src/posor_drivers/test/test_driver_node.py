@@ -11,10 +11,10 @@ from geometry_msgs.msg import PointStamped
 from lifecycle_msgs.msg import Transition
 from posor_drivers.conditioning import stamp_ns
 from posor_drivers.driver_node import DriverNode
-from posor_estimator.testing.graph import BEST_EFFORT, Graph, values_of
+from posor_estimator.testing.graph import Graph, values_of
 from posor_estimator.testing.in_process_nodes import run_refused_node as refused
 from posor_msgs.msg import RawScan
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 
 from .driver_program import LOSSLESS, driver_program, ros_names
 from .sample_bags import SECOND, Record, point, scan, write_bag
@@ -61,7 +61,7 @@ def test_bag_is_replayed_with_the_recorded_bytes_and_the_program_ends(tmp_path: 
         with replay(bag, **others) as program:
             graph.wait_until(lambda: len(raw) == len(RAW) and len(truth) == len(TRUTH), "all messages")
             assert program.wait() == 0
-            assert program.stderr == []
+            assert program.errors == []
         assert raw == RAW
         assert truth == TRUTH
 
@@ -91,21 +91,6 @@ def test_fast_replay_to_a_slow_subscriber_loses_nothing(tmp_path: Path) -> None:
             graph.wait_until(lambda: len(raw) == len(records), "all scans")
             assert program.wait() == 0
         assert raw == [record.data for record in records]
-
-
-def test_sensor_quality_of_service_is_best_effort_by_default(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "bag", RECORDS)
-    with Graph() as graph, driver_program(source="bag", bag__path=str(bag), loop=True) as program:
-        scans = graph.collect(RawScan, "/joint1/raw", BEST_EFFORT)
-        graph.wait_until(lambda: len(scans) >= 3, "scans")
-        assert reliability_of_the_driver(graph) == ReliabilityPolicy.BEST_EFFORT
-        assert program.end() == 0
-
-
-def reliability_of_the_driver(graph: Graph) -> ReliabilityPolicy:
-    (info,) = graph.node.get_publishers_info_by_topic("/joint1/raw")
-    found: ReliabilityPolicy = info.qos_profile.reliability
-    return found
 
 
 def test_replay_waits_for_the_given_number_of_subscriptions(tmp_path: Path) -> None:
@@ -170,7 +155,6 @@ def test_endless_loop_is_one_long_record_for_late_subscribers_too(tmp_path: Path
     with Graph() as graph, replay(bag, loop=True) as program:
         scans = graph.collect(RawScan, "/joint1/raw")
         graph.wait_until(lambda: len(scans) > len(RAW), "one round")
-        assert reliability_of_the_driver(graph) == ReliabilityPolicy.RELIABLE
         late = graph.collect(RawScan, "/joint1/raw", QoSProfile(depth=100))
         graph.wait_until(lambda: len(scans) >= 3 * len(RAW) and len(late) > 3, "three rounds, late scans")
         assert [content.scan for content in scans] == list(range(len(scans)))
@@ -185,7 +169,7 @@ def test_invalid_parameters_end_the_program_with_one_sentence(tmp_path: Path, re
     node = "node /joint1/driver_node, parameter"
     with driver_program() as program:
         assert program.wait() == 2
-        (sentence,) = program.stderr
+        (sentence,) = program.errors
         assert sentence.startswith(f"{node} 'source': is not set; expected a string: where the scans come from")
     code, (sentence,) = refusal(source="table", table__path=str(tmp_path), bag__topic="/x")
     assert code == 2
@@ -210,7 +194,7 @@ def test_offsets_beyond_the_record_end_the_program_with_one_sentence(tmp_path: P
     bag = write_bag(tmp_path / "bag", RECORDS)
     with replay(bag, start_offset=50.0, wait_for_subscribers=0) as program:
         assert program.wait() == 2
-        assert program.stderr == [
+        assert program.errors == [
             "no scan lies between 'start_offset' 50.0 and 'stop_offset' inf; expected offsets within the record."
         ]
 
@@ -225,7 +209,7 @@ def test_incomplete_record_is_published_before_the_program_ends(tmp_path: Path) 
         with replay(bag, on_end="stay") as program:
             assert program.wait() == 1
             sentence = f"{bag}: holds 20 messages of /joint1/raw; expected 21, as its index says."
-            assert program.stderr == [sentence]
+            assert program.errors == [sentence]
         graph.wait_until(lambda: len(raw) == len(RAW), "the scans before")
         assert graph.wait_for_status(STATUS, sentence).level == b"\x02"
 
@@ -244,7 +228,7 @@ def conditioned_scans(bag: Path, count: int, **conditioning: Any) -> list[RawSca
         with replay(bag, rate=0.0, **parameters) as program:
             graph.wait_until(lambda: len(scans) == count, f"{count} scans")
             assert program.wait() == 0
-            assert program.stderr == []
+            assert program.errors == []
         return scans
 
 

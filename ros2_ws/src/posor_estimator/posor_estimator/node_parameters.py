@@ -107,11 +107,10 @@ class NodeParameters(ParameterGroup):
     hardware_id: str = Field(
         default="", description="hardware named in the diagnostics; empty: the node's namespace, or its name"
     )
-    qos_reliability: Literal["best_effort", "reliable"] = Field(
-        default="best_effort", description="reliability of the sensor topics that this node publishes and subscribes to"
-    )
-    qos_depth: Annotated[int, Field(ge=0, le=100_000)] = Field(
-        default=10, description="history depth of the sensor topics in messages; 0: keep all, for replays without loss"
+    lossless: bool = Field(
+        default=False,
+        description="publish and subscribe reliably and keep all messages, so that a fast publisher waits for a slow "
+        "subscription: for replays; set it for all nodes; qos_overrides.* changes single topics",
     )
     freshness: FreshnessParameters = FreshnessParameters()
     limits: LimitParameters = LimitParameters()

@@ -84,7 +84,7 @@ def test_values_reach_the_model_and_defaults_fill_the_rest() -> None:
         ({"bag__topics": "/x"}, "'bag.topics': '/x' is wrong; expected a list of strings."),
         ({"rat": 1.0}, "'rat': there is no such parameter; expected perhaps 'rate'."),
         ({"bag__pth": "x"}, "'bag.pth': there is no such parameter; expected perhaps 'bag.path'."),
-        ({"qos_dept": 1}, "'qos_dept': there is no such parameter; expected perhaps 'qos_depth'."),
+        ({"losless": True}, "'losless': there is no such parameter; expected perhaps 'lossless'."),
     ],
 )
 def test_an_error_names_node_parameter_value_and_constraint(values: dict[str, object], expected: str) -> None:

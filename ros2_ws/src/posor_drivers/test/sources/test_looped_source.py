@@ -206,7 +206,7 @@ def test_driver_plays_at_the_rate(tmp_path: Path) -> None:
             graph.wait_until(lambda: len(raw) > 30, "scans")
             status = graph.wait_for_status("/joint1/driver_node: source", "running")
             assert driver.end() == 0
-            assert driver.stderr == []
+            assert driver.errors == []
     assert values_of(status)["record"] == str(bag)
     source = opened(bag, rate=50)
     numbers = [deserialize_message(data, RawScan).scan for data in raw]

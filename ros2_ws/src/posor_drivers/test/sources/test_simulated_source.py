@@ -61,7 +61,7 @@ def test_joint_is_published_at_the_ticks_of_the_clock(arm: Path) -> None:
         with driver(arm, "base", wait_for_other_subscribers=1) as program:
             graph.wait_until(lambda: len(raw) > 50 and len(truth) > 50, "scans")
             assert program.end() == 0
-            assert program.stderr == []
+            assert program.errors == []
         after = graph.node.get_clock().now().nanoseconds
     scans = [deserialize_message(data, RawScan) for data in raw]
     assert all(stamp_ns(scan) == scan.scan * PERIOD for scan in scans)
@@ -333,7 +333,7 @@ def test_only_the_last_joint_of_an_arm_with_stage_subscribes_to_commands(tmp_pat
 def test_parameter_of_a_replay_ends_the_program(arm: Path) -> None:
     with driver(arm, "base", loop=True) as program:
         assert program.wait() == 2
-        (line,) = program.stderr
+        (line,) = program.errors
         assert line.startswith("parameter 'loop': source 'simulated' is live")
 
 

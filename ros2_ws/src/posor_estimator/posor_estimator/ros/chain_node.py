@@ -45,7 +45,7 @@ from posor_estimator.ros.freshness import InputMonitor, InputWatch
 from posor_estimator.ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_estimator.ros.lifecycle_node import PosorNode
 from posor_estimator.ros.node_program import run_node
-from posor_estimator.ros.qos import RELIABLE_QOS, result_qos, sensor_qos, state_qos
+from posor_estimator.ros.qos import RELIABLE_QOS, result_qos, sensor_subscription_qos, state_qos
 from posor_estimator.ros_names import (
     ENDPOINT_COVARIANCE_TOPIC,
     ENDPOINT_STATE_TOPIC,
@@ -108,7 +108,7 @@ class ChainNode(PosorNode[ChainParameters]):
         chain = load_chain(path, self.parameters.endpoint_frame, Path(beams) if beams else None)
         names = tuple(joint.name for joint in chain.joints)
         # With keep-all topics one joint may be ahead of another by a whole replay.
-        max_open = MAX_OPEN_SCANS if self.parameters.qos_depth else math.inf
+        max_open = math.inf if self.parameters.lossless else MAX_OPEN_SCANS
         self._synchroniser = TimeSynchroniser(names, max_open, self.parameters.max_wait)
         self._kinds = {joint.name: JointTransformFormat(joint.parent, joint.child) for joint in chain.joints}
         layouts = [self._kinds[name].row_layout for name in names]
@@ -159,7 +159,7 @@ class ChainNode(PosorNode[ChainParameters]):
         def on_transform(data: bytes) -> None:
             self._on_transform(joint, self._kinds[joint.name], watch, data)
 
-        topic, qos = f"{joint.name}/{TRANSFORM_TOPIC}", sensor_qos(self.parameters)
+        topic, qos = f"{joint.name}/{TRANSFORM_TOPIC}", sensor_subscription_qos(self.parameters)
         watch = self._inputs.add(IntraProcessSubscription(self, JointTransform, topic, qos, on_transform))
         self._joint_of_topic[watch.name] = joint.name
 

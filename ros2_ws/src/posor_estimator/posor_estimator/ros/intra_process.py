@@ -78,13 +78,13 @@ class IntraProcessPublisher:
         self._topic = topic
         self._cancelled = cancelled
         self._dds_subscriptions = 0
-        self._keeps_all = qos.history == HistoryPolicy.KEEP_ALL
         self._subscriptions: tuple[IntraProcessSubscription, ...] = ()
         self._manager = IntraProcessManager.of(node.context)
         self._manager.check_type(self)
         self._count_listeners = count_listeners
         events = PublisherEventCallbacks(matched=self._on_matched) if count_listeners else None
         self._publisher = node.create_publisher(message_type, topic, qos, event_callbacks=events)
+        self._keeps_all = self._publisher.qos_profile.history == HistoryPolicy.KEEP_ALL
         self._handle = self._publisher.handle
         # Entered once: rclpy enters and leaves the handle in every call, which costs more than the call itself.
         self._handle_in_use = ExitStack()
@@ -134,7 +134,7 @@ class IntraProcessPublisher:
                     raise TopicError(
                         f"a subscription has taken nothing for {PUBLISH_TIMEOUT_S:g} s",
                         where=f"topic {self.topic_name}",
-                        expected="one that keeps up, or a qos_depth other than 0",
+                        expected="one that keeps up, or the parameter 'lossless' false",
                     ) from None
                 if not self._node.may_publish:
                     return False
@@ -231,6 +231,7 @@ class IntraProcessSubscription:
         self._has_deadline = qos.deadline not in (Duration(), Infinite)
         self._local = self._known = self._dead = self._deadlines_missed = 0
         self._closed = False
+        node.qos_overrides.options("subscription", self.topic_name)
         self._manager = IntraProcessManager.of(node.context)
         self._manager.check_type(self)
         self._manager.add(self)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import traceback
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any, ClassVar, Generic
+from copy import copy
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal
 
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
@@ -23,10 +24,12 @@ from posor_estimator.ros.declared_parameters import DeclaredParameters, take_ove
 from posor_estimator.ros.diagnostics import Diagnostics, Level
 from posor_estimator.ros.idle_scheduler import run_when_idle
 from posor_estimator.ros.publication_timing import TIMING_STATUS, Timing
+from posor_estimator.ros.qos_overrides import PREFIX, QosOverrides
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from rclpy.qos import QoSProfile
     from rclpy.service import Service
     from rclpy.subscription import Subscription
     from rclpy.waitable import Waitable
@@ -57,6 +60,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         diagnostics: Diagnostics of the node.
         timing: Records the stamps of published scans, for the status line ``timing``.
         exit_requested: Whether the node wants its program to end.
+        qos_overrides: The user's changes of the quality of service of single topics.
         may_publish: Whether the node is active or being activated; publishers are silent otherwise.
 
     """
@@ -90,6 +94,10 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         self._retired: list[Callable[[], object]] = []
         try:
             overrides = take_overrides(self)
+            qos_values = {
+                name: each.value for name, each in self.get_parameters_by_prefix("").items() if name.startswith(PREFIX)
+            }
+            self.qos_overrides = QosOverrides(self.get_fully_qualified_name(), qos_values)
             self._declared: DeclaredParameters[ParametersT] = DeclaredParameters(
                 self,
                 self.parameter_model(overrides),
@@ -173,6 +181,26 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
 
     def deactivate(self) -> None:
         """Stop working; nothing is published afterwards."""
+
+    def create_publisher(self, msg_type: Any, topic: str, qos_profile: QoSProfile | int, **options: Any) -> Any:
+        """Create a publisher; parameters ``qos_overrides.*`` may change its quality of service."""
+        return super().create_publisher(
+            msg_type, topic, copy(qos_profile), **self._qos_options("publisher", topic), **options
+        )
+
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Any, qos_profile: QoSProfile | int, **options: Any
+    ) -> Any:
+        """Create a subscription; parameters ``qos_overrides.*`` may change its quality of service."""
+        return super().create_subscription(
+            msg_type, topic, callback, copy(qos_profile), **self._qos_options("subscription", topic), **options
+        )
+
+    def _qos_options(self, kind: Literal["publisher", "subscription"], topic: str) -> dict[str, Any]:
+        """Return rclpy's argument for the overrides; empty for what rclpy creates before they are known."""
+        if "qos_overrides" not in self.__dict__:
+            return {}
+        return {"qos_overriding_options": self.qos_overrides.options(kind, self.resolve_topic_name(topic))}
 
     def add_cleanup(self, cleanup: Callable[..., object], *arguments: object) -> None:
         """Register a function that undoes a part of ``configure``; the last one runs first."""
@@ -278,7 +306,12 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Run ``configure``, then the hooks of managed entities."""
-        result = self._run_steps("inactive", self.configure, lambda: super(PosorNode, self).on_configure(state))
+        result = self._run_steps(
+            "inactive",
+            self.configure,
+            self.qos_overrides.check_names,
+            lambda: super(PosorNode, self).on_configure(state),
+        )
         if result != TransitionCallbackReturn.SUCCESS:
             self._cleanups.close()
         return result
@@ -287,7 +320,9 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         """Activate the publishers, then run ``activate``; if it refuses, the publishers are deactivated."""
         self.timing.restart()
         result = self._run_steps("active", lambda: self._activate_publishers(state), self.activate)
-        if result != TransitionCallbackReturn.SUCCESS:
+        if result == TransitionCallbackReturn.SUCCESS:
+            self.get_logger().info("ready")
+        else:
             self._deactivate_publishers(state)
         return result
 

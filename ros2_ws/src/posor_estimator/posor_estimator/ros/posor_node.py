@@ -39,7 +39,7 @@ from posor_estimator.ros.lifecycle_node import PosorNode
 from posor_estimator.ros.message_classes import schema_of_class
 from posor_estimator.ros.message_conversion import stamp_ns as stamp_ns_of
 from posor_estimator.ros.node_program import run_node
-from posor_estimator.ros.qos import RELIABLE_QOS, sensor_qos
+from posor_estimator.ros.qos import RELIABLE_QOS, sensor_publisher_qos, sensor_subscription_qos
 from posor_estimator.ros.raw_scan_stream import RawScanStream
 from posor_estimator.ros.reliability_message import reliability_message
 from posor_estimator.ros_names import RAW_TOPIC, RELIABILITY_TOPIC, TRANSFORM_TOPIC
@@ -101,7 +101,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self._order = ScanOrder()
         self._apply_calibration(*self._load_calibration())
         self._status.report(Level.STALE, "no scan yet")
-        qos = sensor_qos(self.parameters)
+        qos = sensor_publisher_qos(self.parameters)
         self._publisher = IntraProcessPublisher(self, JointTransform, TRANSFORM_TOPIC, qos, count_listeners=True)
         self._reliability = None
         if self.parameters.covariance == "total":  # the chain adds it to the biases that the reliability is about
@@ -109,10 +109,11 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             self.add_cleanup(self.destroy_publisher, self._reliability)
         self.add_cleanup(self._forget_scans)
         self.add_cleanup(self._inputs.clear)
+        qos = sensor_subscription_qos(self.parameters)
         self._watch = self._inputs.add(IntraProcessSubscription(self, RawScan, RAW_TOPIC, qos, self._on_raw_scan))
         if self.parameters.encoder.sigma:
             topic = self.parameters.encoder.topic
-            encoder = self.create_subscription(JointState, topic, self._on_encoder, sensor_qos(self.parameters))
+            encoder = self.create_subscription(JointState, topic, self._on_encoder, qos)
             self.add_cleanup(self.destroy_subscription, encoder)
         services = {
             "reload": self._reload_calibration,

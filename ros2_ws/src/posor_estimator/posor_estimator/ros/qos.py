@@ -18,10 +18,13 @@ STATE_DEADLINE_S = 0.3
 """Shortest deadline that the endpoint's state offers: silence is found after 0.2 to 0.28 s, and then named."""
 
 RELIABLE_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-"""For all topics except sensor topics."""
+"""For all publishers, and for subscriptions to what is no sensor topic."""
+
+SENSOR_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""For subscriptions to sensor topics."""
 
 KEEP_ALL_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL, depth=0, reliability=ReliabilityPolicy.RELIABLE)
-"""For all topics except sensor topics in a replay without loss."""
+"""For all topics of nodes with ``lossless``."""
 
 TF_QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 """For /tf, as the broadcasters of tf2."""
@@ -30,19 +33,26 @@ LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durabi
 """For what does not change and late subscribers need: /tf_static, the robot description."""
 
 
-def sensor_qos(parameters: NodeParameters) -> QoSProfile:
-    """Return the profile of the sensor topics (raw scans, transforms) that the node's parameters select.
+def sensor_publisher_qos(parameters: NodeParameters) -> QoSProfile:
+    """Return the profile of a publisher of a sensor topic (raw scans, transforms): that of the results, see REP-2003.
 
-    The default is best effort with a small depth: a servo needs the newest scan, not all of them. Reliable with depth 0
-    (keep all) at both ends makes a fast publisher wait for a slow subscription, so that a replay loses nothing. With a
-    deadline, publishers offer and subscriptions request it, and liveliness too: the ends match only if both have it.
+    It serves reliable and best-effort subscriptions.
     """
-    reliable = parameters.qos_reliability == "reliable"
-    profile = QoSProfile(
-        history=HistoryPolicy.KEEP_LAST if parameters.qos_depth else HistoryPolicy.KEEP_ALL,
-        depth=parameters.qos_depth,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-    )
+    return _with_deadline(result_qos(parameters), parameters)
+
+
+def sensor_subscription_qos(parameters: NodeParameters) -> QoSProfile:
+    """Return the profile of a subscription to a sensor topic.
+
+    The default is best effort with a small depth, as REP-2003 recommends: a servo needs the newest scan, not all of
+    them. With ``lossless`` it is reliable and keeps all, so that publishers that keep all wait for it.
+    """
+    return _with_deadline(KEEP_ALL_QOS if parameters.lossless else SENSOR_QOS, parameters)
+
+
+def _with_deadline(profile: QoSProfile, parameters: NodeParameters) -> QoSProfile:
+    """Return a profile with the node's deadline, if any, and liveliness: the ends match only if both have them."""
+    profile = copy(profile)
     if parameters.freshness.deadline:
         profile.deadline = Duration(seconds=parameters.freshness.deadline)
         profile.liveliness = LivelinessPolicy.AUTOMATIC
@@ -51,8 +61,8 @@ def sensor_qos(parameters: NodeParameters) -> QoSProfile:
 
 
 def result_qos(parameters: NodeParameters) -> QoSProfile:
-    """Return the profile of results computed from sensor data: reliable, and keep-all where the sensor topics are."""
-    return RELIABLE_QOS if parameters.qos_depth else KEEP_ALL_QOS
+    """Return the profile of results: reliable; with ``lossless``, a publisher waits for slow subscriptions."""
+    return KEEP_ALL_QOS if parameters.lossless else RELIABLE_QOS
 
 
 def state_qos(parameters: NodeParameters) -> QoSProfile:

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 HAND_FED: Mapping[str, Any] = {**RECORDING, "freshness.max_silence": math.inf}
 """Parameters of nodes whose input a test publishes now and then, with stamps of its own."""
+END_S = 10.0
+"""Time for a program to end after SIGTERM when its test has failed [s]."""
 TIMEOUT_S = 60.0
 """Longest wait for an event that should happen at once; not a pace."""
 
@@ -83,9 +85,13 @@ class Program:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Kill the program if it is still running."""
+        """End the program if it is still running, so that it ends the programs that it has started."""
         if self.process.poll() is None:
-            self.process.kill()
+            self.process.terminate()
+            try:
+                self.process.wait(END_S)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
         self.wait()
         for stream in (self.process.stdout, self.process.stderr):
             if stream is not None:
@@ -106,6 +112,11 @@ class Program:
     def stderr(self) -> list[str]:
         """The lines written to standard error so far."""
         return list(self._lines["stderr"])
+
+    @property
+    def errors(self) -> list[str]:
+        """The lines written to standard error so far, without those that nodes log at the level INFO."""
+        return error_lines(self.stderr)
 
     @property
     def ended(self) -> bool:
@@ -141,6 +152,11 @@ class Program:
         """Send a signal, wait for the end and return the exit code."""
         self.process.send_signal(number)
         return self.wait()
+
+
+def error_lines(lines: Sequence[str]) -> list[str]:
+    """Return the lines of standard error without those that nodes log at the level INFO."""
+    return [line for line in lines if "[INFO]" not in line]
 
 
 def wait_until(condition: Callable[[], bool], what: str, meanwhile: Callable[[], None]) -> None:

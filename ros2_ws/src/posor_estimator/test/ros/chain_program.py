@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 PLATES = ("posor_receiving", "posor_target")
 TURN = 2.0 * math.pi
 """The joint has made one turn."""
-LOSSLESS = {"qos_reliability": "reliable", "qos_depth": 0, "max_wait": 60.0, "alarm_count": 1, **HAND_FED}
+LOSSLESS = {"lossless": True, "max_wait": 60.0, "alarm_count": 1, **HAND_FED}
 
 
 def chain_node(**parameters: object) -> Program:

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("ros_domain")
 NODES = [
     [
         *installed("posor_estimator", "posor_node"),
-        *ros_arguments({**POSOR, **HAND_FED, "qos_reliability": "reliable"}, name),
+        *ros_arguments({**POSOR, **HAND_FED, "lossless": True}, name),
     ]
     for name in ("/joint1", "/joint2")
 ]

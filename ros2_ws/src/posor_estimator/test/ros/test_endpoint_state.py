@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
-CHAIN = {"urdf": str(BRINGUP / "urdf" / "slocum1985_rig.urdf"), "qos_reliability": "reliable"}
+CHAIN = {"urdf": str(BRINGUP / "urdf" / "slocum1985_rig.urdf"), "lossless": True}
 NS = 1_000_000_000
 SOUND_COVARIANCE = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 4.0]) * 1e-12
 
@@ -291,7 +291,7 @@ def test_without_scans_the_state_is_stale_at_ten_hertz(rig: Rig) -> None:
 
 def test_a_killed_posor_node_is_known_soon() -> None:
     """The whole way over DDS: scans, posor_node, chain_node, and a plain subscriber to the state."""
-    reliable = {"qos_reliability": "reliable"}
+    reliable = {"lossless": True}
     posor = [*installed("posor_estimator", "posor_node"), *ros_arguments({**POSOR, **reliable}, "/joint1")]
     chain = [*installed("posor_estimator", "chain_node"), *ros_arguments(CHAIN)]
     with Program(chain), Program(posor) as victim, Graph() as graph:

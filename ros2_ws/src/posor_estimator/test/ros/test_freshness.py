@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from posor_estimator.node_parameters import FreshnessParameters, NodeParameters
 from posor_estimator.ros.freshness import InputWatch, ScanOrder, StampLimits
-from posor_estimator.ros.qos import sensor_qos
+from posor_estimator.ros.qos import sensor_publisher_qos
 from posor_estimator.testing.graph import LOSSLESS, Graph, values_of, wait_for_value
 from posor_estimator.testing.program import Program, installed, ros_arguments
 from posor_msgs.msg import JointTransform, RawScan
@@ -134,7 +134,7 @@ class Rig:
 
 @pytest.fixture(scope="module")
 def shared_rig() -> Iterator[Rig]:
-    command = [*installed("posor_estimator", "posor_node"), *ros_arguments({**POSOR, "qos_reliability": "reliable"})]
+    command = [*installed("posor_estimator", "posor_node"), *ros_arguments({**POSOR, "lossless": True})]
     with Program(command) as node, Graph() as graph:
         yield Rig(graph)
         assert node.end() == 0
@@ -209,7 +209,7 @@ def test_a_deadline_is_requested_and_a_missed_one_is_reported() -> None:
     with Program([*installed("posor_estimator", "posor_node"), *arguments]), Graph() as graph:
         graph.watch_diagnostics()
         without = graph.node.create_publisher(RawScan, "raw", LOSSLESS)
-        sender = ScanSender(graph, qos=sensor_qos(parameters))
+        sender = ScanSender(graph, qos=sensor_publisher_qos(parameters))
         assert without.get_subscription_count() == 0  # it does not offer the deadline
         sender.send()
         graph.wait_until(
@@ -219,7 +219,7 @@ def test_a_deadline_is_requested_and_a_missed_one_is_reported() -> None:
 
 
 def test_an_encoder_that_disagrees_latches_a_fault_until_it_is_acknowledged() -> None:
-    parameters = {**POSOR, "qos_reliability": "reliable", "freshness.max_silence": math.inf}
+    parameters = {**POSOR, "lossless": True, "freshness.max_silence": math.inf}
     parameters |= {"encoder.sigma": 1e-3, "encoder.topic": "/arm/encoders"}
     command = [*installed("posor_estimator", "posor_node"), *ros_arguments(parameters)]
     with Program(command), Graph() as graph:

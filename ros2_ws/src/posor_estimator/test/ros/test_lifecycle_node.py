@@ -28,7 +28,7 @@ def start_example(namespace: str = "", **parameters: object) -> Program:
 
 def run_to_end(*arguments: str) -> tuple[int, list[str], list[str]]:
     with Program([*EXAMPLE, *arguments]) as program:
-        return program.wait(), program.stderr, program.stdout
+        return program.wait(), program.errors, program.stdout
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -37,7 +37,7 @@ def test_a_signal_ends_an_active_node_cleanly(number: signal.Signals) -> None:
         node.wait_for_line("activate")
         assert node.end(number) == 0
         assert node.stdout == HOOKS_TO_ACTIVE + HOOKS_TO_END
-        assert node.stderr == []
+        assert node.errors == []
 
 
 def test_a_wrong_parameter_ends_the_program_with_one_sentence() -> None:

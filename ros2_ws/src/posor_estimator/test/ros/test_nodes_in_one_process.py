@@ -40,7 +40,7 @@ pytestmark = pytest.mark.usefixtures("ros_domain")
 
 BRINGUP = Path(__file__).resolve().parents[3] / "posor_bringup"
 BAG = BRINGUP / "bags" / "ymo"
-LOSSLESS = {"qos_reliability": "reliable", "qos_depth": 0, "alarm_count": 1, **HAND_FED}
+LOSSLESS = {"lossless": True, "alarm_count": 1, **HAND_FED}
 POSOR = {"calibration": str(BRINGUP / "config" / "slocum1985_printed.yaml"), "session": "ymo", **LOSSLESS}
 CHAIN = {"urdf": str(BRINGUP / "urdf" / "slocum1985_rig.urdf"), "max_wait": 60.0, **LOSSLESS}
 RESULTS = {

@@ -31,7 +31,7 @@ YMO = ROOT / "data" / "slocum1985" / "ymo_input.csv"
 
 PLATES = ("posor_receiving", "posor_target")
 TOTAL_A = 1e-4
-LOSSLESS = {"qos_reliability": "reliable", "qos_depth": 0, "alarm_count": 1, **HAND_FED}
+LOSSLESS = {"lossless": True, "alarm_count": 1, **HAND_FED}
 
 
 def posor_node(**parameters: object) -> Program:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
-LOSSLESS = {"qos_reliability": "reliable", "qos_depth": 0, "alarm_count": 1, **HAND_FED}
+LOSSLESS = {"lossless": True, "alarm_count": 1, **HAND_FED}
 GAP = 0.735e-3
 DRIFT = [0.02, -0.03, 0.05]
 SCANS = 50

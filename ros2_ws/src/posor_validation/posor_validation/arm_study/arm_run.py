@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from posor_validation.arm_study.arm_receiver import ArmReceiver
     from posor_validation.arm_study.arm_record import ArmRecord
 
-COMMON_PARAMETERS: Mapping[str, Parameter] = {"use_sim_time": True, "qos_reliability": "reliable", "qos_depth": 1000}
+COMMON_PARAMETERS: Mapping[str, Parameter] = {"use_sim_time": True, "lossless": True}
 """Clock of this run; lossless delivery, so that a missing message was not published."""
 CHAIN_PARAMETERS: Mapping[str, Parameter] = {"max_wait": 60.0}
 """The clock waits for the transforms: their delay depends on the host only."""

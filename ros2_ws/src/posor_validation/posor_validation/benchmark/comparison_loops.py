@@ -26,7 +26,7 @@ from posor_estimator.node_parameters import ChainParameters, NodeParameters
 from posor_estimator.parameter_model import validate_parameters
 from posor_estimator.ros.message_classes import message_class, schema_of_class
 from posor_estimator.ros.message_conversion import scan_from_message, select_covariance, stamp_ns, transform_message
-from posor_estimator.ros.qos import sensor_qos
+from posor_estimator.ros.qos import sensor_publisher_qos
 from posor_estimator.ros_names import (
     ENDPOINT_COVARIANCE_TOPIC,
     ENDPOINT_TOPIC,
@@ -98,7 +98,7 @@ def run_message_loop(arm: Arm, bag: Path, output: Path) -> float:
 
 
 def _add_topics(writer: BagWriter, arm: Arm) -> None:
-    types, qos = MessageTypes(), [sensor_qos(NodeParameters())]
+    types, qos = MessageTypes(), [sensor_publisher_qos(NodeParameters())]
     kinds = {f"{joint}/{TRANSFORM_TOPIC}": JOINT_TRANSFORM for joint in arm.calibrations} | ENDPOINT_TYPES
     for topic, kind in kinds.items():
         writer.add_topic(f"/{arm.name}/{topic}", kind, types.definition(kind), qos)

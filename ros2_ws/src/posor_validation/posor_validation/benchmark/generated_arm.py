@@ -24,7 +24,7 @@ from posor_estimator.bags.message_definitions import MessageTypes
 from posor_estimator.chain.arm_file import Arm, load_arm
 from posor_estimator.node_parameters import NodeParameters
 from posor_estimator.ros.cdr_scan import RAW_SCAN as RAW_SCAN_SCHEMA
-from posor_estimator.ros.qos import sensor_qos
+from posor_estimator.ros.qos import sensor_publisher_qos
 from posor_estimator.ros_names import RAW_SCAN, RAW_TOPIC
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def record_scans(arm: Arm, path: Path, fault_interval: int = 0) -> None:
     """
     simulation, types = ArmSimulation(arm, SIMULATED), MessageTypes()
     make, ticks = SimulatedMessages(types, simulation), np.arange(1, TICKS + 1)
-    qos = [sensor_qos(NodeParameters())]
+    qos = [sensor_publisher_qos(NodeParameters())]
     with BagWriter(path) as bag:
         for number, joint in enumerate(simulation.joints):
             topic = f"/{arm.name}/{joint}/{RAW_TOPIC}"

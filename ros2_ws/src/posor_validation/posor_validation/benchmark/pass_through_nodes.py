@@ -14,7 +14,7 @@ from posor_estimator.ros.composition_file import NODE_ENTRY_POINTS
 from posor_estimator.ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_estimator.ros.lifecycle_node import PosorNode
 from posor_estimator.ros.message_classes import schema_of_class
-from posor_estimator.ros.qos import result_qos, sensor_qos
+from posor_estimator.ros.qos import result_qos, sensor_publisher_qos, sensor_subscription_qos
 from posor_estimator.ros_names import (
     ENDPOINT_COVARIANCE_TOPIC,
     ENDPOINT_TOPIC,
@@ -65,8 +65,9 @@ class PassThroughPosor(PosorNode[PassThroughPosorParameters]):
         """Open the topics."""
         message = JointTransform(child_frame_id=self.parameters.child)
         message.header.frame_id = self.parameters.parent
-        qos = sensor_qos(self.parameters)
+        qos = sensor_publisher_qos(self.parameters)
         self._transform = _PreparedMessage(self, message, TRANSFORM_TOPIC, qos)
+        qos = sensor_subscription_qos(self.parameters)
         self.add_cleanup(IntraProcessSubscription(self, RawScan, RAW_TOPIC, qos, self._on_raw_scan).destroy)
 
     def _on_raw_scan(self, data: bytes) -> None:
@@ -89,7 +90,7 @@ class PassThroughChain(PosorNode[PassThroughChainParameters]):
     def configure(self) -> None:
         """Open the topics."""
         joints = self.parameters.joints
-        results, qos = result_qos(self.parameters), sensor_qos(self.parameters)
+        results, qos = result_qos(self.parameters), sensor_subscription_qos(self.parameters)
         pose, with_covariance = PoseStamped(), PoseWithCovarianceStamped()
         pose.header.frame_id = with_covariance.header.frame_id = self.parameters.frame
         states = JointState(name=list(joints), position=[0.0] * len(joints))

@@ -74,7 +74,7 @@ def run_node_storm(
     """
     path = folder / f"{calibration.name}.yaml"
     path.write_text(yaml.safe_dump(calibration.model_dump(mode="json", exclude_none=True)), encoding="utf-8")
-    parameters: dict[str, Any] = {"calibration": str(path), "qos_reliability": "reliable", "qos_depth": 0, **RECORDING}
+    parameters: dict[str, Any] = {"calibration": str(path), "lossless": True, **RECORDING}
     program = Program("posor_node", "posor_estimator", "posor_node", (), NAMESPACE, parameters)
     maker, total = StormMaker(calibration), NO_COUNT
     while total.injected < injected:

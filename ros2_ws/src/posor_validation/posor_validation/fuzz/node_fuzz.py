@@ -48,7 +48,7 @@ SAMPLE_EVERY = 500
 """Messages from one sample of the node's memory to the next."""
 WARM_UP_SAMPLES, LEAST_SAMPLES = 2, 4
 MOST_GROWTH_MB = 1.0
-LOSSLESS: dict[str, Parameter] = {"qos_reliability": "reliable", "qos_depth": 0, **RECORDING}
+LOSSLESS: dict[str, Parameter] = {"lossless": True, **RECORDING}
 
 
 class NodeFuzzError(Exception):

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 TOPICS = (f"/{JOINT}/{RAW_TOPIC}", f"/{JOINT}/{TRANSFORM_TOPIC}", f"/{ENDPOINT_TOPIC}", TRUTH_TOPIC)
 """Recorded topics."""
 
-LOSSLESS: Mapping[str, Parameter] = {"qos_reliability": "reliable", "qos_depth": 0, **RECORDING}
+LOSSLESS: Mapping[str, Parameter] = {"lossless": True, **RECORDING}
 """Parameters that make a fast publisher wait for a slow subscriber and accept recorded stamps."""
 
 _SUBSCRIPTIONS: Mapping[str, tuple[str, int]] = {
