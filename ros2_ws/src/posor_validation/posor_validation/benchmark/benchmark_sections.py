@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from posor_validation.benchmark.graph_measurement import GraphMeasurement
     from posor_validation.benchmark.tick_statistics import MeasuredRun
 
-SECTIONS = ("graph", "faults", "waiting", "layouts", "growth", "highest", "profile", "kernel", "offline")
+SECTIONS = ("graph", "faults", "waiting", "layouts", "growth", "highest", "separate", "profile", "kernel", "offline")
 """Names of the sections; each is a method of ``BenchmarkSections``."""
 MAX_SPIN_US = 1000
 PRIORITY = 50
@@ -33,6 +33,10 @@ FAULT_INTERVAL = 100
 """With faults, one of so many scans of the first joint lacks a reading."""
 RATE_LADDER = (500, 1000, 1500, 2000, 2500, 3000, 3500, 4000, 5000, 6000, 8000, 10_000)
 """Rates [Hz] for the search of the highest rate."""
+SEPARATE_LADDER = (125, 250, 500, 1000)
+"""Rates [Hz] for the search with one process for each node."""
+SEPARATE_LOST = 1e-3
+"""Share of lost ticks that is allowed there."""
 TRIES = 2
 """A rate fails only if it fails so many times: the host may have paused once."""
 
@@ -86,16 +90,18 @@ class BenchmarkArms:
         return generate_arm(self.folder / f"arm_{joints}_faults", joints, bag)
 
 
-def find_highest_rate(lost_share: Callable[[int], float], allowed: float) -> int | None:
-    """Return the highest rate of ``RATE_LADDER`` with at most the allowed share lost, by bisection; None: no rate."""
-    lowest, highest = -1, len(RATE_LADDER)
+def find_highest_rate(
+    lost_share: Callable[[int], float], allowed: float, ladder: Sequence[int] = RATE_LADDER
+) -> int | None:
+    """Return the highest rate of a ladder with at most the allowed share lost, by bisection; None: no rate."""
+    lowest, highest = -1, len(ladder)
     while highest - lowest > 1:
         middle = (lowest + highest) // 2
-        if lost_share(RATE_LADDER[middle]) > allowed:
+        if lost_share(ladder[middle]) > allowed:
             highest = middle
         else:
             lowest = middle
-    return RATE_LADDER[lowest] if lowest >= 0 else None
+    return ladder[lowest] if lowest >= 0 else None
 
 
 def least_lost_share(
@@ -203,8 +209,11 @@ class BenchmarkSections:
         """Search the highest rate without lost ticks, and with less than ``OVERLOADED`` lost."""
         measured: dict[int, list[float]] = {}
 
+        def lost_share(rate: int) -> float:
+            return self._lost_share(self._plan.layout, rate)
+
         def highest_rate(allowed: float) -> int | None:
-            return find_highest_rate(lambda rate: least_lost_share(self._lost_share, rate, allowed, measured), allowed)
+            return find_highest_rate(lambda rate: least_lost_share(lost_share, rate, allowed, measured), allowed)
 
         return {
             "highest_rate_hz": highest_rate(0.0),
@@ -212,10 +221,22 @@ class BenchmarkSections:
             "highest_rate_lost": {str(rate): min(measured[rate]) for rate in sorted(measured)},
         }
 
-    def _lost_share(self, rate: int) -> float:
-        """Return the share of lost ticks of the main graph at a rate."""
+    def separate(self) -> dict[str, Any]:
+        """Search the highest rate with one process for each node and at most ``SEPARATE_LOST`` lost."""
+        measured: dict[int, list[float]] = {}
+
+        def lost_share(rate: int) -> float:
+            return least_lost_share(lambda rate: self._lost_share("separate", rate), rate, SEPARATE_LOST, measured)
+
+        return {
+            "highest_rate_separate_hz": find_highest_rate(lost_share, SEPARATE_LOST, SEPARATE_LADDER),
+            "highest_rate_separate_lost": {str(rate): min(measured[rate]) for rate in sorted(measured)},
+        }
+
+    def _lost_share(self, layout: Layout, rate: int) -> float:
+        """Return the share of lost ticks of the graph with the joints of the main graph."""
         try:
-            run = self._measure("graph", self._plan.layout, self._plan.joints, rate, self._plan.point_s)
+            run = self._measure("graph", layout, self._plan.joints, rate, self._plan.point_s)
         except NothingReceivedError:
             return 1.0
         return run.lost / run.expected

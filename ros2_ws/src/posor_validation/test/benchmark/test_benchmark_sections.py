@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import pytest
-from posor_validation.benchmark.benchmark_sections import RATE_LADDER, find_highest_rate, least_lost_share
+from posor_validation.benchmark.benchmark_sections import RATE_LADDER, SEPARATE_LADDER, find_highest_rate, least_lost_share
 
 
 @pytest.mark.parametrize(
@@ -31,3 +31,7 @@ def test_rate_is_measured_twice_before_it_fails(
     for _ in range(2):  # the second call measures nothing
         assert least_lost_share(lambda _: next(remaining), 500, allowed, measured) == expected
     assert measured == {500: shares[:tries]}
+
+
+def test_highest_rate_of_another_ladder() -> None:
+    assert find_highest_rate(lambda rate: 0.0005 if rate <= 250 else 0.5, 0.001, SEPARATE_LADDER) == 250
