@@ -21,8 +21,7 @@ from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.sources.source import SourceMessage, Topic
 from posor_estimator.bags.message_definitions import MessageTypes
 from posor_estimator.errors import PosorError
-from posor_estimator.node_parameters import NodeParameters
-from posor_estimator.ros.qos import RELIABLE_QOS, sensor_qos
+from posor_estimator.ros.qos import RELIABLE_QOS, SENSOR_QOS
 from posor_estimator.ros_names import ENDPOINT_TOPIC, POSE_STAMPED, RAW_SCAN, RAW_TOPIC
 from posor_msgs.msg import RawScan
 from posor_validation.arm_study.arm_offline import arm_endpoints
@@ -90,7 +89,7 @@ def main(folder: Path) -> None:
     bag = ArmBag(load_checked_arm(ARM), types)
     with replace_bag(folder / ARM) as writer:
         for topic in bag.topics():
-            qos = sensor_qos(NodeParameters()) if topic.type_name == RAW_SCAN else RELIABLE_QOS
+            qos = SENSOR_QOS if topic.type_name == RAW_SCAN else RELIABLE_QOS
             writer.add_topic(topic.name, topic.type_name, types.definition(topic.type_name), [qos])
         for message in bag.messages():
             writer.write(message.topic, message.time_ns, message.data)

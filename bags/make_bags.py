@@ -14,8 +14,7 @@ from posor_drivers.bag_writer import replace_bag
 from posor_drivers.sources.table_source import TableParameters, TableSource
 from posor_estimator.bags.message_definitions import MessageTypes
 from posor_estimator.errors import PosorError
-from posor_estimator.node_parameters import NodeParameters
-from posor_estimator.ros.qos import RELIABLE_QOS, sensor_qos
+from posor_estimator.ros.qos import RELIABLE_QOS, SENSOR_QOS
 from posor_estimator.ros_names import RAW_TOPIC
 
 HERE = Path(__file__).resolve().parent
@@ -33,7 +32,7 @@ def make_bag(table: Path, bag: Path) -> None:
         for topic in source.open():
             is_raw = topic.name == RAW_TOPIC
             bag_topics[topic.name] = f"{JOINT}/{RAW_TOPIC}" if is_raw else topic.name
-            qos = sensor_qos(NodeParameters()) if is_raw else RELIABLE_QOS
+            qos = SENSOR_QOS if is_raw else RELIABLE_QOS
             definition = types.definition(topic.type_name)
             writer.add_topic(bag_topics[topic.name], topic.type_name, definition, [qos])
         for message in source.read_messages():

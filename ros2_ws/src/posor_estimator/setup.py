@@ -41,7 +41,7 @@ setup(
         "rich>=13.7",
     ],
     extras_require={
-        "reports": ["Jinja2>=3.1", "matplotlib>=3.6"],  # HTML pages of budget and calibrate
+        "reports": ["Jinja2>=3.1", "bokeh>=3.4", "matplotlib>=3.6"],  # HTML pages of budget and calibrate
         "tables": ["pandas>=2.1", "pyarrow>=17"],  # to_dataframe, to_arrow, reprocess --format parquet or csv
         "test": ["pytest"],
     },

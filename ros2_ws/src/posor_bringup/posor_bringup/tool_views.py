@@ -147,7 +147,7 @@ def plotjuggler_view(arm: Arm) -> str:
     """Return the layout of PlotJuggler: the curves."""
     plots = {title: [path.replace(".", "/") for path in paths.values()] for title, paths in curves(arm).items()}
     root = ET.Element("root")
-    widget = ET.SubElement(root, "tabbed_widget", name="Main Window", parent="main_window")
+    widget = ET.SubElement(root, "tabbed_widget", {"name": "Main Window", "parent": "main_window"})
     container = ET.SubElement(ET.SubElement(widget, "Tab", tab_name=arm.name, containers="1"), "Container")
     shares = ";".join([f"{1 / len(plots):g}"] * len(plots))
     splitter = ET.SubElement(container, "DockSplitter", orientation="-", count=str(len(plots)), sizes=shares)

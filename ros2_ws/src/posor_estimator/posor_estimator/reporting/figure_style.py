@@ -1,4 +1,4 @@
-"""Style of the figures in reports: colours, axes, legends, PNG output."""
+"""Colours of all plots, and the style of the pictures (PNG): axes, legends, output."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
-"""Self-contained HTML pages of reports, rendered from ``report_page.html.j2``: title, verdict, picture, sections."""
+"""Self-contained HTML pages of reports, rendered from ``report_page.html.j2``: title, verdict, sections with plots."""
 
 from __future__ import annotations
 
-import base64
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -12,6 +11,8 @@ from markupsafe import Markup
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
+
+    from posor_estimator.reporting.plot import Plot
 
 _MACROS = (
     Environment(loader=FileSystemLoader(Path(__file__).parent), autoescape=True, trim_blocks=True, lstrip_blocks=True)
@@ -29,15 +30,11 @@ class Cell(NamedTuple):
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page under its own heading."""
+    """A part of the page under its own heading: interactive plots, and below them text and tables."""
 
     heading: str
     body: Markup
-
-
-def image(png: bytes, alt: str) -> Markup:
-    """Return a picture (PNG) that is embedded in the page, with its alternative text."""
-    return _render("image", base64.b64encode(png).decode("ascii"), alt)
+    plots: Sequence[Plot] = ()
 
 
 def bullet_list(items: Iterable[str]) -> Markup:
@@ -61,7 +58,7 @@ def table(header: Iterable[str], rows: Iterable[Iterable[str | Cell]], css_class
     return _render("table", list(header), cells, css_class)
 
 
-def render_page(title: str, verdict: str, *, holds: bool, sections: Sequence[Section], picture: Markup | None) -> str:
+def render_page(title: str, verdict: str, *, holds: bool, sections: Sequence[Section]) -> str:
     """Return a page that loads nothing from elsewhere.
 
     Args:
@@ -69,10 +66,17 @@ def render_page(title: str, verdict: str, *, holds: bool, sections: Sequence[Sec
         verdict: One sentence on the whole report.
         holds: Whether the verdict is good.
         sections: Parts of the page, in this order.
-        picture: From ``image``, above the sections; None: no picture.
 
     """
-    return str(_render("page", title.splitlines(), verdict, holds, picture, sections)).lstrip()
+    plots = [plot for section in sections for plot in section.plots]
+    library, script = "", ""
+    elements: dict[Plot, str] = {}
+    if plots:
+        from posor_estimator.reporting.plot import bokeh_script, embed_plots  # noqa: PLC0415  takes a second to load
+
+        library = bokeh_script()
+        script, elements = embed_plots(plots)
+    return str(_render("page", title.splitlines(), verdict, holds, sections, library, script, elements)).lstrip()
 
 
 def _render(macro: str, *arguments: object) -> Markup:

@@ -94,9 +94,8 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         self._retired: list[Callable[[], object]] = []
         try:
             overrides = take_overrides(self)
-            qos_values = {
-                name: each.value for name, each in self.get_parameters_by_prefix("").items() if name.startswith(PREFIX)
-            }
+            qos_names = [name for name in self.get_parameters_by_prefix("") if name.startswith(PREFIX)]
+            qos_values = {name: self.get_parameter(name).value for name in qos_names}
             self.qos_overrides = QosOverrides(self.get_fully_qualified_name(), qos_values)
             self._declared: DeclaredParameters[ParametersT] = DeclaredParameters(
                 self,

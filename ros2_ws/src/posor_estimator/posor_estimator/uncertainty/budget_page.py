@@ -1,21 +1,19 @@
-"""An error budget as a self-contained HTML page with charts."""
+"""An error budget as a self-contained HTML page with interactive plots."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from matplotlib.figure import Figure
-
-from posor_estimator.reporting.figure_style import BLUE, GREY, ORANGE, style_axes, to_png
+from posor_estimator.reporting.figure_style import BLUE, GREY, ORANGE
 from posor_estimator.reporting.html_page import (
     Section,
     bullet_list,
     definition_list,
-    image,
     paragraph,
     render_page,
     table,
 )
+from posor_estimator.reporting.plot import Plot
 from posor_estimator.uncertainty.budget_report import DISPLAY_UNITS, VALIDATION_HEADER, heading
 from posor_estimator.uncertainty.first_order import Kind
 from posor_estimator.uncertainty.reliability_report import (
@@ -28,13 +26,17 @@ from posor_estimator.uncertainty.reliability_report import (
 )
 
 if TYPE_CHECKING:
-    from posor_estimator.uncertainty.budget_report import BudgetReport
+    from markupsafe import Markup
+
+from posor_estimator.uncertainty.budget_report import BudgetReport
 
 BARS = 8
 """Number of contributions drawn for each output."""
 COLOURS = {Kind.RANDOM: ORANGE, Kind.SYSTEMATIC: BLUE}
-COLUMNS = 3
+NAMES = {Kind.RANDOM: "noise (random)", Kind.SYSTEMATIC: "calibration (systematic)"}
 
+DIFFERS = "the model is not linear over this uncertainty: use the interval of the draws, interval_95 in budget.json"
+NOT_STABLE = "too few draws for this tolerance: use more, --draws"
 NOTES = (
     "Standard uncertainties, k = 1, of first order: derivatives of the measurement model (JCGM 100, 5.1 and 5.2).",
     (
@@ -49,31 +51,25 @@ NOTES = (
 )
 
 
-def draw_contributions(report: BudgetReport) -> bytes:
-    """Return a figure (PNG): the largest contributions to each output as bars, and its total."""
-    outputs = report.budget.outputs
-    lines = -(-len(outputs) // COLUMNS)
-    figure = Figure(figsize=(15.0, 3.6 * lines), layout="constrained")
-    all_axes = figure.subplots(lines, COLUMNS, squeeze=False).ravel()
-    for axes in all_axes[len(outputs) :]:
-        axes.set_visible(False)
-    for i, (axes, output) in enumerate(zip(all_axes, outputs, strict=False)):
+def plot_contributions(report: BudgetReport) -> list[Plot]:
+    """Return a plot for each output: its largest contributions as bars, and its totals."""
+    plots = []
+    for i, output in enumerate(report.budget.outputs):
         scale, unit = DISPLAY_UNITS[output.unit]
+        total, drawn = scale * report.budget.sigmas[i], scale * report.drawn.sigmas[i]
         largest = sorted(report.budget.contributions, key=lambda part: part.effects[i], reverse=True)[:BARS]
-        axes.barh(
-            [part.name for part in largest],
-            [scale * part.effects[i] for part in largest],
-            color=[COLOURS[part.kind] for part in largest],
-        )
-        axes.axvline(scale * report.budget.sigmas[i], color=GREY, lw=1.2, ls="--")
-        axes.axvline(scale * report.drawn.sigmas[i], color=GREY, lw=1.2, ls=":")
-        axes.invert_yaxis()
-        axes.set_title(f"{output.name}: {scale * report.budget.sigmas[i]:.3g} {unit}", fontsize=11)
-        axes.tick_params(axis="y", labelsize=8)
-        axes.set_xlabel(unit, fontsize=9)
-        style_axes(axes)
-    figure.suptitle("blue: calibrated, orange: noise; dashed: total of first order, dotted: total of the draws")
-    return to_png(figure)
+        title, label = f"{output.name}: {total:.3g} {unit}", f"standard uncertainty [{unit}]"
+        plot = Plot(title, label, "quantity", categories=[part.name for part in largest])
+        for kind, colour in COLOURS.items():
+            parts = [part for part in largest if part.kind is kind]
+            if parts:
+                plot.bars(
+                    NAMES[kind], [scale * part.effects[i] for part in parts], [part.name for part in parts], colour
+                )
+        plot.vertical(f"total, first order {total:.3g}", total)
+        plot.vertical(f"total, draws {drawn:.3g}", drawn, GREY, "dotted")
+        plots.append(plot)
+    return plots
 
 
 def render_budget_page(report: BudgetReport) -> str:
@@ -91,18 +87,23 @@ def render_budget_page(report: BudgetReport) -> str:
         f"Error budget of {report.calibration}",
         report.verdict,
         holds=report.holds,
-        picture=image(draw_contributions(report), "Bars: the largest contributions to each output"),
         sections=(
-            Section("What to improve first", table(header, rows)),
-            Section(
-                "First order against draws",
-                table(VALIDATION_HEADER, report.validation_rows()),
-            ),
+            Section("What to improve first", table(header, rows), plot_contributions(report)),
+            Section("First order against draws", _validation_table(report)),
             *_reliability_sections(report),
             Section("Notes", bullet_list(notes)),
             Section("Provenance", definition_list(terms) + paragraph("Figures in SI units: budget.csv, budget.json.")),
         ),
     )
+
+
+def _validation_table(report: BudgetReport) -> Markup:
+    """Return the validation, with the reason and the remedy beside each output that does not hold or is not stable."""
+    rows = [
+        [*row, "; ".join(filter(None, ["" if each.holds else DIFFERS, "" if each.stable else NOT_STABLE]))]
+        for row, each in zip(report.validation_rows(), report.validations, strict=True)
+    ]
+    return table((*VALIDATION_HEADER, "remark"), rows)
 
 
 def _reliability_sections(report: BudgetReport) -> list[Section]:

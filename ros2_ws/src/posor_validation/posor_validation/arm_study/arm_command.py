@@ -105,12 +105,14 @@ def _study_arm(options: Namespace, argv: Sequence[str]) -> Findings:
     """Run the study and write its report."""
     console = Console(highlight=False)
     arm = load_checked_arm(options.arm)
+    console.print(f"{arm.name}: preparing the simulation", soft_wrap=True, markup=False)
     simulation = _checked_simulation(arm, options)
     folder = prepare_output_folder(options.output, OUTPUTS)
     outcome = ArmOutcome()
     if not options.coverage_only:
         outcome = _run_nodes(options, argv, simulation, folder / LOGS, console)
     coverage = _measure_coverage(arm, options.arms, console) if options.arms and arm.beams is not None else None
+    console.print(f"{arm.name}: evaluating", soft_wrap=True, markup=False)
     outcome = replace(outcome, coverage=coverage, budget=arm_budget(arm, BUDGET_DRAWS))
     findings = arm_findings(outcome)
     write_report(folder, arm, simulation.scenario, outcome, findings)

@@ -68,7 +68,7 @@ def _panels(outcome: ArmOutcome) -> Iterator[tuple[Any, tuple[Any, ...]]]:
         yield _draw_sag, (outcome.coverage,)
 
 
-def _lengths_um(vectors: FloatArray) -> FloatArray:
+def lengths_um(vectors: FloatArray) -> FloatArray:
     """Return the lengths of vectors [m] in micrometres."""
     return np.asarray(np.linalg.norm(vectors, axis=1) / MICRON)
 
@@ -88,9 +88,9 @@ def _draw_errors(axes: Axes, record: ArmRecord) -> None:
     axes.set_title("Endpoint's position error along the path", fontsize=11)
     encoders, posor = record.encoder_errors[:, :3], record.posor_errors[:, :3]
     axes.plot(
-        record.times_s, _lengths_um(encoders), label=f"encoders alone, rms {rms(encoders) / MICRON:.0f} µm", **ENCODERS
+        record.times_s, lengths_um(encoders), label=f"encoders alone, rms {rms(encoders) / MICRON:.0f} µm", **ENCODERS
     )
-    axes.plot(record.times_s, _lengths_um(posor), label=f"POSORs, rms {rms(posor) / MICRON:.1f} µm", **POSOR)
+    axes.plot(record.times_s, lengths_um(posor), label=f"POSORs, rms {rms(posor) / MICRON:.1f} µm", **POSOR)
     _style_time_axis(axes, record, "distance from the truth [µm]")
 
 
@@ -99,7 +99,7 @@ def _draw_path(top: Axes, side: Axes, record: ArmRecord) -> None:
     known = np.isfinite(truth[:, 0])
     extent = float(np.max(np.ptp(truth[known], axis=0)))
     largest = float(np.nanmax(np.linalg.norm(record.encoder_errors[:, :3], axis=1)))
-    scale = _round_down(ENLARGED_TO * extent / largest) if extent > 0.0 and largest > 0.0 else 1.0
+    scale = round_down(ENLARGED_TO * extent / largest) if extent > 0.0 and largest > 0.0 else 1.0
     top.set_title(f"Path of the endpoint, errors enlarged {scale:g} times", fontsize=11)
     for axes, axis, label in ((top, 1, "from above\ny [m]"), (side, 2, "from the side\nz [m]")):
         for error, style, name in (
@@ -116,7 +116,7 @@ def _draw_path(top: Axes, side: Axes, record: ArmRecord) -> None:
     top.legend(loc="lower left", fontsize=9, framealpha=0.9)
 
 
-def _round_down(value: float) -> float:
+def round_down(value: float) -> float:
     """Return the next lower of 1, 2, 5, 10, 20..."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= value))
@@ -125,8 +125,8 @@ def _round_down(value: float) -> float:
 def _draw_histogram(axes: Axes, record: ArmRecord) -> None:
     axes.set_title("Distribution of the errors", fontsize=11)
     sizes = {
-        "encoders alone": (_lengths_um(record.encoder_errors[:, :3]), ORANGE),
-        "POSORs": (_lengths_um(record.posor_errors[:, :3]), BLUE),
+        "encoders alone": (lengths_um(record.encoder_errors[:, :3]), ORANGE),
+        "POSORs": (lengths_um(record.posor_errors[:, :3]), BLUE),
     }
     known = {name: (size[np.isfinite(size) & (size > 0.0)], color) for name, (size, color) in sizes.items()}
     every = np.concatenate([size for size, _ in known.values()])
@@ -188,7 +188,7 @@ def _draw_normalised(axes: Axes, coverage: Coverage) -> None:
 def _draw_sag(axes: Axes, coverage: Coverage) -> None:
     axes.set_title(f"Sag of the beams: found / predicted {coverage.shift_ratio.value:.3f}", fontsize=11)
     poses = np.arange(1, coverage.poses + 1)
-    found, predicted = _lengths_um(coverage.shift_found_m), _lengths_um(coverage.shift_predicted_m)
+    found, predicted = lengths_um(coverage.shift_found_m), lengths_um(coverage.shift_predicted_m)
     axes.bar(poses, predicted, width=0.62, color="#cccccc", label="predicted from the beams file")
     axes.plot(poses, found, color=ORANGE, marker="D", ms=6, ls="none", label="found, sag not corrected")
     axes.axhline(

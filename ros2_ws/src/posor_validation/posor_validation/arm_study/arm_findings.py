@@ -9,6 +9,7 @@ import numpy as np
 from posor_estimator.reporting.figure_style import MICRON
 
 from posor_validation.arm_study.arm_record import REGION, rms
+from posor_validation.arm_study.thesis_robot import MICROINCH
 from posor_validation.reports.findings import Finding, Findings, Verdict
 
 if TYPE_CHECKING:
@@ -33,6 +34,18 @@ BUDGET_FIGURES = {
     "alpha_z_urad": "about Z",
     "displacement_uin": "displacement",
 }
+SURPRISING_SIGMAS = 2.0
+"""A coverage that differs by more standard uncertainties from 95 % gets a remark."""
+REVERSALS = (
+    "The peaks with the controller come where a joint reverses: its gear takes up the backlash at once, the stage "
+    "follows some ticks later."
+)
+PRINTED_DISPLACEMENT = {
+    "extended": "the print counts a small rotation of the yaw along X too (derived)",
+    "bent": "not judged: lever arms of the extended posture probably remained in the print, and the origin of its X is "
+    "not known (docs/background/five_axis_budget.md)",
+}
+"""Why the displacement differs from that of thesis 9.3.1, by configuration."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +80,7 @@ def _endpoint_findings(record: ArmRecord, ticks: TickOutcomes) -> Iterator[Findi
         limit="none unaccounted for",
         verdict=Verdict.of(holds=ticks.unaccounted == 0 and ticks.ticks > 0),
         remark=ticks.sentence,
+        if_fails="the counters of the nodes do not explain all ticks without a pose: a message was lost on its way",
     )
     posor, encoders = rms(record.posor_errors[:, :3]), rms(record.encoder_errors[:, :3])
     published = rms(np.sqrt(np.trace(record.covariances[:, :3, :3], axis1=1, axis2=2)))
@@ -82,6 +96,8 @@ def _endpoint_findings(record: ArmRecord, ticks: TickOutcomes) -> Iterator[Findi
         limit=f"less than {encoders / MICRON:.0f} um, the encoders alone" if judged else "",
         verdict=Verdict.of(holds=posor < encoders) if judged else Verdict.NOT_JUDGED,
         remark=remark if judged else f"{remark}; the published uncertainty is not below the error of the encoders",
+        if_fails="compare with the published rms: if the error exceeds it, a calibration or beams file differs from "
+        "the simulated arm",
     )
     yield Finding(
         "endpoint minus truth, encoders alone",
@@ -103,7 +119,9 @@ def _controller_finding(before: ArmRecord, after: ArmRecord) -> Finding:
         f"{with_controller / MICRON:.2f} um rms, {np.nanmax(after.target_distances) / MICRON:.1f} um at most",
         limit=f"less than {without / MICRON:.0f} um, without it",
         verdict=Verdict.of(holds=with_controller < without),
-        remark=f"a stage moves the endpoint as the POSORs measure; {without / with_controller:.0f} times closer",
+        remark=f"a stage moves the endpoint as the POSORs measure; {without / with_controller:.1f} times closer. "
+        f"{REVERSALS}",
+        if_fails="the controller moves the stage away from the target: check frame and sign of its commands",
     )
 
 
@@ -118,7 +136,10 @@ def _coverage_findings(coverage: Coverage) -> Iterator[Finding]:
         stated=f"{100.0 * REGION:.0f} %",
         limit=f"{100.0 * (REGION - allowed):.3g} to {min(100.0, 100.0 * (REGION + allowed)):.3g} %",
         verdict=Verdict.of(holds=abs(inside.value - REGION) <= allowed),
-        remark=f"{sample}; mean NEES {coverage.nees.value:.2f} of 6; {coverage.lost} poses lost",
+        remark=f"{sample}; mean NEES {coverage.nees.value:.2f} of 6; {coverage.lost} poses lost"
+        f"{_coverage_remark(coverage)}",
+        if_fails="too few: the simulation has an error that the files do not state; too many: a file states an error "
+        "that the simulation does not draw",
     )
     allowed = max(SAG_TOLERANCE, MIN_SIGMAS * ratio.sigma)
     found, predicted = _range_um(coverage.shift_found_m), _range_um(coverage.shift_predicted_m)
@@ -129,6 +150,7 @@ def _coverage_findings(coverage: Coverage) -> Iterator[Finding]:
         limit=f"{1.0 - allowed:.3g} to {1.0 + allowed:.3g}",
         verdict=Verdict.of(holds=abs(ratio.value - 1.0) <= allowed),
         remark=f"mean displacement {found} um, predicted {predicted} um",
+        if_fails="the sag of the beams file is not the simulated one: check its direction, load and stiffness",
     )
     expected = float(np.hypot(coverage.rms_m, rms(coverage.shift_predicted_m)))
     yield Finding(
@@ -142,21 +164,38 @@ def _coverage_findings(coverage: Coverage) -> Iterator[Finding]:
 def _budget_findings(budget: Mapping[str, Any]) -> Iterator[Finding]:
     for configuration, figures in budget.items():
         for key, name in BUDGET_FIGURES.items():
-            unit = "urad" if key.endswith("urad") else "uin"
+            is_angle = key.endswith("urad")
+            unit, scale = ("urad", 1.0) if is_angle else ("um", MICROINCH / MICRON)
             stated = figures.get("printed", {}).get(key)
             # How the thesis computed the components of the bent arm is not known.
             judged = stated and configuration == "extended"
+            quoted = "" if stated is None or is_angle else f" ({stated:g} uin)"
+            reason = "" if stated is None or is_angle else PRINTED_DISPLACEMENT[configuration]
             yield Finding(
                 f"budget, {configuration}: {name}",
-                f"{figures[key]:.2f} {unit}",
-                stated="" if stated is None else f"{stated:g} {unit}",
+                f"{scale * figures[key]:.2f} {unit}",
+                stated="" if stated is None else f"{scale * stated:.3g} {unit}{quoted}",
                 limit=f"within {100.0 * BUDGET_TOLERANCE:.0f} %" if judged else "",
                 source="thesis 9.3.1" if stated else "",
                 verdict=Verdict.of(holds=abs(figures[key] / stated - 1.0) <= BUDGET_TOLERANCE)
                 if judged
                 else Verdict.NOT_JUDGED,
-                remark="one standard uncertainty",
+                remark="; ".join(filter(None, ["one standard uncertainty", reason])),
+                if_fails="the accuracies of the joints or the lengths of the arm are not those of thesis 9.3.1",
             )
+
+
+def _coverage_remark(coverage: Coverage) -> str:
+    """Return how the published covariance differs from the scatter, if the coverage differs visibly from 95 %."""
+    sigmas = (coverage.inside.value - REGION) / coverage.inside.sigma if coverage.inside.sigma > 0.0 else 0.0
+    if abs(sigmas) <= SURPRISING_SIGMAS:
+        return ""
+    ratio = 100.0 * (6.0 / coverage.nees.value - 1.0)
+    size = "larger" if ratio > 0.0 else "smaller"
+    return (
+        f"; {abs(sigmas):.1f} standard uncertainties from 95 %: on average the published variance is {abs(ratio):.0f} "
+        f"% {size} than that of the errors"
+    )
 
 
 def _largest_um(vectors: FloatArray) -> float:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from posor_estimator.reporting.figure_style import MICRON
 from rich.table import Table
+from rich.text import Text
 
 from posor_validation.reports.console_progress import LiveView
 
@@ -27,7 +28,7 @@ class ArmLiveTable:
         """Create the table; ``console`` and ``live`` are those of ``LiveView``."""
         self._view = LiveView(console, live=live)
         self._title = title
-        self._state = "starting"
+        self._state = self._waiting = ""
         self.is_live = self._view.is_live
 
     def __enter__(self) -> Self:
@@ -42,8 +43,20 @@ class ArmLiveTable:
     def show_state(self, state: str) -> None:
         """Show what the run is doing."""
         self._state = state
-        if not self.is_live:
-            self._view.line(f"{self._title}: {state}")
+        self._show_line(state)
+
+    def show_waiting(self, missing: str) -> None:
+        """Show what the run is waiting for, once."""
+        waiting = f"{self._state}, waiting for {missing}"
+        if waiting != self._waiting:
+            self._waiting = waiting
+            self._show_line(waiting)
+
+    def _show_line(self, text: str) -> None:
+        if self.is_live:
+            self._view.update(Text(f"{self._title}: {text}"), at_once=True)
+        else:
+            self._view.line(f"{self._title}: {text}")
 
     def show_tick(self, newest: ArmRecord, ticks: int, without_pose: int, speed: float) -> None:
         """Show a tick.

@@ -34,52 +34,59 @@ class ArmReceiver(GraphReceiver):
         """Subscribe to the topics of the arm in the namespace ``arm``; ``stage``: whether it has a stage."""
         super().__init__("arm_demo")
         self._arm, self._chain = arm, chain
-        self._topics = topics = SimulatedTopics(arm)
+        topics = SimulatedTopics(arm)
+        self._endpoint_topic = f"/{arm}/{ENDPOINT_COVARIANCE_TOPIC}"
         self.truths = self.store_topic(PoseStamped, topics.endpoint.name)
         self.targets = self.store_topic(PoseStamped, topics.target.name)
         self.encoders = self.store_topic(JointState, topics.encoders.name)
         self.stage = self.store_topic(Vector3Stamped, topics.stage.name)
-        self.commands = self.store_topic(Vector3Stamped, topics.stage_command.name)
-        self.poses = self.store_topic(PoseWithCovarianceStamped, f"/{arm}/{ENDPOINT_COVARIANCE_TOPIC}")
+        self.command_topic = topics.stage_command.name
+        self.commands = self.store_topic(Vector3Stamped, self.command_topic)
+        self.poses = self.store_topic(PoseWithCovarianceStamped, self._endpoint_topic)
         self.transforms = {
-            joint.name: self.store_topic(JointTransform, f"/{arm}/{joint.name}/{TRANSFORM_TOPIC}")
-            for joint in chain.joints
+            joint.name: self.store_topic(JointTransform, self._transform_topic(joint.name)) for joint in chain.joints
         }
         self._clock_publisher = self.create_publisher(Clock, "/clock", KEEP_ALL_QOS)
         self._driver_topics: dict[str, dict[int, Any]] = {
-            "truth/endpoint": self.truths,
-            "target/endpoint": self.targets,
-            "encoders": self.encoders,
-            **({"stage/position": self.stage} if stage else {}),
+            topics.endpoint.name: self.truths,
+            topics.target.name: self.targets,
+            topics.encoders.name: self.encoders,
+            **({topics.stage.name: self.stage} if stage else {}),
         }
 
     def missing_topics(self) -> list[str]:
         """Return the topics of a complete tick on which nothing has come yet."""
         stores: Mapping[str, Mapping[int, Any]] = {
             **self._driver_topics,
-            **{f"{joint}/{TRANSFORM_TOPIC}": store for joint, store in self.transforms.items()},
-            ENDPOINT_COVARIANCE_TOPIC: self.poses,
+            **{self._transform_topic(joint): store for joint, store in self.transforms.items()},
+            self._endpoint_topic: self.poses,
         }
         return [topic for topic, store in stores.items() if not store]
 
     def missing_connections(self) -> list[str]:
-        """Return what is missing until all nodes run and all subscriptions are connected."""
+        """Return what is missing until all nodes run and all subscriptions are connected, by topic or node."""
         arm, joints = self._arm, list(self.transforms)
-        wanted = {f"/{arm}/chain_node": (ENDPOINT_COVARIANCE_TOPIC, 1)}
-        wanted |= {f"/{arm}/{joint}/posor_node": (TRANSFORM_TOPIC, 2) for joint in joints}  # chain_node and this node
-        missing = [
-            f"{count} subscriptions to the {topic} of {node}"
-            for node, (topic, count) in wanted.items()
-            if int(self.status_value(f"{node}: {LISTENERS}", topic) or 0) < count
-        ]
+        wanted = {f"/{arm}/chain_node": (self._endpoint_topic, ENDPOINT_COVARIANCE_TOPIC, 1)}
+        for joint in joints:  # chain_node and this node
+            wanted[f"/{arm}/{joint}/posor_node"] = (self._transform_topic(joint), TRANSFORM_TOPIC, 2)
+        missing = []
+        for node, (topic, key, count) in wanted.items():
+            found = self.status_value(f"{node}: {LISTENERS}", key)
+            if found is None:
+                missing.append(f"{topic} (no diagnostics of {node} yet)")
+            elif int(found) < count:
+                missing.append(f"{topic} ({found} of {count} subscriptions)")
         drivers = [f"/{arm}/{joint}/driver_node" for joint in joints]
         missing += [
-            f"{node} running" for node in drivers if self.status_value(f"{node}: source", "message") != "running"
+            f"{node} (not running)" for node in drivers if self.status_value(f"{node}: source", "message") != "running"
         ]
-        nodes = len(wanted) + len(drivers)
-        if self._clock_publisher.get_subscription_count() < nodes:
-            missing.append(f"{nodes} subscriptions to the clock")
+        nodes, found_nodes = len(wanted) + len(drivers), self._clock_publisher.get_subscription_count()
+        if found_nodes < nodes:
+            missing.append(f"/clock ({found_nodes} of {nodes} subscriptions)")
         return missing
+
+    def _transform_topic(self, joint: str) -> str:
+        return f"/{self._arm}/{joint}/{TRANSFORM_TOPIC}"
 
     def set_clock(self, now_ns: int) -> None:
         """Publish the time [ns] to all nodes."""
@@ -90,7 +97,7 @@ class ArmReceiver(GraphReceiver):
     def has_controller(self) -> bool:
         """Return whether a controller with this clock publishes commands for the stage."""
         connected = self._clock_publisher.get_subscription_count() > 1 + 2 * len(self.transforms)
-        return connected and self.count_publishers(self._topics.stage_command.name) > 0
+        return connected and self.count_publishers(self.command_topic) > 0
 
     def missing_of_tick(self, stamp: int, dropped: Collection[str]) -> list[str]:
         """Return the messages that are still missing of a tick; ``dropped``: joints without a scan at this tick."""
@@ -101,9 +108,9 @@ class ArmReceiver(GraphReceiver):
             if transform is not None:
                 usable = usable and is_usable(transform)
             elif joint not in dropped:
-                missing.append(f"the transform of {joint}")
+                missing.append(self._transform_topic(joint))
         if usable and not missing and stamp not in self.poses:
-            missing.append("the endpoint")
+            missing.append(self._endpoint_topic)
         return missing
 
     def reasons_without_pose(self, stamp: int) -> dict[str, str]:

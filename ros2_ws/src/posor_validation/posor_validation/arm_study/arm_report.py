@@ -5,15 +5,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from posor_estimator.reporting.html_page import Section, bullet_list, definition_list, image, render_page
+from markupsafe import Markup
+from posor_estimator.reporting.html_page import Section, bullet_list, definition_list, paragraph, render_page
 
 from posor_validation.arm_study.arm_figures import draw_arm
+from posor_validation.arm_study.arm_findings import REVERSALS
+from posor_validation.arm_study.arm_plots import plot_axes, plot_controller, plot_coverage, plot_path
 from posor_validation.arm_study.arm_record import rms
 from posor_validation.output_files import write_files
 from posor_validation.reports.findings import findings_table
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from posor_drivers.simulator.scenario import Scenario
@@ -51,9 +54,13 @@ COVERAGE_NOTES = (
 CONTROLLER_NOTES = (
     (
         "Controller: a stage of three axes between the last joint and the endpoint follows the endpoint measured by "
-        "the POSORs. The distance is that of the true endpoint, unknown to the controller, from its target. It peaks "
-        "where a joint reverses: the gear takes up its backlash at once, the stage follows some ticks later."
+        "the POSORs. The distance is that of the true endpoint, unknown to the controller, from its target."
     ),
+)
+BAND = (
+    "The band is twice the published standard uncertainty, about zero, in the axes of the base. It contains noise and "
+    "calibration. The calibration's part is one draw for this arm: it hardly changes along the path and shifts the "
+    "whole curve. 95.4 % of the poses are expected in the band only over many arms."
 )
 
 
@@ -65,7 +72,6 @@ def write_report(folder: Path, arm: Arm, scenario: Scenario, outcome: ArmOutcome
 
     """
     title = f"Simulated arm {arm.name}: its endpoint by POSORs and by encoders alone"
-    picture = draw_arm(outcome, title)
     notes: tuple[str, ...] = RUN_NOTES if outcome.before is not None else ()
     notes += COVERAGE_NOTES if outcome.coverage is not None else ()
     notes += CONTROLLER_NOTES if outcome.after is not None else ()
@@ -73,14 +79,28 @@ def write_report(folder: Path, arm: Arm, scenario: Scenario, outcome: ArmOutcome
         title,
         findings.sentence,
         holds=findings.holds,
-        picture=image(picture, "Errors of the endpoint against time, the path, histograms, the controller"),
         sections=(
             Section("Findings", findings_table(findings, HEADINGS)),
+            *_plotted_sections(outcome),
             Section("Notes", bullet_list(notes)),
             Section("Provenance", definition_list(_provenance(arm, scenario))),
         ),
     )
-    write_files(folder, {"report.png": picture, "report.html": page})
+    write_files(folder, {"report.png": draw_arm(outcome, title), "report.html": page})
+
+
+def _plotted_sections(outcome: ArmOutcome) -> Iterator[Section]:
+    before, after, coverage = outcome.before, outcome.after, outcome.coverage
+    if before is not None:
+        yield Section("Error of each axis with its published band", paragraph(BAND), plot_axes(before))
+        plots = plot_path(before)
+        if after is None:
+            yield Section("Endpoint along the path", Markup(), plots)
+        else:
+            plots.insert(1, plot_controller(before, after))
+            yield Section("Endpoint along the path", paragraph(REVERSALS), plots)
+    if coverage is not None:
+        yield Section("Many arms", Markup(), plot_coverage(coverage))
 
 
 def _provenance(arm: Arm, scenario: Scenario) -> dict[str, str]:

@@ -19,7 +19,7 @@ from posor_validation.arm_study.tick_outcomes import Dropouts, NodeCounters
 from posor_validation.reports.graph_receiver import GraphWatch
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from posor_bringup.supervisor import Parameter, Supervisor
@@ -52,6 +52,16 @@ SETTLING_S = 1.0
 """Time of the arm's clock for a controller to settle."""
 SHOWN_PER_S = 4
 """Ticks shown per second in a terminal; one line per second elsewhere."""
+
+
+NAMED = 3
+"""Missing topics that a message names."""
+
+
+def _name_first(missing: Sequence[str]) -> str:
+    """Return the first missing topics, and how many more there are."""
+    more = f" and {len(missing) - NAMED} more" if len(missing) > NAMED else ""
+    return "; ".join(missing[:NAMED]) + more
 
 
 @dataclass(frozen=True)
@@ -103,7 +113,7 @@ class ArmRun:
         self._dropouts = Dropouts(plan.simulation)
         self._tick = plan.cycle - WARM_UP_TICKS
         self._complete_s = math.inf  # wall time of the latest complete tick
-        self._watch = GraphWatch(supervisor, receiver, "arm", interrupted=interrupted)
+        self._watch = GraphWatch(supervisor, receiver, "arm", on_waiting=table.show_waiting, interrupted=interrupted)
 
     def start_nodes(self) -> None:
         """Start all nodes, wait for their connections, and advance to the beginning of the scenario.
@@ -122,7 +132,7 @@ class ArmRun:
         self._table.show_state(f"starting {len(programs)} nodes")
         self._nodes = [self._supervisor.start(program) for program in programs]
         self._watch.wait(
-            lambda: not self._receiver.missing_connections(), lambda: "; ".join(self._receiver.missing_connections())
+            lambda: not self._receiver.missing_connections(), lambda: _name_first(self._receiver.missing_connections())
         )
         self._complete_s = time.monotonic()
         while self._tick < plan.cycle or self._receiver.missing_topics():
@@ -172,14 +182,14 @@ class ArmRun:
                 receiver.set_clock(now)
             if missing := receiver.missing_of_tick(stamp, dropped):
                 if time.monotonic() > self._complete_s + INCOMPLETE_LIMIT_S:
-                    what = f"no tick was complete for {INCOMPLETE_LIMIT_S:g} s, missing: {'; '.join(missing)}"
+                    what = f"no tick was complete for {INCOMPLETE_LIMIT_S:g} s, missing: {_name_first(missing)}"
                     raise ProcessError(what, where="arm")
                 return waited > timeout_s
             self._complete_s = time.monotonic()
             commanded = self._controller is None or stamp in receiver.commands or stamp not in receiver.poses
             return commanded or waited > COMMAND_TIMEOUT_S
 
-        self._watch.wait(is_done, lambda: "; ".join(receiver.missing_of_tick(stamp, dropped)))
+        self._watch.wait(is_done, lambda: _name_first(receiver.missing_of_tick(stamp, dropped)))
         self._tick += 1
 
     def start_controller(self) -> None:
@@ -193,11 +203,12 @@ class ArmRun:
         self._controller = self._supervisor.start(
             Program("controller", "", str(self.plan.controller), (), f"/{self.plan.arm.name}", {"use_sim_time": True})
         )
-        self._watch.wait(self._receiver.has_controller, lambda: "a publisher of stage/command")
+        self._watch.wait(self._receiver.has_controller, lambda: f"a publisher of {self._receiver.command_topic}")
         last = self._tick + round(FIRST_COMMAND_S * self.plan.rate)
         while not self._receiver.commands:
             if self._tick > last:
-                raise ProcessError(f"has commanded nothing in {FIRST_COMMAND_S:g} s", where="controller")
+                what = f"has published nothing on {self._receiver.command_topic} in {FIRST_COMMAND_S:g} s"
+                raise ProcessError(what, where="controller")
             self._advance()
         for _ in range(round(SETTLING_S * self.plan.rate)):
             self._advance()

@@ -20,9 +20,8 @@ from posor_estimator.lazy_program import INTERRUPT_SIGNALS
 from posor_estimator.reporting.command_line_parser import CommandLineParser
 from rich.console import Console
 
-from posor_validation.campaign.campaign_figures import draw_campaign
 from posor_validation.campaign.campaign_json import campaigns_as_json
-from posor_validation.campaign.campaign_page import HEADINGS, PICTURES, campaign_page
+from posor_validation.campaign.campaign_page import HEADINGS, campaign_page
 from posor_validation.campaign.campaign_report import CampaignReport, all_findings
 from posor_validation.campaign.campaign_run import calibrate_from_bags, record_bags
 from posor_validation.campaign.campaign_series import coverage_of_series, run_campaigns
@@ -41,7 +40,7 @@ SEED = 1985
 CAMPAIGNS = 6
 MINIMUM_CAMPAIGNS = 4
 """Fewest campaigns with a meaningful scatter."""
-OUTPUTS = ("report.html", *(f"{name}_{picture}.png" for name in POSORS for picture in PICTURES), *POSORS)
+OUTPUTS = ("report.html", *POSORS)
 WIDTH = 150
 
 
@@ -106,26 +105,19 @@ def run_posors(options: argparse.Namespace, progress: StageProgress) -> list[Cam
 
 
 def write_report(options: argparse.Namespace, reports: Sequence[CampaignReport]) -> None:
-    """Write page, pictures and figures.
+    """Write page and figures.
 
     Raises:
         ParameterError: A file cannot be written.
 
     """
-    pictures = [draw_campaign(report) for report in reports]
     command = f"--posor {options.posor} --campaigns {options.campaigns} --seed {options.seed}"
     provenance = {"command": f"./run posor_validation calibrate_demo {command}"} | {
         f"{report.truth.name}, result": f"{report.steps[-1].step.name}.yaml, content hash "
         f"{report.calibration.content_hash}"
         for report in reports
     }
-    files: dict[str, str | bytes] = {
-        f"{report.truth.name}_{name}.png": png
-        for report, shown in zip(reports, pictures, strict=True)
-        for name, png in shown.items()
-    }
-    files["report.html"] = campaign_page(reports, pictures, provenance)
-    write_files(options.output, files)
+    write_files(options.output, {"report.html": campaign_page(reports, provenance)})
     figures = json.dumps(campaigns_as_json(reports), indent=2) + "\n"
     write_files(options.output.parent, {f"{options.output.name}.json": figures})
 

@@ -11,13 +11,13 @@ from posor_estimator.reporting.html_page import (
     Section,
     bullet_list,
     definition_list,
-    image,
     paragraph,
     render_page,
     table,
 )
 from posor_estimator.uncertainty.first_order import Kind
 
+from posor_validation.campaign.campaign_plots import plot_budgets, plot_residuals, plot_truth
 from posor_validation.campaign.campaign_report import all_findings
 from posor_validation.campaign.parameter_coverage import measuring_steps
 from posor_validation.campaign.validation_set import FREEDOMS
@@ -32,12 +32,6 @@ if TYPE_CHECKING:
     from posor_validation.campaign.campaign_series import FamilyCoverage, SeriesCoverage
 
 HEADINGS: Mapping[str, str] = {"computed": "found", "stated": "expected", "limit": "must be", "source": "source"}
-PICTURES: Mapping[str, str] = {
-    "residuals": "residuals of the fits",
-    "budget": "error budget in the middle of the range",
-    "truth": "parameters, errors at validation poses and coverage against the truth",
-}
-"""Pictures of ``draw_campaign`` and their alternative texts."""
 AS_BUILT = "as built, not measured"
 NO_REFERENCE = "no reference"
 MEASURED_BY = (
@@ -59,7 +53,7 @@ NOTES = (
     ),
     (
         "Every procedure ran on a rosbag2 bag by the code of the command line, each from the file of the step before; "
-        "bags, files and printed tables are beside this page."
+        "bags, files, verdicts and tables are beside this page."
     ),
     (
         "Uncertainties are standard uncertainties, k = 1 (JCGM 100); 95 % intervals are 1.96 of them. A procedure's "
@@ -77,40 +71,36 @@ NOTES = (
     ),
     (
         "The share of campaigns whose interval contains the truth is itself uncertain. Findings state one standard "
-        "deviation by the scatter of the campaigns. Picture and table show its 95 % interval of Clopper and Pearson, "
+        "deviation by the scatter of the campaigns. Plot and table show its 95 % interval of Clopper and Pearson, "
         "for as many independent cases as scatter like the campaigns, since the parameters of one campaign are not "
         "independent of one another."
     ),
 )
 
 
-def campaign_page(
-    reports: Sequence[CampaignReport], pictures: Sequence[Mapping[str, bytes]], provenance: Mapping[str, str]
-) -> str:
-    """Return the self-contained page, with the pictures of ``draw_campaign`` for each POSOR."""
+def campaign_page(reports: Sequence[CampaignReport], provenance: Mapping[str, str]) -> str:
+    """Return the self-contained page."""
     findings = all_findings(reports)
     sections = [Section("Findings", findings_table(findings, HEADINGS))]
-    for report, shown in zip(reports, pictures, strict=True):
-        sections += _posor_sections(report, shown)
+    for report in reports:
+        sections += _posor_sections(report)
     sections += [Section("Notes", bullet_list(NOTES)), Section("Provenance", definition_list(provenance))]
     return render_page(
         f"Calibration of {' and '.join(report.truth.name for report in reports)}, simulated campaigns",
         findings.sentence,
         holds=findings.holds,
-        picture=None,
         sections=tuple(sections),
     )
 
 
-def _posor_sections(report: CampaignReport, pictures: Mapping[str, bytes]) -> list[Section]:
+def _posor_sections(report: CampaignReport) -> list[Section]:
     name = report.truth.name
-    shown = {key: image(png, f"{name}: {PICTURES[key]}") for key, png in pictures.items()}
     coverage = Markup() if report.coverage is None else _coverage_tables(report.coverage)
     return [
-        Section(f"{name}: comparison with the truth", shown["truth"] + coverage),
+        Section(f"{name}: comparison with the truth", coverage, plot_truth(report)),
         Section(f"{name}: parameters", _parameter_table(report)),
-        Section(f"{name}: fits and their residuals", shown["residuals"] + _fit_table(report)),
-        Section(f"{name}: error budget and validation poses", shown["budget"] + _budget_table(report)),
+        Section(f"{name}: fits and their residuals", _fit_table(report), plot_residuals(report)),
+        Section(f"{name}: error budget and validation poses", _budget_table(report), plot_budgets(report)),
     ]
 
 
@@ -142,7 +132,12 @@ def _parameter_table(report: CampaignReport) -> Markup:
                 *measured,
             ]
         )
-    return paragraph(MEASURED_BY) + table(header, rows)
+    outside, count = sum(not parameter.inside for parameter in report.parameters), len(report.parameters)
+    text = (
+        f"Errors beyond the 95 % interval are marked: {outside} of {count}. {0.05 * count:.0f} are expected by chance; "
+        "the findings judge the largest."
+    )
+    return paragraph(text) + paragraph(MEASURED_BY) + table(header, rows)
 
 
 def _to_uncertainty(value: float, sigma: float) -> str:

@@ -163,6 +163,7 @@ def _campaign_findings(report: CampaignReport) -> list[Finding]:
             source,
             Verdict.of(holds=abs(worst.normalised_error) <= limit),
             f"a sound campaign fails with a probability of {CHANCE:g}",
+            "the procedure that measured it states too small an uncertainty: see its fit and warnings",
         ),
         Finding(
             f"{name}: least probable fit",
@@ -171,6 +172,7 @@ def _campaign_findings(report: CampaignReport) -> list[Finding]:
             f"at least {CHANCE / len(fits):.1g}",
             f"{len(fits)} fits",
             Verdict.of(holds=least.probability >= CHANCE / len(fits)),
+            if_fails="a stated uncertainty of an instrument or reading is too small, or the model is incomplete",
         ),
         Finding(
             f"{name}: errors at {int(located.sum())} validation poses over the budget, root mean square",
@@ -180,6 +182,7 @@ def _campaign_findings(report: CampaignReport) -> list[Finding]:
             budget,
             Verdict.of(holds=bool(np.all(ratio <= OVER_BUDGET))),
             f"{in_region:.0f} % within the 95 % region of all six",
+            "the budget is too small: a parameter with a large error, above, or noise that the file does not state",
         ),
         Finding(
             f"{name}: errors there without noise over the calibration's part of the budget, root mean square",
@@ -189,6 +192,7 @@ def _campaign_findings(report: CampaignReport) -> list[Finding]:
             budget,
             Verdict.of(holds=bool(np.all(noise_free_ratio <= NOISE_FREE_OVER_BUDGET))),
             "all poses share one calibration, so one campaign shows little",
+            "a parameter has an error far beyond its standard uncertainty: see the parameters",
         ),
         Finding(
             f"{name}: errors as built over errors calibrated",
@@ -197,6 +201,7 @@ def _campaign_findings(report: CampaignReport) -> list[Finding]:
             "more than 1",
             "the same validation poses",
             Verdict.of(holds=bool(np.all(gain > 1.0))),
+            if_fails="the calibration has made a freedom worse: a step has fitted a wrong value",
         ),
     ]
 
@@ -234,6 +239,7 @@ def coverage_findings(coverage: SeriesCoverage) -> list[Finding]:
             source,
             Verdict.of(holds=share.value + below >= low),
             remark,
+            "the calibration states too small uncertainties, as far as they act on the pose",
         )
 
     return [
@@ -245,6 +251,7 @@ def coverage_findings(coverage: SeriesCoverage) -> list[Finding]:
             source,
             Verdict.of(holds=low - margin <= coverage.pooled.value <= high + margin and not coverage.refused),
             "; ".join(coverage.refused[:3]),
+            "a campaign was refused, or the intervals do not have their width: see the table of families",
         ),
         Finding(
             f"{name}: parameter with the least probable coverage",
@@ -256,6 +263,7 @@ def coverage_findings(coverage: SeriesCoverage) -> list[Finding]:
             Verdict.of(holds=coverage.least_probable >= CHANCE),
             f"{coverage.within_claim[0]} of {parameters} parameters have 95 +- 3 %; right intervals: "
             f"{coverage.within_claim[1]:.0f}",
+            "the interval of this parameter is too narrow or too wide: see the step that measures it",
         ),
         share_finding(
             "validation poses within the budget's 95 % region",

@@ -82,7 +82,7 @@ def calibrate_from_bags(
 ) -> list[CompletedStep]:
     """Run every procedure of a campaign on its bag, starting from the calibration file of the step before.
 
-    Writes ``as_built.yaml``, and for each step a calibration file and the printed tables.
+    Writes ``as_built.yaml``, and for each step a calibration file, its verdict, and its tables as page and JSON.
 
     Raises:
         PosorError: A procedure refuses its bag.

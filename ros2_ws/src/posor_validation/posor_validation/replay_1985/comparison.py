@@ -8,6 +8,7 @@ import numpy as np
 from posor_estimator.identification.attitude_fit import deviation_from_first
 
 from posor_validation.replay_1985.expectations import (
+    DERIVED_MAP,
     EXPECTATIONS,
     MEASURED_LIMIT,
     PRINTED_LIMITS,
@@ -58,6 +59,7 @@ def _received_steps(test: MotionTest, bag: Bag) -> Finding:
         "appendix 8B",
         Verdict.of(holds=test.numbers == expected),
         "each with a transform and a machining-centre reading",
+        "messages of a step were lost or repeated: see the folder logs beside the report",
     )
 
 
@@ -72,6 +74,7 @@ def _refused_steps(test: MotionTest, bag: Bag) -> Finding:
         "",
         Verdict.of(holds=[step.number for step in refused] == list(limit)),
         "; ".join(f"step {number}: {reason}" for number, reason in limit.items()),
+        "the calibration or the checks of a scan differ from those of this comparison",
     )
 
 
@@ -85,10 +88,10 @@ def _standard_deviation(errors: FloatArray) -> float:
     return float(deviation_from_first(errors)) / URAD
 
 
-def _printed_finding(quantity: str, largest: float, limit: float, remark: str) -> Finding:
+def _printed_finding(quantity: str, largest: float, limit: float, remark: str, if_fails: str) -> Finding:
     verdict = Verdict.of(holds=largest <= limit)
     source = "appendix 8B, Y motion results"
-    return Finding(quantity, f"{largest:.2f} urad", "", f"at most {limit:g} urad", source, verdict, remark)
+    return Finding(quantity, f"{largest:.2f} urad", "", f"at most {limit:g} urad", source, verdict, remark, if_fails)
 
 
 def _against_printed_posor(test: MotionTest, printed: PrintedColumns, angle: Angle) -> Finding:
@@ -99,14 +102,18 @@ def _against_printed_posor(test: MotionTest, printed: PrintedColumns, angle: Ang
     if excluded:
         over_all = _largest(difference[test.has_pose])
         remark += f", without step {', '.join(excluded)} (estimated readings; with it {over_all:.2f})"
+    if angle == "theta":
+        remark += f"; {DERIVED_MAP}"
     quantity = f"{angle}: POSOR - printed POSOR column"
-    return _printed_finding(quantity, _largest(difference[judged]), PRINTED_LIMITS[angle], remark)
+    if_fails = "the readings, the calibration or the estimator differ from those of 1985 by more than the rounding"
+    return _printed_finding(quantity, _largest(difference[judged]), PRINTED_LIMITS[angle], remark, if_fails)
 
 
 def _against_printed_truth(test: MotionTest, printed: PrintedColumns, angle: Angle) -> Finding:
     largest = _largest((test.truth_angles - printed.truth)[:, ANGLES.index(angle)])
     quantity = f"{angle}: machining centre - printed measured column"
-    return _printed_finding(quantity, largest, MEASURED_LIMIT, "largest difference; lever 31.43 in")
+    if_fails = "no POSOR takes part: the bag or the printed table has changed"
+    return _printed_finding(quantity, largest, MEASURED_LIMIT, "largest difference; lever 798 mm (31.43 in)", if_fails)
 
 
 def _against_expectation(test: MotionTest, expected: Expectation) -> Finding:
@@ -130,4 +137,5 @@ def _against_expectation(test: MotionTest, expected: Expectation) -> Finding:
         expected.source,
         verdict,
         "; ".join(filter(None, [remark, expected.remark])),
+        "the replayed errors are not those that the thesis states: compare the curves of POSOR and printed column",
     )

@@ -23,6 +23,7 @@ from rich.console import Console
 from posor_validation.output_files import write_files
 from posor_validation.replay_1985.comparison import compare_with_thesis
 from posor_validation.replay_1985.motion_figures import draw_motion_test
+from posor_validation.replay_1985.motion_plots import plot_angles, plot_displacements
 from posor_validation.replay_1985.motion_test import MotionTest
 from posor_validation.replay_1985.printed_results import (
     EXPECTED_ERRORS_FILE,
@@ -146,15 +147,17 @@ def _write_report(
     comparison = compare_with_thesis(test, options.bag, options.calibration, printed)
     calibration = load_calibration(plan.calibration)
     predictions = read_predicted_errors(data_path(EXPECTED_ERRORS_FILE), options.bag)
-    picture = draw_motion_test(test, title, printed if options.calibration == "printed" else None, predictions)
+    shown = printed if options.calibration == "printed" else None
     page = replay_page(
         title,
         test=test,
         comparison=comparison,
-        picture=picture,
-        notes=replay_notes(options.bag, test, calibration),
+        angles=plot_angles(test, shown, predictions),
+        displacements=plot_displacements(test),
+        notes=replay_notes(test, calibration),
         provenance=replay_provenance(plan.bag, calibration, plan.calibration, identity),
     )
+    picture = draw_motion_test(test, title, shown, predictions)
     write_files(plan.output, {"report.png": picture, "report.html": page, "steps.csv": steps_as_csv(test)})
     return comparison
 

@@ -10,7 +10,6 @@ from posor_estimator.reporting.html_page import (
     Section,
     bullet_list,
     definition_list,
-    image,
     paragraph,
     render_page,
     table,
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
 
     from posor_bringup.installed import Bag, CalibrationName
     from posor_estimator.calibration.calibration_file import Calibration
+    from posor_estimator.reporting.plot import Plot
 
     from posor_validation.replay_1985.motion_test import MotionTest
     from posor_validation.reports.findings import Findings
@@ -47,8 +47,8 @@ _INCREMENTAL = (
     "sum of squared errors of steps 2 to N over N - 2, N being the number of steps that gave a pose."
 )
 _MEASURED = (
-    "By the machining centre, beta = -atan(y / 31.43 in) and theta = -atan(z / 31.43 in); alpha is zero, since the "
-    "tests do not twist the beam."
+    "By the machining centre, beta = -atan(y / 798.3 mm) and theta = -atan(z / 798.3 mm), 31.43 in in the listings; "
+    "alpha is zero, since the tests do not twist the beam."
 )
 _SCAN = (
     "The listings survive in a poor scan. Damaged digits of the input record were repaired from neighbouring steps and "
@@ -63,18 +63,15 @@ _REBUILT = (
     "1985 diode maps are lost; the calibration holds local fits derived from the records themselves."
 )
 _ENDPOINT = (
-    "The endpoint is 33.4 in from the POSOR's origin; the machining centre read at a scribed line 31.43 in from its "
-    "pivot. The two displacements therefore differ, by about 6 % from the levers and further by the motion of the "
+    "The endpoint is 848 mm (33.4 in) from the POSOR's origin; the machining centre read at a scribed line 798 mm "
+    "(31.43 in) from its pivot. The two displacements therefore differ, by about 6 % from the levers and further by "
+    "the motion of the "
     "POSOR's origin itself; of x, along the beam, the thesis gives no POSOR result at all. They are shown side by "
     "side; only angles are judged."
 )
 _BAND = (
     "The band is the error that section 8.4 predicts for this test: constant terms added up, the increasing term in "
     "proportion to the motion. It holds for compensated zero shifts, as in calibration 'section84'."
-)
-_ZMO = (
-    "In this test beta exceeds the machining centre's by a nearly constant 60 urad from step 2 on. All three probes "
-    "support the readings of step 1, so no digit was changed for it."
 )
 
 
@@ -83,19 +80,32 @@ def replay_page(
     *,
     test: MotionTest,
     comparison: Findings,
-    picture: bytes,
+    angles: Sequence[Plot],
+    displacements: Sequence[Plot],
     notes: Sequence[str],
     provenance: Mapping[str, str],
 ) -> str:
-    """Return the self-contained page; ``picture``: the curves (PNG), ``provenance``: terms and texts."""
+    """Return the self-contained page.
+
+    Args:
+        title: Heading.
+        test: The replayed test.
+        comparison: Its comparison with the thesis.
+        angles: Plots of the angles and their errors.
+        displacements: Plots of the endpoint.
+        notes: Notes on how to read the figures.
+        provenance: Terms and texts.
+
+    """
     steps = table(HEADER, [step_row(step, test.steps[0]) for step in test.steps], "numbers")
     return render_page(
         title,
         "The comparison holds." if comparison.holds else "The comparison does not hold.",
         holds=comparison.holds,
-        picture=image(picture, "Curves of the replayed test: angles, errors and endpoint by step"),
         sections=(
+            Section("Angles and their errors", paragraph(_BAND), angles),
             Section("Comparison", findings_table(comparison, HEADINGS)),
+            Section("Endpoint, not judged", paragraph(_ENDPOINT), displacements),
             Section("Steps", paragraph(f"{LEGEND}. All values were received over ROS.") + steps),
             Section("Notes", bullet_list(notes)),
             Section("Provenance", definition_list(provenance)),
@@ -128,7 +138,7 @@ def replay_provenance(
     return terms | {f"note {number} of the calibration file": note for number, note in notes}
 
 
-def replay_notes(bag: Bag, test: MotionTest, calibration: Calibration) -> list[str]:
+def replay_notes(test: MotionTest, calibration: Calibration) -> list[str]:
     """Return notes on how to read the figures."""
     lag = [_LAG] if calibration.tilt_angle is TiltAngle.PREVIOUS_SCAN else []
     return [
@@ -136,9 +146,6 @@ def replay_notes(bag: Bag, test: MotionTest, calibration: Calibration) -> list[s
         f"{_SCAN} {_estimated_steps(test)}",
         *lag,
         _REBUILT,
-        _ENDPOINT,
-        _BAND,
-        *([_ZMO] if bag == "zmo" else []),
     ]
 
 

@@ -43,7 +43,13 @@ class Finding:
     limit: str = ""  # range in which the figure holds; empty if it is not judged
     source: str = ""  # source of ``stated``
     verdict: Verdict = Verdict.NOT_JUDGED  # whether the figure holds
-    remark: str = ""  # sample size, reason of the limit
+    remark: str = ""  # sample size, reason of the limit or of a surprising value
+    if_fails: str = ""  # meaning of a failure
+
+    @property
+    def comment(self) -> str:
+        """The remark, and if the figure fails what this means."""
+        return "; ".join(filter(None, [self.remark, self.if_fails if self.verdict is Verdict.FAILS else ""]))
 
 
 @dataclass(frozen=True)
@@ -76,7 +82,7 @@ def findings_table(findings: Findings, headings: Mapping[str, str]) -> Markup:
         (
             finding.quantity,
             *(getattr(finding, attribute) for attribute in headings),
-            finding.remark,
+            finding.comment,
             Cell(finding.verdict.value, _CSS_CLASSES[finding.verdict]),
         )
         for finding in findings.findings
@@ -114,4 +120,4 @@ def _format_line(finding: Finding, headings: Mapping[str, str]) -> str:
         text = getattr(finding, attribute)
         if text and attribute != "computed":
             parts.append(text if attribute == "source" else f"{heading} {text}")
-    return "; ".join([*parts, *filter(None, [finding.remark])])
+    return "; ".join([*parts, *filter(None, [finding.comment])])

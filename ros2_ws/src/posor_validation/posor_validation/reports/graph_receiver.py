@@ -27,6 +27,8 @@ MessageT = TypeVar("MessageT")
 
 SILENCE_LIMIT_S = 60.0
 """A run is given up when no message has arrived for this time."""
+WAITING_S = 1.0
+"""A wait that lasts longer is shown, and again after each such time."""
 KEEP_ALL_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL, depth=0, reliability=ReliabilityPolicy.RELIABLE)
 """Lossless delivery."""
 
@@ -107,6 +109,7 @@ class GraphWatch:
         run_name: str,
         *,
         on_received: Callable[[], None] = lambda: None,
+        on_waiting: Callable[[str], None] = lambda _missing: None,
         interrupted: Callable[[], bool] = lambda: False,
     ) -> None:
         """Create the watch.
@@ -116,6 +119,7 @@ class GraphWatch:
             receiver: Receiver of the messages.
             run_name: Name of the run in error messages, such as ``replay``.
             on_received: Called after messages have arrived.
+            on_waiting: Called with the text for what is missing while a wait lasts.
             interrupted: Whether the user has interrupted the run.
 
         """
@@ -123,6 +127,7 @@ class GraphWatch:
         self._receiver = receiver
         self._run_name = run_name
         self._on_received = on_received
+        self._on_waiting = on_waiting
         self._interrupted = interrupted
 
     def wait(self, condition: Callable[[], bool], missing: Callable[[], str]) -> None:
@@ -130,7 +135,7 @@ class GraphWatch:
 
         Args:
             condition: The condition.
-            missing: Returns the text for what is missing when no message arrives any more.
+            missing: Returns the text for what is missing.
 
         Raises:
             InterruptedRunError: The user interrupted the run.
@@ -138,9 +143,10 @@ class GraphWatch:
 
         """
         received, since_s = -1, time.monotonic()
+        shown_s = since_s
 
         def is_done() -> bool:
-            nonlocal received, since_s
+            nonlocal received, since_s, shown_s
             if self._interrupted():
                 raise InterruptedRunError("interrupted", where=self._run_name)
             self._supervisor.check()
@@ -150,7 +156,11 @@ class GraphWatch:
             if condition():
                 return True
             if time.monotonic() - since_s > SILENCE_LIMIT_S:
-                raise ProcessError(f"nothing arrives any more, missing: {missing()}", where=self._run_name)
+                what = f"no message for {SILENCE_LIMIT_S:g} s, missing: {missing()}"
+                raise ProcessError(what, where=self._run_name)
+            if time.monotonic() - shown_s > WAITING_S:
+                shown_s = time.monotonic()
+                self._on_waiting(missing())
             return False
 
         self._receiver.receive_until(is_done)

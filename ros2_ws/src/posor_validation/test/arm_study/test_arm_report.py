@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import io
 import json
 from dataclasses import replace
@@ -15,6 +14,7 @@ from posor_bringup.arms import load_checked_arm
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.pose_array import PoseArray
 from posor_estimator.reporting.figure_style import BLUE, GREEN, ORANGE
+from posor_estimator.testing.report_page import ReportPage
 from posor_validation.arm_study.arm_budget_command import arm_budget
 from posor_validation.arm_study.arm_coverage import Coverage, MeanEstimate
 from posor_validation.arm_study.arm_figures import draw_arm
@@ -191,12 +191,44 @@ def test_page_is_complete(outcome: ArmOutcome, simulation: ArmSimulation, tmp_pa
     found = arm_findings(outcome)
     write_report(tmp_path, simulation.arm, simulation.scenario, outcome, found)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert base64.b64encode((tmp_path / "report.png").read_bytes()).decode() in page
+    assert (tmp_path / "report.png").read_bytes().startswith(b"\x89PNG")
+    reader = ReportPage(page)
+    assert reader.problems == []
+    assert len(reader.data) == 13
     assert "Everything holds." in page
+    (name,) = (name for name in reader.data if name.startswith("x_"))
+    assert len(reader.data[name]) == 40
+    for row in reader.data[name]:
+        assert float(row["POSORs minus truth, x [µm]"]) == pytest.approx(3.0, rel=1e-4)
+        assert float(row["published sigma [µm]"]) == pytest.approx(5.0, rel=1e-4)
     for finding in found.findings:
         assert finding.computed in page
     assert f"seed {simulation.scenario.seed}, 200 Hz, cycle of 10 s" in page
     assert all(simulation.arm.calibration(joint).content_hash in page for joint in simulation.joints)
+
+
+def test_a_long_record_stays_a_small_page(outcome: ArmOutcome, simulation: ArmSimulation, tmp_path: Path) -> None:
+    long = replace(outcome, before=record(20_001), after=record(20_001, off_target=NEAR))
+    write_report(tmp_path, simulation.arm, simulation.scenario, long, arm_findings(long))
+    reader = ReportPage((tmp_path / "report.html").read_text(encoding="utf-8"))
+    assert reader.problems == []
+    assert any("(1 tick of 11)" in text for text in reader.texts)
+
+
+def test_a_failed_figure_says_what_it_means(outcome: ArmOutcome) -> None:
+    judged = [finding for finding in arm_findings(outcome).findings if finding.verdict is Verdict.HOLDS]
+    assert all(finding.if_fails and finding.if_fails not in finding.comment for finding in judged)
+    failed = arm_findings(replace(outcome, ticks=TickOutcomes(80, 79, {}, 1))).findings[0]
+    assert failed.comment.endswith("a message was lost on its way")
+
+
+def test_a_surprising_coverage_is_explained(outcome: ArmOutcome) -> None:
+    def remark(inside: float) -> str:
+        findings = arm_findings(replace(outcome, coverage=drawn(inside))).findings
+        return next(finding.remark for finding in findings if finding.quantity.startswith("poses inside"))
+
+    assert "standard uncertainties from 95 %" not in remark(0.951)
+    assert "3.3 standard uncertainties from 95 %: on average the published variance is" in remark(0.96)
 
 
 def test_ticks_that_no_counter_explains_are_unaccounted_for(simulation: ArmSimulation) -> None:
@@ -238,6 +270,10 @@ def test_live_table_shows_the_newest_tick(*, terminal: bool) -> None:
     screen = io.StringIO()
     console = Console(file=screen, force_terminal=terminal, width=150, highlight=False)
     with ArmLiveTable("an arm", console) as table:
+        table.show_state("starting 3 nodes")
+        assert "an arm: starting 3 nodes" in screen.getvalue()  # at once
+        table.show_waiting("/an_arm/elbow/transform")
+        assert "an arm: starting 3 nodes, waiting for /an_arm/elbow/transform" in screen.getvalue()
         table.show_state("with controller")
         table.show_tick(record(), 40, 2, 0.5)
     text = screen.getvalue()

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import base64
 import io
-from html.parser import HTMLParser
 from typing import TYPE_CHECKING
 
 import matplotlib.image
 import numpy as np
+import pytest
 from posor_bringup.installed import calibration_path
 from posor_estimator.calibration.calibration_file import load_calibration
 from posor_estimator.reporting.figure_style import BLUE, GREY, LIGHT_BLUE, ORANGE
+from posor_estimator.testing.report_page import ReportPage
 from posor_validation.replay_1985.comparison import compare_with_thesis
 from posor_validation.replay_1985.motion_figures import draw_motion_test
+from posor_validation.replay_1985.motion_plots import plot_angles, plot_displacements
 from posor_validation.replay_1985.motion_test import DIODES_ESTIMATED
 from posor_validation.replay_1985.printed_results import EXPECTED_ERRORS_FILE, read_predicted_errors
 from posor_validation.replay_1985.replay_report import replay_notes, replay_page
@@ -52,50 +53,29 @@ def test_the_picture_is_the_same_every_time(printed_test: Callable[..., MotionTe
     )
 
 
-class PageReader(HTMLParser):
-    """Collects texts and references of a page, and checks that its tags nest."""
-
-    VOID = ("meta", "img", "br")
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.texts: list[str] = []
-        self.references: list[str] = []
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        if tag not in self.VOID:
-            self.open.append(tag)
-        self.references += [value or "" for name, value in attrs if name in {"src", "href"}]
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        self.texts.append(data)
-
-
 def test_the_page_is_complete_and_self_contained(
     printed_test: Callable[..., MotionTest], printed: PrintedColumns
 ) -> None:
     test = printed_test(statuses={14: DIODES_ESTIMATED}, lost=(15,))
     comparison = compare_with_thesis(test, "ymo", "printed", printed)
-    picture = b"\x89PNG and so on"
+    predictions = read_predicted_errors(data_path(EXPECTED_ERRORS_FILE), "ymo")
     page = replay_page(
         "a title\nwith <two> lines",
         test=test,
         comparison=comparison,
-        picture=picture,
-        notes=replay_notes("ymo", test, load_calibration(calibration_path("printed"))),
+        angles=plot_angles(test, printed, predictions),
+        displacements=plot_displacements(test),
+        notes=replay_notes(test, load_calibration(calibration_path("printed"))),
         provenance={"bag": "ymo & more", "calibration hash": "abc123"},
     )
-    reader = PageReader(page)
-    assert not reader.open
-    assert reader.references == ["data:image/png;base64," + base64.b64encode(picture).decode()]
-    assert "url(" not in page
-    assert "<script" not in page
+    reader = ReportPage(page)
+    assert reader.problems == []
+    assert len(reader.data) == 9
+    errors = [row for row in reader.data["theta_POSOR_less_machining_centre.csv"] if row["series"] == "POSOR, replayed"]
+    assert [row["step"] for row in errors] == [str(step.number) for step in test.steps]
+    assert float(errors[1]["error [µrad]"]) == pytest.approx(1e6 * test.angle_errors[1, 2], rel=1e-5)
+    assert errors[1]["predicted error, section 8.4 [µrad]"]
+    assert (errors[14]["status"], errors[14]["error [µrad]"]) == ("lost:OUT_OF_RANGE", "")
     for finding in comparison.findings:
         assert {finding.quantity, finding.computed, finding.verdict.value} <= set(reader.texts)
     assert "The comparison does not hold." in reader.texts
@@ -103,5 +83,5 @@ def test_the_page_is_complete_and_self_contained(
     text = " ".join(reader.texts)
     assert "tilt_angle: previous_scan." in text
     assert "In step 14 a reading of a diode has no legible digit" in text
-    assert "33.4 in from the POSOR's origin" in text
+    assert "848 mm (33.4 in) from the POSOR's origin" in text
     assert "with <two> lines" in text
