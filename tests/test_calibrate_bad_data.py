@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 from contextlib import redirect_stderr, redirect_stdout
@@ -272,7 +273,9 @@ def test_harmless_fault_is_reported(
 ) -> None:
     code, out, err, output = run(step, fault, tmp_path)
     assert (code, err) == (0, ""), err
-    assert re.search(named, out), out
+    notes = json.loads(output.with_suffix(".json").read_text(encoding="utf-8"))["notes"]
+    assert re.search(named, " ".join(notes)), notes
+    assert f"of {len(notes)}, shortened; in full in out.html" in out
     numbers = compare_with_truth(recorded(step)[0], load_calibration(output), last_procedure=True)
     assert len(numbers) >= 3
     assert max(abs(number.normalised_error) for number in numbers) < SOUND

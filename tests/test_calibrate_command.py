@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 from contextlib import redirect_stderr, redirect_stdout
@@ -11,13 +12,16 @@ from typing import NamedTuple
 
 import pytest
 import yaml
-from posor_drivers.calibration_bag import entries, write_bag
+from posor_drivers.calibration_bag import TRANSFORM_STAMPED, TYPES, entries, write_bag
 from posor_estimator.bags.calibrate_command import main
 from posor_estimator.bags.calibration_recording import bag_sha256
 from posor_estimator.calibration.calibration_file import Calibration, load_calibration
 from posor_estimator.calibration.fit_record import FitRecord
 from posor_estimator.identification.calibration_comparison import compare_calibrations
+from posor_estimator.identification.outcome_report import MAX_LINES
+from posor_estimator.identification.outcome_tables import WIDTH
 from posor_estimator.identification.procedure_registry import PROCEDURES
+from posor_estimator.ros_names import POSE_STAMPED
 from posor_estimator.testing.drawn_posor import ABOUT, ALONG, DrawnPosor
 from posor_estimator.testing.program import installed
 
@@ -38,6 +42,20 @@ class Bench:
         content = self.drawn.calibration.model_dump(mode="json", exclude_none=True)
         text = yaml.safe_dump(content, sort_keys=False)
         self.file.write_text(f"# the designer's own file\n{text}", encoding="utf-8")
+
+    def with_pose_stamped(self) -> Path:
+        """Return the bag with the reference as PoseStamped."""
+        converted = []
+        for topic, kind, time_ns, message in entries(self.drawn.recording()):
+            if kind == TRANSFORM_STAMPED:
+                place, turn = message.transform.translation, message.transform.rotation
+                position = TYPES.new("geometry_msgs/msg/Point", x=place.x, y=place.y, z=place.z)
+                pose = TYPES.new("geometry_msgs/msg/Pose", position=position, orientation=turn)
+                stamped = TYPES.new(POSE_STAMPED, header=message.header, pose=pose)
+                converted.append((topic, POSE_STAMPED, time_ns, stamped))
+            else:
+                converted.append((topic, kind, time_ns, message))
+        return write_bag(self.folder / "pose_stamped", converted)
 
     def fit(self, output: Path, *options: str) -> Done:
         arguments = ("--calibration", str(self.file), "--output", str(output), "--parameters", *KEYS, *REFERENCE)
@@ -129,12 +147,53 @@ def test_nothing_is_overwritten_without_force_and_the_old_file_is_kept(bench: Be
 
 def test_without_an_output_the_result_is_only_printed(bench: Bench) -> None:
     there = set(bench.folder.iterdir())
-    done = calibrate("bundle", str(bench.bag), "--calibration", str(bench.file), "--parameters", KEYS[0])
+    arguments = ("bundle", str(bench.bag), "--calibration", str(bench.file), "--parameters", KEYS[0])
+    done = calibrate(*arguments)
     assert done.returncode == 0
-    assert "sensors[0].probes[0].zero_shift" in done.stdout
-    assert "The reference is taken as exact" in done.stdout
-    assert "nothing is written" in done.stdout
+    assert "Note: The reference is taken as exact" in done.stdout
+    assert done.stdout.endswith("No --output: nothing is written.\n")
+    whole = calibrate(*arguments, "--all")
+    assert whole.stdout.endswith(done.stdout)
+    assert len(re.findall(r"│ sensors\[0\]\.probes\[0\]\.zero_shift", whole.stdout)) >= 2
     assert set(bench.folder.iterdir()) == there
+
+
+def test_the_verdict_is_short_and_the_rest_is_in_page_and_json(bench: Bench) -> None:
+    output = bench.folder / "verdict.yaml"
+    done = bench.fit(output, "--loss", "linear")
+    lines = done.stdout.splitlines()
+    assert len(lines) <= MAX_LINES, done.stdout
+    assert max(map(len, lines[:-3])) <= WIDTH  # the paths of the files may be longer
+    assert lines[0] == "bundle: usable with care: the residuals exceed the stated uncertainties."
+    assert lines[1].startswith("Residuals: ")
+    for subject in ("Worst determined: ", "Not determined ", "Largest change: ", "Repeatability: not measured"):
+        assert sum(line.startswith(subject) for line in lines) == 1, subject
+    page, figures = output.with_suffix(".html"), json.loads(output.with_suffix(".json").read_text(encoding="utf-8"))
+    [record] = load_calibration(output).fits
+    assert figures["verdict"][0] == lines[0]
+    assert figures["notes"] == record.warnings
+    assert figures["fits"]["bundle"]["spread"] == pytest.approx(record.residuals["bundle"].spread)
+    assert len(figures["fits"]["bundle"]["values"]) == len(record.covariances[0].entries)
+    text = page.read_text(encoding="utf-8")
+    for table in figures["tables"]:
+        assert f"<h2>{table['title']}</h2>" in text
+    output.unlink()
+    done = bench.fit(output)
+    assert (done.returncode, done.stderr) == (1, f"{page}: exists already; expected another --output, or --force.\n")
+    assert not output.exists()
+
+
+def test_a_new_curve_has_a_chart_in_the_page(tmp_path: Path) -> None:
+    output = tmp_path / "rig.yaml"
+    options = ("--lever", "0.798322", "--session", "ymo", "--first-sigma", "0", "--output", str(output))
+    source = str(CONFIG / "slocum1985_section84.yaml")
+    assert calibrate("zero_drift", str(ROOT / "bags" / "ymo"), "--calibration", source, *options).returncode == 0
+    charts = json.loads(output.with_suffix(".json").read_text(encoding="utf-8"))["figures"]
+    page = output.with_suffix(".html").read_text(encoding="utf-8")
+    assert charts
+    for chart in charts:
+        assert chart["title"] in page
+        assert all(len(series["x"]) == len(series["y"]) > 10 for series in chart["series"].values())
 
 
 def test_diff_shows_what_changed_in_sigmas(bench: Bench, fitted: Path) -> None:
@@ -161,6 +220,44 @@ def test_check_finds_drift(bench: Bench) -> None:
     text = " ".join(done.stdout.split())
     assert "does not explain" in text
     assert "sensors[0].probes[1].zero_shift" in text
+
+
+def test_check_takes_the_uncertainty_of_the_record_or_asks_for_it(bench: Bench, fitted: Path) -> None:
+    done = calibrate("check", str(bench.file), str(bench.bag))
+    sentence = "calibrate check: the uncertainty of /reference is unknown: no fit of 'triad_diodes' records it; "
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.endswith(f"{sentence}expected the option --uncertainty /reference=M,RAD.\n")
+    recorded = calibrate("check", str(fitted), str(bench.bag))
+    assert recorded.stdout == calibrate("check", str(fitted), str(bench.bag), *REFERENCE).stdout
+    assert len(recorded.stdout.splitlines()) <= MAX_LINES
+    other = calibrate("check", str(fitted), str(bench.bag), "--uncertainty", "/reference=1e-5,1e-4")
+    assert "Residuals against" in other.stdout
+    assert other.stdout != recorded.stdout
+
+
+def test_a_reference_may_be_a_named_pose_stamped(bench: Bench) -> None:
+    bag = bench.with_pose_stamped()
+    same = calibrate("check", str(bench.file), str(bag), *REFERENCE)
+    expected = calibrate("check", str(bench.file), str(bench.bag), *REFERENCE)
+    assert same.stdout.split() == expected.stdout.replace(str(bench.bag), str(bag)).split()
+    unnamed = calibrate("bundle", str(bag), "--calibration", str(bench.file), "--parameters", KEYS[0], "--all")
+    assert "poses unknown" in unnamed.stdout
+
+
+def test_diff_leaves_out_numbers_without_an_uncertainty(bench: Bench) -> None:
+    exact = bench.folder / "exact.yaml"
+    content = yaml.safe_load(bench.file.read_text(encoding="utf-8"))
+    noise, shift = (content["sensors"][0]["probes"][1][key] for key in ("noise", "zero_shift"))
+    assert noise.get("sigma", 0.0) == 0.0
+    noise["value"] *= 2.0
+    shift["value"] += 1e-3
+    exact.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    done = calibrate("diff", str(bench.file), str(exact))
+    assert "probes[1].noise" not in done.stdout
+    assert "probes[1].zero_shift" in done.stdout
+    assert "2 of " in done.stdout
+    assert "Left out: 1 that have no uncertainty" in done.stdout
+    assert "probes[1].noise" in calibrate("diff", str(bench.file), str(exact), "--all").stdout
 
 
 @pytest.mark.parametrize(

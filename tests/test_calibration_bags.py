@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from posor_drivers.calibration_bag import RAW, Entry, entries, point, raw, scalar, transform, write_bag
+from posor_drivers.calibration_bag import RAW, TYPES, Entry, entries, point, raw, scalar, transform, write_bag
+from posor_drivers.message_builder import header
 from posor_estimator.bags.calibration_recording import Reference, bag_sha256, load_recording
 from posor_estimator.calibration.designs import STANDOFF
 from posor_estimator.errors import BagError, PosorError, TrackError
 from posor_estimator.identification.procedures.gap_linearisation import GapLinearisationOptions, linearise_gap_probes
 from posor_estimator.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED, SATURATED, Scan
 from posor_estimator.numerics.stamps import NS
+from posor_estimator.ros_names import POSE_STAMPED
 from posor_estimator.testing.simulated_recordings import diode_calibration, lifted_recording
 from posor_msgs.msg import RawScan
 from scipy.spatial.transform import Rotation
@@ -74,6 +76,28 @@ def test_status_bits_are_those_of_the_message() -> None:
     assert PROBES_ESTIMATED == RawScan.STATUS_PROBES_ESTIMATED
     assert DIODES_ESTIMATED == RawScan.STATUS_DIODES_ESTIMATED
     assert SATURATED == RawScan.STATUS_SATURATED
+
+
+def test_a_pose_stamped_is_a_reference_only_if_it_is_named(tmp_path: Path) -> None:
+    orientation = TYPES.new("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.6, w=0.8)
+    pose = TYPES.new(
+        "geometry_msgs/msg/Pose",
+        position=TYPES.new("geometry_msgs/msg/Point", x=1.0, y=2.0, z=3.0),
+        orientation=orientation,
+    )
+
+    def stamped(frame: str, stamp_ns: int) -> Entry:
+        message = TYPES.new(POSE_STAMPED, header=header(TYPES, stamp_ns, frame), pose=pose)
+        return "/cmm", POSE_STAMPED, stamp_ns, message
+
+    bag = write_bag(tmp_path / "one_frame", [*SCANS, *(stamped("receiving", stamp) for stamp in STAMPS)])
+    assert load_recording(bag).tracks == {}
+    track = load_recording(bag, named={"/cmm"}).tracks["/cmm"]
+    assert track.stamps_ns.tolist() == STAMPS
+    np.testing.assert_array_equal(track.values, [[1.0, 2.0, 3.0, 0.0, 0.0, 0.6, 0.8]] * 3)
+    mixed = [*SCANS, stamped("receiving", STAMPS[0]), stamped("base", STAMPS[1])]
+    sentence = refusal(tmp_path, mixed, TrackError, references=[Reference("/cmm")])
+    assert sentence == "BAG, topic /cmm: poses in base, receiving; expected one frame only."
 
 
 def test_references_come_by_type_with_their_stamps(tmp_path: Path) -> None:
@@ -160,7 +184,7 @@ THERE = "/joint1/raw (posor_msgs/msg/RawScan)"
             {"references": [Reference(RAW)]},
             (
                 "BAG: topic /joint1/raw is of type posor_msgs/msg/RawScan; expected geometry_msgs/msg/PointStamped or "
-                "geometry_msgs/msg/TransformStamped or std_msgs/msg/Float64."
+                "geometry_msgs/msg/PoseStamped or geometry_msgs/msg/TransformStamped or std_msgs/msg/Float64."
             ),
         ),
     ],

@@ -102,7 +102,7 @@ def test_without_the_package_its_calibration_is_refused_in_one_sentence() -> Non
         ("range", {"value": [9.5, 0.5], "unit": "V"}, "expected [lowest, highest] voltage"),
         ("volts_to_length", {"value": [0.1, 0.0], "unit": "m/V^k"}, "expected a slope A_1 other than 0 m/V"),
         ("anchor", {"value": [0.1, 0.0], "unit": "m"}, "expected 3 numbers"),
-        ("attachment", {"value": [0.1, 0.0, 0.0], "unit": "mm"}, "unit 'mm'; expected 'm'"),
+        ("attachment", {"value": [0.1, 0.0, 0.0], "unit": "in"}, "unit 'in'; expected 'm', 'mm' or 'um'"),
     ],
 )
 def test_a_wrong_calibration_is_refused_with_file_line_and_key(

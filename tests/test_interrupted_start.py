@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 
 PACKAGES = ("posor_bringup", "posor_drivers", "posor_estimator", "posor_validation")
 PROGRAMS = [
-    program for program in entry_points(group="console_scripts") if program.module.partition(".")[0] in PACKAGES
+    program
+    for program in entry_points(group="console_scripts")
+    if program.module.partition(".")[0] in PACKAGES and program.name != "posor"  # it only starts the others
 ]
 ENDLESS_LIBRARY = """\
 import signal

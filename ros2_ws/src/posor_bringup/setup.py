@@ -36,6 +36,8 @@ setup(
     entry_points={
         "console_scripts": [
             "bringup = posor_bringup.bringup_programs:bringup",
+            "view = posor_bringup.bringup_programs:view",
+            "posor = posor_bringup.bringup_programs:posor",
         ],
     },
 )

@@ -5,3 +5,5 @@ from __future__ import annotations
 from posor_estimator.lazy_program import LazyProgram
 
 bringup = LazyProgram("bringup", "posor_bringup.bringup")
+view = LazyProgram("view", "posor_bringup.view_command")
+posor = LazyProgram("posor", "posor_bringup.posor_command")

@@ -14,15 +14,17 @@ from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from posor_estimator.bags.calibration_recording import Reference, load_recording
+from posor_estimator.bags.result_folder import writing
 from posor_estimator.calibration.calibration_file import FILE_KIND, load_calibration, parse_calibration
 from posor_estimator.calibration.fit_record import Instrument
 from posor_estimator.calibration.save import refuse_existing, save_calibration
 from posor_estimator.calibration.yaml_document import read_text
-from posor_estimator.errors import BagError, ParameterError, PosorError
+from posor_estimator.errors import BagError, OutputError, ParameterError, PosorError
 from posor_estimator.identification.calibration_comparison import compare_calibrations
 from posor_estimator.identification.calibration_update import FitContext, update_text
 from posor_estimator.identification.drift_check import check_drift
 from posor_estimator.identification.option_arguments import add_options, destination, given_options, read_options
+from posor_estimator.identification.outcome_report import judge_outcome, outcome_json, render_outcome_page
 from posor_estimator.identification.outcome_tables import (
     WIDTH,
     print_comparison,
@@ -56,7 +58,7 @@ def make_parser() -> CommandLineParser:
     diff = actions.add_parser("diff", help="compare two calibration files, in sigmas")
     diff.add_argument("first", type=Path, metavar="A.yaml")
     diff.add_argument("second", type=Path, metavar="B.yaml")
-    diff.add_argument("--all", action="store_true", help="show every number that differs")
+    diff.add_argument("--all", action="store_true", help="print every number that differs")
     check = actions.add_parser("check", help="check whether a calibration file still explains a bag")
     check.add_argument("calibration", type=Path, metavar="FILE.yaml")
     _add_recording_arguments(check)
@@ -65,8 +67,9 @@ def make_parser() -> CommandLineParser:
         action = actions.add_parser(procedure.name, help=procedure.summary, description=procedure.summary)
         _add_recording_arguments(action)
         action.add_argument("--calibration", type=Path, required=True, metavar="IN.yaml", help="the present file")
-        action.add_argument("--output", type=Path, metavar="OUT.yaml", help="the file to write; default: none")
-        action.add_argument("--force", action="store_true", help="replace OUT.yaml, the old one is kept beside it")
+        text = "the file to write, with OUT.html and OUT.json beside it; default: none"
+        action.add_argument("--output", type=Path, metavar="OUT.yaml", help=text)
+        action.add_argument("--force", action="store_true", help="replace these files; the old OUT.yaml is kept")
         add_options(action, procedure.options)
     return parser
 
@@ -78,7 +81,7 @@ def _add_recording_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--uncertainty", action="append", default=[], metavar="TOPIC=S[,S...]", help=text)
     text = "instrument of a reference topic, for the file; may be repeated"
     parser.add_argument("--instrument", action="append", default=[], metavar="TOPIC=NAME", help=text)
-    parser.add_argument("--all", action="store_true", help="show every line of long tables")
+    parser.add_argument("--all", action="store_true", help="print all tables with every line")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -105,6 +108,8 @@ def _run_action(options: argparse.Namespace, console: Console) -> int:
         calibration = load_calibration(options.calibration)
         with _progress() as report:
             recording, _ = _read_recording(options, calibration, report)
+            given = [topic for topic, _ in _split("--uncertainty", options.uncertainty)]
+            recording = _with_recorded_uncertainty(recording, calibration, settings.reference, given)
             report("fitting")
             check = check_drift(recording, calibration, settings)
         print_drift_check(check, console, every=options.all)
@@ -138,6 +143,9 @@ def calibrate(options: argparse.Namespace, report: Callable[[str], object]) -> C
     settings = read_options(procedure.options, options)
     if options.output is not None:
         refuse_existing(options.output, force=options.force)
+        for page in _report_files(options.output):
+            if page.exists() and not options.force:
+                raise OutputError("exists already", where=str(page), expected="another --output, or --force")
     text = read_text(options.calibration, FILE_KIND)
     calibration = parse_calibration(text, str(options.calibration))
     recording, instruments = _read_recording(options, calibration, report)
@@ -151,24 +159,45 @@ def calibrate(options: argparse.Namespace, report: Callable[[str], object]) -> C
 
 
 def write_result(result: CalibrationResult, options: argparse.Namespace, console: Console) -> None:
-    """Print the outcome, and write the new calibration file if the command line names one.
+    """Print the verdict; write the new calibration file, and its report, if the command line names one.
 
     Raises:
         CalibrationError: The file cannot be written.
+        OutputError: The report cannot be written.
 
     """
     outcome, name = result.outcome, result.procedure.name
-    print_outcome(outcome, console, every=options.all)
-    if options.output is None:
-        console.print("No --output: nothing is written.")
-    elif not outcome.replacements and not outcome.parts:
-        console.print(f"{name} changes nothing in a calibration file: nothing is written.")
-    else:
+    text, changes = result.text, None
+    if outcome.replacements or outcome.parts:
         context = FitContext(name, result.options, result.instruments, dt.datetime.now(tz=dt.UTC))
         text = update_text(result.text, str(options.calibration), outcome, result.recording, context)
-        backup = save_calibration(options.output, text, force=options.force)
-        console.print(f"written to {options.output}" + (f"; the old file is now {backup}" if backup else ""))
-        console.print(f"content hash {parse_calibration(text, str(options.output)).content_hash}")
+        former, new = (parse_calibration(each, str(options.calibration)) for each in (result.text, text))
+        changes = compare_calibrations(former, new)
+    verdict = judge_outcome(name, outcome, changes)
+    ending = ["No --output: nothing is written."]
+    if options.output is not None:
+        ending = []
+        if changes is not None:
+            backup = save_calibration(options.output, text, force=options.force)
+            kept = f"; the old file is now {backup}" if backup else ""
+            ending = [f"written to {options.output}{kept}", f"content hash {new.content_hash}"]
+        page, figures = _report_files(options.output)
+        with writing(page):
+            page.write_text(
+                render_outcome_page(f"{name}, {result.recording.source}", verdict, outcome), encoding="utf-8"
+            )
+            figures.write_text(outcome_json(name, verdict, outcome), encoding="utf-8")
+        ending.append(f"all tables: {page} and {figures.name}")
+    if options.all:
+        print_outcome(outcome, console)
+    elsewhere = "with --all" if options.output is None else f"in {page.name}"
+    for line in verdict.lines(ending, elsewhere):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def _report_files(output: Path) -> tuple[Path, Path]:
+    """Return the page and the JSON file beside a calibration file."""
+    return output.with_suffix(".html"), output.with_suffix(".json")
 
 
 @contextmanager
@@ -197,7 +226,10 @@ def _read_recording(
     wanted = getattr(options, destination("reference"), None)
     topics = sorted({wanted, *uncertainties, *names}) if wanted else []
     report(f"reading {options.bag}")
-    found = load_recording(options.bag, topic=options.topic, references=[Reference(topic) for topic in topics])
+    references = [Reference(topic) for topic in topics]
+    recorded = {instrument.topic for fit in calibration.fits for instrument in fit.instruments}
+    known = {*uncertainties, *names, *recorded}
+    found = load_recording(options.bag, topic=options.topic, references=references, named=known)
     for option, given in (("--uncertainty", uncertainties), ("--instrument", names)):
         for topic in given:
             if topic not in found.tracks:
@@ -220,6 +252,28 @@ def _read_recording(
             expected=f"'{calibration.frames.parent}', that of calibration '{calibration.name}': see the option --topic",
         )
     return replace(found, tracks=tracks), instruments
+
+
+def _with_recorded_uncertainty(
+    recording: Recording, calibration: Calibration, reference: str, given: Sequence[str]
+) -> Recording:
+    """Return the recording with an uncertainty of the pose reference, of the calibration's record unless it is given.
+
+    Raises:
+        ParameterError: It is not given, and no fit of the calibration records it.
+
+    """
+    tracks = dict(recording.tracks)
+    for topic, track in recording.tracks.items():
+        if track.values.shape[1] != POSE or topic in given or reference not in ("", topic):
+            continue
+        instruments = [each for fit in calibration.fits for each in fit.instruments if each.topic == topic]
+        recorded = [each.sigmas for each in instruments if len(each.sigmas) == POSE - 1 and any(each.sigmas)]
+        if not recorded:
+            what = f"the uncertainty of {topic} is unknown: no fit of '{calibration.name}' records it"
+            raise ParameterError(what, where="calibrate check", expected=f"the option --uncertainty {topic}=M,RAD")
+        tracks[topic] = replace(track, sigmas=np.array(_to_track_sigmas(topic, recorded[-1], POSE)))
+    return replace(recording, tracks=tracks)
 
 
 def _split(option: str, given: Sequence[str]) -> list[tuple[str, str]]:

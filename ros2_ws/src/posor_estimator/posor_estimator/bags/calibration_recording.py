@@ -16,13 +16,13 @@ from posor_estimator.bags.raw_scan_unpacking import RecordedScans, check_raw_sca
 from posor_estimator.bags.topic_reader import TopicReader
 from posor_estimator.chain.joint_measurements import UNIT_QUATERNION_TOLERANCE
 from posor_estimator.errors import BagError, TopicError, TrackError
-from posor_estimator.identification.recording import Recording, Track
+from posor_estimator.identification.recording import POSE, Recording, Track
 from posor_estimator.model.scan import CONTACTS
 from posor_estimator.numerics.stamps import time_ns
-from posor_estimator.ros_names import POINT_STAMPED, RAW_SCAN
+from posor_estimator.ros_names import POINT_STAMPED, POSE_STAMPED, RAW_SCAN
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from rosbags.rosbag2 import Reader
 
@@ -32,10 +32,16 @@ if TYPE_CHECKING:
 
 FLOAT64 = "std_msgs/msg/Float64"
 TRANSFORM_STAMPED = "geometry_msgs/msg/TransformStamped"
-_POSITION, _ROTATION = "transform.translation", "transform.rotation"
+
+
+def _pose_fields(position: str, rotation: str) -> tuple[str, ...]:
+    return (*(f"{position}.{axis}" for axis in "xyz"), *(f"{rotation}.{axis}" for axis in "xyzw"))
+
+
 REFERENCE_FIELDS = {
     POINT_STAMPED: ("point.x", "point.y", "point.z"),
-    TRANSFORM_STAMPED: (*(f"{_POSITION}.{axis}" for axis in "xyz"), *(f"{_ROTATION}.{axis}" for axis in "xyzw")),
+    TRANSFORM_STAMPED: _pose_fields("transform.translation", "transform.rotation"),
+    POSE_STAMPED: _pose_fields("pose.position", "pose.orientation"),
     FLOAT64: ("data",),
 }
 """Fields of a reference measurement, by message type."""
@@ -79,14 +85,18 @@ def read_scans(bag: Path | str, topic: str = "") -> Scans:
         return _read_recorded_scans(reader, name, str(path)).scans
 
 
-def load_recording(path: Path, *, topic: str = "", references: Sequence[Reference] = ()) -> Recording:
+def load_recording(
+    path: Path, *, topic: str = "", references: Sequence[Reference] = (), named: Collection[str] = ()
+) -> Recording:
     """Read scans and reference measurements.
 
     Args:
         path: Folder with metadata.yaml, or a single .mcap or .db3 file.
         topic: Of the scans; empty: the only one of type RawScan.
         references: Measurements to read; empty: every topic of a type that can be a reference, with an uncertainty of
-            zero. A ``std_msgs/Float64`` has no stamp: its log time is used.
+            zero, but a ``geometry_msgs/PoseStamped`` only if it is ``named``: most are endpoints, not references. A
+            ``std_msgs/Float64`` has no stamp: its log time is used.
+        named: Topics that the caller knows as references.
 
     Raises:
         BagError: The bag cannot be read, lacks a topic, or holds inconsistent scans.
@@ -97,7 +107,8 @@ def load_recording(path: Path, *, topic: str = "", references: Sequence[Referenc
     with opened_bag(path) as reader:
         scans_topic = scan_topic(reader.connections, topic, where, "the topic of the scans")
         if not references:
-            names = {each.topic for each in reader.connections if each.msgtype in REFERENCE_FIELDS}
+            possible = [each for each in reader.connections if each.msgtype in REFERENCE_FIELDS]
+            names = {each.topic for each in possible if each.msgtype != POSE_STAMPED or each.topic in named}
             references = [Reference(name) for name in sorted(names)]
         recorded = _read_recorded_scans(reader, scans_topic, where)
         tracks = _read_tracks(reader, references, where)
@@ -214,8 +225,12 @@ def _track(kind: str, messages: Sequence[tuple[int, Mapping[str, Value]]], refer
         frames = sorted({f"{message['header.frame_id']} to {message['child_frame_id']}" for _, message in messages})
         if len(frames) > 1:
             raise TrackError(f"transforms between {', '.join(frames)}", where=where, expected="two frames only")
+    if kind == POSE_STAMPED:
+        frames = sorted({str(message["header.frame_id"]) for _, message in messages})
+        if len(frames) > 1:
+            raise TrackError(f"poses in {', '.join(frames)}", where=where, expected="one frame only")
     values = np.array([[message[path] for path in REFERENCE_FIELDS[kind]] for _, message in messages], dtype=float)
-    if kind == TRANSFORM_STAMPED:
+    if values.shape[1] == POSE:
         values = _with_continuous_signs(values, where)
     sigmas = np.array(reference.sigmas, dtype=float)
     if sigmas.size not in (1, values.shape[1]) or not np.all(np.isfinite(sigmas)) or np.any(sigmas < 0.0):

@@ -2,20 +2,23 @@
 
 In a file a quantity is a mapping such as ``{value: [0.0, 0.038, 0.0], sigma: 3.4e-4, unit: m}``. The unit is required
 and checked. ``sigma`` (one number, or one for each component) is the standard uncertainty (k = 1, JCGM 100), by default
-zero.
+zero. Lengths may be written in mm or um and angles in deg, as the unit of the quantity or beside single numbers:
+``{value: ['20 mm', 0.038, 0.0], sigma: 50 um, unit: m}``. They are converted here; everything else has SI units.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
+from decimal import Decimal, Overflow
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import AfterValidator, ValidationInfo, field_validator, model_validator
 
-from posor_estimator.calibration.file_model import EntryError, FrozenModel, format_value
+from posor_estimator.calibration.file_model import EntryError, FrozenModel, Location, format_value
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -26,6 +29,13 @@ Number = float
 _DIMENSIONS = 2
 _UNIT_TOLERANCE = 1e-6
 Nested = Number | list[Number] | list[list[Number]]
+CONVERTED_UNITS = {
+    "mm": ("m", Decimal("1e-3")),
+    "um": ("m", Decimal("1e-6")),
+    "deg": ("rad", Decimal(math.pi) / 180),
+}
+"""Units that files may use besides those of SI: the SI unit, and its amount in one of them."""
+_NUMBER_WITH_UNIT = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([a-zA-Zµ°/]+)")
 
 
 class Quantity(FrozenModel):
@@ -40,7 +50,11 @@ class Quantity(FrozenModel):
     def _require_unit(cls, data: object) -> object:
         if isinstance(data, int | float | list):
             raise EntryError(f"{format_value(data)} has no unit", expected="a mapping such as {value: 1.0, unit: m}")
-        return data
+        if not isinstance(data, dict) or not isinstance(data.get("unit"), str):
+            return data
+        unit, factor = CONVERTED_UNITS.get(data["unit"], (data["unit"], Decimal(1)))
+        numbers = {key: _to_unit(data[key], unit, factor, (key,)) for key in ("value", "sigma") if key in data}
+        return {**data, **numbers, "unit": unit}
 
     @field_validator("value", "sigma", mode="before")
     @classmethod
@@ -76,6 +90,43 @@ class Quantity(FrozenModel):
         return float(self.array)
 
 
+def _to_unit(raw: object, unit: str, factor: Decimal, key: Location) -> object:
+    """Return a number, or lists of numbers, in an SI unit.
+
+    Args:
+        raw: As written: numbers in a unit of ``factor`` SI units, or texts with a unit of their own.
+        unit: The SI unit.
+        factor: The unit of numbers without one.
+        key: Keys from the quantity to the number.
+
+    Raises:
+        EntryError: A text is not a number with a unit of this dimension.
+
+    """
+    if isinstance(raw, list | tuple):
+        return [_to_unit(entry, unit, factor, (*key, i)) for i, entry in enumerate(raw)]
+    if isinstance(raw, str):
+        match = _NUMBER_WITH_UNIT.fullmatch(raw.strip())
+        if match is None:
+            return raw  # refused as text
+        si, factor = CONVERTED_UNITS.get(match[2], (match[2], Decimal(1)))
+        if si != unit:
+            raise EntryError(format_value(raw), key=key, expected=f"a number in {describe_units(unit)}")
+        raw = match[1]
+    elif factor == 1 or isinstance(raw, bool) or not isinstance(raw, int | float):
+        return raw
+    try:
+        return float(Decimal(str(raw)) * factor)  # in decimals, as it is written: 38.1 mm is exactly 0.0381 m
+    except Overflow:
+        return math.inf
+
+
+def describe_units(unit: str) -> str:
+    """Return the units in which a quantity may be written: ``'m', 'mm' or 'um'``."""
+    *others, last = [f"'{unit}'", *(f"'{name}'" for name, (si, _) in CONVERTED_UNITS.items() if si == unit)]
+    return f"{', '.join(others)} or {last}" if others else last
+
+
 def _as_floats(raw: object, key: tuple[int, ...] = ()) -> object:
     """Return a number, or a list or table of numbers, as floats; text and booleans are refused."""
     if isinstance(raw, list | tuple) and len(key) < _DIMENSIONS:
@@ -102,7 +153,7 @@ class _UnitAndShape:
 
     def __call__(self, quantity: Quantity) -> Quantity:
         if quantity.unit != self.unit:
-            raise EntryError(f"unit '{quantity.unit}'", key=("unit",), expected=f"'{self.unit}'")
+            raise EntryError(f"unit {describe_units(quantity.unit)}", key=("unit",), expected=describe_units(self.unit))
         actual = np.shape(quantity.value)
         if len(actual) != len(self.shape) or any(w not in (ANY, a) for a, w in zip(actual, self.shape, strict=True)):
             raise EntryError(f"value has {describe_shape(actual)}", key=("value",), expected=describe_shape(self.shape))

@@ -22,7 +22,7 @@ SCALAR, POINT, POSE = 1, 3, 7
 _COLUMN_MEANING = {
     SCALAR: "one number (std_msgs/Float64)",
     POINT: "a point (geometry_msgs/PointStamped)",
-    POSE: "a pose (geometry_msgs/TransformStamped)",
+    POSE: "a pose (geometry_msgs/TransformStamped or PoseStamped)",
 }
 
 

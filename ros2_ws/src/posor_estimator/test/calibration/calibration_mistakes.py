@@ -64,7 +64,19 @@ WRONG = {
     "wrong unit": Wrong(
         put("mV", *PROBE, "zero_shift", "unit"), (*PROBE, "zero_shift", "unit"), "unit 'mV'; expected 'V'"
     ),
-    "inch": Wrong(put("in", *PLANE, "point", "unit"), (*PLANE, "point", "unit"), "unit 'in'; expected 'm'"),
+    "inch": Wrong(
+        put("in", *PLANE, "point", "unit"), (*PLANE, "point", "unit"), "unit 'in'; expected 'm', 'mm' or 'um'"
+    ),
+    "inches beside the number": Wrong(
+        put("3 in", *PLANE, "point", "value", 0),
+        (*PLANE, "point", "value", 0),
+        "'3 in'; expected a number in 'm', 'mm' or 'um'",
+    ),
+    "angle for a length": Wrong(
+        put("deg", *PLANE, "point", "unit"),
+        (*PLANE, "point", "unit"),
+        "unit 'rad' or 'deg'; expected 'm', 'mm' or 'um'",
+    ),
     "wrong unit of a diode": Wrong(
         put("mA", *DIODES, "diodes", 0, "minimum_sum", "unit"),
         (*DIODES, "diodes", 0, "minimum_sum", "unit"),

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import pytest
@@ -53,6 +54,22 @@ def test_a_good_file_is_read(path: Path) -> None:
     temperature = load_beams(path).beams[0].temperature
     assert temperature is not None
     assert (temperature.coefficient.number, temperature.deviation.number) == (23e-6, 5.0)
+
+
+def test_lengths_in_mm_and_angles_in_deg_are_converted(path: Path) -> None:
+    text = GOOD.replace("gimbals: {value: [0.1, 0.4], unit: m}", "gimbals: {value: [100 mm, 0.4], unit: m}")
+    text = text.replace(
+        "position: {value: [1.0e-6, 1.0e-6, 2.0e-6], unit: m}", "position: {value: [1, 1, 2], unit: um}"
+    )
+    path.write_text(text.replace("[1.0e-6, 1.0e-6, 1.0e-6], unit: rad", "[0.5 deg, 0, 0], unit: rad"), encoding="utf-8")
+    plain = path.with_name("plain.yaml")
+    plain.write_text(GOOD.replace("[1.0e-6, 1.0e-6, 1.0e-6]", f"[{math.radians(0.5)}, 0, 0]"), encoding="utf-8")
+    assert load_beams(path).model_dump() == load_beams(plain).model_dump()
+    path.write_text(GOOD.replace("[0.1, 0.4], unit: m", "[0.1, 4 deg], unit: m"), encoding="utf-8")
+    with pytest.raises(CalibrationError) as caught:
+        load_beams(path)
+    key = "beams[0].sag.gimbals.value[1]"
+    assert str(caught.value) == f"{path}, line 16, key {key}: '4 deg'; expected a number in 'm', 'mm' or 'um'."
 
 
 def test_a_file_of_the_first_version_is_read_but_has_no_temperature(path: Path) -> None:

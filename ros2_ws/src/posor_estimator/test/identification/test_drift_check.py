@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from posor_estimator.calibration.quantity import Quantity
+from posor_estimator.errors import FitError
 from posor_estimator.identification.drift_check import check_drift
 from posor_estimator.identification.procedures.bundle import BundleOptions
-from posor_estimator.testing.drawn_posor import DrawnPosor
+from posor_estimator.testing.drawn_posor import DrawnPosor, pose_track
 from scipy.stats import kstest
 
 if TYPE_CHECKING:
@@ -55,3 +56,23 @@ def test_a_recording_without_a_reference_shows_a_contradiction() -> None:
     currents[:, 1, 1] *= 1.005  # dirt on one contact
     campaign.scans = campaign.scans.with_fields({"diode_currents": currents})
     assert not check_drift(campaign.recording(tracks={}), campaign.calibration, BundleOptions()).explains
+
+
+def test_a_comparison_below_the_noise_is_refused() -> None:
+    campaign = DrawnPosor("triad_diodes", 40, 73, drawn=0.0)
+    coarse = pose_track(campaign.measured, campaign.scans.stamps_ns, sigmas=(1e-2, 1e-1))
+    options = BundleOptions(parameters=("sensors[0].probes[*].tip",))
+    with pytest.raises(FitError, match=r"the comparison is below the noise: not even sensors.*tip") as caught:
+        check_drift(campaign.recording(tracks={"/reference": coarse}), campaign.calibration, options)
+    assert caught.value.expected == "more poses, or a pose reference that is more accurate"
+    fine = check_drift(campaign.recording(), campaign.calibration, options)
+    assert fine.explains
+    assert fine.below_noise < 3
+
+
+def test_a_contradiction_is_reported_whatever_the_noise() -> None:
+    campaign = DrawnPosor("triad_diodes", 40, 73, drawn=0.3)
+    coarse = pose_track(campaign.measured, campaign.scans.stamps_ns, sigmas=(1e-4, 1e-3))
+    options = BundleOptions(parameters=("sensors[0].probes[*].zero_shift",))
+    recording = campaign.recording(tracks={"/reference": coarse})
+    assert not check_drift(recording, with_shift(campaign.calibration, 3.0), options).explains

@@ -74,7 +74,7 @@ def test_reference_is_found_by_its_kind_or_its_topic() -> None:
     assert recording.find_track("/other", POINT) is recording.tracks["/other"]
 
 
-POINT_TEXT, POSE_TEXT = "a point (geometry_msgs/PointStamped)", "a pose (geometry_msgs/TransformStamped)"
+POINT_TEXT, POSE_TEXT = "a point (geometry_msgs/PointStamped)", "a pose (geometry_msgs/TransformStamped or PoseStamped)"
 
 
 @pytest.mark.parametrize(

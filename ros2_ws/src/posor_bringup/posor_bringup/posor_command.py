@@ -1,0 +1,73 @@
+"""posor: one command for the programs that a user starts; ``posor SUBCOMMAND --help`` lists the options of each."""
+
+from __future__ import annotations
+
+import difflib
+import sys
+from typing import TYPE_CHECKING, NamedTuple
+
+from posor_drivers.driver_programs import record
+from posor_estimator.errors import ParameterError
+from posor_estimator.estimator_programs import budget, calibrate, recover, reprocess
+from posor_estimator.lazy_program import LazyProgram
+
+from posor_bringup.bringup_programs import bringup
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+
+class Subcommand(NamedTuple):
+    """A subcommand: the program that it starts, and one line about it."""
+
+    program: Callable[[], int]
+    summary: str
+    arguments: tuple[str, ...] = ()  # of the program, before those of the command line
+
+
+def _print_completion() -> int:
+    """Print the completion of the subcommands for bash; the further arguments are completed as file names."""
+    names = " ".join(SUBCOMMANDS)
+    sys.stdout.write(
+        "_posor() {\n"
+        f'    [ "$COMP_CWORD" -ne 1 ] || COMPREPLY=($(compgen -W "{names}" -- "$2"))\n'
+        "}\n"
+        "complete -o default -F _posor posor\n"
+    )
+    return 0
+
+
+SUBCOMMANDS = {
+    "bringup": Subcommand(bringup, "start all nodes of an arm"),
+    "view": Subcommand(LazyProgram("view", "posor_bringup.view_command"), "show an arm or a bag in the browser"),
+    "record": Subcommand(record, "record topics into a bag"),
+    "reprocess": Subcommand(reprocess, "compute transforms and endpoint poses from recorded scans"),
+    "recover": Subcommand(recover, "write what is whole in a damaged bag to a new bag"),
+    "calibrate": Subcommand(calibrate, "fit a calibration file to a bag, list the procedures, compare files"),
+    "check": Subcommand(calibrate, "check whether a calibration file still explains a bag", ("check",)),
+    "budget": Subcommand(budget, "compute the error budget of a calibration file or an arm"),
+    "completion": Subcommand(_print_completion, 'complete subcommands in bash: eval "$(posor completion)"'),
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Start the program of a subcommand with the further arguments; return its exit code."""
+    name, *others = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    if name in {"-h", "--help"}:
+        sys.stdout.write("usage: posor SUBCOMMAND [arguments]\n\n")
+        sys.stdout.writelines(f"  {each:<12}{subcommand.summary}\n" for each, subcommand in SUBCOMMANDS.items())
+        sys.stdout.write("\n'posor SUBCOMMAND --help' lists the arguments of a subcommand.\n")
+        return 0
+    if name not in SUBCOMMANDS:
+        close = difflib.get_close_matches(name, SUBCOMMANDS, n=1)
+        expected = f"'{close[0]}'" if close else f"one of {', '.join(SUBCOMMANDS)}"
+        error = ParameterError(f"there is no subcommand '{name}'", where="posor", expected=expected)
+        sys.stderr.write(f"{error}\n")
+        return error.exit_code
+    subcommand = SUBCOMMANDS[name]
+    sys.argv = [name, *subcommand.arguments, *others]
+    return subcommand.program()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

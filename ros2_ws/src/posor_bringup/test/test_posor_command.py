@@ -1,0 +1,73 @@
+"""posor: one command that starts the programs; a wrong subcommand is one sentence."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from posor_bringup.posor_command import SUBCOMMANDS, main
+from posor_estimator.lazy_program import LazyProgram
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+ROOT = Path(__file__).resolve().parents[4]
+
+
+def posor(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "posor_bringup.posor_command", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize("arguments", [(), ("--help",), ("-h",)])
+def test_posor_lists_its_subcommands(arguments: Sequence[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments) == 0
+    lines = capsys.readouterr().out.splitlines()
+    for name, subcommand in SUBCOMMANDS.items():
+        assert [line.split(maxsplit=1) for line in lines if line.startswith(f"  {name} ")] == [
+            [name, subcommand.summary]
+        ]
+
+
+def test_every_subcommand_has_a_program() -> None:
+    programs = [each.program for each in SUBCOMMANDS.values() if isinstance(each.program, LazyProgram)]
+    assert len(programs) == len(SUBCOMMANDS) - 1
+    for program in programs:
+        assert find_spec(program.module), program.module
+
+
+def test_arguments_and_exit_code_are_those_of_the_program(tmp_path: Path) -> None:
+    done = posor("check", str(tmp_path / "none.yaml"), str(tmp_path))
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"calibration file {tmp_path}/none.yaml: cannot be read")
+    done = posor("calibrate", "--surprise")
+    assert done.returncode == 2
+    assert done.stderr.startswith("calibrate: ")
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [("calibrat", "'calibrate'"), ("chek", "'check'"), ("xyz", f"one of {', '.join(SUBCOMMANDS)}")],
+)
+def test_an_unknown_subcommand_is_one_sentence(name: str, expected: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([name, "more"]) == 2
+    assert capsys.readouterr().err == f"posor: there is no subcommand '{name}'; expected {expected}.\n"
+
+
+def test_bash_completes_the_subcommands() -> None:
+    script = (
+        posor("completion").stdout
+        + 'COMP_CWORD=1; _posor ./posor re ./posor; echo "${COMPREPLY[*]}"; complete -p posor'
+    )
+    done = subprocess.run(["/bin/bash", "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == ["record reprocess recover", "complete -o default -F _posor posor"]
+
+
+def test_the_script_in_the_root_starts_posor() -> None:
+    script = ROOT / "posor"
+    assert script.stat().st_mode & 0o111
+    assert 'run" posor_bringup posor "$@"' in script.read_text(encoding="utf-8")
