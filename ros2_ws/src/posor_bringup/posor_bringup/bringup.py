@@ -47,7 +47,11 @@ def parse_options(arguments: Sequence[str]) -> Namespace:
     )
     add_driver_parameters(parser)
     parser.add_argument(
-        "--output", type=Path, default=Path("build/bringup"), metavar="FOLDER", help="logs and views; default: build/bringup"
+        "--output",
+        type=Path,
+        default=Path("build/bringup"),
+        metavar="FOLDER",
+        help="logs and views; default: build/bringup",
     )
     return parser.parse_args(list(arguments))
 

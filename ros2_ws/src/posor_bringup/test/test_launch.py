@@ -55,7 +55,9 @@ def test_arm_launch_file_uses_existing_functions_and_attributes() -> None:
         if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("posor_")
         for alias in node.names
     ]
-    assert {"arm_programs", "load_checked_arm", "parse_driver_parameters", "write_views"} <= {name for _, name in imported}
+    assert {"arm_programs", "load_checked_arm", "parse_driver_parameters", "write_views"} <= {
+        name for _, name in imported
+    }
     for module, name in imported:
         assert hasattr(importlib.import_module(module), name)
     used = {node.attr for node in nodes if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "program"}

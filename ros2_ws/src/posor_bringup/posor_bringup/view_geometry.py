@@ -1,0 +1,176 @@
+"""Geometry of the live page: links and bodies of an arm, its poses as measured and by the encoders, their difference.
+
+The nominal arm has joints without error motions at the encoders' angles, and straight beams. A joint without an encoder
+has its measured angle there. The difference is enlarged joint by joint, so that the drawn arm stays connected.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pinocchio as pin
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from posor_estimator.chain.arm_file import Arm
+    from posor_estimator.numerics.array_types import FloatArray
+
+    from posor_bringup.view_observation import Endpoint, Scan
+
+DEFAULT_COLOUR = (0.6, 0.6, 0.6)
+
+
+class Body(NamedTuple):
+    """A body of a link.
+
+    Attributes:
+        link: Of the URDF.
+        shape: ``cylinder``, ``box`` or ``sphere``.
+        size: Radius and length; the three edges; the radius [m].
+        T_link_body: Its pose.
+        colour: Red, green, blue, 0 to 1.
+
+    """
+
+    link: str
+    shape: str
+    size: tuple[float, ...]
+    T_link_body: pin.SE3
+    colour: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class DrawnArm:
+    """An arm at one time.
+
+    Attributes:
+        nominal: Child link in parent link of each joint and beam, by the encoders.
+        measured: The same as measured; None: a joint is lost.
+        deviation: Measured endpoint relative to that of the encoders, (6,): translation [m], rotation vector [rad], in
+            axes of the base; NaN: not known.
+
+    """
+
+    nominal: Sequence[pin.SE3]
+    measured: Sequence[pin.SE3] | None
+    deviation: FloatArray
+
+
+class ArmGeometry:
+    """Links of an arm and their poses.
+
+    Attributes:
+        base: The root link.
+        endpoint: The link of the endpoint.
+        joints: Names of the joints, in the order of the chain.
+        ends: Parent and child link of each joint, then of each beam.
+        fixed: Parent link, child link and pose of each fixed joint.
+        bodies: Of all links.
+
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        """Read the arm's URDF and beams.
+
+        Raises:
+            ChainError: The URDF is invalid.
+            CalibrationError: The beams file is invalid.
+
+        """
+        self._chain = arm.chain()
+        self._estimator = self._chain.estimator()
+        self.base, self.endpoint = self._chain.base_frame, arm.endpoint_frame
+        self.joints = tuple(joint.name for joint in self._chain.joints)
+        self.ends = [(each.parent, each.child) for each in (*self._chain.joints, *self._chain.beam_joints)]
+        self.fixed = self._chain.fixed_transforms
+        self.bodies = list(_bodies(self._chain.urdf))
+        self.at_zero = self._nominal(np.zeros(len(self.joints)))
+
+    def draw(self, scan: Scan, endpoint: Endpoint) -> DrawnArm:
+        """Return the arm of a scan."""
+        estimator = self._estimator
+        estimator.poses[:], estimator.covariances[:], estimator.thetas[:] = scan.poses, scan.covariances, scan.thetas
+        has_pose = estimator.estimate()
+        angles = np.where(np.isnan(scan.encoders), estimator.angles, scan.encoders)
+        nominal = self._nominal(np.nan_to_num(angles))
+        if not has_pose:
+            return DrawnArm(nominal, None, np.full(6, np.nan))
+        measured = [pin.XYZQUATToSE3(pose) for pose in (*estimator.poses, *estimator.beam_transforms)]
+        # The published pose knows the accelerations of the beams too; with ``reference: home`` it is not in the base.
+        is_same = endpoint.stamp_ns == scan.stamp_ns and endpoint.frame == self.base
+        pose = endpoint.pose if is_same and np.isfinite(endpoint.pose).all() else estimator.pose
+        T_base_endpoint = pin.XYZQUATToSE3(pose)
+        T_nominal = self.place(self.endpoint, nominal)
+        turn = pin.log3(T_base_endpoint.rotation @ T_nominal.rotation.T)
+        deviation = np.concatenate([T_base_endpoint.translation - T_nominal.translation, turn])
+        return DrawnArm(nominal, measured, deviation)
+
+    def place(self, link: str, transforms: Sequence[pin.SE3]) -> pin.SE3:
+        """Return the pose of a link in the base, from the poses of joints and beams."""
+        parents = {child: (parent, T) for (parent, child), T in zip(self.ends, transforms, strict=True)}
+        parents |= {each.child: (each.parent, each.T_parent_child) for each in self.fixed}
+        pose = pin.SE3.Identity()
+        while link != self.base:
+            link, T_parent_link = parents[link]
+            pose = T_parent_link * pose
+        return pose
+
+    def path(self, link: str) -> str:
+        """Return a link as a path of links from the base, such as ``base/plate/arm``."""
+        parents = {child: parent for parent, child in (*self.ends, *((each.parent, each.child) for each in self.fixed))}
+        names = [link]
+        while names[-1] in parents:
+            names.append(parents[names[-1]])
+        return "/".join(reversed(names))
+
+    def _nominal(self, angles: FloatArray) -> list[pin.SE3]:
+        joints = [self._chain.nominal_joint(name, angle) for name, angle in zip(self.joints, angles, strict=True)]
+        return [*joints, *(beam.T_parent_joint for beam in self._chain.beam_joints)]
+
+
+def enlarge(nominal: Sequence[pin.SE3], measured: Sequence[pin.SE3], factor: float) -> list[pin.SE3]:
+    """Return the nominal transforms with their deviations from the measured ones enlarged."""
+    return [
+        T_nominal * pin.exp6(factor * pin.log6(T_nominal.inverse() * T_measured))
+        for T_nominal, T_measured in zip(nominal, measured, strict=True)
+    ]
+
+
+def ellipsoid(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return half axes of two sigma [m], (3,), and the rotation of a position covariance, (3, 3)."""
+    variances, axes = np.linalg.eigh(covariance)
+    axes[:, 0] *= np.sign(np.linalg.det(axes))
+    return 2.0 * np.sqrt(np.maximum(variances, 0.0)), axes
+
+
+def _bodies(urdf: str) -> Iterator[Body]:
+    """Yield the cylinders, boxes and spheres of a URDF; meshes are not drawn."""
+    root = ET.fromstring(urdf)  # noqa: S314  the chain has parsed the same text
+    colours = {each.get("name"): _colour(each) for each in root.findall("material")}
+    for link in root.findall("link"):
+        for visual in link.findall("visual"):
+            shape = next(iter(visual.find("geometry") or ()), None)
+            if shape is None or shape.tag not in ("cylinder", "box", "sphere"):
+                continue
+            keys = {"cylinder": ("radius", "length"), "box": ("size",), "sphere": ("radius",)}[shape.tag]
+            size = tuple(number for key in keys for number in _numbers(shape.get(key, "")))
+            origin = visual.find("origin")
+            place = {} if origin is None else origin.attrib
+            xyz, rpy = (np.array(_numbers(place.get(key, "0 0 0"))) for key in ("xyz", "rpy"))
+            material = visual.find("material")
+            colour = None if material is None else _colour(material) or colours.get(material.get("name"))
+            T_link_body = pin.SE3(pin.rpy.rpyToMatrix(rpy), xyz)
+            yield Body(link.get("name", ""), shape.tag, size, T_link_body, colour or DEFAULT_COLOUR)
+
+
+def _colour(material: ET.Element) -> tuple[float, ...] | None:
+    colour = material.find("color")
+    return None if colour is None else _numbers(colour.get("rgba", ""))[:3]
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    return tuple(float(number) for number in text.split())

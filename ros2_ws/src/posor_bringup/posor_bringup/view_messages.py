@@ -1,0 +1,300 @@
+"""The newest messages on an arm: taken from DDS, or read from a bag.
+
+Messages stay bytes until the page is drawn: several hundred arrive in a second, and few are drawn.
+"""
+
+from __future__ import annotations
+
+import time
+from bisect import bisect_right
+from collections import deque
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from posor_estimator.bags.bag_reader import checked_type, opened_bag
+from posor_estimator.bags.cdr_schema import STAMP
+from posor_estimator.bags.message_definitions import MessageTypes
+from posor_estimator.errors import ParameterError, TopicError
+from posor_estimator.numerics.stamps import NS
+from posor_estimator.ros.cdr_transform import stamp_ns_of
+from posor_estimator.ros.message_classes import message_class, schema_of_class
+from posor_estimator.ros.qos import SENSOR_QOS
+from posor_estimator.ros_names import (
+    DIAGNOSTICS_TOPIC,
+    ENDPOINT_COVARIANCE_TOPIC,
+    ENDPOINT_STATE,
+    ENDPOINT_STATE_TOPIC,
+    ENDPOINT_TOPIC,
+    JOINT_STATE,
+    JOINT_TRANSFORM,
+    POSE_STAMPED,
+    POSE_WITH_COVARIANCE_STAMPED,
+    TRANSFORM_TOPIC,
+)
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from posor_estimator.bags.cdr_schema import Schema
+    from posor_estimator.chain.arm_file import Arm
+
+KEPT = 64
+"""Messages kept of each topic: those of one scan are found by their stamp."""
+BLOCK_S = 10.0
+"""Part of a bag that is in memory."""
+LEAD_S = 2.0
+"""Time before the position of a bag from which messages are shown, such as diagnostics."""
+DIAGNOSTICS_QOS = QoSProfile(depth=100)
+"""Every node of the arm may report at once."""
+DIAGNOSTIC_ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
+ENDPOINT_TOPICS = {
+    ENDPOINT_STATE_TOPIC: ENDPOINT_STATE,
+    ENDPOINT_COVARIANCE_TOPIC: POSE_WITH_COVARIANCE_STAMPED,
+    ENDPOINT_TOPIC: POSE_STAMPED,
+}
+"""Topics that hold the endpoint and their types; a bag may lack the first ones."""
+
+
+class Message(NamedTuple):
+    """A serialised message.
+
+    Attributes:
+        arrival_s: When it was taken (steady clock) or recorded [s].
+        received_ns: When it was received or recorded (system clock) [ns].
+        stamp_ns: Its stamp [ns]; 0: invalid.
+        data: In plain CDR.
+
+    """
+
+    arrival_s: float
+    received_ns: int
+    stamp_ns: int
+    data: bytes
+
+
+class Status(NamedTuple):
+    """A status of the diagnostics."""
+
+    arrival_s: float
+    level: int
+    text: str
+
+
+class ArmTopics:
+    """Topics that the page shows of one arm.
+
+    Attributes:
+        endpoint: Topic of the endpoint.
+        transforms: Topic of each joint's transforms.
+        encoders: Topic of each joint's encoder, and name of the joint in its messages (empty: they hold one position).
+        types: Message type of each topic.
+
+    """
+
+    def __init__(self, arm: Arm, endpoint: str = ENDPOINT_STATE_TOPIC) -> None:
+        """Name the topics.
+
+        Args:
+            arm: The arm.
+            endpoint: Which of ``ENDPOINT_TOPICS`` holds its endpoint.
+
+        """
+        self.endpoint = f"/{arm.name}/{endpoint}"
+        self.transforms = {joint: f"/{arm.name}/{joint}/{TRANSFORM_TOPIC}" for joint in arm.calibrations}
+        self.encoders = {joint: _encoder(arm, joint) for joint in arm.calibrations}
+        self.types = {
+            self.endpoint: ENDPOINT_TOPICS[endpoint],
+            **dict.fromkeys(self.transforms.values(), JOINT_TRANSFORM),
+            **{topic: JOINT_STATE for topic, _ in self.encoders.values()},
+            DIAGNOSTICS_TOPIC: DIAGNOSTIC_ARRAY,
+        }
+
+
+def _encoder(arm: Arm, joint: str) -> tuple[str, str]:
+    """Return topic and name of a joint's encoder: those of its posor_node, or of the simulated arm."""
+    parameters = arm.posor_parameters[joint]
+    if not parameters.get("encoder.sigma"):
+        return f"/{arm.name}/encoders", joint
+    topic = str(parameters.get("encoder.topic", "encoder"))
+    return topic if topic.startswith("/") else f"/{arm.name}/{joint}/{topic}", str(parameters.get("encoder.joint", ""))
+
+
+class MessageStore:
+    """The newest messages of each topic.
+
+    Attributes:
+        statuses: Newest diagnostic status of the arm's nodes, by its name.
+        refused: Why the last invalid message was refused; empty: there was none.
+
+    """
+
+    def __init__(self, arm: str, types: Mapping[str, str]) -> None:
+        """Create an empty store for topics of these types."""
+        self._prefix = f"/{arm}/"
+        self._schemas = {topic: schema_of_class(message_class(name)) for topic, name in types.items()}
+        self._messages: dict[str, deque[Message]] = {topic: deque(maxlen=KEPT) for topic in types}
+        self.statuses: dict[str, Status] = {}
+        self.refused = ""
+
+    def clear(self) -> None:
+        """Forget all messages."""
+        for messages in self._messages.values():
+            messages.clear()
+        self.statuses.clear()
+        self.refused = ""
+
+    def add(self, topic: str, arrival_s: float, received_ns: int, data: bytes) -> None:
+        """Keep a message; of diagnostics only the statuses of the arm's nodes."""
+        try:
+            data = self._schemas[topic].normal(data)
+            if topic == DIAGNOSTICS_TOPIC:
+                for status in _decode(self._schemas[topic], data)["status"]:
+                    if status["name"].startswith(self._prefix):
+                        level = int.from_bytes(status["level"], "little")
+                        self.statuses[status["name"]] = Status(arrival_s, level, status["message"])
+                return
+        except TopicError as error:
+            self.refused = f"{topic}: {error}"
+            return
+        stamp_ns = stamp_ns_of(data[STAMP]) if len(data) >= STAMP.stop else 0
+        self._messages[topic].append(Message(arrival_s, received_ns, stamp_ns, data))
+
+    def messages(self, topic: str) -> deque[Message]:
+        """Return the newest messages of a topic, in the order of their arrival."""
+        return self._messages[topic]
+
+    def values(self, topic: str, message: Message) -> Mapping[str, Any] | None:
+        """Return the values of a message by path; None: it is invalid, and then ``refused`` says why."""
+        try:
+            return _decode(self._schemas[topic], message.data)
+        except TopicError as error:
+            self.refused = f"{topic}: {error}"
+            return None
+
+
+@lru_cache(maxsize=64)
+def _decode(schema: Schema, data: bytes) -> Mapping[str, Any]:
+    return schema.values(data)
+
+
+class LiveTopics:
+    """Subscriptions to the topics of a running arm, in a node that no executor spins.
+
+    Messages are taken when the page is drawn. DDS keeps the last ten of each topic meanwhile.
+    """
+
+    def __init__(self, store: MessageStore, topics: ArmTopics) -> None:
+        """Create the node, without subscriptions."""
+        self._store, self._topics = store, topics
+        self._node = Node("view", enable_rosout=False, start_parameter_services=False)
+        self._subscriptions: list[Any] = []
+
+    def subscribe(self) -> None:
+        """Subscribe to all topics, unless that is done already."""
+        if self._subscriptions:
+            return
+        self._store.clear()
+        for topic, name in self._topics.types.items():
+            qos = DIAGNOSTICS_QOS if topic == DIAGNOSTICS_TOPIC else SENSOR_QOS
+            events = SubscriptionEventCallbacks(use_default_callbacks=False)
+            subscription = self._node.create_subscription(
+                message_class(name), topic, _no_callback, qos, raw=True, event_callbacks=events
+            )
+            self._subscriptions.append(subscription)
+
+    def unsubscribe(self) -> None:
+        """End the subscriptions, so that a page that nobody looks at costs the arm nothing."""
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+        self._subscriptions.clear()
+
+    def take(self) -> float:
+        """Store the messages that have arrived; return the present time (steady clock) [s]."""
+        now_s = time.monotonic()
+        for subscription, topic in zip(self._subscriptions, self._topics.types, strict=False):
+            handle = subscription.handle
+            with handle:
+                while (message := handle.take_message(subscription.msg_type, subscription.raw)) is not None:
+                    data, info = message
+                    self._store.add(topic, now_s, info["received_timestamp"], data)
+        return now_s
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._node.destroy_node()
+
+
+def _no_callback(_data: bytes) -> None:
+    """No-op callback required by rclpy."""
+
+
+class BagTopics:
+    """The topics of an arm in a bag, ten seconds of them in memory.
+
+    Attributes:
+        topics: Those of the arm.
+        store: Messages up to the present position.
+        duration_s: Of the bag [s].
+
+    """
+
+    def __init__(self, path: Path, arm: Arm) -> None:
+        """Check the topics and go to the beginning.
+
+        Raises:
+            BagError: The bag cannot be read, or a topic was recorded with another type.
+            ParameterError: The bag does not hold the endpoint of the arm.
+
+        """
+        self._path, types = path, MessageTypes()
+        with opened_bag(path) as reader:
+            connections = list(reader.connections)
+            filled = {connection.topic for connection in connections if connection.msgcount}
+            found = [topic for topic in ENDPOINT_TOPICS if f"/{arm.name}/{topic}" in filled]
+            if not found:
+                raise ParameterError(
+                    f"there is no endpoint of arm {arm.name}",
+                    where=str(path),
+                    expected=f"messages on one of {', '.join(f'/{arm.name}/{topic}' for topic in ENDPOINT_TOPICS)}",
+                )
+            self.topics = ArmTopics(arm, found[0])
+            for topic in filled & set(self.topics.types):
+                checked_type(connections, topic, str(path), types, (self.topics.types[topic],))
+            self._begin_ns, self.duration_s = reader.start_time, (reader.end_time - reader.start_time) / NS
+        self.store = MessageStore(arm.name, self.topics.types)
+        self._loaded: list[tuple[int, str, bytes]] = []
+        self._block_s = (0.0, 0.0)
+        self._position_s = -1.0
+
+    def seek(self, position_s: float) -> None:
+        """Store the messages up to a position [s] after the beginning.
+
+        Raises:
+            BagError: The bag is damaged there.
+
+        """
+        if not self._block_s[0] <= position_s <= self._block_s[1] or not self._loaded:
+            self._load(position_s)
+        if not self._position_s <= position_s < self._position_s + LEAD_S:
+            self.store.clear()
+            self._position_s = position_s - LEAD_S
+        first, last = (
+            bisect_right(self._loaded, self._begin_ns + round(each * NS), key=lambda entry: entry[0])
+            for each in (self._position_s, position_s)
+        )
+        for time_ns, topic, data in self._loaded[first:last]:
+            self.store.add(topic, (time_ns - self._begin_ns) / NS, time_ns, data)
+        self._position_s = position_s
+
+    def _load(self, position_s: float) -> None:
+        """Read the messages from ``LEAD_S`` before a position to ``BLOCK_S`` after it."""
+        begin, end = (self._begin_ns + round((position_s + each) * NS) for each in (-LEAD_S, BLOCK_S))
+        with opened_bag(self._path) as reader:
+            selected = [connection for connection in reader.connections if connection.topic in self.topics.types]
+            messages = reader.messages(selected, start=begin, stop=end + 1)
+            self._loaded = [(time_ns, each.topic, bytes(data)) for each, time_ns, data in messages]
+        self._block_s = position_s, position_s + BLOCK_S

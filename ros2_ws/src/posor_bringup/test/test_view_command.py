@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+import re
+import socket
+from pathlib import Path
+
+import pytest
+from posor_bringup.arms import load_checked_arm
+from posor_bringup.installed import bag_path
+from posor_bringup.view_command import main
+from posor_bringup.view_messages import BLOCK_S, BagTopics
+from posor_bringup.view_observation import Observer
+
+BAG = Path(__file__).resolve().parents[4] / "bags" / "five_axis"
+JOINTS = ["base_swivel", "shoulder", "elbow", "wrist_roll", "wrist_yaw"]
+
+
+def refusal(capfd: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str]:
+    code = main(["view", *map(str, arguments)])
+    return code, capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["six_fingers"], r"arm 'six_fingers': no such arm; expected the path of an arm file, or one of .*\."),
+        (
+            ["test_rig", "--port", "-1"],
+            r"view: argument --port: '-1' is not a port, 0 to 65535; expected options as .*\.",
+        ),
+        (
+            ["five_axis", "--bag", bag_path("ymo")],
+            r".*ymo: there is no endpoint of arm five_axis; expected messages on one of /five_axis/endpoint/.*\.",
+        ),
+    ],
+)
+def test_wrong_option_is_refused_with_one_sentence(
+    arguments: list[object], sentence: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    code, error = refusal(capfd, *arguments)
+    assert code == 2
+    assert re.fullmatch(sentence + "\n", error)
+
+
+def test_missing_bag_is_refused_with_one_sentence(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    code, error = refusal(capfd, "five_axis", "--bag", tmp_path / "none")
+    assert code == 1
+    assert error.startswith(f"{tmp_path / 'none'}: does not exist; expected a rosbag2 bag")
+
+
+@pytest.mark.usefixtures("ros_domain")
+def test_port_in_use_is_refused_with_one_sentence(capfd: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        code, error = refusal(capfd, "test_rig", "--port", port)
+    assert code == 2
+    assert error == f"option --port: port {port} cannot be used; expected a free port, or 0.\n"
+
+
+def test_positions_of_a_bag_forth_and_back() -> None:
+    bag = BagTopics(BAG, load_checked_arm("five_axis"))
+    observer = Observer(bag.topics, bag.store, JOINTS)
+    assert bag.topics.endpoint == "/five_axis/endpoint/pose"
+    assert 9.9 < bag.duration_s < BLOCK_S + 0.1
+    stamps = []
+    for position_s in (1.0, 1.1, 9.0, 1.0):
+        bag.seek(position_s)
+        seen = observer.observe(position_s)
+        assert seen.is_fresh
+        assert seen.overall.state == "NO STATE"
+        assert seen.endpoint is not None
+        stamps.append(seen.endpoint.stamp_ns)
+    assert stamps[0] == stamps[3]
+    assert stamps[1] - stamps[0] == pytest.approx(0.1e9, abs=0.02e9)
+    assert stamps[2] - stamps[0] == pytest.approx(8.0e9, abs=0.02e9)

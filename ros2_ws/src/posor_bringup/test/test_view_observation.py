@@ -1,0 +1,148 @@
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from posor_bringup.arms import load_checked_arm
+from posor_bringup.view_messages import ArmTopics, MessageStore
+from posor_bringup.view_observation import SILENCE_S, Observer
+from posor_estimator.ros.message_classes import schema_of_class
+from posor_msgs.msg import EndpointState, JointTransform
+from sensor_msgs.msg import JointState
+
+PERIOD_S, NS = 0.01, 1_000_000_000
+STATE, TRANSFORM, ENCODERS = "/test_rig/endpoint/state", "/test_rig/joint1/transform", "/test_rig/encoders"
+
+
+class Rig:
+    """The topics of the test rig, fed by hand."""
+
+    def __init__(self) -> None:
+        topics = ArmTopics(load_checked_arm("test_rig"))
+        self.store = MessageStore("test_rig", topics.types)
+        self.observe = Observer(topics, self.store, ["joint1"]).observe
+
+    def add(self, topic: str, message: Any, time_s: float, stamp_s: float | None = None) -> None:
+        stamp_ns = round((time_s if stamp_s is None else stamp_s) * NS)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, NS)
+        self.store.add(topic, time_s, round(time_s * NS), schema_of_class(type(message)).serialize(message))
+
+    def add_scan(
+        self, time_s: float, state: EndpointState | None = None, transform: JointTransform | None = None
+    ) -> None:
+        self.add(TRANSFORM, JointTransform(redundancy=2, residual=3.0) if transform is None else transform, time_s)
+        self.add(STATE, EndpointState() if state is None else state, time_s)
+
+
+@pytest.fixture
+def rig() -> Rig:
+    return Rig()
+
+
+def test_nothing_is_fresh_before_the_first_message(rig: Rig) -> None:
+    seen = rig.observe(1.0)
+    assert not seen.is_fresh
+    assert seen.overall.sentences == (f"no message yet on {STATE}",)
+    assert seen.joints["joint1"].state == "NO MESSAGE"
+
+
+def test_sound_scan(rig: Rig) -> None:
+    rig.add_scan(1.0)
+    rig.add_scan(1.0 + PERIOD_S)
+    seen = rig.observe(1.05)
+    assert seen.is_fresh
+    assert (seen.overall.state, seen.joints["joint1"].state) == ("OK", "OK")
+    assert seen.scan is not None
+    assert seen.scan.stamp_ns == 1_010_000_000
+    assert seen.scan.residuals[0] == 1.5
+    assert seen.overall.sentences == ("no encoder of joint1: the nominal arm has the measured angle there",)
+
+
+def test_everything_is_stale_without_messages_on_the_endpoint(rig: Rig) -> None:
+    rig.add_scan(1.0)
+    rig.add_scan(1.0 + PERIOD_S)
+    now_s = 1.1 + PERIOD_S + SILENCE_S
+    rig.add(TRANSFORM, JointTransform(), now_s)
+    seen = rig.observe(now_s)
+    assert not seen.is_fresh
+    assert (seen.overall.state, seen.joints["joint1"].state) == ("STALE", "STALE")
+    assert seen.overall.sentences == (f"no message on {STATE} for 0.4 s",)
+    assert seen.scan is None
+
+
+def test_slow_arm_is_silent_after_three_periods(rig: Rig) -> None:
+    for time_s in (1.0, 3.0):
+        rig.add_scan(time_s)
+    assert rig.observe(8.9).is_fresh
+    assert not rig.observe(9.1).is_fresh
+
+
+def test_joint_without_transforms_is_silent(rig: Rig) -> None:
+    rig.add_scan(1.0)
+    reason = "joint1: transform missing from a scan that the other joints sent"
+    rig.add(STATE, EndpointState(state=EndpointState.STATE_LOST, joint="joint1", reason=reason), 1.5)
+    seen = rig.observe(1.5)
+    assert seen.is_fresh
+    assert (seen.overall.state, seen.joints["joint1"].state) == ("LOST", "SILENT")
+    assert seen.joints["joint1"].sentences == ("no transform for 0.5 s", reason)
+    assert seen.scan is None
+
+
+def test_pose_of_a_lost_joint_is_not_used(rig: Rig) -> None:
+    lost = JointTransform(state=JointTransform.STATE_LOST, faults=JointTransform.FAULT_RESIDUAL)
+    rig.add_scan(1.0, EndpointState(state=EndpointState.STATE_LOST, joint="joint1", reason="joint1 is lost"), lost)
+    seen = rig.observe(1.0)
+    assert seen.joints["joint1"].state == "LOST"
+    assert seen.joints["joint1"].sentences == ("RESIDUAL", "joint1 is lost")
+    assert seen.scan is not None
+    assert math.isnan(seen.scan.poses[0, 0])
+
+
+def test_joint_that_the_chain_refuses_is_not_ok(rig: Rig) -> None:
+    rig.add_scan(1.0, EndpointState(state=EndpointState.STATE_LOST, joint="joint1", reason="joint1 has no covariance"))
+    assert rig.observe(1.0).joints["joint1"].state == "LOST"
+
+
+def test_angle_of_the_encoder_at_the_stamp_of_the_scan(rig: Rig) -> None:
+    rig.add_scan(1.0)
+    for stamp_s, angle in ((0.99, 0.1), (1.01, 0.3)):
+        rig.add(ENCODERS, JointState(name=["other", "joint1"], position=[9.0, angle]), 1.02, stamp_s)
+    scan = rig.observe(1.02).scan
+    assert scan is not None
+    assert scan.encoders[0] == pytest.approx(0.2)
+
+
+def test_encoder_without_a_later_message_is_not_extrapolated(rig: Rig) -> None:
+    rig.add_scan(1.0)
+    rig.add(ENCODERS, JointState(name=["joint1"], position=[0.1]), 1.0, 0.99)
+    scan = rig.observe(1.0).scan
+    assert scan is not None
+    assert math.isnan(scan.encoders[0])
+
+
+def test_diagnostics_of_the_joint_and_their_silence(rig: Rig) -> None:
+    array = DiagnosticArray()
+    for name, level, message in (
+        ("/test_rig/joint1/driver_node: source", DiagnosticStatus.WARN, "late"),
+        ("/test_rig/joint1/posor_node: lifecycle", DiagnosticStatus.OK, "active"),
+        ("/other_arm/joint1/posor_node: lifecycle", DiagnosticStatus.ERROR, "of another arm"),
+    ):
+        array.status.append(DiagnosticStatus(name=name, level=level, message=message))
+    rig.add("/diagnostics", array, 1.0)
+    rig.add_scan(1.0)
+    assert rig.observe(1.0).joints["joint1"].sentences == ("driver_node: late",)
+    rig.add_scan(5.0)
+    assert rig.observe(5.0).joints["joint1"].sentences == (
+        "driver_node: no diagnostics for 4 s",
+        "posor_node: no diagnostics for 4 s",
+    )
+
+
+def test_invalid_message_is_refused_with_a_sentence(rig: Rig) -> None:
+    rig.add_scan(1.0)
+    rig.store.add(STATE, 1.0, 0, b"\x00\x01\x00\x00" + bytes(10))
+    seen = rig.observe(1.0)
+    assert not seen.is_fresh
+    assert seen.overall.sentences[0].startswith(f"{STATE}: EndpointState: a message of 14 bytes ends within ")

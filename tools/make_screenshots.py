@@ -1,0 +1,130 @@
+"""Makes the screenshots of the live page in docs/images: the simulated five-axis arm, sound and with a killed driver.
+
+``tools/in_workspace.py tools/make_screenshots.py`` runs it; needs Chromium. Prints the processor time of ``view``, too.
+The tests use its parts.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import tempfile
+import time
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from environment import THIS
+from playwright.sync_api import sync_playwright
+from posor_bringup.arm_programs import arm_programs, group_programs
+from posor_estimator.errors import PosorError
+from posor_estimator.ros.node_program import exit_code_of
+from posor_estimator.testing.program import Program
+from posor_validation.faults.fault_arm import write_fault_arm
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from playwright.sync_api import Page
+
+BROWSER = "chromium"
+ARGUMENTS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+"""Drawing by the processor: a test machine has no graphics card."""
+KILLED = "elbow"
+CYCLE_S, SEED = 60, 4
+CHARTS_S = 20.0
+"""Time to fill the charts."""
+REST_S = 10.0
+"""Time without a page over which the processor time is measured."""
+BANNER_SAYS = "text => document.querySelector('#banner')?.innerText.includes(text)"
+
+
+class SimulatedArm:
+    """The simulated five-axis arm at 50 Hz; one driver is a process of its own, all other nodes share another one.
+
+    Attributes:
+        path: The arm file.
+        nodes: All nodes but the driver of ``KILLED``.
+        driver: That driver.
+
+    """
+
+    def __init__(self, path: Path, nodes: Program, driver: Program) -> None:
+        self.path, self.nodes, self.driver = path, nodes, driver
+
+
+@contextmanager
+def running_arm(folder: Path) -> Iterator[SimulatedArm]:
+    """Run the arm for a ``with`` block; its files are in a folder that exists."""
+    arm = write_fault_arm("five_axis", folder / "arm", CYCLE_S, SEED)
+    programs = arm_programs(arm)
+    (driver,) = (program for program in programs if program.name == f"{KILLED}/driver_node")
+    (others,) = group_programs([program for program in programs if program is not driver], "composed", folder)
+    with Program(others.command()) as nodes, Program(driver.command()) as killed:
+        yield SimulatedArm(arm.path, nodes, killed)
+
+
+@contextmanager
+def opened_page(arm: Path, width: int, height: int) -> Iterator[tuple[Page, Program]]:
+    """Run ``view`` and open its page in Chromium for a ``with`` block.
+
+    Raises:
+        PosorError: Chromium is not installed.
+
+    """
+    browser_path = shutil.which(BROWSER)
+    if browser_path is None:
+        raise PosorError("there is no such program", where=BROWSER, expected="it, from the package of the same name")
+    command = [sys.executable, "-m", "posor_bringup.view_command", str(arm), "--port", "0"]
+    with Program(command) as view, sync_playwright() as playwright:
+        address = next(word for word in view.wait_for_line("page at").split() if word.startswith("http")).rstrip(";")
+        browser = playwright.chromium.launch(executable_path=browser_path, args=ARGUMENTS)
+        page = browser.new_page(viewport={"width": width, "height": height})
+        page.goto(address)
+        try:
+            yield page, view
+        finally:
+            browser.close()
+
+
+def wait_for_banner(page: Page, text: str) -> None:
+    """Wait until the banner of the page contains a text."""
+    page.wait_for_function(BANNER_SAYS, arg=text, polling=50, timeout=60_000)
+
+
+def processor_share(pid: int, seconds: float) -> float:
+    """Return the processor time that a process uses during some seconds from now on, in percent of a core."""
+
+    def used_s() -> float:
+        user, system = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()[11:13]
+        return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
+
+    begin_s, begun_s = used_s(), time.monotonic()
+    time.sleep(seconds)
+    return 100.0 * (used_s() - begin_s) / (time.monotonic() - begun_s)
+
+
+def _make_screenshots() -> None:
+    images = THIS.root / "docs" / "images"
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        running_arm(Path(folder)) as arm,
+        opened_page(arm.path, 1280, 1100) as (page, view),
+    ):
+        wait_for_banner(page, ": OK")
+        page.locator(".mantine-Notification-closeButton").dispatch_event("click")  # "software rendering"
+        print(f"view while it is shown: {processor_share(view.process.pid, CHARTS_S):.1f} % of a core")
+        wait_for_banner(page, ": OK")
+        page.screenshot(path=images / "view_five_axis.png", timeout=60_000)
+        arm.driver.process.kill()
+        wait_for_banner(page, ": LOST")
+        time.sleep(1.0)
+        page.screenshot(path=images / "view_fault.png", timeout=60_000)
+        page.goto("about:blank")
+        print(f"view at rest: {processor_share(view.process.pid, REST_S):.1f} % of a core")
+    print(f"written: {images / 'view_five_axis.png'}, {images / 'view_fault.png'}")
+
+
+if __name__ == "__main__":
+    sys.exit(exit_code_of(_make_screenshots))
