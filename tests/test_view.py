@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import signal
 import time
@@ -22,6 +23,7 @@ pytestmark = [
 WIDTH, HEIGHT = 800, 400
 ARTIFACTS = THIS.root / "build" / "test_view"
 MAX_RED_S = 1.0
+"""Of a quiet machine; the short test, which may run on a busy one, only prints the time."""
 MOVED_MM = 1.0
 PICTURE = "canvas[data-engine]"
 STATE = f"#joint-{KILLED} td:nth-child(2)"
@@ -30,8 +32,9 @@ X = "parseFloat(document.querySelector('#endpoint tr:nth-child(2) td:nth-child(2
 HAS_X, HAS_MOVED = f"() => {X} > 0", f"([x, moved]) => Math.abs({X} - x) > moved"
 
 
-@pytest.mark.timeout(180)
-def test_the_page_follows_the_arm_and_a_killed_driver_turns_its_joint_red(tmp_path: Path) -> None:
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("max_red_s", [math.inf, pytest.param(MAX_RED_S, marks=pytest.mark.long)])
+def test_the_page_follows_the_arm_and_a_killed_driver_turns_its_joint_red(tmp_path: Path, max_red_s: float) -> None:
     with running_arm(tmp_path) as arm, opened_page(arm.path, WIDTH, HEIGHT) as (page, view):
         page.set_default_timeout(60_000)
         page.wait_for_function(HAS_X, polling=50)
@@ -48,7 +51,7 @@ def test_the_page_follows_the_arm_and_a_killed_driver_turns_its_joint_red(tmp_pa
         page.wait_for_function(HAS_COLOUR, arg=[STATE, _css(RED)], polling=20)
         red_s = time.monotonic() - killed_s
         print(f"red after {red_s:.2f} s")
-        assert red_s < MAX_RED_S
+        assert red_s < max_red_s
         wait_for_banner(page, f"{KILLED}: transform missing")
         picture.evaluate("picture => picture.style.display = 'block'")
         page.screenshot(path=ARTIFACTS / "killed_driver.png")
