@@ -161,7 +161,7 @@ def test_the_beams_uncertainties_reach_the_endpoint(rng: np.random.Generator) ->
     chain = Chain(ARM, "tip", beams(*said))
     joints = still(pin.utils.rotate("z", 0.7))
     endpoint = chain.estimate(joints)
-    draws = 20_000
+    draws = 8_000
     found = np.empty((draws, 6))
     for n in range(draws):
         pose = chain.links[0].T_nominal
