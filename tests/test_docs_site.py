@@ -19,7 +19,7 @@ DOCS = THIS.root / "docs"
 MESSAGES = THIS.ros2 / "src" / "posor_msgs" / "msg"
 CLICKS = 2
 QUESTIONS = {
-    "show the arm live": "posor_bringup view",
+    "show the arm live": "posor view",
     "write a stopping rule for a controller": "class StoppingRule",
     "plot the endpoint with its 2-sigma band": 'label="2 sigma"',
 }

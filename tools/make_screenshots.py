@@ -75,7 +75,7 @@ def opened_page(arm: Path, width: int, height: int) -> Iterator[tuple[Page, Prog
     """
     browser_path = shutil.which(BROWSER)
     if browser_path is None:
-        raise PosorError("there is no such program", where=BROWSER, expected="it, from the package of the same name")
+        raise PosorError("there is no such program", where=BROWSER, expected="the package chromium")
     command = [sys.executable, "-m", "posor_bringup.view_command", str(arm), "--port", "0"]
     with Program(command) as view, sync_playwright() as playwright:
         address = next(word for word in view.wait_for_line("page at").split() if word.startswith("http")).rstrip(";")

@@ -84,7 +84,7 @@ def _run_arm(options: Namespace) -> None:
             for started in running:
                 console.print(f"{started.program.name}: process {started.process.pid}")
             console.print(f"{arm.name}: {len(nodes)} nodes started, their logs in {folder / LOGS}; Ctrl-C ends them")
-            console.print(f"views for RViz, Foxglove and PlotJuggler: {folder}/{', '.join(VIEWS.values())}")
+            console.print(f"views for RViz, Foxglove and PlotJuggler: {', '.join(VIEWS.values())} in {folder}")
             _watch(supervisor, running, stop, console)
     finally:
         stop.restore()

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from posor_drivers.driver_programs import record
 from posor_estimator.errors import ParameterError
 from posor_estimator.estimator_programs import budget, calibrate, recover, reprocess
-from posor_estimator.lazy_program import LazyProgram
 
-from posor_bringup.bringup_programs import bringup
+from posor_bringup.bringup_programs import bringup, view
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -39,7 +38,7 @@ def _print_completion() -> int:
 
 SUBCOMMANDS = {
     "bringup": Subcommand(bringup, "start all nodes of an arm"),
-    "view": Subcommand(LazyProgram("view", "posor_bringup.view_command"), "show an arm or a bag in the browser"),
+    "view": Subcommand(view, "show an arm or a bag in the browser"),
     "record": Subcommand(record, "record topics into a bag"),
     "reprocess": Subcommand(reprocess, "compute transforms and endpoint poses from recorded scans"),
     "recover": Subcommand(recover, "write what is whole in a damaged bag to a new bag"),

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 KEPT = 64
 """Messages kept of each topic: those of one scan are found by their stamp."""
 BLOCK_S = 10.0
-"""Part of a bag that is in memory."""
+"""Part of a bag after its position that is in memory."""
 LEAD_S = 2.0
 """Time before the position of a bag from which messages are shown, such as diagnostics."""
 DIAGNOSTICS_QOS = QoSProfile(depth=100)
@@ -184,7 +184,7 @@ def _decode(schema: Schema, data: bytes) -> Mapping[str, Any]:
 class LiveTopics:
     """Subscriptions to the topics of a running arm, in a node that no executor spins.
 
-    Messages are taken when the page is drawn. DDS keeps the last ten of each topic meanwhile.
+    Messages are taken when the page is drawn. Between two drawings DDS keeps the last ones of each topic.
     """
 
     def __init__(self, store: MessageStore, topics: ArmTopics) -> None:
@@ -233,7 +233,7 @@ def _no_callback(_data: bytes) -> None:
 
 
 class BagTopics:
-    """The topics of an arm in a bag, ten seconds of them in memory.
+    """The topics of an arm in a bag, ``LEAD_S`` and ``BLOCK_S`` of them in memory.
 
     Attributes:
         topics: Those of the arm.

@@ -5,6 +5,7 @@ Silence is a fault: a joint or an endpoint without new messages is reported as s
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +23,9 @@ if TYPE_CHECKING:
     from posor_bringup.view_messages import ArmTopics, Message, MessageStore
 
 SILENCE_S = 0.3
-"""Time without a message after which a topic is silent; below 10 Hz, three periods."""
+"""Time without a message after which a topic is silent; below 10 Hz, three median periods."""
+PERIODS = 5
+"""Number of last periods whose median is used, so that an earlier pause does not count; before, ``SILENCE_S`` holds."""
 DIAGNOSTICS_SILENCE_S = 3.0
 """The same for the diagnostics of a node, which come once a second."""
 STATES = {**{int(state): state.name for state in State}, int(EndpointState.STATE_STALE): "STALE"}
@@ -142,7 +145,8 @@ class Observer:
     def _silence_s(self, topic: str, now_s: float) -> float:
         """Return for how long a topic with messages has been silent [s]; 0: it is not."""
         messages = self._store.messages(topic)
-        period_s = (messages[-1].arrival_s - messages[0].arrival_s) / max(len(messages) - 1, 1)
+        arrivals_s = [each.arrival_s for each in messages][-PERIODS - 1 :]
+        period_s = float(np.median(np.diff(arrivals_s))) if len(arrivals_s) > PERIODS else 0.0
         silence_s = now_s - messages[-1].arrival_s
         return silence_s if silence_s > max(SILENCE_S, 3.0 * period_s) else 0.0
 
@@ -170,7 +174,7 @@ class Observer:
 
     def _joint(self, name: str, endpoint: Mapping[str, Any], now_s: float) -> Health:
         """Return the health of a joint from its transform, from the endpoint's state and from the diagnostics."""
-        reasons = [part for part in endpoint.get("reason", "").split("; ") if name in part]
+        reasons = [part for part in endpoint.get("reason", "").split("; ") if name in re.findall(r"\w+", part)]
         sentences = (*reasons, *self._diagnostics(f"{self._prefix}/{name}", now_s))
         topic = self._topics.transforms[name]
         messages = self._store.messages(topic)

@@ -7,7 +7,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from posor_bringup.arms import load_checked_arm
 from posor_bringup.view_messages import ArmTopics, MessageStore
-from posor_bringup.view_observation import SILENCE_S, Observer
+from posor_bringup.view_observation import PERIODS, SILENCE_S, Observer
 from posor_estimator.ros.message_classes import schema_of_class
 from posor_msgs.msg import EndpointState, JointTransform
 from sensor_msgs.msg import JointState
@@ -73,10 +73,10 @@ def test_everything_is_stale_without_messages_on_the_endpoint(rig: Rig) -> None:
 
 
 def test_slow_arm_is_silent_after_three_periods(rig: Rig) -> None:
-    for time_s in (1.0, 3.0):
-        rig.add_scan(time_s)
-    assert rig.observe(8.9).is_fresh
-    assert not rig.observe(9.1).is_fresh
+    for time_s in range(0, 2 * PERIODS + 1, 2):
+        rig.add_scan(float(time_s))
+    assert rig.observe(2.0 * PERIODS + 5.9).is_fresh
+    assert not rig.observe(2.0 * PERIODS + 6.1).is_fresh
 
 
 def test_joint_without_transforms_is_silent(rig: Rig) -> None:
@@ -146,3 +146,13 @@ def test_invalid_message_is_refused_with_a_sentence(rig: Rig) -> None:
     seen = rig.observe(1.0)
     assert not seen.is_fresh
     assert seen.overall.sentences[0].startswith(f"{STATE}: EndpointState: a message of 14 bytes ends within ")
+
+
+def test_an_earlier_pause_does_not_hide_a_later_silence(rig: Rig) -> None:
+    rig.add_scan(0.0)
+    rig.add_scan(60.0)
+    assert rig.observe(60.0 + 0.5 * SILENCE_S).is_fresh
+    assert not rig.observe(60.0 + 2.0 * SILENCE_S).is_fresh
+    for number in range(10):
+        rig.add_scan(61.0 + number * PERIOD_S)
+    assert not rig.observe(61.1 + 2.0 * SILENCE_S).is_fresh

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
-from decimal import Decimal, Overflow
+from decimal import Decimal, InvalidOperation, Overflow
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -35,7 +35,7 @@ CONVERTED_UNITS = {
     "deg": ("rad", Decimal(math.pi) / 180),
 }
 """Units that files may use besides those of SI: the SI unit, and its amount in one of them."""
-_NUMBER_WITH_UNIT = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([a-zA-Zµ°/]+)")
+_NUMBER_WITH_UNIT = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([a-zA-Zµ°/]+)", re.ASCII)
 
 
 class Quantity(FrozenModel):
@@ -119,6 +119,8 @@ def _to_unit(raw: object, unit: str, factor: Decimal, key: Location) -> object:
         return float(Decimal(str(raw)) * factor)  # in decimals, as it is written: 38.1 mm is exactly 0.0381 m
     except Overflow:
         return math.inf
+    except InvalidOperation:  # an exponent beyond those of decimals
+        raise EntryError(format_value(raw), key=key, expected=f"a number in {describe_units(unit)}") from None
 
 
 def describe_units(unit: str) -> str:

@@ -49,7 +49,7 @@ class Verdict:
 
         """
         lines, end = _wrap([self.headline, *self.findings]), _wrap(ending)
-        shown = self.notes[: MAX_LINES - 1 - len(lines) - len(end)]
+        shown = self.notes[: max(0, MAX_LINES - 1 - len(lines) - len(end))]
         lines += [textwrap.shorten(f"Note: {note}", WIDTH, placeholder=" ...") for note in shown]
         summary = f"Notes: {len(shown)} of {len(self.notes)}, shortened; in full {elsewhere}"
         return [*lines, *([summary] if self.notes else []), *end]

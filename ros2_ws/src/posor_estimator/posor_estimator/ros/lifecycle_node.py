@@ -96,6 +96,8 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
             overrides = take_overrides(self)
             qos_names = [name for name in self.get_parameters_by_prefix("") if name.startswith(PREFIX)]
             qos_values = {name: self.get_parameter(name).value for name in qos_names}
+            for name in qos_names:  # rclpy declares it again, read-only, with the publisher or subscription
+                self.undeclare_parameter(name)
             self.qos_overrides = QosOverrides(self.get_fully_qualified_name(), qos_values)
             self._declared: DeclaredParameters[ParametersT] = DeclaredParameters(
                 self,

@@ -18,7 +18,7 @@ STATE_DEADLINE_S = 0.3
 """Shortest deadline that the endpoint's state offers: silence is found after 0.2 to 0.28 s, and then named."""
 
 RELIABLE_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-"""For all publishers, and for subscriptions to what is no sensor topic."""
+"""Default of publishers, and of subscriptions to other than sensor topics."""
 
 SENSOR_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 """For subscriptions to sensor topics."""
@@ -34,7 +34,7 @@ LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durabi
 
 
 def sensor_publisher_qos(parameters: NodeParameters) -> QoSProfile:
-    """Return the profile of a publisher of a sensor topic (raw scans, transforms): that of the results, see REP-2003.
+    """Return the profile of a publisher of a sensor topic (raw scans, transforms): that of the results.
 
     It serves reliable and best-effort subscriptions.
     """

@@ -28,7 +28,7 @@ from posor_estimator.uncertainty.reliability_report import (
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-from posor_estimator.uncertainty.budget_report import BudgetReport
+    from posor_estimator.uncertainty.budget_report import BudgetReport
 
 BARS = 8
 """Number of contributions drawn for each output."""

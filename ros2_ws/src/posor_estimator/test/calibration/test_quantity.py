@@ -34,6 +34,12 @@ def test_a_number_with_a_unit_is_converted_exactly(written: Any, value: Any, sig
     assert Quantity.model_validate(written) == Quantity(value=value, sigma=sigma, unit=unit)
 
 
+@pytest.mark.parametrize("number", ["1e99999999999999999999 mm", "1e-99999999999999999999 mm", "\u0662 mm"])
+def test_a_number_that_cannot_be_read_is_refused(number: object) -> None:
+    with pytest.raises(ValidationError):
+        Quantity.model_validate({"value": [number], "unit": "mm"})
+
+
 @pytest.mark.parametrize("number", ["1e9999999 mm", "1e400 mm", 10**400])
 def test_a_number_beyond_all_floats_is_refused(number: object) -> None:
     with pytest.raises(ValidationError, match="is not finite"):

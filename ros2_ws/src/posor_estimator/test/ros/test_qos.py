@@ -9,6 +9,7 @@ from posor_estimator.ros.posor_node import PosorEstimatorNode
 from posor_estimator.ros.qos import RELIABLE_QOS, result_qos, sensor_publisher_qos, sensor_subscription_qos
 from posor_estimator.testing.graph import Graph
 from posor_estimator.testing.in_process_nodes import NodeProcess, run_refused_node
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 if TYPE_CHECKING:
@@ -55,6 +56,8 @@ def test_overrides_change_one_topic_of_one_node_also_after_a_clean_up() -> None:
             assert received()[0].qos_profile.reliability == ReliabilityPolicy.RELIABLE
             assert published()[0].qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
             assert node.get_parameter(f"{RAW}depth").value == 3
+            (changed,) = node.set_parameters([Parameter(f"{RAW}depth", value=7)])
+            assert not changed.successful
             for change in (
                 node.trigger_deactivate,
                 node.trigger_cleanup,
