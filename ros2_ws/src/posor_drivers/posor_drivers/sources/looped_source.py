@@ -1,5 +1,7 @@
 """Source ``looped``: recorded scans played forwards and backwards without end, at any rate, as a load for tests.
 
+Every second scan is played forwards, the others backwards. So no scan is played twice in a row, not even where ticks
+are missed while the direction changes: the estimator would report a scan that repeats to the last bit as frozen.
 One scan is published at each tick of the ROS clock; stamp and scan number are those of the tick, all other fields are
 as recorded. All scans are read and prepared in ``open``, so a tick costs little.
 """
@@ -100,9 +102,8 @@ class LoopedSource(LiveSource[LoopedParameters]):
     def read_tick(self, tick: int) -> Sequence[SourceMessage]:
         """Return the scan of a tick."""
         stamp_ns = tick_stamp_ns(tick, self.rate)
-        last = len(self._scans) - 1
-        index = tick % (2 * last) if last else 0
-        scan = self._scans[min(index, 2 * last - index)]
+        position = 2 * (tick % len(self._scans))
+        scan = self._scans[min(position, 2 * len(self._scans) - 1 - position)]
         return (SourceMessage(RAW_TOPIC, stamp_ns, scan.at(stamp_ns, tick)),)
 
 
