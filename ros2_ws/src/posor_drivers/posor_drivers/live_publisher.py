@@ -185,7 +185,8 @@ class PaceReport:
         warnings: list[str] = []
         values: dict[str, Value] = {"ticks_missed": self._missed.ticks, "overruns": self._missed.overruns}
         if self._missed.ticks > self._reported_ticks:
-            warnings.append("late")
+            missed = self._missed.ticks - self._reported_ticks
+            warnings.append(f"late: {missed} ticks missed; this host is overloaded, or the clock leapt")
             self._reported_ticks = self._missed.ticks
         task = None if self._publisher is None else self._publisher.task
         if task is not None:

@@ -38,16 +38,18 @@ class ArmSimulation:
 
     """
 
-    def __init__(self, arm: Arm, imperfections: Imperfections | None = None) -> None:
+    def __init__(self, arm: Arm, imperfections: Imperfections | None = None, rate: int = 0) -> None:
         """Read the arm's files and compute one cycle.
 
         Args:
             arm: The arm file.
             imperfections: Which imperfections are simulated; None: all.
+            rate: Ticks per second; 0: those of the scenario.
 
         Raises:
             ChainError: The URDF or the beams file is invalid.
             CalibrationError: A file is invalid, the scenario does not fit the arm, or the arm cannot follow it.
+            ParameterError: The rate does not fit the scenario.
 
         """
         if arm.scenario is None:
@@ -58,7 +60,8 @@ class ArmSimulation:
         if moving != len(self.chain.joints):
             what = f"{len(self.chain.joints)} POSOR joints, of which {moving} move the endpoint"
             raise ChainError(what, where=str(arm.urdf), expected="one row of joints from the base to the endpoint")
-        self.scenario = load_scenario(arm.scenario)
+        scenario = load_scenario(arm.scenario)
+        self.scenario = scenario.at_rate(rate) if rate else scenario
         source = str(arm.scenario)
         nominal = NominalArm(self.chain)
         self.joints = nominal.joints

@@ -17,6 +17,7 @@ from posor_estimator.calibration.file_model import EntryError, FrozenModel
 from posor_estimator.calibration.quantity import ANY, Quantity, measured
 from posor_estimator.calibration.yaml_document import load_document
 from posor_estimator.chain.beams_file import TubeFile
+from posor_estimator.errors import ParameterError
 from pydantic import Field, model_validator
 
 from posor_drivers.simulator.electronics_settings import Contamination, ElectronicsSettings
@@ -186,6 +187,22 @@ class Scenario(FrozenModel):
     def cycle_ticks(self) -> int:
         """Number of ticks after which the motion repeats."""
         return round(self.duration.number * self.rate.number)
+
+    def at_rate(self, rate: int) -> Scenario:
+        """Return the scenario at another rate [Hz].
+
+        Raises:
+            ParameterError: The scenario does not take a whole number of ticks at this rate.
+
+        """
+        duration = self.duration.number
+        if abs(duration * rate - round(duration * rate)) > _TOLERANCE * rate:
+            raise ParameterError(
+                f"{rate} Hz does not fit the scenario '{self.name}'",
+                where="parameter 'simulated.rate'",
+                expected=f"a whole number of ticks in {duration:g} s",
+            )
+        return self.model_copy(update={"rate": Quantity(value=float(rate), unit="Hz")})
 
     def commanded_angles(self, arm: NominalArm, source: str) -> FloatArray:
         """Return the commanded joint angles at each tick of a cycle [rad], (n, j).

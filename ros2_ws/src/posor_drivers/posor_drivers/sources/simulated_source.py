@@ -21,6 +21,7 @@ from posor_drivers.scan_clock import tick_stamp_ns
 from posor_drivers.simulated_messages import SimulatedMessages
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
+from posor_drivers.simulator.scenario import MAX_RATE_HZ
 from posor_drivers.simulator.stage import Stage
 from posor_drivers.sources.source import Input, LiveSource, Topic
 
@@ -35,6 +36,9 @@ class SimulatedParameters(Imperfections, ParameterGroup):
 
     arm: Annotated[str, Field(min_length=1)] = Field(description="arm file (YAML), with a scenario")
     joint: Annotated[str, Field(min_length=1)] = Field(description="name of this driver's joint")
+    rate: Annotated[int, Field(ge=0, le=MAX_RATE_HZ)] = Field(
+        default=0, description="scans per second, equal for all drivers of the arm [Hz]; 0: those of the scenario"
+    )
     cycles: Annotated[int, Field(ge=0)] = Field(
         default=0,
         description="end after the rest of the present cycle of the scenario and this many whole cycles; 0: never",
@@ -59,7 +63,7 @@ class SimulatedSource(LiveSource[SimulatedParameters]):
 
     def open(self) -> Sequence[Topic]:
         """Read the arm's files and compute one cycle."""
-        self._simulation = ArmSimulation(load_arm(Path(self.parameters.arm)), self.parameters)
+        self._simulation = ArmSimulation(load_arm(Path(self.parameters.arm)), self.parameters, self.parameters.rate)
         joints, joint = self._simulation.joints, self.parameters.joint
         if joint not in joints:
             raise ParameterError(
@@ -94,7 +98,7 @@ class SimulatedSource(LiveSource[SimulatedParameters]):
 
     @property
     def rate(self) -> int:
-        """The scenario's rate [Hz]."""
+        """Scans per second."""
         return self._simulation.scenario.ticks_per_second
 
     def start_run(self, now_ns: int) -> tuple[int, int | None]:

@@ -6,7 +6,7 @@ import pytest
 import yaml
 from posor_drivers.simulator.motion_phases import Circle, Dither, Rest, Spline
 from posor_drivers.simulator.scenario import load_scenario
-from posor_estimator.errors import CalibrationError
+from posor_estimator.errors import CalibrationError, ParameterError
 
 from ..three_joint_arm import SCENARIO, scenario
 
@@ -18,6 +18,19 @@ def load(folder: Path, content: object) -> Any:
     path = folder / "scenario.yaml"
     path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
     return load_scenario(path)
+
+
+def test_another_rate_changes_the_ticks_and_not_the_duration() -> None:
+    scenario = load_scenario(SCENARIO).at_rate(250)
+    assert (scenario.ticks_per_second, scenario.cycle_ticks) == (250, 2000)
+
+
+def test_rate_without_a_whole_number_of_ticks_is_refused(tmp_path: Path) -> None:
+    content = scenario()
+    content["duration"]["value"], content["motion"][0]["duration"]["value"] = 8.01, 0.41
+    changed = load(tmp_path, content)
+    with pytest.raises(ParameterError, match="parameter 'simulated.rate': 50 Hz does not fit .* ticks in 8.01 s"):
+        changed.at_rate(50)
 
 
 def test_scenario_is_read_as_written() -> None:

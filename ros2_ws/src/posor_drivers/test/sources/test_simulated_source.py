@@ -215,7 +215,7 @@ def test_clock_that_leaps_skips_and_counts_ticks(arm: Path) -> None:
             return latest is not None and int(values_of(latest)["ticks_missed"]) >= steps.max() - 1
 
         run.graph.wait_until(is_counted, "the count of missed ticks")
-        late = [status for status in run.graph.diagnostics if status.name == name and status.message == "late"]
+        late = [status for status in run.graph.diagnostics if status.name == name and status.message.startswith("late: ")]
         assert late[0].level == b"\x01"
 
 
@@ -335,6 +335,17 @@ def test_parameter_of_a_replay_ends_the_program(arm: Path) -> None:
         assert program.wait() == 2
         (line,) = program.errors
         assert line.startswith("parameter 'loop': source 'simulated' is live")
+
+
+def test_rate_replaces_that_of_the_scenario(arm: Path) -> None:
+    source = SimulatedSource(SimulatedParameters(arm=str(arm), joint="base", rate=50, latency=False), MessageTypes())
+    source.open()
+    assert (source.rate, source.publication_time_ns(1)) == (50, 20_000_000)
+    truth = next(message for message in source.read_tick(100) if "truth" in message.topic)
+    slow = deserialize_message(truth.data, PoseStamped)
+    assert stamp_ns(slow) == 2 * NS
+    as_written = ArmSimulation(load_arm(arm)).truth(np.array([2 * RATE])).T_parent_child["base"]
+    assert np.allclose(pose_from_message(slow.pose).translation, as_written.translations[0], rtol=0.0, atol=1e-7)
 
 
 def test_unknown_joint_is_refused(arm: Path, capfd: pytest.CaptureFixture[str]) -> None:
