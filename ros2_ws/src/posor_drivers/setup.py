@@ -26,14 +26,20 @@ setup(
     entry_points={
         "console_scripts": [
             "driver_node = posor_drivers.driver_programs:driver_node",
+            "instruments = posor_drivers.driver_programs:instruments",
             "record = posor_drivers.driver_programs:record",
         ],
         "posor_estimator.nodes": ["driver_node = posor_drivers.driver_node:DriverNode"],
         "posor_drivers.sources": [
             "bag = posor_drivers.sources.bag_source:BagSource",
+            "instruments = posor_drivers.sources.instrument_source:InstrumentSource",
             "looped = posor_drivers.sources.looped_source:LoopedSource",
             "simulated = posor_drivers.sources.simulated_source:SimulatedSource",
             "table = posor_drivers.sources.table_source:TableSource",
+        ],
+        "posor_drivers.devices": [
+            "capancdt_6200 = posor_drivers.instruments.capancdt_device:CapaNcdtDevice",
+            "stream = posor_drivers.instruments.stream_device:StreamDevice",
         ],
     },
 )

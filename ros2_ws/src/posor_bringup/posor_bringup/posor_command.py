@@ -6,7 +6,7 @@ import difflib
 import sys
 from typing import TYPE_CHECKING, NamedTuple
 
-from posor_drivers.driver_programs import record
+from posor_drivers.driver_programs import instruments, record
 from posor_estimator.errors import ParameterError
 from posor_estimator.estimator_programs import budget, calibrate, recover, reprocess
 
@@ -39,6 +39,7 @@ def _print_completion() -> int:
 SUBCOMMANDS = {
     "bringup": Subcommand(bringup, "start all nodes of an arm"),
     "view": Subcommand(view, "show an arm or a bag in the browser"),
+    "instruments": Subcommand(instruments, "list, try and watch the devices of an instruments file"),
     "record": Subcommand(record, "record topics into a bag"),
     "reprocess": Subcommand(reprocess, "compute transforms and endpoint poses from recorded scans"),
     "recover": Subcommand(recover, "write what is whole in a damaged bag to a new bag"),
@@ -54,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     name, *others = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
     if name in {"-h", "--help"}:
         sys.stdout.write("usage: posor SUBCOMMAND [arguments]\n\n")
-        sys.stdout.writelines(f"  {each:<12}{subcommand.summary}\n" for each, subcommand in SUBCOMMANDS.items())
+        sys.stdout.writelines(f"  {each:<13}{subcommand.summary}\n" for each, subcommand in SUBCOMMANDS.items())
         sys.stdout.write("\n'posor SUBCOMMAND --help' lists the arguments of a subcommand.\n")
         return 0
     if name not in SUBCOMMANDS:

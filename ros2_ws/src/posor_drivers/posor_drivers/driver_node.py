@@ -71,7 +71,8 @@ class DriverNode(PosorNode[DriverParameters]):
         self._pace: PaceReport | None = None
         self._inputs = InputSubscriptions(self)
         self._status = self.diagnostics.add_status("source")
-        self._monitor = InputMonitor(self)
+        self._monitor = InputMonitor(self, lambda _: self._report_source())
+        self._source_statuses: dict[str, Status] = {}
         self.diagnostics.add_refresh(self._refresh_diagnostics)
 
     @classmethod
@@ -100,6 +101,7 @@ class DriverNode(PosorNode[DriverParameters]):
             self._pace = self._pace or PaceReport(self, self.diagnostics.add_status("pace"))
             self.add_cleanup(self._inputs.close)
             self._inputs.open(self._source.inputs())
+            self._report_source()
         self.add_cleanup(self._monitor.clear)
         self._watch = self._monitor.add_source(f"source '{name}'")
         self._status.report(Level.OK, "ready", {"source": name, "record": self._source.record})
@@ -197,6 +199,14 @@ class DriverNode(PosorNode[DriverParameters]):
             self._status.report(level, message)
             if error is not None or self.parameters.on_end == "exit":
                 self.request_exit(error)
+
+    def _report_source(self) -> None:
+        """Report the status lines of a live source."""
+        for line in self._source.statuses() if isinstance(self._source, LiveSource) else ():
+            if line.name not in self._source_statuses:
+                self._source_statuses[line.name] = self.diagnostics.add_status(line.name, logged=True)
+            level = Level.ERROR if line.fault else Level.OK
+            self._source_statuses[line.name].report(level, line.fault or line.text, line.values)
 
     def _wait_for_delivery(self) -> None:
         """Wait until every reliable subscription has all messages."""

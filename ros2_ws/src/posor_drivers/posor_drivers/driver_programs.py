@@ -5,4 +5,5 @@ from __future__ import annotations
 from posor_estimator.lazy_program import LazyProgram
 
 driver_node = LazyProgram("driver_node", "posor_drivers.driver_node")
+instruments = LazyProgram("instruments", "posor_drivers.instruments.instruments_command")
 record = LazyProgram("record", "posor_drivers.recorder")

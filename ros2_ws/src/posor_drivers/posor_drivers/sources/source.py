@@ -25,9 +25,10 @@ from posor_estimator.parameter_model import ParameterGroup
 from posor_drivers.scan_clock import first_tick_after, tick_stamp_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from posor_estimator.bags.message_definitions import MessageTypes
+    from posor_estimator.ros.diagnostics import Value
 
 ENTRY_POINT_GROUP = "posor_drivers.sources"
 
@@ -58,6 +59,16 @@ class Input:
     topic: Topic
     on_message: Callable[[Any, int], None]
     """Called with each message and the ROS time [ns], in the executor's thread; raises a PosorError to refuse it."""
+
+
+class SourceStatus(NamedTuple):
+    """A status line of a live source in the diagnostics of its driver."""
+
+    name: str
+    fault: str
+    """What is wrong; empty: nothing."""
+    text: str
+    values: Mapping[str, Value]
 
 
 class Source(ABC, Generic[ParametersT]):
@@ -111,8 +122,8 @@ class RecordedSource(Source[ParametersT]):
 class LiveSource(Source[ParametersT]):
     """A source with one scan at each tick of the ROS clock: tick k is at k / rate seconds, see ``scan_clock``.
 
-    A subclass must define ``rate`` and ``read_tick``. All methods but ``inputs`` are called in one thread, which
-    drivers of the same rate share, so a slow source delays the other drivers.
+    A subclass must define ``rate`` and ``read_tick``. All methods but ``inputs`` and ``statuses`` are called in one
+    thread, which drivers of the same rate share, so a slow source delays the other drivers.
     """
 
     @property
@@ -126,6 +137,10 @@ class LiveSource(Source[ParametersT]):
 
     def inputs(self) -> Sequence[Input]:
         """Return the topics to subscribe to, once the source is open."""
+        return ()
+
+    def statuses(self) -> Sequence[SourceStatus]:
+        """Return status lines, always the same names, once the source is open; called often, in another thread."""
         return ()
 
     def start_run(self, now_ns: int) -> tuple[int, int | None]:

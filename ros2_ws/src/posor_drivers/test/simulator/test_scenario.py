@@ -29,7 +29,7 @@ def test_rate_without_a_whole_number_of_ticks_is_refused(tmp_path: Path) -> None
     content = scenario()
     content["duration"]["value"], content["motion"][0]["duration"]["value"] = 8.01, 0.41
     changed = load(tmp_path, content)
-    with pytest.raises(ParameterError, match="parameter 'simulated.rate': 50 Hz does not fit .* ticks in 8.01 s"):
+    with pytest.raises(ParameterError, match=r"parameter 'simulated.rate': 50 Hz does not fit .* ticks in 8.01 s"):
         changed.at_rate(50)
 
 

@@ -1,0 +1,195 @@
+"""Reads a device in a thread of its own, maps its frames to ROS time, and keeps the newest frames."""
+
+from __future__ import annotations
+
+import time
+from threading import Event, Lock, Thread
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from posor_estimator.numerics.stamps import NS
+
+from posor_drivers.instruments.clock_mapping import ClockMapping
+from posor_drivers.instruments.device import DeviceError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from posor_estimator.numerics.array_types import FloatArray
+
+    from posor_drivers.instruments.device import Device, Frames
+
+CAPACITY = 1 << 13
+"""Frames that are kept; at 4 kHz two seconds."""
+CONNECT_TIMEOUT_S = 1.0
+READ_TIMEOUT_S = 0.1
+STALL_S = 0.3
+"""Time without a frame, and at least STALL_FRAMES nominal periods, after which a device has stalled."""
+STALL_FRAMES = 5
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.1, 1.0
+"""Pause before a connection is tried again: doubled with each failure."""
+MAX_DRIFT = 0.01
+"""Share by which the frame rate may differ from the stated one."""
+
+
+class DeviceState(NamedTuple):
+    """State of a device for the diagnostics."""
+
+    fault: str
+    """Why there are no frames; empty: they come."""
+    text: str
+    """What the device says it is."""
+    values: dict[str, float | int]
+    """Counts and the clock, by name."""
+
+
+class DeviceReader:
+    """Reads one device until it is stopped; connects again after a fault."""
+
+    def __init__(self, device: Device[Any], now_ns: Callable[[], int] = time.time_ns) -> None:
+        """Prepare; ``now_ns`` is the ROS time by which arrivals are stamped."""
+        self.device = device
+        self._now_ns, self._delay_ns = now_ns, round(device.settings.delay.number * NS)
+        self._thread = Thread(target=self._run, name=f"device {device.name}", daemon=True)
+        self._stopping = Event()
+        self._lock = Lock()
+        self._fault, self._identity = f"{device.name}: not connected yet", ""
+        self._failure: Exception | None = None
+        self._counts = {"frames": 0, "frames_lost": 0, "frames_repeated": 0, "connections": 0}
+        self._forget_frames()
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread and the connection."""
+        self._stopping.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    @property
+    def state(self) -> DeviceState:
+        """The present state."""
+        with self._lock:
+            values: dict[str, float | int] = dict(self._counts)
+            if (line := self._mapping.line) is not None:
+                values |= {
+                    "frame_rate": NS / line.period_ns,
+                    "clock_drift": line.period_ns * self.device.frame_rate / NS - 1.0,
+                    "clock_uncertainty": line.uncertainty_s,
+                }
+            return DeviceState(self._fault, self._identity, values)
+
+    def values_at(self, time_ns: int) -> FloatArray | None:
+        """Return the values of all channels at a ROS time [ns], (c,), interpolated between the two nearest frames.
+
+        Returns:
+            The values; None where one of the frames is missing: not there yet, lost, or before the connection.
+
+        Raises:
+            Exception: What has ended the thread, if it was no ``DeviceError``.
+
+        """
+        if self._failure is not None:
+            raise self._failure
+        with self._lock:
+            line = self._mapping.line
+            if line is None or not self._stored:
+                return None
+            position = line.first + (time_ns - line.start_ns) / line.period_ns
+            number = int(position)
+            rows = [self._row_of(number), self._row_of(number + 1)]
+            if rows[0] is None or rows[1] is None:
+                return None
+            share = position - number
+            values: FloatArray = (1.0 - share) * self._values[rows[0]] + share * self._values[rows[1]]
+            return values
+
+    def newest_values(self) -> FloatArray | None:
+        """Return the values of the newest frame, (c,); None where there is none."""
+        with self._lock:
+            return None if self._last is None else self._values[self._last % CAPACITY].copy()
+
+    def _row_of(self, number: int) -> int | None:
+        """Return the row of a frame in the store, if it is there."""
+        row = number % CAPACITY
+        return row if self._numbers[row] == number else None
+
+    def _forget_frames(self) -> None:
+        self._mapping = ClockMapping(self.device.frame_rate)
+        self._numbers = np.full(CAPACITY, -1, dtype=np.int64)
+        self._values = np.full((CAPACITY, len(self.device.channels)), np.nan)
+        self._stored = False
+        self._last: int | None = None
+
+    def _run(self) -> None:
+        pause_s = FIRST_PAUSE_S
+        while not self._stopping.is_set():
+            try:
+                self._identity = self.device.connect(CONNECT_TIMEOUT_S)
+                self._counts["connections"] += 1
+                self._read_frames()
+            except DeviceError as error:
+                with self._lock:
+                    pause_s = FIRST_PAUSE_S if self._stored else min(2.0 * pause_s, LONGEST_PAUSE_S)
+                    self._fault = str(error)
+                    self._forget_frames()
+            except Exception as error:  # noqa: BLE001  the driver ends the program with it
+                self._failure = error
+                return
+            finally:
+                self.device.close()
+            self._stopping.wait(pause_s)
+
+    def _read_frames(self) -> None:
+        """Read until the device fails or the reader is stopped."""
+        device, last_s = self.device, time.monotonic()
+        stall_s = max(STALL_S, STALL_FRAMES / device.frame_rate)
+        while not self._stopping.is_set():
+            frames = device.read(READ_TIMEOUT_S)
+            arrived_ns, now_s = self._now_ns() - self._delay_ns, time.monotonic()
+            if frames is None or not len(frames.counters):
+                if now_s - last_s > stall_s:
+                    expected = f"{device.frame_rate:g} frames per second"
+                    raise DeviceError(f"no frame for {now_s - last_s:.2f} s", where=device.name, expected=expected)
+                continue
+            last_s = now_s
+            with self._lock:
+                self._store(frames, arrived_ns)
+
+    def _store(self, frames: Frames, arrived_ns: int) -> None:
+        """Store frames that have arrived together."""
+        counters, counts = frames.counters, self._counts
+        last = counters[0] - 1 if self._last is None else self._last
+        steps = np.diff(counters, prepend=last)
+        if np.any(steps < 0):
+            n = int(np.argmax(steps < 0))
+            before = int(last if n == 0 else counters[n - 1])
+            what = f"the frame counter went back from {before} to {counters[n]}"
+            raise DeviceError(what, where=self.device.name, expected="ascending numbers; the device may have restarted")
+        counts["frames"] += int(np.count_nonzero(steps))
+        counts["frames_repeated"] += int(np.count_nonzero(steps == 0))
+        counts["frames_lost"] += int(np.sum(steps[steps > 1] - 1))
+        newest = int(counters[-1])
+        rows = counters[-CAPACITY:] % CAPACITY
+        self._numbers[rows], self._values[rows] = counters[-CAPACITY:], frames.values[-CAPACITY:]
+        self._last, self._stored = newest, True
+        self._mapping.add(newest, arrived_ns)
+        self._fault = self._mapping_fault()
+
+    def _mapping_fault(self) -> str:
+        """Return why the frames cannot be used yet; empty: they can.
+
+        Raises:
+            DeviceError: The frame rate is another than stated.
+
+        """
+        name, nominal = self.device.name, self.device.frame_rate
+        line = self._mapping.line
+        if line is None:
+            return f"{name}: finding its clock, which takes a second"
+        rate = NS / line.period_ns
+        if abs(rate / nominal - 1.0) > MAX_DRIFT:
+            raise DeviceError(f"{rate:.6g} frames per second", where=name, expected=f"{nominal:g}, as stated")
+        return ""

@@ -1,0 +1,124 @@
+"""instruments: lists the devices of an instruments file, tries them, and shows their live values."""
+
+from __future__ import annotations
+
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from posor_estimator.errors import PosorError
+from posor_estimator.reporting.command_line_parser import CommandLineParser
+
+from posor_drivers.instruments.device import DeviceError
+from posor_drivers.instruments.device_reader import DeviceReader
+from posor_drivers.instruments.instruments_file import InstrumentsFile, device_classes, load_instruments
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Sequence
+
+PROBE_S = 5.0
+"""Time in which a device must deliver frames whose clock is known."""
+POLL_S = 0.05
+WATCH_S = 1.0
+
+
+def _parse_options(arguments: Sequence[str] | None) -> Namespace:
+    parser = CommandLineParser(prog="instruments", description="Show the devices of an instruments file.")
+    actions = parser.add_subparsers(dest="action", required=True, parser_class=CommandLineParser)
+    for name, summary in (
+        ("list", "devices, channels and the readings made of them; connects to nothing"),
+        ("probe", f"connect to every device and read frames for at most {PROBE_S:g} s"),
+        ("watch", "show the newest value of every channel once a second until Ctrl-C"),
+    ):
+        action = actions.add_parser(name, help=summary, description=summary)
+        action.add_argument("file", type=Path, metavar="FILE", help="instruments file (YAML)")
+    return parser.parse_args(arguments)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; the exit code is 0 if every device works."""
+    try:
+        options = _parse_options(arguments)
+        file = load_instruments(options.file)
+        if options.action == "list":
+            _list(file)
+            return 0
+        with ExitStack() as stack:
+            readers = [DeviceReader(device) for device in file.new_devices().values()]
+            for reader in readers:
+                reader.start()
+                stack.callback(reader.stop)
+            if options.action == "probe":
+                _probe(readers)
+            else:
+                _watch(readers)
+    except PosorError as error:
+        sys.stderr.write(f"{error}\n")
+        return error.exit_code
+    return 0
+
+
+def _list(file: InstrumentsFile) -> None:
+    """Print the devices and what their channels are used for."""
+    uses: dict[str, list[str]] = {}
+    for joint, readings in file.joints.items():
+        for _, (name, *index), entry in readings.entries():
+            uses.setdefault(entry.channel, []).append(f"{joint} {name}" + "".join(f"[{n}]" for n in index))
+    print(f"kinds of devices: {', '.join(device_classes())}")
+    for name, device in file.new_devices().items():
+        print(f"{name}: {device.settings.kind} at {device.address}, {device.frame_rate:g} frames per second")
+        for channel in device.channels:
+            use = ", ".join(uses.get(f"{name}/{channel.name}", ["not used"]))
+            print(f"  {channel.name} [{channel.unit}]: {use}")
+
+
+def _probe(readers: Sequence[DeviceReader]) -> None:
+    """Wait for the frames of all devices and print what they say.
+
+    Raises:
+        DeviceError: A device does not deliver frames.
+
+    """
+    end_s = time.monotonic() + PROBE_S
+    while time.monotonic() < end_s and any(reader.state.fault for reader in readers):
+        time.sleep(POLL_S)
+    for reader in readers:
+        state, name = reader.state, reader.device.name
+        if state.fault:
+            print(f"{name}: FAULT")
+            continue
+        values = state.values
+        print(
+            f"{name}: {state.text}; {values['frame_rate']:.4f} frames per second, stamps within "
+            f"{1e6 * values['clock_uncertainty']:.1f} us (1 sigma) beside its least delay, {values['frames_lost']} lost"
+        )
+        print(_channel_line(reader))
+    if faults := [reader.state.fault for reader in readers if reader.state.fault]:
+        raise DeviceError("; ".join(fault.rstrip(".") for fault in faults), where="instruments probe")
+
+
+def _channel_line(reader: DeviceReader) -> str:
+    """Return the newest value of every channel."""
+    values = reader.newest_values()
+    if values is None:
+        return f"  {reader.state.fault}"
+    pairs = zip(reader.device.channels, values, strict=True)
+    return "  " + ", ".join(f"{channel.name} {value:.6g} {channel.unit}" for channel, value in pairs)
+
+
+def _watch(readers: Sequence[DeviceReader]) -> None:
+    """Print the newest values once a second until Ctrl-C."""
+    try:
+        while True:
+            time.sleep(WATCH_S)
+            for reader in readers:
+                print(f"{reader.device.name}: {_channel_line(reader).strip()}", flush=True)
+    except KeyboardInterrupt:
+        return
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,168 @@
+"""The instruments file: devices, and which of their channels are the readings of each joint.
+
+::
+
+    format: posor_instruments
+    version: 1
+    name: rig
+    rate: {value: 500, unit: Hz}        # scans per second, at ticks of the ROS clock
+    latency: {value: 0.02, unit: s}     # from the tick to the publication: the frames after the tick must have arrived
+    devices:
+      box: {kind: stream, ...}
+    joints:
+      elbow:
+        frame_id: elbow_receiving
+        gap_voltages:
+          - {channel: box/gap1, scale: {value: 10000, unit: V/m}, offset: {value: -2.0, unit: V}}
+          - {channel: box/gap2, scale: {value: 10000, unit: V/m}}
+        temperature: {channel: box/plate, scale: {value: 1, unit: K/degC}, offset: {value: 273.15, unit: K}}
+
+A reading is ``scale`` times the channel plus ``offset``. Without ``scale`` the channel has the unit of the reading.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+
+from posor_estimator.calibration.file_model import EntryError, FrozenModel, select_model_by_key
+from posor_estimator.calibration.quantity import Quantity, measured
+from posor_estimator.calibration.yaml_document import load_document
+from pydantic import Field, model_validator
+
+from posor_drivers.instruments.device import Device, DeviceSettings, registered_devices
+from posor_drivers.simulator.scenario import MAX_RATE_HZ
+from posor_drivers.simulator.scenario_limits import NOT_NEGATIVE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+VERSION = 1
+READINGS = {
+    "gap_voltages": "V",
+    "ring_voltages": "V",
+    "diode_currents": "A",
+    "supply_voltage": "V",
+    "temperature": "K",
+}
+"""Readings of a joint and their units."""
+
+
+class ReadingEntry(FrozenModel):
+    """A reading: ``scale`` times a channel plus ``offset``."""
+
+    channel: Annotated[str, Field(pattern=r"^[^/]+/[^/]+$")]
+    scale: Quantity | None = None
+    offset: Quantity | None = None
+
+    @property
+    def factor(self) -> float:
+        """Amount of the reading in one unit of the channel."""
+        return 1.0 if self.scale is None else self.scale.number
+
+    @property
+    def shift(self) -> float:
+        """The reading at zero of the channel."""
+        return 0.0 if self.offset is None else self.offset.number
+
+
+class JointEntry(FrozenModel):
+    """Readings of a joint, in the order of its calibration file."""
+
+    frame_id: Annotated[str, Field(min_length=1)]
+    gap_voltages: Annotated[tuple[ReadingEntry, ...], Field(max_length=8)] = ()
+    ring_voltages: Annotated[tuple[ReadingEntry, ...], Field(max_length=8)] = ()
+    diode_currents: Annotated[tuple[ReadingEntry, ...], Field(max_length=16)] = ()
+    lit_sources: Annotated[tuple[Annotated[int, Field(strict=True, ge=0, le=254)], ...], Field(max_length=4)] = ()
+    supply_voltage: ReadingEntry | None = None
+    temperature: ReadingEntry | None = None
+
+    def entries(self) -> Iterator[tuple[str, tuple[str | int, ...], ReadingEntry]]:
+        """Yield name of the readings, location in the joint, and entry of each reading."""
+        for name in READINGS:
+            part: tuple[ReadingEntry, ...] | ReadingEntry | None = getattr(self, name)
+            if isinstance(part, ReadingEntry):
+                yield name, (name,), part
+            else:
+                for n, entry in enumerate(part or ()):
+                    yield name, (name, n), entry
+
+    @model_validator(mode="after")
+    def _check_readings(self) -> Self:
+        if not any(True for _ in self.entries()):
+            raise EntryError("no reading", expected=f"at least one of {', '.join(READINGS)}")
+        if len(self.diode_currents) != 4 * len(self.lit_sources):
+            what = f"{len(self.diode_currents)} diode currents and {len(self.lit_sources)} lit sources"
+            raise EntryError(what, key=("lit_sources",), expected="one source for the four currents of each diode")
+        return self
+
+
+def device_classes() -> dict[str, type[Device[Any]]]:
+    """Return the classes of all kinds of devices."""
+    return {kind: entry.load() for kind, entry in registered_devices().items()}
+
+
+def _device_settings() -> Any:
+    models = {kind: device.Settings for kind, device in device_classes().items()}
+    return select_model_by_key("kind", models)
+
+
+class InstrumentsFile(FrozenModel):
+    """An instruments file."""
+
+    format: Literal["posor_instruments"]
+    version: Literal[1]
+    name: str
+    rate: Annotated[Quantity, measured("Hz")]
+    latency: Annotated[Quantity, measured("s"), NOT_NEGATIVE]
+    devices: Annotated[dict[str, Annotated[DeviceSettings, _device_settings()]], Field(min_length=1)]
+    joints: Annotated[dict[str, JointEntry], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        rate = self.rate.number
+        if not (rate.is_integer() and 1 <= rate <= MAX_RATE_HZ):
+            expected = f"a whole number from 1 to {MAX_RATE_HZ}"
+            raise EntryError(f"rate {rate:g} Hz", key=("rate", "value"), expected=expected)
+        units = {
+            f"{name}/{channel.name}": channel.unit
+            for name, device in self.new_devices().items()
+            for channel in device.channels
+        }
+        for joint, readings in self.joints.items():
+            for name, location, entry in readings.entries():
+                _check_units(READINGS[name], entry, units, ("joints", joint, *location))
+        return self
+
+    def new_devices(self) -> dict[str, Device[Any]]:
+        """Return the devices, not connected."""
+        classes = device_classes()
+        return {name: classes[settings.kind](name, settings) for name, settings in self.devices.items()}
+
+
+def _check_units(unit: str, entry: ReadingEntry, units: dict[str, str], key: tuple[str | int, ...]) -> None:
+    if entry.channel not in units:
+        known = ", ".join(units)
+        raise EntryError(f"channel '{entry.channel}'", key=(*key, "channel"), expected=f"one of {known}")
+    per_channel = units[entry.channel]
+    if entry.scale is None:
+        if per_channel != unit:
+            what = f"channel '{entry.channel}' is in {per_channel}"
+            raise EntryError(what, key=key, expected=f"a scale in {unit}/{per_channel}")
+    elif entry.scale.unit != f"{unit}/{per_channel}" or entry.scale.array.shape:
+        what = f"scale in {entry.scale.unit}"
+        raise EntryError(what, key=(*key, "scale", "unit"), expected=f"one number in {unit}/{per_channel}")
+    if entry.offset is not None and (entry.offset.unit != unit or entry.offset.array.shape):
+        what = f"offset in {entry.offset.unit}"
+        raise EntryError(what, key=(*key, "offset", "unit"), expected=f"one number in {unit}")
+
+
+def load_instruments(path: Path) -> InstrumentsFile:
+    """Read and validate an instruments file (YAML, SI).
+
+    Raises:
+        CalibrationError: The file cannot be read, is not YAML, or holds an invalid entry.
+
+    """
+    keys = "format, version, name, rate, latency, devices, joints"
+    return load_document(path, "instruments file", keys, VERSION, InstrumentsFile.model_validate)[0]

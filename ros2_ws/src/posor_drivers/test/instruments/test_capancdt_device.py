@@ -1,0 +1,431 @@
+"""Device ``capancdt_6200`` over real sockets, against a counterpart of the controller with faults on demand."""
+
+from __future__ import annotations
+
+import math
+import re
+import socket
+import time
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from posor_drivers.instruments.capancdt_device import CapaNcdtDevice, CapaNcdtSettings
+from posor_drivers.instruments.device import DeviceError, Frames
+from posor_drivers.testing.capancdt_server import FULL_SCALE, HEADER_BYTES, CapaNcdtServer
+from posor_estimator.calibration.file_model import first_problem
+from pydantic import ValidationError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+TIMEOUT_S = 5.0
+RANGES = {1: 0.5e-3, 3: 2e-3, 4: 1e-3}
+LAST = (1 << 32) - 1
+
+
+def distances(time_ns: int) -> tuple[float, float, float]:
+    """Distances that change by many LSB from frame to frame, each in its own way."""
+    seconds = (time_ns % 1_000_000_000_000) * 1e-9
+    return (
+        0.25e-3 + 0.2e-3 * math.sin(300.0 * seconds),
+        1e-3 + 0.9e-3 * math.cos(200.0 * seconds),
+        0.5e-3 + 0.4e-3 * math.sin(100.0 * seconds),
+    )
+
+
+def settings(server: CapaNcdtServer | None = None, **changes: Any) -> CapaNcdtSettings:
+    """Return settings with channel 3 before channel 1, and without channel 4."""
+    ports = {} if server is None else {"command_port": server.command_port, "data_port": server.data_port}
+    content = {
+        "kind": "capancdt_6200",
+        "host": "127.0.0.1",
+        "rate": {"value": 3906.25, "unit": "Hz"},
+        "channels": {
+            "wide": {"number": 3, "range": {"value": 2, "unit": "mm"}},
+            "narrow": {"number": 1, "range": {"value": 500, "unit": "um"}},
+        },
+    }
+    return CapaNcdtSettings.model_validate(content | ports | changes)
+
+
+@contextmanager
+def connected(server: CapaNcdtServer, **changes: Any) -> Iterator[CapaNcdtDevice]:
+    device = CapaNcdtDevice("probes", settings(server, **changes))
+    try:
+        device.connect(TIMEOUT_S)
+        yield device
+    finally:
+        device.close()
+
+
+@pytest.fixture
+def server() -> Iterator[CapaNcdtServer]:
+    with CapaNcdtServer(distances, RANGES) as server:
+        yield server
+
+
+def read(device: CapaNcdtDevice, frames: int = 1) -> Frames:
+    """Return at least so many frames."""
+    parts: list[Frames] = []
+    while sum(len(part.counters) for part in parts) < frames:
+        part = device.read(TIMEOUT_S)
+        assert part is not None
+        parts.append(part)
+    return Frames(np.concatenate([p.counters for p in parts]), np.concatenate([p.values for p in parts]))
+
+
+def check_values(server: CapaNcdtServer, frames: Frames, first: int = 0) -> None:
+    """Check that each frame has the distances of its time to half an LSB."""
+    for counter, values in zip(frames.counters, frames.values, strict=True):
+        narrow, wide, _ = distances(server.exposed_ns(int(counter) - first))
+        assert values[0] == pytest.approx(wide, rel=0.0, abs=0.501 * RANGES[3] / FULL_SCALE)
+        assert values[1] == pytest.approx(narrow, rel=0.0, abs=0.501 * RANGES[1] / FULL_SCALE)
+
+
+def check_all(server: CapaNcdtServer, frames: Frames, first: int = 0) -> None:
+    """Check the values, and that no frame is missing."""
+    np.testing.assert_array_equal(np.diff(frames.counters), 1)
+    check_values(server, frames, first)
+
+
+def read_to_gap(device: CapaNcdtDevice, frames: Frames) -> Frames:
+    """Return the given frames and those that follow, up to lost frames and some more."""
+    deadline_s = time.monotonic() + TIMEOUT_S
+    while np.diff(frames.counters).max() == 1:
+        assert time.monotonic() < deadline_s, "no frames are lost"
+        more = read(device)
+        counters = np.append(frames.counters, more.counters)
+        frames = Frames(counters, np.vstack((frames.values, more.values)))
+    return frames
+
+
+def error_of(device: CapaNcdtDevice) -> str:
+    """Return the error with which reading ends."""
+    deadline_s = time.monotonic() + TIMEOUT_S
+    with pytest.raises(DeviceError) as caught:  # noqa: PT012  frames may come before it
+        while device.read(TIMEOUT_S) is not None:
+            assert time.monotonic() < deadline_s, "no error"
+    return str(caught.value)
+
+
+def test_what_is_known_without_a_connection() -> None:
+    device = CapaNcdtDevice("probes", settings(rate={"value": 1041.7, "unit": "Hz"}))
+    assert [(each.name, each.unit) for each in device.channels] == [("wide", "m"), ("narrow", "m")]
+    assert device.frame_rate == pytest.approx(1e6 / 960)
+    assert device.address == "127.0.0.1:10001"
+    device.close()
+
+
+def test_values_of_all_frames(server: CapaNcdtServer) -> None:
+    with connected(server) as device:
+        frames = read(device, 200)
+    assert frames.counters[0] == 0
+    assert frames.counters.dtype == np.int64
+    assert frames.values.shape == (len(frames.counters), 2)
+    check_all(server, frames)
+
+
+def test_connection_sets_up_the_controller(server: CapaNcdtServer) -> None:
+    assert server.trigger_mode == 1
+    device = CapaNcdtDevice("probes", settings(server))
+    assert device.connect(TIMEOUT_S) == "DT6200 V1.2a 8010079"
+    assert (server.trigger_mode, server.sample_time_us) == (0, 256)
+    device.close()
+
+
+def test_version_may_end_with_ok(server: CapaNcdtServer) -> None:
+    server.answers["VER"] = "DT6220;V2.0OK"
+    device = CapaNcdtDevice("probes", settings(server))
+    assert device.connect(TIMEOUT_S) == "DT6220 V2.0"
+    device.close()
+
+
+def test_line_of_the_command_alone_is_an_echo(server: CapaNcdtServer) -> None:
+    server.answers["CHS"] = "\r\n$CHS1,0,1,1OK"
+    with connected(server) as device:
+        check_all(server, read(device))
+
+
+@pytest.mark.parametrize("preamble", [b"MEAS", b"SAEM"])
+@pytest.mark.parametrize("frames_first", [False, True])
+@pytest.mark.parametrize("packet_frames", [1, 12, 100])  # a frame has 12 bytes
+def test_both_byte_orders_of_the_header(
+    server: CapaNcdtServer, preamble: bytes, packet_frames: int, *, frames_first: bool
+) -> None:
+    server.preamble, server.frames_first, server.packet_frames = preamble, frames_first, packet_frames
+    with connected(server) as device:
+        check_all(server, read(device, 2 * packet_frames))
+
+
+@pytest.mark.parametrize(
+    "split_at", [1, 4, HEADER_BYTES - 1, HEADER_BYTES, HEADER_BYTES + 7, HEADER_BYTES + 12 * 6 + 2]
+)
+def test_split_packet(server: CapaNcdtServer, split_at: int) -> None:
+    server.packet_frames, server.split_at = 8, split_at
+    with connected(server) as device:
+        assert server.split.wait(TIMEOUT_S)
+        assert device.read(0.01) is None
+        server.released.set()
+        check_all(server, read(device, 24))
+
+
+def test_merged_packets(server: CapaNcdtServer) -> None:
+    server.merged = 5
+    with connected(server) as device:
+        server.wait_until_sent(10)
+        frames = device.read(TIMEOUT_S)
+        assert frames is not None
+        assert len(frames.counters) >= 40
+        check_all(server, frames)
+
+
+def test_merged_packets_with_a_part_of_the_next(server: CapaNcdtServer) -> None:
+    packet_bytes = HEADER_BYTES + 4 * 12
+    server.merged, server.split_at = 3, 2 * packet_bytes + 9
+    with connected(server) as device:
+        assert server.split.wait(TIMEOUT_S)
+        whole = read(device)
+        assert len(whole.counters) == 8
+        assert device.read(0.0) is None
+        server.released.set()
+        rest = read(device)
+        check_all(server, Frames(np.append(whole.counters, rest.counters), np.vstack((whole.values, rest.values))))
+
+
+def test_lost_frames_leave_a_gap(server: CapaNcdtServer) -> None:
+    with connected(server) as device:
+        frames = read(device)
+        server.skip = 37
+        frames = read_to_gap(device, frames)
+    assert np.diff(frames.counters).max() >= 38
+    check_values(server, frames)
+
+
+def test_counter_wraps(server: CapaNcdtServer) -> None:
+    server.first = LAST - 9
+    with connected(server) as device:
+        frames = read(device, 40)
+    assert frames.counters[0] == LAST - 9
+    check_all(server, frames, first=server.first)
+
+
+def test_frames_lost_while_the_counter_wraps(server: CapaNcdtServer) -> None:
+    server.first = LAST - 3
+    with connected(server, rate={"value": 1e6 / 9600, "unit": "Hz"}) as device:
+        frames = read(device, 4)  # the next packet comes after 38 ms
+        server.skip = 5
+        frames = read_to_gap(device, frames)
+    assert frames.counters[0] == LAST - 3
+    assert frames.counters[-1] > LAST + 5
+    check_values(server, frames, first=server.first)
+
+
+@pytest.mark.parametrize("first", [1000, 3_000_000_000])
+def test_counter_goes_back(server: CapaNcdtServer, first: int) -> None:
+    server.first = first
+    with connected(server) as device:
+        read(device, 8)
+        server.restart_counter()
+        error = error_of(device)
+    match = re.fullmatch(
+        r"probes: the frame counter went back from (\d+) to 0; "
+        r"expected ascending numbers; the controller may have restarted\.",
+        error,
+    )
+    assert match is not None, error
+    assert first + 7 <= int(match[1]) < first + 10_000
+
+
+def test_wrong_preamble(server: CapaNcdtServer) -> None:
+    with connected(server) as device:
+        read(device)
+        server.preamble = b"MEAX"
+        assert error_of(device) == "probes: a packet begins with b'MEAX'; expected 'MEAS' or 'SAEM'."
+
+
+def test_impossible_lengths(server: CapaNcdtServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "_frame", lambda number: bytes(8))  # noqa: ARG005
+    with connected(server) as device:
+        assert error_of(device) == (
+            "probes: a packet states 8 and 4 as number of frames and bytes per frame; "
+            "expected 12 bytes per frame of 3 channels, and a frame or more."
+        )
+
+
+def test_packet_without_a_channel() -> None:
+    with CapaNcdtServer(lambda _: (0.0, 0.0), {1: 1.0, 2: 1.0}) as server:
+        server.states = [1, 1, 1, 0]
+        with connected(server) as device:
+            assert error_of(device) == (
+                "probes: a packet has no channel 3, only [1, 2]; expected the channels of the settings."
+            )
+
+
+@pytest.mark.parametrize(("distance", "valid"), [(0.0, True), (1.999e-3, True), (2e-3, False), (math.nan, False)])
+def test_values_out_of_range_are_nan(distance: float, *, valid: bool) -> None:
+    with CapaNcdtServer(lambda _: (1e-4, distance, 0.0), RANGES) as server, connected(server) as device:
+        values = read(device).values
+    assert np.all(values[:, 0] == pytest.approx(distance, abs=2e-10)) if valid else np.all(np.isnan(values[:, 0]))
+    assert values[:, 1] == pytest.approx(1e-4, abs=1e-10)
+
+
+def test_stall_and_recovery(server: CapaNcdtServer) -> None:
+    with connected(server) as device:
+        read(device)
+        server.stalled.set()
+        while device.read(0.05) is not None:
+            pass
+        server.stalled.clear()
+        check_values(server, read(device, 8))
+
+
+def test_closed_connection_and_the_next_one(server: CapaNcdtServer) -> None:
+    with connected(server) as device:
+        read(device)
+        server.drop_client()
+        expected = f"probes: 127.0.0.1:{server.data_port} has closed the connection; expected an open connection."
+        assert error_of(device) == expected
+        device.close()
+        device.connect(TIMEOUT_S)
+        frames = read(device, 8)
+        assert frames.counters[0] == 0
+        check_all(server, frames)
+
+
+def test_reading_needs_a_connection(server: CapaNcdtServer) -> None:
+    with pytest.raises(DeviceError, match="probes: no connection; expected a call of connect before"):
+        CapaNcdtDevice("probes", settings(server)).read(0.0)
+
+
+def test_clock_and_delay_of_the_controller() -> None:
+    """The earliest arrivals show the drift of the clock, whatever the delays of the others."""
+    with CapaNcdtServer(distances, RANGES, drift=0.02, delay_s=1e-3) as server, connected(server) as device:
+        counters: list[int] = []
+        arrivals_s: list[float] = []
+        while not counters or counters[-1] < 2000:
+            frames = device.read(TIMEOUT_S)
+            assert frames is not None
+            arrivals_s.append(time.monotonic())
+            counters.append(int(frames.counters[-1]))
+    late_s = np.array(arrivals_s) - np.array(counters) / device.frame_rate
+    half = len(late_s) // 2
+    span = (counters[half + int(late_s[half:].argmin())] - counters[int(late_s[:half].argmin())]) / device.frame_rate
+    assert span > 0.05
+    assert (late_s[half:].min() - late_s[:half].min()) / span == pytest.approx(0.02, abs=0.008)
+    steps = np.diff(arrivals_s)
+    assert steps.max() > 2.0 * np.median(steps)
+
+
+@pytest.mark.parametrize(
+    ("answers", "message"),
+    [
+        ({"VER": "DT3100;V1.0;1"}, "the answer to '$VER' is '$VERDT3100;V1.0;1'; expected '$VERDT62' and the version."),
+        (
+            {"VER": "$UNKNOWN COMMAND"},
+            "the answer to '$VER' is '$UNKNOWN COMMAND'; expected '$VERDT62' and the version.",
+        ),
+        ({"CHS": "OK"}, "the answer to '$CHS' is '$CHSOK'; expected '$CHS', the state of each channel, 'OK'."),
+        ({"TRG": "$WRONG PARAMETER"}, "the answer to '$TRG0' is '$WRONG PARAMETER'; expected '$TRG0OK'."),
+        ({"STI": ",xOK"}, "the answer to '$STI256' is '$STI256,xOK'; expected '$STI256,', a sample time, 'OK'."),
+    ],
+)
+def test_unexpected_answer(server: CapaNcdtServer, answers: dict[str, str | None], message: str) -> None:
+    server.answers |= answers
+    with pytest.raises(DeviceError) as caught, connected(server):
+        pass
+    assert str(caught.value) == f"probes: {message}"
+
+
+def test_no_answer_within_the_time(server: CapaNcdtServer) -> None:
+    server.answers["CHS"] = None
+    device = CapaNcdtDevice("probes", settings(server))
+    started_s = time.monotonic()
+    with pytest.raises(DeviceError, match=r"probes: no answer to '\$CHS' in time; expected '\$CHS', the state"):
+        device.connect(0.2)
+    assert 0.19 < time.monotonic() - started_s < 1.0
+
+
+@pytest.mark.parametrize(
+    ("states", "message"),
+    [
+        ([1, 0, 0, 1], "channel 3, 'wide', has no module; expected one of 1, 4."),
+        ([1, 1], "channel 3, 'wide', has no module; expected one of 1, 2."),
+        ([0, 0, 0, 0], "channel 3, 'wide', has no module; expected one of no channels."),
+        ([1, 0, 2, 1], "channel 3, 'wide', has the state 2, which is no sensor; expected one of 1, 4."),
+    ],
+)
+def test_missing_channel(server: CapaNcdtServer, states: list[int], message: str) -> None:
+    server.states = states
+    with pytest.raises(DeviceError) as caught, connected(server):
+        pass
+    assert str(caught.value) == f"probes: {message}"
+
+
+def test_rate_that_the_controller_does_not_have(server: CapaNcdtServer) -> None:
+    device = CapaNcdtDevice("probes", settings(server, rate={"value": 1000, "unit": "Hz"}))
+    with pytest.raises(DeviceError) as caught:
+        device.connect(TIMEOUT_S)
+    assert str(caught.value) == (
+        "probes: the controller has no sample time of 1000 us, the next one is 960 us; "
+        "expected a rate that the controller has; in Hz, 1e6 divided by the sample time."
+    )
+
+
+@pytest.mark.parametrize("port", ["command_port", "data_port"])
+def test_port_refused(server: CapaNcdtServer, port: str) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as closed:
+        number = closed.getsockname()[1]
+    device = CapaNcdtDevice("probes", settings(server, **{port: number}))
+    with pytest.raises(DeviceError) as caught:
+        device.connect(TIMEOUT_S)
+    assert str(caught.value).startswith(f"probes: no connection to 127.0.0.1:{number}: ")
+    assert "refused" in str(caught.value)
+
+
+def test_connection_times_out(server: CapaNcdtServer) -> None:
+    with ExitStack() as stack:
+        busy = stack.enter_context(socket.socket())
+        busy.bind(("127.0.0.1", 0))
+        busy.listen(0)
+        for _ in range(4):  # fills the queue of connections that nobody accepts
+            waiting = stack.enter_context(socket.socket())
+            waiting.setblocking(False)  # noqa: FBT003
+            waiting.connect_ex(busy.getsockname())
+        device = CapaNcdtDevice("probes", settings(server, command_port=busy.getsockname()[1]))
+        with pytest.raises(DeviceError, match=r"no connection to 127.0.0.1:\d+ within 0.2 s; expected a device that"):
+            device.connect(0.2)
+
+
+def test_unknown_host() -> None:
+    device = CapaNcdtDevice("probes", settings(host="no host" + 80 * "x"))
+    with pytest.raises(DeviceError, match="probes: no connection to no host"):
+        device.connect(TIMEOUT_S)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"rate": {"value": 4000, "unit": "Hz"}}, "rate 4000 Hz"),
+        ({"rate": {"value": 2.4, "unit": "Hz"}}, "rate 2.4 Hz"),
+        ({"rate": {"value": 1000, "unit": "kHz"}}, "unit 'kHz'"),
+        ({"rate": 1000}, "1000 has no unit"),
+        ({"channels": {}}, "has 0 entries"),
+        ({"channels": {"a": {"number": 5, "range": {"value": 1e-3, "unit": "m"}}}}, "5"),
+        ({"channels": {"a": {"number": 0, "range": {"value": 1e-3, "unit": "m"}}}}, "0"),
+        ({"channels": {"a": {"number": 1, "range": {"value": 0, "unit": "m"}}}}, "0.0 m"),
+        ({"channels": {"a": {"number": 1, "range": {"value": 1, "unit": "V"}}}}, "unit 'V'"),
+        (
+            {"channels": {name: {"number": 1, "range": {"value": 1, "unit": "m"}} for name in "ab"}},
+            "number 1, used twice",
+        ),
+        ({"data_port": 0}, "0"),
+        ({"command_port": 65_536}, "65536"),
+        ({"port": 23}, "unknown key 'port'"),
+    ],
+)
+def test_refused_settings(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValidationError) as caught:
+        settings(**changes)
+    assert first_problem(caught.value).what == message

@@ -1,0 +1,115 @@
+"""Program ``instruments`` and the instruments file, with a device over a real socket."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import yaml
+from posor_drivers.instruments.instruments_command import main
+from posor_drivers.testing.stream_server import LEAD, MAGIC, StreamServer
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def content(port: int) -> dict[str, Any]:
+    box = {
+        "kind": "stream",
+        "transport": "tcp",
+        "host": "127.0.0.1",
+        "port": port,
+        "rate": {"value": 500, "unit": "Hz"},
+        "format": f"{LEAD}2d",
+        "fields": ["magic", "counter", "gap1", "plate"],
+        "constants": {"magic": MAGIC},
+        "channels": {"gap1": {"unit": "m"}, "plate": {"unit": "degC"}},
+    }
+    joint = {
+        "frame_id": "receiving",
+        "gap_voltages": [{"channel": "box/gap1", "scale": {"value": 1e4, "unit": "V/m"}}],
+    }
+    return {
+        "format": "posor_instruments",
+        "version": 1,
+        "name": "rig",
+        "rate": {"value": 100, "unit": "Hz"},
+        "latency": {"value": 0.02, "unit": "s"},
+        "devices": {"box": box},
+        "joints": {"elbow": joint},
+    }
+
+
+def write(folder: Path, file: dict[str, Any]) -> str:
+    path = folder / "instruments.yaml"
+    path.write_text(yaml.safe_dump(file), encoding="utf-8")
+    return str(path)
+
+
+def test_devices_are_listed_without_a_connection(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", write(tmp_path, content(1))]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1:] == [
+        "box: stream at tcp 127.0.0.1:1, 500 frames per second",
+        "  gap1 [m]: elbow gap_voltages[0]",
+        "  plate [degC]: not used",
+    ]
+
+
+def test_probe_prints_rate_and_values(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with StreamServer(lambda _: (2.5e-4, 21.5), 500.0) as server:
+        assert main(["probe", write(tmp_path, content(server.port))]) == 0
+        first, second = capsys.readouterr().out.splitlines()
+        found = re.match(rf"box: tcp 127.0.0.1:{server.port}; ([\d.]+) frames per second, stamps within", first)
+        assert found
+        assert abs(float(found[1]) - 500.0) < 1.0
+        assert second == "  gap1 0.00025 m, plate 21.5 degC"
+
+
+def test_probe_of_an_absent_device_fails(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("posor_drivers.instruments.instruments_command.PROBE_S", 0.5)
+    with StreamServer(lambda _: (0.0, 0.0)) as server:
+        port = server.port
+    assert main(["probe", write(tmp_path, content(port))]) == 1
+    printed = capsys.readouterr()
+    assert printed.out == "box: FAULT\n"
+    assert printed.err.startswith(f"instruments probe: box: no connection to 127.0.0.1:{port}")
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (
+            lambda file: file["joints"]["elbow"]["gap_voltages"][0].update(channel="box/gap2"),
+            "channel 'box/gap2'; expected one of box/gap1, box/plate.",
+        ),
+        (
+            lambda file: file["joints"]["elbow"]["gap_voltages"][0].pop("scale"),
+            "channel 'box/gap1' is in m; expected a scale in V/m.",
+        ),
+        (
+            lambda file: file["joints"]["elbow"]["gap_voltages"][0]["scale"].update(unit="V/mm"),
+            "scale in V/mm; expected one number in V/m.",
+        ),
+        (
+            lambda file: file["joints"]["elbow"].update(lit_sources=[0]),
+            "0 diode currents and 1 lit sources; expected one source for the four currents of each diode.",
+        ),
+        (lambda file: file["devices"]["box"].update(kind="strean"), "kind 'strean'; expected "),
+        (lambda file: file["devices"]["box"].update(rate=500), "500 has no unit; expected a mapping such as"),
+        (lambda file: file["rate"].update(value=0.5), "rate 0.5 Hz; expected a whole number from 1 to 10000."),
+        (lambda file: file["joints"]["elbow"].update(gap_voltages=[]), "no reading; expected at least one of"),
+    ],
+)
+def test_invalid_file_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: Any, sentence: str
+) -> None:
+    file = content(1)
+    change(file)
+    assert main(["list", write(tmp_path, file)]) == 1
+    error = capsys.readouterr().err
+    assert sentence in error
+    assert re.match(r".*instruments\.yaml, line \d+, key ", error)

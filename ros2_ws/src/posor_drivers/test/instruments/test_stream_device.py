@@ -1,0 +1,224 @@
+"""Device ``stream`` and the reader of a device, over real sockets."""
+
+from __future__ import annotations
+
+import socket
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from posor_drivers.instruments.device_reader import DeviceReader
+from posor_drivers.instruments.stream_device import StreamDevice, StreamSettings
+from posor_drivers.testing.stream_server import LEAD, StreamServer
+from pydantic import ValidationError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+TIMEOUT_S = 20.0
+
+
+def settings(port: int, **changes: Any) -> StreamSettings:
+    content = {
+        "kind": "stream",
+        "transport": "tcp",
+        "host": "127.0.0.1",
+        "port": port,
+        "rate": {"value": 1000, "unit": "Hz"},
+        "format": f"{LEAD}2d",
+        "fields": ["magic", "counter", "gap1", "gap2"],
+        "constants": {"magic": 0xAA55},
+        "channels": {"gap1": {"unit": "V", "scale": 2.0}, "gap2": {"unit": "m"}},
+    }
+    return StreamSettings.model_validate(content | changes)
+
+
+def slow_sine(time_ns: int) -> tuple[float, float]:
+    """Values that change by up to 6.3 per second; the second is the time itself [s]."""
+    seconds = (time_ns % 1_000_000_000_000) * 1e-9
+    return float(np.sin(2.0 * np.pi * seconds)), seconds
+
+
+def wait_for(condition: Callable[[], object], what: str) -> None:
+    deadline_s = time.monotonic() + TIMEOUT_S
+    while not condition():
+        assert time.monotonic() < deadline_s, f"no {what} within {TIMEOUT_S:g} s"
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def server() -> Iterator[StreamServer]:
+    with StreamServer(slow_sine) as server:
+        yield server
+
+
+@pytest.fixture
+def reader(server: StreamServer) -> Iterator[DeviceReader]:
+    reader = DeviceReader(StreamDevice("box", settings(server.port)))
+    reader.start()
+    yield reader
+    reader.stop()
+
+
+def frames_come(reader: DeviceReader) -> bool:
+    return not reader.state.fault
+
+
+def test_values_are_interpolated_at_a_ros_time(reader: DeviceReader) -> None:
+    wait_for(lambda: frames_come(reader), "frames")
+    differences = []
+
+    def take() -> bool:
+        at_ns = time.time_ns() - 50_000_000
+        if (values := reader.values_at(at_ns)) is not None:
+            differences.append((values[0] / 2.0 - slow_sine(at_ns)[0], values[1] - slow_sine(at_ns)[1]))
+        return len(differences) >= 30
+
+    wait_for(take, "30 values")
+    late_s = np.array(differences)[:, 1]
+    assert np.abs(late_s).max() < 5e-3  # a loaded host delays every arrival
+    assert np.abs(np.array(differences)[:, 0]).max() < 2.0 * np.pi * np.abs(late_s).max() + 1e-4
+    assert reader.state.values["frames_lost"] == 0
+
+
+def test_free_running_devices_have_values_at_common_times() -> None:
+    """997 and 1003 frames per second: the interpolated sines agree within the bound a T^2 / 8 and their stamps."""
+    with StreamServer(slow_sine, 997.0) as slow, StreamServer(slow_sine, 1003.0) as fast:
+        rates = {slow.port: 997, fast.port: 1003}
+        readers = [
+            DeviceReader(StreamDevice("box", settings(port, rate={"value": rate, "unit": "Hz"})))
+            for port, rate in rates.items()
+        ]
+        for reader in readers:
+            reader.start()
+        pairs = []
+
+        def take() -> bool:
+            tick_ns = time.time_ns() // 5_000_000 * 5_000_000 - 50_000_000
+            values = [reader.values_at(tick_ns) for reader in readers]
+            if values[0] is not None and values[1] is not None:
+                pairs.append(np.concatenate([*values]))
+            return len(pairs) >= 100
+
+        try:
+            wait_for(take, "100 common values")
+        finally:
+            for reader in readers:
+                reader.stop()
+    sine_a, time_a, sine_b, time_b = (np.array(pairs) / (2.0, 1.0, 2.0, 1.0)).T
+    bound = 2.0 * (2.0 * np.pi / 997.0) ** 2 / 8.0
+    assert np.all(np.abs(sine_a - sine_b) <= bound + 2.0 * np.pi * np.abs(time_a - time_b) + 1e-9)
+    print(f"stamps of two devices differ by {1e6 * np.sqrt(np.mean((time_a - time_b) ** 2)):.1f} us rms")
+    assert np.abs(time_a - time_b).max() < 5e-3  # a loaded host delays every arrival
+
+
+def test_counter_that_wraps_goes_on(server: StreamServer, reader: DeviceReader) -> None:
+    wait_for(lambda: frames_come(reader), "frames")
+    server.first = (1 << 32) - 700
+    server.drop_client()
+    wait_for(lambda: server.clients == 2 and reader.state.values["frames"] > 3000, "frames after the wrap")
+    wait_for(lambda: frames_come(reader), "frames")
+    assert reader.state.values["frames_lost"] == 0
+    assert reader.state.values["connections"] == 2
+
+
+def test_merged_and_lost_frames_are_counted_and_never_bridged(server: StreamServer, reader: DeviceReader) -> None:
+    wait_for(lambda: frames_come(reader), "frames")
+    server.merged = 7
+    server.skip = 40
+    wait_for(lambda: reader.state.values["frames_lost"] == 40, "lost frames")
+    now_ns = time.time_ns()
+    wait_for(lambda: reader.values_at(now_ns + 50_000_000) is not None, "frames after the lost ones")
+    missing = [reader.values_at(now_ns + n * 1_000_000) is None for n in range(-200, 51)]
+    assert sum(missing) in {40, 41, 42}
+
+
+FAULTS: dict[str, tuple[Callable[[StreamServer], None], Callable[[StreamServer], None], str]] = {
+    "stall": (lambda s: s.stalled.set(), lambda s: s.stalled.clear(), "box: no frame for 0.3"),
+    "closed": (lambda s: s.drop_client(), lambda _: None, "has closed the connection"),
+    "corrupted": (
+        lambda s: setattr(s, "magic", 0x1234),
+        lambda s: setattr(s, "magic", 0xAA55),
+        "box: 'magic' is 4660 in a frame; expected 43605",
+    ),
+    "counter back": (
+        lambda s: setattr(s, "first", -5000 + s.first),
+        lambda s: setattr(s, "first", 0),
+        "box: the frame counter went back from",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_fault_is_named_at_once_and_the_device_read_again(
+    server: StreamServer, reader: DeviceReader, name: str
+) -> None:
+    begin, end, sentence = FAULTS[name]
+    server.first = 100_000
+    wait_for(lambda: frames_come(reader), "frames")
+    connections = reader.state.values["connections"]
+    begin(server)
+    begun_s = time.monotonic()
+    wait_for(lambda: not frames_come(reader), "fault")
+    found = reader.state.fault
+    named_s = time.monotonic() - begun_s
+    end(server)
+    ended_s = time.monotonic()
+    wait_for(lambda: reader.state.values["connections"] > connections, "connection")
+    connected_s = time.monotonic() - ended_s
+    wait_for(lambda: frames_come(reader), "frames again")
+    print(f"{name}: named after {named_s:.2f} s, connected {connected_s:.2f} s after the end: {found}")
+    assert sentence in found
+
+
+def test_absent_device_is_named_and_read_when_it_comes() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+    reader = DeviceReader(StreamDevice("box", settings(port)))
+    reader.start()
+    try:
+        wait_for(lambda: "not connected" not in reader.state.fault, "fault")
+        assert reader.state.fault.startswith(f"box: no connection to 127.0.0.1:{port}")
+        assert reader.values_at(time.time_ns()) is None
+    finally:
+        reader.stop()
+
+
+def test_another_rate_than_stated_is_a_fault(server: StreamServer) -> None:
+    reader = DeviceReader(StreamDevice("box", settings(server.port, rate={"value": 900, "unit": "Hz"})))
+    reader.start()
+    try:
+        wait_for(lambda: "frames per second" in reader.state.fault, "fault")
+        assert reader.state.fault.endswith("frames per second; expected 900, as stated.")
+    finally:
+        reader.stop()
+
+
+def test_datagrams_are_read() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    reader = DeviceReader(StreamDevice("box", settings(port, transport="udp")))
+    with StreamServer(slow_sine, udp_port=port):
+        reader.start()
+        try:
+            wait_for(lambda: frames_come(reader), "frames")
+        finally:
+            reader.stop()
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"format": "<Hz"}, "'<Hz': bad char in struct format"),
+        ({"format": "<HI"}, "4 fields"),
+        ({"fields": ["magic", "count", "gap1", "gap2"]}, "'counter' occurs 0 times"),
+        ({"format": "<Hddd"}, "the counter is no integer"),
+        ({"channels": {"gap3": {"unit": "V"}}}, "'gap3' occurs 0 times"),
+    ],
+)
+def test_invalid_settings_are_refused(changes: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ValidationError) as caught:
+        settings(5000, **changes)
+    assert sentence in str(caught.value.errors()[0]["ctx"]["error"])
