@@ -73,8 +73,9 @@ def test_failures(tmp_path: Path, text: str, words: str) -> None:
     write_test_files(tmp_path, bad=text, good="def test_a(): pass\n")
     done = run_tests(tmp_path)
     assert done.returncode == 1
-    assert words in done.stdout
-    assert done.stdout.splitlines()[-2].startswith("failed: ")
+    details, _, summary = done.stdout.partition("\nfailed: ")
+    assert words in details
+    assert words in summary
     assert ", 1 failed, 0 skipped" in done.stdout.splitlines()[-1]
 
 

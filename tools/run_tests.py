@@ -4,9 +4,9 @@ A test file that may use ROS has a pytest process of its own, so that no ROS con
 two such processes run at a time. A folder whose tests make no ROS context has one process, which saves seconds of
 imports for each file. These and the linters run at low priority in the processor time that the nodes of the other tests
 leave while they wait. Every process uses one thread of linear algebra, because threads of small matrices wait for each
-other. The output ends with every skipped test and its reason, the failed files, and ``N passed,
-N failed, N skipped``. Arguments: paths of tests; without paths, the linters and all tests run. Tests with the marker
-``long`` are left out; with the option ``--long`` they alone run.
+other. The output ends with every skipped or failed test and its reason, and ``N passed, N failed, N skipped``.
+Arguments: paths of tests; without paths, the linters and all tests run. Tests with the marker ``long`` are left out;
+with the option ``--long`` they alone run.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import os
 import signal
 import subprocess
 import sys
+import textwrap
 import time
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
@@ -31,6 +32,7 @@ NO_TESTS = 5  # pytest's exit code
 PROCESS_TIMEOUT_S = 900.0  # in addition to pytest's own timeout for each test
 INTERRUPT_TIMEOUT_S = 20.0  # for an interrupted pytest to stop the nodes of its tests
 SINGLE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}  # numpy and scipy; the caller's own setting has precedence
+FAILURE_LENGTH = 1000  # last characters of a failure, in the summary; the whole is printed when its job ends
 REPORTS = THIS.root / "build" / "test"
 WITHOUT_ROS = tuple(  # folders whose tests make no ROS context and share a process
     THIS.ros2 / "src" / package / "test" / folder
@@ -40,7 +42,7 @@ WITHOUT_ROS = tuple(  # folders whose tests make no ROS context and share a proc
             *("numerics", "model", "sensors", "estimation", "chain", "calibration", "identification", "uncertainty"),
             *("bags", "reporting"),
         ),
-        "posor_validation": ("benchmark", "thesis_budgets"),
+        "posor_validation": ("accuracy", "benchmark", "campaign", "thesis_budgets"),
     }.items()
     for folder in folders
 )
@@ -56,6 +58,7 @@ class Job:
     low_priority: bool = False
     passed: int = 0
     failed: int = 0
+    failures: list[str] = field(default_factory=list)
     skipped: list[str] = field(default_factory=list)
     seconds: float = 0.0
     output: str = ""
@@ -77,11 +80,13 @@ class Job:
         if self.report is None or not self.report.is_file():
             return
         for case in ET.parse(self.report).iter("testcase"):  # noqa: S314  pytest has just written it
+            name = f"{case.get('classname', '')}.{case.get('name', '')}"
             skip = case.find("skipped")
-            if case.find("failure") is not None or case.find("error") is not None:
+            failure = next((each for each in case if each.tag in {"failure", "error"}), None)
+            if failure is not None:
                 self.failed += 1
+                self.failures.append(f"{name}:\n{(failure.text or '')[-FAILURE_LENGTH:]}")
             elif skip is not None:
-                name = f"{case.get('classname', '')}.{case.get('name', '')}"
                 self.skipped.append(f"{name}: {skip.get('message') or 'no reason given'}")
             else:
                 self.passed += 1
@@ -185,6 +190,7 @@ class Runner:
         if process.returncode and not job.failed:
             job.failed = 1
             job.output += f"{ending}\n"
+            job.failures = [job.output[-FAILURE_LENGTH:]]
         return job
 
 
@@ -206,13 +212,15 @@ def interrupt_process(process: subprocess.Popen[str]) -> None:
 
 
 def print_summary(jobs: list[Job]) -> None:
-    """Print the skipped tests with their reasons, the failed jobs and the numbers of tests."""
+    """Print the skipped and the failed tests with their reasons, and the numbers of tests."""
     for job in jobs:
         for skip in job.skipped:
             print(f"skipped: {skip}")
     for job in jobs:
         if job.failed:
             print(f"failed: {job.name}")
+            for failure in job.failures:
+                print(textwrap.indent(failure, "    "))
     passed, failed = sum(job.passed for job in jobs), sum(job.failed for job in jobs)
     print(f"{passed} passed, {failed} failed, {sum(len(job.skipped) for job in jobs)} skipped")
 
