@@ -1,7 +1,7 @@
 # POSOR for ROS 2. Every target sets the workspace up first; this takes a fraction of a second if nothing has changed.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup audit demo arm calibrate-demo faults fuzz soak test test-long coverage accuracy budgets bench bench-core data docs lint words lines lock clean
+.PHONY: help setup audit demo arm calibrate-demo faults fuzz instruments soak test test-long coverage accuracy budgets bench bench-core data docs lint words lines lock clean
 
 BAG ?= ymo
 CAL ?= printed
@@ -21,6 +21,7 @@ help:
 	@echo "make calibrate-demo [CAMPAIGNS=6] [POSOR=both]         calibrate simulated POSORs from bags, compare with the truth"
 	@echo "make faults [FAULTS='--quick ...']                     inject every fault, count wrong poses published as valid"
 	@echo "make fuzz [FUZZ='--scans 10000 ...']                   damage messages and files, count wrong poses"
+	@echo "make instruments [INSTRUMENTS='--trials TEXT ...']      try every kind of device against a server"
 	@echo "make soak [SOAK='--seconds 120 ...']                   run an arm for an hour, find losses and growth"
 	@echo "make test [TESTS='path ...']                           linters and all tests, or only the tests of TESTS"
 	@echo "make test-long [TESTS='path ...']                      the tests that take long: many draws, whole campaigns, benchmarks"
@@ -60,6 +61,9 @@ faults: setup
 
 fuzz: setup
 	@$(IN_WORKSPACE) -m posor_validation.fuzz.fuzz_command $(FUZZ)
+
+instruments: setup
+	@$(IN_WORKSPACE) -m posor_validation.instruments.trials_command $(INSTRUMENTS)
 
 soak: setup
 	@$(IN_WORKSPACE) -m posor_validation.soak.soak_command $(SOAK)

@@ -14,7 +14,7 @@ setup(
     maintainer="POSOR maintainers",
     maintainer_email="maintainers@posor.invalid",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    package_data={PACKAGE: ["py.typed"]},
+    package_data={PACKAGE: ["py.typed", "instruments/scpi_dialects/*.yaml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -39,6 +39,8 @@ setup(
         ],
         "posor_drivers.devices": [
             "capancdt_6200 = posor_drivers.instruments.capancdt_device:CapaNcdtDevice",
+            "labjack = posor_drivers.instruments.labjack_device:LabJackDevice",
+            "scpi = posor_drivers.instruments.scpi_device:ScpiDevice",
             "stream = posor_drivers.instruments.stream_device:StreamDevice",
         ],
     },

@@ -45,6 +45,7 @@ setup(
             "faults = posor_validation.validation_programs:faults",
             "fuzz = posor_validation.validation_programs:fuzz",
             "golden = posor_validation.validation_programs:golden",
+            "instruments_trials = posor_validation.validation_programs:instruments_trials",
             "soak = posor_validation.validation_programs:soak",
             "zero_drift_1985 = posor_validation.validation_programs:zero_drift_1985",
         ],

@@ -4,7 +4,8 @@ How to add a device:
 
 1. Declare its keys in a subclass of ``DeviceSettings``. They are the keys of a device in an instruments file.
 2. Derive the device from ``Device``: ``connect``, ``read`` and ``close``. Each is called in one thread, which
-   reconnects after a ``DeviceError``; ``stream_device.py`` is a short example.
+   reconnects after a ``DeviceError``; ``stream_device.py`` is a short example. A device that must be asked for each
+   frame is a ``PolledDevice``: ``connect``, ``ask`` and ``close``; ``labjack_device.py`` is an example.
 3. Register the class under its ``kind`` in the entry point group ``posor_drivers.devices`` of its package's
    ``setup.py``: ``"posor_drivers.devices": ["mybox = my_package.mybox:MyBox"]``.
 """
@@ -62,11 +63,16 @@ class Frames:
         counters: Number of each frame, (n,), in the order of arrival; each frame of the device counts, so a gap is lost
             frames. The counter of the device, without wrap.
         values: Value of each channel, (n, c), in the unit of the channel; NaN where the device flags it as invalid.
+        times_ns: ROS time of each frame [ns], (n,), where the device or the way of asking it gives one; None: the
+            reader finds it from counters and arrivals.
+        time_uncertainty_s: Standard uncertainty of ``times_ns`` [s].
 
     """
 
     counters: IntArray
     values: FloatArray
+    times_ns: IntArray | None = None
+    time_uncertainty_s: float = 0.0
 
 
 class Device(ABC, Generic[SettingsT]):

@@ -1,7 +1,8 @@
-"""Reads a device in a thread of its own, maps its frames to ROS time, and keeps the newest frames."""
+"""Reads a device in a thread of its own, finds the ROS time of its frames, and keeps the newest frames."""
 
 from __future__ import annotations
 
+import math
 import time
 from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -13,7 +14,7 @@ from posor_drivers.instruments.clock_mapping import ClockMapping
 from posor_drivers.instruments.device import DeviceError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from posor_estimator.numerics.array_types import FloatArray
 
@@ -21,13 +22,20 @@ if TYPE_CHECKING:
 
 CAPACITY = 1 << 13
 """Frames that are kept; at 4 kHz two seconds."""
+NO_FRAME = np.iinfo(np.int64).min
 CONNECT_TIMEOUT_S = 1.0
 READ_TIMEOUT_S = 0.1
+PAUSE_S = 0.004
+"""Between two reads of a device that sends by itself: each costs processor time, whatever number of frames has come."""
 STALL_S = 0.3
 """Time without a frame, and at least STALL_FRAMES nominal periods, after which a device has stalled."""
 STALL_FRAMES = 5
+MOST_PERIODS = 3
+"""Nominal periods between two frames of a polled device that are interpolated."""
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.1, 1.0
 """Pause before a connection is tried again: doubled with each failure."""
+RATE_FRAMES = 100
+"""Of a polled device, over which its rate is averaged."""
 MAX_DRIFT = 0.01
 """Share by which the frame rate may differ from the stated one."""
 
@@ -73,7 +81,10 @@ class DeviceReader:
         """The present state."""
         with self._lock:
             values: dict[str, float | int] = dict(self._counts)
-            if (line := self._mapping.line) is not None:
+            if self._timed:
+                values["frame_rate"] = self._timed_rate()
+                values["clock_uncertainty"] = self._time_uncertainty_s
+            elif (line := self._mapping.line) is not None:
                 values |= {
                     "frame_rate": NS / line.period_ns,
                     "clock_drift": line.period_ns * self.device.frame_rate / NS - 1.0,
@@ -81,11 +92,16 @@ class DeviceReader:
                 }
             return DeviceState(self._fault, self._identity, values)
 
-    def values_at(self, time_ns: int) -> FloatArray | None:
+    def values_at(self, time_ns: int, whole: Sequence[int] = ()) -> FloatArray | None:
         """Return the values of all channels at a ROS time [ns], (c,), interpolated between the two nearest frames.
 
+        Args:
+            time_ns: The time.
+            whole: Columns of channels that cannot be interpolated, such as the number of the lit source.
+
         Returns:
-            The values; None where one of the frames is missing: not there yet, lost, or before the connection.
+            The values; None where one of the frames is missing (not there yet, lost, or before the connection), or
+            where a channel of ``whole`` differs between them.
 
         Raises:
             Exception: What has ended the thread, if it was no ``DeviceError``.
@@ -94,17 +110,48 @@ class DeviceReader:
         if self._failure is not None:
             raise self._failure
         with self._lock:
-            line = self._mapping.line
-            if line is None or not self._stored:
+            position = self._position(time_ns)
+            if position is None:
                 return None
-            position = line.first + (time_ns - line.start_ns) / line.period_ns
-            number = int(position)
-            rows = [self._row_of(number), self._row_of(number + 1)]
-            if rows[0] is None or rows[1] is None:
+            number = math.floor(position)
+            row, following = self._row_of(number), self._row_of(number + 1)
+            if row is None or following is None:
                 return None
-            share = position - number
-            values: FloatArray = (1.0 - share) * self._values[rows[0]] + share * self._values[rows[1]]
+            share, before, after = position - number, self._values[row], self._values[following]
+            values: FloatArray = (1.0 - share) * before + share * after
+            for column in whole:
+                if before[column] != after[column]:
+                    return None
+                values[column] = before[column]
             return values
+
+    def _position(self, time_ns: int) -> float | None:
+        """Return the number of the frame exposed at a ROS time, with the share of the period to the next frame."""
+        if self._last is None:
+            return None
+        if self._timed:
+            return self._timed_position(self._last, time_ns)
+        line = self._mapping.line
+        return None if line is None else line.first + (time_ns - line.start_ns) / line.period_ns
+
+    def _timed_position(self, last: int, time_ns: int) -> float | None:
+        """Return the position among frames that have a time of their own; None where its neighbours are far apart."""
+        period_ns = NS / self.device.frame_rate
+        number = last - math.ceil((self._times_ns[last % CAPACITY] - time_ns) / period_ns)  # or later, if it is slower
+        while (following := self._row_of(number + 1)) is not None and self._times_ns[following] <= time_ns:
+            number += 1
+        row = self._row_of(number)
+        if row is None or following is None or self._times_ns[row] > time_ns:
+            return None
+        step_ns = self._times_ns[following] - self._times_ns[row]
+        return number + float((time_ns - self._times_ns[row]) / step_ns) if step_ns < MOST_PERIODS * period_ns else None
+
+    def _timed_rate(self) -> float:
+        """Return the mean rate of the last frames that have a time of their own [Hz]; 0 where there is only one."""
+        last = self._first if self._last is None else self._last
+        first = max(self._first, last - RATE_FRAMES)
+        elapsed_ns = self._times_ns[last % CAPACITY] - self._times_ns[first % CAPACITY]
+        return (last - first) * NS / float(elapsed_ns) if last > first else 0.0
 
     def newest_values(self) -> FloatArray | None:
         """Return the values of the newest frame, (c,); None where there is none."""
@@ -118,9 +165,11 @@ class DeviceReader:
 
     def _forget_frames(self) -> None:
         self._mapping = ClockMapping(self.device.frame_rate)
-        self._numbers = np.full(CAPACITY, -1, dtype=np.int64)
+        self._numbers = np.full(CAPACITY, NO_FRAME, dtype=np.int64)
         self._values = np.full((CAPACITY, len(self.device.channels)), np.nan)
-        self._stored = False
+        self._times_ns = np.zeros(CAPACITY, dtype=np.int64)
+        self._timed, self._time_uncertainty_s = False, 0.0
+        self._first = 0
         self._last: int | None = None
 
     def _run(self) -> None:
@@ -132,7 +181,7 @@ class DeviceReader:
                 self._read_frames()
             except DeviceError as error:
                 with self._lock:
-                    pause_s = FIRST_PAUSE_S if self._stored else min(2.0 * pause_s, LONGEST_PAUSE_S)
+                    pause_s = FIRST_PAUSE_S if self._last is not None else min(2.0 * pause_s, LONGEST_PAUSE_S)
                     self._fault = str(error)
                     self._forget_frames()
             except Exception as error:  # noqa: BLE001  the driver ends the program with it
@@ -157,10 +206,14 @@ class DeviceReader:
             last_s = now_s
             with self._lock:
                 self._store(frames, arrived_ns)
+            if frames.times_ns is None:
+                time.sleep(PAUSE_S)
 
     def _store(self, frames: Frames, arrived_ns: int) -> None:
         """Store frames that have arrived together."""
         counters, counts = frames.counters, self._counts
+        if self._last is None:
+            self._first = int(counters[0])
         last = counters[0] - 1 if self._last is None else self._last
         steps = np.diff(counters, prepend=last)
         if np.any(steps < 0):
@@ -174,9 +227,14 @@ class DeviceReader:
         newest = int(counters[-1])
         rows = counters[-CAPACITY:] % CAPACITY
         self._numbers[rows], self._values[rows] = counters[-CAPACITY:], frames.values[-CAPACITY:]
-        self._last, self._stored = newest, True
-        self._mapping.add(newest, arrived_ns)
-        self._fault = self._mapping_fault()
+        self._last = newest
+        if frames.times_ns is None:
+            self._mapping.add(newest, arrived_ns)
+            self._fault = self._mapping_fault()
+        else:
+            self._times_ns[rows] = frames.times_ns[-CAPACITY:] - self._delay_ns
+            self._timed, self._time_uncertainty_s = True, frames.time_uncertainty_s
+            self._fault = ""
 
     def _mapping_fault(self) -> str:
         """Return why the frames cannot be used yet; empty: they can.

@@ -18,6 +18,8 @@
         temperature: {channel: box/plate, scale: {value: 1, unit: K/degC}, offset: {value: 273.15, unit: K}}
 
 A reading is ``scale`` times the channel plus ``offset``. Without ``scale`` the channel has the unit of the reading.
+``lit_sources`` and ``home_mark`` are whole numbers: channels of unit ``1`` as they are; a lit source can be a fixed
+number.
 """
 
 from __future__ import annotations
@@ -44,8 +46,12 @@ READINGS = {
     "diode_currents": "A",
     "supply_voltage": "V",
     "temperature": "K",
+    "lit_sources": "1",
+    "home_mark": "1",
 }
 """Readings of a joint and their units."""
+WHOLE_NUMBERS = ("lit_sources", "home_mark")
+"""Readings that are never interpolated."""
 
 
 class ReadingEntry(FrozenModel):
@@ -66,6 +72,9 @@ class ReadingEntry(FrozenModel):
         return 0.0 if self.offset is None else self.offset.number
 
 
+LitSource = Annotated[int, Field(strict=True, ge=0, le=254)] | ReadingEntry
+
+
 class JointEntry(FrozenModel):
     """Readings of a joint, in the order of its calibration file."""
 
@@ -73,19 +82,22 @@ class JointEntry(FrozenModel):
     gap_voltages: Annotated[tuple[ReadingEntry, ...], Field(max_length=8)] = ()
     ring_voltages: Annotated[tuple[ReadingEntry, ...], Field(max_length=8)] = ()
     diode_currents: Annotated[tuple[ReadingEntry, ...], Field(max_length=16)] = ()
-    lit_sources: Annotated[tuple[Annotated[int, Field(strict=True, ge=0, le=254)], ...], Field(max_length=4)] = ()
+    lit_sources: Annotated[tuple[LitSource, ...], Field(max_length=4)] = ()
+    home_mark: ReadingEntry | None = None
+    """Not 0: the home mark of the ring was seen."""
     supply_voltage: ReadingEntry | None = None
     temperature: ReadingEntry | None = None
 
     def entries(self) -> Iterator[tuple[str, tuple[str | int, ...], ReadingEntry]]:
         """Yield name of the readings, location in the joint, and entry of each reading."""
         for name in READINGS:
-            part: tuple[ReadingEntry, ...] | ReadingEntry | None = getattr(self, name)
+            part: tuple[LitSource, ...] | ReadingEntry | None = getattr(self, name)
             if isinstance(part, ReadingEntry):
                 yield name, (name,), part
             else:
                 for n, entry in enumerate(part or ()):
-                    yield name, (name, n), entry
+                    if isinstance(entry, ReadingEntry):
+                        yield name, (name, n), entry
 
     @model_validator(mode="after")
     def _check_readings(self) -> Self:
@@ -145,10 +157,13 @@ def _check_units(unit: str, entry: ReadingEntry, units: dict[str, str], key: tup
         known = ", ".join(units)
         raise EntryError(f"channel '{entry.channel}'", key=(*key, "channel"), expected=f"one of {known}")
     per_channel = units[entry.channel]
+    if unit == "1" and (entry.scale is not None or entry.offset is not None):
+        raise EntryError("a scale or offset of a whole number", key=key, expected="only a channel of unit 1")
     if entry.scale is None:
         if per_channel != unit:
             what = f"channel '{entry.channel}' is in {per_channel}"
-            raise EntryError(what, key=key, expected=f"a scale in {unit}/{per_channel}")
+            expected = "a channel of unit 1" if unit == "1" else f"a scale in {unit}/{per_channel}"
+            raise EntryError(what, key=key, expected=expected)
     elif entry.scale.unit != f"{unit}/{per_channel}" or entry.scale.array.shape:
         what = f"scale in {entry.scale.unit}"
         raise EntryError(what, key=(*key, "scale", "unit"), expected=f"one number in {unit}/{per_channel}")

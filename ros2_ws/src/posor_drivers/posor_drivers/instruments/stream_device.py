@@ -137,15 +137,23 @@ class StreamDevice(Device[StreamSettings]):
         if isinstance(connection, TcpConnection):
             data = self._rest + connection.receive(timeout_s)
         elif connection is not None and select.select([connection], [], [], timeout_s)[0]:
-            data = connection.recv(MAX_DATAGRAM)
-            if len(data) % self._frame.size:
-                what = f"a datagram of {len(data)} bytes"
-                raise DeviceError(what, where=self.name, expected=f"whole frames of {self._frame.size} bytes")
+            data = self._receive_datagrams(connection)
         else:
             return None
         whole = len(data) - len(data) % self._frame.size
         self._rest = data[whole:]
         return self._frames(data[:whole]) if whole else None
+
+    def _receive_datagrams(self, port: socket.socket) -> bytes:
+        """Return the content of all datagrams that have come, of which there is at least one."""
+        data = b""
+        while select.select([port], [], [], 0.0)[0]:
+            datagram = port.recv(MAX_DATAGRAM)
+            if len(datagram) % self._frame.size:
+                what = f"a datagram of {len(datagram)} bytes"
+                raise DeviceError(what, where=self.name, expected=f"whole frames of {self._frame.size} bytes")
+            data += datagram
+        return data
 
     def _frames(self, data: bytes) -> Frames:
         rows = list(self._frame.iter_unpack(data))

@@ -1,8 +1,9 @@
 """Source ``instruments``: scans of one joint made of the channels of devices, see ``instruments.instruments_file``.
 
 At each tick of the ROS clock the channels are interpolated between the two frames nearest to the tick, so the scans of
-joints with devices of their own have common stamps. A scan whose frames are missing is not published. A reading that a
-device flags as invalid, such as one out of range, is NaN, and the scan has the flag SATURATED.
+joints with devices of their own have common stamps. A scan whose frames are missing is not published, nor one between
+two frames with different light sources. A reading that a device flags as invalid, such as one out of range, is NaN, and
+the scan has the flag SATURATED.
 """
 
 from __future__ import annotations
@@ -13,13 +14,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from posor_estimator.errors import ParameterError
+from posor_estimator.model.scan import HOME_BUMP, NO_SOURCE, SATURATED
 from posor_estimator.numerics.stamps import NS
 from posor_estimator.parameter_model import ParameterGroup
 from posor_estimator.ros_names import RAW_SCAN, RAW_TOPIC
 from pydantic import Field
 
-from posor_drivers.instruments.device_reader import DeviceReader
-from posor_drivers.instruments.instruments_file import InstrumentsFile, JointEntry, ReadingEntry, load_instruments
+from posor_drivers.instruments.instruments_file import (
+    READINGS,
+    WHOLE_NUMBERS,
+    InstrumentsFile,
+    JointEntry,
+    ReadingEntry,
+    load_instruments,
+)
+from posor_drivers.instruments.shared_readers import shared_reader
 from posor_drivers.message_builder import raw_scan
 from posor_drivers.scan_clock import tick_stamp_ns
 from posor_drivers.sources.source import LiveSource, SourceMessage, SourceStatus, Topic
@@ -29,7 +38,9 @@ if TYPE_CHECKING:
 
     from posor_estimator.numerics.array_types import FloatArray
 
-STATUS_SATURATED = 16
+    from posor_drivers.instruments.device_reader import DeviceReader
+
+SCALARS = ("supply_voltage", "temperature")
 
 
 class InstrumentParameters(ParameterGroup):
@@ -40,21 +51,32 @@ class InstrumentParameters(ParameterGroup):
 
 
 class _Readings:
-    """Readings of one kind, such as all gap voltages: channels of one or several devices."""
+    """All readings of a joint, made of the values of all channels at once."""
 
-    def __init__(self, entries: Sequence[ReadingEntry], columns: dict[str, int]) -> None:
-        self._columns = [columns[entry.channel] for entry in entries]
-        self._factors = np.array([entry.factor for entry in entries])
-        self._shifts = np.array([entry.shift for entry in entries])
+    def __init__(self, joint: JointEntry, columns: dict[str, int]) -> None:
+        entries: list[ReadingEntry | int] = []
+        self.parts: dict[str, slice] = {}
+        for kind in READINGS:
+            part = getattr(joint, kind)
+            begin = len(entries)
+            entries += part if isinstance(part, tuple) else [] if part is None else [part]
+            self.parts[kind] = slice(begin, len(entries))
+        fixed = [float(entry) if isinstance(entry, int) else np.nan for entry in entries]
+        measured = [(n, entry) for n, entry in enumerate(entries) if isinstance(entry, ReadingEntry)]
+        self._fixed, self._measured = np.array(fixed), [n for n, _ in measured]
+        self._columns = [columns[entry.channel] for _, entry in measured]
+        self._factors = np.array([entry.factor for _, entry in measured])
+        self._shifts = np.array([entry.shift for _, entry in measured])
 
     def of(self, channels: FloatArray) -> FloatArray:
-        """Return the readings from the values of all channels."""
-        readings: FloatArray = self._factors * channels[self._columns] + self._shifts
+        """Return the readings; those of each kind are where ``parts`` says."""
+        readings = self._fixed.copy()
+        readings[self._measured] = self._factors * channels[self._columns] + self._shifts
         return readings
 
 
 class InstrumentSource(LiveSource[InstrumentParameters]):
-    """Reads the devices of one joint, each in a thread of its own."""
+    """Reads the devices of one joint, each in a thread that the joints of a process share."""
 
     Parameters = InstrumentParameters
 
@@ -66,7 +88,7 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
         super().__init__(parameters, types)
         self._readers: list[DeviceReader] = []
         self._threads = ExitStack()
-        self._scans_missing, self._missing = 0, ""
+        self._scans_missing, self._no_scan = 0, ""
 
     @property
     def record(self) -> str:
@@ -87,18 +109,15 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
         devices = [device for each, device in self._file.new_devices().items() if each in used]
         channels = [f"{device.name}/{channel.name}" for device in devices for channel in device.channels]
         columns = {channel: n for n, channel in enumerate(channels)}
-        self._arrays = {
-            kind: _Readings(getattr(joint, kind), columns)
-            for kind in ("gap_voltages", "ring_voltages", "diode_currents")
+        whole = {entry.channel for kind, _, entry in joint.entries() if kind in WHOLE_NUMBERS}
+        self._whole = {
+            device.name: [n for n, each in enumerate(device.channels) if f"{device.name}/{each.name}" in whole]
+            for device in devices
         }
-        scalars = {kind: getattr(joint, kind) for kind in ("supply_voltage", "temperature")}
-        self._scalars = {kind: _Readings([entry], columns) for kind, entry in scalars.items() if entry is not None}
-        self._lit_sources = np.array(joint.lit_sources, dtype=np.uint8)
+        self._readings = _Readings(joint, columns)
+        self._rate = round(self._file.rate.number)
         self._latency_ns = round(self._file.latency.number * NS)
-        self._readers = [DeviceReader(device) for device in devices]
-        for reader in self._readers:
-            reader.start()
-            self._threads.callback(reader.stop)
+        self._readers = [self._threads.enter_context(shared_reader(Path(where), device)) for device in devices]
         return [Topic(RAW_TOPIC, RAW_SCAN)]
 
     def close(self) -> None:
@@ -108,7 +127,7 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
     @property
     def rate(self) -> int:
         """Scans per second, as the file has it."""
-        return round(self._file.rate.number)
+        return self._rate
 
     def publication_time_ns(self, tick: int) -> int:
         """Return the time of a tick plus the latency [ns]."""
@@ -121,35 +140,43 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
     def read_tick(self, tick: int) -> Sequence[SourceMessage]:
         """Return the scan of a tick; none where a device lacks one of the frames around it."""
         stamp_ns = tick_stamp_ns(tick, self.rate)
-        parts = {reader.device.name: reader.values_at(stamp_ns) for reader in self._readers}
-        present = [part for part in parts.values() if part is not None]
-        if len(present) < len(parts):
-            self._scans_missing += 1
-            self._missing = ", ".join(name for name, part in parts.items() if part is None)
-            return ()
-        self._missing = ""
-        values = np.concatenate(present)
-        fields: dict[str, Any] = {kind: readings.of(values) for kind, readings in self._arrays.items()}
-        scalars = {kind: readings.of(values).item() for kind, readings in self._scalars.items()}
-        is_valid = np.isfinite([*np.concatenate(list(fields.values())), *scalars.values()]).all()
-        status = 0 if is_valid else STATUS_SATURATED
+        channels = {
+            reader.device.name: reader.values_at(stamp_ns, self._whole[reader.device.name]) for reader in self._readers
+        }
+        present = [values for values in channels.values() if values is not None]
+        if len(present) < len(channels):
+            missing = ", ".join(name for name, values in channels.items() if values is None)
+            return self._leave_out(f"no frames of {missing} around the tick, or frames with different light sources")
+        readings = self._readings.of(np.concatenate(present))
+        fields: dict[str, Any] = {kind: readings[part] for kind, part in self._readings.parts.items()}
+        lit_sources, home_mark = fields.pop("lit_sources"), fields.pop("home_mark")
+        scalars = {kind: fields.pop(kind) for kind in SCALARS}
+        if np.any(lit_sources != np.clip(np.rint(lit_sources), 0, NO_SOURCE)):
+            return self._leave_out(f"lit sources {lit_sources.tolist()}; expected whole numbers from 0 to {NO_SOURCE}")
+        self._no_scan = ""
+        status = 0 if np.isfinite(readings).all() else SATURATED
         scan = raw_scan(
             self.types,
             stamp_ns,
             self._joint.frame_id,
             scan=tick,
-            status=status,
-            lit_sources=self._lit_sources,
+            status=status | (HOME_BUMP if home_mark.any() else 0),
+            lit_sources=lit_sources.astype(np.uint8),
+            **{kind: reading.item() for kind, reading in scalars.items() if len(reading)},
             **fields,
-            **scalars,
         )
         return (SourceMessage(RAW_TOPIC, stamp_ns, self.types.serialize(scan, RAW_SCAN)),)
 
+    def _leave_out(self, reason: str) -> Sequence[SourceMessage]:
+        """Count a scan that is not published, and return no message."""
+        self._scans_missing += 1
+        self._no_scan = f"no scan: {reason}"
+        return ()
+
     def statuses(self) -> Sequence[SourceStatus]:
         """Return the state of each device, and the number of scans that were not published."""
-        missing = f"no scan: frames of {self._missing} are missing" if self._missing else ""
         return [
-            SourceStatus("scans", missing, "in time", {"scans_missing": self._scans_missing}),
+            SourceStatus("scans", self._no_scan, "in time", {"scans_missing": self._scans_missing}),
             *(
                 SourceStatus(f"device {reader.device.name}", state.fault, state.text, state.values)
                 for reader in self._readers

@@ -98,6 +98,16 @@ def test_probe_of_an_absent_device_fails(
             lambda file: file["joints"]["elbow"].update(lit_sources=[0]),
             "0 diode currents and 1 lit sources; expected one source for the four currents of each diode.",
         ),
+        (
+            lambda file: file["joints"]["elbow"].update(home_mark={"channel": "box/gap1"}),
+            "channel 'box/gap1' is in m; expected a channel of unit 1.",
+        ),
+        (
+            lambda file: file["joints"]["elbow"].update(
+                home_mark={"channel": "box/gap1", "offset": {"value": 1, "unit": "m"}}
+            ),
+            "a scale or offset of a whole number; expected only a channel of unit 1.",
+        ),
         (lambda file: file["devices"]["box"].update(kind="strean"), "kind 'strean'; expected "),
         (lambda file: file["devices"]["box"].update(rate=500), "500 has no unit; expected a mapping such as"),
         (lambda file: file["rate"].update(value=0.5), "rate 0.5 Hz; expected a whole number from 1 to 10000."),

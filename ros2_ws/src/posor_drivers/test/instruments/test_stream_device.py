@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from posor_drivers.instruments.device_reader import DeviceReader
+from posor_drivers.instruments.shared_readers import shared_reader
 from posor_drivers.instruments.stream_device import StreamDevice, StreamSettings
 from posor_drivers.testing.stream_server import LEAD, StreamServer
 from pydantic import ValidationError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from pathlib import Path
 
 TIMEOUT_S = 20.0
 
@@ -45,6 +47,12 @@ def wait_for(condition: Callable[[], object], what: str) -> None:
     while not condition():
         assert time.monotonic() < deadline_s, f"no {what} within {TIMEOUT_S:g} s"
         time.sleep(0.01)
+
+
+def source_number(time_ns: int) -> tuple[float, float]:
+    """The time [s], and a whole number that changes 20 times per second."""
+    seconds = (time_ns % 1_000_000_000_000) * 1e-9
+    return seconds, float(int(20.0 * seconds) % 100)
 
 
 @pytest.fixture
@@ -222,3 +230,36 @@ def test_invalid_settings_are_refused(changes: dict[str, Any], sentence: str) ->
     with pytest.raises(ValidationError) as caught:
         settings(5000, **changes)
     assert sentence in str(caught.value.errors()[0]["ctx"]["error"])
+
+
+def test_a_whole_number_is_never_interpolated() -> None:
+    with StreamServer(source_number) as server:
+        reader = DeviceReader(StreamDevice("box", settings(server.port)))
+        reader.start()
+        try:
+            wait_for(lambda: frames_come(reader), "frames")
+            wait_for(lambda: reader.state.values["frames"] > 1500, "frames of half a second")
+            end_ns = time.time_ns() - 50_000_000
+            found = [reader.values_at(end_ns - n * 200_000, whole=[1]) for n in range(2000)]
+            numbers = [values[1] for values in found if values is not None]
+            assert set(numbers) <= set(range(100))
+            assert len(set(numbers)) > 5
+            assert None in [None if values is None else 0 for values in found]
+            assert len(numbers) > 1900
+        finally:
+            reader.stop()
+
+
+def test_users_of_one_file_share_the_reader_of_a_device(tmp_path: Path, server: StreamServer) -> None:
+    file, box = tmp_path / "instruments.yaml", settings(server.port)
+    with shared_reader(file, StreamDevice("box", box)) as one:
+        with shared_reader(file, StreamDevice("box", box)) as two:
+            assert two is one
+        wait_for(lambda: frames_come(one), "frames")
+        with shared_reader(
+            file, StreamDevice("box", settings(server.port, rate={"value": 999, "unit": "Hz"}))
+        ) as other:
+            assert other is not one
+        assert server.clients >= 1
+    with shared_reader(file, StreamDevice("box", box)) as again:
+        assert again is not one

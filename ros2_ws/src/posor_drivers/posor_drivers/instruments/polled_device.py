@@ -1,0 +1,77 @@
+"""Base class of devices that send nothing by themselves: they are asked for each frame."""
+
+from __future__ import annotations
+
+import math
+import time
+from abc import abstractmethod
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+import numpy as np
+from posor_estimator.calibration.quantity import Quantity, measured
+from posor_estimator.numerics.stamps import NS
+
+from posor_drivers.instruments.device import Device, DeviceSettings, Frames
+from posor_drivers.simulator.scenario_limits import POSITIVE
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+LEAST_ANSWER_TIME_S = 0.3
+
+
+class PolledSettings(DeviceSettings):
+    """Keys of every polled device."""
+
+    rate: Annotated[Quantity, measured("Hz"), POSITIVE]
+    """Questions per second."""
+
+    @property
+    def answer_time_s(self) -> float:
+        """Time limit of an answer [s]: a little more than a period, and at least 0.3 s."""
+        return max(LEAST_ANSWER_TIME_S, 1.2 / self.rate.number)
+
+
+SettingsT = TypeVar("SettingsT", bound=PolledSettings)
+
+
+class PolledDevice(Device[SettingsT]):
+    """Asks for a frame in each period of the stated rate, or as soon as the device has answered.
+
+    The device measures between question and answer. The time of a frame is the middle of the two, and its standard
+    uncertainty that of a uniform distribution over the time between them.
+    """
+
+    def __init__(self, name: str, settings: SettingsT) -> None:
+        """Store the settings; ``connect`` opens the connection."""
+        super().__init__(name, settings)
+        self._next_s, self._asked = 0.0, 0
+
+    @property
+    def frame_rate(self) -> float:
+        """The stated rate [Hz]."""
+        return self.settings.rate.number
+
+    @abstractmethod
+    def ask(self) -> Sequence[float]:
+        """Ask the device for one frame and return the value of each channel; NaN where the device flags it as invalid.
+
+        Raises:
+            DeviceError: The connection was lost, or the answer is no frame.
+
+        """
+
+    def read(self, timeout_s: float) -> Frames | None:
+        """Wait for the next period and return its frame; None if it begins after the time."""
+        wait_s = self._next_s - time.monotonic()
+        time.sleep(min(max(0.0, wait_s), timeout_s))
+        if wait_s > timeout_s:
+            return None
+        self._next_s = max(self._next_s, time.monotonic() - 1.0 / self.frame_rate) + 1.0 / self.frame_rate
+        asked_ns = time.time_ns()
+        values = np.array([self.ask()])
+        answered_ns = time.time_ns()
+        self._asked += 1
+        uncertainty_s = (answered_ns - asked_ns) / (2.0 * math.sqrt(3.0) * NS)
+        return Frames(np.array([self._asked]), values, np.array([(asked_ns + answered_ns) // 2]), uncertainty_s)

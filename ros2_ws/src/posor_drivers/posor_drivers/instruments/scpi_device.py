@@ -1,0 +1,242 @@
+"""Device ``scpi``: scanners and multimeters that answer text commands, through PyVISA with its own library pyvisa-py.
+
+::
+
+    kind: scpi
+    address: TCPIP::192.168.0.7::5025::SOCKET
+    dialect: keysight_daq970a
+    rate: {value: 5, unit: Hz}
+    channels:
+      gap1: {number: 101, unit: V}
+      gap2: {number: 102, unit: V}
+
+``address`` is a VISA resource: TCP socket, VXI-11 (``TCPIP::host::INSTR``), HiSLIP (``TCPIP::host::hislip0::INSTR``),
+or a serial port with pyserial. ``dialect`` is the name of a file in ``scpi_dialects`` beside this module or the path of
+a dialect file of your own (its name ends in ``.yaml``); the commands of an instrument are written there, not in code.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+
+from posor_estimator.calibration.file_model import EntryError, FrozenModel
+from posor_estimator.calibration.yaml_document import load_document
+from pydantic import Field, model_validator
+
+from posor_drivers.instruments.device import Channel, DeviceError
+from posor_drivers.instruments.polled_device import PolledDevice, PolledSettings
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from posor_drivers.instruments.device import Frames
+
+DIALECTS = Path(__file__).parent / "scpi_dialects"
+DIALECT_VERSION = 1
+CHECK_ERRORS_S = 1.0
+"""Time between two looks into the instrument's error queue."""
+MOST_ERRORS = 20
+"""Errors that are read from the queue; it may be as long."""
+
+
+class Dialect(FrozenModel):
+    """Commands of an instrument; ``{numbers}`` stands for the channel numbers in ascending order, with commas."""
+
+    format: Literal["posor_scpi_dialect"]
+    version: Literal[1]
+    identify: str
+    """Question for the model."""
+    model: str
+    """Regular expression that the answer contains."""
+    setup: tuple[str, ...] = ()
+    read: str
+    """Question for one value of each channel, in ascending order of the numbers."""
+    separator: str = ","
+    overload: Annotated[float, Field(gt=0.0)]
+    """A value of at least this size, of either sign, is out of range."""
+    error: str
+    """Question for the oldest entry of the error queue, which it removes."""
+    no_error: str
+    """Regular expression of the answer of an empty queue."""
+    termination: str = "\n"
+
+    @model_validator(mode="after")
+    def _check_expressions(self) -> Self:
+        for key in ("model", "no_error"):
+            try:
+                re.compile(getattr(self, key))
+            except re.error as error:
+                what = f"'{getattr(self, key)}': {error}"
+                raise EntryError(what, key=(key,), expected="a regular expression") from None
+        return self
+
+
+class ScpiChannel(FrozenModel):
+    """A channel: its number in the instrument, and the unit of its readings."""
+
+    number: Annotated[int, Field(strict=True, ge=0)]
+    unit: str
+
+
+class ScpiSettings(PolledSettings):
+    """Keys of an instrument with text commands."""
+
+    kind: Literal["scpi"]
+    address: str
+    dialect: str
+    channels: Annotated[dict[str, ScpiChannel], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        numbers = [channel.number for channel in self.channels.values()]
+        for n, (name, number) in enumerate(zip(self.channels, numbers, strict=True)):
+            if number in numbers[:n]:
+                raise EntryError(f"number {number}, used twice", key=("channels", name), expected="a number for each")
+        if not self.dialect_path.is_file():
+            known = ", ".join(sorted(path.stem for path in DIALECTS.glob("*.yaml")))
+            expected = f"one of {known}, or the path of a file"
+            raise EntryError(f"dialect '{self.dialect}'", key=("dialect",), expected=expected)
+        return self
+
+    @property
+    def dialect_path(self) -> Path:
+        """The dialect file."""
+        return Path(self.dialect) if self.dialect.endswith(".yaml") else DIALECTS / f"{self.dialect}.yaml"
+
+
+class ScpiDevice(PolledDevice[ScpiSettings]):
+    """Asks the instrument for a reading of every channel in each period."""
+
+    Settings = ScpiSettings
+
+    def __init__(self, name: str, settings: ScpiSettings) -> None:
+        """Read the dialect.
+
+        Raises:
+            CalibrationError: The dialect file cannot be read, or holds an invalid entry.
+
+        """
+        super().__init__(name, settings)
+        self._dialect = load_dialect(settings.dialect_path)
+        self._numbers = [channel.number for channel in settings.channels.values()]
+        self._manager: Any = None
+        self._instrument: Any = None
+        self._checked_s = 0.0
+
+    @property
+    def channels(self) -> Sequence[Channel]:
+        """The channels of the settings."""
+        return [Channel(name, channel.unit) for name, channel in self.settings.channels.items()]
+
+    @property
+    def address(self) -> str:
+        """The VISA resource."""
+        return self.settings.address
+
+    def connect(self, timeout_s: float) -> str:
+        """Check the model, set up the scan, and look for errors."""
+        import pyvisa  # noqa: PLC0415  slow to import, and few users have such a device
+        from pyvisa.resources import MessageBasedResource  # noqa: PLC0415
+
+        dialect = self._dialect
+        try:
+            self._manager = pyvisa.ResourceManager("@py")
+            self._instrument = self._manager.open_resource(
+                self.address, open_timeout=round(1e3 * timeout_s), resource_pyclass=MessageBasedResource
+            )
+        except Exception as error:  # noqa: BLE001  pyvisa-py raises a plain Exception where the host cannot be reached
+            raise self._error(f"no connection to {self.address}, {error}", "an instrument at this address") from None
+        instrument = self._instrument
+        instrument.timeout = round(1e3 * self.settings.answer_time_s)
+        instrument.read_termination = instrument.write_termination = dialect.termination
+        identity = self._query(dialect.identify)
+        if re.search(dialect.model, identity) is None:
+            raise self._error(f"the instrument is '{identity}'", f"a model that matches '{dialect.model}'")
+        numbers = ",".join(map(str, sorted(self._numbers)))
+        for command in dialect.setup:
+            self._transfer("write", command.replace("{numbers}", numbers))
+        self._check_errors()
+        return identity
+
+    def read(self, timeout_s: float) -> Frames | None:
+        """Look for errors once a second, between two frames, and return the next frame."""
+        if time.monotonic() - self._checked_s > CHECK_ERRORS_S:
+            self._check_errors()
+        return super().read(timeout_s)
+
+    def ask(self) -> Sequence[float]:
+        """Return the reading of each channel."""
+        dialect = self._dialect
+        answer = self._query(dialect.read)
+        try:
+            readings = [float(number) for number in answer.split(dialect.separator)]
+        except ValueError:
+            readings = []
+        if len(readings) != len(self._numbers):
+            self._check_errors()
+            what = f"the answer to '{dialect.read}' is '{answer}'"
+            raise self._error(what, f"{len(self._numbers)} numbers, separated by '{dialect.separator}'")
+        by_number = dict(zip(sorted(self._numbers), readings, strict=True))
+        return [
+            by_number[number] if abs(by_number[number]) < dialect.overload else math.nan for number in self._numbers
+        ]
+
+    def close(self) -> None:
+        """Close the connection."""
+        for part in (self._instrument, self._manager):
+            if part is not None:
+                part.close()
+        self._instrument = self._manager = None
+
+    def _check_errors(self) -> None:
+        """Empty the error queue.
+
+        Raises:
+            DeviceError: It was not empty.
+
+        """
+        errors: list[str] = []
+        while len(errors) < MOST_ERRORS:
+            answer = self._query(self._dialect.error)
+            if re.search(self._dialect.no_error, answer):
+                break
+            errors.append(answer)
+        self._checked_s = time.monotonic()
+        if errors:
+            raise self._error(f"the instrument reports {'; '.join(errors)}", "an empty error queue")
+
+    def _query(self, command: str) -> str:
+        answer: str = self._transfer("query", command)
+        return answer.strip()
+
+    def _transfer(self, method: str, command: str) -> Any:
+        """Write a command, or query its answer.
+
+        Raises:
+            DeviceError: The connection was lost, or there is no answer in time.
+
+        """
+        from pyvisa.errors import Error  # noqa: PLC0415  see connect
+
+        try:
+            return getattr(self._instrument, method)(command)
+        except (Error, OSError, UnicodeDecodeError) as error:
+            raise self._error(f"no answer to '{command}', {error}", "an answer in time") from None
+
+    def _error(self, what: str, expected: str) -> DeviceError:
+        return DeviceError(what, where=self.name, expected=expected)
+
+
+def load_dialect(path: Path) -> Dialect:
+    """Read and validate a dialect file.
+
+    Raises:
+        CalibrationError: The file cannot be read, is not YAML, or holds an invalid entry.
+
+    """
+    keys = "format, version, identify, model, setup, read, separator, overload, error, no_error"
+    return load_document(path, "dialect file", keys, DIALECT_VERSION, Dialect.model_validate)[0]

@@ -1,0 +1,212 @@
+"""Devices ``labjack`` and ``scpi`` over real sockets, against servers of other code bases."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from posor_drivers.instruments.device_reader import DeviceReader
+from posor_drivers.instruments.labjack_device import LabJackDevice, LabJackSettings
+from posor_drivers.instruments.scpi_device import ScpiDevice, ScpiSettings
+from posor_drivers.testing.labjack_server import LabJackServer
+from posor_drivers.testing.scpi_server import ScpiServer
+from posor_estimator.errors import CalibrationError
+from pydantic import ValidationError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+TIMEOUT_S = 20.0
+OVERLOAD = 9.9e37
+
+
+def ramp(time_ns: int) -> list[float]:
+    """Voltages that grow by 0.01, 0.02, ... per second."""
+    seconds = (time_ns % 100_000_000_000) * 1e-9
+    return [0.01 * n * seconds for n in range(1, 9)]
+
+
+def labjack_settings(port: int, **changes: Any) -> LabJackSettings:
+    content = {
+        "kind": "labjack",
+        "host": "127.0.0.1",
+        "port": port,
+        "rate": {"value": 200, "unit": "Hz"},
+        "channels": {
+            "far": {"input": 5, "range": {"value": 10, "unit": "V"}},
+            "first": {"input": 0, "range": {"value": 0.1, "unit": "V"}, "negative_input": 1, "resolution_index": 2},
+            "second": {"input": 1},
+        },
+    }
+    return LabJackSettings.model_validate(content | changes)
+
+
+def scpi_settings(port: int, **changes: Any) -> ScpiSettings:
+    content = {
+        "kind": "scpi",
+        "address": f"TCPIP::127.0.0.1::{port}::SOCKET",
+        "dialect": "keysight_daq970a",
+        "rate": {"value": 20, "unit": "Hz"},
+        "channels": {"gap2": {"number": 103, "unit": "V"}, "gap1": {"number": 101, "unit": "V"}},
+    }
+    return ScpiSettings.model_validate(content | changes)
+
+
+def wait_for(condition: Callable[[], object], what: str) -> None:
+    deadline_s = time.monotonic() + TIMEOUT_S
+    while not condition():
+        assert time.monotonic() < deadline_s, f"no {what} within {TIMEOUT_S:g} s"
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def labjack() -> Iterator[LabJackServer]:
+    with LabJackServer(ramp) as server:
+        yield server
+
+
+@pytest.fixture
+def scanner() -> Iterator[ScpiServer]:
+    with ScpiServer(ramp) as server:
+        yield server
+
+
+@pytest.fixture(params=["labjack", "scpi"])
+def server(request: pytest.FixtureRequest) -> Any:
+    return request.getfixturevalue("labjack" if request.param == "labjack" else "scanner")
+
+
+@pytest.fixture
+def reader(server: LabJackServer | ScpiServer) -> Iterator[DeviceReader]:
+    if isinstance(server, LabJackServer):
+        reader = DeviceReader(LabJackDevice("box", labjack_settings(server.port)))
+    else:
+        reader = DeviceReader(ScpiDevice("box", scpi_settings(server.port)))
+    reader.start()
+    yield reader
+    reader.stop()
+
+
+def frames_come(reader: DeviceReader) -> bool:
+    return not reader.state.fault
+
+
+def wait_for_fault(reader: DeviceReader, words: str) -> None:
+    wait_for(lambda: words in reader.state.fault, f"fault with '{words}'")
+
+
+def test_values_are_those_of_their_time(server: LabJackServer | ScpiServer, reader: DeviceReader) -> None:
+    wait_for(lambda: frames_come(reader), "frames")
+    errors = []
+
+    def take() -> bool:
+        at_ns = time.time_ns() - 200_000_000
+        if (values := reader.values_at(at_ns)) is not None:
+            expected = ramp(at_ns)
+            numbers = (5, 0, 1) if isinstance(server, LabJackServer) else (2, 0)
+            scale = [expected[number] if np.isfinite(values[n]) else np.nan for n, number in enumerate(numbers)]
+            slopes = 0.01 * (np.array(numbers) + 1)
+            late_s = (values - scale) / slopes
+            errors.append(np.nanmax(np.abs(late_s)))
+        return len(errors) >= 20
+
+    wait_for(take, "20 values")
+    assert np.median(errors) < 5e-3  # a loaded host answers late now and then
+    values = reader.state.values
+    assert 0.0 < values["clock_uncertainty"] < 0.1
+    assert values["frames"] > 0
+
+
+def test_a_stall_and_a_restart_of_the_device_are_named_and_end(
+    server: LabJackServer | ScpiServer, reader: DeviceReader
+) -> None:
+    wait_for(lambda: frames_come(reader), "frames")
+    stalled = server.registers.stalled if isinstance(server, LabJackServer) else server.stalled
+    stalled.set()
+    wait_for_fault(reader, "expected an answer in time")
+    assert reader.values_at(time.time_ns() - 1_000_000) is None
+    stalled.clear()
+    wait_for(lambda: frames_come(reader), "frames after the stall")
+    server.stop()
+    wait_for(lambda: not frames_come(reader), "fault")
+    wait_for_fault(reader, "box: no connection to " if isinstance(server, LabJackServer) else "Connection refused")
+    server.start()
+    wait_for(lambda: frames_come(reader), "frames after the restart")
+
+
+def test_inputs_of_a_labjack_are_set_up_and_a_value_beyond_its_range_is_invalid(labjack: LabJackServer) -> None:
+    labjack.registers.voltages = lambda _time_ns: [0.25, -0.5, 0.0, 0.0, 0.0, 10.5]
+    reader = DeviceReader(LabJackDevice("box", labjack_settings(labjack.port)))
+    reader.start()
+    try:
+        wait_for(lambda: frames_come(reader), "frames")
+        assert reader.state.text == "LabJack T7, firmware 1.0292"
+        np.testing.assert_array_equal(reader.newest_values(), [np.nan, np.nan, -0.5])
+    finally:
+        reader.stop()
+    assert labjack.written_float(40_010) == 10.0
+    assert labjack.written_float(40_000) == pytest.approx(0.1)
+    assert labjack.registers.written[41_000] == 1
+    assert labjack.registers.written[41_500] == 2
+    assert 40_002 not in labjack.registers.written
+
+
+def test_another_product_and_an_input_that_does_not_exist_are_refused(labjack: LabJackServer) -> None:
+    channels = {"none": {"input": 60}}
+    reader = DeviceReader(LabJackDevice("box", labjack_settings(labjack.port, channels=channels)))
+    reader.start()
+    try:
+        wait_for_fault(
+            reader,
+            "box: Modbus exception 2 for register 120; expected registers of a LabJack; the input may not exist.",
+        )
+        labjack.registers.product = 6.0
+        wait_for_fault(reader, "box: the product is 6; expected 4 (LabJack T4), 7 (LabJack T7), 8 (LabJack T8).")
+    finally:
+        reader.stop()
+
+
+def test_neighbouring_inputs_are_one_question() -> None:
+    def questions(*inputs: int) -> list[tuple[int, int]]:
+        channels = {f"c{n}": {"input": n} for n in inputs}
+        return LabJackDevice("box", labjack_settings(502, channels=channels))._questions
+
+    assert questions(3, 1, 2, 9) == [(1, 3), (9, 1)]
+    assert questions(*range(70)) == [(0, 62), (62, 8)]
+
+
+def test_faults_of_a_scanner_are_named(scanner: ScpiServer) -> None:
+    reader = DeviceReader(ScpiDevice("meter", scpi_settings(scanner.port)))
+    reader.start()
+    try:
+        wait_for(lambda: frames_come(reader), "frames")
+        assert scanner.scanned == [101, 103]
+        assert reader.state.text == "Keysight Technologies,DAQ970A,MY12345678,A.02.04"
+        scanner.error = (-222, "Data out of range")
+        wait_for_fault(reader, 'meter: the instrument reports -222,"Data out of range"; expected an empty error queue.')
+        wait_for(lambda: frames_come(reader), "frames after the error")
+        scanner.answer = "1.0,2.0,3.0"
+        wait_for_fault(reader, "meter: the answer to 'READ?' is '1.0,2.0,3.0'; expected 2 numbers, separated by ','.")
+        scanner.answer = f"1.5,{OVERLOAD:E}"
+        wait_for(lambda: frames_come(reader), "frames with an overload")
+        np.testing.assert_array_equal(reader.newest_values(), [np.nan, 1.5])
+        scanner.answer, scanner.model = "no number", "34401A"
+        wait_for_fault(reader, "expected a model that matches 'DAQ97[03]A'.")
+    finally:
+        reader.stop()
+
+
+def test_invalid_settings_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValidationError, match="dialect 'none'"):
+        scpi_settings(5025, dialect="none")
+    with pytest.raises(ValidationError, match="number 101, used twice"):
+        scpi_settings(5025, channels={name: {"number": 101, "unit": "V"} for name in "ab"})
+    with pytest.raises(ValidationError):
+        labjack_settings(502, channels={"a": {"input": -1}})
+    own = tmp_path / "own.yaml"
+    own.write_text("format: posor_scpi_dialect\nversion: 1\nidentify: ID?\nmodel: '('\n", encoding="utf-8")
+    with pytest.raises(CalibrationError, match=r"own\.yaml"):
+        ScpiDevice("meter", scpi_settings(5025, dialect=str(own)))

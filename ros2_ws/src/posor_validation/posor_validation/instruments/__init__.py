@@ -1,0 +1,1 @@
+"""Trials of the instruments: servers of simulated devices, the real nodes, and the truth behind the servers."""

@@ -1,0 +1,227 @@
+"""The trials: for each kind of device a server over real sockets, the instruments file that fits, and its aims."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from posor_drivers.testing.capancdt_server import CapaNcdtServer
+from posor_drivers.testing.labjack_server import LabJackServer
+from posor_drivers.testing.scpi_server import ScpiServer
+from posor_drivers.testing.stream_server import LEAD, MAGIC, StreamServer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from contextlib import ExitStack
+    from threading import Event
+
+    from posor_validation.instruments.simulated_readings import SimulatedReadings
+
+HOST = "127.0.0.1"
+RANGE_M = 5e-4
+"""Measuring range of the capacitive sensors; in it the gap voltages of the test rig lie."""
+SCALE_V_PER_M, OFFSET_V = 4e4, -10.0
+"""From distance to the voltage of the simulated probe."""
+CAPANCDT_SAMPLE_US = 256
+FEEDBACK_OHM = 1e5
+"""Of the amplifiers that make voltages of the diode currents."""
+CHANNELS = {"gap_voltages": "gap", "ring_voltages": "ring", "diode_currents": "current"}
+
+
+@dataclass(frozen=True)
+class Devices:
+    """Running servers: entries of the instruments file, and how to stop their frames."""
+
+    devices: dict[str, dict[str, Any]]
+    joints: dict[str, dict[str, Any]]
+    stalled: Event
+
+
+@dataclass(frozen=True)
+class DeviceTrial:
+    """One trial.
+
+    Attributes:
+        name: For the figures.
+        arm: Installed arm.
+        rate: Scans per second.
+        latency_s: From tick to publication.
+        seconds: Of the measurement.
+        slowness: Factor by which the arm moves slower than in its scenario.
+        keeps_pace: Whether two processors can be expected to follow, with the servers beside the nodes.
+        returns: Whether there must be poses soon after a stall; a ring must pass its home mark first.
+        serve: Starts the servers until the stack closes.
+
+    """
+
+    name: str
+    arm: str
+    rate: int
+    latency_s: float
+    seconds: float
+    serve: Callable[[SimulatedReadings, ExitStack], Devices]
+    slowness: float = 1.0
+    returns: bool = True
+    keeps_pace: bool = True
+
+
+def quantity(value: float, unit: str) -> dict[str, Any]:
+    """Return an entry of a file."""
+    return {"value": value, "unit": unit}
+
+
+def _stream(readings: SimulatedReadings, joint: str, server: StreamServer, rate: float) -> dict[str, Any]:
+    names = [channel.name for channel in readings.channels[joint]]
+    return {
+        "kind": "stream",
+        "transport": "tcp",
+        "host": HOST,
+        "port": server.port,
+        "rate": quantity(rate, "Hz"),
+        "format": f"{LEAD}{len(names)}d",
+        "fields": ["magic", "counter", *names],
+        "constants": {"magic": MAGIC},
+        "channels": {channel.name: {"unit": channel.unit} for channel in readings.channels[joint]},
+    }
+
+
+def _direct(readings: SimulatedReadings, joint: str, device: str) -> dict[str, dict[str, Any]]:
+    return {channel.name: {"channel": f"{device}/{channel.name}"} for channel in readings.channels[joint]}
+
+
+def serve_streams(rates: Mapping[str, float]) -> Callable[[SimulatedReadings, ExitStack], Devices]:
+    """Return what serves one stream for each joint, at frames per second by joint; clocks differ by 20 ppm."""
+
+    def serve(readings: SimulatedReadings, stack: ExitStack) -> Devices:
+        devices, joints, servers = {}, {}, []
+        for n, joint in enumerate(readings.channels):
+            rate = rates[joint]
+            server = StreamServer(lambda t, joint=joint: readings.at(joint, t), rate, drift=20e-6 * n)  # type: ignore[misc]
+            servers.append(stack.enter_context(server))
+            devices[f"box_{joint}"] = _stream(readings, joint, server, rate)
+            joints[joint] = readings.joint_entry(joint, _direct(readings, joint, f"box_{joint}"))
+        return Devices(devices, joints, servers[0].stalled)
+
+    return serve
+
+
+def serve_capancdt(readings: SimulatedReadings, stack: ExitStack) -> Devices:
+    """Serve the gap probes as distances of a capaNCDT at its greatest rate, everything else as a stream."""
+    (joint,) = readings.channels
+    channels = readings.channels[joint]
+    gaps = [n for n, channel in enumerate(channels) if channel.kind == "gap_voltages"]
+
+    def distances(time_ns: int) -> list[float]:
+        values = readings.at(joint, time_ns)
+        return [(values[n] - OFFSET_V) / SCALE_V_PER_M for n in gaps]
+
+    ranges = dict.fromkeys(range(1, len(gaps) + 1), RANGE_M)
+    probes = CapaNcdtServer(distances, ranges, drift=50e-6)
+    probes.packet_frames = 8
+    stack.enter_context(probes)
+    others = stack.enter_context(StreamServer(lambda t: readings.at(joint, t), 1000.0))
+    scale = {"scale": quantity(SCALE_V_PER_M, "V/m"), "offset": quantity(OFFSET_V, "V")}
+    entries = _direct(readings, joint, "box")
+    entries |= {channels[n].name: {"channel": f"probes/{channels[n].name}", **scale} for n in gaps}
+    controller = {
+        "kind": "capancdt_6200",
+        "host": HOST,
+        "command_port": probes.command_port,
+        "data_port": probes.data_port,
+        "rate": quantity(1e6 / CAPANCDT_SAMPLE_US, "Hz"),
+        "channels": {
+            channels[n].name: {"number": k, "range": quantity(RANGE_M, "m")} for k, n in enumerate(gaps, start=1)
+        },
+    }
+    devices = {"probes": controller, "box": _stream(readings, joint, others, 1000.0)}
+    return Devices(devices, {joint: readings.joint_entry(joint, entries)}, probes.stalled)
+
+
+def _amplified(readings: SimulatedReadings, joint: str, device: str) -> dict[str, dict[str, Any]]:
+    """Return the entries of readings that the device measures as voltages; a light source is fixed."""
+    entries = _direct(readings, joint, device)
+    for channel in readings.channels[joint]:
+        if channel.unit == "A":
+            entries[channel.name]["scale"] = quantity(1.0 / FEEDBACK_OHM, "A/V")
+    return entries
+
+
+def _analogue(readings: SimulatedReadings, joint: str) -> tuple[list[int], Callable[[int], list[float]]]:
+    """Return the columns of the readings with a unit, and their voltages by the ROS time."""
+    columns = [n for n, channel in enumerate(readings.channels[joint]) if channel.unit != "1"]
+    gains = [FEEDBACK_OHM if readings.channels[joint][n].unit == "A" else 1.0 for n in columns]
+
+    def voltages(time_ns: int) -> list[float]:
+        values = readings.at(joint, time_ns)
+        return [gain * values[n] for n, gain in zip(columns, gains, strict=True)]
+
+    return columns, voltages
+
+
+def _fixed_sources(readings: SimulatedReadings, joint: str, entry: dict[str, Any]) -> dict[str, Any]:
+    """Return a joint whose light sources are fixed numbers, as those of the test rig are, and without a home mark."""
+    channels, first = readings.channels[joint], readings.at(joint, 0)
+    entry["lit_sources"] = [round(first[n]) for n, channel in enumerate(channels) if channel.kind == "lit_sources"]
+    del entry["home_mark"]
+    return entry
+
+
+def serve_labjack(rate: float) -> Callable[[SimulatedReadings, ExitStack], Devices]:
+    """Return what serves all readings as inputs of a LabJack that is asked at a rate [Hz]."""
+
+    def serve(readings: SimulatedReadings, stack: ExitStack) -> Devices:
+        (joint,) = readings.channels
+        columns, voltages = _analogue(readings, joint)
+        server = stack.enter_context(LabJackServer(voltages))
+        names = [readings.channels[joint][n].name for n in columns]
+        device = {
+            "kind": "labjack",
+            "host": HOST,
+            "port": server.port,
+            "rate": quantity(rate, "Hz"),
+            "channels": {name: {"input": n} for n, name in enumerate(names)},
+        }
+        entry = readings.joint_entry(joint, _amplified(readings, joint, "daq"))
+        return Devices({"daq": device}, {joint: _fixed_sources(readings, joint, entry)}, server.registers.stalled)
+
+    return serve
+
+
+def serve_scanner(rate: float) -> Callable[[SimulatedReadings, ExitStack], Devices]:
+    """Return what serves all readings as channels of a scanner with SCPI commands that is asked at a rate [Hz]."""
+
+    def serve(readings: SimulatedReadings, stack: ExitStack) -> Devices:
+        (joint,) = readings.channels
+        columns, voltages = _analogue(readings, joint)
+        server = stack.enter_context(ScpiServer(voltages))
+        names = [readings.channels[joint][n].name for n in columns]
+        device = {
+            "kind": "scpi",
+            "address": f"TCPIP::{HOST}::{server.port}::SOCKET",
+            "dialect": "keysight_daq970a",
+            "rate": quantity(rate, "Hz"),
+            "channels": {name: {"number": 101 + n, "unit": "V"} for n, name in enumerate(names)},
+        }
+        entry = readings.joint_entry(joint, _amplified(readings, joint, "scanner"))
+        return Devices({"scanner": device}, {joint: _fixed_sources(readings, joint, entry)}, server.stalled)
+
+    return serve
+
+
+FIVE_AXIS_RATES = {"base_swivel": 997.0, "shoulder": 1003.0, "elbow": 997.0, "wrist_roll": 1003.0, "wrist_yaw": 997.0}
+TRIALS = (
+    DeviceTrial("stream, 1 kHz", "test_rig", 250, 0.1, 10.0, serve_streams({"joint1": 1000.0})),
+    DeviceTrial("capaNCDT 3.9 kHz, 1 kHz scans", "test_rig", 1000, 0.1, 10.0, serve_capancdt, keeps_pace=False),
+    DeviceTrial("LabJack, 1 kHz", "test_rig", 500, 0.1, 10.0, serve_labjack(1000.0), keeps_pace=False),
+    DeviceTrial("SCPI scanner, 5 Hz", "test_rig", 5, 0.5, 20.0, serve_scanner(5.0), slowness=200.0),
+    DeviceTrial(
+        "five streams, 997 and 1003 Hz",
+        "five_axis",
+        50,
+        0.1,
+        20.0,
+        serve_streams(FIVE_AXIS_RATES),
+        slowness=20.0,
+        returns=False,
+    ),
+)

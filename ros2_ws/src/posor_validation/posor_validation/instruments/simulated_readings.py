@@ -1,0 +1,112 @@
+"""Readings of a simulated arm at any time, as devices measure them, and the true endpoint."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from posor_drivers.simulator.arm_simulation import ArmSimulation
+from posor_drivers.simulator.imperfections import Imperfections
+from posor_estimator.numerics.stamps import NS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from posor_estimator.chain.arm_file import Arm
+    from posor_estimator.numerics.array_types import FloatArray
+
+SIMULATED_RATE = 1000
+"""Of the tables [Hz]; between their rows readings and truth are interpolated."""
+SEED, REST_NS = 1985, 12 * NS
+SMOOTH = Imperfections.only("zero_drift", "supply_drift", "sag", "inertia")
+
+
+class ReadingChannel(NamedTuple):
+    """One reading of a joint."""
+
+    name: str
+    kind: str  # entry of the joint in the instruments file
+    unit: str
+
+
+class SimulatedReadings:
+    """The arm of a scenario, slowed down by a factor; its noise is that of the calibrations in every reading.
+
+    It rests at the begin of the cycle, where rings see their home marks, for the time in which a graph starts.
+    """
+
+    def __init__(self, arm: Arm, slowness: float = 1.0) -> None:
+        """Compute one cycle."""
+        self._begin_ns = time.time_ns() + REST_NS
+        self.arm = arm
+        self._rate_ns = SIMULATED_RATE / slowness / NS
+        self._random = np.random.default_rng(SEED)
+        smooth = ArmSimulation(arm, SMOOTH, SIMULATED_RATE)
+        noisy = ArmSimulation(arm, SMOOTH.model_copy(update={"noise": True}), SIMULATED_RATE)
+        ticks = np.arange(smooth.scenario.cycle_ticks)
+        self._points: FloatArray = np.asarray(smooth.truth(ticks).endpoint.translations)
+        self.channels: dict[str, list[ReadingChannel]] = {}
+        self._tables: dict[str, tuple[FloatArray, FloatArray]] = {}
+        self._whole: dict[str, list[int]] = {}
+        for joint in arm.calibrations:
+            self.channels[joint], table = _table(smooth.scans(joint, ticks).scans)
+            noise = _table(noisy.scans(joint, ticks).scans)[1] - table
+            self._whole[joint] = [n for n, each in enumerate(self.channels[joint]) if each.unit == "1"]
+            noise[:, self._whole[joint]] = 0.0
+            self._tables[joint] = table, noise
+
+    @property
+    def moves(self) -> bool:
+        """Whether the time of rest is over."""
+        return time.time_ns() > self._begin_ns
+
+    def at(self, joint: str, time_ns: int) -> list[float]:
+        """Return the readings of a joint at a ROS time [ns], in the order of its channels."""
+        table, noise = self._tables[joint]
+        position = max(0, time_ns - self._begin_ns) * self._rate_ns
+        number = int(position)
+        share, row = position - number, number % len(table)
+        values = (1.0 - share) * table[row] + share * table[(row + 1) % len(table)]
+        values += noise[self._random.integers(len(noise))]
+        values[self._whole[joint]] = table[row, self._whole[joint]]
+        readings: list[float] = values.tolist()
+        return readings
+
+    def true_points(self, stamps_ns: Sequence[int]) -> FloatArray:
+        """Return the true position of the endpoint at ROS times [ns], (n, 3) [m]."""
+        positions = np.maximum(0, np.array(stamps_ns) - self._begin_ns) * self._rate_ns % len(self._points)
+        numbers = positions.astype(int)
+        shares = (positions - numbers)[:, None]
+        following = self._points[(numbers + 1) % len(self._points)]
+        points: FloatArray = (1.0 - shares) * self._points[numbers] + shares * following
+        return points
+
+    def joint_entry(self, joint: str, channels: dict[str, dict[str, Any]]) -> dict[str, Any]:
+        """Return the joint of an instruments file; ``channels`` are the entries of the readings by their names."""
+        entry: dict[str, Any] = {"frame_id": self.arm.calibration(joint).frames.parent}
+        for name, kind, _ in self.channels[joint]:
+            if kind in {"supply_voltage", "temperature", "home_mark"}:
+                entry[kind] = channels[name]
+            else:
+                entry.setdefault(kind, []).append(channels[name])
+        return entry
+
+
+def _table(scans: Any) -> tuple[list[ReadingChannel], FloatArray]:
+    """Return channels and readings of scans, (n, channels)."""
+    n = len(scans.stamps_ns)
+    parts = {
+        "gap_voltages": ("V", scans.gap_voltages),
+        "ring_voltages": ("V", scans.ring_voltages),
+        "diode_currents": ("A", scans.diode_currents.reshape(n, -1)),
+        "lit_sources": ("1", scans.lit_sources),
+        "home_mark": ("1", (scans.at_home == 1)[:, None]),
+        "supply_voltage": ("V", scans.supply_voltages[:, None]),
+    }
+    channels = [
+        ReadingChannel(f"{kind}{column}", kind, unit)
+        for kind, (unit, columns) in parts.items()
+        for column in range(columns.shape[1])
+    ]
+    return channels, np.concatenate([columns for _, columns in parts.values()], axis=1, dtype=np.float64)

@@ -1,0 +1,187 @@
+"""Runs a trial: servers, one process with drivers and nodes, and the endpoint compared with the truth."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import yaml
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from posor_bringup.arms import load_checked_arm
+from posor_estimator.errors import TopicError
+from posor_estimator.numerics.stamps import NS
+from posor_estimator.ros.message_conversion import stamp_ns
+from posor_estimator.ros_names import ENDPOINT_COVARIANCE_TOPIC
+from posor_estimator.testing.graph import BEST_EFFORT, Graph
+from posor_estimator.testing.program import Program, installed
+from rclpy.serialization import deserialize_message
+from scipy.stats import chi2
+
+from posor_validation.instruments.simulated_readings import SimulatedReadings
+from posor_validation.reports.console_progress import InterruptedRunError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from posor_estimator.chain.arm_file import Arm
+
+    from posor_validation.instruments.device_trials import Devices, DeviceTrial
+
+SETTLED_POSES = 5
+STALL_S = 2.0
+TIMEOUT_S = 60.0
+REGION = 0.95
+
+
+@dataclass(frozen=True)
+class TrialFigures:
+    """Figures of a trial; all simulated."""
+
+    name: str
+    arm: str
+    rate: int  # scans per second, as the instruments file states it
+    seconds: float
+    poses: int
+    keeps_pace: bool  # whether the rate of the poses is judged
+    pose_rate: float  # poses per second between the first and the last one
+    inside_region: float  # share of the poses whose true position is inside their 95 % region
+    rms_um: float  # position error, of all three axes together
+    stated_um: float  # root of the mean trace of the stated covariance of the position
+    latency_ms: float  # median time from stamp to reception
+    named_after_s: float  # from the stall of a device to the first diagnostics that name it
+    poses_in_stall: int  # received later than named_after_s, while the device sent nothing
+    back_after_s: float  # from the end of the stall to the first pose; 0 if it is not judged
+
+
+class _Receiver:
+    """Serialised poses of the endpoint with their time of reception."""
+
+    def __init__(self, graph: Graph, topic: str) -> None:
+        self.poses: list[bytes] = []
+        self.received_ns: list[int] = []
+        self._subscription = graph.node.create_subscription(
+            PoseWithCovarianceStamped, topic, self._on_pose, BEST_EFFORT, raw=True
+        )
+
+    def _on_pose(self, pose: bytes) -> None:
+        self.poses.append(pose)
+        self.received_ns.append(time.time_ns())
+
+
+def run_trial(trial: DeviceTrial, folder: Path, interrupted: Callable[[], bool]) -> TrialFigures:
+    """Run a trial.
+
+    Args:
+        trial: The trial.
+        folder: Existing folder for files and logs.
+        interrupted: Called often; ends the trial where it returns True.
+
+    Raises:
+        InterruptedRunError: ``interrupted`` has returned True.
+        TopicError: What must happen did not happen in time.
+
+    """
+    readings = SimulatedReadings(load_checked_arm(trial.arm), trial.slowness)
+    with ExitStack() as stack:
+        devices = trial.serve(readings, stack)
+        arm = write_arm(readings.arm, trial, devices, folder)
+        arguments = [str(arm), "--layout", "composed", "--output", str(folder / "out")]
+        program = stack.enter_context(Program([*installed("posor_bringup", "bringup"), *arguments]))
+        graph = stack.enter_context(Graph())
+        receiver = _Receiver(graph, f"/{trial.arm}/{ENDPOINT_COVARIANCE_TOPIC}")
+        graph.watch_diagnostics()
+
+        def wait(condition: Callable[[], bool], what: str, limit_s: float = TIMEOUT_S) -> float:
+            start_s = time.monotonic()
+            while not condition():
+                graph.receive()
+                if interrupted():
+                    raise InterruptedRunError("interrupted", where=trial.name)
+                if time.monotonic() - start_s > limit_s:
+                    raise TopicError(f"no {what} within {limit_s:g} s", where=trial.name, expected="a running arm")
+            return time.monotonic() - start_s
+
+        wait(lambda: len(receiver.poses) >= SETTLED_POSES, "poses")
+        wait(lambda: readings.moves, "motion")
+        begin, end_s = len(receiver.poses), time.monotonic() + trial.seconds
+        wait(lambda: time.monotonic() >= end_s, "end", trial.seconds + TIMEOUT_S)
+        measured = receiver.poses[begin:], receiver.received_ns[begin:]
+        seen = len(graph.diagnostics)
+        devices.stalled.set()
+        named_s = wait(lambda: _is_stall_named(graph, seen), "diagnostics that name the stall")
+        at_stall = len(receiver.poses)
+        end_s = time.monotonic() + STALL_S
+        wait(lambda: time.monotonic() >= end_s, "end of the stall")
+        in_stall = len(receiver.poses) - at_stall
+        devices.stalled.clear()
+        taken = len(receiver.poses)
+        back_s = wait(lambda: len(receiver.poses) > taken, "pose after the stall") if trial.returns else 0.0
+        program.end()
+    return _figures(trial, readings, measured, named_s, in_stall, back_s)
+
+
+def _is_stall_named(graph: Graph, seen: int) -> bool:
+    """Return whether diagnostics after the first ``seen`` ones have an error of a device."""
+    return any(": device " in each.name and each.level == each.ERROR for each in graph.diagnostics[seen:])
+
+
+def _figures(
+    trial: DeviceTrial,
+    readings: SimulatedReadings,
+    measured: tuple[list[bytes], list[int]],
+    named_s: float,
+    in_stall: int,
+    back_s: float,
+) -> TrialFigures:
+    received_ns = measured[1]
+    poses: list[Any] = [deserialize_message(pose, PoseWithCovarianceStamped) for pose in measured[0]]
+    stamps = [stamp_ns(pose) for pose in poses]
+    points = [pose.pose.pose.position for pose in poses]
+    errors = np.array([(point.x, point.y, point.z) for point in points]) - readings.true_points(stamps)
+    covariances = np.array([np.reshape(pose.pose.covariance, (6, 6))[:3, :3] for pose in poses])
+    distances = np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[:, :, None])[:, :, 0])
+    return TrialFigures(
+        name=trial.name,
+        arm=trial.arm,
+        rate=trial.rate,
+        seconds=trial.seconds,
+        poses=len(poses),
+        keeps_pace=trial.keeps_pace,
+        pose_rate=(len(poses) - 1) / ((stamps[-1] - stamps[0]) / NS),
+        inside_region=float(np.mean(distances < chi2.ppf(REGION, 3))),
+        rms_um=float(1e6 * np.sqrt(np.mean(np.sum(errors**2, axis=1)))),
+        stated_um=float(1e6 * np.sqrt(np.mean(np.trace(covariances, axis1=1, axis2=2)))),
+        latency_ms=float(np.median(np.array(received_ns) - np.array(stamps)) * 1e3 / NS),
+        named_after_s=named_s,
+        poses_in_stall=in_stall,
+        back_after_s=back_s,
+    )
+
+
+def write_arm(arm: Arm, trial: DeviceTrial, devices: Devices, folder: Path) -> Path:
+    """Write the instruments file and an arm file whose drivers read it; return the arm file."""
+    instruments = {
+        "format": "posor_instruments",
+        "version": 1,
+        "name": trial.arm,
+        "rate": {"value": trial.rate, "unit": "Hz"},
+        "latency": {"value": trial.latency_s, "unit": "s"},
+        "devices": devices.devices,
+        "joints": devices.joints,
+    }
+    (folder / "instruments.yaml").write_text(yaml.safe_dump(instruments), encoding="utf-8")
+    content = yaml.safe_load(arm.path.read_text(encoding="utf-8"))
+    del content["scenario"]
+    for key in ("urdf", "beams"):
+        content[key] = str(arm.path.parent / content[key])
+    content["joints"] = {
+        joint: {**content["joints"][joint], "calibration": str(path)} for joint, path in arm.calibrations.items()
+    }
+    parameters = {"instruments.file": "{folder}/instruments.yaml", "instruments.joint": "{joint}"}
+    content["driver"] = {"source": "instruments", "parameters": parameters}
+    (folder / "arm.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+    return folder / "arm.yaml"
