@@ -13,7 +13,7 @@ from posor_drivers.simulator.imperfections import Imperfections
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.model.fault import Fault
 from posor_estimator.ros_names import TRANSFORM_TOPIC
-from scipy.stats import binom
+from scipy.stats import betabinom
 
 from posor_validation.faults.fault_arm import RATES, write_fault_arm
 from posor_validation.faults.fault_receiver import FaultReceiver
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from posor_validation.faults.fault_table import Arm
 
 CYCLE_S = 20
-EXPECTED_SCANS = 20_000
+EXPECTED_SCANS = 100_000
 """Simulated scans of each joint from which the rate of false alarms is expected."""
 BAND = 0.95
 
@@ -41,7 +41,7 @@ class Soak:
         errors: Messages of the diagnostics at the level ERROR, without repetition.
         scans: Transforms that came.
         alarms: Of these, rejected by the test of the redundant readings.
-        band: Least and largest number of alarms within the 95 % band of the expected rate.
+        band: Least and largest number of alarms within the 95 % band of the expected rate, which is itself an estimate.
 
     """
 
@@ -106,7 +106,7 @@ def run_soak(arm: Arm, seconds: float, folder: Path, seed: int, interrupted: Cal
             ]
         finally:
             receiver.close()
-    share = expected_alarms / (others * len(simulation.joints))
-    low, high = binom.interval(BAND, len(flags), share)
+    without_alarm = others * len(simulation.joints) - expected_alarms
+    low, high = betabinom.interval(BAND, len(flags), expected_alarms + 1, without_alarm + 1)
     alarms = sum(bool(each & Fault.RESIDUAL) for each in flags)
     return Soak(arm, tuple(sorted(errors)), len(flags), alarms, (int(low), int(high)))
