@@ -5,10 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
+from posor_bringup.arms import find_arm, load_checked_arm
+from posor_drivers.instruments.instruments_command import main as instruments
+from posor_drivers.instruments.instruments_file import load_instruments
+from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_validation.instruments.device_trials import TRIALS, DeviceTrial
 from posor_validation.instruments.trial_run import run_trial
-from posor_validation.instruments.trials_command import main
+from posor_validation.instruments.trials_command import main as trials
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -32,6 +37,39 @@ def test_readings_of_devices_give_the_true_endpoint(trial: DeviceTrial, tmp_path
 
 
 def test_an_unknown_trial_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["instruments_trials", "--trials", "none"]) == 2
+    assert trials(["instruments_trials", "--trials", "none"]) == 2
     said = capsys.readouterr().err
     assert said.startswith("instruments_trials: --trials none; expected part of one of stream, 1 kHz; capaNCDT")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["--device", kind] for kind in ("stream", "labjack", "scpi")] + [["--probes", "capancdt_6200"]],
+    ids=lambda arguments: arguments[1],
+)
+@pytest.mark.parametrize("arm", ["test_rig", "five_axis", "six_axis"])
+def test_a_starting_file_holds_every_reading(
+    arm: str, arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert instruments(["start", str(find_arm(arm)), *arguments]) == 0
+    path = tmp_path / "instruments.yaml"
+    path.write_text(capsys.readouterr().out, encoding="utf-8")
+    file, simulation = load_instruments(path), ArmSimulation(load_checked_arm(arm))
+    for joint, readings in file.joints.items():
+        scan = simulation.scans(joint, np.arange(1)).scans[0]
+        assert len(readings.gap_voltages) == len(scan.gap_voltages)
+        assert len(readings.ring_voltages) == len(scan.ring_voltages)
+        assert len(readings.diode_currents) == scan.diode_currents.size
+        assert readings.frame_id == simulation.arm.calibration(joint).frames.parent
+    assert instruments(["list", str(path)]) == 0
+
+
+def test_a_starting_file_of_an_unsuitable_device_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert instruments(["start", str(find_arm("test_rig")), "--device", "none"]) == 2
+    assert capsys.readouterr().err == (
+        "instruments start: kind 'none'; expected one of capancdt_6200, labjack, scpi, stream.\n"
+    )
+    assert instruments(["start", str(find_arm("test_rig")), "--device", "capancdt_6200"]) == 2
+    said = capsys.readouterr().err
+    assert "a capancdt_6200 has no channel for " in said
+    assert said.endswith("; expected another --device or --probes.\n")

@@ -37,7 +37,7 @@ import re
 import struct
 import time
 from contextlib import closing
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from posor_estimator.calibration.file_model import EntryError, FrozenModel
@@ -49,7 +49,7 @@ from posor_drivers.instruments.tcp_connection import TcpConnection
 from posor_drivers.simulator.scenario_limits import POSITIVE
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
 FULL_SCALE = 0xFFFFFF
 """Digital value of the measuring range."""
@@ -63,6 +63,7 @@ _HEADER = struct.Struct("<4siiQiHHI")
 _COUNTER_RANGE = 1 << 32
 _VALUE_BYTES = 4
 _MAX_CHANNELS = 32
+MOST_SENSORS = 4
 _SENSOR = "1"
 """State of a channel in the answer to ``$CHS``: 0 is no module, 2 a math function."""
 
@@ -72,7 +73,7 @@ Port = Annotated[int, Field(strict=True, ge=1, le=65_535)]
 class CapaNcdtChannel(FrozenModel):
     """A channel: its number at the controller and the measuring range of its sensor."""
 
-    number: Annotated[int, Field(strict=True, ge=1, le=4)]
+    number: Annotated[int, Field(strict=True, ge=1, le=MOST_SENSORS)]
     range: Annotated[Quantity, measured("m"), POSITIVE]
 
 
@@ -117,6 +118,17 @@ class CapaNcdtDevice(Device[CapaNcdtSettings]):
         self._connection: TcpConnection | None = None
         self._rest = b""
         self._last: int | None = None
+
+    @classmethod
+    def starting_settings(cls, units: Mapping[str, str]) -> dict[str, Any]:
+        """Return a sensor at each of the channels, of which there are at most four."""
+        span = {"value": 0.5, "unit": "mm"}
+        voltages = [name for name, unit in units.items() if unit == "V"][:MOST_SENSORS]
+        return {
+            "host": "192.168.0.6",
+            "rate": {"value": 1041.67, "unit": "Hz"},
+            "channels": {name: {"number": n, "range": dict(span)} for n, name in enumerate(voltages, start=1)},
+        }
 
     @property
     def channels(self) -> Sequence[Channel]:

@@ -15,7 +15,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
-from typing import TYPE_CHECKING, Annotated, ClassVar, Generic, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, TypeVar
 
 from posor_estimator.calibration.file_model import FrozenModel
 from posor_estimator.calibration.quantity import Quantity, measured
@@ -24,7 +24,7 @@ from posor_estimator.errors import PosorError
 from posor_drivers.simulator.scenario_limits import NOT_NEGATIVE
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from posor_estimator.numerics.array_types import FloatArray, IntArray
 
@@ -91,6 +91,17 @@ class Device(ABC, Generic[SettingsT]):
         """Store the settings; ``connect`` opens the connection."""
         self.name = name
         self.settings = settings
+
+    @classmethod
+    def starting_settings(cls, units: Mapping[str, str]) -> dict[str, Any]:
+        """Return example values of all keys but ``kind``, for ``posor instruments start``.
+
+        Args:
+            units: Units of the readings by the names that the channels shall have. A reading that the device cannot
+                measure is left out; the unit of a channel may be another one.
+
+        """
+        return {"channels": {name: {"unit": unit} for name, unit in units.items()}}
 
     @property
     @abstractmethod

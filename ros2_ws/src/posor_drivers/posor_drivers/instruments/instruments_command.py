@@ -8,12 +8,14 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from posor_estimator.chain.arm_file import load_arm
 from posor_estimator.errors import PosorError
 from posor_estimator.reporting.command_line_parser import CommandLineParser
 
 from posor_drivers.instruments.device import DeviceError
 from posor_drivers.instruments.device_reader import DeviceReader
 from posor_drivers.instruments.instruments_file import InstrumentsFile, device_classes, load_instruments
+from posor_drivers.instruments.starting_file import format_starting_file
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -35,6 +37,11 @@ def _parse_options(arguments: Sequence[str] | None) -> Namespace:
     ):
         action = actions.add_parser(name, help=summary, description=summary)
         action.add_argument("file", type=Path, metavar="FILE", help="instruments file (YAML)")
+    summary = "print an instruments file for an arm, to be completed"
+    start = actions.add_parser("start", help=summary, description=summary)
+    start.add_argument("file", type=Path, metavar="ARM", help="arm file (YAML)")
+    start.add_argument("--device", default="stream", metavar="KIND", help="kind of the devices (default: stream)")
+    start.add_argument("--probes", metavar="KIND", help="kind of the devices of the gap probes (default: as --device)")
     return parser.parse_args(arguments)
 
 
@@ -42,6 +49,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; the exit code is 0 if every device works."""
     try:
         options = _parse_options(arguments)
+        if options.action == "start":
+            print(
+                format_starting_file(load_arm(options.file), options.device, options.probes or options.device), end=""
+            )
+            return 0
         file = load_instruments(options.file)
         if options.action == "list":
             _list(file)

@@ -33,7 +33,7 @@ from posor_drivers.instruments.polled_device import PolledDevice, PolledSettings
 from posor_drivers.simulator.scenario_limits import POSITIVE
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
 PRODUCTS = {4: "LabJack T4", 7: "LabJack T7", 8: "LabJack T8"}
 VOLTAGE, RANGE, NEGATIVE_INPUT, RESOLUTION_INDEX = 0, 40_000, 41_000, 41_500
@@ -76,6 +76,16 @@ class LabJackDevice(PolledDevice[LabJackSettings]):
             np.inf if channel.range is None else channel.range.number for channel in settings.channels.values()
         ]
         self._client: Any = None
+
+    @classmethod
+    def starting_settings(cls, units: Mapping[str, str]) -> dict[str, Any]:
+        """Return an input for each reading that is not a whole number."""
+        analogue = [name for name, unit in units.items() if unit != "1"]
+        return {
+            "host": "192.168.0.8",
+            "rate": {"value": 500, "unit": "Hz"},
+            "channels": {name: {"input": n, "range": {"value": 10.0, "unit": "V"}} for n, name in enumerate(analogue)},
+        }
 
     @property
     def channels(self) -> Sequence[Channel]:

@@ -31,7 +31,7 @@ from posor_drivers.instruments.device import Channel, DeviceError
 from posor_drivers.instruments.polled_device import PolledDevice, PolledSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from posor_drivers.instruments.device import Frames
 
@@ -126,6 +126,17 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
         self._manager: Any = None
         self._instrument: Any = None
         self._checked_s = 0.0
+
+    @classmethod
+    def starting_settings(cls, units: Mapping[str, str]) -> dict[str, Any]:
+        """Return a channel for each reading that is not a whole number."""
+        analogue = [name for name, unit in units.items() if unit != "1"]
+        return {
+            "address": "TCPIP::192.168.0.7::5025::SOCKET",
+            "dialect": "keysight_daq970a",
+            "rate": {"value": 5, "unit": "Hz"},
+            "channels": {name: {"number": 101 + n, "unit": "V"} for n, name in enumerate(analogue)},
+        }
 
     @property
     def channels(self) -> Sequence[Channel]:

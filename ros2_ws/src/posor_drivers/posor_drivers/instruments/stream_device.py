@@ -20,7 +20,7 @@ from __future__ import annotations
 import select
 import socket
 import struct
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from posor_estimator.calibration.file_model import EntryError, FrozenModel
@@ -32,7 +32,7 @@ from posor_drivers.instruments.tcp_connection import TcpConnection
 from posor_drivers.simulator.scenario_limits import POSITIVE
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
 COUNTER = "counter"
 MAX_DATAGRAM = 65_536
@@ -95,6 +95,19 @@ class StreamDevice(Device[StreamSettings]):
         self._wrap = 1 << (8 * struct.calcsize("<" + codes[self._counter])) if len(codes) == len(fields) else 1 << 64
         self._connection: TcpConnection | socket.socket | None = None
         self._rest, self._last = b"", -1
+
+    @classmethod
+    def starting_settings(cls, units: Mapping[str, str]) -> dict[str, Any]:
+        """Return frames of a counter and a double for each reading."""
+        return {
+            "transport": "tcp",
+            "host": "192.168.0.5",
+            "port": 5000,
+            "rate": {"value": 1000, "unit": "Hz"},
+            "format": f"<I{len(units)}d",
+            "fields": [COUNTER, *units],
+            **super().starting_settings(units),
+        }
 
     @property
     def channels(self) -> Sequence[Channel]:
