@@ -23,7 +23,7 @@ pytestmark = pytest.mark.usefixtures("ros_domain")
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "plain_controller" / "plain_controller.py"
 MAX_LINES = 60
-ALLOWED = ("contextlib", "math", "geometry_msgs", "posor_msgs", "rclpy")
+ALLOWED = ("math", "signal", "geometry_msgs", "posor_msgs", "rclpy")
 ARM: Arm = "five_axis"
 KILLED = "elbow/driver_node"
 CYCLE_S, SEED, WAYPOINT_S = 60, 4, 5.0
@@ -84,6 +84,6 @@ def test_the_endpoint_reaches_its_target_and_a_killed_driver_stops_the_controlle
             graph.wait_until(lambda: any("stopped: " in line for line in controller.stderr), "the controller's stop")
             graph.wait_until(lambda: time.monotonic() > killed_s + 5.0 * MAX_STOP_S, "late commands")
             assert kept.topic_name.endswith("stage/command")
-            assert controller.end() == 0
+            assert controller.end() == 0, controller.stderr
     assert before > 10.0 * after
     assert arrivals[-1] < killed_s + MAX_STOP_S

@@ -1,12 +1,11 @@
 """Keeps an endpoint at its target by a stage: python plain_controller.py --ros-args -r __ns:=/five_axis"""
 
 import math
-from contextlib import suppress
+import signal
 
 import rclpy
 from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from posor_msgs.msg import EndpointState
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 MAX_AGE_S, KEPT = 0.1, 100
@@ -50,11 +49,12 @@ class PlainController(Node):
             self.stop("a pose, a target or the position of the stage is not finite")
 
     def stop(self, reason):
-        """Command nothing, and the stage stays where it is; another machine would brake here."""
-        self.get_logger().warning(f"stopped: {reason}", throttle_duration_sec=1.0)
+        self.get_logger().warning(f"stopped: {reason}", throttle_duration_sec=1.0)  # another machine would brake here
 
 
 if __name__ == "__main__":
-    rclpy.init()
-    with suppress(KeyboardInterrupt, ExternalShutdownException):
-        rclpy.spin(PlainController())
+    rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)  # its own ends a context in use
+    signals, controller = [], PlainController()
+    signal.signal(signal.SIGINT, lambda number, _: signals.append(number))
+    while not signals:
+        rclpy.spin_once(controller, timeout_sec=0.1)
