@@ -105,7 +105,11 @@ class LabJackDevice(PolledDevice[LabJackSettings]):
         self._client = ModbusTcpClient(
             self.settings.host, port=self.settings.port, timeout=limit_s, retries=0, reconnect_delay=0
         )
-        if not self._client.connect():
+        try:
+            connected = self._client.connect()
+        except (OSError, UnicodeError):  # UnicodeError: the host is no valid name
+            connected = False
+        if not connected:
             raise self._error(f"no connection to {self.address} within {limit_s:g} s", "a LabJack")
         product, firmware = self._read_floats(PRODUCT, 1)[0], self._read_floats(FIRMWARE, 1)[0]
         if product not in PRODUCTS:

@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 import re
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
@@ -123,7 +124,6 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
         super().__init__(name, settings)
         self._dialect = load_dialect(settings.dialect_path)
         self._numbers = [channel.number for channel in settings.channels.values()]
-        self._manager: Any = None
         self._instrument: Any = None
         self._checked_s = 0.0
 
@@ -155,15 +155,14 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
 
         dialect = self._dialect
         try:
-            self._manager = pyvisa.ResourceManager("@py")
-            self._instrument = self._manager.open_resource(
+            instrument: Any = pyvisa.ResourceManager("@py").open_resource(
                 self.address, open_timeout=round(1e3 * timeout_s), resource_pyclass=MessageBasedResource
             )
+            self._instrument = instrument
+            instrument.timeout = round(1e3 * self.settings.answer_time_s)
+            instrument.read_termination = instrument.write_termination = dialect.termination
         except Exception as error:  # noqa: BLE001  pyvisa-py raises a plain Exception where the host cannot be reached
             raise self._error(f"no connection to {self.address}, {error}", "an instrument at this address") from None
-        instrument = self._instrument
-        instrument.timeout = round(1e3 * self.settings.answer_time_s)
-        instrument.read_termination = instrument.write_termination = dialect.termination
         identity = self._query(dialect.identify)
         if re.search(dialect.model, identity) is None:
             raise self._error(f"the instrument is '{identity}'", f"a model that matches '{dialect.model}'")
@@ -197,11 +196,11 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
         ]
 
     def close(self) -> None:
-        """Close the connection."""
-        for part in (self._instrument, self._manager):
-            if part is not None:
-                part.close()
-        self._instrument = self._manager = None
+        """Close the connection, but not PyVISA's resource manager, which all devices of the process share."""
+        if self._instrument is not None:
+            with suppress(Exception):  # of a connection that is broken
+                self._instrument.close()
+            self._instrument = None
 
     def _check_errors(self) -> None:
         """Empty the error queue.

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from posor_drivers.instruments.device import DeviceError
 from posor_drivers.instruments.device_reader import DeviceReader
 from posor_drivers.instruments.labjack_device import LabJackDevice, LabJackSettings
 from posor_drivers.instruments.scpi_device import ScpiDevice, ScpiSettings
@@ -210,3 +211,21 @@ def test_invalid_settings_are_refused(tmp_path: Path) -> None:
     own.write_text("format: posor_scpi_dialect\nversion: 1\nidentify: ID?\nmodel: '('\n", encoding="utf-8")
     with pytest.raises(CalibrationError, match=r"own\.yaml"):
         ScpiDevice("meter", scpi_settings(5025, dialect=str(own)))
+
+
+def test_the_end_of_one_instrument_leaves_the_others(scanner: ScpiServer) -> None:
+    with ScpiServer(ramp) as other:
+        one, two = (ScpiDevice("meter", scpi_settings(each.port)) for each in (scanner, other))
+        for device in (one, two):
+            assert "DAQ970A" in device.connect(1.0)
+        one.close()
+        assert len(two.ask()) == 2
+        two.close()
+
+
+@pytest.mark.parametrize("host", ["a..b", "no.such.host.invalid", ""])
+def test_a_host_that_is_none_is_refused(host: str) -> None:
+    with pytest.raises(DeviceError, match="no connection to"):
+        LabJackDevice("box", labjack_settings(502, host=host)).connect(1.0)
+    with pytest.raises(DeviceError):
+        ScpiDevice("meter", scpi_settings(5025, address=f"TCPIP::{host}::5025::SOCKET")).connect(1.0)
