@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,6 +43,11 @@ def test_an_unknown_trial_is_refused(capsys: pytest.CaptureFixture[str]) -> None
     assert said.startswith("instruments_trials: --trials none; expected part of one of stream, 1 kHz; capaNCDT")
 
 
+@cache
+def simulation_of(arm: str) -> ArmSimulation:
+    return ArmSimulation(load_checked_arm(arm))
+
+
 @pytest.mark.parametrize(
     "arguments",
     [["--device", kind] for kind in ("stream", "labjack", "scpi")] + [["--probes", "capancdt_6200"]],
@@ -54,7 +60,7 @@ def test_a_starting_file_holds_every_reading(
     assert instruments(["start", str(find_arm(arm)), *arguments]) == 0
     path = tmp_path / "instruments.yaml"
     path.write_text(capsys.readouterr().out, encoding="utf-8")
-    file, simulation = load_instruments(path), ArmSimulation(load_checked_arm(arm))
+    file, simulation = load_instruments(path), simulation_of(arm)
     for joint, readings in file.joints.items():
         scan = simulation.scans(joint, np.arange(1)).scans[0]
         assert len(readings.gap_voltages) == len(scan.gap_voltages)
