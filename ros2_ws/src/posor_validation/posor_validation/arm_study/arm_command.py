@@ -19,7 +19,7 @@ from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_estimator.errors import ParameterError
 from posor_estimator.reporting.command_line_parser import CommandLineParser
-from posor_estimator.ros.node_program import StopSignal, exit_code_of, non_ros_arguments, ros_context
+from posor_estimator.ros.node_program import StopSignal, non_ros_arguments, ros_context
 from posor_estimator.ros.ros_domain import isolated_network
 from rich.console import Console
 
@@ -34,6 +34,7 @@ from posor_validation.arm_study.tick_outcomes import count_outcomes
 from posor_validation.output_files import write_json
 from posor_validation.reports.console_progress import InterruptedRunError, StageProgress
 from posor_validation.reports.findings import print_findings
+from posor_validation.reports.findings_program import exit_code_of_findings
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -96,9 +97,7 @@ def parse_options(arguments: Sequence[str]) -> Namespace:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the study as a program; the exit code is 0 if all judged figures hold."""
     argv = sys.argv if arguments is None else arguments
-    findings: list[Findings] = []
-    code = exit_code_of(lambda: findings.append(_study_arm(parse_options(non_ros_arguments(argv)), argv)))
-    return code or int(not findings[0].holds)
+    return exit_code_of_findings(lambda: _study_arm(parse_options(non_ros_arguments(argv)), argv))
 
 
 def _study_arm(options: Namespace, argv: Sequence[str]) -> Findings:

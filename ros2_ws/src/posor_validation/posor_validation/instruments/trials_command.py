@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from posor_estimator.errors import ParameterError
 from posor_estimator.reporting.command_line_parser import CommandLineParser
-from posor_estimator.ros.node_program import exit_code_of, non_ros_arguments, ros_context
+from posor_estimator.ros.node_program import non_ros_arguments, ros_context
 from posor_estimator.ros.ros_domain import isolated_network
 from rich.console import Console
 
@@ -21,6 +21,7 @@ from posor_validation.instruments.device_trials import TRIALS
 from posor_validation.instruments.trial_run import run_trial
 from posor_validation.output_files import check_writable, write_json
 from posor_validation.reports.findings import Finding, Findings, Verdict, print_findings
+from posor_validation.reports.findings_program import exit_code_of_findings
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -55,9 +56,7 @@ def parse_options(arguments: Sequence[str]) -> Namespace:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; the exit code is 0 if every aim is reached."""
     argv = sys.argv if arguments is None else arguments
-    findings: list[Findings] = []
-    code = exit_code_of(lambda: findings.append(_run(parse_options(non_ros_arguments(argv)), argv)))
-    return code or int(not findings[0].holds)
+    return exit_code_of_findings(lambda: _run(parse_options(non_ros_arguments(argv)), argv))
 
 
 def _run(options: Namespace, argv: Sequence[str]) -> Findings:
