@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 
-LEAST_ANSWER_TIME_S = 0.3
+LEAST_ANSWER_TIME_S = 0.25
+"""With the period of a device that is asked five times per second, a stall is known within half a second."""
 
 
 class PolledSettings(DeviceSettings):
@@ -29,7 +30,7 @@ class PolledSettings(DeviceSettings):
 
     @property
     def answer_time_s(self) -> float:
-        """Time limit of an answer [s]: a little more than a period, and at least 0.3 s."""
+        """Time limit of an answer [s]: a little more than a period, and at least 0.25 s."""
         return max(LEAST_ANSWER_TIME_S, 1.2 / self.rate.number)
 
 

@@ -53,7 +53,8 @@ class LabJackServer:
 
     Attributes:
         port: The port.
-        registers: Its registers: ``product``, what was ``written``, and ``stalled``, which holds up all answers.
+        registers: Its registers: ``product``, and what was ``written``.
+        stalled: No question is answered while it is set.
 
     """
 
@@ -62,6 +63,7 @@ class LabJackServer:
         with socket.create_server(("127.0.0.1", 0)) as free:
             self.port: int = free.getsockname()[1]
         self.registers = _Registers(voltages)
+        self.stalled = self.registers.stalled
         self._server: Any = None
 
     def __enter__(self) -> Self:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from types import TracebackType
 
+FIRST_CHANNEL = 101
 POLL_S = 0.01
 
 
@@ -31,14 +32,8 @@ class ScpiServer:
 
     """
 
-    def __init__(self, voltages: Callable[[int], Sequence[float]], first: int = 101) -> None:
-        """Choose a port.
-
-        Args:
-            voltages: Voltages of the channels by the ROS time [ns].
-            first: Number of the first channel; the others follow.
-
-        """
+    def __init__(self, voltages: Callable[[int], Sequence[float]]) -> None:
+        """Choose a port; ``voltages`` are those of channel 101, 102, ... by the ROS time [ns]."""
         with socket.create_server(("127.0.0.1", 0)) as free:
             self.port: int = free.getsockname()[1]
         self.model = "DAQ970A"
@@ -46,7 +41,7 @@ class ScpiServer:
         self.error: tuple[int, str] | None = None
         self.answer: str | None = None
         self.stalled = Event()
-        self._voltages, self._first = voltages, first
+        self._voltages = voltages
         self._server: Any = None
         self._loop: Any = None
 
@@ -107,4 +102,4 @@ class ScpiServer:
         if self.answer is not None:
             return self.answer
         voltages = self._voltages(time.time_ns())
-        return ",".join(f"{voltages[number - self._first]:+.9E}" for number in self.scanned)
+        return ",".join(f"{voltages[number - FIRST_CHANNEL]:+.9E}" for number in self.scanned)

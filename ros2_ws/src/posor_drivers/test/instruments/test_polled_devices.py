@@ -16,11 +16,12 @@ from posor_drivers.testing.scpi_server import ScpiServer
 from posor_estimator.errors import CalibrationError
 from pydantic import ValidationError
 
+from .device_states import wait_for, wait_for_fault, wait_for_frames
+
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
     from pathlib import Path
 
-TIMEOUT_S = 20.0
 OVERLOAD = 9.9e37
 
 
@@ -56,13 +57,6 @@ def scpi_settings(port: int, **changes: Any) -> ScpiSettings:
     return ScpiSettings.model_validate(content | changes)
 
 
-def wait_for(condition: Callable[[], object], what: str) -> None:
-    deadline_s = time.monotonic() + TIMEOUT_S
-    while not condition():
-        assert time.monotonic() < deadline_s, f"no {what} within {TIMEOUT_S:g} s"
-        time.sleep(0.01)
-
-
 @pytest.fixture
 def labjack() -> Iterator[LabJackServer]:
     with LabJackServer(ramp) as server:
@@ -91,16 +85,8 @@ def reader(server: LabJackServer | ScpiServer) -> Iterator[DeviceReader]:
     reader.stop()
 
 
-def frames_come(reader: DeviceReader) -> bool:
-    return not reader.state.fault
-
-
-def wait_for_fault(reader: DeviceReader, words: str) -> None:
-    wait_for(lambda: words in reader.state.fault, f"fault with '{words}'")
-
-
 def test_values_are_those_of_their_time(server: LabJackServer | ScpiServer, reader: DeviceReader) -> None:
-    wait_for(lambda: frames_come(reader), "frames")
+    wait_for_frames(reader)
     errors = []
 
     def take() -> bool:
@@ -124,18 +110,17 @@ def test_values_are_those_of_their_time(server: LabJackServer | ScpiServer, read
 def test_a_stall_and_a_restart_of_the_device_are_named_and_end(
     server: LabJackServer | ScpiServer, reader: DeviceReader
 ) -> None:
-    wait_for(lambda: frames_come(reader), "frames")
-    stalled = server.registers.stalled if isinstance(server, LabJackServer) else server.stalled
-    stalled.set()
+    wait_for_frames(reader)
+    server.stalled.set()
     wait_for_fault(reader, "expected an answer in time")
     assert reader.values_at(time.time_ns() - 1_000_000) is None
-    stalled.clear()
-    wait_for(lambda: frames_come(reader), "frames after the stall")
+    server.stalled.clear()
+    wait_for_frames(reader)
     server.stop()
-    wait_for(lambda: not frames_come(reader), "fault")
+    wait_for_fault(reader)
     wait_for_fault(reader, "box: no connection to " if isinstance(server, LabJackServer) else "Connection refused")
     server.start()
-    wait_for(lambda: frames_come(reader), "frames after the restart")
+    wait_for_frames(reader)
 
 
 def test_inputs_of_a_labjack_are_set_up_and_a_value_beyond_its_range_is_invalid(labjack: LabJackServer) -> None:
@@ -143,7 +128,7 @@ def test_inputs_of_a_labjack_are_set_up_and_a_value_beyond_its_range_is_invalid(
     reader = DeviceReader(LabJackDevice("box", labjack_settings(labjack.port)))
     reader.start()
     try:
-        wait_for(lambda: frames_come(reader), "frames")
+        wait_for_frames(reader)
         assert reader.state.text == "LabJack T7, firmware 1.0292"
         np.testing.assert_array_equal(reader.newest_values(), [np.nan, np.nan, -0.5])
     finally:
@@ -183,16 +168,16 @@ def test_faults_of_a_scanner_are_named(scanner: ScpiServer) -> None:
     reader = DeviceReader(ScpiDevice("meter", scpi_settings(scanner.port)))
     reader.start()
     try:
-        wait_for(lambda: frames_come(reader), "frames")
+        wait_for_frames(reader)
         assert scanner.scanned == [101, 103]
         assert reader.state.text == "Keysight Technologies,DAQ970A,MY12345678,A.02.04"
         scanner.error = (-222, "Data out of range")
         wait_for_fault(reader, 'meter: the instrument reports -222,"Data out of range"; expected an empty error queue.')
-        wait_for(lambda: frames_come(reader), "frames after the error")
+        wait_for_frames(reader)
         scanner.answer = "1.0,2.0,3.0"
         wait_for_fault(reader, "meter: the answer to 'READ?' is '1.0,2.0,3.0'; expected 2 numbers, separated by ','.")
         scanner.answer = f"1.5,{OVERLOAD:E}"
-        wait_for(lambda: frames_come(reader), "frames with an overload")
+        wait_for_frames(reader)
         np.testing.assert_array_equal(reader.newest_values(), [np.nan, 1.5])
         scanner.answer, scanner.model = "no number", "34401A"
         wait_for_fault(reader, "expected a model that matches 'DAQ97[03]A'.")

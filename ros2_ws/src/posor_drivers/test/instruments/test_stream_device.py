@@ -14,11 +14,11 @@ from posor_drivers.instruments.stream_device import StreamDevice, StreamSettings
 from posor_drivers.testing.stream_server import LEAD, StreamServer
 from pydantic import ValidationError
 
+from .device_states import wait_for, wait_for_fault, wait_for_frames
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
-
-TIMEOUT_S = 20.0
 
 
 def settings(port: int, **changes: Any) -> StreamSettings:
@@ -42,13 +42,6 @@ def slow_sine(time_ns: int) -> tuple[float, float]:
     return float(np.sin(2.0 * np.pi * seconds)), seconds
 
 
-def wait_for(condition: Callable[[], object], what: str) -> None:
-    deadline_s = time.monotonic() + TIMEOUT_S
-    while not condition():
-        assert time.monotonic() < deadline_s, f"no {what} within {TIMEOUT_S:g} s"
-        time.sleep(0.01)
-
-
 def source_number(time_ns: int) -> tuple[float, float]:
     """The time [s], and a whole number that changes 20 times per second."""
     seconds = (time_ns % 1_000_000_000_000) * 1e-9
@@ -69,12 +62,8 @@ def reader(server: StreamServer) -> Iterator[DeviceReader]:
     reader.stop()
 
 
-def frames_come(reader: DeviceReader) -> bool:
-    return not reader.state.fault
-
-
 def test_values_are_interpolated_at_a_ros_time(reader: DeviceReader) -> None:
-    wait_for(lambda: frames_come(reader), "frames")
+    wait_for_frames(reader)
     differences = []
 
     def take() -> bool:
@@ -122,17 +111,17 @@ def test_free_running_devices_have_values_at_common_times() -> None:
 
 
 def test_counter_that_wraps_goes_on(server: StreamServer, reader: DeviceReader) -> None:
-    wait_for(lambda: frames_come(reader), "frames")
+    wait_for_frames(reader)
     server.first = (1 << 32) - 700
     server.drop_client()
     wait_for(lambda: server.clients == 2 and reader.state.values["frames"] > 3000, "frames after the wrap")
-    wait_for(lambda: frames_come(reader), "frames")
+    wait_for_frames(reader)
     assert reader.state.values["frames_lost"] == 0
     assert reader.state.values["connections"] == 2
 
 
 def test_merged_and_lost_frames_are_counted_and_never_bridged(server: StreamServer, reader: DeviceReader) -> None:
-    wait_for(lambda: frames_come(reader), "frames")
+    wait_for_frames(reader)
     server.merged = 7
     server.skip = 40
     wait_for(lambda: reader.state.values["frames_lost"] == 40, "lost frames")
@@ -164,18 +153,18 @@ def test_fault_is_named_at_once_and_the_device_read_again(
 ) -> None:
     begin, end, sentence = FAULTS[name]
     server.first = 100_000
-    wait_for(lambda: frames_come(reader), "frames")
+    wait_for_frames(reader)
     connections = reader.state.values["connections"]
     begin(server)
     begun_s = time.monotonic()
-    wait_for(lambda: not frames_come(reader), "fault")
+    wait_for_fault(reader)
     found = reader.state.fault
     named_s = time.monotonic() - begun_s
     end(server)
     ended_s = time.monotonic()
     wait_for(lambda: reader.state.values["connections"] > connections, "connection")
     connected_s = time.monotonic() - ended_s
-    wait_for(lambda: frames_come(reader), "frames again")
+    wait_for_frames(reader)
     print(f"{name}: named after {named_s:.2f} s, connected {connected_s:.2f} s after the end: {found}")
     assert sentence in found
 
@@ -211,7 +200,7 @@ def test_datagrams_are_read() -> None:
     with StreamServer(slow_sine, udp_port=port):
         reader.start()
         try:
-            wait_for(lambda: frames_come(reader), "frames")
+            wait_for_frames(reader)
         finally:
             reader.stop()
 
@@ -237,7 +226,7 @@ def test_a_whole_number_is_never_interpolated() -> None:
         reader = DeviceReader(StreamDevice("box", settings(server.port)))
         reader.start()
         try:
-            wait_for(lambda: frames_come(reader), "frames")
+            wait_for_frames(reader)
             wait_for(lambda: reader.state.values["frames"] > 1500, "frames of half a second")
             end_ns = time.time_ns() - 50_000_000
             found = [reader.values_at(end_ns - n * 200_000, whole=[1]) for n in range(2000)]
@@ -255,7 +244,7 @@ def test_users_of_one_file_share_the_reader_of_a_device(tmp_path: Path, server: 
     with shared_reader(file, StreamDevice("box", box)) as one:
         with shared_reader(file, StreamDevice("box", box)) as two:
             assert two is one
-        wait_for(lambda: frames_come(one), "frames")
+        wait_for_frames(one)
         with shared_reader(
             file, StreamDevice("box", settings(server.port, rate={"value": 999, "unit": "Hz"}))
         ) as other:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from posor_drivers.testing.capancdt_server import CapaNcdtServer
 from posor_drivers.testing.labjack_server import LabJackServer
-from posor_drivers.testing.scpi_server import ScpiServer
+from posor_drivers.testing.scpi_server import FIRST_CHANNEL, ScpiServer
 from posor_drivers.testing.stream_server import LEAD, MAGIC, StreamServer
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ SCALE_V_PER_M, OFFSET_V = 4e4, -10.0
 CAPANCDT_SAMPLE_US = 256
 FEEDBACK_OHM = 1e5
 """Of the amplifiers that make voltages of the diode currents."""
-CHANNELS = {"gap_voltages": "gap", "ring_voltages": "ring", "diode_currents": "current"}
 
 
 @dataclass(frozen=True)
@@ -166,54 +165,52 @@ def _fixed_sources(readings: SimulatedReadings, joint: str, entry: dict[str, Any
     return entry
 
 
-def serve_labjack(rate: float) -> Callable[[SimulatedReadings, ExitStack], Devices]:
-    """Return what serves all readings as inputs of a LabJack that is asked at a rate [Hz]."""
+def serve_voltages(
+    server_of: Callable[[Callable[[int], list[float]]], LabJackServer | ScpiServer],
+    settings_of: Callable[[int, list[str]], dict[str, Any]],
+) -> Callable[[SimulatedReadings, ExitStack], Devices]:
+    """Return what serves all readings as voltages of one device that is asked for them.
+
+    Args:
+        server_of: Returns the server for the voltages by the ROS time [ns].
+        settings_of: Returns the entry of the instruments file for a port and the names of the channels.
+
+    """
 
     def serve(readings: SimulatedReadings, stack: ExitStack) -> Devices:
         (joint,) = readings.channels
         columns, voltages = _analogue(readings, joint)
-        server = stack.enter_context(LabJackServer(voltages))
+        server = server_of(voltages)
+        stack.enter_context(server)
         names = [readings.channels[joint][n].name for n in columns]
-        device = {
-            "kind": "labjack",
-            "host": HOST,
-            "port": server.port,
-            "rate": quantity(rate, "Hz"),
-            "channels": {name: {"input": n} for n, name in enumerate(names)},
-        }
-        entry = readings.joint_entry(joint, _amplified(readings, joint, "daq"))
-        return Devices({"daq": device}, {joint: _fixed_sources(readings, joint, entry)}, server.registers.stalled)
+        entry = _fixed_sources(readings, joint, readings.joint_entry(joint, _amplified(readings, joint, "daq")))
+        return Devices({"daq": settings_of(server.port, names)}, {joint: entry}, server.stalled)
 
     return serve
 
 
-def serve_scanner(rate: float) -> Callable[[SimulatedReadings, ExitStack], Devices]:
-    """Return what serves all readings as channels of a scanner with SCPI commands that is asked at a rate [Hz]."""
+def _labjack(port: int, names: list[str]) -> dict[str, Any]:
+    channels = {name: {"input": n} for n, name in enumerate(names)}
+    return {"kind": "labjack", "host": HOST, "port": port, "rate": quantity(1000.0, "Hz"), "channels": channels}
 
-    def serve(readings: SimulatedReadings, stack: ExitStack) -> Devices:
-        (joint,) = readings.channels
-        columns, voltages = _analogue(readings, joint)
-        server = stack.enter_context(ScpiServer(voltages))
-        names = [readings.channels[joint][n].name for n in columns]
-        device = {
-            "kind": "scpi",
-            "address": f"TCPIP::{HOST}::{server.port}::SOCKET",
-            "dialect": "keysight_daq970a",
-            "rate": quantity(rate, "Hz"),
-            "channels": {name: {"number": 101 + n, "unit": "V"} for n, name in enumerate(names)},
-        }
-        entry = readings.joint_entry(joint, _amplified(readings, joint, "scanner"))
-        return Devices({"scanner": device}, {joint: _fixed_sources(readings, joint, entry)}, server.stalled)
 
-    return serve
+def _scanner(port: int, names: list[str]) -> dict[str, Any]:
+    return {
+        "kind": "scpi",
+        "address": f"TCPIP::{HOST}::{port}::SOCKET",
+        "dialect": "keysight_daq970a",
+        "rate": quantity(5.0, "Hz"),
+        "channels": {name: {"number": FIRST_CHANNEL + n, "unit": "V"} for n, name in enumerate(names)},
+    }
 
 
 FIVE_AXIS_RATES = {"base_swivel": 997.0, "shoulder": 1003.0, "elbow": 997.0, "wrist_roll": 1003.0, "wrist_yaw": 997.0}
+LABJACK, SCANNER = serve_voltages(LabJackServer, _labjack), serve_voltages(ScpiServer, _scanner)
 TRIALS = (
     DeviceTrial("stream, 1 kHz", "test_rig", 250, 0.1, 10.0, serve_streams({"joint1": 1000.0})),
     DeviceTrial("capaNCDT 3.9 kHz, 1 kHz scans", "test_rig", 1000, 0.1, 10.0, serve_capancdt, keeps_pace=False),
-    DeviceTrial("LabJack, 1 kHz", "test_rig", 500, 0.1, 10.0, serve_labjack(1000.0), keeps_pace=False),
-    DeviceTrial("SCPI scanner, 5 Hz", "test_rig", 5, 0.5, 20.0, serve_scanner(5.0), slowness=200.0),
+    DeviceTrial("LabJack, 1 kHz", "test_rig", 500, 0.1, 10.0, LABJACK, keeps_pace=False),
+    DeviceTrial("SCPI scanner, 5 Hz", "test_rig", 5, 0.5, 20.0, SCANNER, slowness=200.0),
     DeviceTrial(
         "five streams, 997 and 1003 Hz",
         "five_axis",

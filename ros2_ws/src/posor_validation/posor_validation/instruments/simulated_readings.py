@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 SIMULATED_RATE = 1000
 """Of the tables [Hz]; between their rows readings and truth are interpolated."""
 SEED, REST_NS = 1985, 12 * NS
-SMOOTH = Imperfections.only("zero_drift", "supply_drift", "sag", "inertia")
+SMOOTH = Imperfections.only("sag", "inertia")
 
 
 class ReadingChannel(NamedTuple):
@@ -64,10 +64,8 @@ class SimulatedReadings:
     def at(self, joint: str, time_ns: int) -> list[float]:
         """Return the readings of a joint at a ROS time [ns], in the order of its channels."""
         table, noise = self._tables[joint]
-        position = max(0, time_ns - self._begin_ns) * self._rate_ns
-        number = int(position)
-        share, row = position - number, number % len(table)
-        values = (1.0 - share) * table[row] + share * table[(row + 1) % len(table)]
+        row, following, share = self._rows(time_ns)
+        values = (1.0 - share) * table[row] + share * table[following]
         values += noise[self._random.integers(len(noise))]
         values[self._whole[joint]] = table[row, self._whole[joint]]
         readings: list[float] = values.tolist()
@@ -75,12 +73,16 @@ class SimulatedReadings:
 
     def true_points(self, stamps_ns: Sequence[int]) -> FloatArray:
         """Return the true position of the endpoint at ROS times [ns], (n, 3) [m]."""
-        positions = np.maximum(0, np.array(stamps_ns) - self._begin_ns) * self._rate_ns % len(self._points)
-        numbers = positions.astype(int)
-        shares = (positions - numbers)[:, None]
-        following = self._points[(numbers + 1) % len(self._points)]
-        points: FloatArray = (1.0 - shares) * self._points[numbers] + shares * following
-        return points
+        rows = [self._rows(stamp) for stamp in stamps_ns]
+        return np.array(
+            [(1.0 - share) * self._points[row] + share * self._points[following] for row, following, share in rows]
+        )
+
+    def _rows(self, time_ns: int) -> tuple[int, int, float]:
+        """Return the rows before and after a time, and the share of the one after."""
+        position = max(0, time_ns - self._begin_ns) * self._rate_ns
+        number, count = int(position), len(self._points)
+        return number % count, (number + 1) % count, position - number
 
     def joint_entry(self, joint: str, channels: dict[str, dict[str, Any]]) -> dict[str, Any]:
         """Return the joint of an instruments file; ``channels`` are the entries of the readings by their names."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from posor_bringup.arms import load_checked_arm
+from posor_bringup.arms import ARM_FILE, load_checked_arm
 from posor_estimator.errors import TopicError
 from posor_estimator.numerics.stamps import NS
 from posor_estimator.ros.message_conversion import stamp_ns
@@ -54,7 +55,7 @@ class TrialFigures:
     latency_ms: float  # median time from stamp to reception
     named_after_s: float  # from the stall of a device to the first diagnostics that name it
     poses_in_stall: int  # received later than named_after_s, while the device sent nothing
-    back_after_s: float  # from the end of the stall to the first pose; 0 if it is not judged
+    back_after_s: float | None  # from the end of the stall to the first pose; None if it is not waited for
 
 
 class _Receiver:
@@ -119,7 +120,7 @@ def run_trial(trial: DeviceTrial, folder: Path, interrupted: Callable[[], bool])
         in_stall = len(receiver.poses) - at_stall
         devices.stalled.clear()
         taken = len(receiver.poses)
-        back_s = wait(lambda: len(receiver.poses) > taken, "pose after the stall") if trial.returns else 0.0
+        back_s = wait(lambda: len(receiver.poses) > taken, "pose after the stall") if trial.returns else None
         program.end()
     return _figures(trial, readings, measured, named_s, in_stall, back_s)
 
@@ -135,7 +136,7 @@ def _figures(
     measured: tuple[list[bytes], list[int]],
     named_s: float,
     in_stall: int,
-    back_s: float,
+    back_s: float | None,
 ) -> TrialFigures:
     received_ns = measured[1]
     poses: list[Any] = [deserialize_message(pose, PoseWithCovarianceStamped) for pose in measured[0]]
@@ -163,7 +164,7 @@ def _figures(
 
 
 def write_arm(arm: Arm, trial: DeviceTrial, devices: Devices, folder: Path) -> Path:
-    """Write the instruments file and an arm file whose drivers read it; return the arm file."""
+    """Write a copy of an arm whose drivers read an instruments file; return the arm file."""
     instruments = {
         "format": "posor_instruments",
         "version": 1,
@@ -173,15 +174,12 @@ def write_arm(arm: Arm, trial: DeviceTrial, devices: Devices, folder: Path) -> P
         "devices": devices.devices,
         "joints": devices.joints,
     }
-    (folder / "instruments.yaml").write_text(yaml.safe_dump(instruments), encoding="utf-8")
-    content = yaml.safe_load(arm.path.read_text(encoding="utf-8"))
+    copy = folder / "arm"
+    shutil.copytree(arm.path.parent, copy)
+    (copy / "instruments.yaml").write_text(yaml.safe_dump(instruments), encoding="utf-8")
+    content = yaml.safe_load((copy / ARM_FILE).read_text(encoding="utf-8"))
     del content["scenario"]
-    for key in ("urdf", "beams"):
-        content[key] = str(arm.path.parent / content[key])
-    content["joints"] = {
-        joint: {**content["joints"][joint], "calibration": str(path)} for joint, path in arm.calibrations.items()
-    }
     parameters = {"instruments.file": "{folder}/instruments.yaml", "instruments.joint": "{joint}"}
     content["driver"] = {"source": "instruments", "parameters": parameters}
-    (folder / "arm.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
-    return folder / "arm.yaml"
+    (copy / ARM_FILE).write_text(yaml.safe_dump(content), encoding="utf-8")
+    return copy / ARM_FILE

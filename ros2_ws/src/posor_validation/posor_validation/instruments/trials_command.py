@@ -77,7 +77,7 @@ def _run(options: Namespace, argv: Sequence[str]) -> Findings:
 def trial_findings(figures: TrialFigures) -> list[Finding]:
     """Return the verdicts on the figures of a trial."""
     name, region = figures.name, 100.0 * figures.inside_region
-    least = LEAST_RATE * figures.rate
+    least, back_s = LEAST_RATE * figures.rate, figures.back_after_s
     return [
         Finding(
             f"{name}: poses inside their 95 % region",
@@ -108,11 +108,9 @@ def trial_findings(figures: TrialFigures) -> list[Finding]:
         ),
         Finding(
             f"{name}: poses again after",
-            f"{figures.back_after_s:.2f} s",
+            "not waited for" if back_s is None else f"{back_s:.2f} s",
             limit=f"{BACK_WITHIN_S:g} s",
-            verdict=Verdict.of(holds=figures.back_after_s <= BACK_WITHIN_S)
-            if figures.back_after_s
-            else Verdict.NOT_JUDGED,
+            verdict=Verdict.NOT_JUDGED if back_s is None else Verdict.of(holds=back_s <= BACK_WITHIN_S),
         ),
     ]
 

@@ -1,0 +1,151 @@
+"""Source ``instruments``: what becomes of the channels of a device in a scan, over a real socket."""
+
+from __future__ import annotations
+
+import time
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import yaml
+from posor_drivers.sources.instrument_source import InstrumentParameters, InstrumentSource
+from posor_drivers.testing.stream_server import LEAD, StreamServer
+from posor_estimator.bags.message_definitions import MessageTypes
+from posor_estimator.errors import ParameterError
+from posor_estimator.model.scan import HOME_BUMP, SATURATED
+from posor_estimator.ros.message_conversion import stamp_ns
+from posor_estimator.testing.program import wait_until
+from posor_msgs.msg import RawScan
+from rclpy.serialization import deserialize_message
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
+
+FIELDS = ("gap", "current", "source", "home", "plate")
+SOUND = (1e-4, 2e-6, 3.0, 0.0, 21.5)
+
+
+def instruments(port: int) -> dict[str, Any]:
+    units = {"gap": "m", "current": "A", "source": "1", "home": "1", "plate": "degC"}
+    box = {
+        "kind": "stream",
+        "transport": "tcp",
+        "host": "127.0.0.1",
+        "port": port,
+        "rate": {"value": 1000, "unit": "Hz"},
+        "format": f"{LEAD}{len(FIELDS)}d",
+        "fields": ["magic", "counter", *FIELDS],
+        "channels": {name: {"unit": unit} for name, unit in units.items()},
+    }
+    joint = {
+        "frame_id": "receiving",
+        "gap_voltages": [
+            {"channel": "box/gap", "scale": {"value": 1e4, "unit": "V/m"}, "offset": {"value": -0.5, "unit": "V"}}
+        ],
+        "diode_currents": [{"channel": "box/current"}] * 8,
+        "lit_sources": [{"channel": "box/source"}, 7],
+        "home_mark": {"channel": "box/home"},
+        "temperature": {
+            "channel": "box/plate",
+            "scale": {"value": 1, "unit": "K/degC"},
+            "offset": {"value": 273.15, "unit": "K"},
+        },
+    }
+    return {
+        "format": "posor_instruments",
+        "version": 1,
+        "name": "rig",
+        "rate": {"value": 100, "unit": "Hz"},
+        "latency": {"value": 0.05, "unit": "s"},
+        "devices": {"box": box},
+        "joints": {"elbow": joint},
+    }
+
+
+@contextmanager
+def opened(folder: Path, port: int, joint: str = "elbow") -> Iterator[InstrumentSource]:
+    path = folder / "instruments.yaml"
+    path.write_text(yaml.safe_dump(instruments(port)), encoding="utf-8")
+    source = InstrumentSource(InstrumentParameters(file=str(path), joint=joint), MessageTypes())
+    try:
+        source.open()
+        yield source
+    finally:
+        source.close()
+
+
+def scan_of(source: InstrumentSource, accepted: Callable[[Any], bool] = lambda _: True) -> Any:
+    """Return the first accepted scan of the newest ticks."""
+    found: list[Any] = []
+
+    def accept() -> bool:
+        for message in source.read_tick(source.newest_tick(time.time_ns())):
+            scan = deserialize_message(message.data, RawScan)
+            assert stamp_ns(scan) == message.time_ns
+            if accepted(scan):
+                found.append(scan)
+        return bool(found)
+
+    wait_until(accept, "scan", lambda: time.sleep(0.005))
+    return found[0]
+
+
+def wait_for_no_scan(source: InstrumentSource, words: str) -> None:
+    def left_out() -> bool:
+        source.read_tick(source.newest_tick(time.time_ns()))
+        return words in source.statuses()[0].fault
+
+    wait_until(left_out, words, lambda: time.sleep(0.005))
+
+
+def test_channels_become_the_readings_of_a_scan(tmp_path: Path) -> None:
+    with StreamServer(lambda _: SOUND) as server, opened(tmp_path, server.port) as source:
+        scan = scan_of(source)
+        assert scan.header.frame_id == "receiving"
+        np.testing.assert_allclose(scan.gap_voltages, [0.5], rtol=1e-12)
+        np.testing.assert_allclose(scan.diode_currents, [2e-6] * 8, rtol=1e-12)
+        assert list(scan.lit_sources) == [3, 7]
+        assert list(scan.ring_voltages) == []
+        assert scan.temperature == pytest.approx(294.65)
+        assert np.isnan(scan.supply_voltage)
+        assert scan.status == 0
+        assert source.statuses()[0].fault == ""
+
+
+def test_flags_and_refusals_follow_the_channels(tmp_path: Path) -> None:
+    values: list[Sequence[float]] = [SOUND]
+    gap, current, lit, _, plate = SOUND
+    with StreamServer(lambda _: values[0]) as server, opened(tmp_path, server.port) as source:
+        scan_of(source)
+        values[0] = (gap, current, lit, 1.0, plate)
+        assert scan_of(source, lambda scan: scan.status != 0).status == HOME_BUMP
+        values[0] = (float("nan"), current, lit, 0.0, plate)
+        saturated = scan_of(source, lambda scan: scan.status not in {0, HOME_BUMP})
+        assert saturated.status == SATURATED
+        assert np.isnan(saturated.gap_voltages).all()
+        for refused in (3.5, 300.0, -1.0):
+            values[0] = (gap, current, refused, 0.0, plate)
+            wait_for_no_scan(source, f"lit sources [{refused}, 7.0]; expected whole numbers from 0 to 255")
+        missing = int(source.statuses()[0].values["scans_missing"])
+        values[0] = SOUND
+        assert scan_of(source).status == 0
+        assert missing > 0
+
+
+def test_scans_between_two_light_sources_and_without_frames_are_left_out(tmp_path: Path) -> None:
+    def switched(time_ns: int) -> Sequence[float]:
+        return (*SOUND[:2], float(time_ns // 1_000_000 % 2), *SOUND[3:])
+
+    with StreamServer(switched) as server, opened(tmp_path, server.port) as source:
+        wait_for_no_scan(source, "no frames of box around the tick, or frames with different light sources")
+        wait_until(lambda: not source.statuses()[1].fault, "frames", lambda: time.sleep(0.005))
+        tick = source.newest_tick(time.time_ns())
+        assert all(len(source.read_tick(tick - n)) == 0 for n in range(10))
+
+
+def test_another_joint_is_refused(tmp_path: Path) -> None:
+    expected = pytest.raises(ParameterError, match=r"'wrist' is not a joint of .*expected one of elbow")
+    with expected, opened(tmp_path, 1, "wrist"):
+        pass
