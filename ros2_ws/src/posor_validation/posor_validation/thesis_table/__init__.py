@@ -1,0 +1,1 @@
+"""Printed numbers of the thesis beside the numbers that this project computes."""
