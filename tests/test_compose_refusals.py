@@ -146,7 +146,7 @@ def test_a_node_that_fails_later_ends_all_nodes(tmp_path: Path) -> None:
         (
             "  - node: posor_node",
             "  - nod: posor_node",
-            "line 7, key nodes[1].nod: unknown key 'nod'; expected 'node'",
+            "line 7, key nodes[1].nod: unknown key 'nod'; expected perhaps 'node'",
         ),
         (
             "node: posor_node",
@@ -161,7 +161,7 @@ def test_a_node_that_fails_later_ends_all_nodes(tmp_path: Path) -> None:
         (
             "version: 1",
             "version: 1\nrealtime: {priorty: 0}",
-            "line 3, key realtime.priorty: unknown key 'priorty'; expected 'priority'.",
+            "line 3, key realtime.priorty: unknown key 'priorty'; expected perhaps 'priority'.",
         ),
         ("version: 1", "version: 1\nrealtime: 5", "line 3, key realtime: 5; expected a mapping."),
         (

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 import sys
 from typing import TYPE_CHECKING, NamedTuple
 
 from posor_drivers.driver_programs import instruments, record
-from posor_estimator.errors import ParameterError
+from posor_estimator.errors import ParameterError, similar_name
 from posor_estimator.estimator_programs import budget, calibrate, recover, reprocess
 
 from posor_bringup.bringup_programs import bringup, view
@@ -59,8 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.write("\n'posor SUBCOMMAND --help' lists the arguments of a subcommand.\n")
         return 0
     if name not in SUBCOMMANDS:
-        close = difflib.get_close_matches(name, SUBCOMMANDS, n=1)
-        expected = f"'{close[0]}'" if close else f"one of {', '.join(SUBCOMMANDS)}"
+        expected = similar_name(name, SUBCOMMANDS, f"one of {', '.join(SUBCOMMANDS)}")
         error = ParameterError(f"there is no subcommand '{name}'", where="posor", expected=expected)
         sys.stderr.write(f"{error}\n")
         return error.exit_code

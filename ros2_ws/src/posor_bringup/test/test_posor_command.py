@@ -51,7 +51,7 @@ def test_arguments_and_exit_code_are_those_of_the_program(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize(
     ("name", "expected"),
-    [("calibrat", "'calibrate'"), ("chek", "'check'"), ("xyz", f"one of {', '.join(SUBCOMMANDS)}")],
+    [("calibrat", "perhaps 'calibrate'"), ("chek", "perhaps 'check'"), ("xyz", f"one of {', '.join(SUBCOMMANDS)}")],
 )
 def test_an_unknown_subcommand_is_one_sentence(name: str, expected: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([name, "more"]) == 2

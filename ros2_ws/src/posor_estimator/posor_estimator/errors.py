@@ -6,9 +6,12 @@ are attributes as well, for callers.
 
 from __future__ import annotations
 
+from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from posor_estimator.model.fault import Fault
 
 
@@ -122,3 +125,17 @@ class ShapeError(PosorError, ValueError):
 
     def __init__(self, field: str, *, received: tuple[int, ...], expected: str, where: str = "") -> None:
         super().__init__(f"{field} has shape {received}", where=where, expected=expected)
+
+
+def similar_name(name: str, names: Iterable[str], otherwise: str, *, least: float = 0.6) -> str:
+    """Return what an unknown name may have meant, for ``expected`` of an error.
+
+    Args:
+        name: The unknown name.
+        names: The known names.
+        otherwise: The result if no known name is similar.
+        least: Similarity that is required, 0 to 1, as ``difflib`` measures it.
+
+    """
+    similar = get_close_matches(name, list(names), n=1, cutoff=least)
+    return f"perhaps '{similar[0]}'" if similar else otherwise

@@ -7,7 +7,6 @@ field ``path`` of group ``bag`` is the ROS parameter ``bag.path``.
 
 from __future__ import annotations
 
-import difflib
 from array import array
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
@@ -16,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import PydanticUndefined
 
 from posor_estimator.calibration.file_model import FrozenModel
-from posor_estimator.errors import ParameterError
+from posor_estimator.errors import ParameterError, similar_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -146,11 +145,10 @@ def validate_parameters(model: type[ModelT], values: Mapping[str, object], *, no
     known = {spec.name: spec for spec in parameter_specs(model)}
     for name in values:
         if name not in known:
-            nearest = difflib.get_close_matches(name, known, n=1, cutoff=0.0)[0]
             raise ParameterError(
                 "there is no such parameter",
                 where=f"node {node}, parameter '{name}'",
-                expected=f"perhaps '{nearest}'",
+                expected=similar_name(name, known, "a parameter of the node", least=0.0),
                 parameter=name,
             )
     tree: dict[str, Any] = {}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime as dt
-import difflib
 import reprlib
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, model_validator
 
-from posor_estimator.errors import CalibrationError
+from posor_estimator.errors import CalibrationError, similar_name
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -87,8 +86,7 @@ class FrozenModel(BaseModel):
                 raise EntryError(f"key {format_value(key)} is not text", key=(key,), expected=TEXT)
             if key not in known:
                 free = [name for name in known if name not in data]
-                close = difflib.get_close_matches(key, free, n=1)
-                expected = f"'{close[0]}'" if close else "a key of the format"
+                expected = similar_name(key, free, "a key of the format")
                 raise EntryError(f"unknown key '{key}'", key=(key,), expected=expected)
         return data
 

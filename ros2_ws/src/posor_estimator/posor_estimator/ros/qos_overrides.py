@@ -6,13 +6,12 @@ rclpy declares and applies them when a publisher or subscription is created; it 
 
 from __future__ import annotations
 
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Literal
 
 from rclpy.qos import HistoryPolicy, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from posor_estimator.errors import ParameterError
+from posor_estimator.errors import ParameterError, similar_name
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -55,11 +54,12 @@ class QosOverrides:
         """Raise a ParameterError if an override names no topic that the node has by now."""
         for name in self._names:
             if name not in self._possible:
-                near = get_close_matches(name, sorted(self._possible), n=1)
                 raise ParameterError(
                     f"'{name}': this node has no such topic, direction or policy",
                     where=f"node {self._node}",
-                    expected=f"perhaps '{near[0]}'" if near else f"'{PREFIX}<topic>.<publisher|subscription>.<policy>'",
+                    expected=similar_name(
+                        name, sorted(self._possible), f"'{PREFIX}<topic>.<publisher|subscription>.<policy>'"
+                    ),
                 )
 
     def _check_value(self, name: str, value: object) -> None:

@@ -29,23 +29,25 @@ FLAT = {"value": [1e-4, 0.0, -2e-3], "unit": "m/V^k"}
 WRONG = {
     "unknown key": Wrong(put("red", "colour"), ("colour",), "unknown key 'colour'; expected a key of the format"),
     "misspelt key": Wrong(
-        rename("tilt_angel", "tilt_angle"), ("tilt_angel",), "unknown key 'tilt_angel'; expected 'tilt_angle'"
+        rename("tilt_angel", "tilt_angle"), ("tilt_angel",), "unknown key 'tilt_angel'; expected perhaps 'tilt_angle'"
     ),
     "misspelt key that must be there": Wrong(
-        rename("nois", *PROBE, "noise"), (*PROBE, "nois"), "unknown key 'nois'; expected 'noise'"
+        rename("nois", *PROBE, "noise"), (*PROBE, "nois"), "unknown key 'nois'; expected perhaps 'noise'"
     ),
     "misspelt key of a quantity": Wrong(
-        rename("sgima", *PROBE, "tip", "sigma"), (*PROBE, "tip", "sgima"), "unknown key 'sgima'; expected 'sigma'"
+        rename("sgima", *PROBE, "tip", "sigma"),
+        (*PROBE, "tip", "sgima"),
+        "unknown key 'sgima'; expected perhaps 'sigma'",
     ),
     "key of another place": Wrong(
         rename("zero_shift", *SESSION, "zero_shifts"),
         (*SESSION, "zero_shift"),
-        "unknown key 'zero_shift'; expected 'zero_shifts'",
+        "unknown key 'zero_shift'; expected perhaps 'zero_shifts'",
     ),
     "misspelt key of a diode": Wrong(
         rename("y_axes", *DIODES, "diodes", 1, "y_axis"),
         (*DIODES, "diodes", 1, "y_axes"),
-        "unknown key 'y_axes'; expected 'y_axis'",
+        "unknown key 'y_axes'; expected perhaps 'y_axis'",
     ),
     "missing key at the top": Wrong(drop("name"), (), "key 'name' is missing"),
     "missing key": Wrong(drop(*PROBE, "tip"), PROBE, "key 'tip' is missing"),

@@ -116,7 +116,7 @@ def test_a_file_of_the_first_version_is_read_but_has_no_temperature(path: Path) 
             "key version: version 3; expected 1 or 2, or a later release of this software, which reads version 3",
         ),
         ("format: posor_beams", "format: posor_calibration", "expected 'posor_beams'"),
-        ("    sag:", "    sagg:", "unknown key 'sagg'; expected 'sag'"),
+        ("    sag:", "    sagg:", "unknown key 'sagg'; expected perhaps 'sag'"),
     ],
 )
 def test_a_wrong_file_is_refused_with_its_line(path: Path, old: str, new: str, sentence: str) -> None:
