@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -130,6 +131,18 @@ def test_an_arm_gives_joints_and_endpoint_with_covariances_as_arrays() -> None:
     tables = posor_estimator.to_arrow(estimates)
     assert tables["endpoint"].column_names[-5:] == [f"angle_{joint}" for joint in estimates.chain]
     np.testing.assert_array_equal(tables["elbow"]["cov_x_x"].to_numpy(), elbow.covariances[:, 0, 0])
+
+
+def test_an_arm_is_estimated_with_the_parameters_of_its_file() -> None:
+    arm = posor_estimator.load_arm(find_arm("five_axis"))
+    stated = {**arm.posor_parameters, "elbow": {"covariance": "random", "false_alarm": 0.1}}
+    estimates, usual = replace(arm, posor_parameters=stated).estimate(BAG), arm.estimate(BAG)
+    assert np.count_nonzero(estimates.joints["elbow"].states == State.LOST) > 4
+    ends = [np.trace(each.joints["elbow"].covariances[-1]) for each in (estimates, usual)]
+    assert ends[0] < ends[1]
+    np.testing.assert_array_equal(estimates.joints["shoulder"].covariances, usual.joints["shoulder"].covariances)
+    with pytest.raises(posor_estimator.PosorError, match=r"covariance: 'none' is unknown; expected random, "):
+        arm.estimate(BAG, covariance="none")  # type: ignore[arg-type]
 
 
 def test_scans_of_a_bag_are_estimated_one_by_one_or_all_at_once() -> None:

@@ -179,7 +179,7 @@ YMO = str(BAGS / "ymo")
             [YMO, *CALIBRATION, "--beams", "beams.yaml"],
             "option --beams: there is no robot description; expected --urdf too.",
         ),
-        ([YMO, *CALIBRATION, "--false-alarm", "2"], "option --false-alarm: 2; expected between 0 and 1."),
+        ([YMO, *CALIBRATION, "--false-alarm", "2"], "false_alarm: 2; expected between 0 and 1."),
         ([YMO, *CALIBRATION, "--jobs", "0"], "option --jobs: 0; expected at least 1."),
         (
             [YMO, YMO, *CALIBRATION, "--output", "out"],

@@ -31,6 +31,7 @@ class ArmEstimator:
 
     Attributes:
         frames: Receiving and target frame of each joint.
+        covariance_kinds: Part of the uncertainty in the covariances of each joint.
         endpoint: The kinematic chain; None: joints only.
 
     """
@@ -44,9 +45,10 @@ class ArmEstimator:
         """
         calibrations = {name: joint.load() for name, joint in settings.joints.items()}
         self.frames = {name: (each.frames.parent, each.frames.child) for name, each in calibrations.items()}
+        self.covariance_kinds = {name: joint.covariance for name, joint in settings.joints.items()}
         self._joints = {
-            name: _JointEstimator(calibration, settings.covariance, settings.false_alarm)
-            for name, calibration in calibrations.items()
+            name: _JointEstimator(calibrations[name], joint.covariance, joint.false_alarm)
+            for name, joint in settings.joints.items()
         }
         loaded = settings.load_chain()
         self.endpoint = None if loaded is None else EndpointPipeline(*loaded, self.frames)

@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from posor_estimator.bags.arm_estimator import ArmEstimator
     from posor_estimator.bags.bag_topics import BagTopics
     from posor_estimator.bags.estimate_arrays import ArmEstimates
-    from posor_estimator.node_parameters import CovarianceKind
 
 CHUNK_BYTES = 4 << 20
 """Approximate bytes of messages in a chunk."""
@@ -54,7 +53,6 @@ class BagOutput:
         folder: Path,
         topics: BagTopics,
         estimator: ArmEstimator,
-        covariance: CovarianceKind,
         custom_data: Mapping[str, str],
     ) -> None:
         """Create the bag.
@@ -63,7 +61,6 @@ class BagOutput:
             folder: Does not exist yet.
             topics: Of the raw scans; the transforms have the same quality of service.
             estimator: Of the arm.
-            covariance: Part of the uncertainty in the transforms' covariances.
             custom_data: Of the bag's metadata.
 
         """
@@ -76,7 +73,7 @@ class BagOutput:
         self._joints = {
             name: (
                 self._add_topic(topic, JOINT_TRANSFORM, topics.offered),
-                joint_transform_layout(transform, *estimator.frames[name], covariance),
+                joint_transform_layout(transform, *estimator.frames[name], estimator.covariance_kinds[name]),
             )
             for name, topic in topics.transforms.items()
         }

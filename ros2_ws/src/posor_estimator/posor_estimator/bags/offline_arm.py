@@ -12,8 +12,6 @@ from posor_estimator.bags.estimate_arrays import ArmEstimates, EndpointEstimates
 from posor_estimator.bags.offline_pipeline import estimate_bag
 from posor_estimator.bags.reprocess_task import Settings
 from posor_estimator.chain import arm_file
-from posor_estimator.errors import ParameterError
-from posor_estimator.node_parameters import COVARIANCE_KINDS
 
 if TYPE_CHECKING:
     from posor_estimator.node_parameters import CovarianceKind
@@ -24,26 +22,22 @@ class Arm(arm_file.Arm):
     """An arm file with its paths resolved, which estimates recorded scans."""
 
     def estimate(
-        self, bag: Path | str, *, covariance: CovarianceKind = "total", false_alarm: float = 1e-3
+        self, bag: Path | str, *, covariance: CovarianceKind | None = None, false_alarm: float | None = None
     ) -> ArmEstimates:
         """Return the poses and covariances of all joints and of the endpoint, as the nodes would have published them.
 
         Args:
             bag: Folder with metadata.yaml, or a single .mcap or .db3 file, with scans on topics ``.../<joint>/raw``.
             covariance: Part of the uncertainty in the covariances: of the readings' noise (random), of the calibration
-                (systematic), or of both (total).
-            false_alarm: Probability that the chi-square test rejects a sound scan.
+                (systematic), or of both (total); None: as the arm file says of each joint, total without a word.
+            false_alarm: Probability that the chi-square test rejects a sound scan; None: as the arm file says.
 
         Raises:
             ParameterError: There is no such part of the uncertainty, or ``false_alarm`` is not a probability.
             PosorError: The bag, a calibration or the kinematic chain cannot be used.
 
         """
-        if covariance not in COVARIANCE_KINDS:
-            raise ParameterError(
-                f"covariance '{covariance}' is unknown", where="Arm.estimate", expected=", ".join(COVARIANCE_KINDS)
-            )
-        settings = Settings.of_arm(self, covariance=covariance, false_alarm=false_alarm)
+        settings = Settings.of_arm(self).with_estimation(covariance=covariance, false_alarm=false_alarm)
         estimator = ArmEstimator(settings)
         parts = list(estimate_bag(Path(bag), topics_of(Path(bag), settings.joints), estimator))
         joints = {name: JointEstimates.concatenate([part.joints[name] for part in parts]) for name in settings.joints}

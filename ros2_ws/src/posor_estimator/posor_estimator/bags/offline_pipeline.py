@@ -123,7 +123,7 @@ def _open_output(task: Task, folder: Path, topics: BagTopics, estimator: ArmEsti
     if task.format == "bag":
         from posor_estimator.bags.bag_output import BagOutput  # noqa: PLC0415
 
-        return BagOutput(folder, topics, estimator, task.settings.covariance, provenance_of(task.settings))
+        return BagOutput(folder, topics, estimator, provenance_of(task.settings))
     from posor_estimator.bags.table_output import TableOutput  # noqa: PLC0415
 
     endpoint = estimator.endpoint

@@ -54,8 +54,8 @@ def parser() -> CommandLineParser:
     command.add_argument("--endpoint-frame", metavar="LINK", help="link of the URDF that is the endpoint")
     command.add_argument("--acceleration-window", type=float, metavar="S", help="as the parameter of chain_node [s]")
     command.add_argument("--reference", choices=("absolute", "home"), help="as the parameter of chain_node")
-    command.add_argument("--covariance", choices=COVARIANCES, default="total", help="as the parameter of posor_node")
-    command.add_argument("--false-alarm", type=float, default=1e-3, metavar="P", help="as the parameter of posor_node")
+    command.add_argument("--covariance", choices=COVARIANCES, help="as the parameter of posor_node")
+    command.add_argument("--false-alarm", type=float, metavar="P", help="as the parameter of posor_node")
     text = "folder for the results; of several bags, a folder of such folders (default: only a summary)"
     command.add_argument("--output", type=Path, help=text)
     command.add_argument("--format", choices=FORMATS, default="bag", help="of the results (default: bag)")
@@ -165,7 +165,8 @@ def _settings(options: argparse.Namespace) -> Settings:
     if chain and "urdf" not in chain:
         option = next(iter(chain)).replace("_", "-")
         raise ParameterError("there is no robot description", where=f"option --{option}", expected="--urdf too")
-    return Settings(joints, chain or None, options.covariance, options.false_alarm)
+    settings = Settings(joints, chain or None)
+    return settings.with_estimation(covariance=options.covariance, false_alarm=options.false_alarm)
 
 
 def _by_joint(option: str, given: Sequence[str], joints: Collection[str] = ()) -> dict[str, str]:
@@ -186,8 +187,6 @@ def _by_joint(option: str, given: Sequence[str], joints: Collection[str] = ()) -
 
 def _check(options: argparse.Namespace, tasks: Sequence[Task]) -> None:
     """Refuse invalid options before the work begins."""
-    if not 0.0 < options.false_alarm < 1.0:
-        raise ParameterError(f"{options.false_alarm:g}", where="option --false-alarm", expected="between 0 and 1")
     if options.jobs < 1:
         raise ParameterError(f"{options.jobs}", where="option --jobs", expected="at least 1")
     if options.scheduler is not None and options.jobs > 1:

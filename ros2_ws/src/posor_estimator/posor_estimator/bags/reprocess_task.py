@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from posor_estimator.calibration.calibration_file import load_calibration
-from posor_estimator.chain.arm_parameters import CHAIN_NODE, chain_parameters
+from posor_estimator.chain.arm_parameters import CHAIN_NODE, POSOR_NODE, chain_parameters, posor_parameters
 from posor_estimator.chain.kinematic_chain import load_chain
-from posor_estimator.node_parameters import ChainParameters
+from posor_estimator.errors import ParameterError
+from posor_estimator.node_parameters import COVARIANCE_KINDS, ChainParameters, PosorParameters
 from posor_estimator.parameter_model import validate_parameters
 
 if TYPE_CHECKING:
@@ -26,18 +27,22 @@ FORMATS: tuple[Format, ...] = ("bag", "parquet", "csv")
 
 @dataclass(frozen=True)
 class JointSettings:
-    """The calibration of a joint's POSOR and the topic of its scans.
+    """A joint's POSOR, as the parameters of its posor_node, and the topic of its scans.
 
     Attributes:
         calibration: Path of the file.
         session: Of the calibration; empty: none.
         topic: Of the raw scans; empty: the only one of the bag that ends in ``/<joint>/raw``.
+        covariance: Part of the uncertainty in the transforms' covariances.
+        false_alarm: See ``Posor``.
 
     """
 
     calibration: Path
     session: str = ""
     topic: str = ""
+    covariance: CovarianceKind = "total"
+    false_alarm: float = 1e-3
 
     def load(self) -> Calibration:
         """Return the calibration with its session applied.
@@ -56,26 +61,42 @@ class Settings:
     Attributes:
         joints: The POSORs, by joint.
         chain: Parameters of chain_node; None: transforms only.
-        covariance: Part of the uncertainty in the transforms' covariances.
-        false_alarm: See ``Posor``.
 
     """
 
     joints: Mapping[str, JointSettings]
     chain: Mapping[str, ParameterValue] | None = None
-    covariance: CovarianceKind = "total"
-    false_alarm: float = 1e-3
 
     @staticmethod
-    def of_arm(arm: Arm, *, covariance: CovarianceKind = "total", false_alarm: float = 1e-3) -> Settings:
-        """Return the settings of an arm file; see the attributes for the others.
+    def of_arm(arm: Arm) -> Settings:
+        """Return the settings of an arm file.
 
         Raises:
-            NodeError: The arm file gives chain_node an invalid parameter.
+            NodeError: The arm file gives a node an invalid parameter.
 
         """
-        joints = {name: JointSettings(path, arm.sessions[name]) for name, path in arm.calibrations.items()}
-        return Settings(joints, chain_parameters(arm), covariance, false_alarm)
+        joints = {}
+        for name, calibration in arm.calibrations.items():
+            node = validate_parameters(PosorParameters, posor_parameters(arm, name), node=f"{name}/{POSOR_NODE}")
+            joints[name] = JointSettings(
+                calibration, arm.sessions[name], covariance=node.covariance, false_alarm=node.false_alarm
+            )
+        return Settings(joints, chain_parameters(arm))
+
+    def with_estimation(self, *, covariance: CovarianceKind | None, false_alarm: float | None) -> Settings:
+        """Return the settings with other values of all joints; None: as they are.
+
+        Raises:
+            ParameterError: There is no such part of the uncertainty, or ``false_alarm`` is not a probability.
+
+        """
+        changes: dict[str, Any] = {"covariance": covariance, "false_alarm": false_alarm}
+        changes = {name: value for name, value in changes.items() if value is not None}
+        if (kind := changes.get("covariance", "total")) not in COVARIANCE_KINDS:
+            raise ParameterError(f"'{kind}' is unknown", where="covariance", expected=", ".join(COVARIANCE_KINDS))
+        if not 0.0 < (probability := changes.get("false_alarm", 0.5)) < 1.0:
+            raise ParameterError(f"{probability:g}", where="false_alarm", expected="between 0 and 1")
+        return replace(self, joints={name: replace(joint, **changes) for name, joint in self.joints.items()})
 
     def load_chain(self) -> tuple[Chain, ChainParameters] | None:
         """Return the kinematic chain and the parameters of chain_node; None without a chain.
