@@ -9,7 +9,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import posor_estimator
@@ -21,6 +21,9 @@ from posor_estimator.numerics import compiled
 from rclpy.serialization import deserialize_message
 
 from tests.rig_replay import read_bag_messages
+
+if TYPE_CHECKING:
+    from posor_estimator.chain.arm_file import ParameterValue
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "ros2_ws" / "src" / "posor_estimator"
@@ -135,8 +138,9 @@ def test_an_arm_gives_joints_and_endpoint_with_covariances_as_arrays() -> None:
 
 def test_an_arm_is_estimated_with_the_parameters_of_its_file() -> None:
     arm = posor_estimator.load_arm(find_arm("five_axis"))
-    stated = {**arm.posor_parameters, "elbow": {"covariance": "random", "false_alarm": 0.1}}
-    estimates, usual = replace(arm, posor_parameters=stated).estimate(BAG), arm.estimate(BAG)
+    elbow: dict[str, ParameterValue] = {"covariance": "random", "false_alarm": 0.1}
+    stated = replace(arm, posor_parameters={**arm.posor_parameters, "elbow": elbow})
+    estimates, usual = stated.estimate(BAG), arm.estimate(BAG)
     assert np.count_nonzero(estimates.joints["elbow"].states == State.LOST) > 4
     ends = [np.trace(each.joints["elbow"].covariances[-1]) for each in (estimates, usual)]
     assert ends[0] < ends[1]
