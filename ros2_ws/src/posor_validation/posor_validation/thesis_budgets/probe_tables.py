@@ -39,7 +39,7 @@ OTHER_SIGMAS = {"sigma_a": 0.0144, "sigma_b": 0.0187, "sigma_c": 0.0159}
 
 INCREASING, RANDOM, TOTAL = "increasing", "random", "total"
 
-_LEVERS: Mapping[str, tuple[str, float]] = {
+LEVERS: Mapping[str, tuple[str, float]] = {
     "sigma_a": ("GapProbes.tips[1,1]", 1.0),
     "sigma_b": ("GapProbes.tips[2,1]", -1.0),
     "sigma_c": ("GapProbes.tips[0,0]", -1.0),
@@ -65,8 +65,8 @@ def factor(row: str, output: str) -> float:
     by_gap = [model.reading_sensitivity(output, probe) for probe in PROBES]
     if row == "sigma_l":
         return root_sum_square(*by_gap)
-    if row in _LEVERS:
-        parameter, sign = _LEVERS[row]
+    if row in LEVERS:
+        parameter, sign = LEVERS[row]
         value = sign * model.parameter_sensitivity(output, parameter)
         return value if output == AT_ORIGIN else abs(value)  # the thesis prints signs in this column only
     axis: Axis = "x" if row == "sigma_eX" else "y"
@@ -91,11 +91,11 @@ def _factor_reasons() -> dict[tuple[str, str], Reason]:
         ),
         ("sigma_b", AT_POINT): Reason(
             "the part of beta left out: at (0, 1.5) in, over probe 2, b has no influence",
-            abs(model.parameter_sensitivity("l_0_1p5", _LEVERS["sigma_b"][0])),
+            abs(model.parameter_sensitivity("l_0_1p5", LEVERS["sigma_b"][0])),
         ),
         ("sigma_c", AT_POINT): Reason(
             "a slope along X of .025 in over c, half of the one in the column of beta",
-            abs(_model(HALF).parameter_sensitivity(AT_POINT, _LEVERS["sigma_c"][0])),
+            abs(_model(HALF).parameter_sensitivity(AT_POINT, LEVERS["sigma_c"][0])),
         ),
     }
     for row in ("sigma_eX", "sigma_eY"):
@@ -178,7 +178,7 @@ def _factor_row(perturbation: str) -> str | None:
     """Return the row of table 5.2 with the factor of a perturbation; None: it affects a single probe."""
     if "as sigma_l" in perturbation:
         return "sigma_l"
-    return perturbation if perturbation in _LEVERS else None
+    return perturbation if perturbation in LEVERS else None
 
 
 def _row_factor(row: Row, output: str) -> float:
