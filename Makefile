@@ -1,7 +1,7 @@
 # POSOR for ROS 2. Every target sets the workspace up first; this takes a fraction of a second if nothing has changed.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup audit demo arm calibrate-demo faults fuzz instruments soak test test-long coverage accuracy budgets bench bench-core data docs lint words lines lock clean
+.PHONY: help setup audit demo arm calibrate-demo faults fuzz instruments soak test test-long coverage accuracy budgets thesis bench bench-core data docs lint words lines lock clean
 
 BAG ?= ymo
 CAL ?= printed
@@ -29,6 +29,7 @@ help:
 	@echo "make coverage                                          covered lines of the numerical packages"
 	@echo "make accuracy                                          closure, consistency and fault detection of the estimator"
 	@echo "make budgets                                           error budgets of the thesis, cell by cell from the model"
+	@echo "make thesis                                            numbers and figures of the thesis beside the computed ones"
 	@echo "make bench [BENCH='--quick ...']                       latency, lost ticks and cost of the graph, offline speed"
 	@echo "make bench-core                                        speed of the numerical core"
 	@echo "make lines                                             lines of source, tests and documentation of each package"
@@ -82,6 +83,9 @@ accuracy:
 
 budgets:
 	@./run posor_validation budgets --output build/budgets.json
+
+thesis:
+	@./run posor_validation thesis --output build/thesis.json
 
 bench: setup
 	@$(IN_WORKSPACE) -m posor_validation.benchmark.benchmark_command $(BENCH)

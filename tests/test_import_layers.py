@@ -19,7 +19,7 @@ LAYERS = (  # lowest first; packages of one line may import each other
     ("estimation",),
     ("chain",),
     ("identification", "uncertainty"),
-    ("bags", "warm_up"),
+    ("bags", "design", "warm_up"),
     ("__init__",),  # the public Python API
     ("ros",),
     ("testing",),

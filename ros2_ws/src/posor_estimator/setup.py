@@ -53,6 +53,7 @@ setup(
             "compose = posor_estimator.estimator_programs:compose",
             "budget = posor_estimator.estimator_programs:budget",
             "calibrate = posor_estimator.estimator_programs:calibrate",
+            "design = posor_estimator.estimator_programs:design",
             "reprocess = posor_estimator.estimator_programs:reprocess",
             "recover = posor_estimator.estimator_programs:recover",
         ],

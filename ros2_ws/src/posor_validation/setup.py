@@ -47,6 +47,7 @@ setup(
             "golden = posor_validation.validation_programs:golden",
             "instruments_trials = posor_validation.validation_programs:instruments_trials",
             "soak = posor_validation.validation_programs:soak",
+            "thesis = posor_validation.validation_programs:thesis",
             "zero_drift_1985 = posor_validation.validation_programs:zero_drift_1985",
         ],
     },

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from posor_drivers.driver_programs import instruments, record
 from posor_estimator.errors import ParameterError, similar_name
-from posor_estimator.estimator_programs import budget, calibrate, recover, reprocess
+from posor_estimator.estimator_programs import budget, calibrate, design, recover, reprocess
 
 from posor_bringup.bringup_programs import bringup, view
 
@@ -45,6 +45,7 @@ SUBCOMMANDS = {
     "calibrate": Subcommand(calibrate, "fit a calibration file to a bag, list the procedures, compare files"),
     "check": Subcommand(calibrate, "check whether a calibration file still explains a bag", ("check",)),
     "budget": Subcommand(budget, "compute the error budget of a calibration file or an arm"),
+    "design": Subcommand(design, "compute a part of a POSOR or of its structure from dimensions"),
     "completion": Subcommand(_print_completion, 'complete subcommands in bash: eval "$(posor completion)"'),
 }
 

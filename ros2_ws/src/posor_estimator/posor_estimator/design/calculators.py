@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-_FUNCTIONS = {
+_FUNCTIONS: dict[str, tuple[str, ...]] = {
     "air_bearing": (),
     "contact": (),
     "gimbals": (),

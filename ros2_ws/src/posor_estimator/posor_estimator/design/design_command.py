@@ -1,0 +1,145 @@
+"""design: runs a design calculator with quantities in the units of the user.
+
+``posor design`` lists the calculators; ``posor design NAME --help`` describes one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from posor_estimator.design.calculator_signature import read_signature
+from posor_estimator.design.calculators import CALCULATORS
+from posor_estimator.design.design_page import render_design_page
+from posor_estimator.design.value_kinds import describe_kind, format_value, parse_value, unit_of
+from posor_estimator.errors import OutputError, ParameterError, PosorError, similar_name
+from posor_estimator.reporting.command_line_parser import CommandLineParser
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from posor_estimator.design.calculator_signature import CalculatorSignature, Value
+
+
+class DesignProgram(NamedTuple):
+    """A subcommand that is a program of its own: its module, its function, and one line about it."""
+
+    module: str
+    function: str
+    summary: str
+
+
+PROGRAMS: dict[str, DesignProgram] = {}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; exit code 0: the calculator has a result."""
+    name, *others = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    if name in PROGRAMS:
+        program = PROGRAMS[name]
+        function = getattr(import_module(f"posor_estimator.design.{program.module}"), program.function)
+        return int(function(others))
+    try:
+        if name in {"-h", "--help"}:
+            print(list_calculators(), end="")
+        elif name not in CALCULATORS:
+            expected = similar_name(name, [*PROGRAMS, *CALCULATORS], "a name that 'posor design' lists")
+            raise ParameterError(f"there is no calculator '{name}'", where="design", expected=expected)
+        else:
+            run_calculator(read_signature(name), others)
+    except PosorError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
+    return 0
+
+
+def list_calculators() -> str:
+    """Return the names of all programs and calculators with their summaries."""
+    names = {name: program.summary for name, program in PROGRAMS.items()}
+    names |= {name: read_signature(name).summary for name in CALCULATORS}
+    width = max(map(len, names), default=0)
+    return (
+        "usage: posor design NAME [--ARGUMENT 'NUMBER UNIT' ...] [--json FILE] [--html FILE]\n\n"
+        + "".join(f"  {name:<{width}}  {summary}\n" for name, summary in names.items())
+        + "\n'posor design NAME --help' lists the arguments of a calculator.\n"
+    )
+
+
+def run_calculator(signature: CalculatorSignature, arguments: Sequence[str]) -> None:
+    """Run a calculator, print its result, and write the files that the command line names.
+
+    Raises:
+        PosorError: The command line is wrong, the calculator refuses an argument, or a file cannot be written.
+
+    """
+    options = vars(build_parser(signature).parse_args(arguments))
+    values = {each.name: options[each.name] for each in signature.arguments}
+    result = signature.function(**values)
+    results = {each.name: getattr(result, each.name) for each in signature.results}
+    _print_values(signature.results, results)
+    if options["json"]:
+        content = {
+            "calculator": signature.name,
+            "arguments": _json_values(signature.arguments, values),
+            "result": _json_values(signature.results, results),
+        }
+        _write(options["json"], json.dumps(content, indent=2) + "\n")
+    if options["html"]:
+        _write(options["html"], render_design_page(signature, values, results))
+
+
+def build_parser(signature: CalculatorSignature) -> CommandLineParser:
+    """Return the parser of the arguments of a calculator."""
+    results = "\n".join(f"  {each.name}: {each.description}" for each in signature.results)
+    parser = CommandLineParser(
+        prog=f"design {signature.name}",
+        description=f"{signature.summary}.\n\n{signature.description}".rstrip(),
+        epilog=f"results:\n{results}\n\nSource: {signature.source}\n\nExample:\n  {signature.example}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    for each in signature.arguments:
+        parser.add_argument(
+            each.option,
+            dest=each.name,
+            type=partial(parse_value, each.kind, where=f"design {signature.name}, {each.option}"),
+            required=each.required,
+            default=None if each.required else each.default,
+            metavar="QUANTITY",
+            help=_help_text(each).replace("%", "%%"),
+        )
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write arguments and results in SI units")
+    parser.add_argument("--html", type=Path, metavar="FILE", help="write a page")
+    return parser
+
+
+def _help_text(argument: Value) -> str:
+    default = "" if argument.required else f"; default: {format_value(argument.kind, argument.default)}"
+    return f"{argument.description} {describe_kind(argument.kind)}{default}"
+
+
+def _print_values(fields: Sequence[Value], values: dict[str, Any]) -> None:
+    width = max(len(each.name) for each in fields)
+    for each in fields:
+        print(f"{each.name:<{width}}  {format_value(each.kind, values[each.name])}")
+
+
+def _json_values(fields: Sequence[Value], values: dict[str, Any]) -> dict[str, Any]:
+    return {each.name: {"value": values[each.name], "unit": unit_of(each.kind)} for each in fields}
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"cannot be written: {error.strerror}", where=str(path)) from error
+
+
+if __name__ == "__main__":
+    sys.exit(main())

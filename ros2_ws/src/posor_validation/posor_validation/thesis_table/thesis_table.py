@@ -1,0 +1,101 @@
+"""The table of the thesis: all rows by section, as text and as JSON."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from posor_validation.thesis_table.thesis_row import Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from posor_estimator.reporting.plot import Plot
+
+    from posor_validation.thesis_table.thesis_row import ThesisRow
+
+SUBJECTS: dict[str, str] = {}
+"""Subject of each module of rows; a module has the functions ``rows`` and ``plots``."""
+_DIGITS = re.compile(r"(\d+)")
+
+
+@dataclass(frozen=True)
+class Subject:
+    """The rows of one subject by section, and its figures."""
+
+    title: str
+    rows: tuple[ThesisRow, ...]
+    plots: tuple[Plot, ...]
+
+
+def compute_subjects() -> list[Subject]:
+    """Compute all rows and figures.
+
+    Raises:
+        PosorError: A calculation fails.
+
+    """
+    subjects = []
+    for name, title in SUBJECTS.items():
+        module = import_module(f"posor_validation.thesis_table.{name}")
+        subjects.append(Subject(title, tuple(sorted(module.rows(), key=_order)), tuple(module.plots())))
+    return subjects
+
+
+def all_rows(subjects: Iterable[Subject]) -> list[ThesisRow]:
+    """Return the rows of all subjects by section, appendices after the sections of their chapter."""
+    return sorted((row for subject in subjects for row in subject.rows), key=_order)
+
+
+def _order(row: ThesisRow) -> tuple[int, bool, list[int]]:
+    """Return the place of a row: chapter, sections before appendices, numbers of the section."""
+    numbers = [int(digits) for digits in _DIGITS.findall(row.section)]
+    return numbers[0], row.section.startswith("App"), numbers
+
+
+def summary(rows: Iterable[ThesisRow]) -> str:
+    """Return one sentence on how many rows agree."""
+    number = Counter(row.verdict for row in rows)
+    return (
+        f"{number.total()} rows: {number[Verdict.AGREES]} agree within 2 % or rounding, {number[Verdict.DIFFERS]} "
+        f"differ for the reason stated, {number[Verdict.NOT_LEGIBLE]} are not legible in print."
+    )
+
+
+def format_cells(row: ThesisRow) -> tuple[str, ...]:
+    """Return a row as text: section, quantity, printed, computed, difference, verdict with reason."""
+    difference = ""
+    if row.difference is not None:
+        difference = f"{row.difference:+.2g}"
+        if row.printed_number:
+            difference += f" ({row.difference / abs(row.printed_number):+.1%})"
+    return (
+        row.section,
+        row.quantity,
+        f"{row.printed} {row.unit}" if row.printed else "",
+        f"{row.computed:.5g} {row.unit}",
+        difference,
+        "; ".join(filter(None, (row.verdict.value, row.reason))),
+    )
+
+
+def json_content(rows: Iterable[ThesisRow]) -> dict[str, Any]:
+    """Return the rows for JSON; a number that is not legible and its difference are null."""
+    return {
+        "rows": [
+            {
+                "section": row.section,
+                "quantity": row.quantity,
+                "unit": row.unit,
+                "printed": row.printed_number,
+                "computed": row.computed,
+                "difference": row.difference,
+                "verdict": row.verdict.value,
+                "reason": row.reason,
+            }
+            for row in rows
+        ]
+    }

@@ -1,0 +1,84 @@
+"""thesis: what the thesis prints beside what this project computes, row by row, with the figures redrawn.
+
+Exit code 0: every row has been computed, whether or not it agrees.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from posor_estimator.errors import PosorError
+from posor_estimator.reporting.command_line_parser import CommandLineParser
+from posor_estimator.reporting.html_page import Cell, Section, render_page
+from posor_estimator.reporting.html_page import table as html_table
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from posor_validation.output_files import check_writable, write_json
+from posor_validation.thesis_table.thesis_row import Verdict
+from posor_validation.thesis_table.thesis_table import all_rows, compute_subjects, format_cells, json_content, summary
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from posor_validation.thesis_table.thesis_row import ThesisRow
+    from posor_validation.thesis_table.thesis_table import Subject
+
+WIDTH = 150
+HEADER = ("section", "quantity", "printed", "computed", "difference", "verdict")
+_STYLES = {Verdict.AGREES: "", Verdict.DIFFERS: "yellow", Verdict.NOT_LEGIBLE: "dim"}
+_CSS_CLASSES = {Verdict.AGREES: "holds", Verdict.DIFFERS: "fails", Verdict.NOT_LEGIBLE: ""}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program."""
+    parser = CommandLineParser(prog="thesis", description="Printed numbers of the thesis beside the computed ones.")
+    parser.add_argument(
+        "--output", type=Path, default=Path("build/thesis.json"), help="JSON file; the page is beside it"
+    )
+    try:
+        output = check_writable(parser.parse_args(arguments).output)
+        page = check_writable(output.with_suffix(".html"))
+        subjects = compute_subjects()
+    except PosorError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
+    rows = all_rows(subjects)
+    console = Console(highlight=False) if sys.stdout.isatty() else Console(highlight=False, width=WIDTH)
+    print_rows(rows, console)
+    console.print(summary(rows))
+    write_json(output, json_content(rows))
+    page.write_text(render_thesis_page(subjects, rows), encoding="utf-8")
+    print(f"page written to {page}")
+    return 0
+
+
+def print_rows(rows: Sequence[ThesisRow], console: Console) -> None:
+    """Print all rows as one table."""
+    shown = Table(title="The thesis of 1985 beside this project", title_justify="left")
+    for name in HEADER:
+        shown.add_column(name, justify="right" if name in {"printed", "computed", "difference"} else "left")
+    for row in rows:
+        shown.add_row(*map(escape, format_cells(row)), style=_STYLES[row.verdict])
+    console.print(shown)
+
+
+def render_thesis_page(subjects: Sequence[Subject], rows: Sequence[ThesisRow]) -> str:
+    """Return the page: for each subject its figures and its rows."""
+    sections = [
+        Section(subject.title, html_table(HEADER, map(_page_cells, subject.rows)), subject.plots)
+        for subject in subjects
+    ]
+    return render_page("The thesis of 1985 beside this project", summary(rows), holds=True, sections=sections)
+
+
+def _page_cells(row: ThesisRow) -> tuple[str | Cell, ...]:
+    *cells, verdict = format_cells(row)
+    return *cells, Cell(verdict, _CSS_CLASSES[row.verdict])
+
+
+if __name__ == "__main__":
+    sys.exit(main())
