@@ -40,9 +40,9 @@ WITHOUT_ROS = tuple(  # folders whose tests make no ROS context and share a proc
         "posor_drivers": ("simulator",),
         "posor_estimator": (
             *("numerics", "model", "sensors", "estimation", "chain", "calibration", "identification", "uncertainty"),
-            *("bags", "reporting"),
+            *("bags", "design", "reporting"),
         ),
-        "posor_validation": ("accuracy", "benchmark", "campaign", "thesis_budgets"),
+        "posor_validation": ("accuracy", "benchmark", "campaign", "thesis_budgets", "thesis_table"),
     }.items()
     for folder in folders
 )

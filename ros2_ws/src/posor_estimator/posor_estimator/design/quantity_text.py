@@ -10,7 +10,7 @@ from posor_estimator.design.unit_expression import PREFIXES, parse_unit, similar
 from posor_estimator.errors import ParameterError
 
 _QUANTITY = re.compile(
-    r"(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?)(?:/(?P<divisor>[1-9]\d*))?\s*(?P<unit>.*)", re.ASCII
+    r"(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,4})?)(?:/(?P<divisor>[1-9]\d*))?\s*(?P<unit>.*)", re.ASCII
 )
 _DIGITS = 5
 _LARGE_PREFIXES = frozenset(("Hz", "N", "Pa", "Ohm", "W"))
