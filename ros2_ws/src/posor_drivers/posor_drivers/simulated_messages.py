@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from posor_drivers.simulator.arm_simulation import ArmSimulation
     from posor_drivers.simulator.arm_truth import ArmTruth
-    from posor_drivers.simulator.electronics import SimulatedScans
+    from posor_drivers.simulator.simulated_scans import SimulatedScans
 
 
 class SimulatedTopics:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from posor_estimator.model.scan import Scans
     from posor_estimator.numerics.array_types import FloatArray, IntArray
 
-    from posor_drivers.simulator.electronics import SimulatedScans
+    from posor_drivers.simulator.simulated_scans import SimulatedScans
 
 
 class ArmSimulation:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,51 +10,30 @@ from posor_estimator.estimation.forward import scans_at
 from posor_estimator.estimation.sensor_stack import Stack
 from posor_estimator.numerics.stamps import NS
 from posor_estimator.sensors.base import RowSensor
-from posor_estimator.sensors.bumpy_ring import BumpyRingCalibration
-from posor_estimator.sensors.diodes import DiodesCalibration
-from posor_estimator.sensors.gap_probes import GapProbesCalibration
 
 from posor_drivers.scan_clock import tick_stamp_ns
 from posor_drivers.simulator.random_stream import RandomStream
+from posor_drivers.simulator.simulated_scans import (
+    DIODE_FIELD,
+    PROBE_FIELDS,
+    STATUS_HOME_BUMP,
+    STATUS_SATURATED,
+    STATUS_SIMULATED,
+    SimulatedScans,
+    find_channel,
+)
 
 if TYPE_CHECKING:
     from posor_estimator.calibration.calibration_file import Calibration
     from posor_estimator.model.scan import Scans
     from posor_estimator.numerics.array_types import BoolArray, FloatArray, IntArray
 
-    from posor_drivers.simulator.electronics_settings import Contamination
-    from posor_drivers.simulator.faults import SimulatedFault
     from posor_drivers.simulator.imperfections import Imperfections
     from posor_drivers.simulator.pose_array import PoseArray
     from posor_drivers.simulator.scenario import Scenario
 
-STATUS_SATURATED = 16
-STATUS_SIMULATED = 64
-STATUS_HOME_BUMP = 128
-"""Flags of ``posor_msgs/RawScan``, repeated here because the simulator imports no ROS; a test compares them."""
-
 HOME_MARK = 0.25
 """Half the width of the home mark, in bumps; the mark is unambiguous within half a bump."""
-PROBE_FIELDS = ("gap_voltages", "ring_voltages")
-DIODE_FIELD = "diode_currents"
-
-
-@dataclass(frozen=True)
-class SimulatedScans:
-    """n scans of one joint.
-
-    Attributes:
-        scans: Raw readings.
-        statuses: Flags of ``posor_msgs/RawScan.status``, (n,).
-        sent: Whether the scan is published at all, (n,).
-        latencies_ns: From the stamp to the publication [ns], (n,).
-
-    """
-
-    scans: Scans
-    statuses: IntArray
-    sent: BoolArray
-    latencies_ns: IntArray
 
 
 class JointElectronics:
@@ -242,41 +220,3 @@ def convert_to_digital(
     if steps:
         codes = np.round(codes)
     return low + step * codes, at_end.reshape(len(values), -1).any(axis=1)
-
-
-def find_channel(
-    calibration: Calibration, entry: Contamination | SimulatedFault, where: str, *, whole_diode: bool = False
-) -> tuple[str, tuple[int, ...]]:
-    """Return the field of ``Scans`` that holds a channel, and the channel's index in one scan.
-
-    Args:
-        calibration: Of the joint's POSOR.
-        entry: Entry of the scenario file that names the channel.
-        where: Where it stands.
-        whole_diode: Whether a diode without a contact is all of its contacts.
-
-    Raises:
-        CalibrationError: There is no such channel.
-
-    """
-    probes, diodes = {}, {}
-    for sensor in calibration.sensors:
-        if isinstance(sensor, GapProbesCalibration | BumpyRingCalibration):
-            name = PROBE_FIELDS[isinstance(sensor, BumpyRingCalibration)]
-            probes.update({probe.name: (name, (index,)) for index, probe in enumerate(sensor.probes)})
-        elif isinstance(sensor, DiodesCalibration):
-            diodes.update({diode.name: index for index, diode in enumerate(sensor.diodes)})
-    if entry.contact is None and entry.channel in probes:
-        return probes[entry.channel]
-    if entry.contact is not None and entry.channel in diodes:
-        return DIODE_FIELD, (diodes[entry.channel], "ABCD".index(entry.contact))
-    if whole_diode and entry.channel in diodes:
-        return DIODE_FIELD, (diodes[entry.channel],)
-    kind, known = (
-        ("probe", [*probes, *(diodes if whole_diode else ())]) if entry.contact is None else ("diode", [*diodes])
-    )
-    raise CalibrationError(
-        f"joint '{entry.joint}' has no {kind} '{entry.channel}'",
-        where=where,
-        expected=f"one of {', '.join(known)}" if known else f"a joint with {kind}s",
-    )

@@ -17,9 +17,9 @@ from posor_estimator.numerics.stamps import NS
 from posor_estimator.sensors.diodes import DiodesCalibration
 from pydantic import Field, model_validator
 
-from posor_drivers.simulator.electronics import DIODE_FIELD, STATUS_HOME_BUMP, find_channel
 from posor_drivers.simulator.random_stream import RandomStream
 from posor_drivers.simulator.scenario_limits import NOT_NEGATIVE, POSITIVE
+from posor_drivers.simulator.simulated_scans import DIODE_FIELD, STATUS_HOME_BUMP, find_channel
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from posor_estimator.model.scan import Scans
     from posor_estimator.numerics.array_types import IntArray
 
-    from posor_drivers.simulator.electronics import SimulatedScans
+    from posor_drivers.simulator.simulated_scans import SimulatedScans
 
 FaultKind = Literal[
     "off",

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from posor_drivers.simulator.arm_simulation import ArmSimulation
-    from posor_drivers.simulator.electronics import SimulatedScans
+    from posor_drivers.simulator.simulated_scans import SimulatedScans
 
 
 @pytest.fixture(scope="module")

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from posor_drivers.simulator.electronics import PROBE_FIELDS, STATUS_HOME_BUMP
 from posor_drivers.simulator.faults import KINDS
 from posor_drivers.simulator.imperfections import Imperfections
+from posor_drivers.simulator.simulated_scans import PROBE_FIELDS, STATUS_HOME_BUMP
 from posor_estimator.sensors.diodes import DiodesCalibration
 from posor_estimator.sensors.gap_probes import GapProbesCalibration
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from posor_drivers.simulator.arm_simulation import ArmSimulation
-    from posor_drivers.simulator.electronics import SimulatedScans
+    from posor_drivers.simulator.simulated_scans import SimulatedScans
 
 FIRST, END = 100, 130
 """Ticks with the fault, at 100 Hz; the lit light source changes meanwhile."""

@@ -9,8 +9,7 @@ import numpy as np
 from posor_estimator.numerics.compiled import compiled
 
 if TYPE_CHECKING:
-    from posor_estimator.bags.message_table import LongArray
-    from posor_estimator.numerics.array_types import ByteArray, IntArray
+    from posor_estimator.numerics.array_types import ByteArray, IntArray, LongArray
 
 MESSAGE = 0x05
 """Opcode of a message record in a chunk of an MCAP file."""

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from posor_estimator.bags.byte_kernels import gather_rows
 from posor_estimator.bags.cdr_schema import Kind, Schema
@@ -15,8 +14,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from posor_estimator.numerics.array_types import BoolArray, ByteArray, FloatArray, IntArray
-
-LongArray: TypeAlias = NDArray[np.uint64]
 
 LEAD = 4
 """Bytes before the message in its row. The message body begins four bytes later and so is aligned in memory too."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from posor_drivers.simulator.electronics import HOME_MARK, STATUS_SATURATED, STATUS_SIMULATED, convert_to_digital
+from posor_drivers.simulator.electronics import HOME_MARK, convert_to_digital
+from posor_drivers.simulator.simulated_scans import STATUS_SATURATED, STATUS_SIMULATED
 from posor_estimator.estimation.forward import empty_scans, scans_at
 from posor_estimator.estimation.sensor_stack import Stack
 from posor_estimator.identification.recording import Recording, Track

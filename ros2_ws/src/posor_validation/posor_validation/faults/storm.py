@@ -17,8 +17,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-from posor_drivers.simulator.electronics import DIODE_FIELD, convert_to_digital
+from posor_drivers.simulator.electronics import convert_to_digital
 from posor_drivers.simulator.pose_array import PoseArray
+from posor_drivers.simulator.simulated_scans import DIODE_FIELD
 from posor_estimator.calibration.designs import design, sized_design
 from posor_estimator.estimation.estimate import ESTIMATE, Estimates
 from posor_estimator.estimation.forward import scans_at

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from posor_drivers.simulator.electronics import DIODE_FIELD
+from posor_drivers.simulator.simulated_scans import DIODE_FIELD
 from posor_estimator.model.scan import DIODES_ESTIMATED, HOME_BUMP, PROBES_ESTIMATED, SATURATED
 from posor_estimator.sensors.diodes import DiodesCalibration
 from posor_estimator.sensors.gap_probes import GapProbesCalibration
