@@ -32,12 +32,20 @@ ROS_LIBRARIES = {"rclpy", "ament_index_python", "launch", "rosidl_parser", "rosi
 ROS_PACKAGES = {"ros", "testing"}  # the only parts of posor_estimator that may import rclpy
 
 
+def build_graph(*, for_type_checkers: bool) -> grimp.ImportGraph:
+    """Return every import of our packages, also those inside functions."""
+    return grimp.build_graph(
+        *PACKAGES,
+        include_external_packages=True,
+        exclude_type_checking_imports=not for_type_checkers,
+        cache_dir=None,
+    )
+
+
 @pytest.fixture(scope="module")
 def graph() -> grimp.ImportGraph:
-    """Every import of our packages, also those inside functions; not those for type checkers only."""
-    return grimp.build_graph(
-        *PACKAGES, include_external_packages=True, exclude_type_checking_imports=True, cache_dir=None
-    )
+    """Every import but those for type checkers only."""
+    return build_graph(for_type_checkers=False)
 
 
 def own_modules(graph: grimp.ImportGraph) -> list[str]:
@@ -61,7 +69,8 @@ def test_every_module_has_a_layer(graph: grimp.ImportGraph) -> None:
     assert {layer_of(module) for module in own_modules(graph)} <= set(LEVELS)
 
 
-def test_no_import_cycles(graph: grimp.ImportGraph) -> None:
+def test_no_import_cycles() -> None:
+    graph = build_graph(for_type_checkers=True)
     own = set(own_modules(graph))
     TopologicalSorter({module: graph.find_modules_directly_imported_by(module) & own for module in own}).prepare()
 
