@@ -46,6 +46,7 @@ class DiodeKind:
     source_sigma: tuple[float, float, float]  # origin of a source along X, Y, Z of T [m]
     direction_sigma: float  # direction of a ray [rad]
     lean: float = 2e-3  # of the rays from the normal of the plate [rad], a value
+    scale: float = 6e-3  # slope of the map in its middle [m], a value; the calibrated half width is 0.95 of it
 
 
 @dataclass(frozen=True)
@@ -100,9 +101,8 @@ def gap_probes(kind: ProbeKind, tips: Sequence[Sequence[float]], tilt_sigma: flo
     }
 
 
-def _spot_map(sigma_of_map: float) -> Part:
+def _spot_map(scale: float, sigma_of_map: float) -> Part:
     # x = s (u + .05 u^3 + .03 u v^2), y likewise, in Chebyshev functions: u^3 = (3 T1 + T3) / 4, v^2 = (1 + T2) / 2.
-    scale = 6e-3
     x = np.zeros((4, 4))
     x[1, 0], x[3, 0], x[1, 2] = 1.0 + 0.0375 + 0.015, 0.0125, 0.015
     sigma = np.zeros((4, 4))
@@ -147,30 +147,37 @@ def diodes(kind: DiodeKind, positions: Sequence[tuple[float, float]], sources: S
         "diodes": entries,
         "light_sources": lights,
         "map": "factory",
-        "maps": {"factory": [_spot_map(kind.map_sigma) for _ in positions]},
+        "maps": {"factory": [_spot_map(kind.scale, kind.map_sigma) for _ in positions]},
     }
 
 
-def light_ring(kind: DiodeKind, radius: float, sources: int, *, coded: bool) -> Part:
-    """Return a ring of light sources of a radius [m], and two diodes.
+def light_ring(kind: DiodeKind, radius: float, sources: int, *, coded: bool, count: int = 2) -> Part:
+    """Return a ring of light sources of a radius [m], and its diodes.
 
     Args:
         kind: Uncertainties of the parts.
         radius: Of the ring and of the places of the diodes [m].
         sources: Number of sources.
-        coded: Whether the sources are spaced as ``coded_azimuths`` says, for two diodes 120 degrees apart; else they
-            are spaced evenly, the diodes opposite to each other.
+        coded: Whether the sources are spaced as ``coded_azimuths`` says, for diodes 120 degrees apart; else they are
+            spaced evenly, two diodes opposite to each other.
+        count: Number of diodes of a coded ring, two or three.
 
     """
-    if coded:  # the line from diode to diode is at 45 degrees to their axes: all four coordinates are checked alike
-        around, places = coded_azimuths(sources), (CHORD_MIDDLE - 0.5 * DIODE_ANGLE, CHORD_MIDDLE + 0.5 * DIODE_ANGLE)
-    else:
-        around, places = tuple(2.0 * math.pi * i / sources for i in range(sources)), (0.25 * math.pi, 1.25 * math.pi)
+    around = coded_azimuths(sources) if coded else tuple(2.0 * math.pi * i / sources for i in range(sources))
+    places = coded_places(count) if coded else (0.25 * math.pi, 1.25 * math.pi)
 
     def on_ring(azimuths: Sequence[float]) -> list[tuple[float, float]]:
         return [(radius * math.cos(phi), radius * math.sin(phi)) for phi in azimuths]
 
     return diodes(kind, on_ring(places), on_ring(around))
+
+
+def coded_places(count: int) -> tuple[float, ...]:
+    """Return the azimuths of the diodes of a coded ring [rad], two or three.
+
+    The line from the first diode to the second is at 45 degrees to their axes: all four coordinates are checked alike.
+    """
+    return tuple(CHORD_MIDDLE + (i - 0.5) * DIODE_ANGLE for i in range(count))
 
 
 def bumpy_ring(kind: ProbeKind, shape: RingShape, probes: int) -> Part:

@@ -50,12 +50,12 @@ BUMPS_PER_INCH = 24
 """Bumps per inch of a sized ring's diameter (pitch 3.32 mm). The slopes then resolve theta nearly as section 9.3.1
 assumes, 5 microinch over the ring's radius. The number of bumps is a multiple of four for whole inches."""
 
-_GAP_OF_VOLT = (STANDOFF, -0.118e-3, 1.5e-6, -2e-7, 1e-8)
+GAP_OF_VOLT = (STANDOFF, -0.118e-3, 1.5e-6, -2e-7, 1e-8)
 _RING_RANGE = 1.5
 """Range of the ring probes of sized designs over that of others: for bumps of 0.4 mm and motions of 0.5 mm."""
 
 _PROBE = ProbeKind(
-    volts_to_gap=_GAP_OF_VOLT,
+    volts_to_gap=GAP_OF_VOLT,
     volts_to_gap_sigmas=(0.13e-6, 5e-8, 5e-9, 0.0, 0.0),
     noise=1e-3,
     tip_sigma=(20e-6, 20e-6, 1e-6),
@@ -87,8 +87,8 @@ _RING = RingShape(
 
 # Sized designs are calibrated as assembled, against an index table and an interferometer. The remaining uncertainty is
 # the resolution of the sensors, about 50 nm, not the accuracy of single parts.
-_SIZED_GAP_PROBE = ProbeKind(
-    volts_to_gap=_GAP_OF_VOLT,
+SIZED_GAP_PROBE = ProbeKind(
+    volts_to_gap=GAP_OF_VOLT,
     volts_to_gap_sigmas=(30e-9, 1e-8, 1e-9, 0.0, 0.0),
     noise=PROBE_ACCURACY / 0.118e-3,
     tip_sigma=(5e-6, 5e-6, 30e-9),
@@ -96,8 +96,8 @@ _SIZED_GAP_PROBE = ProbeKind(
     zero_shift_sigma=2e-4,
     supply_sigma=1e-3,
 )
-_SIZED_RING_PROBE = ProbeKind(
-    volts_to_gap=tuple(_RING_RANGE * coefficient for coefficient in _GAP_OF_VOLT),
+SIZED_RING_PROBE = ProbeKind(
+    volts_to_gap=tuple(_RING_RANGE * coefficient for coefficient in GAP_OF_VOLT),
     volts_to_gap_sigmas=(30e-9, 1e-8, 1e-9, 0.0, 0.0),
     noise=PROBE_ACCURACY / (_RING_RANGE * 0.118e-3),
     tip_sigma=(30e-9, 30e-9, 5e-6),
@@ -105,7 +105,7 @@ _SIZED_RING_PROBE = ProbeKind(
     zero_shift_sigma=2e-4,
     supply_sigma=1e-3,
 )
-_SIZED_TILT_SIGMA = 0.3e-6
+SIZED_TILT_SIGMA = 0.3e-6
 _SIZED_DIODE = DiodeKind(
     noise=2e-5,
     origin_sigma=(0.1e-6, 0.1e-6, 5e-6),
@@ -114,7 +114,7 @@ _SIZED_DIODE = DiodeKind(
     source_sigma=(0.1e-6, 0.1e-6, 5e-6),
     direction_sigma=2e-5,
 )
-_CODED_SIZED_DIODE = replace(_SIZED_DIODE, lean=_CODED_LEAN)
+CODED_SIZED_DIODE = replace(_SIZED_DIODE, lean=_CODED_LEAN)
 
 
 def _sized_ring(outside_diameter: float) -> RingShape:
@@ -130,15 +130,17 @@ def _sized_ring(outside_diameter: float) -> RingShape:
     )
 
 
-def _limits(translation: float) -> Part:
+def velocity_limits(translation: float, theta: float = 3.0) -> Part:
+    """Return the largest velocities of the target [m/s], [rad/s]; of the lean: 0.02 rad/s."""
     return {
         "translation": quantity_entry(translation, "m/s"),
         "lean": quantity_entry(0.02, "rad/s"),
-        "theta": quantity_entry(3.0, "rad/s"),
+        "theta": quantity_entry(theta, "rad/s"),
     }
 
 
-def _environment(supply_spread: float) -> Part:
+def environment_ranges(supply_spread: float) -> Part:
+    """Return ranges of supply and temperature; ``supply_spread``: uncertainty of a supply not measured [V]."""
     return {
         "supply": {"range": quantity_entry([14.5, 15.5], "V"), "spread": quantity_entry(supply_spread, "V")},
         "temperature": {"range": quantity_entry([283.15, 303.15], "K"), "spread": quantity_entry(0.1, "K")},
@@ -149,7 +151,7 @@ CONVERTER_BITS, LIGHT_RING_BITS = 16, 24
 """The noise of light spots on a ring is below a step of 16 bits; frozen diodes would look like a joint at rest."""
 
 
-def _converter(bits: int) -> Part:
+def converter_steps(bits: int) -> Part:
     """Return the steps of a converter over the ranges of the readings."""
     return {
         "voltage": quantity_entry(14.0 / 2**bits, "V"),
@@ -157,7 +159,7 @@ def _converter(bits: int) -> Part:
     }
 
 
-def _calibration(
+def design_calibration(
     name: str,
     source: str,
     notes: tuple[str, ...],
@@ -167,6 +169,7 @@ def _calibration(
     converter: Part | None,
     sensors: list[Part],
 ) -> Calibration:
+    """Return the calibration of a design; the arguments are the parts of its file."""
     content: dict[str, Any] = {
         "format": "posor_calibration",
         "version": VERSION,
@@ -222,9 +225,9 @@ def design(
         sensors.append(diodes(_DIODE, positions, positions))
     else:
         sensors.append(bumpy_ring(_PROBE, _RING, ring_probes))
-    limits, environment = _limits(1e-3) if motion else None, _environment(_PROBE.supply_sigma)
-    steps = _converter(CONVERTER_BITS) if converter else None
-    return _calibration(name, "assumed design", (), frames, limits, environment, steps, sensors)
+    limits, environment = velocity_limits(1e-3) if motion else None, environment_ranges(_PROBE.supply_sigma)
+    steps = converter_steps(CONVERTER_BITS) if converter else None
+    return design_calibration(name, "assumed design", (), frames, limits, environment, steps, sensors)
 
 
 def sized_design(
@@ -265,17 +268,17 @@ def sized_design(
     if _with_fourth_probe(name):
         tips = [[-circle, 0.0, 0.0], [0.0, circle, 0.0], [circle, 0.0, 0.0], [0.0, -circle, 0.0]]
         notes.append("assumed: a fourth gap probe, so that the others check each of them")
-    sensors = [gap_probes(_SIZED_GAP_PROBE, tips, _SIZED_TILT_SIGMA)]
+    sensors = [gap_probes(SIZED_GAP_PROBE, tips, SIZED_TILT_SIGMA)]
     if name.endswith("_light_ring"):
         radius = 0.5 * outside_diameter - INCH
         sources = 4 * math.ceil(2.0 * math.pi * radius / SOURCE_PITCH / 4.0)
-        sensors.append(light_ring(_CODED_SIZED_DIODE if coded else _SIZED_DIODE, radius, sources, coded=coded))
+        sensors.append(light_ring(CODED_SIZED_DIODE if coded else _SIZED_DIODE, radius, sources, coded=coded))
         notes.append("assumed: light sources 7.7 mm apart on average, two diodes of 5.5 mm half width, their noise")
         if coded:
             notes.append("assumed: the pitch of the sources grows around the ring, so that two lit ones tell which")
     else:
-        sensors.append(bumpy_ring(_SIZED_RING_PROBE, _sized_ring(outside_diameter), 4))
+        sensors.append(bumpy_ring(SIZED_RING_PROBE, _sized_ring(outside_diameter), 4))
         notes.append("assumed: bumps of 0.4 mm every 3.32 mm, ring probes of 1.5 times the range of the others")
     source = f"assumed design of {outside_diameter / INCH:g} in outside diameter"
-    environment = _environment(_SIZED_GAP_PROBE.supply_sigma)
-    return _calibration(title, source, tuple(notes), frames, _limits(0.02), environment, _converter(bits), sensors)
+    environment = environment_ranges(SIZED_GAP_PROBE.supply_sigma)
+    return design_calibration(title, source, tuple(notes), frames, velocity_limits(0.02), environment, converter_steps(bits), sensors)
