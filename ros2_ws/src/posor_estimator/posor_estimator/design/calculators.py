@@ -16,10 +16,18 @@ if TYPE_CHECKING:
 _FUNCTIONS: dict[str, tuple[str, ...]] = {
     "air_bearing": (),
     "contact": (),
+    "distance_sensors": ("fibre_lever", "capacitance_probe", "probe_area", "linearity"),
     "gimbals": (),
-    "machine_metrology": (),
+    "machine_metrology": (
+        "straightness",
+        "straightness_runs",
+        "alignment",
+        "abbe_error",
+        "thermal_growth",
+        "probe_zero",
+    ),
     "measuring_beams": (),
-    "sensor_noise": (),
+    "sensor_noise": ("diode_noise", "converter_resolution", "angle_resolution"),
     "structures": (),
 }
 """Names of the calculators by module."""
