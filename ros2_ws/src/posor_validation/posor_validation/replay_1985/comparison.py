@@ -10,6 +10,7 @@ from posor_estimator.identification.attitude_fit import deviation_from_first
 from posor_validation.replay_1985.expectations import (
     DERIVED_MAP,
     EXPECTATIONS,
+    KIND_NAMES,
     MEASURED_LIMIT,
     PRINTED_LIMITS,
     STEPS,
@@ -22,7 +23,7 @@ from posor_validation.thesis_data import URAD
 
 if TYPE_CHECKING:
     from posor_bringup.installed import Bag, CalibrationName
-    from posor_estimator.numerics.array_types import FloatArray
+    from posor_estimator.numerics.array_types import BoolArray, FloatArray
 
     from posor_validation.replay_1985.printed_results import PrintedColumns
 
@@ -116,21 +117,32 @@ def _against_printed_truth(test: MotionTest, printed: PrintedColumns, angle: Ang
     return _printed_finding(quantity, largest, MEASURED_LIMIT, "largest difference; lever 798 mm (31.43 in)", if_fails)
 
 
+def error_figure(test: MotionTest, expected: Expectation, counted: BoolArray | None = None) -> float:
+    """Return the figure of an expectation [urad]: standard deviation or largest error against the machining centre.
+
+    Args:
+        test: The motion test.
+        expected: Angle and kind of the figure.
+        counted: Steps that count, (n,); None: all with a pose.
+
+    """
+    errors = test.angle_errors[:, ANGLES.index(expected.angle)][test.has_pose if counted is None else counted]
+    return _standard_deviation(errors) if expected.kind == "sd" else _largest(errors)
+
+
 def _against_expectation(test: MotionTest, expected: Expectation) -> Finding:
-    errors = test.angle_errors[:, ANGLES.index(expected.angle)]
-    statistic, name = {"sd": (_standard_deviation, "standard deviation"), "max": (_largest, "largest")}[expected.kind]
-    value = statistic(errors[test.has_pose])
+    value = error_figure(test, expected)
     measured = test.fully_measured(expected.angle)
     remark = f"over {np.count_nonzero(test.has_pose[1:])} steps"
     if not np.array_equal(measured, test.has_pose):
-        remark += f"; {statistic(errors[measured]):.2f} without the steps whose readings are estimated"
+        remark += f"; {error_figure(test, expected, measured):.2f} without the steps whose readings are estimated"
     if expected.high is None:
         limit, verdict = "", Verdict.NOT_JUDGED
     else:
         limit = f"{expected.low:g} to {expected.high:g} urad" if expected.low else f"at most {expected.high:g} urad"
         verdict = Verdict.of(holds=expected.low <= value <= expected.high)
     return Finding(
-        f"{expected.angle}: error against machining centre, {name}",
+        f"{expected.angle}: error against machining centre, {KIND_NAMES[expected.kind]}",
         f"{value:.2f} urad",
         "" if expected.stated is None else f"{expected.stated:g} urad",
         limit,

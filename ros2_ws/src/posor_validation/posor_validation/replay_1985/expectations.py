@@ -23,6 +23,9 @@ WITHOUT_POSE: Mapping[Bag, Mapping[int, str]] = {
 }
 """Steps that must be refused, and the reason."""
 
+KIND_NAMES: Mapping[Literal["sd", "max"], str] = {"sd": "standard deviation", "max": "largest"}
+"""Name of each kind of figure."""
+
 PRINTED_LIMITS: Mapping[Angle, float] = {"alpha": 1.0, "beta": 1.0, "theta": 6.0}
 """Largest difference from a printed POSOR column [urad]: rounding, and for theta the error of the derived diode map."""
 
@@ -81,7 +84,8 @@ def _around(
     return Expectation(angle, kind, stated, round(value - tolerance, 9), round(value + tolerance, 9), source, remark)
 
 
-_UNDER_TABLE = "appendix 8B, printed under the Y motion results"
+UNDER_TABLE = "appendix 8B, printed under the Y motion results"
+"""Source of the standard deviations of YMO without compensated zero shifts."""
 UNSTATED = "the thesis states no figure"
 _ZMO = (
     Expectation("beta", "sd", None, remark=f"{UNSTATED}; {OFFSET}"),
@@ -91,8 +95,8 @@ _ZMO = (
 
 EXPECTATIONS: Mapping[tuple[Bag, CalibrationName], tuple[Expectation, ...]] = {
     ("ymo", "printed"): (
-        _around("alpha", "sd", 51.0, 51.0, 1.0, _UNDER_TABLE, UNCOMPENSATED),
-        _around("beta", "sd", 76.0, 76.0, 1.0, _UNDER_TABLE, UNCOMPENSATED),
+        _around("alpha", "sd", 51.0, 51.0, 1.0, UNDER_TABLE, UNCOMPENSATED),
+        _around("beta", "sd", 76.0, 76.0, 1.0, UNDER_TABLE, UNCOMPENSATED),
         Expectation("theta", "sd", 179.0, source="section 8.4.2", remark=FITTED),
     ),
     ("ymo", "section84"): (
@@ -102,8 +106,8 @@ EXPECTATIONS: Mapping[tuple[Bag, CalibrationName], tuple[Expectation, ...]] = {
         Expectation("theta", "max", 230.0, source="section 8.4.2", remark=FITTED),
     ),
     ("yzmo", "printed"): (
-        Expectation("alpha", "sd", None, 0.0, 51.0, _UNDER_TABLE, SAME_STATE),
-        Expectation("beta", "sd", None, 0.0, 76.0, _UNDER_TABLE, SAME_STATE),
+        Expectation("alpha", "sd", None, 0.0, 51.0, UNDER_TABLE, SAME_STATE),
+        Expectation("beta", "sd", None, 0.0, 76.0, UNDER_TABLE, SAME_STATE),
         Expectation("theta", "sd", 92.0, 0.0, 92.0, "section 8.4.3", LOCAL_MAP),
         Expectation("theta", "max", 112.0, source="section 8.4.3", remark=SUBSTITUTE),
     ),

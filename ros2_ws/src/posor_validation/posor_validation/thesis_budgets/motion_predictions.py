@@ -25,6 +25,8 @@ STAGE_STRAIGHTNESS = 0.0004
 """Standard deviation of the straightness of the stage that calibrated the diodes, section 8.4 [inch]."""
 PEAK_TO_VALLEY = 0.025
 """Travel across a diode over which a linearisation follows this error from peak to valley, section 8.4 [inch]."""
+CURVE_PEAK = 0.00041
+"""Peak of a linearisation curve by this error, section 8.4.4 [inch]."""
 DIODE_RANGE = 0.5
 """Travel across a diode over which the total of table 7.9 holds, section 8.4 [inch]."""
 READOUT = 0.0002
@@ -69,7 +71,6 @@ class SensorTravel:
         return Slopes(across=three - two, along=one - (two + three) / 2.0)
 
 
-@cache
 def sensor_travel(test: MotionName) -> SensorTravel:
     """Return the travel of the sensors in a test.
 
@@ -77,11 +78,7 @@ def sensor_travel(test: MotionName) -> SensorTravel:
         DataFileError: Table 8.1 cannot be read, or has an invalid number.
 
     """
-    path = data_path(RANGES_FILE)
-    cells = {
-        row["quantity"]: parse_number(row, test, f"{path}, {row['quantity']}")
-        for row in read_table(path, ["quantity", test])
-    }
+    cells = _sensor_cells(test)
 
     def travel(axis: str, k: int) -> float:
         return cells[f"{axis}d{k}_finish_in"] - cells[f"{axis}d{k}_start_in"]
@@ -91,6 +88,26 @@ def sensor_travel(test: MotionName) -> SensorTravel:
         (travel("y", 1), travel("y", 2)),
         (cells["probe1_range_in"], cells["probe2_range_in"], cells["probe3_range_in"]),
     )
+
+
+def spots_at(test: MotionName, moment: Literal["start", "finish"]) -> tuple[float, float, float, float]:
+    """Return X1, Y1, X2, Y2 of the light spots on their diodes at the start or the finish of a test [inch].
+
+    Raises:
+        DataFileError: Table 8.1 cannot be read, or has an invalid number.
+
+    """
+    cells = _sensor_cells(test)
+    x1, y1, x2, y2 = (cells[f"{axis}d{k}_{moment}_in"] for k in (1, 2) for axis in "xy")
+    return x1, y1, x2, y2
+
+
+@cache
+def _sensor_cells(test: MotionName) -> Mapping[str, float]:
+    """Return the column of a test in table 8.1."""
+    path = data_path(RANGES_FILE)
+    rows = read_table(path, ["quantity", test])
+    return {row["quantity"]: parse_number(row, test, f"{path}, {row['quantity']}") for row in rows}
 
 
 @cache

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from posor_validation.thesis_budgets.chapter5 import LEG_X
 from posor_validation.thesis_budgets.motion_predictions import (
+    CURVE_PEAK,
     PEAK_TO_VALLEY,
     dimensions,
     diode_budget,
@@ -26,8 +28,6 @@ if TYPE_CHECKING:
 
 UIN = 1e-6
 """Microinch [inch]."""
-_CURVE_PEAK = 0.00041
-"""Peak of a linearisation curve that section 8.4.4 takes [inch]."""
 _TEXT_DISTANCE = 0.027
 """Mean distance across the diodes that sections 8.4.4 and 8.4.5 take for both tests [inch]."""
 
@@ -124,7 +124,7 @@ def _straightness() -> list[ThesisRow]:
             "TWIS: z, peak of a linearisation curve at the end of the beam",
             "in",
             ".0045",
-            _CURVE_PEAK * lever / 3.0,
+            CURVE_PEAK * lever / LEG_X,
             f"the text quotes the travels .0055 and .0230 in, which are those of GEN; TWIS has {twis.mean_x:.4f} in in "
             f"the mean, which the rule of the other tests turns into {lever * straightness_error(twis.mean_x):.5f} in",
         ),

@@ -1,0 +1,62 @@
+"""Rows of the thesis table for the error budgets, tables 5.2, 5.4, 7.9 and 7.12: one for each cell."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from posor_validation.thesis_budgets.budget_cells import Agreement
+from posor_validation.thesis_budgets.diode_tables import table_5_4, table_7_9
+from posor_validation.thesis_budgets.probe_tables import table_5_2, table_7_12
+from posor_validation.thesis_table.thesis_row import ThesisRow
+
+if TYPE_CHECKING:
+    from posor_estimator.reporting.plot import Plot
+
+    from posor_validation.thesis_budgets.budget_cells import Cell, Printed
+
+_UNITS = ("uin", "urad")
+
+
+def rows() -> list[ThesisRow]:
+    """Return the cells of the budgets.
+
+    Raises:
+        DataFileError: A printed table cannot be read.
+
+    """
+    return [_row(cell) for table in (table_5_2(), table_5_4(), table_7_9(), table_7_12()) for cell in table.cells]
+
+
+def plots() -> list[Plot]:
+    """Return no figure: the thesis draws none of its budgets."""
+    return []
+
+
+def _row(cell: Cell) -> ThesisRow:
+    """Return a cell as a row; factors of tables 5.2 and 5.4 are in inch and radian."""
+    name, _, unit = cell.column.rpartition("_")
+    quantity, unit = (name, unit) if unit in _UNITS else (cell.column, "in, rad")
+    return ThesisRow(
+        f"Table {cell.table}", f"{cell.row}: {quantity}", unit, _digits(cell.printed), cell.computed, _reason(cell)
+    )
+
+
+def _digits(printed: Printed) -> str:
+    """Return the printed digits; a bare 0 gets the digits of its column."""
+    if math.isnan(printed.number):
+        return ""
+    return printed.text if printed.number else f"{0.0:.{max(0, round(-math.log10(printed.last_digit)))}f}"
+
+
+def _reason(cell: Cell) -> str:
+    """Return why a cell differs, as far as the comparison of the budgets knows."""
+    match cell.agreement:
+        case Agreement.NOT_LEGIBLE:
+            return "not legible in the scan"
+        case Agreement.EXPLAINED if cell.reason:
+            return f"{cell.reason.text}: {cell.reason.gives:.4g}"
+        case Agreement.AGREES:
+            return "within the rounding of the cell and of the printed perturbation"
+        case _:
+            return "no reason is known"
