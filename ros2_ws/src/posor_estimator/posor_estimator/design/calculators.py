@@ -15,9 +15,11 @@ if TYPE_CHECKING:
 
 _FUNCTIONS: dict[str, tuple[str, ...]] = {
     "air_bearing": (),
+    "calibration_geometry": ("axis_offsets", "light_source_angles", "probe_spacing"),
     "contact": (),
     "distance_sensors": ("fibre_lever", "capacitance_probe", "probe_area", "linearity"),
     "gimbals": (),
+    "interferometry": ("air_effects", "straightness_optics"),
     "machine_metrology": (
         "straightness",
         "straightness_runs",

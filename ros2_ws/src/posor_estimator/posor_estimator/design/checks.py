@@ -6,6 +6,9 @@ import math
 
 from posor_estimator.errors import ParameterError
 
+SMALL_ANGLE = 0.2
+"""Angles of misalignment [rad] are smaller; a larger one is a wrong unit."""
+
 
 def require_finite(**values: float) -> None:
     """Check numbers, given by the names of the arguments.
@@ -43,3 +46,16 @@ def require_non_negative(**values: float) -> None:
     for name, value in values.items():
         if value < 0.0:
             raise ParameterError(f"{value:g} is negative", where=name, expected="0 or more")
+
+
+def require_small_angle(**values: float) -> None:
+    """Check angles of misalignment, given by the names of the arguments.
+
+    Raises:
+        ParameterError: An angle is not finite, or exceeds ``SMALL_ANGLE``.
+
+    """
+    require_finite(**values)
+    for name, value in values.items():
+        if abs(value) > SMALL_ANGLE:
+            raise ParameterError(f"{value:g} rad", where=name, expected=f"at most {SMALL_ANGLE} rad")

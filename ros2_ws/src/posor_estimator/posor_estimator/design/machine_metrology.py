@@ -9,23 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.polynomial import polynomial
 
-from posor_estimator.design.checks import require_finite, require_non_negative, require_positive
+from posor_estimator.design.checks import require_finite, require_non_negative, require_positive, require_small_angle
 from posor_estimator.design.line_fit import fit_line
 from posor_estimator.errors import ParameterError
 
 if TYPE_CHECKING:
     from posor_estimator.design.units import Kelvin, Metre, MetrePerVolt, Number, PerKelvin, Radian, Volt
-
-_LARGEST_ANGLE = 0.2
-"""Angles of machines [rad]; a larger one is a wrong unit."""
-
-
-def _require_small(**angles: float) -> None:
-    """Check angles, given by the names of the arguments; raise ParameterError if one is not finite or not small."""
-    require_finite(**angles)
-    for name, angle in angles.items():
-        if abs(angle) > _LARGEST_ANGLE:
-            raise ParameterError(f"{angle:g} rad", where=name, expected=f"at most {_LARGEST_ANGLE} rad")
 
 
 @dataclass(frozen=True)
@@ -163,7 +152,7 @@ def alignment(misalignments: tuple[Radian, ...], travel: Metre) -> Alignment:
     require_non_negative(travel=travel)
     if not misalignments:
         raise ParameterError("no angle", where="misalignments", expected="at least one")
-    _require_small(**{f"misalignment {number}": angle for number, angle in enumerate(misalignments, start=1)})
+    require_small_angle(**{f"misalignment {number}": angle for number, angle in enumerate(misalignments, start=1)})
     angle = math.hypot(*misalignments)
     return Alignment(angle, 2.0 * travel * math.sin(0.5 * angle) ** 2, travel * math.sin(angle))
 
@@ -197,7 +186,7 @@ def abbe_error(offset: Metre, angle: Radian) -> AbbeError:
 
     """
     require_finite(offset=offset)
-    _require_small(angle=angle)
+    require_small_angle(angle=angle)
     return AbbeError(offset * math.sin(angle))
 
 
