@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
-import yaml
 from posor_estimator.calibration.designs import SizedDesignName, design, sized_design
+from posor_estimator.calibration.document_text import document_text
 
 if TYPE_CHECKING:
     from posor_estimator.calibration.calibration_file import Calibration
@@ -55,44 +54,12 @@ def calibrations() -> dict[str, Calibration]:
     return {**sized, f"test_rig/calibrations/{TEST_RIG}.yaml": rig}
 
 
-class FlowMapping(dict[str, Any]):
-    """A mapping that is written on one line."""
-
-
-class Dumper(yaml.SafeDumper):
-    """Writes each quantity on one line, and repeated parts in full."""
-
-    def ignore_aliases(self, data: Any) -> bool:  # noqa: ARG002
-        """Return True: write no aliases."""
-        return True
-
-
-Dumper.add_representer(
-    FlowMapping, lambda dumper, part: dumper.represent_mapping("tag:yaml.org,2002:map", part.items(), flow_style=True)
-)
-
-
-def file_content(part: Any) -> Any:
-    """Return a part of a calibration for its file: numbers of twelve digits, without empty parts and zero sigmas."""
-    if isinstance(part, dict):
-        if set(part) == {"value", "sigma", "unit"}:
-            quantity = {key: file_content(entry) for key, entry in part.items()}
-            if not np.any(quantity["sigma"]):
-                del quantity["sigma"]
-            return FlowMapping(quantity)
-        return {key: file_content(entry) for key, entry in part.items() if entry is not None and entry not in ({}, [])}
-    if isinstance(part, list | tuple):
-        return [file_content(entry) for entry in part]
-    return float(f"{part:.12g}") + 0.0 if isinstance(part, float) else part
-
-
 def write(path: Path, calibration: Calibration) -> None:
     """Write one calibration file."""
     content = calibration.model_dump(mode="json")
     content["provenance"]["method"] += f", written by {NAME}"
-    text = yaml.dump(file_content(content), Dumper=Dumper, sort_keys=False, width=120, allow_unicode=True)
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(f"# Made by {NAME}; SI units throughout.\n{text}", encoding="utf-8")
+    path.write_text(document_text(content, f"Made by {NAME}; SI units throughout."), encoding="utf-8")
 
 
 def main(output: Path) -> None:

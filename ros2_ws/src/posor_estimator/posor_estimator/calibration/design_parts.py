@@ -19,7 +19,6 @@ INCH = 0.0254
 
 CHORD_MIDDLE = -0.25 * math.pi
 """Azimuth in the middle between the two diodes of a coded ring [rad]."""
-_OPPOSITE_PAIRS = 4
 
 
 @dataclass(frozen=True)
@@ -183,8 +182,9 @@ def coded_places(count: int) -> tuple[float, ...]:
 def bumpy_ring(kind: ProbeKind, shape: RingShape, probes: int) -> Part:
     """Return a bumpy ring and its probes, three or more."""
     bump = 2.0 * math.pi / shape.bumps
-    if probes == _OPPOSITE_PAIRS:  # opposite probes in phase, the two pairs in quadrature
-        azimuths = [0.0, 0.5 * math.pi + 0.25 * bump, math.pi, 1.5 * math.pi + 0.25 * bump]
+    if probes % 4 == 0:  # opposite probes in phase, the pairs spread over half a bump
+        half = probes // 2
+        azimuths = [2.0 * math.pi * i / probes + bump * (i % half) / probes for i in range(probes)]
     else:  # evenly spaced, offset by fractions of a bump, as the thesis draws three
         azimuths = [2.0 * math.pi * i / probes + bump * i / probes for i in range(probes)]
     orders = [1, 2, shape.bumps, 2 * shape.bumps, 3 * shape.bumps]

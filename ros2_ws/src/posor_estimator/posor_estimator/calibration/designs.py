@@ -130,11 +130,11 @@ def _sized_ring(outside_diameter: float) -> RingShape:
     )
 
 
-def velocity_limits(translation: float, theta: float = 3.0) -> Part:
-    """Return the largest velocities of the target [m/s], [rad/s]; of the lean: 0.02 rad/s."""
+def velocity_limits(translation: float, lean: float = 0.02, theta: float = 3.0) -> Part:
+    """Return the largest velocities of the target [m/s], [rad/s]."""
     return {
         "translation": quantity_entry(translation, "m/s"),
-        "lean": quantity_entry(0.02, "rad/s"),
+        "lean": quantity_entry(lean, "rad/s"),
         "theta": quantity_entry(theta, "rad/s"),
     }
 
