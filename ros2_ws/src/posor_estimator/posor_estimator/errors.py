@@ -116,6 +116,10 @@ class FitError(PosorError):
     """Data do not determine the fitted parameters, or contradict the model."""
 
 
+class DesignError(PosorError):
+    """No layout, or no allotment, meets a requirement; ``expected`` is the nearest requirement that can be met."""
+
+
 class TrackError(PosorError):
     """A reference measurement cannot be used: no values, decreasing stamps, wrong unit or type."""
 
