@@ -1,7 +1,7 @@
 """Map of a lateral effect diode, from current ratios to the spot's position, over a grid of dwells.
 
 Two kinds: ``chebyshev``, a smooth surface, and ``curves``, the map of 1985 with polynomials along the lines of the grid
-(thesis 7.4.3). Leave-one-out residuals choose the order; their table against the order is as tables 7.3 to 7.6.
+(thesis 7.4.2). Leave-one-out residuals choose the order; their table against the order is as tables 7.3 to 7.6.
 The positions are the reference's: its zero becomes the diode's origin, its axes the diode's.
 """
 
@@ -15,6 +15,11 @@ from pydantic import Field
 
 from posor_estimator.errors import FitError
 from posor_estimator.identification.calibration_parameters import find_sensor
+from posor_estimator.identification.curve_interpolation import (
+    FEWEST_CURVES,
+    doubled_grid_errors,
+    tabulate_interpolation,
+)
 from posor_estimator.identification.data_checks import check_axis, check_channels_move, check_count, check_unit
 from posor_estimator.identification.diode_spots import AXES, SingleDiode, average_stage_dwells, current_ratios
 from posor_estimator.identification.dwells import DwellMeans, LeastDwell, Settle, Still
@@ -28,7 +33,7 @@ from posor_estimator.identification.map_basis import (
     surface_design,
     surface_terms,
 )
-from posor_estimator.identification.procedure import Figure, Options, Outcome, Part, Procedure
+from posor_estimator.identification.procedure import Figure, Options, Outcome, Part, Procedure, Table
 from posor_estimator.identification.recording import POINT
 from posor_estimator.sensors.diodes import DiodesCalibration
 
@@ -44,6 +49,8 @@ NAME = "diode_map"
 MIN_DWELLS = 9
 SAME_LINE = 0.25
 """Dwells closer than this across a line of the grid, over its pitch, lie on the same line."""
+COMPARED_RATIOS = 50
+"""Ratios at which neighbouring curves of a map are compared."""
 MM = 1e-3
 
 
@@ -103,12 +110,13 @@ def map_diode(recording: Recording, calibration: Calibration, options: DiodeMapO
         warnings += [*describe_rejected(outliers, names, NAME), *describe_enlargement(fit, NAME)]
         fits.append(fit)
         used.append(~outliers)
+    entry = content(order, fits)
     return Outcome(
         method=f"{options.kind} map of order {order}, chosen by leave-one-out residuals, from {len(grid.ratios)} "
-        "dwells (thesis 7.4.3)",
+        "dwells (thesis 7.4.2)",
         fits={f"{diode} {axis}": fit for axis, fit in zip("xy", fits, strict=True)},
-        parts=_file_parts(part, sensor, index, options.set_name or part.map, content(order, fits)),
-        tables=(table,),
+        parts=_file_parts(part, sensor, index, options.set_name or part.map, entry),
+        tables=(table, *_interpolation_tables(entry, grid.domain)),
         warnings=tuple(warnings),
         figures=(_plot_residuals(grid, fits, used),),
     )
@@ -187,6 +195,21 @@ def _make_curves(grid: _Grid) -> MapKind:
         return entry
 
     return lambda order, axis: curve_design(grid.ratios[:, axis], lines[axis], order), content
+
+
+def _interpolation_tables(entry: dict[str, Any], domain: FloatArray) -> tuple[Table, ...]:
+    """Return the table of the error between the curves; none for another kind of map, or fewer than three curves."""
+    if entry["kind"] != "curves" or len(entry["x_curves_at"]["value"]) < FEWEST_CURVES:
+        return ()
+    errors = {
+        axis: doubled_grid_errors(
+            np.array(entry[f"{axis}_curves"]["value"]),
+            np.array(entry[f"{axis}_curves_at"]["value"]),
+            np.linspace(low, high, COMPARED_RATIOS),
+        )
+        for axis, (low, high) in zip("xy", domain, strict=True)
+    }
+    return (tabulate_interpolation(errors),)
 
 
 def _find_lines(across: FloatArray, name: str) -> tuple[IntArray, FloatArray]:

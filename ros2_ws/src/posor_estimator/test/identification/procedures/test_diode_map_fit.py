@@ -114,6 +114,11 @@ def test_curves_of_1985(rng: np.random.Generator) -> None:
     assert means == pytest.approx(positions[inner][::PER_DWELL], abs=2.5e-6)
     assert outcome.tables[0].title.startswith("residual against order")
     assert [row[0] for row in outcome.tables[0].rows] == [1, 2, 3, 4, 5, 6]
+    between = outcome.tables[1]
+    assert between.title == "interpolation between curves, by doubling of the grid (thesis 8.3.3)"
+    assert [row[0] for row in between.rows] == ["x", "y"]
+    assert all(0.0 < float(row[1]) < float(row[2]) < 2.5 for row in between.rows)  # the accuracy of the map above
+    assert len(case.identify(diode="diode_1").tables) == 1
 
 
 def test_a_set_of_its_own(rng: np.random.Generator) -> None:
