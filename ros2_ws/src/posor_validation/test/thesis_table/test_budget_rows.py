@@ -1,0 +1,49 @@
+"""Rows of the error budgets: every cell, with the verdict and the reason of the comparison of the budgets."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import pytest
+from posor_validation.thesis_budgets.budget_cells import Cell, Printed, Reason
+from posor_validation.thesis_budgets.diode_tables import table_5_4, table_7_9
+from posor_validation.thesis_budgets.probe_tables import table_5_2, table_7_12
+from posor_validation.thesis_table import budget_rows
+from posor_validation.thesis_table.thesis_row import Verdict
+
+
+def test_every_cell_has_a_row() -> None:
+    rows = budget_rows.rows()
+    tables = (table_5_2(), table_5_4(), table_7_9(), table_7_12())
+    assert Counter(row.section for row in rows) == {f"Table {table.number}": len(table.cells) for table in tables}
+    assert len({(row.section, row.quantity) for row in rows}) == len(rows) == 194
+    assert not [row for row in rows if row.reason == "no reason is known"]
+    assert budget_rows.plots() == []
+
+
+@pytest.mark.parametrize(
+    ("printed", "computed", "reason", "verdict", "text"),
+    [
+        (Printed("76", 1.0), 75.6, None, Verdict.AGREES, "within the rounding"),
+        (Printed("0", 0.0001), 0.003, None, Verdict.DIFFERS, "no reason is known"),
+        (Printed("0", 0.0001), 0.00004, None, Verdict.AGREES, "within the rounding"),
+        (Printed("nan", 1.0), 199.6, None, Verdict.NOT_LEGIBLE, "not legible"),
+        (Printed("48", 1.0), 40.0, Reason("other factor", 48.2), Verdict.DIFFERS, "other factor: 48.2"),
+    ],
+)
+def test_a_cell_keeps_its_reason(
+    printed: Printed,
+    computed: float,
+    reason: Reason | None,
+    verdict: Verdict,
+    text: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    cell = Cell("7.9", "group: sigma_X", "induced_sigma_theta_urad", printed, computed, reason=reason)
+    table = table_5_2()
+    monkeypatch.setattr(budget_rows, "table_5_2", lambda: type(table)("7.9", "one cell", (cell,)))
+    row = budget_rows.rows()[0]
+    assert (row.section, row.quantity, row.unit) == ("Table 7.9", "group: sigma_X: induced_sigma_theta", "urad")
+    assert row.computed == computed
+    assert row.verdict is verdict
+    assert text in row.reason
