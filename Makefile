@@ -34,7 +34,7 @@ help:
 	@echo "make bench-core                                        speed of the numerical core"
 	@echo "make lines                                             lines of source, tests and documentation of each package"
 	@echo "make data                                              regenerate bags and calibrations from tables and designs"
-	@echo "make docs                                              page of parameters, and the site build/docs/index.html"
+	@echo "make docs                                              pages of parameters and calculators, and the site build/docs/index.html"
 	@echo "make setup                                             virtual environment, ROS 2 Jazzy, colcon build"
 	@echo "make audit                                             known vulnerabilities of the pinned libraries; needs pypi.org"
 	@echo "make lock                                              update the exact versions in requirements/*.txt"
@@ -101,6 +101,7 @@ data: setup
 
 docs: setup
 	@$(IN_WORKSPACE) tools/document_parameters.py
+	@$(IN_WORKSPACE) tools/document_calculators.py
 	@$(IN_WORKSPACE) -m sphinx -q -W --keep-going -d build/docs/.doctrees docs build/docs
 	@echo "build/docs/index.html"
 

@@ -1,4 +1,4 @@
-"""Documentation: the links lead to files, and the page of parameters equals the declarations."""
+"""Documentation: the links lead to files, and generated pages equal the declarations."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ import re
 import subprocess
 from typing import TYPE_CHECKING
 
+import document_calculators
+import document_parameters
 import pytest
-from document_parameters import PAGE, render_page
 from environment import THIS
 
 if TYPE_CHECKING:
     from pathlib import Path
+    from types import ModuleType
 
 LINK = re.compile(r"\]\((?!https?://)([^)#\s]*)(?:#[^)]*)?\)")
 
@@ -21,8 +23,9 @@ def tracked_pages() -> list[Path]:
     return [path for name in listing.stdout.splitlines() if (path := THIS.root / name).is_file()]
 
 
-def test_page_of_parameters_equals_the_declarations() -> None:
-    assert PAGE.read_text(encoding="utf-8") == render_page(), "call 'make docs'"
+@pytest.mark.parametrize("generator", [document_parameters, document_calculators], ids=lambda each: each.PAGE.stem)
+def test_generated_page_equals_the_declarations(generator: ModuleType) -> None:
+    assert generator.PAGE.read_text(encoding="utf-8") == generator.render_page(), "call 'make docs'"
 
 
 @pytest.mark.parametrize("page", tracked_pages(), ids=lambda page: str(page.relative_to(THIS.root)))

@@ -110,7 +110,7 @@ def build_parser(signature: CalculatorSignature) -> CommandLineParser:
             type=partial(parse_value, each.kind, where=f"design {signature.name}, {each.option}"),
             required=each.required,
             default=None if each.required else each.default,
-            metavar="QUANTITY",
+            metavar="VALUE",
             help=_help_text(each).replace("%", "%%"),
         )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write arguments and results in SI units")
@@ -120,7 +120,8 @@ def build_parser(signature: CalculatorSignature) -> CommandLineParser:
 
 def _help_text(argument: Value) -> str:
     default = "" if argument.required else f"; default: {format_value(argument.kind, argument.default)}"
-    return f"{argument.description} {describe_kind(argument.kind)}{default}"
+    kind = describe_kind(argument.kind)
+    return f"{argument.description} {kind[0].upper()}{kind[1:]}{default}"
 
 
 def _print_values(fields: Sequence[Value], values: dict[str, Any]) -> None:

@@ -19,6 +19,7 @@ from posor_estimator.calibration.quantity import CONVERTED_UNITS
 _BASE = ("m", "kg", "s", "A", "K", "rad")
 PREFIXES = {"G": 9, "M": 6, "k": 3, "c": -2, "m": -3, "u": -6, "µ": -6, "n": -9, "p": -12}
 _DEFINITIONS = {
+    **{symbol: (str(factor), si) for symbol, (si, factor) in CONVERTED_UNITS.items()},
     "1": ("1", ""),
     "g": ("1e-3", "kg"),
     "Hz": ("1", "1/s"),
@@ -49,9 +50,8 @@ _DEFINITIONS = {
     "rpm": ("1", "rev/min"),
     "%": ("1e-2", ""),
     "ppm": ("1e-6", ""),
-    **{symbol: (str(factor), si) for symbol, (si, factor) in CONVERTED_UNITS.items()},
 }
-"""Amount of each symbol in a unit that is defined before."""
+"""Amount of each symbol in other units."""
 _WITH_PREFIX = frozenset(("m", "g", "s", "A", "K", "rad", "Hz", "N", "Pa", "J", "W", "V", "Ohm", "F"))
 _FACTOR = re.compile(r"(?P<divide>\s*/\s*|[\s*·-]+|^)(?P<symbol>[a-zA-Zµ%]+|1)(?:\^(?P<power>-?\d+(?:\.\d+)?))?")
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from posor_validation.thesis_table.thesis_row import ThesisRow
 
-SUBJECTS: dict[str, str] = {}
+SUBJECTS = {"motion_test_rows": "Motion tests"}
 """Subject of each module of rows; a module has the functions ``rows`` and ``plots``."""
 _DIGITS = re.compile(r"(\d+)")
 
@@ -66,19 +66,19 @@ def summary(rows: Iterable[ThesisRow]) -> str:
 
 
 def format_cells(row: ThesisRow) -> tuple[str, ...]:
-    """Return a row as text: section, quantity, printed, computed, difference, verdict with reason."""
+    """Return a row as text: section, quantity, printed and computed number, unit, difference, verdict with reason."""
     difference = ""
-    if row.difference is not None:
-        difference = f"{row.difference:+.2g}"
-        if row.printed_number:
-            difference += f" ({row.difference / abs(row.printed_number):+.1%})"
+    if row.printed_number is not None and row.difference is not None:
+        relative = row.printed_number and row.difference / abs(row.printed_number)
+        difference = f"{100.0 * relative:+.1f} %" if relative else f"{row.difference:+.2g}"
     return (
         row.section,
         row.quantity,
-        f"{row.printed} {row.unit}" if row.printed else "",
-        f"{row.computed:.5g} {row.unit}",
+        row.printed,
+        f"{row.computed:.5g}",
+        "" if row.unit == "1" else row.unit,
         difference,
-        "; ".join(filter(None, (row.verdict.value, row.reason))),
+        ": ".join(filter(None, (row.verdict.value, row.reason))),
     )
 
 

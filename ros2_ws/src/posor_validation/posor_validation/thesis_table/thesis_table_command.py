@@ -13,6 +13,7 @@ from posor_estimator.errors import PosorError
 from posor_estimator.reporting.command_line_parser import CommandLineParser
 from posor_estimator.reporting.html_page import Cell, Section, render_page
 from posor_estimator.reporting.html_page import table as html_table
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -28,7 +29,10 @@ if TYPE_CHECKING:
     from posor_validation.thesis_table.thesis_table import Subject
 
 WIDTH = 150
-HEADER = ("section", "quantity", "printed", "computed", "difference", "verdict")
+_TITLE = "The thesis of 1985 beside this project"
+HEADER = ("section", "quantity", "printed", "computed", "unit", "difference", "verdict")
+_WIDE = {"quantity", "verdict"}
+_NUMBERS = {"printed", "computed", "difference"}
 _STYLES = {Verdict.AGREES: "", Verdict.DIFFERS: "yellow", Verdict.NOT_LEGIBLE: "dim"}
 _CSS_CLASSES = {Verdict.AGREES: "holds", Verdict.DIFFERS: "fails", Verdict.NOT_LEGIBLE: ""}
 
@@ -58,9 +62,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def print_rows(rows: Sequence[ThesisRow], console: Console) -> None:
     """Print all rows as one table."""
-    shown = Table(title="The thesis of 1985 beside this project", title_justify="left")
+    shown = Table(title=_TITLE, title_justify="left", box=SIMPLE_HEAD)
     for name in HEADER:
-        shown.add_column(name, justify="right" if name in {"printed", "computed", "difference"} else "left")
+        if name in _WIDE:
+            shown.add_column(name, ratio=1)
+        else:
+            shown.add_column(name, justify="right" if name in _NUMBERS else "left", no_wrap=True)
     for row in rows:
         shown.add_row(*map(escape, format_cells(row)), style=_STYLES[row.verdict])
     console.print(shown)
@@ -72,7 +79,7 @@ def render_thesis_page(subjects: Sequence[Subject], rows: Sequence[ThesisRow]) -
         Section(subject.title, html_table(HEADER, map(_page_cells, subject.rows)), subject.plots)
         for subject in subjects
     ]
-    return render_page("The thesis of 1985 beside this project", summary(rows), holds=True, sections=sections)
+    return render_page(_TITLE, summary(rows), holds=True, sections=sections)
 
 
 def _page_cells(row: ThesisRow) -> tuple[str | Cell, ...]:
