@@ -177,6 +177,14 @@ def _create_folder(folder: Path) -> None:
         ) from error
 
 
+def write_budget(report: BudgetReport, folder: Path) -> None:
+    """Write table, figures and page into an existing folder."""
+    csv_file, json_file, page_file = (folder / name for name in OUTPUT_FILES)
+    report.write_csv(csv_file)
+    json_file.write_text(json.dumps(report.as_json(), indent=2) + "\n", encoding="utf-8")
+    page_file.write_text(render_budget_page(report), encoding="utf-8")
+
+
 def print_budget(report: BudgetReport, console: Console) -> None:
     """Print contributions, totals and validation as tables."""
     session = f", session {report.session}" if report.session else ""
@@ -232,10 +240,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         console = Console(stderr=True)
         with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
             report = compute_budget(options, progress)
-        csv_file, json_file, page_file = (options.output / name for name in OUTPUT_FILES)
-        report.write_csv(csv_file)
-        json_file.write_text(json.dumps(report.as_json(), indent=2) + "\n", encoding="utf-8")
-        page_file.write_text(render_budget_page(report), encoding="utf-8")
+        write_budget(report, options.output)
     except PosorError as error:
         print(error, file=sys.stderr)
         return error.exit_code

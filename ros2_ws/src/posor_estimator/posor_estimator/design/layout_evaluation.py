@@ -1,0 +1,157 @@
+"""What a layout achieves over a range of motion: uncertainties and detectable faults, from its calibration.
+
+The covariances are those that the estimator states for simulated scans, the minimal detectable biases those of
+``uncertainty.reliability``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+
+from posor_estimator.estimation.forward import scans_at
+from posor_estimator.estimation.posor import Posor
+from posor_estimator.model.fault import State
+from posor_estimator.model.native_coordinates import native_jacobian, rotation_from_native
+from posor_estimator.uncertainty.budget_poses import scan_at
+from posor_estimator.uncertainty.reliability import joint_reliability
+
+if TYPE_CHECKING:
+    from posor_estimator.design.layout_geometry import LayoutKind
+    from posor_estimator.design.posor_layout import PosorLayout
+    from posor_estimator.design.requirement import Requirement
+    from posor_estimator.numerics.array_types import FloatArray
+
+CORNERS = 16
+MIDDLES = 4
+_GOLDEN = 0.5 * (5.0**0.5 - 1.0)
+_COUNTS_OF_SIGNS = 5
+
+
+@dataclass(frozen=True)
+class RangePoses:
+    """Poses of a range: native coordinates (n, 6), rotations (n, 3, 3), translations (n, 3) [m], thetas (n,) [rad]."""
+
+    native: FloatArray
+
+    @property
+    def rotations(self) -> FloatArray:
+        """R_R_T of each pose."""
+        return np.array([rotation_from_native(*row[3:]) for row in self.native])
+
+    @property
+    def translations(self) -> FloatArray:
+        """Origin of T in R of each pose."""
+        return np.ascontiguousarray(self.native[:, :3])
+
+    @property
+    def thetas(self) -> FloatArray:
+        """Theta of each pose."""
+        return np.ascontiguousarray(self.native[:, 5])
+
+
+def extreme_poses(requirement: Requirement, gap: float, count: int = CORNERS, middles: int = MIDDLES) -> RangePoses:
+    """Return poses at corners of the range and in its middle, theta spread evenly; ``gap``: in the middle [m]."""
+    numbers = np.arange(count)
+    bits = (numbers[:, None] * 2**_COUNTS_OF_SIGNS // max(count, 1) >> np.arange(_COUNTS_OF_SIGNS)) & 1
+    signs = np.concatenate([2.0 * bits - 1.0, np.zeros((middles, _COUNTS_OF_SIGNS))])
+    turns = np.mod((np.arange(count + middles) + 0.5) * _GOLDEN, 1.0)
+    return _poses(requirement, gap, signs, 2.0 * turns - 1.0)
+
+
+def random_poses(requirement: Requirement, gap: float, count: int, random: np.random.Generator) -> RangePoses:
+    """Return poses that are uniform over the range; ``gap``: in the middle [m]."""
+    shares = random.uniform(-1.0, 1.0, (count, _COUNTS_OF_SIGNS + 1))
+    return _poses(requirement, gap, shares[:, :_COUNTS_OF_SIGNS], shares[:, _COUNTS_OF_SIGNS])
+
+
+def _poses(requirement: Requirement, gap: float, shares: FloatArray, turns: FloatArray) -> RangePoses:
+    limits = requirement.range
+    runout, tilt = limits.runout.number, limits.tilt.number
+    native = np.column_stack([shares * [runout, runout, limits.gap.number, tilt, tilt], turns * requirement.rotation])
+    native[:, 2] += gap
+    return RangePoses(native)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A layout and what it achieves.
+
+    Attributes:
+        kind: Its discrete choices.
+        layout: The layout.
+        random: Variances of the freedoms by the noise at each pose, (n, 6) [m^2, rad^2].
+        systematic: Variances by the calibration, (n, 6).
+        fault: Largest minimal detectable bias of a reading [m]; infinite: a reading is unchecked.
+        readable: Whether all sensors give a pose everywhere, and the numbers of the light sources are unambiguous.
+
+    """
+
+    kind: LayoutKind
+    layout: PosorLayout
+    random: FloatArray
+    systematic: FloatArray
+    fault: float
+    readable: bool
+
+    @property
+    def sigmas(self) -> FloatArray:
+        """Largest standard uncertainty of each freedom, (6,)."""
+        return np.asarray(np.sqrt(np.max(self.random + self.systematic, axis=0)))
+
+    def largest_noise(self, sigmas: FloatArray) -> float:
+        """Return by which factor the noise may grow before an uncertainty exceeds ``sigmas`` (6,); zero: not at all.
+
+        Exact in first order: the weights of the readings do not change if all noises grow alike.
+        """
+        left = np.square(sigmas) - self.systematic
+        ratios = np.divide(left, self.random, out=np.full_like(left, np.inf), where=self.random > 0.0)
+        return float(np.sqrt(max(float(np.min(ratios)), 0.0)))
+
+
+def evaluate(requirement: Requirement, kind: LayoutKind, layout: PosorLayout, poses: RangePoses) -> Candidate:
+    """Return what a layout achieves at poses of its range.
+
+    Args:
+        requirement: For the scan rate and the velocity.
+        kind: Discrete choices of the layout.
+        layout: The layout.
+        poses: As ``extreme_poses``; the faults are evaluated at the last one.
+
+    """
+    calibration = layout.calibration(requirement)
+    posor = Posor(calibration)
+    rotations, translations, thetas = poses.rotations, poses.translations, poses.thetas
+    scans = scans_at(posor.stack, rotations, translations, np.arange(len(thetas), dtype=np.int64))
+    found = posor.estimate_each(scans, thetas)
+    readable = bool(np.all(found.states == State.OK)) and not any(sensor.slip_angle for sensor in calibration.sensors)
+    fault = np.inf
+    if readable:
+        pose = pin.SE3(rotations[-1], translations[-1])
+        fault = float(np.max(joint_reliability(posor, scan_at(posor, pose), pose).biases))
+    return Candidate(
+        kind,
+        layout,
+        _native_variances(rotations, found.covariances_random),
+        _native_variances(rotations, found.covariances_systematic),
+        fault,
+        readable,
+    )
+
+
+def with_noise(requirement: Requirement, candidate: Candidate, noise: float, poses: RangePoses) -> Candidate:
+    """Return the candidate evaluated with another noise of its electronics."""
+    return evaluate(requirement, candidate.kind, replace(candidate.layout, noise=noise), poses)
+
+
+def _native_variances(rotations: FloatArray, covariances: FloatArray) -> FloatArray:
+    """Return the variances of the native coordinates, (n, 6), from covariances in ROS order, (n, 6, 6)."""
+    variances = np.empty(covariances.shape[:2])
+    variances[:, :3] = np.diagonal(covariances[:, :3, :3], axis1=1, axis2=2)
+    for own, rotation, covariance in zip(variances, rotations, covariances, strict=True):
+        jacobian = native_jacobian(rotation)
+        own[3:] = np.diagonal(jacobian @ covariance[3:, 3:] @ jacobian.T)
+    return variances
