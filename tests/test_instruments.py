@@ -8,10 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+import yaml
 from posor_bringup.arms import find_arm, load_checked_arm
 from posor_drivers.instruments.instruments_command import main as instruments
 from posor_drivers.instruments.instruments_file import load_instruments
 from posor_drivers.simulator.arm_simulation import ArmSimulation
+from posor_estimator.calibration.calibration_file import load_calibration
+from posor_estimator.chain.arm_file import load_arm
+from posor_estimator.sensors.diodes import DiodesCalibration
+from posor_estimator.sensors.gap_probes import GapProbesCalibration
 from posor_validation.instruments.device_trials import TRIALS, DeviceTrial
 from posor_validation.instruments.trial_run import run_trial
 from posor_validation.instruments.trials_command import main as trials
@@ -80,3 +85,42 @@ def test_a_starting_file_of_an_unsuitable_device_is_refused(capsys: pytest.Captu
     said = capsys.readouterr().err
     assert "a capancdt_6200 has no channel for " in said
     assert said.endswith("; expected another --device or --probes.\n")
+
+
+def test_the_interpolation_error_goes_into_the_noise_of_the_calibrations(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arm = load_arm(find_arm("test_rig"))
+    assert instruments(["start", str(arm.path), "--device", "stream"]) == 0
+    content = yaml.safe_load(capsys.readouterr().out)
+    (joint,) = content["joints"].values()
+    content["devices"]["joint1"]["rate"]["value"] = 100
+    joint["gap_voltages"][1] |= {
+        "scale": {"value": -2.0, "unit": "V/V"},
+        "acceleration": {"value": 80.0, "unit": "V/s^2"},
+    }
+    joint["diode_currents"][3]["acceleration"] = {"value": 1e-3, "unit": "A/s^2"}
+    file = tmp_path / "rig.yaml"
+    file.write_text(yaml.safe_dump(content), encoding="utf-8")
+    assert instruments(["noise", str(file), str(arm.path), "--output", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "joint1 gap_1: noise 0.001 V at rest, 0.001 V in motion; no acceleration is stated" in said
+    assert (
+        "joint1 gap_2: noise 0.001 V at rest, 0.00153 V in motion; the interpolation error is at most 0.002 V" in said
+    )
+    paths = arm.calibrations["joint1"], tmp_path / "joint1.yaml"
+    (_, old_diodes), (gaps, new_diodes) = (load_calibration(path).sensors for path in paths)
+    assert isinstance(gaps, GapProbesCalibration)
+    assert isinstance(old_diodes, DiodesCalibration)
+    assert isinstance(new_diodes, DiodesCalibration)
+    assert gaps.probes[1].noise.number == pytest.approx(np.hypot(1e-3, 2e-3 / np.sqrt(3.0)))
+    old, new = old_diodes.diodes, new_diodes.diodes
+    bound = 2.0 * 1e-3 * 0.01**2 / 8.0 / old[0].minimum_sum.number
+    assert new[0].noise.array == pytest.approx(np.hypot(old[0].noise.array, bound / np.sqrt(3.0)))
+    assert new[1].noise.value == old[1].noise.value
+    assert instruments(["noise", str(file), str(arm.path), "--output", str(tmp_path)]) != 0
+    assert "joint1.yaml: exists already" in capsys.readouterr().err
+    joint["gap_voltages"][1]["acceleration"]["unit"] = "m/s^2"
+    file.write_text(yaml.safe_dump(content), encoding="utf-8")
+    assert instruments(["noise", str(file), str(arm.path)]) != 0
+    assert "acceleration in m/s^2; expected one number in V/s^2" in capsys.readouterr().err

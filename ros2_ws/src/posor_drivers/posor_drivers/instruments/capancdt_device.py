@@ -203,7 +203,8 @@ class CapaNcdtDevice(Device[CapaNcdtSettings]):
                 packets.append(packet)
             if packets:
                 counters = np.concatenate([packet.counters for packet in packets])
-                return Frames(counters, np.concatenate([packet.values for packet in packets]))
+                values = np.concatenate([packet.values for packet in packets])
+                return Frames(counters, values, arrived_ns=self._connection.received_ns)
         return None
 
     def _take_packet(self) -> Frames | None:

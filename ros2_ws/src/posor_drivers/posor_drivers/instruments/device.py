@@ -66,6 +66,8 @@ class Frames:
         times_ns: ROS time of each frame [ns], (n,), where the device or the way of asking it gives one; None: the
             reader finds it from counters and arrivals.
         time_uncertainty_s: Standard uncertainty of ``times_ns`` [s].
+        arrived_ns: ROS time at which the last frame was received [ns], before it was decoded; None: the reader takes
+            the time at the end of ``read``.
 
     """
 
@@ -73,6 +75,7 @@ class Frames:
     values: FloatArray
     times_ns: IntArray | None = None
     time_uncertainty_s: float = 0.0
+    arrived_ns: int | None = None
 
 
 class Device(ABC, Generic[SettingsT]):
@@ -112,6 +115,11 @@ class Device(ABC, Generic[SettingsT]):
     @abstractmethod
     def frame_rate(self) -> float:
         """Nominal number of frames per second [Hz]; known without a connection."""
+
+    @property
+    def longest_interval_s(self) -> float:
+        """Longest time between two frames that are interpolated [s]."""
+        return 1.0 / self.frame_rate
 
     @property
     @abstractmethod

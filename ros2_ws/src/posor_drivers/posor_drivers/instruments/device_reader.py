@@ -12,6 +12,7 @@ from posor_estimator.numerics.stamps import NS
 
 from posor_drivers.instruments.clock_mapping import ClockMapping
 from posor_drivers.instruments.device import DeviceError
+from posor_drivers.instruments.interpolation import frame_weights
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from posor_estimator.numerics.array_types import FloatArray
 
     from posor_drivers.instruments.device import Device, Frames
+    from posor_drivers.instruments.interpolation import FrameWeights
 
 CAPACITY = 1 << 13
 """Frames that are kept; at 4 kHz two seconds."""
@@ -30,8 +32,6 @@ PAUSE_S = 0.004
 STALL_S = 0.3
 """Time without a frame, and at least STALL_FRAMES nominal periods, after which a device has stalled."""
 STALL_FRAMES = 5
-MOST_PERIODS = 3
-"""Nominal periods between two frames of a polled device that are interpolated."""
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.1, 1.0
 """Pause before a connection is tried again: doubled with each failure."""
 RATE_FRAMES = 100
@@ -93,7 +93,9 @@ class DeviceReader:
             return DeviceState(self._fault, self._identity, values)
 
     def values_at(self, time_ns: int, whole: Sequence[int] = ()) -> FloatArray | None:
-        """Return the values of all channels at a ROS time [ns], (c,), interpolated between the two nearest frames.
+        """Return the values of all channels at a ROS time [ns], (c,), interpolated between the three nearest frames.
+
+        Their noise is that of one frame, see ``interpolation``.
 
         Args:
             time_ns: The time.
@@ -110,32 +112,38 @@ class DeviceReader:
         if self._failure is not None:
             raise self._failure
         with self._lock:
-            position = self._position(time_ns)
-            if position is None:
+            found = self._timed_place(time_ns) if self._timed else self._mapped_place(time_ns)
+            if found is None:
                 return None
-            number = math.floor(position)
-            row, following = self._row_of(number), self._row_of(number + 1)
-            if row is None or following is None:
+            number, weights = found
+            rows = self._rows_around(number)
+            if rows is None:
                 return None
-            share, before, after = position - number, self._values[row], self._values[following]
-            values: FloatArray = (1.0 - share) * before + share * after
-            for column in whole:
-                if before[column] != after[column]:
-                    return None
-                values[column] = before[column]
-            return values
+            frames = self._values[rows]
+        values: FloatArray = np.dot(weights, frames)
+        for column in whole:
+            if not frames[0, column] == frames[1, column] == frames[2, column]:
+                return None
+            values[column] = frames[1, column]
+        return values
 
-    def _position(self, time_ns: int) -> float | None:
-        """Return the number of the frame exposed at a ROS time, with the share of the period to the next frame."""
-        if self._last is None:
-            return None
-        if self._timed:
-            return self._timed_position(self._last, time_ns)
+    def _mapped_place(self, time_ns: int) -> tuple[int, FrameWeights] | None:
+        """Return the number of the frame nearest to a ROS time by the clock line, and the weights."""
         line = self._mapping.line
-        return None if line is None else line.first + (time_ns - line.start_ns) / line.period_ns
+        if self._last is None or line is None:
+            return None
+        position = line.first + (time_ns - line.start_ns) / line.period_ns
+        number = round(position)
+        return number, frame_weights(1.0, 1.0, position - number)
 
-    def _timed_position(self, last: int, time_ns: int) -> float | None:
-        """Return the position among frames that have a time of their own; None where its neighbours are far apart."""
+    def _timed_place(self, time_ns: int) -> tuple[int, FrameWeights] | None:
+        """Return the nearest frame among those that have a time of their own, and the weights.
+
+        None where a frame is missing, or where two are far apart.
+        """
+        last = self._last
+        if last is None:
+            return None
         period_ns = NS / self.device.frame_rate
         number = last - math.ceil((self._times_ns[last % CAPACITY] - time_ns) / period_ns)  # or later, if it is slower
         while (following := self._row_of(number + 1)) is not None and self._times_ns[following] <= time_ns:
@@ -143,8 +151,16 @@ class DeviceReader:
         row = self._row_of(number)
         if row is None or following is None or self._times_ns[row] > time_ns:
             return None
-        step_ns = self._times_ns[following] - self._times_ns[row]
-        return number + float((time_ns - self._times_ns[row]) / step_ns) if step_ns < MOST_PERIODS * period_ns else None
+        if self._times_ns[following] - time_ns < time_ns - self._times_ns[row]:
+            number += 1
+        rows = self._rows_around(number)
+        if rows is None:
+            return None
+        before_ns, nearest_ns, after_ns = self._times_ns[rows].tolist()
+        steps = nearest_ns - before_ns, after_ns - nearest_ns
+        if max(steps) > self.device.longest_interval_s * NS:
+            return None
+        return number, frame_weights(*steps, time_ns - nearest_ns)
 
     def _timed_rate(self) -> float:
         """Return the mean rate of the last frames that have a time of their own [Hz]; 0 where there is only one."""
@@ -162,6 +178,12 @@ class DeviceReader:
         """Return the row of a frame in the store, if it is there."""
         row = number % CAPACITY
         return row if self._numbers[row] == number else None
+
+    def _rows_around(self, number: int) -> list[int] | None:
+        """Return the rows of a frame and its two neighbours, if they are there."""
+        rows = [self._row_of(each) for each in (number - 1, number, number + 1)]
+        present = [row for row in rows if row is not None]
+        return present if len(present) == len(rows) else None
 
     def _forget_frames(self) -> None:
         self._mapping = ClockMapping(self.device.frame_rate)
@@ -197,15 +219,16 @@ class DeviceReader:
         stall_s = max(STALL_S, STALL_FRAMES / device.frame_rate)
         while not self._stopping.is_set():
             frames = device.read(READ_TIMEOUT_S)
-            arrived_ns, now_s = self._now_ns() - self._delay_ns, time.monotonic()
+            read_ns, now_s = self._now_ns(), time.monotonic()
             if frames is None or not len(frames.counters):
                 if now_s - last_s > stall_s:
                     expected = f"{device.frame_rate:g} frames per second"
                     raise DeviceError(f"no frame for {now_s - last_s:.2f} s", where=device.name, expected=expected)
                 continue
             last_s = now_s
+            arrived_ns = read_ns if frames.arrived_ns is None else frames.arrived_ns
             with self._lock:
-                self._store(frames, arrived_ns)
+                self._store(frames, arrived_ns - self._delay_ns)
             if frames.times_ns is None:
                 time.sleep(PAUSE_S)
 

@@ -8,13 +8,16 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from posor_estimator.chain.arm_file import load_arm
-from posor_estimator.errors import PosorError
+from posor_estimator.calibration.calibration_file import load_calibration
+from posor_estimator.calibration.save import save_calibration
+from posor_estimator.chain.arm_file import Arm, load_arm
+from posor_estimator.errors import ParameterError, PosorError
 from posor_estimator.reporting.command_line_parser import CommandLineParser
 
 from posor_drivers.instruments.device import DeviceError
 from posor_drivers.instruments.device_reader import DeviceReader
 from posor_drivers.instruments.instruments_file import InstrumentsFile, device_classes, load_instruments
+from posor_drivers.instruments.reading_noise import calibration_in_motion, noise_in_motion
 from posor_drivers.instruments.starting_file import format_starting_file
 
 if TYPE_CHECKING:
@@ -42,6 +45,11 @@ def _parse_options(arguments: Sequence[str] | None) -> Namespace:
     start.add_argument("file", type=Path, metavar="ARM", help="arm file (YAML)")
     start.add_argument("--device", default="stream", metavar="KIND", help="kind of the devices (default: stream)")
     start.add_argument("--probes", metavar="KIND", help="kind of the devices of the gap probes (default: as --device)")
+    summary = "noise of the readings while the arm moves: that of the calibrations and the interpolation error"
+    noise = actions.add_parser("noise", help=summary, description=summary)
+    noise.add_argument("file", type=Path, metavar="FILE", help="instruments file (YAML)")
+    noise.add_argument("arm", type=Path, metavar="ARM", help="arm file (YAML)")
+    noise.add_argument("--output", type=Path, metavar="FOLDER", help="write calibrations that state this noise")
     return parser.parse_args(arguments)
 
 
@@ -57,6 +65,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         file = load_instruments(options.file)
         if options.action == "list":
             _list(file)
+            return 0
+        if options.action == "noise":
+            _state_noise(file, load_arm(options.arm), options.output)
             return 0
         with ExitStack() as stack:
             readers = [DeviceReader(device) for device in file.new_devices().values()]
@@ -85,6 +96,24 @@ def _list(file: InstrumentsFile) -> None:
         for channel in device.channels:
             use = ", ".join(uses.get(f"{name}/{channel.name}", ["not used"]))
             print(f"  {channel.name} [{channel.unit}]: {use}")
+
+
+def _state_noise(file: InstrumentsFile, arm: Arm, output: Path | None) -> None:
+    """Print the noise of the readings in motion, and write the calibrations that state it.
+
+    Raises:
+        PosorError: A calibration is invalid, or the folder does not exist or has such a calibration.
+
+    """
+    for joint in file.joints:
+        if joint not in arm.calibrations:
+            raise ParameterError(f"joint '{joint}'", where=str(arm.path), expected=", ".join(arm.calibrations))
+        path = arm.calibrations[joint]
+        noises = noise_in_motion(file, joint, load_calibration(path))
+        for each in noises:
+            print(f"{joint} {each}")
+        if output is not None:
+            save_calibration(output / f"{joint}.yaml", calibration_in_motion(path, noises))
 
 
 def _probe(readers: Sequence[DeviceReader]) -> None:

@@ -19,7 +19,8 @@
 
 A reading is ``scale`` times the channel plus ``offset``. Without ``scale`` the channel has the unit of the reading.
 ``lit_sources`` and ``home_mark`` are whole numbers: channels of unit ``1`` as they are; a lit source can be a fixed
-number.
+number. ``acceleration``, in the unit of the channel per s^2, is the largest one that the reading is
+interpolated with, see ``reading_noise``.
 """
 
 from __future__ import annotations
@@ -60,6 +61,7 @@ class ReadingEntry(FrozenModel):
     channel: Annotated[str, Field(pattern=r"^[^/]+/[^/]+$")]
     scale: Quantity | None = None
     offset: Quantity | None = None
+    acceleration: Annotated[Quantity, NOT_NEGATIVE] | None = None
 
     @property
     def factor(self) -> float:
@@ -167,6 +169,9 @@ def _check_units(unit: str, entry: ReadingEntry, units: dict[str, str], key: tup
     elif entry.scale.unit != f"{unit}/{per_channel}" or entry.scale.array.shape:
         what = f"scale in {entry.scale.unit}"
         raise EntryError(what, key=(*key, "scale", "unit"), expected=f"one number in {unit}/{per_channel}")
+    if entry.acceleration is not None and entry.acceleration.unit != f"{per_channel}/s^2":
+        what = f"acceleration in {entry.acceleration.unit}"
+        raise EntryError(what, key=(*key, "acceleration", "unit"), expected=f"one number in {per_channel}/s^2")
     if entry.offset is not None and (entry.offset.unit != unit or entry.offset.array.shape):
         what = f"offset in {entry.offset.unit}"
         raise EntryError(what, key=(*key, "offset", "unit"), expected=f"one number in {unit}")

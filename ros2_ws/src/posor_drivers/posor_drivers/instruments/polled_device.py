@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 LEAST_ANSWER_TIME_S = 0.25
 """With the period of a device that is asked five times per second, a stall is known within half a second."""
 
+MOST_PERIODS = 3
+"""Periods between two frames that are interpolated: a device may answer late."""
+
 
 class PolledSettings(DeviceSettings):
     """Keys of every polled device."""
@@ -53,6 +56,11 @@ class PolledDevice(Device[SettingsT]):
     def frame_rate(self) -> float:
         """The stated rate [Hz]."""
         return self.settings.rate.number
+
+    @property
+    def longest_interval_s(self) -> float:
+        """Several periods, because a device may answer late [s]."""
+        return MOST_PERIODS / self.frame_rate
 
     @abstractmethod
     def ask(self) -> Sequence[float]:

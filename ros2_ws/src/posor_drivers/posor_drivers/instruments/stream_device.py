@@ -20,6 +20,7 @@ from __future__ import annotations
 import select
 import socket
 import struct
+import time
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
@@ -149,13 +150,15 @@ class StreamDevice(Device[StreamSettings]):
         connection = self._connection
         if isinstance(connection, TcpConnection):
             data = self._rest + connection.receive(timeout_s)
+            arrived_ns = connection.received_ns
         elif connection is not None and select.select([connection], [], [], timeout_s)[0]:
             data = self._receive_datagrams(connection)
+            arrived_ns = time.time_ns()
         else:
             return None
         whole = len(data) - len(data) % self._frame.size
         self._rest = data[whole:]
-        return self._frames(data[:whole]) if whole else None
+        return self._frames(data[:whole], arrived_ns) if whole else None
 
     def _receive_datagrams(self, port: socket.socket) -> bytes:
         """Return the content of all datagrams that have come, of which there is at least one."""
@@ -168,7 +171,7 @@ class StreamDevice(Device[StreamSettings]):
             data += datagram
         return data
 
-    def _frames(self, data: bytes) -> Frames:
+    def _frames(self, data: bytes, arrived_ns: int) -> Frames:
         rows = list(self._frame.iter_unpack(data))
         for row in rows:
             for column, name, value in self._constants:
@@ -176,7 +179,8 @@ class StreamDevice(Device[StreamSettings]):
                     what = f"'{name}' is {row[column]} in a frame"
                     raise DeviceError(what, where=self.name, expected=f"{value}; the frames may be of another layout")
         values = np.array([[row[column] for column in self._columns] for row in rows], dtype=np.float64) * self._scales
-        return Frames(np.array([self._unwrapped(row[self._counter]) for row in rows], dtype=np.int64), values)
+        counters = np.array([self._unwrapped(row[self._counter]) for row in rows], dtype=np.int64)
+        return Frames(counters, values, arrived_ns=arrived_ns)
 
     def _unwrapped(self, counter: int) -> int:
         """Return a counter that goes on where that of the device begins again at zero."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import select
 import socket
+import time
 
 from posor_drivers.instruments.device import DeviceError
 
@@ -11,7 +12,12 @@ _BUFFER_BYTES = 65536
 
 
 class TcpConnection:
-    """TCP connection to a device; its errors name the device and the address."""
+    """TCP connection to a device; its errors name the device and the address.
+
+    Attributes:
+        received_ns: Time at which the last bytes were received [ns].
+
+    """
 
     def __init__(self, device: str, host: str, port: int, timeout_s: float) -> None:
         """Connect.
@@ -26,7 +32,7 @@ class TcpConnection:
             DeviceError: The device cannot be reached within the time.
 
         """
-        self._device = device
+        self._device, self.received_ns = device, 0
         self._address = f"{host}:{port}"
         try:
             self._socket = socket.create_connection((host, port), timeout_s)
@@ -66,6 +72,7 @@ class TcpConnection:
             if not select.select([self._socket], [], [], timeout_s)[0]:
                 return b""
             data = self._socket.recv(_BUFFER_BYTES)
+            self.received_ns = time.time_ns()
         except OSError as error:
             raise self._lost(error) from None
         if not data:

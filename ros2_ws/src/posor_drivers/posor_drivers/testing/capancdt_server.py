@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
+from posor_drivers.ros_clock import disable_timer_slack
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from types import TracebackType
@@ -169,6 +171,7 @@ class CapaNcdtServer:
 
     def _stream(self, client: socket.socket) -> None:
         """Send packets until the end, the client's end, or ``drop_client``; nothing in a trigger mode."""
+        disable_timer_slack()
         self._dropped.clear()
         self._period_ns = self.sample_time_us * 1e3 * (1.0 + self._drift)
         self._start_ns, offset, number, sent_s = time.time_ns(), self.first, 0, 0.0
@@ -177,6 +180,7 @@ class CapaNcdtServer:
         while not self._dropped.is_set():
             delay_s = self._random.exponential(self._delay_s) if self._delay_s and not frames else 0.0
             sent_s = max(sent_s, self.exposed_ns(number) * 1e-9 + delay_s)
+            frame = self._frame(number)  # before its time, so that sending is the least delay
             if self._stopping.wait(max(0.0, sent_s - time.time())):
                 return
             number += 1
@@ -184,7 +188,7 @@ class CapaNcdtServer:
                 self.skip = max(0, self.skip - 1)
                 frames.clear()
                 continue
-            frames.append(self._frame(number - 1))
+            frames.append(frame)
             if len(frames) < self.packet_frames:
                 continue
             if self._restarted:

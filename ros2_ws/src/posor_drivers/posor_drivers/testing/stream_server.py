@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
+from posor_drivers.ros_clock import disable_timer_slack
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from types import TracebackType
@@ -83,6 +85,7 @@ class StreamServer:
         self._dropped.set()
 
     def _serve(self) -> None:
+        disable_timer_slack()
         while not self._stopping.is_set():
             if self._udp_port:
                 self._socket.connect(("127.0.0.1", self._udp_port))
@@ -105,14 +108,14 @@ class StreamServer:
             exposed_ns = start_ns + round(number * self._period_ns)
             due_s = exposed_ns * 1e-9 + (self._random.exponential(self._jitter_s) if self._jitter_s else 0.0)
             sent_s = max(sent_s, due_s)
+            values = self._values(exposed_ns)  # before its time, so that sending is the least delay
+            frame = struct.Struct(f"{LEAD}{len(values)}d")
             if (wait_s := sent_s - time.time()) > 0.0:
                 time.sleep(wait_s)
             number += 1
             if self.skip or self.stalled.is_set():
                 self.skip = max(0, self.skip - 1)
                 continue
-            values = self._values(exposed_ns)
-            frame = struct.Struct(f"{LEAD}{len(values)}d")
             held += frame.pack(self.magic, (self.first + number - 1) % (1 << 32), *values)
             if len(held) < self.merged * frame.size:
                 continue

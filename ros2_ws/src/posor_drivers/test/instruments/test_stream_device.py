@@ -128,7 +128,7 @@ def test_merged_and_lost_frames_are_counted_and_never_bridged(server: StreamServ
     now_ns = time.time_ns()
     wait_for(lambda: reader.values_at(now_ns + 50_000_000) is not None, "frames after the lost ones")
     missing = [reader.values_at(now_ns + n * 1_000_000) is None for n in range(-200, 51)]
-    assert sum(missing) in {40, 41, 42}
+    assert sum(missing) in {41, 42, 43}  # a millisecond more at each end, where the nearest frame has one neighbour
 
 
 FAULTS: dict[str, tuple[Callable[[StreamServer], None], Callable[[StreamServer], None], str]] = {

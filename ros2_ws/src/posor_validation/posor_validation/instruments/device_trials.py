@@ -10,6 +10,8 @@ from posor_drivers.testing.labjack_server import LabJackServer
 from posor_drivers.testing.scpi_server import FIRST_CHANNEL, ScpiServer
 from posor_drivers.testing.stream_server import LEAD, MAGIC, StreamServer
 
+from posor_validation.instruments.least_delay import measure_least_delay
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from contextlib import ExitStack
@@ -23,6 +25,7 @@ RANGE_M = 5e-4
 SCALE_V_PER_M, OFFSET_V = 4e4, -10.0
 """From distance to the voltage of the simulated probe."""
 CAPANCDT_SAMPLE_US = 256
+STREAM_RATE = 1000.0
 FEEDBACK_OHM = 1e5
 """Of the amplifiers that make voltages of the diode currents."""
 
@@ -69,7 +72,9 @@ def quantity(value: float, unit: str) -> dict[str, Any]:
     return {"value": value, "unit": unit}
 
 
-def _stream(readings: SimulatedReadings, joint: str, server: StreamServer, rate: float) -> dict[str, Any]:
+def _stream(
+    readings: SimulatedReadings, joint: str, server: StreamServer, rate: float, delay_s: float
+) -> dict[str, Any]:
     names = [channel.name for channel in readings.channels[joint]]
     return {
         "kind": "stream",
@@ -77,6 +82,7 @@ def _stream(readings: SimulatedReadings, joint: str, server: StreamServer, rate:
         "host": HOST,
         "port": server.port,
         "rate": quantity(rate, "Hz"),
+        "delay": quantity(delay_s, "s"),
         "format": f"{LEAD}{len(names)}d",
         "fields": ["magic", "counter", *names],
         "constants": {"magic": MAGIC},
@@ -93,11 +99,12 @@ def serve_streams(rates: Mapping[str, float]) -> Callable[[SimulatedReadings, Ex
 
     def serve(readings: SimulatedReadings, stack: ExitStack) -> Devices:
         devices, joints, servers = {}, {}, []
+        delay_s = measure_least_delay(STREAM_RATE)
         for n, joint in enumerate(readings.channels):
             rate = rates[joint]
             server = StreamServer(lambda t, joint=joint: readings.at(joint, t), rate, drift=20e-6 * n)  # type: ignore[misc]
             servers.append(stack.enter_context(server))
-            devices[f"box_{joint}"] = _stream(readings, joint, server, rate)
+            devices[f"box_{joint}"] = _stream(readings, joint, server, rate, delay_s)
             joints[joint] = readings.joint_entry(joint, _direct(readings, joint, f"box_{joint}"))
         return Devices(devices, joints, servers[0].stalled)
 
@@ -106,6 +113,7 @@ def serve_streams(rates: Mapping[str, float]) -> Callable[[SimulatedReadings, Ex
 
 def serve_capancdt(readings: SimulatedReadings, stack: ExitStack) -> Devices:
     """Serve the gap probes as distances of a capaNCDT at its greatest rate, everything else as a stream."""
+    delay_s = measure_least_delay(STREAM_RATE)
     (joint,) = readings.channels
     channels = readings.channels[joint]
     gaps = [n for n, channel in enumerate(channels) if channel.kind == "gap_voltages"]
@@ -118,7 +126,7 @@ def serve_capancdt(readings: SimulatedReadings, stack: ExitStack) -> Devices:
     probes = CapaNcdtServer(distances, ranges, drift=50e-6)
     probes.packet_frames = 8
     stack.enter_context(probes)
-    others = stack.enter_context(StreamServer(lambda t: readings.at(joint, t), 1000.0))
+    others = stack.enter_context(StreamServer(lambda t: readings.at(joint, t), STREAM_RATE))
     scale = {"scale": quantity(SCALE_V_PER_M, "V/m"), "offset": quantity(OFFSET_V, "V")}
     entries = _direct(readings, joint, "box")
     entries |= {channels[n].name: {"channel": f"probes/{channels[n].name}", **scale} for n in gaps}
@@ -128,11 +136,12 @@ def serve_capancdt(readings: SimulatedReadings, stack: ExitStack) -> Devices:
         "command_port": probes.command_port,
         "data_port": probes.data_port,
         "rate": quantity(1e6 / CAPANCDT_SAMPLE_US, "Hz"),
+        "delay": quantity(delay_s, "s"),
         "channels": {
             channels[n].name: {"number": k, "range": quantity(RANGE_M, "m")} for k, n in enumerate(gaps, start=1)
         },
     }
-    devices = {"probes": controller, "box": _stream(readings, joint, others, 1000.0)}
+    devices = {"probes": controller, "box": _stream(readings, joint, others, STREAM_RATE, delay_s)}
     return Devices(devices, {joint: readings.joint_entry(joint, entries)}, probes.stalled)
 
 
@@ -207,10 +216,10 @@ def _scanner(port: int, names: list[str]) -> dict[str, Any]:
 FIVE_AXIS_RATES = {"base_swivel": 997.0, "shoulder": 1003.0, "elbow": 997.0, "wrist_roll": 1003.0, "wrist_yaw": 997.0}
 LABJACK, SCANNER = serve_voltages(LabJackServer, _labjack), serve_voltages(ScpiServer, _scanner)
 TRIALS = (
-    DeviceTrial("stream, 1 kHz", "test_rig", 250, 0.1, 10.0, serve_streams({"joint1": 1000.0})),
+    DeviceTrial("stream, 1 kHz", "test_rig", 250, 0.1, 10.0, serve_streams({"joint1": STREAM_RATE})),
     DeviceTrial("capaNCDT 3.9 kHz, 1 kHz scans", "test_rig", 1000, 0.1, 10.0, serve_capancdt, keeps_pace=False),
     DeviceTrial("LabJack, 1 kHz", "test_rig", 500, 0.1, 10.0, LABJACK, keeps_pace=False),
-    DeviceTrial("SCPI scanner, 5 Hz", "test_rig", 5, 0.5, 20.0, SCANNER, slowness=200.0),
+    DeviceTrial("SCPI scanner, 5 Hz", "test_rig", 5, 0.7, 150.0, SCANNER, slowness=200.0),
     DeviceTrial(
         "five streams, 997 and 1003 Hz",
         "five_axis",

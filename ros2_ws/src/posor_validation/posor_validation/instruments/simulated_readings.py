@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 SIMULATED_RATE = 1000
 """Of the tables [Hz]; between their rows readings and truth are interpolated."""
-SEED, REST_NS = 1985, 12 * NS
+SEED, REST_NS = 1985, 16 * NS
+VELOCITY_STEP_NS = 1_000_000
 SMOOTH = Imperfections.only("sag", "inertia")
 
 
@@ -77,6 +78,11 @@ class SimulatedReadings:
         return np.array(
             [(1.0 - share) * self._points[row] + share * self._points[following] for row, following, share in rows]
         )
+
+    def true_velocities(self, stamps_ns: Sequence[int]) -> FloatArray:
+        """Return the velocity of the endpoint at ROS times [ns], (n, 3) [m/s]."""
+        ahead_ns = [stamp + VELOCITY_STEP_NS for stamp in stamps_ns]
+        return (self.true_points(ahead_ns) - self.true_points(stamps_ns)) * (NS / VELOCITY_STEP_NS)
 
     def _rows(self, time_ns: int) -> tuple[int, int, float]:
         """Return the rows before and after a time, and the share of the one after."""

@@ -52,6 +52,7 @@ class TrialFigures:
     inside_region: float  # share of the poses whose true position is inside their 95 % region
     rms_um: float  # position error, of all three axes together
     stated_um: float  # root of the mean trace of the stated covariance of the position
+    stamps_late_us: float  # time by which the motion explains the errors best; it holds the least delay of the device
     latency_ms: float  # median time from stamp to reception
     named_after_s: float  # from the stall of a device to the first diagnostics that name it
     poses_in_stall: int  # received later than named_after_s, while the device sent nothing
@@ -143,6 +144,7 @@ def _figures(
     stamps = [stamp_ns(pose) for pose in poses]
     points = [pose.pose.pose.position for pose in poses]
     errors = np.array([(point.x, point.y, point.z) for point in points]) - readings.true_points(stamps)
+    velocities = readings.true_velocities(stamps)
     covariances = np.array([np.reshape(pose.pose.covariance, (6, 6))[:3, :3] for pose in poses])
     distances = np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[:, :, None])[:, :, 0])
     return TrialFigures(
@@ -156,6 +158,7 @@ def _figures(
         inside_region=float(np.mean(distances < chi2.ppf(REGION, 3))),
         rms_um=float(1e6 * np.sqrt(np.mean(np.sum(errors**2, axis=1)))),
         stated_um=float(1e6 * np.sqrt(np.mean(np.trace(covariances, axis1=1, axis2=2)))),
+        stamps_late_us=float(-1e6 * np.sum(errors * velocities) / np.sum(velocities**2)),
         latency_ms=float(np.median(np.array(received_ns) - np.array(stamps)) * 1e3 / NS),
         named_after_s=named_s,
         poses_in_stall=in_stall,
@@ -164,7 +167,12 @@ def _figures(
 
 
 def write_arm(arm: Arm, trial: DeviceTrial, devices: Devices, folder: Path) -> Path:
-    """Write a copy of an arm whose drivers read an instruments file; return the arm file."""
+    """Write a copy of an arm whose drivers read an instruments file; return the arm file.
+
+    Only noise is simulated behind the servers: one arm has one set of calibration errors, so the share of its poses
+    inside a region says nothing about them (``posor_validation arm`` draws many arms). The copy publishes the random
+    part of the covariance alone, and its beams are exact.
+    """
     instruments = {
         "format": "posor_instruments",
         "version": 1,
@@ -179,7 +187,21 @@ def write_arm(arm: Arm, trial: DeviceTrial, devices: Devices, folder: Path) -> P
     (copy / "instruments.yaml").write_text(yaml.safe_dump(instruments), encoding="utf-8")
     content = yaml.safe_load((copy / ARM_FILE).read_text(encoding="utf-8"))
     del content["scenario"]
+    for joint in content["joints"].values():
+        joint["parameters"] = {"covariance": "random"}
+    _write_exact_beams(copy / content["beams"])
     parameters = {"instruments.file": "{folder}/instruments.yaml", "instruments.joint": "{joint}"}
     content["driver"] = {"source": "instruments", "parameters": parameters}
     (copy / ARM_FILE).write_text(yaml.safe_dump(content), encoding="utf-8")
     return copy / ARM_FILE
+
+
+def _write_exact_beams(path: Path) -> None:
+    """Set the uncertainties of a beams file to zero."""
+    content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    for beam in content["beams"]:
+        for quantity in beam.get("uncertainty", {}).values():
+            quantity["value"] = [0.0] * len(quantity["value"])
+        if "sag" in beam:
+            beam["sag"]["uncertainty"]["value"] = 0.0
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
