@@ -39,9 +39,14 @@ class Tube:
         return self.modulus * self.second_moment
 
     @property
+    def area(self) -> float:
+        """Area of the section [m^2]."""
+        return math.pi / 4.0 * (self.outer_diameter**2 - self.inner_diameter**2)
+
+    @property
     def mass_per_length(self) -> float:
         """[kg/m]."""
-        return self.density * math.pi / 4.0 * (self.outer_diameter**2 - self.inner_diameter**2)
+        return self.density * self.area
 
 
 @dataclass(frozen=True)
