@@ -1,4 +1,7 @@
-"""Accuracy of the estimator on simulated scans: ``./run posor_validation accuracy`` prints tables and writes JSON."""
+"""Accuracy of the estimator on simulated scans: ``./run posor_validation accuracy`` prints tables and writes JSON.
+
+With ``--design FOLDER`` it simulates a POSOR of ``posor design posor`` instead, and compares it with its requirement.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +18,11 @@ from rich.table import Table
 
 from posor_validation.accuracy.closure import closure
 from posor_validation.accuracy.consistency import monte_carlo, nees
+from posor_validation.accuracy.design_confirmation import confirm_design, design_rows, design_verdict
 from posor_validation.accuracy.fault_detection import FAULTS, detectable_shifts, detection, ring_observability
 from posor_validation.output_files import check_writable, write_json
 
-FULL = {"poses": 100_000, "runs": 10_000, "draws": 10_000, "faults": 1_000}
+FULL = {"poses": 100_000, "runs": 10_000, "draws": 10_000, "faults": 1_000, "designs": 2_000}
 SEED = 1985
 LARGEST_SHIFT_M = 1e-3
 
@@ -108,16 +112,31 @@ def print_report(report: Report, console: Console) -> None:
     _print_table(console, title, ("ring probes", "worst phase / best phase"), rows)
 
 
+def _confirm_design(folder: Path, scale: float, output: Path) -> int:
+    """Print and write how a designed POSOR meets its requirement; exit code 0: the simulation confirms it."""
+    draws = max(int(FULL["designs"] * scale), 20)
+    confirmation = confirm_design(folder, draws, SEED)
+    columns = ("freedom", "required", "error rms", "stated rms", "error / required")
+    title = f"Simulated errors of {draws} POSORs drawn from {folder}, one pose each (standard uncertainties, SI units)"
+    _print_table(Console(width=118), title, columns, design_rows(confirmation))
+    print(design_verdict(confirmation))
+    write_json(output, {"design": asdict(confirmation)})
+    return 0 if confirmation.confirmed else 1
+
+
 def main(arguments: list[str] | None = None) -> int:
-    """Run the program; the exit code is 0 if the report could be made."""
+    """Run the program; the exit code is 0 if the report could be made, or the requirement of a design is confirmed."""
     parser = argparse.ArgumentParser(prog="accuracy", description=str(__doc__).splitlines()[0])
     parser.add_argument("--output", type=Path, default=Path("build/accuracy.json"), help="JSON file to write")
     parser.add_argument("--scale", type=float, default=1.0, help="share of the full size, for a quick look")
+    parser.add_argument("--design", type=Path, metavar="FOLDER", help="output of posor design posor to simulate")
     options = parser.parse_args(arguments)
     try:
         if not 0.0 < options.scale <= 1.0:
             raise ParameterError(f"--scale {options.scale}", expected="more than 0, at most 1")
         check_writable(options.output)
+        if options.design is not None:
+            return _confirm_design(options.design, options.scale, options.output)
         with Progress(console=Console(stderr=True)) as progress:
             report = accuracy_report(options.scale, progress)
     except PosorError as error:

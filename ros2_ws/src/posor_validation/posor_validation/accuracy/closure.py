@@ -1,7 +1,7 @@
 """Noise-free closure: scans of known poses through the estimator and through the closed form of the thesis.
 
 The closed form holds for small angles without tilts, slanting rays and bump profile. Of more than three gap probes it
-takes the plane of least squares. Source: thesis 5.3.1, equations 5.3, 5.25 and 5.32.
+takes the plane of least squares. Source: thesis, equations 5.3 to 5.5 and 5.32.
 """
 
 from __future__ import annotations

@@ -14,16 +14,18 @@ from posor_estimator.testing.random_poses import errors_in_parent, readable_pose
 from scipy.stats import chi2
 
 if TYPE_CHECKING:
+    from posor_estimator.model.scan import Scans
     from posor_estimator.numerics.array_types import FloatArray
 
 FREEDOMS = 6
+BAND = 0.95
 FALSE_ALARM = 1e-12
 """Probability so small that no scan is excluded because of its residual."""
 
 
 @dataclass(frozen=True)
 class Nees:
-    """Mean normalised estimation error squared, divided by the number of freedoms, and its 95 % band."""
+    """Mean normalised estimation error squared, divided by the number of freedoms, and its band, of 95 % by default."""
 
     mean: float
     low: float
@@ -39,7 +41,7 @@ class MonteCarlo:
 
 
 def nees(stack: DesignName, runs: int, seed: int) -> Nees:
-    """Return the normalised errors of noisy scans at random poses."""
+    """Return the normalised errors of noisy scans at random poses of a design."""
     random = np.random.default_rng(seed)
     posor = Posor(design(stack), false_alarm=FALSE_ALARM)
     rotations, translations = readable_poses(posor, stack, runs, random)
@@ -47,10 +49,44 @@ def nees(stack: DesignName, runs: int, seed: int) -> Nees:
     found = posor.estimate_each(scans, thetas_of(rotations))
     known = np.isfinite(found.thetas)  # noise can push a reading at the rim out of its calibrated range
     errors = errors_in_parent(found.rotations[known], found.translations[known], rotations[known], translations[known])
-    whitened = np.linalg.solve(found.covariances_random[known], errors[:, :, None])[:, :, 0]
+    return normalised(errors, found.covariances_random[known])
+
+
+def normalised(errors: FloatArray, covariances: FloatArray, band: float = BAND) -> Nees:
+    """Return the mean normalised error squared of errors (n, 6) with stated covariances (n, 6, 6)."""
+    whitened = np.linalg.solve(covariances, errors[:, :, None])[:, :, 0]
     count = FREEDOMS * len(errors)
-    low, high = (float(chi2.ppf(p, count)) / count for p in (0.025, 0.975))
+    low, high = (float(chi2.ppf(p, count)) / count for p in (0.5 - 0.5 * band, 0.5 + 0.5 * band))
     return Nees(float(np.sum(errors * whitened)) / count, low, high)
+
+
+class DrawnPosors:
+    """POSORs that differ from one calibration as much as it says is uncertain.
+
+    The estimator knows the calibration only, and neither the supply nor the temperature, which deviate from their
+    references in the middle of the range.
+    """
+
+    def __init__(self, posor: Posor, random: np.random.Generator) -> None:
+        """Prepare the draws."""
+        self._stack, self._random = posor.stack, random
+        environment = posor.calibration.environment or Environment()
+        parts = [environment.supply, environment.temperature]
+        self._middles = np.array([0.0 if part is None else np.mean(part.range.array) for part in parts])
+        self._spreads = np.array([0.0 if part is None else part.spread.number for part in parts])
+
+    def scan(self, rotation: FloatArray, translation: FloatArray, noise: np.random.Generator | None = None) -> Scans:
+        """Return one scan of a new POSOR at a pose, (1, 3, 3), (1, 3); ``noise``: None, no noise."""
+        stack, random = self._stack, self._random
+        real = stack.with_parameter_values(
+            stack.parameter_values + stack.parameter_sigmas * random.normal(size=stack.parameter_sigmas.size)
+        )
+        supply, temperature = (self._middles + self._spreads * random.normal(size=2))[:, None]
+        stamps, unknown = np.zeros(1, dtype=np.int64), np.full(1, np.nan)
+        scans = scans_at(
+            real, rotation, translation, stamps, supply_voltages=supply, temperatures=temperature, noise=noise
+        )
+        return scans.with_fields({"supply_voltages": unknown, "temperatures": unknown})
 
 
 def _worst_ratio(errors: FloatArray, stated_variances: FloatArray) -> float:
@@ -71,19 +107,9 @@ def monte_carlo(stack: DesignName, draws: int, seed: int) -> MonteCarlo:
     errors = errors_in_parent(found.rotations, found.translations, rotations, translations)
     random_ratio = _worst_ratio(errors, np.mean(np.diagonal(found.covariances_random, axis1=1, axis2=2), axis=0))
 
-    values, sigmas = posor.stack.parameter_values, posor.stack.parameter_sigmas
-    environment = posor.calibration.environment or Environment()
-    parts = [environment.supply, environment.temperature]
-    middles = np.array([0.0 if part is None else np.mean(part.range.array) for part in parts])
-    spreads = np.array([0.0 if part is None else part.spread.number for part in parts])
-    variances, unknown = np.zeros(FREEDOMS), np.full(1, np.nan)
+    posors, variances = DrawnPosors(posor, random), np.zeros(FREEDOMS)
     for n in range(draws):
-        # The real POSOR differs from its calibration; the estimator knows the calibration only, and neither the
-        # supply nor the temperature, which deviate from their references in the middle of the range.
-        real = posor.stack.with_parameter_values(values + sigmas * random.normal(size=sigmas.size))
-        supply, temperature = (middles + spreads * random.normal(size=2))[:, None]
-        scans = scans_at(real, rotation, translation, stamps[:1], supply_voltages=supply, temperatures=temperature)
-        scans = scans.with_fields({"supply_voltages": unknown, "temperatures": unknown})
+        scans = posors.scan(rotation, translation)
         found = posor.estimate_each(scans, thetas[:1])
         errors[n] = errors_in_parent(found.rotations, found.translations, rotation, translation)[0]
         variances += np.diagonal(found.covariances_systematic[0]) / draws
