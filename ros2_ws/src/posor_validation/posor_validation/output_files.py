@@ -16,9 +16,11 @@ def check_writable(path: Path) -> Path:
     """Create the folder of an output file; return the path.
 
     Raises:
-        ParameterError: The folder or the file cannot be written.
+        ParameterError: The folder or the file cannot be written, or the path is that of a folder.
 
     """
+    if path.is_dir():
+        raise ParameterError("cannot be written: is a folder", where=f"--output {path}", expected="a file")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()

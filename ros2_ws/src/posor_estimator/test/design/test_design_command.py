@@ -15,7 +15,7 @@ import posor_estimator.design
 import pytest
 from posor_estimator.design.calculator_signature import CalculatorSignature, read_signature
 from posor_estimator.design.calculators import CALCULATORS, load_calculator
-from posor_estimator.design.design_command import build_parser, list_calculators, main
+from posor_estimator.design.design_command import PROGRAMS, build_parser, list_calculators, main
 from posor_estimator.design.unit_expression import parse_unit
 from posor_estimator.design.value_kinds import format_value, unit_of
 
@@ -40,10 +40,10 @@ def example_of(name: str) -> list[str]:
 def test_the_list_has_every_calculator(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 0
     lines = capsys.readouterr().out.splitlines()
-    for name in NAMES:
-        assert [line.split(maxsplit=1)[1] for line in lines if line.startswith(f"  {name} ")] == [
-            signature_of(name).summary
-        ]
+    summaries = {name: signature_of(name).summary for name in NAMES}
+    summaries |= {name: program.summary for name, program in PROGRAMS.items()}
+    for name, summary in summaries.items():
+        assert [line.split(maxsplit=1)[1] for line in lines if line.startswith(f"  {name} ")] == [summary]
     assert main(["--help"]) == 0
     assert capsys.readouterr().out == list_calculators()
 
@@ -176,3 +176,9 @@ def test_the_page_shows_the_effect_of_each_argument(tmp_path: Path) -> None:
     assert rows == [("length", "+1.00%"), ("expansion", "+1.00%"), ("temperature_change", "+1.00%")]
     assert main(["abbe-error", "--offset", "2 in", "--angle", ".199 rad", "--html", str(page)]) == 0
     assert "refused: angle: 0.20099 rad" in page.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_programs_get_their_arguments_and_return_their_exit_code(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([name, "--surprise"]) == 2
+    assert capsys.readouterr().err.startswith(f"design {name}: ")

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from posor_validation.thesis_table.thesis_row import ThesisRow
 
-SUBJECTS = {"motion_test_rows": "Motion tests"}
+SUBJECTS = {"motion_test_rows": "Motion tests", "arm_rows": "Arms", "budget_rows": "Error budgets"}
 """Subject of each module of rows; a module has the functions ``rows`` and ``plots``."""
 _DIGITS = re.compile(r"(\d+)")
 

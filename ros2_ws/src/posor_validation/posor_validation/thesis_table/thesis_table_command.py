@@ -46,6 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         output = check_writable(parser.parse_args(arguments).output)
         page = check_writable(output.with_suffix(".html"))
+        if page == output:
+            parser.error(f"--output {output}: the page has this name")
         subjects = compute_subjects()
     except PosorError as error:
         print(error, file=sys.stderr)
