@@ -14,12 +14,16 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 _FUNCTIONS: dict[str, tuple[str, ...]] = {
-    "air_bearing": (),
+    "air_bearing": ("aerostatic_bearing",),
+    "ball_bearings": ("ball_load", "bearing_scaling", "bearing_friction"),
     "calibration_geometry": ("axis_offsets", "light_source_angles", "probe_spacing"),
-    "contact": (),
+    "contact": ("hertz_contact", "ball_race_contact"),
     "distance_sensors": ("fibre_lever", "capacitance_probe", "probe_area", "linearity"),
-    "gimbals": (),
+    "error_chain": ("endpoint_error", "position_bits", "straight_linkage"),
+    "gimbals": ("gimbal_motion", "gimbal_torques", "wire_gimbal", "shortest_wires"),
+    "inertial_sensors": ("inertial_limits", "inertial_drift", "fibre_gyroscope"),
     "interferometry": ("air_effects", "straightness_optics"),
+    "joint_loads": ("joint_moment", "bearing_pair", "gear_drive", "chain_drive"),
     "machine_metrology": (
         "straightness",
         "straightness_runs",
@@ -28,9 +32,11 @@ _FUNCTIONS: dict[str, tuple[str, ...]] = {
         "thermal_growth",
         "probe_zero",
     ),
-    "measuring_beams": (),
+    "measuring_beams": ("beam_frequencies", "beam_sag", "sag_correction"),
     "sensor_noise": ("diode_noise", "converter_resolution", "angle_resolution"),
-    "structures": (),
+    "structures": ("cantilever_beam", "cantilever_for_stress", "cantilever_for_stiffness", "cantilever_frequencies"),
+    "torsion": ("beam_torsion", "disc_inertia", "shaft_stress"),
+    "yoke_gimbals": ("yoke_friction", "dither_acceleration"),
 }
 """Names of the calculators by module."""
 
