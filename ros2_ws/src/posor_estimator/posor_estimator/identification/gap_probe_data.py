@@ -59,9 +59,18 @@ class SingleProbe:
         volts = self.shifted_volts(scans)
         return np.asarray((volts >= low) & (volts <= high))
 
-    def gaps(self, scans: Scans, coefficients: FloatArray | None = None, *, with_supply: bool = True) -> FloatArray:
-        """Return its gaps [m] at any voltage (n,), by its own polynomial or other ``coefficients`` (order + 1,)."""
-        update = _use_coefficients(coefficients) | ({} if with_supply else {"supply": None})
+    def gaps(
+        self,
+        scans: Scans,
+        coefficients: FloatArray | None = None,
+        *,
+        without: Literal["supply", "temperature"] | None = None,
+    ) -> FloatArray:
+        """Return its gaps [m] at any voltage (n,), by its own polynomial or other ``coefficients`` (order + 1,).
+
+        ``without`` names a quantity on which the gaps shall not depend.
+        """
+        update = _use_coefficients(coefficients) | ({} if without is None else {without: None})
         return self._linearise(scans, update)[0]
 
     def slopes(self, scans: Scans, coefficients: FloatArray | None = None) -> FloatArray:

@@ -16,6 +16,7 @@ from posor_estimator.identification.procedures import (
     ring_profile,
     supply_sensitivity,
     target_plane,
+    temperature_sensitivity,
     zero_drift,
 )
 
@@ -36,6 +37,7 @@ PROCEDURES: dict[str, Procedure[Any]] = {
         ring_profile,
         supply_sensitivity,
         target_plane,
+        temperature_sensitivity,
         zero_drift,
     )
 }

@@ -61,14 +61,18 @@ def simulated_recording(
     *,
     reference_sigma: float = 0.0,
     supply_voltages: FloatArray | None = None,
+    temperatures: FloatArray | None = None,
+    period_ns: int = PERIOD_NS,
 ) -> Recording:
     """Return the content of a bag: scans at poses (n, 3, 3), (n, 3), and the reference (n, k) at the same times.
 
     The stated uncertainty of the reference is a displacement of each dwell as a whole, as of a stage that is set.
     """
-    stamps = np.arange(1, len(translations) + 1, dtype=np.int64) * PERIOD_NS
-    stack = Posor(calibration).stack
-    scans = scans_at(stack, rotations, translations, stamps, supply_voltages=supply_voltages, noise=rng)
+    stamps = np.arange(1, len(translations) + 1, dtype=np.int64) * period_ns
+    stack, supplies = Posor(calibration).stack, supply_voltages
+    scans = scans_at(
+        stack, rotations, translations, stamps, supply_voltages=supplies, temperatures=temperatures, noise=rng
+    )
     sigmas = np.full(reference.shape[1], reference_sigma)
     track = Track(stamps, reference, sigmas, "simulated, topic /reference")
     return Recording(scans, {"/reference": track}, "simulated")
