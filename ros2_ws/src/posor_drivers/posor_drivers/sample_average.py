@@ -3,7 +3,7 @@
 A *unit* is read at once and kept or dropped as a whole: the voltage of one probe, or the four contact currents of one
 diode, whose ratios are meaningful only if all four belong to the same moment.
 
-Source: thesis 7.5 and 8.2, where each voltage is the mean of five readings without the outlier. Here a reading is
+Source: thesis 7.2, where each voltage is the mean of five readings without the outlier. Here a reading is
 dropped only if a test shows that noise does not explain it. Dropping the most distant reading in any case would make
 the mean of good readings noisier and the published spread too small.
 """

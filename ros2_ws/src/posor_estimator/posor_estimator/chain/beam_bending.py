@@ -96,7 +96,7 @@ def on_gimbals(
 ) -> BentBeam:
     """Return the shape of a beam on two hinged supports, measured from the line through the supports.
 
-    This is a measuring beam on its gimbals (thesis 6.2.2), loaded by its own weight and its end plates.
+    This is a measuring beam on its gimbals (thesis 6.2.1), loaded by its own weight and its end plates.
 
     Args:
         length: Length of the beam [m].

@@ -1,7 +1,7 @@
 """A measuring beam: the bar between two POSORs, its sag on its gimbals, and its thermal expansion.
 
 The beam carries only its own weight and the plates of the POSORs at its ends. Its sag follows from its section and
-from the direction of gravity, and is corrected (thesis 6.2.2, 9.3.2). Sag is linear in the component of the specific
+from the direction of gravity, and is corrected (thesis 6.2.1, 9.3.2). Sag is linear in the component of the specific
 force (gravity minus acceleration) across the beam. The temperature of the beam is not measured: the expansion is a
 bound, which only protection levels use (``uncertainty.protection_level``).
 """

@@ -1,6 +1,6 @@
 """From the contact currents of a lateral effect diode to the ratios of currents, with every way to be invalid.
 
-The ratios are ``(A - C)/(A + C)`` along x and ``(B - D)/(B + D)`` along y (thesis 5.3.2).
+The ratios are ``(A - C)/(A + C)`` along x and ``(B - D)/(B + D)`` along y (thesis 4.3 and 5.4.1).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Light spot on a lateral effect diode: where the ray of a light source meets the plane of the diode.
 
-Thesis 5.3.2 (exact here): the ray from the source, ``P + r D`` in R, meets the plane ``q + x u + y v``; x and y are the
+Thesis 5.4.1 (exact here): the ray from the source, ``P + r D`` in R, meets the plane ``q + x u + y v``; x and y are the
 spot's coordinates along the diode's own axes, which need not be orthogonal.
 
 Row fields (``model.reading_rows``): ``diode_origin`` q, ``x_axis`` u and ``y_axis`` v in R, ``source_origin`` P and

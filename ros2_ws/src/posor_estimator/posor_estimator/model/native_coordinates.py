@@ -3,7 +3,7 @@
 ``x, y, gap`` are the origin of T in R [m]. Alpha and beta are the lean of the target's own Z axis, about X and Y of R:
 ``Z_T = Ry(beta) Rx(alpha) Z``. Theta, the large rotation, is the heading of the target's Y axis in the XY plane of R.
 In these coordinates a pure alpha or beta is what the gap probes read as a slope, and theta is what the spots read,
-without cross terms of first order, whatever theta is (thesis 5.3.1, 5.3.2).
+without cross terms of first order, whatever theta is (thesis 5.3.1, 5.4.1).
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Two kinds of map:
 
 * tensor (POWER, CHEBYSHEV): ``x = sum_ij X_ij B_i(u) B_j(v)``, y likewise, with (u, v) = (ratios - center) / scale and
   B the powers or the Chebyshev polynomials. Parameters: all X_ij, then all Y_ij (row by row).
-* CURVES, the map of 1985 (thesis 7.4.3): x is a polynomial of the x ratio on each of n lines of constant y, y a
+* CURVES, the map of 1985 (thesis 7.4.2, 8.3.3): x is a polynomial of the x ratio on each of n lines of constant y, y a
   polynomial of the y ratio on each of n lines of constant x; between neighbouring lines the curves are weighted
   linearly. Each coordinate needs the other, so both are found by fixed-point iteration. Parameters: coefficients of the
   n curves of x, of the n curves of y, positions in y of the curves of x, positions in x of the curves of y (ascending).

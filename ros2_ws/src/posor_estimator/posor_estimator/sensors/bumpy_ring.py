@@ -1,6 +1,6 @@
 """Bumpy ring: gap probes looking radially at a ring with bumps; two runouts and the large rotation, counted in bumps.
 
-Source: thesis chapter 5, the alternative to diodes. The source draws three probes. With three, the sensitivity of the
+Source: thesis 3.2.2, the alternative to diodes. The source draws three probes. With three, the sensitivity of the
 readings to (x, y, theta) vanishes at least twice in every bump, whatever the profile, since its determinant is a
 continuous function of the bump phase with zero mean. Four probes, opposite ones in phase and the two pairs in
 quadrature, are equally well conditioned at every phase, with one redundant reading for the health check: so four are

@@ -88,7 +88,7 @@ class TensorMap(MapDomain):
 
 
 class CurvesMap(MapDomain):
-    """The map of 1985 (thesis 7.4.3): polynomials along lines, linear weighting between them, fixed-point iteration.
+    """The map of 1985 (thesis 7.4.2, 8.3.3): polynomials along lines, weighted linearly in between, iteration.
 
     ``x_curves`` [i][k] is the coefficient of (x ratio)^k in x [m] on the line y = ``x_curves_at``[i]; ``y_curves``
     likewise for y of the y ratio on the lines x = ``y_curves_at``[i].

@@ -3,7 +3,7 @@
 Two fixed sources serve a large rotation as wide as the diodes; many sources on a ring, lit one after another, extend it
 to full turns: the scan names the source that each diode sees, and the diode is handed over from one to the next.
 
-Source: thesis 5.3.2; diode offsets 7.4.4 (equations 7.2-7.4); light-source inclination, table 7.8.
+Source: thesis 5.4.1; diode offsets 7.4.4 (equations 7.2-7.4); light-source inclination, table 7.8.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
     from posor_estimator.numerics.array_types import FloatArray
 
-STOPS = 15  # by 15, as in thesis 7.4.3
+STOPS = 15  # by 15, as in thesis 7.4.2
 ORDER = 9
 SPAN = 6e-3
 BOX = [[-0.95, 0.95], [-0.95, 0.95]]

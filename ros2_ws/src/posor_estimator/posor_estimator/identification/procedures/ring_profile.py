@@ -8,7 +8,7 @@ determines that phase, an axis that is known to run true determines the odd orde
 against that axis. Amplitudes that are not observable keep their former values and are reported.
 
 The profile has a period of one turn, and the number of bumps is counted between home marks. Poses are eliminated scan
-by scan, as in the bundle fit. Source: thesis chapter 5; the reversal of several probes around one part is that of
+by scan, as in the bundle fit. Source: thesis 3.2.2; the reversal of several probes around one part is that of
 multi-probe roundness measurement.
 """
 
