@@ -189,7 +189,7 @@ def beam_torsion(
 def _rod_with_disc(rod: float, disc: float, count: int) -> list[float]:
     """Return the lowest roots of ``Z sin Z disc = rod cos Z``: one in each half wave."""
     return [
-        brentq(lambda z: z * math.sin(z) * disc - rod * math.cos(z), half * math.pi, (half + 0.5) * math.pi)
+        brentq(lambda z: z * math.sin(z) * disc - rod * math.cos(z), half * math.pi, (half + 1) * math.pi)
         for half in range(count)
     ]
 
