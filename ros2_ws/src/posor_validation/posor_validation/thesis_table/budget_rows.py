@@ -1,14 +1,15 @@
-"""Rows of the thesis table for the error budgets, tables 5.2, 5.4, 7.9 and 7.12: one for each cell."""
+"""Rows of the thesis table for the error budgets, tables 5.2, 5.4, 7.9 and 7.12: one for each cell with an effect."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from posor_validation.thesis_budgets.budget_cells import Agreement
 from posor_validation.thesis_budgets.diode_tables import table_5_4, table_7_9
 from posor_validation.thesis_budgets.probe_tables import table_5_2, table_7_12
-from posor_validation.thesis_table.thesis_row import ThesisRow
+from posor_validation.thesis_table.thesis_row import ThesisRow, Verdict
 
 if TYPE_CHECKING:
     from posor_estimator.reporting.plot import Plot
@@ -19,13 +20,16 @@ _UNITS = ("uin", "urad")
 
 
 def rows() -> list[ThesisRow]:
-    """Return the cells of the budgets.
+    """Return the cells of the budgets, without those of perturbations that have no effect, in print and in the model.
 
     Raises:
         DataFileError: A printed table cannot be read.
 
     """
-    return [_row(cell) for table in (table_5_2(), table_5_4(), table_7_9(), table_7_12()) for cell in table.cells]
+    tables = (table_5_2(), table_5_4(), table_7_9(), table_7_12())
+    return [
+        _row(cell) for table in tables for cell in table.cells if cell.printed.number != 0.0 or cell.computed != 0.0
+    ]
 
 
 def plots() -> list[Plot]:
@@ -37,9 +41,11 @@ def _row(cell: Cell) -> ThesisRow:
     """Return a cell as a row; factors of tables 5.2 and 5.4 are in inch and radian."""
     name, _, unit = cell.column.rpartition("_")
     quantity, unit = (name, unit) if unit in _UNITS else (cell.column, "in, rad")
-    return ThesisRow(
+    row = ThesisRow(
         f"Table {cell.table}", f"{cell.row}: {quantity}", unit, _digits(cell.printed), cell.computed, _reason(cell)
     )
+    needs_reason = row.verdict is not Verdict.AGREES or cell.agreement is not Agreement.AGREES
+    return row if needs_reason else replace(row, reason="")
 
 
 def _digits(printed: Printed) -> str:

@@ -6,6 +6,7 @@ Exit code 0: every row has been computed, whether or not it agrees.
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -63,15 +64,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def print_rows(rows: Sequence[ThesisRow], console: Console) -> None:
-    """Print all rows as one table."""
+    """Print all rows as one table; a reason is not repeated from row to row."""
     shown = Table(title=_TITLE, title_justify="left", box=SIMPLE_HEAD)
     for name in HEADER:
         if name in _WIDE:
             shown.add_column(name, ratio=1)
         else:
             shown.add_column(name, justify="right" if name in _NUMBERS else "left", no_wrap=True)
+    reason = ""
     for row in rows:
-        shown.add_row(*map(escape, format_cells(row)), style=_STYLES[row.verdict])
+        repeated = row.reason and row.reason == reason
+        reason = row.reason
+        cells = format_cells(replace(row, reason="as above") if repeated else row)
+        shown.add_row(*map(escape, cells), style=_STYLES[row.verdict])
     console.print(shown)
 
 

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 KEYS = ["section", "quantity", "unit", "printed", "computed", "difference", "verdict", "reason"]
 LEAST_AGREEING = 60
+BUDGETS = ("Table 5.2", "Table 5.4", "Table 7.9", "Table 7.12")
+"""Their cells agree in great numbers; they have a test of their own."""
 PRINTED = {
     "1.1": (0.0065,),
     "1.3": (5.6e-9, 6.2e-10),
@@ -65,7 +67,7 @@ def test_every_row_has_the_stated_fields(run: tuple[int, Path], rows: list[dict[
 
 
 def test_at_least_sixty_rows_agree_and_every_other_has_a_reason(rows: list[dict[str, Any]]) -> None:
-    agreeing = [row for row in rows if row["verdict"] == Verdict.AGREES.value]
+    agreeing = [row for row in rows if row["verdict"] == Verdict.AGREES.value and row["section"] not in BUDGETS]
     assert len(agreeing) >= LEAST_AGREEING
     assert not [row for row in rows if row["verdict"] != Verdict.AGREES.value and not row["reason"]]
 
