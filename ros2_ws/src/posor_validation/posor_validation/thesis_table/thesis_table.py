@@ -17,7 +17,14 @@ if TYPE_CHECKING:
 
     from posor_validation.thesis_table.thesis_row import ThesisRow
 
-SUBJECTS = {"motion_test_rows": "Motion tests", "arm_rows": "Arms", "budget_rows": "Error budgets"}
+SUBJECTS = {
+    "motion_test_rows": "Motion tests",
+    "arm_rows": "Arms",
+    "budget_rows": "Error budgets",
+    "gimbal_rows": "Gimbals",
+    "air_bearing_rows": "Aerostatic bearings",
+    "bearing_rows": "Ball bearings",
+}
 """Subject of each module of rows; a module has the functions ``rows`` and ``plots``."""
 _DIGITS = re.compile(r"(\d+)")
 
@@ -70,7 +77,7 @@ def format_cells(row: ThesisRow) -> tuple[str, ...]:
     difference = ""
     if row.printed_number is not None and row.difference is not None:
         relative = row.printed_number and row.difference / abs(row.printed_number)
-        difference = f"{100.0 * relative:+.1f} %" if relative else f"{row.difference:+.2g}"
+        difference = f"{100.0 * relative:+.1f} %" if relative else f"{row.difference:+.2g}" if row.difference else "0"
     return (
         row.section,
         row.quantity,
