@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from posor_validation.thesis_budgets.budget_cells import Cell, Printed
 
 _UNITS = ("uin", "urad")
+_DISTANCES = {"l_0_0": "the distance at (0, 0) in", "l_m1_1p5": "the distance at (-1, 1.5) in"}
 
 
 def rows() -> list[ThesisRow]:
@@ -40,9 +41,15 @@ def plots() -> list[Plot]:
 def _row(cell: Cell) -> ThesisRow:
     """Return a cell as a row; factors of tables 5.2 and 5.4 are in inch and radian."""
     name, _, unit = cell.column.rpartition("_")
-    quantity, unit = (name, unit) if unit in _UNITS else (cell.column, "in, rad")
+    column, unit = (name, unit) if unit in _UNITS else (cell.column, "in, rad")
+    column = column.removeprefix("induced_").removeprefix("sigma_")
     row = ThesisRow(
-        f"Table {cell.table}", f"{cell.row}: {quantity}", unit, _digits(cell.printed), cell.computed, _reason(cell)
+        f"Table {cell.table}",
+        f"{cell.row}, effect on {_DISTANCES.get(column, column)}",
+        unit,
+        _digits(cell.printed),
+        cell.computed,
+        _reason(cell),
     )
     needs_reason = row.verdict is not Verdict.AGREES or cell.agreement is not Agreement.AGREES
     return row if needs_reason else replace(row, reason="")

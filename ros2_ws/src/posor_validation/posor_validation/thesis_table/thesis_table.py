@@ -74,19 +74,23 @@ def summary(rows: Iterable[ThesisRow]) -> str:
 
 def format_cells(row: ThesisRow) -> tuple[str, ...]:
     """Return a row as text: section, quantity, printed and computed number, unit, difference, verdict with reason."""
-    difference = ""
-    if row.printed_number is not None and row.difference is not None:
-        relative = row.printed_number and row.difference / abs(row.printed_number)
-        difference = f"{100.0 * relative:+.1f} %" if relative else f"{row.difference:+.2g}" if row.difference else "0"
     return (
         row.section,
         row.quantity,
         row.printed,
         f"{row.computed:.5g}",
         "" if row.unit == "1" else row.unit,
-        difference,
+        _format_difference(row),
         ": ".join(filter(None, (row.verdict.value, row.reason))),
     )
+
+
+def _format_difference(row: ThesisRow) -> str:
+    if row.difference is None:
+        return ""
+    if row.printed_number and row.difference:
+        return f"{100.0 * row.difference / abs(row.printed_number):+.1f} %"
+    return f"{row.difference:+.2g}"
 
 
 def json_content(rows: Iterable[ThesisRow]) -> dict[str, Any]:

@@ -47,7 +47,7 @@ def test_a_cell_keeps_its_reason(
     table = table_5_2()
     monkeypatch.setattr(budget_rows, "table_5_2", lambda: type(table)("7.9", "one cell", (cell,)))
     row = budget_rows.rows()[0]
-    assert (row.section, row.quantity, row.unit) == ("Table 7.9", "group: sigma_X: induced_sigma_theta", "urad")
+    assert (row.section, row.quantity, row.unit) == ("Table 7.9", "group: sigma_X, effect on theta", "urad")
     assert row.computed == computed
     assert row.verdict is verdict
     assert text in row.reason
