@@ -24,6 +24,8 @@ SUBJECTS = {
     "gimbal_rows": "Gimbals",
     "air_bearing_rows": "Aerostatic bearings",
     "bearing_rows": "Ball bearings",
+    "sensor_rows": "Sensors and interferometers",
+    "stage_rows": "Stages and setups",
 }
 """Subject of each module of rows; a module has the functions ``rows`` and ``plots``."""
 _DIGITS = re.compile(r"(\d+)")
