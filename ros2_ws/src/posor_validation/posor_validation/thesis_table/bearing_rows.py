@@ -52,8 +52,8 @@ def _contact_rows() -> list[ThesisRow]:
     load = ball_load(0.5 * 6.2 * lbf, 7)
     other = ball(STEEL, STEEL, 0.52).stress / KSI
     conformity = (
-        f"the conformity is not printed: .515 is the one that fits this number (.52 gives {other:.0f} ksi), and those "
-        "of Delrin and brass follow from it"
+        "not independent: the conformity is not printed, and .515 is the one that fits this number "
+        f"(.52 gives {other:.0f} ksi); the stresses of Delrin and brass follow from it"
     )
     return [
         ThesisRow(
