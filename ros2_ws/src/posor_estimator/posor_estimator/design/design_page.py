@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from markupsafe import Markup
 
-from posor_estimator.design.value_kinds import format_value
+from posor_estimator.design.value_kinds import is_series, summarise_value, unit_of
 from posor_estimator.errors import ParameterError
+from posor_estimator.reporting.figure_style import BLUE, GREEN, GREY, LIGHT_BLUE, ORANGE
 from posor_estimator.reporting.html_page import Section, definition_list, paragraph, render_page, table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from posor_estimator.design.calculator_signature import CalculatorSignature, Value
+    from posor_estimator.reporting.plot import Plot
 
+_COLOURS = (BLUE, ORANGE, GREEN, LIGHT_BLUE, GREY)
 _MORE = 0.01
 """Share by which each argument is increased."""
 
@@ -27,7 +31,7 @@ def render_design_page(signature: CalculatorSignature, arguments: Mapping[str, A
         f"{signature.summary}.",
         holds=True,
         sections=(
-            Section("Results", _value_table(signature.results, results)),
+            Section("Results", _value_table(signature.results, results), _plots(signature.results, results)),
             Section("Arguments", _value_table(signature.arguments, arguments)),
             Section(
                 f"Change of the results by {_MORE:.0%} more of an argument", _effects(signature, arguments, results)
@@ -37,8 +41,25 @@ def render_design_page(signature: CalculatorSignature, arguments: Mapping[str, A
     )
 
 
+def _plots(fields: Sequence[Value], results: Mapping[str, Any]) -> list[Plot]:
+    """Return a plot of each series over the first one, such as mode shapes over positions."""
+    series = [each for each in fields if is_series(each.kind, results[each.name])]
+    if not series:
+        return []
+    from posor_estimator.reporting.plot import Plot  # noqa: PLC0415  takes a second to load
+
+    across, *others = series
+    plots = []
+    for each in others:
+        plot = Plot(each.description.rstrip("."), *(f"{axis.name} [{unit_of(axis.kind)}]" for axis in (across, each)))
+        for number, curve in enumerate(np.atleast_2d(results[each.name])):
+            plot.curve(f"{each.name} {number + 1}", results[across.name], curve, _COLOURS[number % len(_COLOURS)])
+        plots.append(plot)
+    return plots
+
+
 def _value_table(fields: Sequence[Value], values: Mapping[str, Any]) -> Markup:
-    rows = [(each.name, format_value(each.kind, values[each.name]), each.description) for each in fields]
+    rows = [(each.name, summarise_value(each.kind, values[each.name]), each.description) for each in fields]
     return table(("quantity", "value", "meaning"), rows)
 
 

@@ -61,6 +61,7 @@ def describe_unit(si: str) -> str:
 
 def format_quantity(value: float, si: str) -> str:
     """Return a value with its unit and, where usual, a prefix: 2.54e-5 m is ``25.4 um``."""
+    value += 0.0  # -0.0 is 0.0
     if si == "1":
         return f"{value:.{_DIGITS}g}"
     first = re.match(r"[a-zA-Z]+(?!\^|[a-zA-Z])", si)

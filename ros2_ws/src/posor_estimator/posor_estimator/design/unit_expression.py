@@ -17,7 +17,7 @@ from functools import cache
 from posor_estimator.calibration.quantity import CONVERTED_UNITS
 
 _BASE = ("m", "kg", "s", "A", "K", "rad")
-PREFIXES = {"G": 9, "M": 6, "k": 3, "c": -2, "m": -3, "u": -6, "µ": -6, "n": -9, "p": -12}
+PREFIXES = {"G": 9, "M": 6, "k": 3, "c": -2, "m": -3, "u": -6, "µ": -6, "n": -9, "p": -12, "f": -15}
 _DEFINITIONS = {
     **{symbol: (str(factor), si) for symbol, (si, factor) in CONVERTED_UNITS.items()},
     "1": ("1", ""),

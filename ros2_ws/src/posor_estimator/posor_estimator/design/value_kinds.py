@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from typing import Any, Literal, get_args, get_origin
 
+import numpy as np
+
 from posor_estimator.design.quantity_text import describe_unit, format_quantity, parse_quantity, split_unit
 from posor_estimator.errors import ParameterError, similar_name
+
+LONGEST_LINE = 12
+"""Numbers of a value that a line shows."""
 
 
 def parse_value(kind: Any, text: str, where: str) -> Any:
@@ -68,6 +73,20 @@ def format_value(kind: Any, value: Any) -> str:
     if kind is int or kind is str or get_origin(kind) is Literal:
         return str(value)
     return format_quantity(value, unit_of(kind))
+
+
+def is_series(kind: Any, value: Any) -> bool:
+    """Return whether a value has more numbers than a line shows."""
+    return get_origin(kind) is tuple and np.size(value) > LONGEST_LINE
+
+
+def summarise_value(kind: Any, value: Any) -> str:
+    """Return a value as ``format_value`` does, but size and range of a series."""
+    if not is_series(kind, value):
+        return format_value(kind, value)
+    size = " x ".join(map(str, np.shape(value)))
+    low, high = (format_quantity(float(end(value)), unit_of(kind)) for end in (np.min, np.max))
+    return f"{size} values from {low} to {high}"
 
 
 def unit_of(kind: Any) -> str:

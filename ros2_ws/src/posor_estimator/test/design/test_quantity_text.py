@@ -27,7 +27,7 @@ def test_a_quantity_is_read(text: str, si: str, value: float) -> None:
 @pytest.mark.parametrize(
     ("text", "si", "message"),
     [
-        ("", "m", r"'' is not a number with unit; expected a number in m \(in,"),
+        ("", "m", r"'' is not a number with unit; expected a number in m \(mm,"),
         ("in", "m", "'in' is not a number with unit; expected a number in m"),
         ("nan", "m", "'nan' is not a number with unit"),
         ("inf m", "m", "'inf m' is not a number with unit"),
@@ -64,6 +64,8 @@ def test_a_wrong_quantity_is_refused(text: str, si: str, message: str) -> None:
         (1.8e-5, "Pa s", "18 uPa s"),
         (1e-7, "m^4", "1e-07 m^4"),
         (0.0, "m", "0 m"),
+        (-0.0, "m", "0 m"),
+        (5.4789e-13, "F", "547.89 fF"),
         (float("inf"), "m", "inf m"),
         (1e-16, "m", "1e-16 m"),
         (2700.0, "kg/m^3", "2700 kg/m^3"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import pytest
-from posor_estimator.design.value_kinds import describe_kind, format_value, parse_value, unit_of
+from posor_estimator.design.value_kinds import describe_kind, format_value, parse_value, summarise_value, unit_of
 from posor_estimator.errors import ParameterError
 
 Metre = Annotated[float, "m"]
@@ -61,6 +61,12 @@ def test_a_wrong_value_is_refused(kind: Any, text: str, message: str) -> None:
 )
 def test_a_value_is_printed(kind: Any, value: Any, text: str) -> None:
     assert format_value(kind, value) == text
+
+
+def test_a_series_is_summarised() -> None:
+    assert summarise_value(tuple[Metre, ...], (0.001,) * 12) == ", ".join(["1 mm"] * 12)
+    assert summarise_value(tuple[Metre, ...], (0.001, *(0.002,) * 12)) == "13 values from 1 mm to 2 mm"
+    assert summarise_value(tuple[tuple[Number, ...], ...], ((0.0,) * 9, (1.0,) * 9)) == "2 x 9 values from 0 to 1"
 
 
 def test_kinds_are_described() -> None:
