@@ -188,7 +188,7 @@ def wire_gimbal(
         mass: Mass of the measuring beam.
 
     Raises:
-        ParameterError: An argument is not finite or not positive; the tension and the number of wires are checked too.
+        ParameterError: An argument is not finite or not positive, or the tension is negative.
 
     Source: thesis equations 6.5 to 6.9.
 
@@ -236,7 +236,7 @@ def shortest_wires(
         mass: Mass of the measuring beam.
 
     Raises:
-        ParameterError: An argument is not finite or not positive; the tension and the number of wires are checked too.
+        ParameterError: An argument is not finite or not positive, or the tension is negative.
 
     Source: thesis equations 6.5 to 6.9, solved for the length.
 
