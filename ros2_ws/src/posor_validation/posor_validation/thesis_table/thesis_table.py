@@ -21,6 +21,8 @@ SUBJECTS = {
     "motion_test_rows": "Motion tests",
     "arm_rows": "Arms",
     "budget_rows": "Error budgets",
+    "structure_rows": "Robot structures",
+    "beam_rows": "Measuring beams",
     "gimbal_rows": "Gimbals",
     "air_bearing_rows": "Aerostatic bearings",
     "bearing_rows": "Ball bearings",
