@@ -38,9 +38,10 @@ def schedule_ticks(
 ) -> Iterator[ScheduledPublication | Pause]:
     """Yield what is to be published, and pauses until the next is due; ends with the run.
 
-    A tick is missed when the next tick is due as well: it is skipped and counted, so scans are never bunched. All
-    drivers of a thread decide this by the same time, so they miss the same ticks. When the clock goes back (a
-    simulation that restarts) or is stepped, the run restarts and no tick counts as missed.
+    A tick is missed when the next tick is due as well: it is skipped and counted, so scans are never bunched, unless
+    the source keeps the readings of past ticks (``LiveSource.ticks_kept``). All drivers of a thread decide this by the
+    same time, so they miss the same ticks. When the clock goes back (a simulation that restarts) or is stepped, the run
+    restarts and no tick counts as missed.
     """
     while True:
         while clock.turn_ns < 1:  # simulated time is 0 before the first clock message
@@ -56,6 +57,7 @@ def schedule_ticks(
             if due_ns <= clock.turn_ns:
                 present = _newest_due_tick(source, tick + 1, clock.turn_ns)
                 present = present if last is None else min(present, last)
+                present -= source.ticks_kept
                 if present > tick:
                     missed.overruns += 1
                     missed.ticks += present - tick

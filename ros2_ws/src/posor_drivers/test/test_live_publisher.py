@@ -107,6 +107,17 @@ def test_last_tick_is_published_even_if_the_process_wakes_after_the_end() -> Non
     assert ticks(Wall(600, {693: 90_000})) == ([*range(61, 69), 71], MissedTicks(overruns=1, ticks=2))
 
 
+def test_ticks_that_the_source_keeps_are_published_late() -> None:
+    class Keeper(Metronome):
+        ticks_kept = 2
+
+    def kept(late: dict[int, int]) -> tuple[list[int], MissedTicks]:
+        return ticks(Wall(600, late), Keeper(ParameterGroup(), MessageTypes()))
+
+    assert kept({623: 645}) == (list(range(61, 72)), MissedTicks())
+    assert kept({623: 655}) == ([61, *range(63, 72)], MissedTicks(overruns=1, ticks=1))
+
+
 def test_endless_run_continues_after_a_cycle() -> None:
     source = Metronome(ParameterGroup(), MessageTypes())
     source.endless = True

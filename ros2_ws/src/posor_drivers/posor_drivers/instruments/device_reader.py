@@ -119,12 +119,12 @@ class DeviceReader:
             rows = self._rows_around(number)
             if rows is None:
                 return None
-            frames = self._values[rows]
-        values: FloatArray = np.dot(weights, frames)
-        for column in whole:
-            if not frames[0, column] == frames[1, column] == frames[2, column]:
-                return None
-            values[column] = frames[1, column]
+            before, nearest, after = (self._values[row] for row in rows)
+            values: FloatArray = weights.before * before + weights.nearest * nearest + weights.after * after
+            for column in whole:
+                if not before[column] == nearest[column] == after[column]:
+                    return None
+                values[column] = nearest[column]
         return values
 
     def _mapped_place(self, time_ns: int) -> tuple[int, FrameWeights] | None:

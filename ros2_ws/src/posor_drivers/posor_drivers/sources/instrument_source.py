@@ -14,33 +14,24 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from posor_estimator.errors import ParameterError
-from posor_estimator.model.scan import HOME_BUMP, NO_SOURCE, SATURATED
 from posor_estimator.numerics.stamps import NS
 from posor_estimator.parameter_model import ParameterGroup
 from posor_estimator.ros_names import RAW_SCAN, RAW_TOPIC
 from pydantic import Field
 
-from posor_drivers.instruments.instruments_file import (
-    READINGS,
-    WHOLE_NUMBERS,
-    InstrumentsFile,
-    JointEntry,
-    ReadingEntry,
-    load_instruments,
-)
+from posor_drivers.instruments.instruments_file import WHOLE_NUMBERS, InstrumentsFile, JointEntry, load_instruments
+from posor_drivers.instruments.scan_writer import LitSourceError, ScanWriter
 from posor_drivers.instruments.shared_readers import shared_reader
-from posor_drivers.message_builder import raw_scan
 from posor_drivers.scan_clock import tick_stamp_ns
 from posor_drivers.sources.source import LiveSource, SourceMessage, SourceStatus, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from posor_estimator.numerics.array_types import FloatArray
-
     from posor_drivers.instruments.device_reader import DeviceReader
 
-SCALARS = ("supply_voltage", "temperature")
+LATEST_S = 0.1
+"""Time by which a scan may be published too late by a busy host, because frames are kept; an older tick is missed."""
 
 
 class InstrumentParameters(ParameterGroup):
@@ -48,31 +39,6 @@ class InstrumentParameters(ParameterGroup):
 
     file: Annotated[str, Field(min_length=1)] = Field(description="instruments file (YAML)")
     joint: Annotated[str, Field(min_length=1)] = Field(description="name of this driver's joint in the file")
-
-
-class _Readings:
-    """All readings of a joint, made of the values of all channels at once."""
-
-    def __init__(self, joint: JointEntry, columns: dict[str, int]) -> None:
-        entries: list[ReadingEntry | int] = []
-        self.parts: dict[str, slice] = {}
-        for kind in READINGS:
-            part = getattr(joint, kind)
-            begin = len(entries)
-            entries += part if isinstance(part, tuple) else [] if part is None else [part]
-            self.parts[kind] = slice(begin, len(entries))
-        fixed = [float(entry) if isinstance(entry, int) else np.nan for entry in entries]
-        measured = [(n, entry) for n, entry in enumerate(entries) if isinstance(entry, ReadingEntry)]
-        self._fixed, self._measured = np.array(fixed), [n for n, _ in measured]
-        self._columns = [columns[entry.channel] for _, entry in measured]
-        self._factors = np.array([entry.factor for _, entry in measured])
-        self._shifts = np.array([entry.shift for _, entry in measured])
-
-    def of(self, channels: FloatArray) -> FloatArray:
-        """Return the readings; those of each kind are where ``parts`` says."""
-        readings = self._fixed.copy()
-        readings[self._measured] = self._factors * channels[self._columns] + self._shifts
-        return readings
 
 
 class InstrumentSource(LiveSource[InstrumentParameters]):
@@ -114,7 +80,7 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
             device.name: [n for n, each in enumerate(device.channels) if f"{device.name}/{each.name}" in whole]
             for device in devices
         }
-        self._readings = _Readings(joint, columns)
+        self._writer = ScanWriter(joint, columns, self.types)
         self._rate = round(self._file.rate.number)
         self._latency_ns = round(self._file.latency.number * NS)
         self._readers = [self._threads.enter_context(shared_reader(Path(where), device)) for device in devices]
@@ -129,6 +95,11 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
         """Scans per second, as the file has it."""
         return self._rate
 
+    @property
+    def ticks_kept(self) -> int:
+        """The ticks whose scans may still be published."""
+        return int(LATEST_S * self._rate)
+
     def publication_time_ns(self, tick: int) -> int:
         """Return the time of a tick plus the latency [ns]."""
         return super().publication_time_ns(tick) + self._latency_ns
@@ -140,32 +111,22 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
     def read_tick(self, tick: int) -> Sequence[SourceMessage]:
         """Return the scan of a tick; none where a device lacks one of the frames around it."""
         stamp_ns = tick_stamp_ns(tick, self.rate)
-        channels = {
-            reader.device.name: reader.values_at(stamp_ns, self._whole[reader.device.name]) for reader in self._readers
-        }
-        present = [values for values in channels.values() if values is not None]
-        if len(present) < len(channels):
-            missing = ", ".join(name for name, values in channels.items() if values is None)
-            return self._leave_out(f"no frames of {missing} around the tick, or frames with different light sources")
-        readings = self._readings.of(np.concatenate(present))
-        fields: dict[str, Any] = {kind: readings[part] for kind, part in self._readings.parts.items()}
-        lit_sources, home_mark = fields.pop("lit_sources"), fields.pop("home_mark")
-        scalars = {kind: fields.pop(kind) for kind in SCALARS}
-        if np.any(lit_sources != np.clip(np.rint(lit_sources), 0, NO_SOURCE)):
-            return self._leave_out(f"lit sources {lit_sources.tolist()}; expected whole numbers from 0 to {NO_SOURCE}")
+        channels, missing = [], []
+        for reader in self._readers:
+            values = reader.values_at(stamp_ns, self._whole[reader.device.name])
+            if values is None:
+                missing.append(reader.device.name)
+            else:
+                channels.append(values)
+        if missing:
+            names = ", ".join(missing)
+            return self._leave_out(f"no frames of {names} around the tick, or frames with different light sources")
+        try:
+            scan = self._writer.scan(np.concatenate(channels), stamp_ns, tick)
+        except LitSourceError as error:
+            return self._leave_out(str(error))
         self._no_scan = ""
-        status = 0 if np.isfinite(readings).all() else SATURATED
-        scan = raw_scan(
-            self.types,
-            stamp_ns,
-            self._joint.frame_id,
-            scan=tick,
-            status=status | (HOME_BUMP if home_mark.any() else 0),
-            lit_sources=lit_sources.astype(np.uint8),
-            **{kind: reading.item() for kind, reading in scalars.items() if len(reading)},
-            **fields,
-        )
-        return (SourceMessage(RAW_TOPIC, stamp_ns, self.types.serialize(scan, RAW_SCAN)),)
+        return (SourceMessage(RAW_TOPIC, stamp_ns, scan),)
 
     def _leave_out(self, reason: str) -> Sequence[SourceMessage]:
         """Count a scan that is not published, and return no message."""

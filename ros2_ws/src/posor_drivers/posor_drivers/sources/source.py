@@ -135,6 +135,11 @@ class LiveSource(Source[ParametersT]):
     def read_tick(self, tick: int) -> Iterable[SourceMessage]:
         """Return the messages of a tick; ticks are read in ascending order, each at most once."""
 
+    @property
+    def ticks_kept(self) -> int:
+        """Number of past ticks that can still be read, which are read late rather than missed."""
+        return 0
+
     def inputs(self) -> Sequence[Input]:
         """Return the topics to subscribe to, once the source is open."""
         return ()

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 SIMULATED_RATE = 1000
 """Of the tables [Hz]; between their rows readings and truth are interpolated."""
-SEED, REST_NS = 1985, 16 * NS
+SEED = 1985
 VELOCITY_STEP_NS = 1_000_000
 SMOOTH = Imperfections.only("sag", "inertia")
 
@@ -34,12 +34,12 @@ class ReadingChannel(NamedTuple):
 class SimulatedReadings:
     """The arm of a scenario, slowed down by a factor; its noise is that of the calibrations in every reading.
 
-    It rests at the begin of the cycle, where rings see their home marks, for the time in which a graph starts.
+    It rests at the begin of the cycle, where rings see their home marks, until ``start_motion``.
     """
 
     def __init__(self, arm: Arm, slowness: float = 1.0) -> None:
         """Compute one cycle."""
-        self._begin_ns = time.time_ns() + REST_NS
+        self._begin_ns: int | None = None
         self.arm = arm
         self._rate_ns = SIMULATED_RATE / slowness / NS
         self._random = np.random.default_rng(SEED)
@@ -57,10 +57,9 @@ class SimulatedReadings:
             noise[:, self._whole[joint]] = 0.0
             self._tables[joint] = table, noise
 
-    @property
-    def moves(self) -> bool:
-        """Whether the time of rest is over."""
-        return time.time_ns() > self._begin_ns
+    def start_motion(self) -> None:
+        """Begin the cycle, once the graph runs."""
+        self._begin_ns = time.time_ns()
 
     def at(self, joint: str, time_ns: int) -> list[float]:
         """Return the readings of a joint at a ROS time [ns], in the order of its channels."""
@@ -86,7 +85,8 @@ class SimulatedReadings:
 
     def _rows(self, time_ns: int) -> tuple[int, int, float]:
         """Return the rows before and after a time, and the share of the one after."""
-        position = max(0, time_ns - self._begin_ns) * self._rate_ns
+        begin_ns = time_ns if self._begin_ns is None else self._begin_ns
+        position = max(0, time_ns - begin_ns) * self._rate_ns
         number, count = int(position), len(self._points)
         return number % count, (number + 1) % count, position - number
 

@@ -108,7 +108,7 @@ def run_trial(trial: DeviceTrial, folder: Path, interrupted: Callable[[], bool])
             return time.monotonic() - start_s
 
         wait(lambda: len(receiver.poses) >= SETTLED_POSES, "poses")
-        wait(lambda: readings.moves, "motion")
+        readings.start_motion()
         begin, end_s = len(receiver.poses), time.monotonic() + trial.seconds
         wait(lambda: time.monotonic() >= end_s, "end", trial.seconds + TIMEOUT_S)
         measured = receiver.poses[begin:], receiver.received_ns[begin:]
