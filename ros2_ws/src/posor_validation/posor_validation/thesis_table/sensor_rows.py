@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from posor_estimator.calibration.design_parts import INCH
@@ -15,11 +15,14 @@ from posor_estimator.design.sensor_noise import angle_resolution, converter_reso
 from posor_estimator.uncertainty.air_index import ICE_POINT
 from scipy.optimize import brentq
 
+from posor_validation.thesis_budgets.probe_tables import AT_POINT, factor
 from posor_validation.thesis_data import URAD, data_path, read_table
 from posor_validation.thesis_table.sensor_plots import residual_plots, sensor_plots
 from posor_validation.thesis_table.thesis_row import ThesisRow
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from posor_estimator.reporting.plot import Plot
 
 UIN = 1e-6 * INCH
@@ -29,6 +32,8 @@ INCH_OF_MERCURY = 3386.389
 """[Pa], NIST SP 811, appendix B.8."""
 PROBE_TRAVEL = 0.05 * INCH
 DIODE_TRAVEL = 0.625 * INCH
+LOWEST = ("1X", "low_order8")
+"""Cell of table 7.7 that is not the lowest of its curves."""
 
 
 def rows() -> list[ThesisRow]:
@@ -43,6 +48,7 @@ def rows() -> list[ThesisRow]:
         *_diode_rows(),
         *_interferometer_rows(),
         *_converter_rows(),
+        *_spacing_rows(),
         *_axis_rows(),
         *_light_source_rows(),
         *_curve_rows(),
@@ -139,6 +145,12 @@ def _converter_rows() -> list[ThesisRow]:
     ]
 
 
+def _spacing_rows() -> list[ThesisRow]:
+    """Return the largest error of a distance by .001 in of the spacing of the probes (5.3.2), from the model."""
+    largest = max(abs(factor(lever, AT_POINT)) for lever in ("sigma_a", "sigma_b"))
+    return [ThesisRow("5.3.2", "distance at a diode, error by .001 in of a or b", "uin", "14", largest * 1e3)]
+
+
 def _axis_rows() -> list[ThesisRow]:
     """Return the uncertainty of the offsets of the diodes' axes (7.4.4)."""
     found = axis_offsets(
@@ -197,20 +209,25 @@ def _change_of_cosine(azimuth: float, inclination: float, change: float) -> floa
 
 
 def _curve_rows() -> list[ThesisRow]:
-    """Return table 7.7: means over fifteen curves of the deviations of tables 7.3 to 7.5."""
+    """Return table 7.7: mean, highest and lowest deviation of fifteen curves, of tables 7.3 to 7.5."""
     residuals = read_table(data_path("linearization_residuals_tables_7_3_to_7_5.csv"), ["axis", "order9_uin"])
     printed = {
         row["quantity"]: row for row in read_table(data_path("error_budget_table_7_7_diode_fits.csv"), ["1X_uin"])
     }
+    statistics: dict[str, Callable[[list[float]], Any]] = {"mean": np.mean, "high": max, "low": min}
     return [
         ThesisRow(
             "7.4.2",
-            f"table 7.7: mean deviation of the curves of order {order}, diode {axis}",
+            f"table 7.7: {name} deviation of the curves of order {order}, diode {axis}",
             "uin",
-            printed[f"mean_order{order}"][f"{axis}_uin"],
-            float(np.mean([float(row[f"order{order}_uin"]) for row in residuals if row["axis"] == axis])),
+            printed[f"{name}_order{order}"][f"{axis}_uin"],
+            float(statistic([float(row[f"order{order}_uin"]) for row in residuals if row["axis"] == axis])),
+            "141 is the deviation of curve 5 in table 7.3, that of curve 2 is lower"
+            if (axis, f"{name}_order{order}") == LOWEST
+            else "",
         )
         for axis in ("1X", "1Y", "2X")
+        for name, statistic in statistics.items()
         for order in (7, 8, 9)
     ]
 

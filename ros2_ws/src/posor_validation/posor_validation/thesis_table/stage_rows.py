@@ -1,4 +1,4 @@
-"""Rows of the thesis table for stages, machines and setups: sections 7.2, 7.4 and 8.3."""
+"""Rows of the thesis table for stages, machines and setups: sections 7.2, 7.4, 8.2 and 8.3."""
 
 from __future__ import annotations
 
@@ -16,30 +16,27 @@ from posor_estimator.design.machine_metrology import (
     straightness_runs,
     thermal_growth,
 )
+from posor_estimator.design.sensor_noise import angle_resolution, converter_resolution
 from posor_estimator.identification.curve_interpolation import doubled_grid_errors
-from posor_estimator.reporting.figure_style import BLUE, GREEN, LIGHT_BLUE, ORANGE
-from posor_estimator.reporting.plot import Plot
 from posor_estimator.uncertainty.interferometer import ZERO, AirQuantities, Input, Interferometer, correct_reading
 
 from posor_validation.thesis_budgets.probe_tables import ALPHA, BUDGET_COLUMNS, table_7_12
 from posor_validation.thesis_data import data_path, read_table
 from posor_validation.thesis_table.sensor_rows import ARCSEC, UIN, probe_polynomials
+from posor_validation.thesis_table.stage_plots import FINISH, GAIN, START, TRAVEL, stage_plots
 from posor_validation.thesis_table.thesis_row import ThesisRow
 
 if TYPE_CHECKING:
     from posor_estimator.design.machine_metrology import StraightnessRuns
+    from posor_estimator.reporting.plot import Plot
 
 URAD = 1e-6
 CAST_IRON = 6.0e-6 * 1.8
 """Thermal expansion [1/K]: 6.0e-6 for each degree Fahrenheit, Machinery's Handbook. The thesis does not print it."""
 TEMPERATURE_CHANGE = 0.1 / 1.8
 """.1 degree Fahrenheit [K]."""
-TRAVEL = 0.75 * INCH
-"""Of the stepper stage."""
-GAUGE_ERROR, GAIN = 0.001 * INCH, 0.05 * INCH
-"""Error of a gap that is set by gauge blocks [m], and gain of the probes [m/V], section 8.3.1."""
-START, FINISH = 0.1, 0.8
-"""Voltages of section 8.3.1."""
+GAUGE_ERROR = 0.001 * INCH
+"""Error of a gap that is set by gauge blocks [m], section 8.3.1."""
 PITCH = 0.5 * INCH / 14.0
 """Of the fifteen curves over half an inch of a diode."""
 
@@ -56,9 +53,11 @@ def rows() -> list[ThesisRow]:
         *_straightness_rows(),
         *_alignment_rows(),
         *_abbe_rows(),
+        *_reading_rows(),
         *_target_plane_rows(),
         *_zero_rows(),
         _interpolation_row(),
+        *_computer_rows(),
     ]
 
 
@@ -69,7 +68,7 @@ def plots() -> list[Plot]:
         DataFileError: A table of the thesis cannot be read.
 
     """
-    return [_plot_straightness(), _plot_zero()]
+    return stage_plots()
 
 
 def _environment_rows() -> list[ThesisRow]:
@@ -173,6 +172,16 @@ def _abbe_rows() -> list[ThesisRow]:
     ]
 
 
+def _reading_rows() -> list[ThesisRow]:
+    """Return what the readings of the machining centre are worth, at the line 31.5 in from the gimbal (8.2)."""
+    readout = angle_resolution(0.0002 * INCH, 31.5 * INCH).step
+    length = 0.3 * INCH * angle_resolution(0.010 * INCH, 31.5 * INCH).step
+    return [
+        ThesisRow("8.2", "beta, theta: accuracy by .0002 in of the machining centre", "urad", "6", readout / URAD),
+        ThesisRow("8.2", "error over .3 in by .010 in of the length", "in", ".0001", length / INCH),
+    ]
+
+
 def _target_plane_rows() -> list[ThesisRow]:
     """Return the inclination of the target plane (8.3.1), from the constants of the listings in inch."""
     sensor: Any = load_calibration(calibration_path("section84")).sensors[0]
@@ -264,22 +273,31 @@ def _interpolation_row() -> ThesisRow:
     )
 
 
-def _plot_straightness() -> Plot:
-    plot = Plot("7.2, figure 7.3: lines of the straightness runs, table 7.1", "position [in]", "reading [in]")
-    table = read_table(data_path("straightness_table_7_1.csv"), ["run", "b_in", "m", "deviation_in"])
-    positions = np.linspace(0.0, TRAVEL / INCH, 16)
-    for row, colour in zip(table, (BLUE, ORANGE, GREEN, LIGHT_BLUE, BLUE, ORANGE), strict=True):
-        dash = "solid" if int(row["run"]) <= len((BLUE, ORANGE, GREEN, LIGHT_BLUE)) else "dashed"
-        plot.curve(f"run {row['run']}", positions, float(row["b_in"]) + float(row["m"]) * positions, colour, dash=dash)
-    return plot
+def _computer_rows() -> list[ThesisRow]:
+    """Return the time of a computer of 1985 for a scan (8.3.3)."""
+    multiplications = 1.1 * (8.0 * _multiplications(9) + 3.0 * _multiplications(4))
+    conversion = converter_resolution(INCH, 1.0, 2.0**-16, samples=11, sample_time=100e-6).time
+    return [
+        ThesisRow(
+            "8.3.3",
+            "multiplications for eight polynomials of order 9 and three of order 4, and 10 %",
+            "1",
+            "430",
+            multiplications,
+            "each power is multiplied out by itself; the scheme of Horner needs 84 and 10 %",
+        ),
+        ThesisRow("8.3.3", "time of these multiplications, 30 us each", "s", ".013", multiplications * 30e-6),
+        ThesisRow(
+            "8.3.3",
+            "time of 11 conversions of 100 us",
+            "s",
+            ".002",
+            conversion,
+            "11 times 100 us are .0011 s, which the text rounds up",
+        ),
+    ]
 
 
-def _plot_zero() -> Plot:
-    plot = Plot("8.3.1: error of a motion from .1 to .8 V by the zero of the probe", "zero error [V]", "error [uin]")
-    errors = np.linspace(-0.04, 0.04, 81)
-    for probe, (coefficients, colour) in enumerate(
-        zip(probe_polynomials(), (BLUE, ORANGE, GREEN), strict=True), start=1
-    ):
-        curve = [probe_zero(coefficients, START, FINISH, GAIN * error, GAIN).motion_error / UIN for error in errors]
-        plot.curve(f"probe {probe}", errors, curve, colour)
-    return plot
+def _multiplications(order: int) -> int:
+    """Return the multiplications of a polynomial whose powers are multiplied out one by one."""
+    return sum(range(order + 1))

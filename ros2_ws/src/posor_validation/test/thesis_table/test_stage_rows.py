@@ -45,6 +45,11 @@ def find(rows: list[ThesisRow], section: str, beginning: str) -> ThesisRow:
         ("8.3.1", "probe 1: error over .7 V by .001 V", 17.3, DIFFERS),
         ("8.3.1", "probe 2: error over .7 V by .001 V", 12.9, DIFFERS),
         ("8.3.3", "interpolation error", 0.2505, AGREES),
+        ("8.2", "beta, theta", 6.35, AGREES),
+        ("8.2", "error over .3 in", 9.52e-5, AGREES),
+        ("8.3.3", "multiplications", 429.0, AGREES),
+        ("8.3.3", "time of these", 0.01287, AGREES),
+        ("8.3.3", "time of 11 conversions", 0.0011, DIFFERS),
     ],
 )
 def test_figures(rows: list[ThesisRow], section: str, quantity: str, computed: float, verdict: Verdict) -> None:
