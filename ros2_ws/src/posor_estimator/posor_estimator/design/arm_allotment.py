@@ -16,11 +16,12 @@ Source of the budget: thesis 9.3.1, JCGM 100. Cost as the reciprocal of a tolera
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.optimize import Bounds, NonlinearConstraint, minimize
+from scipy.optimize import NonlinearConstraint, minimize
 
 from posor_estimator.chain.beams_file import load_beams
 from posor_estimator.chain.kinematic_chain import Chain
@@ -219,15 +220,14 @@ def _least_effort(weights: EndpointWeights, required: FloatArray) -> FloatArray:
     """Return the allotted standard uncertainties, (g,)."""
     left = np.square(required) - weights.fixed
     shares = (weights.weights * np.square(weights.present) / left[:, :, None]).reshape(-1, len(weights.groups))
-    limits = np.log([LARGEST_IMPROVEMENT**-2, LARGEST_RELAXATION**2])
-
-    start = np.full(len(weights.groups), np.clip(-np.log(np.max(np.sum(shares, axis=1))), *limits))
+    low, high = -2.0 * math.log(LARGEST_IMPROVEMENT), 2.0 * math.log(LARGEST_RELAXATION)
+    evenly = min(max(-math.log(np.max(np.sum(shares, axis=1))), low), high)
     found = minimize(  # the sum of sigma_present / sigma
         lambda logarithms: float(np.sum(np.exp(-0.5 * logarithms))),
-        start,
+        [evenly] * len(weights.groups),
         jac=lambda logarithms: -0.5 * np.exp(-0.5 * logarithms),
         method="SLSQP",
-        bounds=Bounds(*limits),
+        bounds=[(low, high)] * len(weights.groups),
         constraints=NonlinearConstraint(
             lambda logarithms: shares @ np.exp(logarithms), -np.inf, 1.0, lambda logarithms: shares * np.exp(logarithms)
         ),
