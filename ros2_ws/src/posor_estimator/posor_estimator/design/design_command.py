@@ -34,7 +34,14 @@ class DesignProgram(NamedTuple):
     summary: str
 
 
-PROGRAMS: dict[str, DesignProgram] = {}
+PROGRAMS: dict[str, DesignProgram] = {
+    "posor": DesignProgram(
+        "posor_design_command", "design_posor_main", "Lay out a POSOR for a requirement, and write files that run"
+    ),
+    "arm": DesignProgram(
+        "arm_design_command", "design_arm_main", "Allot the required uncertainty of an endpoint to joints and beams"
+    ),
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
