@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from posor_estimator.design.calculator_signature import read_signature
 from posor_estimator.design.calculators import CALCULATORS
 from posor_estimator.design.design_page import render_design_page
-from posor_estimator.design.value_kinds import describe_kind, format_value, parse_value, unit_of
+from posor_estimator.design.value_kinds import describe_kind, format_value, parse_value, summarise_value, unit_of
 from posor_estimator.errors import OutputError, ParameterError, PosorError, similar_name
 from posor_estimator.reporting.command_line_parser import CommandLineParser
 
@@ -134,7 +134,7 @@ def _help_text(argument: Value) -> str:
 def _print_values(fields: Sequence[Value], values: dict[str, Any]) -> None:
     width = max(len(each.name) for each in fields)
     for each in fields:
-        print(f"{each.name:<{width}}  {format_value(each.kind, values[each.name])}")
+        print(f"{each.name:<{width}}  {summarise_value(each.kind, values[each.name])}")
 
 
 def _json_values(fields: Sequence[Value], values: dict[str, Any]) -> dict[str, Any]:

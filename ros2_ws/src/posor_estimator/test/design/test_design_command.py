@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import dataclasses
+import inspect
 import json
 import re
 import shlex
@@ -10,6 +12,7 @@ import subprocess
 import sys
 from functools import cache
 from typing import TYPE_CHECKING, Any
+from urllib.parse import unquote
 
 import posor_estimator.design
 import pytest
@@ -17,7 +20,7 @@ from posor_estimator.design.calculator_signature import CalculatorSignature, rea
 from posor_estimator.design.calculators import CALCULATORS, load_calculator
 from posor_estimator.design.design_command import PROGRAMS, build_parser, list_calculators, main
 from posor_estimator.design.unit_expression import parse_unit
-from posor_estimator.design.value_kinds import format_value, unit_of
+from posor_estimator.design.value_kinds import summarise_value, unit_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -61,7 +64,7 @@ def test_every_calculator_runs_from_its_example(name: str, tmp_path: Path, capsy
         value = getattr(result, each.name)
         assert tuples(content["result"][each.name]["value"]) == value
         assert content["result"][each.name]["unit"] == unit_of(each.kind)
-        assert printed[each.name] == format_value(each.kind, value)
+        assert printed[each.name] == summarise_value(each.kind, value)
         assert f"<td>{each.name}</td>" in page.read_text(encoding="utf-8")
 
 
@@ -96,6 +99,10 @@ def test_the_package_exports_every_calculator() -> None:
     for name, (_, function) in CALCULATORS.items():
         assert getattr(posor_estimator.design, function) is load_calculator(name)
     assert dir(posor_estimator.design) == posor_estimator.design.__all__
+    tree = ast.parse(inspect.getsource(posor_estimator.design))
+    imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    typed = {(node.module, each.name) for node in imports for each in node.names}
+    assert {(f"posor_estimator.design.{module}", function) for module, function in CALCULATORS.values()} <= typed
     with pytest.raises(AttributeError, match="has no attribute 'surprise'"):
         _ = posor_estimator.design.surprise
 
@@ -182,3 +189,14 @@ def test_the_page_shows_the_effect_of_each_argument(tmp_path: Path) -> None:
 def test_programs_get_their_arguments_and_return_their_exit_code(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([name, "--surprise"]) == 2
     assert capsys.readouterr().err.startswith(f"design {name}: ")
+
+
+def test_a_series_is_summarised_and_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = tmp_path / "page.html"
+    assert main([*example_of("beam-frequencies"), "--html", str(page)]) == 0
+    assert "\npositions            61 values from 0 m to 762 mm\nshapes               4 x 61 values from -1 to 1\n" in (
+        capsys.readouterr().out
+    )
+    text = unquote(page.read_text(encoding="utf-8"))
+    assert text.count("<figure>") == 1
+    assert "data:text/csv;charset=utf-8,series,positions [m],shapes [1]\nshapes 1,0,1\n" in text
