@@ -222,10 +222,17 @@ def _least_effort(weights: EndpointWeights, required: FloatArray) -> FloatArray:
     shares = (weights.weights * np.square(weights.present) / left[:, :, None]).reshape(-1, len(weights.groups))
     low, high = -2.0 * math.log(LARGEST_IMPROVEMENT), 2.0 * math.log(LARGEST_RELAXATION)
     evenly = min(max(-math.log(np.max(np.sum(shares, axis=1))), low), high)
-    found = minimize(  # the sum of sigma_present / sigma
-        lambda logarithms: float(np.sum(np.exp(-0.5 * logarithms))),
+
+    def effort(logarithms: FloatArray) -> float:
+        return float(np.sum(np.exp(-0.5 * logarithms)))
+
+    def effort_gradient(logarithms: FloatArray) -> FloatArray:
+        return np.asarray(-0.5 * np.exp(-0.5 * logarithms))
+
+    found = minimize(
+        effort,
         [evenly] * len(weights.groups),
-        jac=lambda logarithms: -0.5 * np.exp(-0.5 * logarithms),
+        jac=effort_gradient,
         method="SLSQP",
         bounds=[(low, high)] * len(weights.groups),
         constraints=NonlinearConstraint(
