@@ -236,8 +236,8 @@ def sag_correction(
     Both gimbals move across the beam with one harmonic acceleration. The correction is the static sag under the
     acceleration of the moment; the beam follows as a Timoshenko beam. Well below the lowest natural frequency the
     relative error is the square of the ratio of the frequencies, plus the share of shear, which the correction leaves
-    out. Without damping the error has no bound at a natural frequency; a loss factor bounds it, and delays the beam at
-    every frequency by an error of this share.
+    out. Without damping the error has no bound at a natural frequency. With a loss factor it has one, but the beam lags
+    behind the force at every frequency, which adds an error of about this share of the sag.
 
     Args:
         shape: Section of the beam.
