@@ -18,16 +18,16 @@ if TYPE_CHECKING:
     from posor_validation.thesis_table.thesis_row import ThesisRow
 
 SUBJECTS = {
-    "motion_test_rows": "Motion tests",
-    "arm_rows": "Arms",
-    "budget_rows": "Error budgets",
-    "structure_rows": "Robot structures",
-    "beam_rows": "Measuring beams",
-    "gimbal_rows": "Gimbals",
-    "air_bearing_rows": "Aerostatic bearings",
-    "bearing_rows": "Ball bearings",
-    "sensor_rows": "Sensors and interferometers",
-    "stage_rows": "Stages and setups",
+    "structure_rows": "Robot structures: chapters 1, 2 and 9",
+    "sensor_rows": "Sensors and interferometers: chapters 3, 4, 5 and 7",
+    "budget_rows": "Error budgets: chapters 5 and 7",
+    "beam_rows": "Measuring beams: chapter 6",
+    "gimbal_rows": "Gimbals: chapters 6 and 7",
+    "air_bearing_rows": "Aerostatic bearings: chapters 6 and 7",
+    "bearing_rows": "Ball bearings: chapter 6",
+    "stage_rows": "Stages and setups: chapters 7 and 8",
+    "motion_test_rows": "Motion tests: chapter 8",
+    "arm_rows": "Arms: chapter 9",
 }
 """Subject of each module of rows; a module has the functions ``rows`` and ``plots``."""
 _DIGITS = re.compile(r"(\d+)")
