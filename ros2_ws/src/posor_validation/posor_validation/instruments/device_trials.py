@@ -52,6 +52,7 @@ class DeviceTrial:
         slowness: Factor by which the arm moves slower than in its scenario.
         keeps_pace: Whether two processors can be expected to follow, with the servers beside the nodes.
         returns: Whether there must be poses soon after a stall; a ring must pass its home mark first.
+        stamps_matter: Whether the arm is so fast that the uncertainty of the stamps counts, which no covariance has.
         serve: Starts the servers until the stack closes.
 
     """
@@ -65,6 +66,7 @@ class DeviceTrial:
     slowness: float = 1.0
     returns: bool = True
     keeps_pace: bool = True
+    stamps_matter: bool = False
 
 
 def quantity(value: float, unit: str) -> dict[str, Any]:
@@ -221,7 +223,17 @@ TRIALS = (
     DeviceTrial("LabJack, 1 kHz", "test_rig", 500, 0.1, 10.0, LABJACK, keeps_pace=False),
     DeviceTrial("SCPI scanner, 5 Hz", "test_rig", 5, 0.7, 150.0, SCANNER, slowness=200.0),
     DeviceTrial(
-        "five streams, 997 and 1003 Hz",
+        "five streams, full speed",
+        "five_axis",
+        50,
+        0.1,
+        20.0,
+        serve_streams(FIVE_AXIS_RATES),
+        returns=False,
+        stamps_matter=True,
+    ),
+    DeviceTrial(
+        "five streams, slow",
         "five_axis",
         50,
         0.1,

@@ -9,18 +9,17 @@ import numpy as np
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_estimator.numerics.stamps import NS
+from scipy.spatial.transform import Rotation
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from posor_estimator.chain.arm_file import Arm
-    from posor_estimator.numerics.array_types import FloatArray
+    from posor_estimator.numerics.array_types import FloatArray, IntArray
 
 SIMULATED_RATE = 1000
 """Of the tables [Hz]; between their rows readings and truth are interpolated."""
 SEED = 1985
-VELOCITY_STEP_NS = 1_000_000
-SMOOTH = Imperfections.only("sag", "inertia")
 
 
 class ReadingChannel(NamedTuple):
@@ -43,10 +42,12 @@ class SimulatedReadings:
         self.arm = arm
         self._rate_ns = SIMULATED_RATE / slowness / NS
         self._random = np.random.default_rng(SEED)
-        smooth = ArmSimulation(arm, SMOOTH, SIMULATED_RATE)
-        noisy = ArmSimulation(arm, SMOOTH.model_copy(update={"noise": True}), SIMULATED_RATE)
+        effects = ("sag", "inertia") if slowness == 1.0 else ("sag",)  # slower, its accelerations are negligible
+        smooth = ArmSimulation(arm, Imperfections.only(*effects), SIMULATED_RATE)
+        noisy = ArmSimulation(arm, Imperfections.only("noise", *effects), SIMULATED_RATE)
         ticks = np.arange(smooth.scenario.cycle_ticks)
         self._points: FloatArray = np.asarray(smooth.truth(ticks).endpoint.translations)
+        self._velocities = _joint_velocities(smooth, ticks) / slowness
         self.channels: dict[str, list[ReadingChannel]] = {}
         self._tables: dict[str, tuple[FloatArray, FloatArray]] = {}
         self._whole: dict[str, list[int]] = {}
@@ -78,10 +79,9 @@ class SimulatedReadings:
             [(1.0 - share) * self._points[row] + share * self._points[following] for row, following, share in rows]
         )
 
-    def true_velocities(self, stamps_ns: Sequence[int]) -> FloatArray:
-        """Return the velocity of the endpoint at ROS times [ns], (n, 3) [m/s]."""
-        ahead_ns = [stamp + VELOCITY_STEP_NS for stamp in stamps_ns]
-        return (self.true_points(ahead_ns) - self.true_points(stamps_ns)) * (NS / VELOCITY_STEP_NS)
+    def joint_velocities(self, stamps_ns: Sequence[int]) -> FloatArray:
+        """Return the velocity of the endpoint from the motion of each joint alone, (n, joints, 3) [m/s]."""
+        return self._velocities[[self._rows(stamp)[0] for stamp in stamps_ns]]
 
     def _rows(self, time_ns: int) -> tuple[int, int, float]:
         """Return the rows before and after a time, and the share of the one after."""
@@ -99,6 +99,23 @@ class SimulatedReadings:
             else:
                 entry.setdefault(kind, []).append(channels[name])
         return entry
+
+
+def _joint_velocities(simulation: ArmSimulation, ticks: IntArray) -> FloatArray:
+    """Return the velocity of the endpoint from the motion of each joint alone at all ticks of a cycle, (n, j, 3)."""
+    truth, chain = simulation.truth(ticks), simulation.chain
+    parts = [truth.T_parent_child[joint.name] for joint in chain.joints]
+    poses = np.stack(
+        [np.hstack([part.translations, Rotation.from_matrix(part.rotations).as_quat()]) for part in parts], axis=1
+    )
+    exact = np.zeros((*poses.shape[:2], 6, 6))
+    points = chain.estimate_all(poses, exact).poses[:, :3]
+    velocities = np.empty((*poses.shape[:2], 3))
+    for n in range(len(parts)):
+        ahead = poses.copy()
+        ahead[:, n] = np.roll(poses[:, n], -1, axis=0)
+        velocities[:, n] = (chain.estimate_all(ahead, exact).poses[:, :3] - points) * SIMULATED_RATE
+    return velocities
 
 
 def _table(scans: Any) -> tuple[list[ReadingChannel], FloatArray]:

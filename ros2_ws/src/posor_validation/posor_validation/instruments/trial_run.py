@@ -6,7 +6,7 @@ import shutil
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from posor_estimator.chain.arm_file import Arm
+    from posor_estimator.numerics.array_types import FloatArray
 
     from posor_validation.instruments.device_trials import Devices, DeviceTrial
 
@@ -48,10 +49,13 @@ class TrialFigures:
     seconds: float
     poses: int
     keeps_pace: bool  # whether the rate of the poses is judged
+    stamps_matter: bool  # whether the region is judged with the uncertainty of the stamps
     pose_rate: float  # poses per second between the first and the last one
     inside_region: float  # share of the poses whose true position is inside their 95 % region
     rms_um: float  # position error, of all three axes together
     stated_um: float  # root of the mean trace of the stated covariance of the position
+    clock_us: float  # standard uncertainty of the stamps of all devices, root mean square, from the diagnostics
+    inside_with_stamps: float  # as inside_region, with the motion in this time added to the covariance
     stamps_late_us: float  # time by which the motion explains the errors best; it holds the least delay of the device
     latency_ms: float  # median time from stamp to reception
     named_after_s: float  # from the stall of a device to the first diagnostics that name it
@@ -111,7 +115,7 @@ def run_trial(trial: DeviceTrial, folder: Path, interrupted: Callable[[], bool])
         readings.start_motion()
         begin, end_s = len(receiver.poses), time.monotonic() + trial.seconds
         wait(lambda: time.monotonic() >= end_s, "end", trial.seconds + TIMEOUT_S)
-        measured = receiver.poses[begin:], receiver.received_ns[begin:]
+        measured = _Measured(receiver.poses[begin:], receiver.received_ns[begin:], _clock_uncertainty(graph))
         seen = len(graph.diagnostics)
         devices.stalled.set()
         named_s = wait(lambda: _is_stall_named(graph, seen), "diagnostics that name the stall")
@@ -126,6 +130,27 @@ def run_trial(trial: DeviceTrial, folder: Path, interrupted: Callable[[], bool])
     return _figures(trial, readings, measured, named_s, in_stall, back_s)
 
 
+class _Measured(NamedTuple):
+    """Serialised poses of the measurement, and the uncertainty of their stamps."""
+
+    poses: list[bytes]
+    received_ns: list[int]
+    clock_s: float
+
+
+def _clock_uncertainty(graph: Graph) -> float:
+    """Return the standard uncertainty of the stamps of all devices, root mean square [s]."""
+    newest = {each.name: each.values for each in graph.diagnostics if ": device " in each.name}
+    found = [float(pair.value) for values in newest.values() for pair in values if pair.key == "clock_uncertainty"]
+    return float(np.sqrt(np.mean(np.square(found))))
+
+
+def _share_inside(errors: FloatArray, covariances: FloatArray) -> float:
+    """Return the share of errors, (n, 3), inside the 95 % region of their covariances, (n, 3, 3)."""
+    distances = np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[:, :, None])[:, :, 0])
+    return float(np.mean(distances < chi2.ppf(REGION, 3)))
+
+
 def _is_stall_named(graph: Graph, seen: int) -> bool:
     """Return whether diagnostics after the first ``seen`` ones have an error of a device."""
     return any(": device " in each.name and each.level == each.ERROR for each in graph.diagnostics[seen:])
@@ -134,19 +159,19 @@ def _is_stall_named(graph: Graph, seen: int) -> bool:
 def _figures(
     trial: DeviceTrial,
     readings: SimulatedReadings,
-    measured: tuple[list[bytes], list[int]],
+    measured: _Measured,
     named_s: float,
     in_stall: int,
     back_s: float | None,
 ) -> TrialFigures:
-    received_ns = measured[1]
-    poses: list[Any] = [deserialize_message(pose, PoseWithCovarianceStamped) for pose in measured[0]]
+    poses: list[Any] = [deserialize_message(pose, PoseWithCovarianceStamped) for pose in measured.poses]
     stamps = [stamp_ns(pose) for pose in poses]
     points = [pose.pose.pose.position for pose in poses]
     errors = np.array([(point.x, point.y, point.z) for point in points]) - readings.true_points(stamps)
-    velocities = readings.true_velocities(stamps)
+    velocities = readings.joint_velocities(stamps)
+    of_stamps = measured.clock_s**2 * np.einsum("nji,njk->nik", velocities, velocities)
+    velocity = velocities.sum(axis=1)
     covariances = np.array([np.reshape(pose.pose.covariance, (6, 6))[:3, :3] for pose in poses])
-    distances = np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[:, :, None])[:, :, 0])
     return TrialFigures(
         name=trial.name,
         arm=trial.arm,
@@ -154,12 +179,15 @@ def _figures(
         seconds=trial.seconds,
         poses=len(poses),
         keeps_pace=trial.keeps_pace,
+        stamps_matter=trial.stamps_matter,
         pose_rate=(len(poses) - 1) / ((stamps[-1] - stamps[0]) / NS),
-        inside_region=float(np.mean(distances < chi2.ppf(REGION, 3))),
+        inside_region=_share_inside(errors, covariances),
         rms_um=float(1e6 * np.sqrt(np.mean(np.sum(errors**2, axis=1)))),
         stated_um=float(1e6 * np.sqrt(np.mean(np.trace(covariances, axis1=1, axis2=2)))),
-        stamps_late_us=float(-1e6 * np.sum(errors * velocities) / np.sum(velocities**2)),
-        latency_ms=float(np.median(np.array(received_ns) - np.array(stamps)) * 1e3 / NS),
+        clock_us=1e6 * measured.clock_s,
+        inside_with_stamps=_share_inside(errors, covariances + of_stamps),
+        stamps_late_us=float(-1e6 * np.sum(errors * velocity) / np.sum(velocity**2)),
+        latency_ms=float(np.median(np.array(measured.received_ns) - np.array(stamps)) * 1e3 / NS),
         named_after_s=named_s,
         poses_in_stall=in_stall,
         back_after_s=back_s,
