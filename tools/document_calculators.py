@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import textwrap
-from typing import TYPE_CHECKING, Literal, get_origin
+from typing import TYPE_CHECKING
 
 from environment import THIS
 from posor_estimator.design.calculator_signature import read_signature
 from posor_estimator.design.calculators import CALCULATORS
-from posor_estimator.design.value_kinds import describe_kind, format_value, unit_of
+from posor_estimator.design.value_kinds import format_value, name_kind
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -79,8 +79,7 @@ def _command(signature: CalculatorSignature) -> str:
 
 
 def _value_cells(value: Value) -> tuple[str, ...]:
-    unit = describe_kind(value.kind) if get_origin(value.kind) is Literal else unit_of(value.kind)
-    return f"`{value.name}`", unit, value.description
+    return f"`{value.name}`", name_kind(value.kind), value.description
 
 
 def _default(argument: Value) -> str:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from posor_estimator.design.calculator_signature import read_signature
 from posor_estimator.design.calculators import CALCULATORS
 from posor_estimator.design.design_page import render_design_page
-from posor_estimator.design.value_kinds import describe_kind, format_value, parse_value, summarise_value, unit_of
+from posor_estimator.design.value_kinds import format_value, name_kind, parse_value, summarise_value, unit_of
 from posor_estimator.errors import OutputError, ParameterError, PosorError, similar_name
 from posor_estimator.reporting.command_line_parser import CommandLineParser
 
@@ -42,6 +42,9 @@ PROGRAMS: dict[str, DesignProgram] = {
         "arm_design_command", "design_arm_main", "Allot the required uncertainty of an endpoint to joints and beams"
     ),
 }
+_VALUES = """\
+VALUE is a number with a unit, such as '60 in' or '10.6e6 psi', or several with commas between them; without a unit it
+has the unit in brackets. Write a negative value as --name=-3."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -102,11 +105,13 @@ def run_calculator(signature: CalculatorSignature, arguments: Sequence[str]) -> 
 
 def build_parser(signature: CalculatorSignature) -> CommandLineParser:
     """Return the parser of the arguments of a calculator."""
-    results = "\n".join(f"  {each.name}: {each.description}" for each in signature.results)
+    results = "\n".join(
+        f"  {each.name}: {each.description.rstrip('.')} [{name_kind(each.kind)}]" for each in signature.results
+    )
     parser = CommandLineParser(
         prog=f"design {signature.name}",
         description=f"{signature.summary}.\n\n{signature.description}".rstrip(),
-        epilog=f"results:\n{results}\n\nSource: {signature.source}\n\nExample:\n  {signature.example}",
+        epilog=f"{_VALUES}\n\nresults:\n{results}\n\nSource: {signature.source}\n\nExample:\n  {signature.example}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
@@ -126,9 +131,9 @@ def build_parser(signature: CalculatorSignature) -> CommandLineParser:
 
 
 def _help_text(argument: Value) -> str:
-    default = "" if argument.required else f"; default: {format_value(argument.kind, argument.default)}"
-    kind = describe_kind(argument.kind)
-    return f"{argument.description} {kind[0].upper()}{kind[1:]}{default}"
+    default = "" if argument.required else format_value(argument.kind, argument.default)
+    text = f"{argument.description.rstrip('.')} [{name_kind(argument.kind)}]"
+    return f"{text}; default: {default}" if default else text
 
 
 def _print_values(fields: Sequence[Value], values: dict[str, Any]) -> None:

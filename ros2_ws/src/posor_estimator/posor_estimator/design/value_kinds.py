@@ -64,6 +64,15 @@ def describe_kind(kind: Any) -> str:
     return describe_unit(unit_of(kind))
 
 
+def name_kind(kind: Any) -> str:
+    """Return units or choices of a value in short, for help and pages: ``m, m``, ``m, ...``, ``tube or box``."""
+    if get_origin(kind) is tuple:
+        return ", ".join("..." if each is Ellipsis else name_kind(each) for each in get_args(kind))
+    if get_origin(kind) is Literal:
+        return " or ".join(get_args(kind))
+    return "whole number" if kind is int else unit_of(kind)
+
+
 def format_value(kind: Any, value: Any) -> str:
     """Return a value as text with unit; values of a tuple are separated by commas, tuples of a tuple by semicolons."""
     if get_origin(kind) is tuple:

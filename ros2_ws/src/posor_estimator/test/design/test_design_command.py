@@ -20,7 +20,7 @@ from posor_estimator.design.calculator_signature import CalculatorSignature, rea
 from posor_estimator.design.calculators import CALCULATORS, load_calculator
 from posor_estimator.design.design_command import PROGRAMS, build_parser, list_calculators, main
 from posor_estimator.design.unit_expression import parse_unit
-from posor_estimator.design.value_kinds import summarise_value, unit_of
+from posor_estimator.design.value_kinds import name_kind, summarise_value, unit_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -83,7 +83,8 @@ def test_the_help_of_every_calculator_is_complete(name: str) -> None:
         assert required
         assert required in text
     for argument in signature.arguments:
-        assert argument.option in text
+        assert f"{argument.option} VALUE" in text
+        assert f"[{name_kind(argument.kind)}]" in " ".join(text.split())
 
 
 def test_results_are_frozen_dataclasses() -> None:

@@ -5,7 +5,14 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import pytest
-from posor_estimator.design.value_kinds import describe_kind, format_value, parse_value, summarise_value, unit_of
+from posor_estimator.design.value_kinds import (
+    describe_kind,
+    format_value,
+    name_kind,
+    parse_value,
+    summarise_value,
+    unit_of,
+)
 from posor_estimator.errors import ParameterError
 
 Metre = Annotated[float, "m"]
@@ -72,5 +79,12 @@ def test_a_series_is_summarised() -> None:
 def test_kinds_are_described() -> None:
     assert describe_kind(tuple[Number, ...]) == "numbers separated by commas, each a number (%, ppm)"
     assert describe_kind(Shape) == "one of tube, box"
+    assert [name_kind(kind) for kind in (tuple[Metre, ...], tuple[Metre, Number], Shape, int, Metre)] == [
+        "m, ...",
+        "m, 1",
+        "tube or box",
+        "whole number",
+        "m",
+    ]
     assert unit_of(tuple[tuple[Metre, ...], ...]) == "m"
     assert unit_of(int) == "1"

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from typing import TYPE_CHECKING, Any
+from collections import Counter
+from pathlib import Path
+from typing import Any
 
 import pytest
 from posor_estimator.errors import DataFileError
@@ -13,9 +15,7 @@ from posor_validation.thesis_table.thesis_row import ThesisRow, Verdict
 from posor_validation.thesis_table.thesis_table import SUBJECTS, Subject, all_rows, format_cells, summary
 from posor_validation.thesis_table.thesis_table_command import main
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
+ROOT = Path(__file__).resolve().parents[5]
 KEYS = ["section", "quantity", "unit", "printed", "computed", "difference", "verdict", "reason"]
 LEAST_AGREEING = 60
 BUDGETS = ("Table 5.2", "Table 5.4", "Table 7.9", "Table 7.12")
@@ -103,6 +103,22 @@ def test_the_page_has_every_subject_with_its_figures(run: tuple[int, Path], rows
     assert page.count("<figure>") >= len(SUBJECTS)
     assert page.count("<tr><td>") == len(rows)
     assert f"{len(rows)} rows: " in page
+
+
+def test_the_documents_state_the_figures_of_the_table(rows: list[dict[str, Any]]) -> None:
+    budgets = [row["section"] in BUDGETS for row in rows]
+    number = Counter(row["verdict"] for row in rows)
+    others = Counter(row["verdict"] for row in rows if row["section"] not in BUDGETS)
+    agree, differ, lost = (number[verdict.value] for verdict in (Verdict.AGREES, Verdict.DIFFERS, Verdict.NOT_LEGIBLE))
+    page = " ".join((ROOT / "docs" / "background" / "thesis_table.md").read_text(encoding="utf-8").split())
+    assert f"{len(rows)} rows: {agree} agree within 2 % or rounding, {differ} differ for the reason stated" in page
+    assert f"{sum(budgets)} of these rows are the cells of the error budgets" in page
+    assert f"Of the other {others.total()} rows, {others[Verdict.AGREES.value]} agree." in page
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert (
+        f"{len(rows)} rows | {agree} agree within 2 % or rounding, {differ} differ for a stated reason, {lost}"
+        in readme
+    )
 
 
 def test_a_row_as_text() -> None:
