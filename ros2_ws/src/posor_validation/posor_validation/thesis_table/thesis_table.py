@@ -77,7 +77,7 @@ def summary(rows: Iterable[ThesisRow]) -> str:
 
 
 def format_cells(row: ThesisRow) -> tuple[str, ...]:
-    """Return a row as text: section, quantity, printed and computed number, unit, difference, verdict with reason."""
+    """Return a row as text: section, quantity, printed and computed number, unit, difference, verdict, reason."""
     return (
         row.section,
         row.quantity,
@@ -85,7 +85,8 @@ def format_cells(row: ThesisRow) -> tuple[str, ...]:
         f"{row.computed:.5g}",
         "" if row.unit == "1" else row.unit,
         _format_difference(row),
-        ": ".join(filter(None, (row.verdict.value, row.reason))),
+        row.verdict.value,
+        row.reason,
     )
 
 

@@ -75,23 +75,23 @@ def print_rows(rows: Sequence[ThesisRow], console: Console) -> None:
     for row in rows:
         repeated = row.reason and row.reason == reason
         reason = row.reason
-        cells = format_cells(replace(row, reason="as above") if repeated else row)
-        shown.add_row(*map(escape, cells), style=_STYLES[row.verdict])
+        *cells, verdict, why = map(escape, format_cells(replace(row, reason="as above") if repeated else row))
+        shown.add_row(*cells, ": ".join(filter(None, (verdict, why))), style=_STYLES[row.verdict])
     console.print(shown)
 
 
 def render_thesis_page(subjects: Sequence[Subject], rows: Sequence[ThesisRow]) -> str:
     """Return the page: for each subject its figures and its rows."""
     sections = [
-        Section(subject.title, html_table(HEADER, map(_page_cells, subject.rows)), subject.plots)
+        Section(subject.title, html_table((*HEADER, "reason"), map(_page_cells, subject.rows)), subject.plots)
         for subject in subjects
     ]
     return render_page(_TITLE, summary(rows), holds=True, sections=sections)
 
 
 def _page_cells(row: ThesisRow) -> tuple[str | Cell, ...]:
-    *cells, verdict = format_cells(row)
-    return *cells, Cell(verdict, _CSS_CLASSES[row.verdict])
+    *cells, verdict, reason = format_cells(row)
+    return *cells, Cell(verdict, _CSS_CLASSES[row.verdict]), reason
 
 
 if __name__ == "__main__":

@@ -123,11 +123,11 @@ def test_the_documents_state_the_figures_of_the_table(rows: list[dict[str, Any]]
 
 def test_a_row_as_text() -> None:
     row = ThesisRow("1.1", "error", "in", ".0100", 0.0111, "because")
-    assert format_cells(row) == ("1.1", "error", ".0100", "0.0111", "in", "+11.0 %", "differs: because")
+    assert format_cells(row) == ("1.1", "error", ".0100", "0.0111", "in", "+11.0 %", "differs", "because")
     row = ThesisRow("1.1", "ratio", "1", "0", 1e-3, "small")
-    assert format_cells(row) == ("1.1", "ratio", "0", "0.001", "", "+0.001", "agrees: small")
+    assert format_cells(row) == ("1.1", "ratio", "0", "0.001", "", "+0.001", "agrees", "small")
     row = ThesisRow("1.1", "error", "in", "", 0.25, "lost")
-    assert format_cells(row) == ("1.1", "error", "", "0.25", "in", "", "not legible: lost")
+    assert format_cells(row) == ("1.1", "error", "", "0.25", "in", "", "not legible", "lost")
 
 
 def test_sections_are_ordered_as_in_the_thesis() -> None:
