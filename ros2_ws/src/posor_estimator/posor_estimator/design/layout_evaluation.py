@@ -7,6 +7,7 @@ The covariances are those that the estimator states for simulated scans, the min
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,10 +26,11 @@ if TYPE_CHECKING:
     from posor_estimator.design.requirement import Requirement
     from posor_estimator.numerics.array_types import FloatArray
 
-CORNERS = 16
-MIDDLES = 4
-_GOLDEN = 0.5 * (5.0**0.5 - 1.0)
-_COUNTS_OF_SIGNS = 5
+MIDDLES = 8
+"""Poses in the middle of the range."""
+_SEED = 1985
+_MOTIONS = 5
+"""Freedoms with a middle: x, y, gap, alpha, beta."""
 
 
 @dataclass(frozen=True)
@@ -53,19 +55,29 @@ class RangePoses:
         return np.ascontiguousarray(self.native[:, 5])
 
 
-def extreme_poses(requirement: Requirement, gap: float, count: int = CORNERS, middles: int = MIDDLES) -> RangePoses:
-    """Return poses at corners of the range and in its middle, theta spread evenly; ``gap``: in the middle [m]."""
-    numbers = np.arange(count)
-    bits = (numbers[:, None] * 2**_COUNTS_OF_SIGNS // max(count, 1) >> np.arange(_COUNTS_OF_SIGNS)) & 1
-    signs = np.concatenate([2.0 * bits - 1.0, np.zeros((middles, _COUNTS_OF_SIGNS))])
-    turns = np.mod((np.arange(count + middles) + 0.5) * _GOLDEN, 1.0)
-    return _poses(requirement, gap, signs, 2.0 * turns - 1.0)
+def extreme_poses(requirement: Requirement, gap: float) -> RangePoses:
+    """Return poses at half of the corners of the range and in its middle, theta at random, the same in every call.
+
+    Evenly spread thetas could be at the same phase of all bumps.
+
+    The corners are those of a fractional factorial design of resolution V: every two freedoms have all four pairs of
+    ends.
+
+    Args:
+        requirement: For its range.
+        gap: In the middle [m].
+
+    """
+    free = np.array(list(product((-1.0, 1.0), repeat=_MOTIONS - 1)))
+    corners = np.column_stack([free, np.prod(free, axis=1)])
+    shares = np.concatenate([corners, np.zeros((MIDDLES, _MOTIONS))])
+    return _poses(requirement, gap, shares, np.random.default_rng(_SEED).uniform(-1.0, 1.0, len(shares)))
 
 
 def random_poses(requirement: Requirement, gap: float, count: int, random: np.random.Generator) -> RangePoses:
     """Return poses that are uniform over the range; ``gap``: in the middle [m]."""
-    shares = random.uniform(-1.0, 1.0, (count, _COUNTS_OF_SIGNS + 1))
-    return _poses(requirement, gap, shares[:, :_COUNTS_OF_SIGNS], shares[:, _COUNTS_OF_SIGNS])
+    shares = random.uniform(-1.0, 1.0, (count, _MOTIONS + 1))
+    return _poses(requirement, gap, shares[:, :_MOTIONS], shares[:, _MOTIONS])
 
 
 def _poses(requirement: Requirement, gap: float, shares: FloatArray, turns: FloatArray) -> RangePoses:

@@ -37,7 +37,8 @@ EVALUATIONS = 14
 """Of the method of Nelder and Mead for each combination."""
 CHECKED_POSES = 300
 SEED = 1985
-_START = ((1.0, 0.3), (1.0, 0.6), (0.8, 0.3))
+START = (Shares(1.0, 0.0), Shares(1.0, 0.4), Shares(0.8, 0.4))
+"""Corners of the first simplex of the method of Nelder and Mead."""
 _IMPOSSIBLE = 1e3
 
 
@@ -124,14 +125,19 @@ class LayoutSearch:
             candidate = found[shares]
             return 2.0 * _IMPOSSIBLE if candidate is None else self._worst(candidate)
 
-        if all(arrange(self.requirement, kind, diameter, Shares(*start)) is None for start in _START):
+        if all(arrange(self.requirement, kind, diameter, start) is None for start in START):
             return Shares(), None
         minimize(
             objective,
-            _START[0],
+            (START[0].radius, START[0].size),
             method="Nelder-Mead",
             bounds=((0.0, 1.0), (0.0, 1.0)),
-            options={"maxfev": EVALUATIONS, "initial_simplex": _START, "xatol": 0.01, "fatol": 0.002},
+            options={
+                "maxfev": EVALUATIONS,
+                "initial_simplex": [(start.radius, start.size) for start in START],
+                "xatol": 0.01,
+                "fatol": 0.002,
+            },
         )
         usable = {shares: candidate for shares, candidate in found.items() if candidate is not None}
         if not usable:

@@ -14,8 +14,8 @@ import numpy as np
 import pinocchio as pin
 
 from posor_estimator.design.layout_evaluation import evaluate, extreme_poses
-from posor_estimator.design.layout_geometry import Shares, arrange, layout_kinds
-from posor_estimator.design.layout_search import RESERVE, LayoutSearch, ratios
+from posor_estimator.design.layout_geometry import arrange, layout_kinds
+from posor_estimator.design.layout_search import RESERVE, START, LayoutSearch, ratios
 from posor_estimator.design.quantity_text import format_quantity
 from posor_estimator.design.requirement import FREEDOMS
 from posor_estimator.errors import DesignError
@@ -32,13 +32,12 @@ if TYPE_CHECKING:
     from posor_estimator.design.requirement import Requirement
 
 SLACK = 1.01
-"""By how much more than necessary a requirement is relaxed; doubled until a search succeeds."""
-ATTEMPTS = 3
+"""By how much more than necessary a requirement is relaxed; the excess grows fourfold until a search succeeds."""
+ATTEMPTS = 4
 LARGEST_FACTOR = 64.0
 """Largest change of an entry that is tried."""
 STEPS = 7
 """Bisections of such a change."""
-_TRIED = (Shares(1.0, 0.3), Shares(1.0, 0.6), Shares(1.0, 0.0))
 _UNITS = dict(NATIVE)
 _FAULT = "minimum_detectable_fault"
 
@@ -97,7 +96,7 @@ def _refuse_uncertainty(
         nearest = _with_changes(requirement, changes)
         if LayoutSearch(nearest, progress).run().chosen is not None:
             break
-        slack = 1.0 + 2.0 * (slack - 1.0)
+        slack = 1.0 + 4.0 * (slack - 1.0)
     if name == _FAULT:
         reached = "no reading of every layout is checked" if math.isinf(best.fault) else _length(best.fault)
         what = f"{_FAULT} {_length(requirement.fault)} is beyond every layout: the best one detects {reached}"
@@ -159,7 +158,7 @@ def _sufficient_diameter(requirement: Requirement, best: Candidate) -> float | N
 
     def sufficient(larger: Requirement) -> bool:
         search = LayoutSearch(larger)
-        candidate = search.candidate(best.kind, larger.outside_diameter.number, _TRIED[0])
+        candidate = search.candidate(best.kind, larger.outside_diameter.number, START[1])
         return candidate is not None and ratios(larger, candidate).worst <= 1.0
 
     factor = _least_factor(requirement, entry, sufficient, 8.0)
@@ -211,7 +210,7 @@ def _usable(requirement: Requirement) -> bool:
     """Return whether a layout fits and gives a pose everywhere."""
     diameter = requirement.outside_diameter.number
     for kind in layout_kinds(requirement):
-        for shares in _TRIED:
+        for shares in START:
             layout = arrange(requirement, kind, diameter, shares)
             if (
                 layout is not None
