@@ -129,6 +129,6 @@ def design_verdict(confirmation: DesignConfirmation) -> str:
     errors = "All errors are within" if confirmation.within else "An error exceeds"
     agree = "agree with" if confirmation.consistent else "differ from"
     return (
-        f"{errors} the requirement. NEES / 6 {nees.mean:.4f}, {100 * BAND:.0f} % band [{nees.low:.4f}, {nees.high:.4f}]:"
-        f" errors {agree} the stated covariances. {confirmation.lost} of {confirmation.draws} draws gave no pose."
+        f"{errors} the requirement. NEES / 6 {nees.mean:.4f}, {100 * BAND:.0f} % band [{nees.low:.4f}, {nees.high:.4f}]"
+        f": errors {agree} the stated covariances. {confirmation.lost} of {confirmation.draws} draws gave no pose."
     )
