@@ -64,15 +64,26 @@ def _value_table(fields: Sequence[Value], values: Mapping[str, Any]) -> Markup:
 
 
 def _effects(signature: CalculatorSignature, arguments: Mapping[str, Any], results: Mapping[str, Any]) -> Markup:
-    """Return the relative change of each result that is one number, by each argument that is one."""
-    names = [name for name, value in results.items() if isinstance(value, float) and value != 0.0]
-    varied = [name for name, value in arguments.items() if isinstance(value, float) and value != 0.0]
+    """Return the relative change of each result that is a number or a few, by each argument that is one number."""
+    names = [each.name for each in signature.results if _has_numbers(each.kind, results[each.name])]
     rows = []
-    for argument in varied:
+    for argument, value in arguments.items():
+        if not isinstance(value, float) or value == 0.0:
+            continue
         try:
-            changed = signature.function(**{**arguments, argument: arguments[argument] * (1.0 + _MORE)})
+            changed = signature.function(**{**arguments, argument: value * (1.0 + _MORE)})
         except ParameterError as error:
             rows.append((argument, *("",) * len(names), f"refused: {error}"))
             continue
-        rows.append((argument, *(f"{getattr(changed, name) / results[name] - 1.0:+.2%}" for name in names), ""))
+        rows.append((argument, *(_relative_change(results[name], getattr(changed, name)) for name in names), ""))
     return table(("argument", *names, ""), rows, "numbers")
+
+
+def _has_numbers(kind: Any, value: Any) -> bool:
+    return np.asarray(value).dtype.kind == "f" and not is_series(kind, value)
+
+
+def _relative_change(before: Any, after: Any) -> str:
+    """Return the relative change of each number; a change from 0 has none."""
+    pairs = zip(np.ravel(before), np.ravel(after), strict=True)
+    return ", ".join(f"{new / old - 1.0:+.2%}" if old else "from 0" for old, new in pairs)

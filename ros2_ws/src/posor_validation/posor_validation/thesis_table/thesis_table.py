@@ -93,7 +93,7 @@ def format_cells(row: ThesisRow) -> tuple[str, ...]:
 def _format_difference(row: ThesisRow) -> str:
     if row.difference is None:
         return ""
-    if row.printed_number and row.difference:
+    if row.printed_number:
         return f"{100.0 * row.difference / abs(row.printed_number):+.1f} %"
     return f"{row.difference:+.2g}"
 
