@@ -96,29 +96,29 @@ def rows() -> list[ThesisRow]:
         ThesisRow(
             section,
             f"{prefix}orifices of .030 in, Cd .4 to .8 (figure 6.12)",
-            "",
+            "1",
             "-1",
             direction(sweep[WIDE_ORIFICE]),
         ),
         ThesisRow(
             section,
             f"{prefix}orifices of .015 in, Cd .4 to .8 (figure 6.13)",
-            "",
+            "1",
             "1",
             direction(sweep[NARROW_ORIFICE]),
         ),
         ThesisRow(
             section,
             f"{prefix}clearance .001 in, L/D .5 to 2.5 (figure 6.14)",
-            "",
+            "1",
             "-1",
             direction([air_bearing(0.001 * inch, aspect) for aspect in ASPECTS]),
         ),
-        ThesisRow(section, "L/D of the greatest load, clearance .002 in (figure 6.15)", "", "1.5", best),
+        ThesisRow(section, "L/D of the greatest load, clearance .002 in (figure 6.15)", "1", "1.5", best),
         ThesisRow(
             section,
             f"{prefix}clearance .002 to .004 in at L/D 1 (figures 6.15 and 6.16)",
-            "",
+            "1",
             "-1",
             direction(wider),
         ),
@@ -170,10 +170,11 @@ def _discharge_plot(number: str, orifice_radius: float) -> Plot:
     return plot
 
 
-def _aspect_plot(number: str, clearance: float) -> Plot:
-    plot = _load_plot(f"Figure {number}: load, clearance {clearance:.3f} in, orifices of .030 in, Cd .6")
+def _aspect_plot(number: str, clearance_inches: float) -> Plot:
+    """Return the load over the gap for a clearance in inch."""
+    plot = _load_plot(f"Figure {number}: load, clearance {clearance_inches:.3f} in, orifices of .030 in, Cd .6")
     for style, aspect in enumerate(ASPECTS):
-        _load_curve(plot, f"L/D {aspect}", clearance * inch, style, aspect=aspect)
+        _load_curve(plot, f"L/D {aspect}", clearance_inches * inch, style, aspect=aspect)
     return plot
 
 

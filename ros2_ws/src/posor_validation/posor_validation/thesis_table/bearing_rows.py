@@ -12,12 +12,12 @@ from posor_estimator.reporting.figure_style import BLUE, GREEN, ORANGE
 from posor_estimator.reporting.plot import Plot
 from scipy.constants import inch, lbf, psi
 
+from posor_validation.thesis_table.printed_units import KSI
 from posor_validation.thesis_table.thesis_row import ThesisRow
 
 if TYPE_CHECKING:
     from posor_estimator.design.contact import Contact
 
-KSI = 1e3 * psi
 BALL: dict[str, Any] = {"ball_diameter": 5.0 / 32.0 * inch, "pitch_diameter": 0.5 * (0.375 + 0.875) * inch}
 """Bearing of 3/8 in bore and 7/8 in outside diameter; the balls run halfway between them."""
 BALL_LOAD = 2.2 * lbf
@@ -107,7 +107,7 @@ def _program_rows() -> list[ThesisRow]:
         ThesisRow(
             "App. 6B",
             f"coefficient of the large half axis at {degrees} deg, fit of CONTACT.FOR",
-            "",
+            "1",
             f"{np.polyval((1.155e-7, -3.466e-5, 0.004062, -0.2353, 6.9756), degrees):.3f}",
             _half_axis_coefficient(math.radians(degrees)),
             "printed: the polynomial of the listing at this angle",
@@ -117,7 +117,7 @@ def _program_rows() -> list[ThesisRow]:
     shear = ThesisRow(
         "App. 6B",
         "greatest shear stress over compressive stress, yoke bearing",
-        "",
+        "1",
         ".3",
         steel.shear_stress / steel.stress,
         "the factor of CONTACT.FOR",

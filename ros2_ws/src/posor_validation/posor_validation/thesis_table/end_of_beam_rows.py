@@ -223,15 +223,24 @@ def _simulation_rows() -> list[ThesisRow]:
         alone = deviation_from_first(_without_noise(test))
         for column, name in enumerate(COLUMNS):
             reason = (
-                f"median of {DRAWS} simulated runs, 5 to 95 %: {low[column]:.3g} to {high[column]:.3g}; without noise "
-                f"{alone[column]:.2g}, because the flatness terms have theta of the previous step; the simulation has "
-                "no error of the diode map, no drift of the probes, and a motion shared as in table 8.1"
+                f"median of {DRAWS} simulated runs, 5 to 95 %: {low[column]:.3g} to {high[column]:.3g}"
+                f"{_place_of_print(printed[column], float(low[column]), float(high[column]))}; without noise "
+                f"{alone[column]:.2g}, because the flatness terms have theta of the previous step; not simulated: "
+                "errors of the diode map, drift of the probes; assumed: the readings share the motion as in table 8.1"
             )
             quantity = f"{test}: {name}, standard deviation of the error, simulated with the noise of the budgets"
             rows.append(
                 ThesisRow(SECTIONS[test], quantity, UNITS[column], printed[column], float(median[column]), reason)
             )
     return rows
+
+
+def _place_of_print(printed: str, low: float, high: float) -> str:
+    """Return where a printed number lies against the range of the simulated ones."""
+    if not printed:
+        return ""
+    place = "below" if float(printed) < low else "above" if float(printed) > high else "in"
+    return f", the print lies {place} this range"
 
 
 def end_of_beam_plots() -> list[Plot]:

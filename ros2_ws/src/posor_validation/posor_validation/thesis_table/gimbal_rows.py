@@ -12,14 +12,12 @@ from posor_estimator.reporting.figure_style import BLUE, GREEN, ORANGE
 from posor_estimator.reporting.plot import Plot
 from scipy.constants import g, inch, lb, lbf, psi
 
+from posor_validation.thesis_table.printed_units import KSI, POUND_INCH, UIN
 from posor_validation.thesis_table.thesis_row import ThesisRow
 
 if TYPE_CHECKING:
     from posor_estimator.design.gimbals import GimbalTorques, WireGimbal
 
-UIN = 1e-6 * inch
-KSI = 1e3 * psi
-POUND_INCH = lbf * inch
 POUND_PER_CUBIC_INCH = lb / inch**3
 
 BEAM: dict[str, Any] = {"outside_diameter": 2.0 * inch, "inside_diameter": 1.75 * inch, "modulus": 10e6 * psi}
@@ -123,7 +121,7 @@ def _torque_rows() -> list[ThesisRow]:
             ".3529",
             _torques().bending_torque / POUND_INCH,
             "the print of the equation is damaged; with the slope of one end of the beam instead of both: "
-            f"{twice:.4f} in lbf",
+            f"{twice:.4f} in lbf; why the print has 2 % less is unknown",
         ),
         ThesisRow(
             "6.2.3",
@@ -157,6 +155,7 @@ def _wire_rows() -> list[ThesisRow]:
     printed_four = wire_gimbal(4, RADIUS, wire_length=0.271 * inch, **WIRE).torque / POUND_INCH
     initial = two.initial_stress / KSI
     diameter = WIRE["wire_diameter"] / inch * math.sqrt(initial / 22.3)
+    four_freedoms = "for the printed torque of 6.3; 30e6 psi for steel (assumed)"
     return [
         ThesisRow(
             "6.2.3.1",
@@ -173,10 +172,10 @@ def _wire_rows() -> list[ThesisRow]:
             "in",
             ".145",
             two.wire_length / inch,
-            "for the printed torque of 6.3; 30e6 psi for steel (assumed)",
+            four_freedoms,
         ),
         ThesisRow(
-            "6.2.3.1", "stress by the stretch of these wires", "psi", "2850", two.stretch_stress / psi, "as above"
+            "6.2.3.1", "stress by the stretch of these wires", "psi", "2850", two.stretch_stress / psi, four_freedoms
         ),
         ThesisRow(
             "6.2.3.1",

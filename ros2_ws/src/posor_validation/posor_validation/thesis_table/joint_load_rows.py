@@ -10,9 +10,9 @@ from posor_estimator.design.structures import cantilever_beam, cantilever_for_st
 from posor_estimator.design.torsion import shaft_stress
 from scipy.constants import degree, inch, lbf, psi
 
+from posor_validation.thesis_table.printed_units import POUND_INCH
 from posor_validation.thesis_table.thesis_row import ThesisRow
 
-POUND_INCH = lbf * inch
 ALUMINIUM_MODULUS = 10e6 * psi
 """Of 6.2.3."""
 DESIGN_STRESS = 5000.0 * psi
@@ -26,7 +26,7 @@ def joint_load_rows() -> list[ThesisRow]:
 
 
 def _moment(*loads: tuple[float, float]) -> float:
-    """Return the moment [lbf in] of loads, each a distance [in] and a force [lbf]."""
+    """Return the moment [in lbf] of loads, each a distance [in] and a force [lbf]."""
     distances, forces = zip(*loads, strict=True)
     found = joint_moment(tuple(each * inch for each in distances), tuple(each * lbf for each in forces))
     return found.moment / POUND_INCH
@@ -51,15 +51,16 @@ def _wrist_rows() -> list[ThesisRow]:
             0.5 * chain.travel / degree,
             f"120 deg need a stroke of {120.0 * degree * 4.0:.2f} in",
         ),
-        ThesisRow("9.4.2", "moment at the wrist roll joint", "lb in", "5650", _moment((26.0, 200.0), (9.0, 50.0))),
-        ThesisRow("9.4.2", "largest roll moment", "lb in", "3200", roll),
+        ThesisRow("9.4.2", "moment at the wrist roll joint", "in lbf", "5650", _moment((26.0, 200.0), (9.0, 50.0))),
+        ThesisRow("9.4.2", "largest roll moment", "in lbf", "3200", roll),
         ThesisRow(
             "9.4.2",
             "torque of the drive shaft",
-            "lb in",
+            "in lbf",
             "640",
             drive.pinion_torque / POUND_INCH,
-            "gear of 5 in as printed; its pinion has 1 in (assumed, not printed)",
+            "not independent: the pinion is not printed, and 1 in is the one that fits this number with the printed "
+            "gear of 5 in",
         ),
         ThesisRow(
             "9.4.2",
@@ -80,19 +81,19 @@ def _arm_rows() -> list[ThesisRow]:
     )
     needed = cantilever_for_stress(**_as_tip_force(shoulder), height=5.0 * inch, width=5.0 * inch, stress=DESIGN_STRESS)
     return [
-        ThesisRow("9.4.3", "major moment at the elbow", "lb in", "12200", elbow),
+        ThesisRow("9.4.3", "major moment at the elbow", "in lbf", "12200", elbow),
         ThesisRow(
             "9.4.3",
             "minor moment at the elbow",
-            "lb in",
+            "in lbf",
             "6300",
             _moment((21.0, 300.0)),
             "the scan has 211 for the distance of 21 in",
         ),
         ThesisRow("9.4.3", "stress of the box 4 x 4 x 1/8 in", "psi", "5000", _box_stress(elbow, 4.0)),
         ThesisRow("9.4.3", "gear ratio of the elbow", "1", "3", elbow_drive.ratio),
-        ThesisRow("9.4.4", "major moment at the shoulder", "lb in", "25575", shoulder),
-        ThesisRow("9.4.4", "minor moment at the shoulder", "lb in", "10000", _moment((25.0, 400.0))),
+        ThesisRow("9.4.4", "major moment at the shoulder", "in lbf", "25575", shoulder),
+        ThesisRow("9.4.4", "minor moment at the shoulder", "in lbf", "10000", _moment((25.0, 400.0))),
         ThesisRow(
             "9.4.4",
             "stress of the box 5 x 5 x 1/8 in",
@@ -106,12 +107,12 @@ def _arm_rows() -> list[ThesisRow]:
 
 
 def _as_tip_force(moment: float) -> dict[str, Any]:
-    """Return the arguments of an aluminium cantilever whose moment [lbf in] at the clamp is that of a tip force."""
+    """Return the arguments of an aluminium cantilever whose moment [in lbf] at the clamp is that of a tip force."""
     return {"length": inch, "tip_force": moment * lbf, "modulus": ALUMINIUM_MODULUS}
 
 
 def _box_stress(moment: float, side: float) -> float:
-    """Return the stress [psi] of a square box with a wall of 1/8 in, by a moment [lbf in]."""
+    """Return the stress [psi] of a square box with a wall of 1/8 in, by a moment [in lbf]."""
     box = cantilever_beam(**_as_tip_force(moment), height=side * inch, width=side * inch, wall=0.125 * inch)
     return box.stress / psi
 

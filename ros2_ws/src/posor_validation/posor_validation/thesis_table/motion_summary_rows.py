@@ -118,7 +118,7 @@ def _ratio_rows() -> list[ThesisRow]:
     return [
         ThesisRow(
             section,
-            f"{test}: error of {freedom} over the predicted error",
+            f"{test}: printed error of {freedom} over the predicted error",
             "1",
             f"{stated_error(test, freedom, 'stated_ratio_to_predicted_sd'):g}",
             ratio,
@@ -206,11 +206,25 @@ def _average_rows() -> list[ThesisRow]:
         ThesisRow(
             "8.5", "average error at the end of the beam, probes, by the replayed tests", "in", ".000625", replayed
         ),
-        ThesisRow("9.1", "average error at the end of the beam, probes", "in", ".0006", stated, "rounded from .000625"),
-        ThesisRow("9.1", "average error at the end of the beam, diodes", "in", ".0047", diodes, legible),
+        ThesisRow(
+            "9.1",
+            "average error at the end of the beam, probes, by the printed deviations",
+            "in",
+            ".0006",
+            stated,
+            "rounded from .000625",
+        ),
+        ThesisRow(
+            "9.1",
+            "average error at the end of the beam, diodes, by the printed deviations",
+            "in",
+            ".0047",
+            diodes,
+            legible,
+        ),
         ThesisRow(
             "8.5",
-            "average error at the end of the beam, diodes",
+            "average error at the end of the beam, diodes, by the printed deviations",
             "in",
             ".008929",
             diodes,

@@ -26,8 +26,8 @@ from posor_validation.thesis_table.thesis_row import ThesisRow
 if TYPE_CHECKING:
     from posor_validation.thesis_budgets.motion_predictions import MotionName
 
-UIN = 1e-6
-"""Microinch [inch]."""
+MICROINCHES = 1e-6
+"""Of an inch: the predictions are in inch, as in the thesis."""
 _TEXT_DISTANCE = 0.027
 """Mean distance across the diodes that sections 8.4.4 and 8.4.5 take for both tests [inch]."""
 
@@ -52,19 +52,19 @@ def _test_setup() -> list[ThesisRow]:
 
 def _expected_errors() -> list[ThesisRow]:
     lever = dimensions()["lever_endpoint"]
-    exchanged = "the thesis takes the factor of X on theta as .5/9, the model has .5/9.25 (table 5.4)"
+    factor_of_x = "the thesis takes the factor of X on theta as .5/9, the model has .5/9.25 (table 5.4)"
     return [
-        ThesisRow("8.4", "sigma_X of the diodes", "uin", "1572", diode_budget("induced_sigma_X_uin") / UIN),
-        ThesisRow("8.4", "sigma_Z of the diodes", "uin", "207", diode_budget("induced_sigma_Y_uin") / UIN),
+        ThesisRow("8.4", "sigma_X of the diodes", "uin", "1572", diode_budget("induced_sigma_X_uin") / MICROINCHES),
+        ThesisRow("8.4", "sigma_Z of the diodes", "uin", "207", diode_budget("induced_sigma_Y_uin") / MICROINCHES),
         ThesisRow(
             "8.4",
             "sigma_theta of the diodes",
             "urad",
             "111",
             diode_budget("induced_sigma_theta_urad") / URAD,
-            exchanged,
+            factor_of_x,
         ),
-        ThesisRow("8.4", "sigma_Z of the POSOR, end of the beam", "uin", "3914", total_z() / UIN, exchanged),
+        ThesisRow("8.4", "sigma_Z of the POSOR, end of the beam", "uin", "3914", total_z() / MICROINCHES, factor_of_x),
         ThesisRow("8.4", "sigma_alpha, increasing", "urad", "123", probe_budget("increasing", "alpha") / URAD),
         ThesisRow("8.4", "sigma_beta, increasing", "urad", "75", probe_budget("increasing", "beta") / URAD),
         ThesisRow("8.4", "sigma_alpha, random", "urad", "11", probe_budget("random", "alpha") / URAD),
@@ -74,10 +74,12 @@ def _expected_errors() -> list[ThesisRow]:
             "sigma_Y of the POSOR, increasing",
             "uin",
             "2505",
-            lever * probe_budget("increasing", "beta") / UIN,
+            lever * probe_budget("increasing", "beta") / MICROINCHES,
             "the thesis multiplies the rounded 75 urad",
         ),
-        ThesisRow("8.4", "sigma_Y of the POSOR, random", "uin", "200", lever * probe_budget("random", "beta") / UIN),
+        ThesisRow(
+            "8.4", "sigma_Y of the POSOR, random", "uin", "200", lever * probe_budget("random", "beta") / MICROINCHES
+        ),
     ]
 
 
@@ -188,13 +190,13 @@ def _probe_terms() -> list[ThesisRow]:
             )
             for test, section in (("YMO", "8.4.2"), ("YZMO", "8.4.3"))
         ),
-        ThesisRow("8.4.4", f"TWIS: y, increasing {by_range}", "uin", "735", predicted["TWIS"].y / UIN, twis),
+        ThesisRow("8.4.4", f"TWIS: y, increasing {by_range}", "uin", "735", predicted["TWIS"].y / MICROINCHES, twis),
         ThesisRow(
             "8.4.5",
             f"GEN: y, increasing {by_range}",
             "uin",
             "167",
-            predicted["GEN"].y / UIN,
+            predicted["GEN"].y / MICROINCHES,
             f"does not follow: beta of 5 urad, but table 8.1 has {along['GEN']:.4f} in between probe 1 and the mean of "
             f"probes 2 and 3, which makes {predicted['GEN'].beta / URAD:.1f} urad",
         ),

@@ -14,6 +14,7 @@ from posor_estimator.reporting.plot import Plot
 from posor_estimator.uncertainty.air_index import ICE_POINT
 
 from posor_validation.thesis_data import data_path, read_table
+from posor_validation.thesis_table.printed_units import INCH_OF_MERCURY, UIN
 
 MM, UM = 1e-3, 1e-6
 _COLOURS = (BLUE, ORANGE, GREEN)
@@ -53,8 +54,7 @@ def _diode_noise() -> Plot:
     powers = np.logspace(-5, -2, 61)
     for bandwidth, colour in zip((250.0, 2500.0, 25000.0), _COLOURS, strict=True):
         curve = [
-            diode_noise(1.25 * INCH, float(power), 0.25, 1000.0, 10e-9, bandwidth).resolution / (1e-6 * INCH)
-            for power in powers
+            diode_noise(1.25 * INCH, float(power), 0.25, 1000.0, 10e-9, bandwidth).resolution / UIN for power in powers
         ]
         plot.curve(f"{bandwidth:g} Hz", powers / 1e-3, curve, colour)
     return plot
@@ -63,7 +63,11 @@ def _diode_noise() -> Plot:
 def _humidity() -> Plot:
     plot = Plot("4A: change of the index of air", "temperature [C]", "change [ppm]")
     temperatures = np.linspace(10.0, 50.0, 41)
-    changes = {"1 K": (1.0, 0.0, 0.0), "0.1 inHg": (0.0, 338.6389, 0.0), "30 % relative humidity": (0.0, 0.0, 0.3)}
+    changes = {
+        "1 K": (1.0, 0.0, 0.0),
+        "0.1 inHg": (0.0, 0.1 * INCH_OF_MERCURY, 0.0),
+        "30 % relative humidity": (0.0, 0.0, 0.3),
+    }
     for (name, change), colour in zip(changes.items(), _COLOURS, strict=True):
         effects = [
             air_effects(*change, temperature=ICE_POINT + float(celsius), relative_humidity=0.3).total

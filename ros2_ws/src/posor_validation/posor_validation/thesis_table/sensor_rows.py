@@ -13,10 +13,12 @@ from posor_estimator.design.interferometry import air_effects
 from posor_estimator.design.machine_metrology import abbe_error, probe_zero
 from posor_estimator.design.sensor_noise import angle_resolution, converter_resolution, diode_noise
 from posor_estimator.uncertainty.air_index import ICE_POINT
+from scipy.constants import arcsec
 from scipy.optimize import brentq
 
 from posor_validation.thesis_budgets.probe_tables import AT_POINT, factor
 from posor_validation.thesis_data import URAD, data_path, read_table
+from posor_validation.thesis_table.printed_units import INCH_OF_MERCURY, UIN
 from posor_validation.thesis_table.sensor_plots import residual_plots, sensor_plots
 from posor_validation.thesis_table.thesis_row import ThesisRow
 
@@ -25,11 +27,7 @@ if TYPE_CHECKING:
 
     from posor_estimator.reporting.plot import Plot
 
-UIN = 1e-6 * INCH
-ARCSEC = math.radians(1.0 / 3600.0)
 PPM = 1e-6
-INCH_OF_MERCURY = 3386.389
-"""[Pa], NIST SP 811, appendix B.8."""
 PROBE_TRAVEL = 0.05 * INCH
 DIODE_TRAVEL = 0.625 * INCH
 LOWEST = ("1X", "low_order8")
@@ -74,18 +72,18 @@ def _resolution_rows() -> list[ThesisRow]:
     diodes = angle_resolution(25.0 * UIN, 2.5 * INCH).step
     return [
         ThesisRow(
-            "3.2.1", "bits of an interferometer of 1 part per million", "bits", "20", math.log2(1.0 / PPM), "rounded"
+            "3.2.1", "bits of an interferometer of 1 part per million", "bit", "20", math.log2(1.0 / PPM), "rounded"
         ),
         ThesisRow("3.2.2", "alpha, beta: probes of 12 bits over .05 in, 5 in apart", "urad", "2.4", probes / URAD),
-        ThesisRow("3.2.2", "alpha, beta: the same in arcsec", "arcsec", ".5", probes / ARCSEC),
+        ThesisRow("3.2.2", "alpha, beta: the same in arcsec", "arcsec", ".5", probes / arcsec),
         ThesisRow("3.2.2", "theta: bumps at 45 degrees, probe of 5 uin, ring of 5 in", "urad", "2", ring / URAD),
         ThesisRow(
             "3.2.2",
             "theta: the same in arcsec",
             "arcsec",
             ".5",
-            ring / ARCSEC,
-            f"2 urad are {2.0 * URAD / ARCSEC:.2f} arcsec; .5 is the figure of the probes, 2.4 urad",
+            ring / arcsec,
+            f"2 urad are {2.0 * URAD / arcsec:.2f} arcsec; .5 is the figure of the probes, 2.4 urad",
         ),
         ThesisRow("3.2.2", "theta: diodes of 25 uin, 2.5 in apart", "urad", "10", diodes / URAD),
     ]
@@ -139,7 +137,7 @@ def _converter_rows() -> list[ThesisRow]:
     diode, probe = converter(DIODE_TRAVEL), converter(PROBE_TRAVEL)
     return [
         ThesisRow("7.2", "converter: parts of 65 uV in 1 V", "1", "15385", diode.parts),
-        ThesisRow("7.2", "converter: bits", "bits", "14", diode.bits),
+        ThesisRow("7.2", "converter: bits", "bit", "14", diode.bits),
         ThesisRow("7.2", "converter: resolution on a diode, .625 in", "uin", "41", diode.step / UIN),
         ThesisRow("7.2", "converter: resolution of a probe, .05 in", "uin", "3", probe.step / UIN),
     ]
@@ -148,7 +146,9 @@ def _converter_rows() -> list[ThesisRow]:
 def _spacing_rows() -> list[ThesisRow]:
     """Return the largest error of a distance by .001 in of the spacing of the probes (5.3.2), from the model."""
     largest = max(abs(factor(lever, AT_POINT)) for lever in ("sigma_a", "sigma_b"))
-    return [ThesisRow("5.3.2", "distance at a diode, error by .001 in of a or b", "uin", "14", largest * 1e3)]
+    return [
+        ThesisRow("5.3.2", "distance at a diode, error by .001 in of a or b", "uin", "14", largest * 0.001 * INCH / UIN)
+    ]
 
 
 def _axis_rows() -> list[ThesisRow]:

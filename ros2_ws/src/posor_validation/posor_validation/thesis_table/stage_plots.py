@@ -9,7 +9,8 @@ from posor_estimator.reporting.figure_style import BLUE, GREEN, LIGHT_BLUE, ORAN
 from posor_estimator.reporting.plot import Plot
 
 from posor_validation.thesis_data import data_path, read_table
-from posor_validation.thesis_table.sensor_rows import UIN, probe_polynomials
+from posor_validation.thesis_table.printed_units import UIN
+from posor_validation.thesis_table.sensor_rows import probe_polynomials
 
 TRAVEL = 0.75 * INCH
 """Of the stepper stage, section 7.2."""

@@ -19,10 +19,12 @@ from posor_estimator.design.machine_metrology import (
 from posor_estimator.design.sensor_noise import angle_resolution, converter_resolution
 from posor_estimator.identification.curve_interpolation import doubled_grid_errors
 from posor_estimator.uncertainty.interferometer import ZERO, AirQuantities, Input, Interferometer, correct_reading
+from scipy.constants import arcsec
 
 from posor_validation.thesis_budgets.probe_tables import ALPHA, BUDGET_COLUMNS, table_7_12
-from posor_validation.thesis_data import data_path, read_table
-from posor_validation.thesis_table.sensor_rows import ARCSEC, UIN, probe_polynomials
+from posor_validation.thesis_data import URAD, data_path, read_table
+from posor_validation.thesis_table.printed_units import UIN
+from posor_validation.thesis_table.sensor_rows import probe_polynomials
 from posor_validation.thesis_table.stage_plots import FINISH, GAIN, START, TRAVEL, stage_plots
 from posor_validation.thesis_table.thesis_row import ThesisRow
 
@@ -30,15 +32,14 @@ if TYPE_CHECKING:
     from posor_estimator.design.machine_metrology import StraightnessRuns
     from posor_estimator.reporting.plot import Plot
 
-URAD = 1e-6
 CAST_IRON = 6.0e-6 * 1.8
 """Thermal expansion [1/K]: 6.0e-6 for each degree Fahrenheit, Machinery's Handbook. The thesis does not print it."""
 TEMPERATURE_CHANGE = 0.1 / 1.8
 """.1 degree Fahrenheit [K]."""
 GAUGE_ERROR = 0.001 * INCH
 """Error of a gap that is set by gauge blocks [m], section 8.3.1."""
-PITCH = 0.5 * INCH / 14.0
-"""Of the fifteen curves over half an inch of a diode."""
+DIODE_LENGTH = 0.5 * INCH
+"""Length over which fifteen curves map a diode, section 7.4.2."""
 
 
 def rows() -> list[ThesisRow]:
@@ -150,8 +151,8 @@ def _alignment_rows() -> list[ThesisRow]:
 
 def _abbe_rows() -> list[ThesisRow]:
     yaw = abbe_error(2.0 * INCH, 25.0 * URAD).error
-    exact = abbe_error(2.0 * INCH, 5.0 * ARCSEC).error
-    pitch = abbe_error(2.0 * INCH, 2.0 * ARCSEC).error
+    exact = abbe_error(2.0 * INCH, 5.0 * arcsec).error
+    pitch = abbe_error(2.0 * INCH, 2.0 * arcsec).error
     return [
         ThesisRow(
             "7.4.2",
@@ -256,7 +257,7 @@ def _interpolation_row() -> ThesisRow:
     """Return the error of the grid of a diode over that of the doubled grid, on a simulated diode."""
     error = {}
     for count in (15, 29):
-        at = PITCH * np.arange(15.0)[-1] * np.linspace(0.0, 1.0, count)
+        at = np.linspace(0.0, DIODE_LENGTH, count)
         zero = np.zeros(count)
         cubic = 1e-3 * np.cos(at / (0.3 * INCH))
         curves = np.column_stack([zero, zero + 0.3 * INCH, zero, cubic])

@@ -17,7 +17,7 @@ from posor_estimator.design.structures import (
 )
 from posor_estimator.reporting.figure_style import BLUE, GREEN, ORANGE
 from posor_estimator.reporting.plot import Plot
-from scipy.constants import degree, foot, g, inch, lb, lbf, minute, psi
+from scipy.constants import arcsec, foot, g, inch, lb, lbf, minute, psi
 
 from posor_validation.thesis_table.joint_load_rows import ALUMINIUM_MODULUS, DESIGN_STRESS, joint_load_rows
 from posor_validation.thesis_table.thesis_row import ThesisRow
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from posor_estimator.design.structures import CantileverFrequencies
 
 POUND_PER_FOOT = lb / foot
-ARCSEC = degree / 3600.0
 ALUMINIUM: dict[str, Any] = {"modulus": ALUMINIUM_MODULUS, "density": 0.1 * lb / inch**3}
 """The density is a usual value (assumed)."""
 STEEL: dict[str, Any] = {"modulus": 29e6 * psi, "density": 0.283 * lb / inch**3}
@@ -66,7 +65,7 @@ def plots() -> list[Plot]:
 
 
 def _accuracy_rows() -> list[ThesisRow]:
-    error = endpoint_error((30.0 * inch, 30.0 * inch), (15.0 * ARCSEC, 15.0 * ARCSEC))
+    error = endpoint_error((30.0 * inch, 30.0 * inch), (15.0 * arcsec, 15.0 * arcsec))
     bits = position_bits(60.0 * inch, 0.001 * inch).bits
     return [
         ThesisRow("1.3", "bits for .001 in over 60 in", "bit", "16", bits),

@@ -30,7 +30,7 @@ class ThesisRow:
         quantity: What the number is.
         unit: Unit of both numbers, as printed.
         printed: The printed digits, such as ``.0065`` or ``5.6e-9``; empty: not legible.
-        computed: The number that a calculator of this project gives, in the same unit.
+        computed: The number that this project computes, in the same unit.
         reason: Why the two differ, or what was assumed; required if they differ or if no number is legible.
 
     """
