@@ -281,4 +281,6 @@ def sized_design(
         notes.append("assumed: bumps of 0.4 mm every 3.32 mm, ring probes of 1.5 times the range of the others")
     source = f"assumed design of {outside_diameter / INCH:g} in outside diameter"
     environment = environment_ranges(SIZED_GAP_PROBE.supply_sigma)
-    return design_calibration(title, source, tuple(notes), frames, velocity_limits(0.02), environment, converter_steps(bits), sensors)
+    return design_calibration(
+        title, source, tuple(notes), frames, velocity_limits(0.02), environment, converter_steps(bits), sensors
+    )
