@@ -141,7 +141,7 @@ def test_killed_node_ends_the_program_with_a_message(output: Path) -> None:
         os.kill(victim, signal.SIGKILL)
         assert exit_code(program) == 1
         (sentence,) = program.stderr
-        assert sentence.startswith("joint1/posor_node: was ended by SIGKILL; until then: ")
+        assert sentence.startswith("joint1/posor_node: was ended by SIGKILL; log: ")
 
 
 @pytest.mark.long

@@ -96,7 +96,7 @@ def test_killed_node_is_named_and_the_others_end(tmp_path: Path, rig: Path, pids
         os.kill(started["joint1/posor_node"], signal.SIGKILL)
         assert program.wait() == 1
         assert len(program.stderr) == 1
-        assert program.stderr[0].startswith("joint1/posor_node: was ended by SIGKILL; until then: ")
+        assert program.stderr[0].startswith("joint1/posor_node: was ended by SIGKILL; log: ")
 
 
 @pytest.mark.long

@@ -139,7 +139,7 @@ def test_a_node_that_dies_is_reported(demo: Demo, tmp_path: Path) -> None:
     os.kill(victims[0], signal.SIGKILL)
     _, err = process.communicate()
     assert process.returncode == 1
-    assert err.startswith("posor_node: was ended by SIGKILL; until then: ")
+    assert err.startswith("posor_node: was ended by SIGKILL; log: ")
     assert err.count("\n") == 1
 
 

@@ -14,12 +14,12 @@ MAX_AGE_S, KEPT = 0.1, 100
 class PlainController(Node):
     def __init__(self):
         super().__init__("plain_controller")
-        self.targets, self.positions = {}, {}
+        self.targets, self.positions, self.reason = {}, {}, "nothing to command"
         self.output = self.create_publisher(Vector3Stamped, "stage/command", 10)
         self.create_subscription(PoseStamped, "target/endpoint", lambda target: self.keep(self.targets, target), 10)
         self.create_subscription(Vector3Stamped, "stage/position", lambda stage: self.keep(self.positions, stage), 10)
         self.create_subscription(EndpointState, "endpoint/state", self.on_state, 10)
-        self.watchdog = self.create_timer(MAX_AGE_S, lambda: self.stop(f"nothing to command for {MAX_AGE_S} s"))
+        self.watchdog = self.create_timer(MAX_AGE_S, self.stop)  # one scan without a pose is no reason to stop
 
     def keep(self, messages, message):
         messages[message.header.stamp.sec * 10**9 + message.header.stamp.nanosec] = message
@@ -30,7 +30,7 @@ class PlainController(Node):
         stamp = measured.header.stamp.sec * 10**9 + measured.header.stamp.nanosec
         age_s = (self.get_clock().now().nanoseconds - stamp) * 1e-9
         if measured.state != EndpointState.STATE_OK or abs(age_s) > MAX_AGE_S:
-            self.stop(measured.reason or f"state {measured.state}, {age_s:.3f} s old")
+            self.reason = measured.reason or f"state {measured.state}, {age_s:.3f} s old"
         elif stamp in self.targets and stamp in self.positions:
             self.command(measured.pose, self.targets[stamp].pose.position, self.positions[stamp])
 
@@ -42,14 +42,13 @@ class PlainController(Node):
         command.vector.x = x + 2.0 * (q.w * a + b * q.z - c * q.y) + stage.vector.x
         command.vector.y = y + 2.0 * (q.w * b + c * q.x - a * q.z) + stage.vector.y
         command.vector.z = z + 2.0 * (q.w * c + a * q.y - b * q.x) + stage.vector.z
+        self.reason = "nothing to command"
         if math.isfinite(command.vector.x + command.vector.y + command.vector.z):
             self.output.publish(command)
             self.watchdog.reset()
-        else:
-            self.stop("a pose, a target or the position of the stage is not finite")
 
-    def stop(self, reason):
-        self.get_logger().warning(f"stopped: {reason}", throttle_duration_sec=1.0)  # another machine would brake here
+    def stop(self):  # another machine would brake here
+        self.get_logger().warning(f"stopped: {self.reason}", throttle_duration_sec=1.0)
 
 
 if __name__ == "__main__":

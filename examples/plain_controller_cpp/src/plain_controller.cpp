@@ -56,7 +56,7 @@ public:
     state_subscription_ = create_subscription<EndpointState>(
       "endpoint/state", 10, [this](const EndpointState & measured) {on_state(measured);});
     watchdog_ = create_wall_timer(
-      std::chrono::duration<double>(MAX_AGE_S), [this] {stop("nothing to command");});
+      std::chrono::duration<double>(MAX_AGE_S), [this] {stop();});
   }
 
 private:
@@ -67,7 +67,7 @@ private:
     const double age_s =
       now().seconds() - (measured.header.stamp.sec + 1e-9 * measured.header.stamp.nanosec);
     if (measured.state != EndpointState::STATE_OK || std::abs(age_s) > MAX_AGE_S) {
-      stop(measured.reason.empty() ? "the pose is not OK or too old" : measured.reason);
+      reason_ = measured.reason.empty() ? "the pose is not OK or too old" : measured.reason;
     } else if (target != targets_.end() && stage != positions_.end()) {
       command(measured.pose, target->second.pose.position, stage->second);
     }
@@ -86,20 +86,20 @@ private:
     message.vector.x += x + 2.0 * (q.w * a + b * q.z - c * q.y);
     message.vector.y += y + 2.0 * (q.w * b + c * q.x - a * q.z);
     message.vector.z += z + 2.0 * (q.w * c + a * q.y - b * q.x);
-    if (!std::isfinite(message.vector.x + message.vector.y + message.vector.z)) {
-      stop("a pose, a target or the position of the stage is not finite");
-      return;
+    reason_ = "nothing to command";
+    if (std::isfinite(message.vector.x + message.vector.y + message.vector.z)) {
+      output_->publish(message);
+      watchdog_->reset();
     }
-    output_->publish(message);
-    watchdog_->reset();
   }
 
-  // Commands nothing, and the stage stays where it is; another machine would brake here.
-  void stop(const std::string & reason)
+  // One scan without a pose is no reason to stop; MAX_AGE_S without one is. Another machine would brake here.
+  void stop()
   {
-    RCLCPP_WARN_THROTTLE(get_logger(), *get_clock(), 1000, "stopped: %s", reason.c_str());
+    RCLCPP_WARN_THROTTLE(get_logger(), *get_clock(), 1000, "stopped: %s", reason_.c_str());
   }
 
+  std::string reason_ = "nothing to command";
   std::map<Stamp, PoseStamped> targets_;
   std::map<Stamp, Vector3Stamped> positions_;
   rclcpp::Publisher<Vector3Stamped>::SharedPtr output_;

@@ -126,7 +126,7 @@ class RunningProgram:
         last = self.last_sentence()
         # A program that a signal has ended could not log the reason; its last line is older.
         how = (
-            f"was ended by {signal.Signals(-code).name}; until then: {last}"
+            f"was ended by {signal.Signals(-code).name}; log: {last}"
             if code < 0
             else f"ended with exit code {code}: {last}"
         )

@@ -127,6 +127,7 @@ class MessageStore:
     """The newest messages of each topic.
 
     Attributes:
+        since_s: When it began to receive (steady clock) [s]; None: it holds a part of a bag.
         statuses: Newest diagnostic status of the arm's nodes, by its name.
         refused: Why the last invalid message was refused; empty: there was none.
 
@@ -137,11 +138,13 @@ class MessageStore:
         self._prefix = f"/{arm}/"
         self._schemas = {topic: schema_of_class(message_class(name)) for topic, name in types.items()}
         self._messages: dict[str, deque[Message]] = {topic: deque(maxlen=KEPT) for topic in types}
+        self.since_s: float | None = None
         self.statuses: dict[str, Status] = {}
         self.refused = ""
 
-    def clear(self) -> None:
-        """Forget all messages."""
+    def clear(self, since_s: float | None = None) -> None:
+        """Forget all messages; see ``since_s``."""
+        self.since_s = since_s
         for messages in self._messages.values():
             messages.clear()
         self.statuses.clear()
@@ -197,7 +200,7 @@ class LiveTopics:
         """Subscribe to all topics, unless that is done already."""
         if self._subscriptions:
             return
-        self._store.clear()
+        self._store.clear(time.monotonic())
         for topic, name in self._topics.types.items():
             qos = DIAGNOSTICS_QOS if topic == DIAGNOSTICS_TOPIC else SENSOR_QOS
             events = SubscriptionEventCallbacks(use_default_callbacks=False)

@@ -26,6 +26,8 @@ SILENCE_S = 0.3
 """Time without a message after which a topic is silent; below 10 Hz, three median periods."""
 PERIODS = 5
 """Number of last periods whose median is used, so that an earlier pause does not count; before, ``SILENCE_S`` holds."""
+FIRST_MESSAGE_S = 1.0
+"""Time in which a running joint must be heard of for the first time; discovery takes a part of it."""
 DIAGNOSTICS_SILENCE_S = 3.0
 """The same for the diagnostics of a node, which come once a second."""
 STATES = {**{int(state): state.name for state in State}, int(EndpointState.STATE_STALE): "STALE"}
@@ -180,7 +182,10 @@ class Observer:
         messages = self._store.messages(topic)
         values = self._store.values(topic, messages[-1]) if messages else None
         if values is None:
+            since_s = self._store.since_s
             state = NO_MESSAGE
+            if since_s is not None and now_s - since_s > FIRST_MESSAGE_S:
+                state, sentences = SILENT, (f"no transform in the {now_s - since_s:.0f} s of this page", *sentences)
         elif (silence_s := self._silence_s(topic, now_s)) > 0.0:
             state, sentences = SILENT, (f"no transform for {silence_s:.1f} s", *sentences)
         else:

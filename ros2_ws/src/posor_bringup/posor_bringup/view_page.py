@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import socket
 import time
 from collections import deque
 from datetime import UTC, datetime
@@ -28,8 +30,8 @@ if TYPE_CHECKING:
 HOST = "127.0.0.1"
 CHART_PERIOD_S, TEXT_PERIOD_S = 0.25, 0.2
 """Time between two updates of the charts and of the numbers; a change of state is shown at once."""
-CHART_LENGTH = 300
-"""Points of a chart: half a minute."""
+CHART_S = 30.0
+"""Time that a chart shows."""
 MAX_POWER, USUAL_POWER = 4.0, 2.0
 """Of ten, of the enlargement."""
 PANEL_WIDTH = 520
@@ -114,7 +116,7 @@ class _Chart:
     """A strip chart; its points are sent to the page a few times a second."""
 
     def __init__(self, server: viser.ViserServer, title: str, names: Sequence[str]) -> None:
-        self._points: deque[tuple[float, ...]] = deque(maxlen=CHART_LENGTH)
+        self._points: deque[tuple[float, ...]] = deque()
         series: list[Any] = [{"label": "time"}]
         series += [{"label": name, "stroke": STROKES[n % len(STROKES)], **DOTS} for n, name in enumerate(names)]
         empty = tuple(np.zeros(1) for _ in series)
@@ -127,6 +129,8 @@ class _Chart:
             self._points.clear()
         if np.isfinite(point).all() and not (self._points and time_s == self._points[-1][0]):
             self._points.append(point)
+        while self._points and self._points[0][0] < time_s - CHART_S:
+            self._points.popleft()
 
     def send(self) -> None:
         """Show the points."""
@@ -140,6 +144,23 @@ class _LocalServer(viser.ViserServer):
     def request_share_url(self, verbose: bool = True) -> str | None:  # noqa: ARG002, FBT001, FBT002
         """Refuse to publish the page through a server of others, which any page could ask for otherwise."""
         return None
+
+
+def _check_port(port: int) -> None:
+    """Refuse a port that another program uses; viser would take the next one.
+
+    Raises:
+        ParameterError: The port cannot be used.
+
+    """
+    try:
+        socket.create_server((HOST, port)).close()
+    except OSError as error:
+        raise ParameterError(
+            f"port {port} cannot be used: {os.strerror(error.errno or 0).lower()}",
+            where="option --port",
+            expected="a free port, or 0; perhaps another 'view' uses it",
+        ) from error
 
 
 class ViewPage:
@@ -159,10 +180,8 @@ class ViewPage:
 
         """
         self._name, self._geometry = name, geometry
+        _check_port(port)
         self._server = _LocalServer(host=HOST, port=port, label=name, verbose=False)
-        if port and self._server.get_port() != port:
-            self._server.stop()
-            raise ParameterError(f"port {port} cannot be used", where="option --port", expected="a free port, or 0")
         self._add_scene()
         self._add_panel(duration_s)
         self._position_s = 0.0

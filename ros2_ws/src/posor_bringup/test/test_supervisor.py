@@ -84,7 +84,7 @@ def test_leaving_the_block_ends_all(folder: Path) -> None:
         (program("ends", ends=True), ""),
         (program("ends"), "ends: ended with exit code 0: done."),
         (program("fails", ends=True), "fails: ended with exit code 4: the sky is green; expected blue."),
-        (program("crashes"), "crashes: was ended by SIGSEGV; until then: it wrote nothing."),
+        (program("crashes"), "crashes: was ended by SIGSEGV; log: it wrote nothing."),
     ],
 )
 def test_check_reports_a_program_that_failed_or_ended_early(

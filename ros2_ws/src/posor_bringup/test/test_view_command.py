@@ -54,7 +54,10 @@ def test_port_in_use_is_refused_with_one_sentence(capfd: pytest.CaptureFixture[s
         port = other.getsockname()[1]
         code, error = refusal(capfd, "test_rig", "--port", port)
     assert code == 2
-    assert error == f"option --port: port {port} cannot be used; expected a free port, or 0.\n"
+    assert error == (
+        f"option --port: port {port} cannot be used: address already in use; "
+        "expected a free port, or 0; perhaps another 'view' uses it.\n"
+    )
 
 
 def test_positions_of_a_bag_forth_and_back() -> None:

@@ -79,6 +79,15 @@ def test_slow_arm_is_silent_after_three_periods(rig: Rig) -> None:
     assert not rig.observe(2.0 * PERIODS + 6.1).is_fresh
 
 
+def test_joint_that_is_never_heard_of_becomes_silent(rig: Rig) -> None:
+    rig.store.clear(since_s=1.0)
+    rig.add(STATE, EndpointState(), 1.5)
+    assert rig.observe(1.5).joints["joint1"].state == "NO MESSAGE"
+    rig.add(STATE, EndpointState(), 4.0)
+    joint = rig.observe(4.0).joints["joint1"]
+    assert (joint.state, joint.sentences) == ("SILENT", ("no transform in the 3 s of this page",))
+
+
 def test_joint_without_transforms_is_silent(rig: Rig) -> None:
     rig.add_scan(1.0)
     reason = "joint1: transform missing from a scan that the other joints sent"

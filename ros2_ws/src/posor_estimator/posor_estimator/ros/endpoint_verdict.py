@@ -74,9 +74,17 @@ def unusable_verdict(joints: Sequence[JointStatus]) -> Verdict:
         return Verdict(EndpointState.STATE_LOST, _all_faults(joints), "", "the endpoint is not finite")
     lost = [joint for joint in unusable if joint.state != State.UNCOUNTED]
     state = EndpointState.STATE_LOST if lost else EndpointState.STATE_UNCOUNTED
-    reason = "; ".join(f"{joint.name} {_reason(joint)}" for joint in unusable)
+    names: dict[str, list[str]] = {}  # of the joints with the same reason: the text has to fit into the message
+    for joint in unusable:
+        names.setdefault(_reason(joint), []).append(joint.name)
+    reason = "; ".join(f"{_listed(each)} {text}" for text, each in names.items())
     is_waiting = all(waits_to_be_counted(joint.state, joint.faults) and not joint.code for joint in unusable)
     return Verdict(state, _all_faults(joints), (lost or unusable)[0].name, reason, is_waiting)
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return names as the subject of a singular verb."""
+    return names[0] if len(names) == 1 else f"each of {', '.join(names)}"
 
 
 def _reason(joint: JointStatus) -> str:

@@ -14,6 +14,7 @@ LOST = JointStatus("elbow", State.LOST, Fault.RESIDUAL)
 UNCOUNTED = JointStatus("shoulder", State.UNCOUNTED, Fault.COUNT)
 WAITING = JointStatus("shoulder", State.UNCOUNTED, 0)
 TOO_FAR = JointStatus("tool", State.OK, 0, POSE_TOO_FAR)
+GROUPED = f"each of shoulder, tool is {NOT_COUNTED}"
 FAR_TEXT = "tool is further than 0.02 m from the nominal joint of the URDF"
 
 
@@ -36,6 +37,7 @@ FAR_TEXT = "tool is further than 0.02 m from the nominal joint of the URDF"
             "elbow",
             "shoulder is uncounted (COUNT); elbow is lost (RESIDUAL)",
         ),
+        ([WAITING, JointStatus("tool", State.UNCOUNTED, 0), SOUND_JOINT], *("UNCOUNTED", 0, "shoulder"), GROUPED),
         ([SOUND_JOINT, TOO_FAR], "LOST", 0, "tool", FAR_TEXT),
         ([JointStatus("base", 200, 0)], "LOST", 0, "base", "base has the unknown state 200"),
         ([SOUND_JOINT, FLAGGED], "LOST", Fault.FLAGGED, "", "the endpoint is not finite"),
