@@ -20,7 +20,7 @@
 A reading is ``scale`` times the channel plus ``offset``. Without ``scale`` the channel has the unit of the reading.
 ``lit_sources`` and ``home_mark`` are whole numbers: channels of unit ``1`` as they are; a lit source can be a fixed
 number. ``acceleration``, in the unit of the channel per s^2, is the largest one that the reading is
-interpolated with, see ``reading_noise``.
+interpolated with, see ``reading_noise``. ``references`` are instruments of a calibration, see ``reference_entry``.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from posor_estimator.calibration.yaml_document import load_document
 from pydantic import Field, model_validator
 
 from posor_drivers.instruments.device import Device, DeviceSettings, registered_devices
+from posor_drivers.instruments.reference_entry import MeasuredQuantity, ReferenceEntry
 from posor_drivers.simulator.scenario import MAX_RATE_HZ
 from posor_drivers.simulator.scenario_limits import NOT_NEGATIVE
 
@@ -131,6 +132,7 @@ class InstrumentsFile(FrozenModel):
     latency: Annotated[Quantity, measured("s"), NOT_NEGATIVE]
     devices: Annotated[dict[str, Annotated[DeviceSettings, _device_settings()]], Field(min_length=1)]
     joints: Annotated[dict[str, JointEntry], Field(min_length=1)]
+    references: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")], ReferenceEntry] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -146,6 +148,12 @@ class InstrumentsFile(FrozenModel):
         for joint, readings in self.joints.items():
             for name, location, entry in readings.entries():
                 _check_units(READINGS[name], entry, units, ("joints", joint, *location))
+        for name, reference in self.references.items():
+            if reference.joint not in self.joints:
+                what, expected = f"joint '{reference.joint}'", f"one of {', '.join(self.joints)}"
+                raise EntryError(what, key=("references", name, "joint"), expected=expected)
+            for path, unit, measured_by in reference.measured:
+                _check_units(unit, measured_by, units, ("references", name, *path))
         return self
 
     def new_devices(self) -> dict[str, Device[Any]]:
@@ -154,12 +162,17 @@ class InstrumentsFile(FrozenModel):
         return {name: classes[settings.kind](name, settings) for name, settings in self.devices.items()}
 
 
-def _check_units(unit: str, entry: ReadingEntry, units: dict[str, str], key: tuple[str | int, ...]) -> None:
+def _check_units(
+    unit: str,
+    entry: ReadingEntry | ReferenceEntry | MeasuredQuantity,
+    units: dict[str, str],
+    key: tuple[str | int, ...],
+) -> None:
     if entry.channel not in units:
         known = ", ".join(units)
         raise EntryError(f"channel '{entry.channel}'", key=(*key, "channel"), expected=f"one of {known}")
     per_channel = units[entry.channel]
-    if unit == "1" and (entry.scale is not None or entry.offset is not None):
+    if isinstance(entry, ReadingEntry) and unit == "1" and (entry.scale is not None or entry.offset is not None):
         raise EntryError("a scale or offset of a whole number", key=key, expected="only a channel of unit 1")
     if entry.scale is None:
         if per_channel != unit:
@@ -169,8 +182,9 @@ def _check_units(unit: str, entry: ReadingEntry, units: dict[str, str], key: tup
     elif entry.scale.unit != f"{unit}/{per_channel}" or entry.scale.array.shape:
         what = f"scale in {entry.scale.unit}"
         raise EntryError(what, key=(*key, "scale", "unit"), expected=f"one number in {unit}/{per_channel}")
-    if entry.acceleration is not None and entry.acceleration.unit != f"{per_channel}/s^2":
-        what = f"acceleration in {entry.acceleration.unit}"
+    acceleration = entry.acceleration if isinstance(entry, ReadingEntry) else None
+    if acceleration is not None and acceleration.unit != f"{per_channel}/s^2":
+        what = f"acceleration in {acceleration.unit}"
         raise EntryError(what, key=(*key, "acceleration", "unit"), expected=f"one number in {per_channel}/s^2")
     if entry.offset is not None and (entry.offset.unit != unit or entry.offset.array.shape):
         what = f"offset in {entry.offset.unit}"
@@ -184,5 +198,5 @@ def load_instruments(path: Path) -> InstrumentsFile:
         CalibrationError: The file cannot be read, is not YAML, or holds an invalid entry.
 
     """
-    keys = "format, version, name, rate, latency, devices, joints"
+    keys = "format, version, name, rate, latency, devices, joints, references"
     return load_document(path, "instruments file", keys, VERSION, InstrumentsFile.model_validate)[0]

@@ -20,13 +20,16 @@ from posor_estimator.ros_names import RAW_SCAN, RAW_TOPIC
 from pydantic import Field
 
 from posor_drivers.instruments.instruments_file import WHOLE_NUMBERS, InstrumentsFile, JointEntry, load_instruments
+from posor_drivers.instruments.reference_reading import ReferenceReading
 from posor_drivers.instruments.scan_writer import LitSourceError, ScanWriter
 from posor_drivers.instruments.shared_readers import shared_reader
 from posor_drivers.scan_clock import tick_stamp_ns
 from posor_drivers.sources.source import LiveSource, SourceMessage, SourceStatus, Topic
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from posor_estimator.numerics.array_types import FloatArray
 
     from posor_drivers.instruments.device_reader import DeviceReader
 
@@ -71,9 +74,20 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
                 f"'{name}' is not a joint of {where}", where="parameter 'instruments.joint'", expected=expected
             )
         self._joint = joint = self._file.joints[name]
-        used = {entry.channel.partition("/")[0] for _, _, entry in joint.entries()}
+        self._references = [
+            ReferenceReading(reference, entry, self.types)
+            for reference, entry in self._file.references.items()
+            if entry.joint == name
+        ]
+        self._of_scan = {entry.channel.partition("/")[0] for _, _, entry in joint.entries()}
+        used = self._of_scan.union(*(reference.devices for reference in self._references))
         devices = [device for each, device in self._file.new_devices().items() if each in used]
-        channels = [f"{device.name}/{channel.name}" for device in devices for channel in device.channels]
+        channels = [
+            f"{device.name}/{channel.name}"
+            for device in devices
+            if device.name in self._of_scan
+            for channel in device.channels
+        ]
         columns = {channel: n for n, channel in enumerate(channels)}
         whole = {entry.channel for kind, _, entry in joint.entries() if kind in WHOLE_NUMBERS}
         self._whole = {
@@ -84,7 +98,7 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
         self._rate = round(self._file.rate.number)
         self._latency_ns = round(self._file.latency.number * NS)
         self._readers = [self._threads.enter_context(shared_reader(Path(where), device)) for device in devices]
-        return [Topic(RAW_TOPIC, RAW_SCAN)]
+        return [Topic(RAW_TOPIC, RAW_SCAN), *(reference.topic for reference in self._references)]
 
     def close(self) -> None:
         """End the threads and the connections."""
@@ -109,24 +123,37 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
         return super().newest_tick(now_ns - self._latency_ns)
 
     def read_tick(self, tick: int) -> Sequence[SourceMessage]:
-        """Return the scan of a tick; none where a device lacks one of the frames around it."""
+        """Return scan and references of a tick; none where a device lacks one of the frames around it."""
         stamp_ns = tick_stamp_ns(tick, self.rate)
-        channels, missing = [], []
-        for reader in self._readers:
-            values = reader.values_at(stamp_ns, self._whole[reader.device.name])
-            if values is None:
-                missing.append(reader.device.name)
-            else:
-                channels.append(values)
-        if missing:
-            names = ", ".join(missing)
+        values = {
+            reader.device.name: reader.values_at(stamp_ns, self._whole[reader.device.name]) for reader in self._readers
+        }
+        return [*self._scan(tick, stamp_ns, values), *self._read_references(stamp_ns, values)]
+
+    def _scan(self, tick: int, stamp_ns: int, values: Mapping[str, FloatArray | None]) -> Sequence[SourceMessage]:
+        present = [part for device, part in values.items() if part is not None and device in self._of_scan]
+        if len(present) < len(self._of_scan):
+            names = ", ".join(device for device, part in values.items() if part is None and device in self._of_scan)
             return self._leave_out(f"no frames of {names} around the tick, or frames with different light sources")
         try:
-            scan = self._writer.scan(np.concatenate(channels), stamp_ns, tick)
+            scan = self._writer.scan(np.concatenate(present), stamp_ns, tick)
         except LitSourceError as error:
             return self._leave_out(str(error))
         self._no_scan = ""
         return (SourceMessage(RAW_TOPIC, stamp_ns, scan),)
+
+    def _read_references(self, stamp_ns: int, values: Mapping[str, FloatArray | None]) -> Iterator[SourceMessage]:
+        if not self._references:
+            return
+        channels = {
+            f"{reader.device.name}/{channel.name}": float(value)
+            for reader in self._readers
+            if (part := values[reader.device.name]) is not None
+            for channel, value in zip(reader.device.channels, part, strict=True)
+        }
+        for reference in self._references:
+            if (message := reference.message(channels, stamp_ns)) is not None:
+                yield message
 
     def _leave_out(self, reason: str) -> Sequence[SourceMessage]:
         """Count a scan that is not published, and return no message."""
@@ -138,6 +165,7 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
         """Return the state of each device, and the number of scans that were not published."""
         return [
             SourceStatus("scans", self._no_scan, "in time", {"scans_missing": self._scans_missing}),
+            *(reference.status for reference in self._references),
             *(
                 SourceStatus(f"device {reader.device.name}", state.fault, state.text, state.values)
                 for reader in self._readers

@@ -19,7 +19,7 @@ from posor_estimator.errors import BagError, TopicError, TrackError
 from posor_estimator.identification.recording import POSE, Recording, Track
 from posor_estimator.model.scan import CONTACTS
 from posor_estimator.numerics.stamps import time_ns
-from posor_estimator.ros_names import POINT_STAMPED, POSE_STAMPED, RAW_SCAN
+from posor_estimator.ros_names import POINT_STAMPED, POSE_STAMPED, RAW_SCAN, REFERENCE_READING
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
@@ -43,6 +43,7 @@ REFERENCE_FIELDS = {
     TRANSFORM_STAMPED: _pose_fields("transform.translation", "transform.rotation"),
     POSE_STAMPED: _pose_fields("pose.position", "pose.orientation"),
     FLOAT64: ("data",),
+    REFERENCE_READING: ("value",),
 }
 """Fields of a reference measurement, by message type."""
 READINGS = {
@@ -95,7 +96,8 @@ def load_recording(
         topic: Of the scans; empty: the only one of type RawScan.
         references: Measurements to read; empty: every topic of a type that can be a reference, with an uncertainty of
             zero, but a ``geometry_msgs/PoseStamped`` only if it is ``named``: most are endpoints, not references. A
-            ``std_msgs/Float64`` has no stamp: its log time is used.
+            ``std_msgs/Float64`` has no stamp: its log time is used. A ``posor_msgs/ReferenceReading`` states its
+            uncertainty; the largest one applies unless another one is given.
         named: Topics that the caller knows as references.
 
     Raises:
@@ -233,6 +235,9 @@ def _track(kind: str, messages: Sequence[tuple[int, Mapping[str, Value]]], refer
     if values.shape[1] == POSE:
         values = _with_continuous_signs(values, where)
     sigmas = np.array(reference.sigmas, dtype=float)
+    if kind == REFERENCE_READING:
+        stated = _stated_uncertainty([message for _, message in messages], where)
+        sigmas = sigmas if sigmas.any() else np.array([stated])
     if sigmas.size not in (1, values.shape[1]) or not np.all(np.isfinite(sigmas)) or np.any(sigmas < 0.0):
         raise TrackError(
             f"standard uncertainty {', '.join(f'{sigma:g}' for sigma in sigmas)}",
@@ -240,6 +245,14 @@ def _track(kind: str, messages: Sequence[tuple[int, Mapping[str, Value]]], refer
             expected=f"one number, or {values.shape[1]}, of zero or more",
         )
     return Track(np.array(stamps, dtype=np.int64), values, np.broadcast_to(sigmas, values.shape[1]).copy(), where)
+
+
+def _stated_uncertainty(readings: Sequence[Mapping[str, Value]], where: str) -> float:
+    """Return the largest standard uncertainty that reference readings of one unit state."""
+    units = sorted({str(reading["unit"]) for reading in readings})
+    if len(units) > 1:
+        raise TrackError(f"readings in {', '.join(units)}", where=where, expected="one unit only")
+    return max(float(reading["standard_uncertainty"]) for reading in readings)
 
 
 def _with_continuous_signs(poses: FloatArray, where: str) -> FloatArray:
