@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -13,8 +14,8 @@ from posor_estimator.testing.program import Program, installed, script
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
-    from pathlib import Path
 
+ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("posor_bringup", "posor_drivers", "posor_estimator", "posor_validation")
 PROGRAMS = [
     program
@@ -63,6 +64,15 @@ def test_an_interrupt_during_the_start_of_python_waits_for_the_program(path: str
     with interrupts_blocked():
         running = Program(installed("posor_estimator", "chain_node"), {"PYTHONPATH": path})
     with running:
+        assert running.end() == 130
+        assert running.stderr == ["chain_node: interrupted."]
+
+
+def test_an_interrupt_while_run_replaces_itself_waits_for_the_program() -> None:
+    with Program([str(ROOT / "run"), "posor_estimator", "chain_node"]) as running:
+        command = Path(f"/proc/{running.process.pid}/cmdline")
+        while b"lib/posor_estimator/chain_node" not in command.read_bytes():
+            assert running.process.poll() is None
         assert running.end() == 130
         assert running.stderr == ["chain_node: interrupted."]
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 USAGE = "usage: ./run PACKAGE EXECUTABLE [arguments]"
+LAZY_PACKAGES = ("posor_bringup", "posor_drivers", "posor_estimator", "posor_validation")
+"""Packages whose programs may start with SIGINT and SIGTERM blocked: they allow both when they have their handlers
+(``posor_estimator.lazy_program``). A signal before that would end Python itself with a traceback."""
 
 
 def find_executable(package: str, name: str, environ: Mapping[str, str]) -> Path:
@@ -79,6 +83,8 @@ def main() -> int:
         return 130
     ros2 = shutil.which("ros2")
     program = [ros2, "run", package, name] if ros2 else [str(executable)]
+    if package in LAZY_PACKAGES and not ros2:
+        signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
     return os.execve(program[0], [*program, *arguments], environ)  # noqa: S606  no shell needed
 
 
