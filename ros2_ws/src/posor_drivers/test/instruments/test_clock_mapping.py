@@ -9,6 +9,7 @@ from posor_drivers.instruments.clock_mapping import ClockMapping
 START_NS = 1_800_000_000_000_000_000
 DRIFT = 50e-6
 FIRST = 4_000_000_000
+SEEDS = 20
 
 
 def errors_and_uncertainties(rate: int, seconds: float, delays_s: np.ndarray, *, ordered: bool) -> np.ndarray:
@@ -29,17 +30,22 @@ def exponential(seed: int, mean_s: float, count: int) -> np.ndarray:
     return np.random.default_rng(seed).exponential(mean_s, count)
 
 
-@pytest.mark.parametrize(("order", "limit_s"), [("any", 20e-6), ("kept", 40e-6)])
+@pytest.mark.parametrize(("order", "limit_s"), [("any", 20e-6), ("kept", 60e-6)])
 def test_stamps_are_far_more_exact_than_arrivals(order: str, limit_s: float) -> None:
     """Delays of 2 ms; frames that wait for the ones before arrive later, so fewer of them show the least delay."""
     worst, inside = [], []
-    for seed in range(5):
+    for seed in range(SEEDS):
         rows = errors_and_uncertainties(1000, 8.0, exponential(seed, 2e-3, 8000), ordered=order == "kept")
         late = rows[rows[:, 0] > 5.0]
         worst.append(np.abs(late[:, 1]).max())
         inside.append(np.mean(np.abs(rows[:, 1]) <= 2.0 * rows[:, 2]))
-    print(f"simulated, {order} order: at most {1e6 * max(worst):.1f} us after 5 s")
+    within = sum(error < 20e-6 for error in worst)
+    print(
+        f"simulated, {order} order, largest error after 5 s of {SEEDS} seeds: median {1e6 * np.median(worst):.1f} us, "
+        f"at most {1e6 * max(worst):.1f} us; {within} of {SEEDS} seeds below 20 us"
+    )
     assert max(worst) < limit_s
+    assert np.median(worst) < 20e-6
     assert np.mean(inside) >= 0.95
 
 
