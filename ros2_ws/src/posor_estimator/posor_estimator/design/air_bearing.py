@@ -68,10 +68,10 @@ class _Bearing(NamedTuple):
 
 
 class _Feed(NamedTuple):
-    """Pressure at the orifices, and how the flow of the orifices yields to it.
+    """Pressure at the orifices, and how far their flow yields to it.
 
-    ``yielding`` is minus the derivative of the logarithm of the flow, times the difference to the outside: by the
-    square of the pressure if the film is compressible, by the pressure if it is not.
+    ``yielding`` is -(u - u_a) d(log flow)/du, with u the square of the pressure at the orifices if the film is
+    compressible, and this pressure if it is not; u_a is u at the ends.
     """
 
     pressure: float

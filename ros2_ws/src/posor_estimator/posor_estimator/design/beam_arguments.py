@@ -7,17 +7,14 @@ from typing import TYPE_CHECKING, Literal
 
 from posor_estimator.design.beam_section import make_section
 from posor_estimator.design.beam_vibration import Attachment, UniformBeam
-from posor_estimator.design.checks import require_finite, require_non_negative, require_positive
+from posor_estimator.design.checks import require_non_negative, require_poisson_ratio, require_positive
 from posor_estimator.errors import ParameterError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-INCOMPRESSIBLE = 0.5
-"""Largest Poisson's ratio of a material."""
 MOST_MODES = 20
-"""Waves of higher modes are shorter than usual sections are high: these are no modes of a beam."""
-_TWO = 2
+"""Largest number of modes; beam theory fails for higher ones, whose waves are shorter than usual sections are high."""
 
 
 def make_beam(
@@ -37,9 +34,7 @@ def make_beam(
 
     """
     require_positive(length=length, modulus=modulus, density=density)
-    require_finite(poisson_ratio=poisson_ratio)
-    if not 0.0 <= poisson_ratio <= INCOMPRESSIBLE:
-        raise ParameterError(f"{poisson_ratio:g}", where="poisson_ratio", expected=f"0 to {INCOMPRESSIBLE}")
+    require_poisson_ratio(poisson_ratio=poisson_ratio)
     section = make_section(shape, height, width, wall)
     return UniformBeam.from_section(length, section, modulus, density, poisson_ratio)
 
@@ -101,7 +96,7 @@ def make_attachments(
 def _of_both_gimbals(values: Sequence[float], name: str, left_out: float) -> Sequence[float]:
     if not values:
         return (left_out, left_out)
-    if len(values) != _TWO:
+    if len(values) != 2:  # noqa: PLR2004
         raise ParameterError(f"{len(values)} values", where=name, expected="a value for each of the two gimbals")
     for value in values:
         require_positive(**{name: value})

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from posor_estimator.chain.beam_bending import Tube
-from posor_estimator.design.checks import require_finite, require_positive
+from posor_estimator.design.checks import require_finite, require_non_negative, require_positive
 from posor_estimator.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def make_section(shape: Literal["tube", "box"], height: Metre, width: Metre, wal
         if width != 0.0:
             raise ParameterError(f"a tube with width {width:g} m", where="width", expected="no width, or shape 'box'")
         _require_hole(wall, height)
-        tube = Tube(height, height - 2.0 * wall, modulus=1.0, density=1.0)  # only the geometry is used
+        tube = make_tube(height, height - 2.0 * wall, "wall")
         polar = 2.0 * tube.second_moment
         return BeamSection(height, tube.area, tube.second_moment, polar, polar, bore_ratio=tube.inner_diameter / height)
     require_positive(width=width)
@@ -86,6 +86,28 @@ def make_section(shape: Literal["tube", "box"], height: Metre, width: Metre, wal
         torsion_constant=2.0 * wall * (b * h) ** 2 / (b + h),  # Bredt
         breadth_ratio=b / h,
     )
+
+
+def make_tube(outer_diameter: float, inner_diameter: float, inner_name: str) -> Tube:
+    """Return the geometry of a tube; modulus and density are 1.
+
+    Args:
+        outer_diameter: [m].
+        inner_diameter: [m]; 0: a solid round.
+        inner_name: Name of the inner diameter, for errors.
+
+    Raises:
+        ParameterError: The inner diameter is not finite or negative, or leaves no wall.
+
+    """
+    require_non_negative(**{inner_name: inner_diameter})
+    if inner_diameter >= outer_diameter:
+        raise ParameterError(
+            f"{inner_diameter:g} m leaves no wall",
+            where=inner_name,
+            expected=f"less than the outside diameter, {outer_diameter:g} m",
+        )
+    return Tube(outer_diameter, inner_diameter, modulus=1.0, density=1.0)
 
 
 def _require_hole(wall: float, side: float) -> None:

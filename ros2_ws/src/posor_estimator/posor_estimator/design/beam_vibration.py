@@ -35,7 +35,7 @@ class UniformBeam:
         bending_stiffness: E I [N m^2].
         shear_stiffness: Shear coefficient times G A [N].
         mass: [kg/m].
-        rotary_inertia: Of the sections about the axis across the plane of bending [kg m].
+        rotary_inertia: Rotary inertia of the sections about the axis across the plane of bending [kg m].
 
     """
 
@@ -174,9 +174,9 @@ class _ReferenceElement:
         values, slopes = self._values, self._slopes / half_length
         weights = half_length * self._weights[:, None]
         size = len(self.nodes)
-        nothing = np.zeros_like(values)
+        no_slope = np.zeros_like(values)
         shear = np.hstack([slopes, -values])
-        bending = np.hstack([nothing, slopes])
+        bending = np.hstack([no_slope, slopes])
         stiffness = beam.shear_stiffness * shear.T @ (weights * shear)
         stiffness += beam.bending_stiffness * bending.T @ (weights * bending)
         mass = np.zeros((2 * size, 2 * size))

@@ -6,6 +6,8 @@ import math
 
 from posor_estimator.errors import ParameterError
 
+INCOMPRESSIBLE = 0.5
+"""Largest Poisson's ratio of a material."""
 SMALL_ANGLE = 0.2
 """Angles of misalignment [rad] are smaller; a larger one is a wrong unit."""
 
@@ -59,3 +61,18 @@ def require_small_angle(**values: float) -> None:
     for name, value in values.items():
         if abs(value) > SMALL_ANGLE:
             raise ParameterError(f"{value:g} rad", where=name, expected=f"at most {SMALL_ANGLE} rad")
+
+
+def require_poisson_ratio(**values: float) -> None:
+    """Check Poisson's ratios, given by the names of the arguments.
+
+    Raises:
+        ParameterError: A ratio is not finite, negative, or exceeds ``INCOMPRESSIBLE``.
+
+    """
+    require_finite(**values)
+    for name, value in values.items():
+        if not 0.0 <= value <= INCOMPRESSIBLE:
+            raise ParameterError(
+                f"{value:g} is outside of 0 to {INCOMPRESSIBLE}", where=name, expected=f"0 to {INCOMPRESSIBLE}"
+            )

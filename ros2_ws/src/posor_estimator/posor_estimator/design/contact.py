@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import ellipe, ellipk, elliprd, elliprf
 
-from posor_estimator.design.checks import require_finite, require_positive
+from posor_estimator.design.checks import require_poisson_ratio, require_positive
 from posor_estimator.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 _FLATTEST = 1e-5
 """Smallest ratio of the half axes that is solved."""
-_MAX_POISSON = 0.5
 _DEEPEST = 2.0
 """Depth over the small half axis above which the greatest shear stress lies: at most 0.79, or at the surface."""
 
@@ -81,10 +80,7 @@ def hertz_contact(
     """
     require_positive(load=load, curvature_x=curvature_x, curvature_y=curvature_y)
     require_positive(modulus=modulus, other_modulus=other_modulus)
-    require_finite(poisson_ratio=poisson_ratio, other_poisson_ratio=other_poisson_ratio)
-    for name, ratio in (("poisson_ratio", poisson_ratio), ("other_poisson_ratio", other_poisson_ratio)):
-        if not 0.0 <= ratio <= _MAX_POISSON:
-            raise ParameterError(f"{ratio:g} is outside of 0 to 0.5", where=name, expected="0 to 0.5")
+    require_poisson_ratio(poisson_ratio=poisson_ratio, other_poisson_ratio=other_poisson_ratio)
     contact_modulus = 1.0 / ((1.0 - poisson_ratio**2) / modulus + (1.0 - other_poisson_ratio**2) / other_modulus)
     k = _axis_ratio(curvature_x, curvature_y)
     first_kind, second_kind = float(ellipk(1.0 - k**2)), float(ellipe(1.0 - k**2))

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from posor_estimator.reporting.plot import Plot
 
 _COLOURS = (BLUE, ORANGE, GREEN, LIGHT_BLUE, GREY)
-_MORE = 0.01
-"""Share by which each argument is increased."""
+_INCREASE = 0.01
+"""Relative growth of each argument."""
 
 
 def render_design_page(signature: CalculatorSignature, arguments: Mapping[str, Any], results: Mapping[str, Any]) -> str:
@@ -34,7 +34,8 @@ def render_design_page(signature: CalculatorSignature, arguments: Mapping[str, A
             Section("Results", _value_table(signature.results, results), _plots(signature.results, results)),
             Section("Arguments", _value_table(signature.arguments, arguments)),
             Section(
-                f"Change of the results by {_MORE:.0%} more of an argument", _effects(signature, arguments, results)
+                f"Change of the results if an argument grows by {_INCREASE:.0%}",
+                _effects(signature, arguments, results),
             ),
             Section("Method", about + definition_list({"Source": signature.source, "Example": signature.example})),
         ),
@@ -71,7 +72,7 @@ def _effects(signature: CalculatorSignature, arguments: Mapping[str, Any], resul
         if not isinstance(value, float) or value == 0.0:
             continue
         try:
-            changed = signature.function(**{**arguments, argument: value * (1.0 + _MORE)})
+            changed = signature.function(**{**arguments, argument: value * (1.0 + _INCREASE)})
         except ParameterError as error:
             rows.append((argument, *("",) * len(names), f"refused: {error}"))
             continue

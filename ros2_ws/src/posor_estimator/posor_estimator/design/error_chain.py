@@ -100,9 +100,9 @@ class StraightLinkage:
     """Two links in line that sag at their joint.
 
     Attributes:
-        tension: In each link.
-        stretch: Of each link.
-        angle: Of each link below the line through its supports.
+        tension: Tension of each link.
+        stretch: Stretch of each link.
+        angle: Angle of each link below the line through its supports.
 
     """
 

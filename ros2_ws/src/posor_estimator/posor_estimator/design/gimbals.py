@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from scipy.optimize import brentq
 
+from posor_estimator.design.beam_section import make_tube
 from posor_estimator.design.checks import require_non_negative, require_positive
-from posor_estimator.errors import ParameterError
 
 if TYPE_CHECKING:
     from posor_estimator.design.units import (
@@ -114,29 +114,12 @@ def gimbal_torques(
     """
     require_positive(length=length, modulus=modulus, shear_modulus=shear_modulus, endpoint_error=endpoint_error)
     require_positive(far_distance=far_distance, near_distance=near_distance)
-    inertia = tube_inertia(outside_diameter, inside_diameter)
+    require_positive(outside_diameter=outside_diameter)
+    inertia = make_tube(outside_diameter, inside_diameter, "inside_diameter").second_moment
     return GimbalTorques(
         bending_torque=2.0 * modulus * inertia * endpoint_error / (length * (far_distance + near_distance)),
         twisting_torque=2.0 * shear_modulus * inertia * endpoint_error / (length * near_distance),
     )
-
-
-def tube_inertia(outside_diameter: float, inside_diameter: float) -> float:
-    """Return the second moment of the area of a tube [m^4].
-
-    Raises:
-        ParameterError: A diameter is not finite or negative, or the tube has no wall.
-
-    """
-    require_positive(outside_diameter=outside_diameter)
-    require_non_negative(inside_diameter=inside_diameter)
-    if inside_diameter >= outside_diameter:
-        raise ParameterError(
-            f"{inside_diameter:g} m leaves no wall",
-            where="inside_diameter",
-            expected=f"less than the outside diameter, {outside_diameter:g} m",
-        )
-    return math.pi / 64.0 * (outside_diameter**4 - inside_diameter**4)
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,8 @@ class InertialLimits:
     """Largest errors of inertial sensors for an accuracy at the end of an arm.
 
     Attributes:
-        drift_rate: Of a gyroscope.
-        acceleration: Of an accelerometer: its bias, or the smallest acceleration that it has to detect.
+        drift_rate: Drift rate of a gyroscope.
+        acceleration: Error of an accelerometer: its bias, or the smallest acceleration that it has to detect.
 
     """
 
@@ -61,9 +61,9 @@ class InertialDrift:
     """Errors at the end of an arm just before a reset.
 
     Attributes:
-        angle: Of the gyroscope.
+        angle: Angle error of the gyroscope.
         gyroscope_error: This angle at the end of the arm.
-        accelerometer_error: Of the position by the accelerometer.
+        accelerometer_error: Error of the position by the accelerometer.
 
     """
 

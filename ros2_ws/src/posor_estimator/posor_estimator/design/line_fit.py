@@ -23,9 +23,9 @@ class Line:
     """Straight line y = intercept + slope x through points.
 
     Attributes:
-        intercept: Of the least squares line.
-        slope: Of the least squares line.
-        standard_deviation: Of the residuals, with two degrees of freedom taken off.
+        intercept: Intercept of the least squares line.
+        slope: Slope of the least squares line.
+        standard_deviation: Standard deviation of the residuals, with n - 2 degrees of freedom.
         largest_residual: Largest absolute residual.
         peak_to_valley: Largest less least residual.
         band: Width along y of the narrowest band between two parallel lines that holds all points.

@@ -22,8 +22,8 @@ class Straightness:
     """Straightness of a motion.
 
     Attributes:
-        intercept: Of the least squares line.
-        slope: Of the least squares line: the angle between the motion and the axis of the straightness optics.
+        intercept: Intercept of the least squares line.
+        slope: Slope of this line: the angle between the motion and the axis of the straightness optics.
         deviation: Standard deviation of the readings from this line.
         least_squares: Straightness: largest less least deviation from this line.
         minimum_zone: Straightness: width of the narrowest band with all readings.

@@ -126,12 +126,12 @@ class BeamSag:
     """Sag of a measuring beam under a uniform specific force, counted from the line through the gimbals.
 
     Attributes:
-        start_deflection: Of the plate at the start, along the force.
-        start_slope: Of the plate at the start.
-        end_deflection: Of the plate at the end.
-        end_slope: Of the plate at the end.
-        relative_deflection: Of the end in the axes of the plate at the start: the correction of the position.
-        relative_slope: Of the end in these axes: the correction of the orientation.
+        start_deflection: Deflection of the plate at the start, along the force.
+        start_slope: Slope of the plate at the start.
+        end_deflection: Deflection of the plate at the end.
+        end_slope: Slope of the plate at the end.
+        relative_deflection: Deflection of the end in the axes of the plate at the start: correction of the position.
+        relative_slope: Slope of the end in these axes: correction of the orientation.
 
     """
 
@@ -199,9 +199,9 @@ class SagCorrection:
 
     Attributes:
         deflection: Correction of the position of the end, in the axes of the plate at the start.
-        deflection_error: Its error.
+        deflection_error: Error of this correction.
         slope: Correction of the orientation of the end, in these axes.
-        slope_error: Its error.
+        slope_error: Error of this correction.
         first_frequency: Lowest natural frequency.
 
     """
@@ -249,7 +249,7 @@ def sag_correction(
         gimbals: Distances of the two gimbals from the start of the beam, the nearer first.
         plate_masses: Masses at start and end of the beam.
         acceleration: Amplitude of the acceleration across the beam.
-        frequency: Of the acceleration.
+        frequency: Frequency of the acceleration.
         plate_inertias: Moments of inertia of the masses about the axis across the plane of bending.
         width: Outer width of a box.
         poisson_ratio: Poisson's ratio.

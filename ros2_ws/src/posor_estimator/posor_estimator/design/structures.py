@@ -46,8 +46,8 @@ class CantileverBeam:
         second_moment: Second moment of area about the axis across the plane of bending.
         mass_per_length: Mass per length.
         stress: Largest bending stress, at the clamped end.
-        deflection: Of the free end.
-        slope: Of the free end.
+        deflection: Deflection of the free end.
+        slope: Slope of the free end.
 
     """
 
@@ -219,7 +219,7 @@ class CantileverFrequencies:
     Attributes:
         frequencies: Lowest first, with shear and rotary inertia.
         angular_frequencies: The same, times 2 pi.
-        slender_angular_frequencies: Of the textbook, without shear and rotary inertia.
+        slender_angular_frequencies: Angular frequencies of a slender beam, without shear and rotary inertia.
 
     """
 
@@ -250,7 +250,8 @@ def cantilever_frequencies(
         modulus: Young's modulus.
         density: Density.
         tip_mass: Mass at the free end.
-        load_factor: Mass of the beam with all that it carries along its length, over its own mass.
+        load_factor: Mass of the beam with all that it carries along its length, over its own mass; the rotary
+            inertia of its sections grows by the same factor.
         shape: Section of the beam.
         width: Outer width of a box.
         poisson_ratio: Poisson's ratio.

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Literal
 
 from scipy.optimize import brentq
 
-from posor_estimator.chain.beam_bending import Tube
 from posor_estimator.design.beam_arguments import check_modes, make_beam
-from posor_estimator.design.beam_section import make_section
+from posor_estimator.design.beam_section import make_section, make_tube
 from posor_estimator.design.checks import require_finite, require_non_negative, require_positive
 from posor_estimator.errors import ParameterError
 
@@ -63,8 +62,8 @@ def disc_inertia(diameter: Metre, thickness: Metre, density: KilogramPerCubicMet
 
     """
     require_positive(diameter=diameter, thickness=thickness, density=density)
-    disc = _make_tube(diameter, bore, density)
-    mass = disc.mass_per_length * thickness
+    disc = make_tube(diameter, bore, "bore")
+    mass = density * disc.area * thickness
     about_diameter = density * disc.second_moment * thickness
     return DiscInertia(mass, 2.0 * about_diameter, about_diameter + mass * thickness**2 / 12.0)
 
@@ -99,7 +98,7 @@ def shaft_stress(torque: NewtonMetre, diameter: Metre, bore: Metre = 0.0) -> Sha
 
     """
     require_positive(torque=torque, diameter=diameter)
-    shaft = _make_tube(diameter, bore)
+    shaft = make_tube(diameter, bore, "bore")
     return ShaftStress(0.5 * torque * diameter / (2.0 * shaft.second_moment))
 
 
@@ -108,9 +107,9 @@ class BeamTorsion:
     """Natural frequencies of the torsion of a measuring beam.
 
     Attributes:
-        start_frequencies: Of the side from the gimbal to the start of the beam, lowest first; none if the gimbal is at
-            the start.
-        end_frequencies: Of the side from the gimbal to the end.
+        start_frequencies: Frequencies of the side from the gimbal to the start of the beam, lowest first; none if the
+            gimbal is at the start.
+        end_frequencies: Frequencies of the side from the gimbal to the end.
         start_angular_frequencies: The same as ``start_frequencies``, times 2 pi.
         end_angular_frequencies: The same as ``end_frequencies``, times 2 pi.
 
@@ -192,10 +191,3 @@ def _rod_with_disc(rod: float, disc: float, count: int) -> list[float]:
         brentq(lambda z: z * math.sin(z) * disc - rod * math.cos(z), half * math.pi, (half + 1) * math.pi)
         for half in range(count)
     ]
-
-
-def _make_tube(diameter: float, bore: float, density: float = 1.0) -> Tube:
-    require_finite(bore=bore)
-    if not 0.0 <= bore < diameter:
-        raise ParameterError(f"{bore:g} m", where="bore", expected=f"at least 0 and less than {diameter:g} m")
-    return Tube(diameter, bore, modulus=1.0, density=density)  # no calculator of this file uses the modulus

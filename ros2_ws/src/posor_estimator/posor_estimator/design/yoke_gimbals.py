@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from posor_estimator.design.beam_section import make_tube
 from posor_estimator.design.checks import require_non_negative, require_positive
-from posor_estimator.design.gimbals import tube_inertia
 
 if TYPE_CHECKING:
     from posor_estimator.design.units import (
@@ -79,10 +79,11 @@ def yoke_friction(
     require_positive(beam_length=beam_length, modulus=modulus, density=density, yoke_distance=yoke_distance)
     require_positive(acceleration=acceleration, endpoint_error=endpoint_error)
     require_non_negative(added_mass=added_mass)
-    stiffness = modulus * tube_inertia(outside_diameter, inside_diameter)
-    beam_mass = density * math.pi / 4.0 * (outside_diameter**2 - inside_diameter**2) * beam_length
+    require_positive(outside_diameter=outside_diameter)
+    tube = make_tube(outside_diameter, inside_diameter, "inside_diameter")
+    beam_mass = density * tube.area * beam_length
     bearing_load = 0.5 * (added_mass + beam_mass) * acceleration
-    torque = 2.0 * stiffness / yoke_distance * endpoint_error / (4.0 * beam_length)
+    torque = 2.0 * modulus * tube.second_moment / yoke_distance * endpoint_error / (4.0 * beam_length)
     return YokeFriction(friction_radius=torque / bearing_load, bearing_load=bearing_load, torque=torque)
 
 

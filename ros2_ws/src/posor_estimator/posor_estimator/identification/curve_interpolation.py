@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from posor_estimator.numerics.array_types import FloatArray
 
 FEWEST_CURVES = 3
-SHARE = 0.25
+GRID_ERROR_RATIO = 0.25
 """Error of a grid over the error of one of twice the pitch: the error of a linear weighting goes by the square."""
 
 
@@ -41,7 +41,9 @@ def doubled_grid_errors(curves: FloatArray, at: FloatArray, ratios: FloatArray) 
         what = f"{len(curves)} curves at {len(at)} positions"
         raise FitError(what, where="interpolation", expected=f"at least {FEWEST_CURVES} curves, each with its position")
     if not np.all(np.diff(at) > 0.0):
-        raise FitError("positions of the curves", where="interpolation", expected="ascending positions")
+        raise FitError(
+            "the positions of the curves do not ascend", where="interpolation", expected="ascending positions"
+        )
     values = polynomial.polyval(ratios, curves.T)  # (n, r)
     weights = ((at[1:-1] - at[:-2]) / (at[2:] - at[:-2]))[:, None]
     errors: FloatArray = (1.0 - weights) * values[:-2] + weights * values[2:] - values[1:-1]
@@ -51,7 +53,11 @@ def doubled_grid_errors(curves: FloatArray, at: FloatArray, ratios: FloatArray) 
 def tabulate_interpolation(axes: dict[str, FloatArray]) -> Table:
     """Return the estimated error of the grid itself: a quarter of the errors of the doubled grid, by axis."""
     rows = tuple(
-        (axis, SHARE * float(np.sqrt(np.mean(np.square(errors)))) / UM, SHARE * float(np.abs(errors).max()) / UM)
+        (
+            axis,
+            GRID_ERROR_RATIO * float(np.sqrt(np.mean(np.square(errors)))) / UM,
+            GRID_ERROR_RATIO * float(np.abs(errors).max()) / UM,
+        )
         for axis, errors in axes.items()
     )
     title = "interpolation between curves, by doubling of the grid (thesis 8.3.3)"

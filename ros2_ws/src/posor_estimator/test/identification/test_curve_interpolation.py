@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 from numpy.polynomial import polynomial
 from posor_estimator.errors import FitError
-from posor_estimator.identification.curve_interpolation import SHARE, doubled_grid_errors, tabulate_interpolation
+from posor_estimator.identification.curve_interpolation import (
+    GRID_ERROR_RATIO,
+    doubled_grid_errors,
+    tabulate_interpolation,
+)
 
 if TYPE_CHECKING:
     from posor_estimator.numerics.array_types import FloatArray
@@ -51,7 +55,7 @@ def test_a_quarter_is_the_error_of_the_grid_itself() -> None:
     halved = np.linspace(AT[0], AT[-1], 29)
     finer = doubled_grid_errors(curves_of(halved), halved, RATIOS)
     coarse = doubled_grid_errors(curves_of(AT), AT, RATIOS)
-    assert np.abs(finer).max() / np.abs(coarse).max() == pytest.approx(SHARE, rel=0.02)
+    assert np.abs(finer).max() / np.abs(coarse).max() == pytest.approx(GRID_ERROR_RATIO, rel=0.02)
 
 
 @pytest.mark.parametrize(
@@ -59,8 +63,12 @@ def test_a_quarter_is_the_error_of_the_grid_itself() -> None:
     [
         (curves_of(AT)[:2], AT[:2], r"interpolation: 2 curves at 2 positions; expected at least 3 curves"),
         (curves_of(AT), AT[:5], "15 curves at 5 positions"),
-        (curves_of(AT), AT[::-1], r"positions of the curves; expected ascending positions\."),
-        (curves_of(AT), np.full(15, np.nan), r"positions of the curves; expected ascending positions\."),
+        (curves_of(AT), AT[::-1], r"the positions of the curves do not ascend; expected ascending positions\."),
+        (
+            curves_of(AT),
+            np.full(15, np.nan),
+            r"the positions of the curves do not ascend; expected ascending positions\.",
+        ),
     ],
 )
 def test_curves_without_a_grid_are_refused(curves: FloatArray, at: FloatArray, message: str) -> None:
