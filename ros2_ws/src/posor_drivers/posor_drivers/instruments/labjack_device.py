@@ -12,11 +12,8 @@
 Channels are in volts. A value beyond ``range`` is invalid, NaN. Settings of an input that are not stated are left as
 they are in the device.
 
-Source: Modbus map of the T series. Registers hold big-endian numbers with the high word first: the voltage of input n
-(``AIN#``) is a 32-bit float at 2 n, its range (``AIN#_RANGE``) at 40000 + 2 n, its negative input
-(``AIN#_NEGATIVE_CH``) 16 bits at 41000 + n, its resolution index (``AIN#_RESOLUTION_INDEX``) 16 bits at 41500 + n;
-product and firmware are floats at 60000 and 60004. Never run with a LabJack, only with a Modbus server. The stream mode
-of the device is not used: it sends raw converter values, which need the constants in its memory.
+Source: ``labjack_registers``; the resolution index (``AIN#_RESOLUTION_INDEX``) is 16 bits at 41500 + n. Never run with
+a LabJack, only with a Modbus server. ``labjack_stream`` is the stream mode.
 """
 
 from __future__ import annotations
@@ -29,17 +26,20 @@ from posor_estimator.calibration.quantity import Quantity, measured
 from pydantic import Field
 
 from posor_drivers.instruments.device import Channel, DeviceError
+from posor_drivers.instruments.labjack_registers import (
+    LONG_REGISTERS,
+    NEGATIVE_INPUT,
+    RANGE,
+    RESOLUTION_INDEX,
+    VOLTAGE,
+    LabJackRegisters,
+)
 from posor_drivers.instruments.polled_device import PolledDevice, PolledSettings
 from posor_drivers.simulator.scenario_limits import POSITIVE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-PRODUCTS = {4: "LabJack T4", 7: "LabJack T7", 8: "LabJack T8"}
-VOLTAGE, RANGE, NEGATIVE_INPUT, RESOLUTION_INDEX = 0, 40_000, 41_000, 41_500
-"""First registers of the analogue inputs."""
-PRODUCT, FIRMWARE = 60_000, 60_004
-FLOAT_REGISTERS = 2
 MOST_REGISTERS = 124
 """That one question can ask for, in whole floats."""
 
@@ -75,7 +75,7 @@ class LabJackDevice(PolledDevice[LabJackSettings]):
         self._greatest = [
             np.inf if channel.range is None else channel.range.number for channel in settings.channels.values()
         ]
-        self._client: Any = None
+        self._registers: LabJackRegisters | None = None
 
     @classmethod
     def starting_settings(cls, units: Mapping[str, str]) -> dict[str, Any]:
@@ -99,37 +99,27 @@ class LabJackDevice(PolledDevice[LabJackSettings]):
 
     def connect(self, timeout_s: float) -> str:
         """Check the product and set up the inputs."""
-        from pymodbus.client import ModbusTcpClient  # noqa: PLC0415  slow to import, and few users have this device
-
-        limit_s = min(timeout_s, self.settings.answer_time_s)
-        self._client = ModbusTcpClient(
-            self.settings.host, port=self.settings.port, timeout=limit_s, retries=0, reconnect_delay=0
-        )
-        try:
-            connected = self._client.connect()
-        except (OSError, UnicodeError):  # UnicodeError: the host is no valid name
-            connected = False
-        if not connected:
-            raise self._error(f"no connection to {self.address} within {limit_s:g} s", "a LabJack")
-        product, firmware = self._read_floats(PRODUCT, 1)[0], self._read_floats(FIRMWARE, 1)[0]
-        if product not in PRODUCTS:
-            raise self._error(f"the product is {product:g}", ", ".join(f"{n} ({each})" for n, each in PRODUCTS.items()))
-        kinds = self._client.DATATYPE
-        for channel in self.settings.channels.values():
+        settings = self.settings
+        limit_s = min(timeout_s, settings.answer_time_s)
+        self._registers = registers = LabJackRegisters(self.name, settings.host, settings.port, limit_s)
+        identity = registers.identity()
+        for channel in settings.channels.values():
             n = channel.input
             if channel.range is not None:
-                self._write(RANGE + FLOAT_REGISTERS * n, channel.range.number, kinds.FLOAT32)
+                registers.write_float(RANGE + LONG_REGISTERS * n, channel.range.number)
             if channel.negative_input is not None:
-                self._write(NEGATIVE_INPUT + n, channel.negative_input, kinds.UINT16)
+                registers.write_short(NEGATIVE_INPUT + n, channel.negative_input)
             if channel.resolution_index is not None:
-                self._write(RESOLUTION_INDEX + n, channel.resolution_index, kinds.UINT16)
-        return f"{PRODUCTS[int(product)]}, firmware {firmware:.4f}"
+                registers.write_short(RESOLUTION_INDEX + n, channel.resolution_index)
+        return identity
 
     def ask(self) -> Sequence[float]:
         """Return the voltage of each channel."""
+        if self._registers is None:
+            raise DeviceError("no connection", where=self.name, expected="a call of connect before")
         voltages: dict[int, float] = {}
         for first, count in self._questions:
-            found = self._read_floats(VOLTAGE + FLOAT_REGISTERS * first, count)
+            found = self._registers.read_floats(VOLTAGE + LONG_REGISTERS * first, count)
             voltages |= {first + n: voltage for n, voltage in enumerate(found)}
         values = [voltages[number] for number in self._inputs]
         return [
@@ -138,43 +128,9 @@ class LabJackDevice(PolledDevice[LabJackSettings]):
 
     def close(self) -> None:
         """Close the connection."""
-        if self._client is not None:
-            self._client.close()
-            self._client = None
-
-    def _read_floats(self, register: int, count: int) -> Sequence[float]:
-        answer = self._call(register, "read_holding_registers", register, count=FLOAT_REGISTERS * count)
-        if len(answer.registers) != FLOAT_REGISTERS * count:
-            what = f"{len(answer.registers)} registers in the answer for register {register}"
-            raise self._error(what, f"{FLOAT_REGISTERS * count}")
-        words = np.array(answer.registers, dtype=">u2")
-        floats: Sequence[float] = words.view(">f4").astype(np.float64).tolist()
-        return floats
-
-    def _write(self, register: int, value: float, kind: Any) -> None:
-        self._call(register, "write_registers", register, self._client.convert_to_registers(value, kind))
-
-    def _call(self, register: int, method: str, *arguments: Any, **options: Any) -> Any:
-        """Call the client and return the answer.
-
-        Raises:
-            DeviceError: No answer, or a Modbus exception.
-
-        """
-        from pymodbus.exceptions import ModbusException  # noqa: PLC0415  see connect
-
-        try:
-            answer = getattr(self._client, method)(*arguments, **options)
-        except (ModbusException, OSError) as error:
-            raise self._error(f"no answer for register {register}, {error}", "an answer in time") from None
-        if answer.isError():
-            code = getattr(answer, "exception_code", "unknown")
-            expected = "registers of a LabJack; the input may not exist"
-            raise self._error(f"Modbus exception {code} for register {register}", expected)
-        return answer
-
-    def _error(self, what: str, expected: str) -> DeviceError:
-        return DeviceError(what, where=self.name, expected=expected)
+        if self._registers is not None:
+            self._registers.close()
+            self._registers = None
 
 
 def _questions(inputs: Sequence[int]) -> list[tuple[int, int]]:
@@ -182,7 +138,7 @@ def _questions(inputs: Sequence[int]) -> list[tuple[int, int]]:
     questions: list[tuple[int, int]] = []
     for number in sorted(set(inputs)):
         first, count = questions[-1] if questions else (number, 0)
-        if number == first + count and FLOAT_REGISTERS * count < MOST_REGISTERS:
+        if number == first + count and LONG_REGISTERS * count < MOST_REGISTERS:
             questions[-1:] = [(first, count + 1)]
         else:
             questions.append((number, 1))

@@ -24,6 +24,7 @@ class _Registers(DataBank):
     def __init__(self, voltages: Callable[[int], Sequence[float]]) -> None:
         super().__init__(virtual_mode=True)
         self.voltages = voltages
+        self.others: Callable[[int, int], list[int] | None] = lambda _address, _number: None
         self.product = 7.0
         self.written: dict[int, int] = {}
         self.stalled = Event()
@@ -37,6 +38,8 @@ class _Registers(DataBank):
         if address in {PRODUCT, FIRMWARE}:
             floats: Sequence[float] = [self.product if address == PRODUCT else 1.0292]
         else:
+            if (words := self.others(address, number)) is not None:
+                return words
             floats = self.voltages(time.time_ns())[address // 2 : (address + number) // 2]
         words = [word for value in floats for word in struct.unpack(">2H", FLOAT.pack(value))]
         return words if len(words) == number else None

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from posor_drivers.testing.capancdt_server import CapaNcdtServer
 from posor_drivers.testing.labjack_server import LabJackServer
+from posor_drivers.testing.labjack_stream_server import LabJackStreamServer
 from posor_drivers.testing.scpi_server import FIRST_CHANNEL, ScpiServer
 from posor_drivers.testing.stream_server import LEAD, MAGIC, StreamServer
 
@@ -19,13 +20,15 @@ if TYPE_CHECKING:
 
     from posor_validation.instruments.simulated_readings import SimulatedReadings
 
+ServerT = TypeVar("ServerT", bound=LabJackServer | ScpiServer)
+
 HOST = "127.0.0.1"
 RANGE_M = 5e-4
 """Measuring range of the capacitive sensors; in it the gap voltages of the test rig lie."""
 SCALE_V_PER_M, OFFSET_V = 4e4, -10.0
 """From distance to the voltage of the simulated probe."""
 CAPANCDT_SAMPLE_US = 256
-STREAM_RATE = 1000.0
+STREAM_RATE, ASKED_RATE = 1000.0, 250.0
 FEEDBACK_OHM = 1e5
 """Of the amplifiers that make voltages of the diode currents."""
 
@@ -177,14 +180,14 @@ def _fixed_sources(readings: SimulatedReadings, joint: str, entry: dict[str, Any
 
 
 def serve_voltages(
-    server_of: Callable[[Callable[[int], list[float]]], LabJackServer | ScpiServer],
-    settings_of: Callable[[int, list[str]], dict[str, Any]],
+    server_of: Callable[[Callable[[int], list[float]]], ServerT],
+    settings_of: Callable[[ServerT, list[str]], dict[str, Any]],
 ) -> Callable[[SimulatedReadings, ExitStack], Devices]:
-    """Return what serves all readings as voltages of one device that is asked for them.
+    """Return what serves all readings as voltages of one device.
 
     Args:
         server_of: Returns the server for the voltages by the ROS time [ns].
-        settings_of: Returns the entry of the instruments file for a port and the names of the channels.
+        settings_of: Returns the entry of the instruments file for a server and the names of the channels.
 
     """
 
@@ -195,20 +198,33 @@ def serve_voltages(
         stack.enter_context(server)
         names = [readings.channels[joint][n].name for n in columns]
         entry = _fixed_sources(readings, joint, readings.joint_entry(joint, _amplified(readings, joint, "daq")))
-        return Devices({"daq": settings_of(server.port, names)}, {joint: entry}, server.stalled)
+        return Devices({"daq": settings_of(server, names)}, {joint: entry}, server.stalled)
 
     return serve
 
 
-def _labjack(port: int, names: list[str]) -> dict[str, Any]:
+def _labjack(server: LabJackServer, names: list[str]) -> dict[str, Any]:
     channels = {name: {"input": n} for n, name in enumerate(names)}
-    return {"kind": "labjack", "host": HOST, "port": port, "rate": quantity(1000.0, "Hz"), "channels": channels}
+    rate = quantity(ASKED_RATE, "Hz")
+    return {"kind": "labjack", "host": HOST, "port": server.port, "rate": rate, "channels": channels}
 
 
-def _scanner(port: int, names: list[str]) -> dict[str, Any]:
+def _labjack_stream(server: LabJackStreamServer, names: list[str]) -> dict[str, Any]:
+    return {
+        "kind": "labjack_stream",
+        "host": HOST,
+        "port": server.port,
+        "stream_port": server.stream_port,
+        "rate": quantity(STREAM_RATE, "Hz"),
+        "delay": quantity(measure_least_delay(STREAM_RATE), "s"),
+        "channels": {name: {"input": n} for n, name in enumerate(names)},
+    }
+
+
+def _scanner(server: ScpiServer, names: list[str]) -> dict[str, Any]:
     return {
         "kind": "scpi",
-        "address": f"TCPIP::{HOST}::{port}::SOCKET",
+        "address": f"TCPIP::{HOST}::{server.port}::SOCKET",
         "dialect": "keysight_daq970a",
         "rate": quantity(5.0, "Hz"),
         "channels": {name: {"number": FIRST_CHANNEL + n, "unit": "V"} for n, name in enumerate(names)},
@@ -216,11 +232,16 @@ def _scanner(port: int, names: list[str]) -> dict[str, Any]:
 
 
 FIVE_AXIS_RATES = {"base_swivel": 997.0, "shoulder": 1003.0, "elbow": 997.0, "wrist_roll": 1003.0, "wrist_yaw": 997.0}
-LABJACK, SCANNER = serve_voltages(LabJackServer, _labjack), serve_voltages(ScpiServer, _scanner)
+LABJACK, STREAMED_LABJACK = (
+    serve_voltages(LabJackServer, _labjack),
+    serve_voltages(LabJackStreamServer, _labjack_stream),
+)
+SCANNER = serve_voltages(ScpiServer, _scanner)
 TRIALS = (
     DeviceTrial("stream, 1 kHz", "test_rig", 250, 0.1, 10.0, serve_streams({"joint1": STREAM_RATE})),
     DeviceTrial("capaNCDT 3.9 kHz, 1 kHz scans", "test_rig", 1000, 0.1, 10.0, serve_capancdt, keeps_pace=False),
-    DeviceTrial("LabJack, 1 kHz", "test_rig", 500, 0.1, 10.0, LABJACK, keeps_pace=False),
+    DeviceTrial("LabJack stream, 1 kHz", "test_rig", 500, 0.1, 10.0, STREAMED_LABJACK),
+    DeviceTrial("LabJack asked 250 times per second", "test_rig", 100, 0.1, 20.0, LABJACK, slowness=20.0),
     DeviceTrial("SCPI scanner, 5 Hz", "test_rig", 5, 0.7, 150.0, SCANNER, slowness=200.0),
     DeviceTrial(
         "five streams, full speed",

@@ -1,0 +1,118 @@
+"""Registers of a LabJack over Modbus TCP, for its devices.
+
+Source: Modbus map of the T series. Registers hold big-endian numbers with the high word first: the voltage of input n
+(``AIN#``) is a 32-bit float at 2 n, its range (``AIN#_RANGE``) at 40000 + 2 n, its negative input
+(``AIN#_NEGATIVE_CH``) 16 bits at 41000 + n; product and firmware are floats at 60000 and 60004.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from posor_drivers.instruments.device import DeviceError
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
+PRODUCTS = {4: "LabJack T4", 7: "LabJack T7", 8: "LabJack T8"}
+VOLTAGE, RANGE, NEGATIVE_INPUT, RESOLUTION_INDEX = 0, 40_000, 41_000, 41_500
+"""First registers of the analogue inputs."""
+PRODUCT, FIRMWARE = 60_000, 60_004
+LONG_REGISTERS = 2
+"""Of a float or a 32-bit number."""
+
+
+class LabJackRegisters:
+    """Connection to the registers of a LabJack; its errors name the device."""
+
+    def __init__(self, device: str, host: str, port: int, timeout_s: float) -> None:
+        """Connect.
+
+        Raises:
+            DeviceError: The device cannot be reached within the time, which also limits each answer.
+
+        """
+        from pymodbus.client import ModbusTcpClient  # noqa: PLC0415  slow to import, and few users have this device
+
+        self._device = device
+        self._client = ModbusTcpClient(host, port=port, timeout=timeout_s, retries=0, reconnect_delay=0)
+        try:
+            connected = self._client.connect()
+        except (OSError, UnicodeError):  # UnicodeError: the host is no valid name
+            connected = False
+        if not connected:
+            raise self.error(f"no connection to {host}:{port} within {timeout_s:g} s", "a LabJack")
+
+    def identity(self, products: Collection[int] = tuple(PRODUCTS)) -> str:
+        """Return product and firmware.
+
+        Raises:
+            DeviceError: The product is another one.
+
+        """
+        product, firmware = self.read_floats(PRODUCT, 1)[0], self.read_floats(FIRMWARE, 1)[0]
+        if product not in products:
+            expected = ", ".join(f"{n} ({PRODUCTS[n]})" for n in products)
+            raise self.error(f"the product is {product:g}", expected)
+        return f"{PRODUCTS[int(product)]}, firmware {firmware:.4f}"
+
+    def read_floats(self, register: int, count: int) -> Sequence[float]:
+        """Return consecutive floats."""
+        floats: Sequence[float] = self._read(register, count).view(">f4").astype(np.float64).tolist()
+        return floats
+
+    def read_number(self, register: int) -> int:
+        """Return a 32-bit number."""
+        return int(self._read(register, 1).view(">u4")[0])
+
+    def write_float(self, register: int, value: float) -> None:
+        """Write a float."""
+        self._write(register, np.array([value], dtype=">f4"))
+
+    def write_number(self, register: int, value: int) -> None:
+        """Write a 32-bit number."""
+        self._write(register, np.array([value], dtype=">u4"))
+
+    def write_short(self, register: int, value: int) -> None:
+        """Write a 16-bit number."""
+        self._write(register, np.array([value], dtype=">u2"))
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._client.close()
+
+    def _read(self, register: int, count: int) -> Any:
+        """Return the words of consecutive floats or 32-bit numbers."""
+        answer = self._call(register, "read_holding_registers", register, count=LONG_REGISTERS * count)
+        if len(answer.registers) != LONG_REGISTERS * count:
+            what = f"{len(answer.registers)} registers in the answer for register {register}"
+            raise self.error(what, f"{LONG_REGISTERS * count}")
+        return np.array(answer.registers, dtype=">u2")
+
+    def _write(self, register: int, values: Any) -> None:
+        self._call(register, "write_registers", register, values.view(">u2").tolist())
+
+    def _call(self, register: int, method: str, *arguments: Any, **options: Any) -> Any:
+        """Call the client and return the answer.
+
+        Raises:
+            DeviceError: No answer, or a Modbus exception.
+
+        """
+        from pymodbus.exceptions import ModbusException  # noqa: PLC0415  see __init__
+
+        try:
+            answer = getattr(self._client, method)(*arguments, **options)
+        except (ModbusException, OSError) as error:
+            raise self.error(f"no answer for register {register}, {error}", "an answer in time") from None
+        if answer.isError():
+            code = getattr(answer, "exception_code", "unknown")
+            expected = "registers of a LabJack; the input may not exist"
+            raise self.error(f"Modbus exception {code} for register {register}", expected)
+        return answer
+
+    def error(self, what: str, expected: str) -> DeviceError:
+        """Return an error of the device."""
+        return DeviceError(what, where=self._device, expected=expected)

@@ -1,0 +1,223 @@
+"""Device ``labjack_stream``: analogue inputs of a LabJack T7 in stream mode, which sends frames by its own clock.
+
+::
+
+    kind: labjack_stream
+    host: 192.168.0.8
+    rate: {value: 1000, unit: Hz}
+    channels:
+      current1: {input: 0, range: {value: 10, unit: V}}
+      current2: {input: 1, range: {value: 10, unit: V}, negative_input: 199}
+
+Channels are in volts; a value at an end of the converter is invalid, NaN. The inputs of a frame are converted one after
+the other, within some tens of microseconds for each.
+
+Source: Modbus map and low-level stream protocol of the T series, of which public programs agree:
+
+- Set-up: scan rate (float) at 4002, number of addresses 4004, samples per packet 4006, settling time (float, 0:
+  automatic) 4008, resolution 4010, buffer size (0: default) 4012, target (1: Ethernet) 4016, type of data (0) 4018,
+  number of scans (0: endless) 4020, address k at 4100 + 2 k, enable 4990.
+- Packet at port 702, big endian: transaction number, protocol, length, unit, function 76, type 16, a reserved byte,
+  backlog, status and information of 16 bits each, samples of 16 bits. Status 2940 is a full buffer, 2941 its end, with
+  the number of scans that were left out.
+- Constants in the flash memory of a T7, read through 61810 and 61812, from 0x3C4000 on, for each of the ranges 10, 1,
+  0.1 and 0.01 V: slope above and below the centre, centre and offset (floats).
+
+Never run with a LabJack.
+"""
+
+from __future__ import annotations
+
+import struct
+import time
+from contextlib import suppress
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from posor_estimator.calibration.file_model import FrozenModel
+from posor_estimator.calibration.quantity import Quantity, measured
+from pydantic import Field
+
+from posor_drivers.instruments.device import Channel, Device, DeviceError, DeviceSettings, Frames
+from posor_drivers.instruments.labjack_registers import LONG_REGISTERS, NEGATIVE_INPUT, RANGE, LabJackRegisters
+from posor_drivers.instruments.tcp_connection import TcpConnection
+from posor_drivers.simulator.scenario_limits import POSITIVE
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from posor_estimator.numerics.array_types import FloatArray
+
+T7 = 7
+RANGES_V = (10.0, 1.0, 0.1, 0.01)
+SCAN_RATE, ADDRESSES, SAMPLES_PER_PACKET, SETTLING, RESOLUTION, BUFFER = 4002, 4004, 4006, 4008, 4010, 4012
+TARGET, DATA_TYPE, SCANS, SCAN_LIST, ENABLE = 4016, 4018, 4020, 4100, 4990
+ETHERNET = 1
+FLASH_POINTER, FLASH, CONSTANTS_ADDRESS, CONSTANTS = 61_810, 61_812, 0x3C4000, 4
+FLOAT_BYTES = 4
+MOST_SAMPLES, PACKETS_PER_S = 512, 100
+HEADER = struct.Struct(">HHHBBBxHHH")
+LENGTH_WITHOUT_SAMPLES = HEADER.size - 6
+STREAM_FUNCTION, STREAM_TYPE = 76, 16
+RECOVERING, RECOVERED = 2940, 2941
+HIGHEST_SAMPLE = 0xFFFF
+RATE_TOLERANCE = 0.01
+
+
+class StreamChannel(FrozenModel):
+    """An analogue input."""
+
+    input: Annotated[int, Field(strict=True, ge=0, le=254)]
+    range: Annotated[Quantity, measured("V"), POSITIVE] = Quantity(value=10.0, unit="V")
+    negative_input: Annotated[int, Field(strict=True, ge=0, le=199)] | None = None
+
+
+class LabJackStreamSettings(DeviceSettings):
+    """Keys of a LabJack T7 in stream mode."""
+
+    kind: Literal["labjack_stream"]
+    host: str
+    port: Annotated[int, Field(strict=True, ge=1, le=65_535)] = 502
+    stream_port: Annotated[int, Field(strict=True, ge=1, le=65_535)] = 702
+    rate: Annotated[Quantity, measured("Hz"), POSITIVE]
+    channels: Annotated[dict[str, StreamChannel], Field(min_length=1, max_length=128)]
+
+
+class LabJackStreamDevice(Device[LabJackStreamSettings]):
+    """Sets up the stream through the registers, and reads it from its port."""
+
+    Settings = LabJackStreamSettings
+
+    def __init__(self, name: str, settings: LabJackStreamSettings) -> None:
+        """Store the settings."""
+        super().__init__(name, settings)
+        self._registers: LabJackRegisters | None = None
+        self._stream: TcpConnection | None = None
+        self._constants: FloatArray = np.empty((len(settings.channels), CONSTANTS))
+        self._rest, self._packet, self._next = b"", 0, 0
+
+    @classmethod
+    def starting_settings(cls, units: Mapping[str, str]) -> dict[str, Any]:
+        """Return an input for each reading that is not a whole number."""
+        analogue = [name for name, unit in units.items() if unit != "1"]
+        return {
+            "host": "192.168.0.8",
+            "rate": {"value": 1000, "unit": "Hz"},
+            "channels": {name: {"input": n, "range": {"value": 10.0, "unit": "V"}} for n, name in enumerate(analogue)},
+        }
+
+    @property
+    def channels(self) -> Sequence[Channel]:
+        """The channels of the settings."""
+        return [Channel(name, "V") for name in self.settings.channels]
+
+    @property
+    def frame_rate(self) -> float:
+        """The stated rate [Hz]."""
+        return self.settings.rate.number
+
+    @property
+    def address(self) -> str:
+        """Host and port of the stream."""
+        return f"{self.settings.host}:{self.settings.stream_port}"
+
+    def connect(self, timeout_s: float) -> str:
+        """Check the product, stop a stream that still runs, set up the inputs and start the stream."""
+        settings = self.settings
+        self._registers = registers = LabJackRegisters(self.name, settings.host, settings.port, timeout_s)
+        identity = registers.identity([T7])
+        if registers.read_number(ENABLE):
+            registers.write_number(ENABLE, 0)
+        for n, channel in enumerate(settings.channels.values()):
+            registers.write_float(RANGE + LONG_REGISTERS * channel.input, channel.range.number)
+            if channel.negative_input is not None:
+                registers.write_short(NEGATIVE_INPUT + channel.input, channel.negative_input)
+            self._constants[n] = self._read_constants(registers, channel.range.number)
+        self._write_setup(registers)
+        self._rest, self._packet, self._next = b"", 0, 0
+        self._stream = TcpConnection(self.name, settings.host, settings.stream_port, timeout_s)
+        registers.write_number(ENABLE, 1)
+        actual_hz = registers.read_floats(SCAN_RATE, 1)[0]
+        if abs(actual_hz / self.frame_rate - 1.0) > RATE_TOLERANCE:
+            raise self._error(f"the device streams {actual_hz:g} frames per second", f"{self.frame_rate:g}, as stated")
+        return identity
+
+    def _read_constants(self, registers: LabJackRegisters, range_v: float) -> Sequence[float]:
+        """Return slope above and below the centre, centre and offset of a range."""
+        if range_v not in RANGES_V:
+            raise self._error(f"a range of {range_v:g} V", ", ".join(f"{each:g}" for each in RANGES_V))
+        bytes_before = RANGES_V.index(range_v) * CONSTANTS * FLOAT_BYTES
+        registers.write_number(FLASH_POINTER, CONSTANTS_ADDRESS + bytes_before)
+        return registers.read_floats(FLASH, CONSTANTS)
+
+    def _write_setup(self, registers: LabJackRegisters) -> None:
+        settings, count = self.settings, len(self.settings.channels)
+        frames = max(1, min(MOST_SAMPLES // count, round(self.frame_rate / PACKETS_PER_S)))
+        for register, value in ((SCAN_RATE, self.frame_rate), (SETTLING, 0.0)):
+            registers.write_float(register, value)
+        numbers = {ADDRESSES: count, SAMPLES_PER_PACKET: count * frames, TARGET: ETHERNET}
+        for register in (ADDRESSES, SAMPLES_PER_PACKET, RESOLUTION, BUFFER, TARGET, DATA_TYPE, SCANS):
+            registers.write_number(register, numbers.get(register, 0))
+        for n, channel in enumerate(settings.channels.values()):
+            registers.write_number(SCAN_LIST + LONG_REGISTERS * n, LONG_REGISTERS * channel.input)
+
+    def read(self, timeout_s: float) -> Frames | None:
+        """Return the frames of the packets that have come."""
+        if self._stream is None:
+            raise self._error("no connection", "a call of connect before")
+        deadline_s = time.monotonic() + timeout_s
+        while received := self._stream.receive(max(0.0, deadline_s - time.monotonic())):
+            self._rest += received
+            packets = []
+            while (packet := self._take_packet()) is not None:
+                packets.append(packet)
+            if packets:
+                counters = np.concatenate([counters for counters, _ in packets])
+                values = np.concatenate([samples for _, samples in packets])
+                return Frames(counters, self._volts(values), arrived_ns=self._stream.received_ns)
+        return None
+
+    def _take_packet(self) -> tuple[Any, Any] | None:
+        """Return numbers and samples of the frames of the first packet; None if it is not complete."""
+        if len(self._rest) < HEADER.size:
+            return None
+        packet, _, length, _, function, kind, _, status, information = HEADER.unpack_from(self._rest)
+        if (function, kind) != (STREAM_FUNCTION, STREAM_TYPE):
+            expected = f"{STREAM_FUNCTION} and {STREAM_TYPE}"
+            raise self._error(f"a packet has function {function} and type {kind}", expected)
+        if packet != self._packet:
+            raise self._error(f"packet {packet} follows packet {self._packet - 1}", "packets without a gap")
+        if status not in (0, RECOVERING, RECOVERED):
+            raise self._error(f"the stream has status {status}", "0; 2942 means that the rate is too high")
+        count, row = length - LENGTH_WITHOUT_SAMPLES, 2 * len(self._constants)
+        if count <= 0 or count % row:
+            raise self._error(f"a packet has {count} bytes of samples", f"whole frames of {row} bytes")
+        if len(self._rest) < HEADER.size + count:
+            return None
+        self._next += information if status == RECOVERED else 0
+        samples = np.frombuffer(self._rest, ">u2", count // 2, HEADER.size).reshape(-1, len(self._constants))
+        counters = self._next + np.arange(len(samples))
+        self._rest = self._rest[HEADER.size + count :]
+        self._packet, self._next = (packet + 1) % (1 << 16), self._next + len(samples)
+        return counters, samples
+
+    def _volts(self, samples: Any) -> FloatArray:
+        """Return the voltages of samples, (n, c)."""
+        above, below, centre, _ = self._constants.T
+        from_centre = samples - centre
+        volts = np.where(from_centre < 0.0, -from_centre * below, from_centre * above)
+        return np.where((samples == 0) | (samples == HIGHEST_SAMPLE), np.nan, volts)
+
+    def close(self) -> None:
+        """Stop the stream, and close both connections."""
+        if self._registers is not None:
+            with suppress(DeviceError):  # of a connection that is broken
+                self._registers.write_number(ENABLE, 0)
+            self._registers.close()
+            self._registers = None
+        if self._stream is not None:
+            self._stream.close()
+            self._stream = None
+
+    def _error(self, what: str, expected: str) -> DeviceError:
+        return DeviceError(what, where=self.name, expected=expected)
