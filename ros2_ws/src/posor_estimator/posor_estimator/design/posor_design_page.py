@@ -207,8 +207,8 @@ def _plan_view(layout: PosorLayout, requirement: Requirement) -> Plot:
     def circles(name: str, radius: float, azimuths: Iterable[float], body: float, colour: str) -> None:
         x, y = [], []
         for azimuth in azimuths:
-            x += [*(radius * math.cos(azimuth) + body * np.cos(turn[::6])), math.nan]
-            y += [*(radius * math.sin(azimuth) + body * np.sin(turn[::6])), math.nan]
+            x += [*(radius * math.cos(azimuth) + body * np.cos(turn[::2])), math.nan]
+            y += [*(radius * math.sin(azimuth) + body * np.sin(turn[::2])), math.nan]
         plot.curve(name, 1e3 * np.array(x), 1e3 * np.array(y), colour)
 
     circles("outside diameter", 0.0, [0.0], 0.5 * layout.outside_diameter, GREY)
