@@ -60,6 +60,8 @@ def test_runs() -> None:
     assert found.deviation_scatter == pytest.approx(math.sqrt(2.0) * 1e-6)
     assert found.mean_slope == pytest.approx(0.01005)
     assert found.spread == pytest.approx(1e-6 + 0.02 * 1e-4)
+    crossing = straightness_runs((0.0, 5e-6), (0.0101, 0.01), (4e-6, 6e-6), 0.02)
+    assert crossing.spread == pytest.approx(5e-6)  # the lines lie farthest apart at the start
 
 
 def test_alignment_of_the_thesis() -> None:
@@ -123,6 +125,7 @@ def test_the_zero_of_a_straight_line_does_not_matter() -> None:
         (alignment, ((math.nan,), 1.0), "misalignment 1: nan is not finite"),
         (alignment, ((0.1,), -1.0), "travel: -1 is negative"),
         (abbe_error, (0.1, 5.0), r"angle: 5 rad; expected at most 0.2 rad\."),
+        (abbe_error, (0.1, -5.0), r"angle: -5 rad; expected at most 0.2 rad\."),
         (abbe_error, (math.inf, 0.0), "offset: inf is not finite"),
         (thermal_growth, (-1.0, 1e-5, 1.0), "length: -1 is negative"),
         (thermal_growth, (1.0, math.nan, 1.0), "expansion: nan is not finite"),

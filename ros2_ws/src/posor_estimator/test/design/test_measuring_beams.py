@@ -218,6 +218,15 @@ def test_damping_bounds_the_error_at_resonance() -> None:
     assert undamped > 1e3 * errors[0]
 
 
+def test_a_loss_factor_divides_the_static_sag_by_its_complex_stiffness() -> None:
+    lossless = sag_correction(**BEAM, **PLATES, acceleration=1.0, frequency=0.0)
+    with_shear = lossless.deflection + lossless.deflection_error
+    for loss in (0.1, 0.5):
+        found = sag_correction(**BEAM, **PLATES, acceleration=1.0, frequency=0.0, loss_factor=loss)
+        expected = abs(with_shear / (1.0 + 1j * loss) - lossless.deflection)
+        assert found.deflection_error == pytest.approx(expected, rel=1e-6)
+
+
 @pytest.mark.parametrize(
     ("changed", "place"),
     [
