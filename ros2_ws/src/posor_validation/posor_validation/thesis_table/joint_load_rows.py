@@ -88,7 +88,7 @@ def _arm_rows() -> list[ThesisRow]:
             "in lbf",
             "6300",
             _moment((21.0, 300.0)),
-            "the scan has 211 for the distance of 21 in",
+            "not independent: the scan has 211 for the distance, and 21 in is the one that fits this number",
         ),
         ThesisRow("9.4.3", "stress of the box 4 x 4 x 1/8 in", "psi", "5000", _box_stress(elbow, 4.0)),
         ThesisRow("9.4.3", "gear ratio of the elbow", "1", "3", elbow_drive.ratio),

@@ -140,7 +140,9 @@ def _alignment_rows() -> list[ThesisRow]:
     square = alignment((0.002, 0.002), 0.625 * INCH)
     one = alignment((0.002,), INCH)
     twice = "exact is 1 - cos(.002), 2 uin/in; 4 uin/in is the square of the angle, twice as much"
-    orthogonality = "with two axes of .002; the scan has .0002 for the first, which would give .0020"
+    orthogonality = (
+        "not independent: two axes of .002 fit this number; the scan has .0002 for the first, which gives .0020"
+    )
     return [
         ThesisRow("7.2", "cosine error of .002 in/in", "uin/in", "4", one.cosine_error / UIN, twice),
         ThesisRow("7.4", "angle between diode and interferometer", "rad", ".0055", setup.angle),

@@ -203,9 +203,9 @@ def _linkage_rows() -> list[ThesisRow]:
     printed = straight_linkage(**links, joint_force=LINK_WEIGHT + 0.5 * DEVICE_WEIGHT)
     balanced = straight_linkage(**links, joint_force=0.5 * (LINK_WEIGHT + DEVICE_WEIGHT))
     force = (
-        "each link carries its whole weight and half of the device at the joint, as the printed tension requires; by "
-        f"moments about its support it carries half of its weight: {balanced.tension / lbf:.0f} lb, "
-        f"{balanced.stretch / inch:.4f} in"
+        "not independent: the printed tension requires that each link carries its whole weight and half of the device "
+        "at the joint; by moments about its support it carries half of its weight: "
+        f"{balanced.tension / lbf:.0f} lb, {balanced.stretch / inch:.4f} in"
     )
     gap = endpoint_error((100.0 * inch,), (0.0001 / 4.0,)).worst_case / inch
     return [
