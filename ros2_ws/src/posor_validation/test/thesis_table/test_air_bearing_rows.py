@@ -7,14 +7,11 @@ from itertools import pairwise
 
 import pytest
 from posor_validation.thesis_table import air_bearing_rows
-from posor_validation.thesis_table.thesis_row import ThesisRow, Verdict
+from posor_validation.thesis_table.thesis_row import Verdict
+
+from .find_row import find_row
 
 AGREES, DIFFERS = Verdict.AGREES, Verdict.DIFFERS
-
-
-def find(rows: list[ThesisRow], section: str, beginning: str) -> ThesisRow:
-    (row,) = (row for row in rows if row.section == section and row.quantity.startswith(beginning))
-    return row
 
 
 @pytest.mark.parametrize(
@@ -27,15 +24,10 @@ def find(rows: list[ThesisRow], section: str, beginning: str) -> ThesisRow:
     ],
 )
 def test_figures(section: str, quantity: str, printed: str, computed: float, verdict: Verdict) -> None:
-    row = find(air_bearing_rows.rows(), section, quantity)
+    row = find_row(air_bearing_rows.rows(), section, quantity)
     assert row.printed == printed
     assert row.computed == pytest.approx(computed, rel=1e-3)
     assert row.verdict is verdict
-
-
-def test_rows_are_distinct() -> None:
-    names = [(row.section, row.quantity) for row in air_bearing_rows.rows()]
-    assert len(set(names)) == len(names) == 8
 
 
 def test_the_printed_trends_of_air_for_hold() -> None:

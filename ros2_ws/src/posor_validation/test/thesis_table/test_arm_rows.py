@@ -7,17 +7,14 @@ import pytest
 from posor_validation.thesis_table import arm_rows
 from posor_validation.thesis_table.thesis_row import ThesisRow, Verdict
 
+from .find_row import find_row
+
 AGREES, DIFFERS = Verdict.AGREES, Verdict.DIFFERS
 
 
 @pytest.fixture(scope="module")
 def rows() -> list[ThesisRow]:
     return arm_rows.rows()
-
-
-def find(rows: list[ThesisRow], section: str, beginning: str) -> ThesisRow:
-    (row,) = (row for row in rows if row.section == section and row.quantity.startswith(beginning))
-    return row
 
 
 @pytest.mark.parametrize(
@@ -43,7 +40,7 @@ def find(rows: list[ThesisRow], section: str, beginning: str) -> ThesisRow:
     ],
 )
 def test_figures(rows: list[ThesisRow], section: str, quantity: str, computed: float, verdict: Verdict) -> None:
-    row = find(rows, section, quantity)
+    row = find_row(rows, section, quantity)
     assert row.computed == pytest.approx(computed, rel=2e-3)
     assert row.verdict is verdict
 
@@ -56,7 +53,7 @@ def test_the_budget_of_this_project_is_labelled_as_assumed(rows: list[ThesisRow]
     own = [row for row in rows if "this project's sensor models" in row.quantity]
     assert len(own) == 8
     assert all("assumed" in row.quantity and "assumed" in row.reason for row in own)
-    assert find(own, "9.3.3", "fully extended: displacement").computed > 284.0
+    assert find_row(own, "9.3.3", "fully extended: displacement").computed > 284.0
 
 
 def test_added_errors_act_across_the_beams(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,14 +6,11 @@ import csv
 
 import pytest
 from posor_validation.thesis_table import bearing_rows
-from posor_validation.thesis_table.thesis_row import ThesisRow, Verdict
+from posor_validation.thesis_table.thesis_row import Verdict
+
+from .find_row import find_row
 
 AGREES, DIFFERS = Verdict.AGREES, Verdict.DIFFERS
-
-
-def find(rows: list[ThesisRow], section: str, beginning: str) -> ThesisRow:
-    (row,) = (row for row in rows if row.section == section and row.quantity.startswith(beginning))
-    return row
 
 
 @pytest.mark.parametrize(
@@ -31,23 +28,18 @@ def find(rows: list[ThesisRow], section: str, beginning: str) -> ThesisRow:
     ],
 )
 def test_figures(section: str, quantity: str, printed: str, computed: float, verdict: Verdict) -> None:
-    row = find(bearing_rows.rows(), section, quantity)
+    row = find_row(bearing_rows.rows(), section, quantity)
     assert row.printed == printed
     assert row.computed == pytest.approx(computed, rel=1e-3)
     assert row.verdict is verdict
-
-
-def test_rows_are_distinct() -> None:
-    names = [(row.section, row.quantity) for row in bearing_rows.rows()]
-    assert len(set(names)) == len(names) == 9
 
 
 def test_rows_follow_from_the_input_of_the_text(monkeypatch: pytest.MonkeyPatch) -> None:
     before = bearing_rows.rows()
     monkeypatch.setattr(bearing_rows, "BALL_LOAD", 8.0 * bearing_rows.BALL_LOAD)
     for quantity in ("stress of the yoke bearing", "stress, steel ball on races of Delrin", "stress, ball and races"):
-        changed = find(bearing_rows.rows(), "6.2.3.3", quantity).computed
-        assert changed == pytest.approx(2.0 * find(before, "6.2.3.3", quantity).computed, rel=1e-9)
+        changed = find_row(bearing_rows.rows(), "6.2.3.3", quantity).computed
+        assert changed == pytest.approx(2.0 * find_row(before, "6.2.3.3", quantity).computed, rel=1e-9)
 
 
 def test_the_plot_shows_that_stress_rises_with_conformity() -> None:

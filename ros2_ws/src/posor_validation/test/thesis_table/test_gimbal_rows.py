@@ -6,14 +6,11 @@ import csv
 
 import pytest
 from posor_validation.thesis_table import gimbal_rows
-from posor_validation.thesis_table.thesis_row import ThesisRow, Verdict
+from posor_validation.thesis_table.thesis_row import Verdict
+
+from .find_row import find_row
 
 AGREES, DIFFERS = Verdict.AGREES, Verdict.DIFFERS
-
-
-def find(rows: list[ThesisRow], section: str, beginning: str) -> ThesisRow:
-    (row,) = (row for row in rows if row.section == section and row.quantity.startswith(beginning))
-    return row
 
 
 @pytest.mark.parametrize(
@@ -40,20 +37,15 @@ def find(rows: list[ThesisRow], section: str, beginning: str) -> ThesisRow:
     ],
 )
 def test_figures(section: str, quantity: str, printed: str, computed: float, verdict: Verdict) -> None:
-    row = find(gimbal_rows.rows(), section, quantity)
+    row = find_row(gimbal_rows.rows(), section, quantity)
     assert row.printed == printed
     assert row.computed == pytest.approx(computed, rel=1e-3)
     assert row.verdict is verdict
 
 
-def test_rows_are_distinct() -> None:
-    names = [(row.section, row.quantity) for row in gimbal_rows.rows()]
-    assert len(set(names)) == len(names) == 18
-
-
 def test_the_print_follows_from_the_density_of_steel_as_the_reason_says(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gimbal_rows, "BEAM_DENSITY", gimbal_rows.STEEL_DENSITY)
-    row = find(gimbal_rows.rows(), "6.2.3.2", "allowed mu r")
+    row = find_row(gimbal_rows.rows(), "6.2.3.2", "allowed mu r")
     assert row.verdict is AGREES
     assert row.computed == pytest.approx(0.0082, abs=1e-5)
 
@@ -69,8 +61,8 @@ def test_rows_follow_from_the_input_of_the_text(monkeypatch: pytest.MonkeyPatch)
         ("6.2.3.1", "length of the wires, two degrees of freedom, about Z", 2.0),
         ("6.2.3.1", "stress by the stretch", 1.0),
     ):
-        changed = find(gimbal_rows.rows(), section, quantity).computed
-        assert changed == pytest.approx(ratio * find(before, section, quantity).computed, rel=1e-9)
+        changed = find_row(gimbal_rows.rows(), section, quantity).computed
+        assert changed == pytest.approx(ratio * find_row(before, section, quantity).computed, rel=1e-9)
 
 
 def test_plots_show_the_printed_torque_and_table_7_2() -> None:

@@ -8,17 +8,14 @@ from posor_validation.thesis_budgets import motion_predictions
 from posor_validation.thesis_table import end_of_beam_rows, motion_summary_rows, motion_test_rows, prediction_rows
 from posor_validation.thesis_table.thesis_row import ThesisRow, Verdict
 
+from .find_row import find_row
+
 AGREES, DIFFERS, NOT_LEGIBLE = Verdict.AGREES, Verdict.DIFFERS, Verdict.NOT_LEGIBLE
 
 
 @pytest.fixture(scope="module")
 def rows() -> list[ThesisRow]:
     return motion_test_rows.rows()
-
-
-def find(rows: list[ThesisRow], section: str, beginning: str) -> ThesisRow:
-    (row,) = (row for row in rows if row.section == section and row.quantity.startswith(beginning))
-    return row
 
 
 @pytest.mark.parametrize(
@@ -51,15 +48,10 @@ def find(rows: list[ThesisRow], section: str, beginning: str) -> ThesisRow:
 def test_figures(
     rows: list[ThesisRow], section: str, quantity: str, printed: str, computed: float, verdict: Verdict
 ) -> None:
-    row = find(rows, section, quantity)
+    row = find_row(rows, section, quantity)
     assert row.printed_number == (float(printed) if printed else None)
     assert row.computed == pytest.approx(computed, rel=2e-3)
     assert row.verdict is verdict
-
-
-def test_every_quantity_of_a_section_is_named_once(rows: list[ThesisRow]) -> None:
-    names = [(row.section, row.quantity) for row in rows]
-    assert len(set(names)) == len(names)
 
 
 def test_table_8_2_is_reported_missing(rows: list[ThesisRow]) -> None:
@@ -80,11 +72,11 @@ def test_table_8_2_is_reported_missing(rows: list[ThesisRow]) -> None:
 def test_predictions_follow_their_inputs(
     monkeypatch: pytest.MonkeyPatch, name: str, value: float, section: str, quantity: str, factor: float
 ) -> None:
-    before = find(prediction_rows.prediction_rows(), section, quantity)
+    before = find_row(prediction_rows.prediction_rows(), section, quantity)
     monkeypatch.setattr(motion_predictions, name, value)
     # A changed number no longer agrees, so that its row may need a reason: the row itself is not built.
     monkeypatch.setattr(ThesisRow, "__post_init__", lambda _row: None)
-    after = find(prediction_rows.prediction_rows(), section, quantity)
+    after = find_row(prediction_rows.prediction_rows(), section, quantity)
     assert after.computed == pytest.approx(factor * before.computed)
 
 
@@ -95,7 +87,7 @@ def test_sigma_z_and_y_follow_the_budgets(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(motion_predictions, "diode_budget", lambda column: 2.0 * budget(column))
     after = prediction_rows.prediction_rows()
     quantity = "sigma_Z of the POSOR"
-    assert find(after, "8.4", quantity).computed == pytest.approx(2.0 * find(before, "8.4", quantity).computed)
+    assert find_row(after, "8.4", quantity).computed == pytest.approx(2.0 * find_row(before, "8.4", quantity).computed)
 
 
 def test_figures_of_the_legible_tables_follow_the_tables(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -112,7 +104,7 @@ def test_averages_follow_the_errors_of_the_tests(monkeypatch: pytest.MonkeyPatch
     stated = motion_summary_rows.stated_error
     monkeypatch.setattr(ThesisRow, "__post_init__", lambda _row: None)
     monkeypatch.setattr(motion_summary_rows, "stated_error", lambda *cell: 2.0 * stated(*cell))
-    average = find(
+    average = find_row(
         motion_summary_rows.motion_summary_rows(), "8.5", "average error at the end of the beam, probes, by the p"
     )
     assert average.computed == pytest.approx(2.0 * 0.0006251, rel=1e-3)

@@ -6,17 +6,14 @@ import pytest
 from posor_validation.thesis_table import sensor_rows
 from posor_validation.thesis_table.thesis_row import ThesisRow, Verdict
 
+from .find_row import find_row
+
 AGREES, DIFFERS = Verdict.AGREES, Verdict.DIFFERS
 
 
 @pytest.fixture(scope="module")
 def rows() -> list[ThesisRow]:
     return sensor_rows.rows()
-
-
-def find(rows: list[ThesisRow], section: str, beginning: str) -> ThesisRow:
-    (row,) = (row for row in rows if row.section == section and row.quantity.startswith(beginning))
-    return row
 
 
 @pytest.mark.parametrize(
@@ -52,19 +49,14 @@ def find(rows: list[ThesisRow], section: str, beginning: str) -> ThesisRow:
     ],
 )
 def test_figures(rows: list[ThesisRow], section: str, quantity: str, computed: float, verdict: Verdict) -> None:
-    row = find(rows, section, quantity)
+    row = find_row(rows, section, quantity)
     assert row.computed == pytest.approx(computed, rel=3e-3)
     assert row.verdict is verdict
 
 
-def test_no_number_stands_twice(rows: list[ThesisRow]) -> None:
-    names = [(row.section, row.quantity) for row in rows]
-    assert len(set(names)) == len(names)
-
-
 def test_the_humidity_of_the_appendix_states_its_condition(rows: list[ThesisRow]) -> None:
     """Cross-checked with the index itself: at the temperature of the reason, 30 % change it by 1 ppm."""
-    reason = find(rows, "App. 4A", "index of air, 30 %").reason
+    reason = find_row(rows, "App. 4A", "index of air, 30 %").reason
     assert "by 1 ppm in air of 46 C only" in reason
     assert "at 20 C, 1 ppm needs 117 %, more than there can be" in reason
 

@@ -6,17 +6,14 @@ import pytest
 from posor_validation.thesis_table import stage_rows
 from posor_validation.thesis_table.thesis_row import ThesisRow, Verdict
 
+from .find_row import find_row
+
 AGREES, DIFFERS = Verdict.AGREES, Verdict.DIFFERS
 
 
 @pytest.fixture(scope="module")
 def rows() -> list[ThesisRow]:
     return stage_rows.rows()
-
-
-def find(rows: list[ThesisRow], section: str, beginning: str) -> ThesisRow:
-    (row,) = (row for row in rows if row.section == section and row.quantity.startswith(beginning))
-    return row
 
 
 @pytest.mark.parametrize(
@@ -53,14 +50,9 @@ def find(rows: list[ThesisRow], section: str, beginning: str) -> ThesisRow:
     ],
 )
 def test_figures(rows: list[ThesisRow], section: str, quantity: str, computed: float, verdict: Verdict) -> None:
-    row = find(rows, section, quantity)
+    row = find_row(rows, section, quantity)
     assert row.computed == pytest.approx(computed, rel=3e-3)
     assert row.verdict is verdict
-
-
-def test_no_number_stands_twice(rows: list[ThesisRow]) -> None:
-    names = [(row.section, row.quantity) for row in rows]
-    assert len(set(names)) == len(names)
 
 
 def test_the_rows_follow_from_the_gauge_error(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -73,7 +65,7 @@ def test_the_rows_follow_from_the_gauge_error(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_the_maps_that_are_lost_are_named(rows: list[ThesisRow]) -> None:
-    assert "their coefficients are lost" in find(rows, "8.3.3", "interpolation error").reason
+    assert "their coefficients are lost" in find_row(rows, "8.3.3", "interpolation error").reason
 
 
 def test_plots_have_the_numbers_of_the_calculators() -> None:

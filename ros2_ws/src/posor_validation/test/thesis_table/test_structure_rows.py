@@ -53,11 +53,6 @@ def test_most_rows_agree(rows: list[ThesisRow]) -> None:
     assert Counter(row.verdict for row in rows) == {AGREES: 31, DIFFERS: 9, Verdict.NOT_LEGIBLE: 1}
 
 
-def test_names_are_unique(rows: list[ThesisRow]) -> None:
-    names = Counter((row.section, row.quantity) for row in rows)
-    assert max(names.values()) == 1
-
-
 def test_figure_1a1_falls_with_the_payload_to_the_ratio_of_the_row(rows: list[ThesisRow]) -> None:
     frequencies, ratio = structure_rows.plots()
     values = [float(row["stress over deflection [1]"]) for row in csv.DictReader(io.StringIO(ratio.csv))]
