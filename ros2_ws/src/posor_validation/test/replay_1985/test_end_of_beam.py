@@ -50,6 +50,22 @@ def test_alpha_of_ymo_is_the_printed_one(printed: PrintedColumns) -> None:
     assert np.max(np.abs(with_listing[:, 0] - printed.posor[:, 0])) > 5.0 * URAD
 
 
+def test_the_distance_at_each_probe_is_its_gap() -> None:
+    program = EndOfBeamProgram()
+    gaps = np.array([0.030, 0.034, 0.041])
+    at_probes = ((-program.sizes["c"], 0.0), (0.0, program.sizes["a"]), (0.0, -program.sizes["b"]))
+    np.testing.assert_allclose([program.distance(gaps, *at) for at in at_probes], gaps, rtol=1e-12)
+
+
+def test_inclined_light_shifts_the_spots_as_in_the_listing() -> None:
+    """The signs of the listing of GEN: X1 + cos, Y1 - sin, X2 + cos, Y2 + sin."""
+    inclined = {"sigma1": 0.004, "sigma2": 0.002, "rho1": np.radians(20.0), "rho2_listing": np.radians(50.0)}
+    program = EndOfBeamProgram({**dimensions(), **inclined})
+    changes, theta = (np.array([0.01]), np.array([0.03])), np.array([np.radians(10.0)])
+    expected = [4e-5 * np.sqrt(0.75), -4e-5 * 0.5, 6e-5 * 0.5, 6e-5 * np.sqrt(0.75)]
+    np.testing.assert_allclose(program.ray_shifts(changes, theta)[0], expected, rtol=1e-12)
+
+
 @pytest.mark.parametrize("test", TESTS)
 def test_a_rigid_plate_gives_the_motion_back(test: EndOfBeamTest, rigid_program: EndOfBeamProgram) -> None:
     gaps, spots = simulated_readings(test, rigid_program)
