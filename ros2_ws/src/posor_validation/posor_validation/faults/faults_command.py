@@ -20,6 +20,7 @@ from posor_estimator.ros_names import RAW_TOPIC, TRANSFORM_TOPIC
 from rich.console import Console
 from rich.table import Table
 
+from posor_validation.faults.device_faults import DEVICE_FAULTS, DeviceRun
 from posor_validation.faults.fault_table import ARMS
 from posor_validation.faults.hidden_faults import CASES, HIDDEN_FAULTS, run_hidden
 from posor_validation.faults.input_faults import MESSAGE_FAULTS, InputRun
@@ -181,6 +182,8 @@ def run_rows(
     for layout in ("separate", "composed"):
         processes = [each for each in PROCESS_FAULTS if each.layout == layout and is_selected(each.row)]
         runs.append((f"processes, layout {layout}", len(processes), live(ProcessRun, processes)))
+    devices = [each for each in DEVICE_FAULTS if is_selected(each.row)]
+    runs.append(("devices", len(devices), live(DeviceRun, devices)))
     cases = QUICK_CASES if options.quick else CASES
     hidden = [each for each in HIDDEN_FAULTS if is_selected(each.row)]
     runs.append(("hidden faults", len(hidden), lambda _: [run_hidden(each, seed, cases) for each in hidden]))

@@ -118,6 +118,11 @@ def serve_streams(rates: Mapping[str, float]) -> Callable[[SimulatedReadings, Ex
 
 def serve_capancdt(readings: SimulatedReadings, stack: ExitStack) -> Devices:
     """Serve the gap probes as distances of a capaNCDT at its greatest rate, everything else as a stream."""
+    return serve_with_probes(readings, stack)[1]
+
+
+def serve_with_probes(readings: SimulatedReadings, stack: ExitStack) -> tuple[CapaNcdtServer, Devices]:
+    """Serve as ``serve_capancdt``; return also the server of the probes, for faults."""
     delay_s = measure_least_delay(STREAM_RATE)
     (joint,) = readings.channels
     channels = readings.channels[joint]
@@ -147,7 +152,7 @@ def serve_capancdt(readings: SimulatedReadings, stack: ExitStack) -> Devices:
         },
     }
     devices = {"probes": controller, "box": _stream(readings, joint, others, STREAM_RATE, delay_s)}
-    return Devices(devices, {joint: readings.joint_entry(joint, entries)}, probes.stalled)
+    return probes, Devices(devices, {joint: readings.joint_entry(joint, entries)}, probes.stalled)
 
 
 def _amplified(readings: SimulatedReadings, joint: str, device: str) -> dict[str, dict[str, Any]]:

@@ -36,12 +36,12 @@ class SimulatedReadings:
     It rests at the begin of the cycle, where rings see their home marks, until ``start_motion``.
     """
 
-    def __init__(self, arm: Arm, slowness: float = 1.0) -> None:
+    def __init__(self, arm: Arm, slowness: float = 1.0, seed: int = SEED) -> None:
         """Compute one cycle."""
         self._begin_ns: int | None = None
         self.arm = arm
         self._rate_ns = SIMULATED_RATE / slowness / NS
-        self._random = np.random.default_rng(SEED)
+        self._random = np.random.default_rng(seed)
         effects = ("sag", "inertia") if slowness == 1.0 else ("sag",)  # slower, its accelerations are negligible
         smooth = ArmSimulation(arm, Imperfections.only(*effects), SIMULATED_RATE)
         noisy = ArmSimulation(arm, Imperfections.only("noise", *effects), SIMULATED_RATE)

@@ -186,7 +186,7 @@ def _figures(
         stated_um=float(1e6 * np.sqrt(np.mean(np.trace(covariances, axis1=1, axis2=2)))),
         clock_us=1e6 * measured.clock_s,
         inside_with_stamps=_share_inside(errors, covariances + of_stamps),
-        stamps_late_us=float(-1e6 * np.sum(errors * velocity) / np.sum(velocity**2)),
+        stamps_late_us=float(-1e6 * np.sum(errors * velocity) / square) if (square := np.sum(velocity**2)) else 0.0,
         latency_ms=float(np.median(np.array(measured.received_ns) - np.array(stamps)) * 1e3 / NS),
         named_after_s=named_s,
         poses_in_stall=in_stall,

@@ -11,6 +11,7 @@ import pytest
 from posor_drivers.simulator.pose_array import PoseArray
 from posor_estimator.errors import ParameterError
 from posor_estimator.model.fault import State
+from posor_validation.faults.device_faults import DEVICE_FAULTS
 from posor_validation.faults.fault_table import NAMING_LIMITS_S, FaultRow, RowResult
 from posor_validation.faults.faults_command import QUICK_ROWS, main, parse_options
 from posor_validation.faults.hidden_faults import HIDDEN_FAULTS
@@ -30,7 +31,7 @@ MIN_ROWS = 40
 
 
 def all_rows() -> list[FaultRow]:
-    parts = (SCENARIO_FAULTS, MESSAGE_FAULTS, PROCESS_FAULTS, HIDDEN_FAULTS)
+    parts = (SCENARIO_FAULTS, MESSAGE_FAULTS, PROCESS_FAULTS, DEVICE_FAULTS, HIDDEN_FAULTS)
     return [each.row for part in parts for each in part] + [SLIP_ROW]
 
 
