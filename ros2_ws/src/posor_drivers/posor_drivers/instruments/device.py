@@ -21,7 +21,7 @@ from posor_estimator.calibration.file_model import FrozenModel
 from posor_estimator.calibration.quantity import Quantity, measured
 from posor_estimator.errors import PosorError
 
-from posor_drivers.simulator.scenario_limits import NOT_NEGATIVE
+from posor_drivers.simulator.scenario_limits import NOT_NEGATIVE, POSITIVE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -41,6 +41,9 @@ class DeviceSettings(FrozenModel):
     kind: str
     delay: Annotated[Quantity, measured("s"), NOT_NEGATIVE] = Quantity(value=0.0, unit="s")
     """Least time from the exposure of a frame to its arrival, which arrivals cannot show."""
+    trigger_tolerance: Annotated[Quantity, measured("s"), POSITIVE] | None = None
+    """Of a device whose frames are triggered by hardware at the ticks: largest time from a tick to its frame, which is
+    then not interpolated, only checked."""
 
 
 SettingsT = TypeVar("SettingsT", bound=DeviceSettings)

@@ -12,7 +12,7 @@ from posor_estimator.numerics.stamps import NS
 
 from posor_drivers.instruments.clock_mapping import ClockMapping
 from posor_drivers.instruments.device import DeviceError
-from posor_drivers.instruments.interpolation import frame_weights
+from posor_drivers.instruments.interpolation import FrameWeights, frame_weights
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from posor_estimator.numerics.array_types import FloatArray
 
     from posor_drivers.instruments.device import Device, Frames
-    from posor_drivers.instruments.interpolation import FrameWeights
 
 CAPACITY = 1 << 13
 """Frames that are kept; at 4 kHz two seconds."""
@@ -34,6 +33,7 @@ STALL_S = 0.3
 STALL_FRAMES = 5
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.1, 1.0
 """Pause before a connection is tried again: doubled with each failure."""
+SINGLE_FRAME = FrameWeights(0.0, 1.0, 0.0)
 RATE_FRAMES = 100
 """Of a polled device, over which its rate is averaged."""
 MAX_DRIFT = 0.01
@@ -58,6 +58,8 @@ class DeviceReader:
         """Prepare; ``now_ns`` is the ROS time by which arrivals are stamped."""
         self.device = device
         self._now_ns, self._delay_ns = now_ns, round(device.settings.delay.number * NS)
+        tolerance = device.settings.trigger_tolerance
+        self._tolerance_s, self._trigger_fault = None if tolerance is None else tolerance.number, ""
         self._thread = Thread(target=self._run, name=f"device {device.name}", daemon=True)
         self._stopping = Event()
         self._lock = Lock()
@@ -90,7 +92,7 @@ class DeviceReader:
                     "clock_drift": line.period_ns * self.device.frame_rate / NS - 1.0,
                     "clock_uncertainty": line.uncertainty_s,
                 }
-            return DeviceState(self._fault, self._identity, values)
+            return DeviceState(self._fault or self._trigger_fault, self._identity, values)
 
     def values_at(self, time_ns: int, whole: Sequence[int] = ()) -> FloatArray | None:
         """Return the values of all channels at a ROS time [ns], (c,), interpolated between the three nearest frames.
@@ -115,7 +117,12 @@ class DeviceReader:
             found = self._timed_place(time_ns) if self._timed else self._mapped_place(time_ns)
             if found is None:
                 return None
-            number, weights = found
+            number, weights, offset_s = found
+            if self._tolerance_s is not None:
+                weights = SINGLE_FRAME
+                self._trigger_fault = self._check_trigger(number, offset_s, self._tolerance_s)
+                if self._trigger_fault:
+                    return None
             rows = self._rows_around(number)
             if rows is None:
                 return None
@@ -127,17 +134,25 @@ class DeviceReader:
                 values[column] = nearest[column]
         return values
 
-    def _mapped_place(self, time_ns: int) -> tuple[int, FrameWeights] | None:
-        """Return the number of the frame nearest to a ROS time by the clock line, and the weights."""
+    def _check_trigger(self, number: int, offset_s: float, tolerance_s: float) -> str:
+        """Return why a frame does not belong to the tick next to it; empty: it does."""
+        if abs(offset_s) <= tolerance_s:
+            return ""
+        what = f"{self.device.name}: frame {number} is {-1e3 * offset_s:+.3g} ms from its tick"
+        return f"{what}; expected at most {1e3 * tolerance_s:g} ms, as it is triggered"
+
+    def _mapped_place(self, time_ns: int) -> tuple[int, FrameWeights, float] | None:
+        """Return the number of the frame nearest to a ROS time by the clock line, weights, and time after it [s]."""
         line = self._mapping.line
         if self._last is None or line is None:
             return None
         position = line.first + (time_ns - line.start_ns) / line.period_ns
         number = round(position)
-        return number, frame_weights(1.0, 1.0, position - number)
+        offset = position - number
+        return number, frame_weights(1.0, 1.0, offset), offset * line.period_ns / NS
 
-    def _timed_place(self, time_ns: int) -> tuple[int, FrameWeights] | None:
-        """Return the nearest frame among those that have a time of their own, and the weights.
+    def _timed_place(self, time_ns: int) -> tuple[int, FrameWeights, float] | None:
+        """Return the nearest frame among those that have a time of their own, weights, and time after it [s].
 
         None where a frame is missing, or where two are far apart.
         """
@@ -160,7 +175,7 @@ class DeviceReader:
         steps = nearest_ns - before_ns, after_ns - nearest_ns
         if max(steps) > self.device.longest_interval_s * NS:
             return None
-        return number, frame_weights(*steps, time_ns - nearest_ns)
+        return number, frame_weights(*steps, time_ns - nearest_ns), (time_ns - nearest_ns) / NS
 
     def _timed_rate(self) -> float:
         """Return the mean rate of the last frames that have a time of their own [Hz]; 0 where there is only one."""

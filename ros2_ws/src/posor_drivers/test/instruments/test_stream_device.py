@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import time
 from typing import TYPE_CHECKING, Any
@@ -252,3 +253,31 @@ def test_users_of_one_file_share_the_reader_of_a_device(tmp_path: Path, server: 
         assert server.clients >= 1
     with shared_reader(file, StreamDevice("box", box)) as again:
         assert again is not one
+
+
+def test_frames_of_a_triggered_device_are_checked_and_not_interpolated() -> None:
+    """The server starts at any time, so its frames are off the ticks by a constant part of a period."""
+    with StreamServer(slow_sine) as server:
+        readers = [
+            DeviceReader(StreamDevice("box", settings(server.port, trigger_tolerance={"value": value, "unit": "s"})))
+            for value in (6e-4, 1e-9)
+        ]
+        readers[0].start()
+        try:
+            wait_for_frames(readers[0])
+            at_ns = time.time_ns() - 50_000_000
+            found = [readers[0].values_at(at_ns + n * 100_000) for n in range(40)]
+            times = {values[1] for values in found if values is not None}
+            assert len(times) in {4, 5}  # of 4 ms: whole frames only
+        finally:
+            readers[0].stop()
+        readers[1].start()
+        try:
+            wait_for_frames(readers[1])
+            wait_for(lambda: readers[1].values_at(time.time_ns() - 50_000_123) is None, "a frame off its tick")
+            assert re.fullmatch(
+                r"box: frame \d+ is [-+]0\.\d+(e-\d+)? ms from its tick; expected at most 1e-06 ms, as it is triggered",
+                readers[1].state.fault,
+            )
+        finally:
+            readers[1].stop()
