@@ -113,6 +113,17 @@ def test_simulated_z_is_the_propagated_noise(rigid_program: EndOfBeamProgram) ->
     assert np.std(errors[:, 1:, 1]) == pytest.approx(expected, rel=0.05)
 
 
+def test_simulated_noise_of_the_machining_centre() -> None:
+    """Root 2 as above; alpha and z from two readings .0002 in each, 3.5 in apart, runout 50 uin over 3 in (8.2)."""
+    readout, twist = 2e-4, np.sqrt(2.0) * 2e-4 / 3.5
+    share = 1.822 / 3.5
+    expected = np.sqrt(2.0) * np.array(
+        [np.hypot(twist, 50e-6 / 3.0), readout * np.hypot(share, 1.0 - share), np.hypot(readout, 1.34 * twist)]
+    )
+    errors = simulated_errors("TWIS", noise=replace(NO_NOISE, readout=readout), draws=4000)
+    np.testing.assert_allclose(np.std(errors[:, 1:], axis=0).mean(axis=0), expected, rtol=0.02)
+
+
 @pytest.mark.parametrize(
     ("test", "legible", "deviation_of_alpha", "root_mean_squares"),
     [("TWIS", (14, 9, 13), 54.6, (0.00372, 0.00443)), ("GEN", (9, 5, 5), 177.8, (0.00953, 0.00489))],

@@ -43,6 +43,9 @@ def rows() -> list[ThesisRow]:
         ("8.5", "average error at the end of the beam, diodes", ".008929", 0.004695, DIFFERS),
         ("9.1", "average error at the end of the beam, diodes", ".0047", 0.004695, AGREES),
         ("Table 8.2", "YMO: beta, predicted error", "", 12.8, NOT_LEGIBLE),
+        ("Table 8.2", "GEN: y, predicted error", "", 0.0003104, NOT_LEGIBLE),
+        ("Table 8.2", "TWIS: z, predicted error", "", 0.0003303, NOT_LEGIBLE),
+        ("8.4.5", "GEN: z, terms of table 7.9", ".000200", 0.0001974, AGREES),
     ],
 )
 def test_figures(
