@@ -16,7 +16,7 @@ from posor_estimator.estimation.estimate_scan import DONE, LOST, estimate_scan, 
 from posor_estimator.model.fault import Fault
 from posor_estimator.model.scan import HOME_BUMP, STATED_HOME
 from posor_estimator.numerics.compiled import compile_for, in_place, inlined, record_view
-from posor_estimator.numerics.stamps import time_in_kernel
+from posor_estimator.numerics.stamps import accepted_in_kernel, time_in_kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -73,6 +73,9 @@ STATUS = np.dtype(
     [
         ("readings_usable", "i8"),  # 0: the scans are of another frame; every scan is LOST
         ("count_from_next", "i8"),  # 1: the next scan is stated to be at the home mark
+        ("youngest_ns", "f8"),  # least age of an expected scan; negative: its stamp is ahead of time
+        ("oldest_ns", "f8"),  # greatest age of an expected scan
+        ("number", "u8"),  # of the last scan
         ("stamp_ns", "i8"),  # of the last scan; 0: invalid
         ("state", "i8"),  # of the last scan; -1: there was none
         ("faults", "i8"),
@@ -82,8 +85,12 @@ STATUS = np.dtype(
 )
 """Status of a stream of scans."""
 
-OTHER_LAYOUT = 4
-"""Result besides those of ``estimate_scan``: the message has another layout and was not read."""
+OTHER_LAYOUT, UNEXPECTED = 4, 5
+"""Results besides those of ``estimate_scan``: the message has another layout, or its number is not the next one or its
+stamp has another age than those of expected scans. It changes nothing."""
+UNCHECKED = -1
+"""In place of the present time: numbers and ages are not checked."""
+USABLE, UNUSABLE = 0, 1
 BAD_READING = int(Fault.BAD_READING)
 
 
@@ -190,20 +197,31 @@ def _copy_identity(stream: MessageStream, n: int) -> None:
     out[n, target.status // 4] = raw[n, source.status // 4]
 
 
+@inlined
+def _is_expected(scan: Any, status: Any, now_ns: int) -> bool:
+    """Return whether a scan has the number after that of the last scan and an accepted age."""
+    follows = status.state >= 0 and scan.number > status.number and scan.number - status.number == 1
+    return bool(follows and accepted_in_kernel(now_ns - scan.stamp_ns, status.youngest_ns, status.oldest_ns))
+
+
 @in_place
-def begin_message(model: Model, stream: MessageStream, n: int) -> bool:
-    """Unpack message n into the workspace; return whether its readings can be used, else its estimate is LOST."""
+def begin_message(model: Model, stream: MessageStream, n: int, now_ns: int) -> int:
+    """Unpack message n into the workspace; return USABLE, UNUSABLE (its estimate is LOST), or why it was not used."""
+    if not _has_layout(stream, n):
+        return OTHER_LAYOUT
     workspace, status = model.workspace[0], stream.status[0]
     scan, estimate = workspace.scan, workspace.estimate
     unpack_scan(stream.raw, n, stream.raw_layout[0], scan)
+    if now_ns != UNCHECKED and not _is_expected(scan, status, now_ns):
+        return UNEXPECTED
     if status.count_from_next:
         scan.at_home = STATED_HOME
     status.stamp_ns = scan.stamp_ns
     if scan.stamp_ns != 0 and status.readings_usable:
-        return True
+        return USABLE
     estimate.sensor, estimate.residual = -1, math.nan
     write_lost(estimate, BAD_READING)
-    return False
+    return UNUSABLE
 
 
 @in_place
@@ -215,12 +233,15 @@ def end_message(model: Model, stream: MessageStream, n: int) -> None:
     _copy_identity(stream, n)
     same = status.state == estimate.state and status.faults == estimate.faults
     status.changed = 0 if same and status.row_changes == workspace.row_changes else 1
+    status.number = workspace.scan.number
     status.state, status.faults, status.row_changes = estimate.state, estimate.faults, workspace.row_changes
 
 
 @in_place
-def estimate_messages(model: Model, stream: MessageStream, begin: int, end: int) -> tuple[int, int]:
+def estimate_messages(model: Model, stream: MessageStream, begin: int, end: int, now_ns: int) -> tuple[int, int]:
     """Estimate messages ``begin`` to ``end`` while nothing is left to do for one.
+
+    ``now_ns``: the present time, to check numbers and ages, or UNCHECKED.
 
     Returns:
         Where the loop stopped, ``end`` or the message in question, and what is left to do for that message.
@@ -228,9 +249,10 @@ def estimate_messages(model: Model, stream: MessageStream, begin: int, end: int)
     """
     workspace = model.workspace[0]
     for n in range(begin, end):
-        if not _has_layout(stream, n):
-            return n, OTHER_LAYOUT
-        if begin_message(model, stream, n):
+        begun = begin_message(model, stream, n, now_ns)
+        if begun >= OTHER_LAYOUT:
+            return n, begun
+        if begun == USABLE:
             left = estimate_scan(model, workspace.scan, workspace.estimate)
             if left != DONE:
                 return n, left
@@ -254,39 +276,41 @@ class MessageEstimator:
         self._posor, self._stream = posor, stream
         self.status, self.estimate = stream.status, posor.model.workspace["estimate"]
         self._scan = posor.model.workspace["scan"]
-        self._arguments = posor.model, stream, 0, len(stream.raw.octets)
-        self._compiled = None if posor.has_plain_sensors else compile_for(estimate_messages, self._arguments)
+        self._count = len(stream.raw.octets)
+        self._estimate = self._estimate_in_python
+        if not posor.has_plain_sensors:
+            self._estimate = compile_for(estimate_messages, (posor.model, stream, 0, self._count, UNCHECKED))
 
-    def estimate_rows(self) -> bool:
-        """Estimate all rows; return False where the layout of a row is another and the rest has not been estimated."""
-        _, _, done, end = self._arguments
-        while done < end:
-            if self._compiled is None:
-                done, left = self._estimate_in_python(done)
-            else:
-                done, left = self._compiled(*self._arguments[:2], done, end)
-                if left not in {DONE, OTHER_LAYOUT}:
-                    self._posor.finish_scan(record_view(self._scan), record_view(self.estimate), 0, left)
-                    self._end(done)
-                    done, left = done + 1, DONE
-            if left == OTHER_LAYOUT:
+    def estimate_rows(self, now_ns: int = UNCHECKED) -> bool:
+        """Estimate all rows; return False where a row has another layout and the rest has not been estimated.
+
+        With the present time, that is also the return value where a scan is unexpected, see ``STATUS``.
+        """
+        done = 0
+        while done < self._count:
+            done, left = self._estimate(self._posor.model, self._stream, done, self._count, now_ns)
+            if left >= OTHER_LAYOUT:
                 return False
+            if left != DONE:
+                self._posor.finish_scan(record_view(self._scan), record_view(self.estimate), 0, left)
+                self._end(done)
+                done += 1
         return True
 
-    def _estimate_in_python(self, n: int) -> tuple[int, int]:
-        """Estimate message n by a POSOR with sensors written in plain Python."""
-        stream = self._stream
-        differing = (
-            stream.raw.words[n, : len(stream.decisive)] ^ stream.expected[: len(stream.decisive)]
-        ) & stream.decisive
-        if differing.any():
-            return n, OTHER_LAYOUT
-        if begin_message(self._posor.model, stream, n):
-            self._posor.estimate_records(self._scan, self.estimate)
-            self._end(n)
-        else:
-            end_message(self._posor.model, stream, n)
-        return n + 1, DONE
+    def _estimate_in_python(
+        self, model: Model, stream: MessageStream, begin: int, end: int, now_ns: int
+    ) -> tuple[int, int]:
+        """Do the same as ``estimate_messages`` by a POSOR with sensors written in plain Python."""
+        for n in range(begin, end):
+            begun = begin_message(model, stream, n, now_ns)
+            if begun >= OTHER_LAYOUT:
+                return n, begun
+            if begun == USABLE:
+                self._posor.estimate_records(self._scan, self.estimate)
+                self._end(n)
+            else:
+                end_message(model, stream, n)
+        return end, DONE
 
     def _end(self, n: int) -> None:
         if self.estimate[0]["state"] != LOST:

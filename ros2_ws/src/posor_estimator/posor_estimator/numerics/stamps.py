@@ -25,6 +25,15 @@ time_in_kernel = inlined(time_ns)
 """The same, for kernels."""
 
 
+def is_accepted_age(age_ns: int, youngest_ns: float, oldest_ns: float) -> bool:
+    """Return whether an age [ns] is between two others; a negative age is ahead of time."""
+    return youngest_ns <= age_ns <= oldest_ns
+
+
+accepted_in_kernel = inlined(is_accepted_age)
+"""The same, for kernels."""
+
+
 def times_ns(seconds: IntArray, nanoseconds: IntArray) -> IntArray:
     """Return the times of stamps [ns], (n,), likewise."""
     return np.where(nanoseconds < NS, seconds * NS + nanoseconds, 0)

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 import struct
 import time
+from functools import partial
 from pathlib import Path
 from threading import RLock
 from typing import TYPE_CHECKING, Any
@@ -41,7 +42,7 @@ from posor_estimator.ros.diagnostics import Level
 from posor_estimator.ros.endpoint_protection import ProtectionLevel
 from posor_estimator.ros.endpoint_verdict import SOUND, JointStatus, Verdict, degraded_verdict, unusable_verdict
 from posor_estimator.ros.frame_publisher import FramePublisher, StampedPoses
-from posor_estimator.ros.freshness import InputMonitor, InputWatch
+from posor_estimator.ros.freshness import InputMonitor
 from posor_estimator.ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_estimator.ros.lifecycle_node import PosorNode
 from posor_estimator.ros.node_program import run_node
@@ -155,13 +156,11 @@ class ChainNode(PosorNode[ChainParameters]):
 
     def _subscribe(self, joint: FreeJoint) -> None:
         """Subscribe to the transforms of a joint and watch them."""
-
-        def on_transform(data: bytes) -> None:
-            self._on_transform(joint, self._kinds[joint.name], watch, data)
-
         topic, qos = f"{joint.name}/{TRANSFORM_TOPIC}", sensor_subscription_qos(self.parameters)
-        watch = self._inputs.add(IntraProcessSubscription(self, JointTransform, topic, qos, on_transform))
-        self._joint_of_topic[watch.name] = joint.name
+        callback = partial(self._on_transform, joint, self._kinds[joint.name])
+        subscription = IntraProcessSubscription(self, JointTransform, topic, qos, callback)
+        self._inputs.add(subscription)
+        self._joint_of_topic[subscription.topic_name] = joint.name
 
         def on_reliability(message: JointReliability) -> None:
             with self._lock:
@@ -223,13 +222,11 @@ class ChainNode(PosorNode[ChainParameters]):
             age_s = (self.timing.now_ns() - stamp_ns) / NS if stamp_ns else math.nan
             self._endpoint_state.publish(self._state_writer.write(stamp, age_s, verdict))
 
-    def _on_transform(self, joint: FreeJoint, kind: JointTransformFormat, watch: InputWatch, data: bytes) -> None:
+    def _on_transform(self, joint: FreeJoint, kind: JointTransformFormat, data: bytes) -> None:
         """Add a transform of one joint to its scan; publish the endpoint once the scan is complete."""
         with self._lock:
             if not self.may_publish:
                 return
-            now_s = time.monotonic()
-            watch.record(now_s)
             if not kind.matches(data) and not (data := self._normalise(joint, data)):
                 return
             stamp_ns = stamp_ns_of(data[STAMP])
@@ -237,7 +234,7 @@ class ChainNode(PosorNode[ChainParameters]):
                 reason = f"the stamp of a transform {NO_TIME}; expected the time of exposure"
                 self._refuse_transform(joint, reason, data[STAMP])
                 return
-            scan = self._synchroniser.add(joint.name, stamp_ns, data, now_s)
+            scan = self._synchroniser.add(joint.name, stamp_ns, data, time.monotonic())
             if self._synchroniser.incomplete:
                 self._report_incomplete_scans()
             if scan is not None:

@@ -12,12 +12,8 @@ from statistics import median
 from time import monotonic
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
-
-from posor_estimator.numerics.stamps import NS
+from posor_estimator.numerics.stamps import NS, is_accepted_age
 from posor_estimator.ros.diagnostics import Level
-from posor_estimator.ros.idle_scheduler import run_when_idle
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -26,8 +22,6 @@ if TYPE_CHECKING:
     from posor_estimator.ros.intra_process import IntraProcessSubscription
     from posor_estimator.ros.lifecycle_node import PosorNode
 
-CHECK_S = 0.08
-"""Time between two checks of all inputs of a node."""
 SILENT_PERIODS = 10
 """Median periods without input that count as silence, unless ``max_silence`` is longer."""
 PERIODS = 5
@@ -104,7 +98,8 @@ class StampLimits(NamedTuple):
     def fault(self, stamp_ns: int) -> str:
         """Return the sentence on a stamp [ns] that is too old or too far ahead; else empty."""
         age_ns = self.now_ns() - stamp_ns
-        return "" if self.youngest_ns <= age_ns <= self.oldest_ns else self._sentence(age_ns, stamp_ns)
+        accepted = is_accepted_age(age_ns, self.youngest_ns, self.oldest_ns)
+        return "" if accepted else self._sentence(age_ns, stamp_ns)
 
     def _sentence(self, age_ns: int, stamp_ns: int) -> str:
         if age_ns + stamp_ns == 0:
@@ -128,48 +123,38 @@ class ScanOrder:
     """
 
     def __init__(self) -> None:
-        """Start before the first scan."""
+        """Start with counts of zero."""
         self.counts = {"numbers_missing": 0, "scans_repeated": 0, "numbers_backward": 0}
-        self.restart()
 
-    def restart(self) -> None:
-        """Expect any number next; the counts stay."""
-        self._next: int | None = None
-        self._last_ns = 0
-
-    def is_next(self, number: int, stamp_ns: int) -> bool:
-        """Return whether a scan follows the one before; if not, ``describe`` must be called."""
-        if number != self._next:
-            return False
-        self._next, self._last_ns = number + 1, stamp_ns
-        return True
-
-    def describe(self, number: int, stamp_ns: int) -> tuple[str, bool]:
+    def describe(self, identity: tuple[int, int], last: tuple[int, int]) -> tuple[str, bool]:
         """Count a scan that is out of order.
 
+        Args:
+            identity: Stamp [ns] and number of the scan.
+            last: Of the scan before.
+
         Returns:
-            The sentence, empty for the first scan, and whether the scan repeats the one before, which is then to be
+            The sentence, empty for a scan in order, and whether the scan repeats the one before, which is then to be
             dropped.
 
         """
-        expected, last_ns = self._next, self._last_ns
-        self._next, self._last_ns = number + 1, stamp_ns
-        if expected is None:
-            return "", False
-        if number == expected - 1 and stamp_ns == last_ns:
+        number, last_number = identity[1], last[1]
+        if identity == last:
             self.counts["scans_repeated"] += 1
             return f"scan {number} was repeated", True
-        if number < expected:
+        if number <= last_number:
             self.counts["numbers_backward"] += 1
-            return f"scan {number} came after scan {expected - 1}", False
-        self.counts["numbers_missing"] += number - expected
-        return f"{number - expected} scans are missing before scan {number}", False
+            return f"scan {number} came after scan {last_number}", False
+        missing = number - last_number - 1
+        self.counts["numbers_missing"] += missing
+        return f"{missing} scans are missing before scan {number}" if missing else "", False
 
 
 class InputMonitor:
     """Watches all inputs of an active node and reports them in the status line ``input``.
 
     Attributes:
+        several: Sentence on several publishers of a topic, as ``refusal``; may remain for too long. Else empty.
         silent: Sentence on silent inputs; empty: all arrive.
         silent_names: Their names.
         stamp_limits: Ages of stamps that the node accepts.
@@ -181,7 +166,7 @@ class InputMonitor:
 
         Args:
             node: The node.
-            on_check: Called after each check, every ``CHECK_S``, with whether the report has changed or is repeated
+            on_check: Called after each check (``HOUSEKEEPING_S``) with whether the report has changed or is repeated
                 after another second.
 
         """
@@ -190,20 +175,22 @@ class InputMonitor:
         self._status = node.diagnostics.add_status(INPUT_STATUS)
         self._watches: list[InputWatch] = []
         self._subscriptions: list[IntraProcessSubscription] = []
-        self._timer: Any = None
+        self._is_active = False
         self._notes: list[str] = []
         self._reported: tuple[str, ...] | None = None
-        self._several, self._several_until_s = "", -math.inf
+        self.several, self._several_until_s = "", math.inf
         self.stamp_limits = StampLimits.of(node.timing.now_ns, node.parameters.freshness)
         self.silent_names: list[str] = []
         self.silent = ""
         node.diagnostics.add_refresh(self._refresh)
+        node.add_housekeeping(self.check)
 
-    def add(self, subscription: IntraProcessSubscription) -> InputWatch:
-        """Watch a subscription until ``clear``; the caller records the arrivals."""
-        subscription.on_event = self.check
+    def add(self, subscription: IntraProcessSubscription) -> None:
+        """Watch a subscription until ``clear``."""
+        subscription.on_event, subscription.on_publishers = self.check, self._find_several
         self._subscriptions.append(subscription)
-        return self.add_source(subscription.topic_name)
+        self._watches.append(subscription.watch)
+        self._find_several()
 
     def add_source(self, name: str) -> InputWatch:
         """Watch an input that is no subscription until ``clear``; the caller records the arrivals."""
@@ -215,6 +202,7 @@ class InputMonitor:
         """Watch nothing."""
         self.stop()
         self._watches, self._subscriptions = [], []
+        self.several = ""
 
     def start(self) -> None:
         """Expect input with present stamps from now on."""
@@ -222,15 +210,11 @@ class InputMonitor:
         for watch in self._watches:
             watch.restart(monotonic())
         self._notes.clear()
-        self._timer = self._node.create_timer(
-            CHECK_S, lambda: run_when_idle(self.check), clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
+        self._is_active = True
 
     def stop(self) -> None:
         """Expect no input any more."""
-        if self._timer is not None:
-            self._node.destroy_timer(self._timer)
-            self._timer = None
+        self._is_active = False
         self.silent = ""
         self._report(Level.OK, "not watched", None)
 
@@ -246,7 +230,7 @@ class InputMonitor:
 
     def check(self) -> None:
         """Check all inputs, report a fault that has changed, and call ``on_check``."""
-        if self._timer is None:
+        if not self._is_active:
             return
         now_s, limit_s = monotonic(), self._node.parameters.freshness.max_silence
         for each in self._subscriptions:
@@ -268,15 +252,23 @@ class InputMonitor:
         """Return why a message with a stamp [ns] must not be used: several publishers, or the stamp; else empty."""
         return self._several_publishers() or self.stamp_limits.fault(stamp_ns)
 
+    def _find_several(self) -> None:
+        """Keep the sentence on several publishers of a topic until shortly after only one of them is left."""
+        sentences = [
+            f"{each.publishers} publishers on {each.topic_name}; expected one"
+            for each in self._subscriptions
+            if each.publishers > 1
+        ]
+        if sentences:
+            self.several, self._several_until_s = sentences[-1], math.inf
+        elif self.several:
+            self._several_until_s = min(self._several_until_s, monotonic() + PUBLISHER_GONE_S)
+
     def _several_publishers(self) -> str:
         """Return the sentence on a topic that has or just had several publishers; else empty."""
-        for each in self._subscriptions:
-            if (count := each.publisher_count()) > 1:
-                self._several = f"{count} publishers on {each.topic_name}; expected one"
-                self._several_until_s = monotonic() + PUBLISHER_GONE_S
-        if self._several and monotonic() > self._several_until_s:
-            self._several = ""
-        return self._several
+        if self.several and monotonic() > self._several_until_s:
+            self.several = ""
+        return self.several
 
     def _refresh(self) -> None:
         """Discard the anomalies of the last second; the next check reports again, with present ages."""

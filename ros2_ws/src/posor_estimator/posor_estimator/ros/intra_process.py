@@ -26,6 +26,7 @@ from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallba
 from rclpy.qos import HistoryPolicy
 
 from posor_estimator.errors import TopicError
+from posor_estimator.ros.freshness import InputWatch
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -194,6 +195,10 @@ class IntraProcessSubscription:
 
     Attributes:
         topic_name: Full name of the topic.
+        watch: Arrivals of messages.
+        publishers: Number of publishers of the topic, without those whose liveliness is lost; as of the last message or
+            call of ``find_publishers``.
+        on_publishers: Called when that number has changed.
         on_event: Called when a deadline was missed or a liveliness has changed; only with a deadline in the profile.
 
     """
@@ -221,6 +226,9 @@ class IntraProcessSubscription:
         """
         self.topic_name: str = node.resolve_topic_name(topic)
         self.message_type = message_type
+        self.watch = InputWatch(self.topic_name)
+        self.publishers = 0
+        self.on_publishers: Callable[[], None] = lambda: None
         self.on_event: Callable[[], None] = lambda: None
         self._node = node
         self._topic = topic
@@ -229,7 +237,7 @@ class IntraProcessSubscription:
         self._dds_subscription: Any = None
         self._handle: Any = None
         self._has_deadline = qos.deadline not in (Duration(), Infinite)
-        self._local = self._known = self._dead = self._deadlines_missed = 0
+        self._local = self._dead = self._deadlines_missed = 0
         self._closed = False
         node.qos_overrides.options("subscription", self.topic_name)
         self._manager = IntraProcessManager.of(node.context)
@@ -237,14 +245,22 @@ class IntraProcessSubscription:
         self._manager.add(self)
         node.add_cleanup(self.destroy)
 
-    def publisher_count(self) -> int:
-        """Return the number of publishers of the topic, without those whose liveliness is lost; takes a microsecond."""
-        return self._known if self._handle is None else int(self._handle.get_publisher_count()) - self._dead
-
     def find_publishers(self) -> None:
-        """Look for publishers in other processes that are ignored while this process has one."""
-        if self._handle is None:
-            self._known = max(self._local, int(self._node.count_publishers(self.topic_name)))
+        """Count the publishers, also those in other processes that are ignored while this process has one."""
+        if self._handle is not None:
+            self._count_matched()
+        else:
+            with (handle := self._node.handle):  # ``Node.count_publishers`` would parse the full name each time
+                self._set_publishers(max(self._local, int(handle.get_count_publishers(self.topic_name))))
+
+    def _count_matched(self) -> None:
+        """Count the publishers over DDS; takes a microsecond."""
+        self._set_publishers(int(self._handle.get_publisher_count()) - self._dead)
+
+    def _set_publishers(self, count: int) -> None:
+        if count != self.publishers:
+            self.publishers = count
+            self.on_publishers()
 
     def take_missed_deadlines(self) -> int:
         """Return how many deadlines DDS has reported as missed since the last call; needs a deadline in the profile."""
@@ -255,6 +271,7 @@ class IntraProcessSubscription:
         """Handle a message of a publisher of this process."""
         if self._closed:
             return
+        self.watch.record(time.monotonic())
         try:
             self._callback(data)
         except Exception as error:  # noqa: BLE001  it ends the program, from the main thread
@@ -264,7 +281,8 @@ class IntraProcessSubscription:
     def connect(self, publishers: int) -> None:
         """Receive from this number of publishers of this process or, if there is none, over DDS."""
         self._use_dds(needed=not publishers)
-        self._local = self._known = publishers
+        self._local = publishers
+        self._set_publishers(publishers)
 
     def _use_dds(self, *, needed: bool) -> None:
         """Create the DDS subscription if it is needed, else destroy it."""
@@ -283,6 +301,8 @@ class IntraProcessSubscription:
     def _on_message(self, data: bytes) -> None:
         """Handle a message of another process."""
         if self._handle is not None:
+            self._count_matched()
+            self.watch.record(time.monotonic())
             self._callback(data)
 
     def _events(self) -> SubscriptionEventCallbacks:

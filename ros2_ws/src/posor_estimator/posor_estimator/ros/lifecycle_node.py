@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from rclpy.subscription import Subscription
     from rclpy.waitable import Waitable
 
-EVENTS_PERIOD_S = 0.1
-"""Time between two looks at the events of publishers and subscriptions."""
+HOUSEKEEPING_S = 0.08
+"""Time between two looks at the events of publishers and subscriptions, and at the inputs."""
 STATUS_CHANGES = ("total_count_change", "current_count_change", "alive_count_change", "not_alive_count_change")
 """Fields of the events, not zero after a change."""
 LISTENERS_STATUS = "listeners"
@@ -117,9 +117,9 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         self.timing = Timing(timing_status, self.get_clock(), lambda: self.parameters.limits)
         self.diagnostics.add_refresh(self.timing.report)
         self._listener_counts: dict[str, int] = {}
-        self.create_timer(
-            EVENTS_PERIOD_S, lambda: run_when_idle(self._take_events), clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
+        self._housekeeping: list[Callable[[], None]] = [self._take_events]
+        clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(HOUSEKEEPING_S, lambda: run_when_idle(self._keep_house), clock=clock)
 
     def _open_lifecycle(self) -> None:
         """Create the state machine; without ``allow_changes``, keep only the services that read parameters.
@@ -206,6 +206,15 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
     def add_cleanup(self, cleanup: Callable[..., object], *arguments: object) -> None:
         """Register a function that undoes a part of ``configure``; the last one runs first."""
         self._cleanups.callback(cleanup, *arguments)
+
+    def add_housekeeping(self, work: Callable[[], None]) -> None:
+        """Have the executor call a function every ``HOUSEKEEPING_S``, between two ticks; it must be short."""
+        self._housekeeping.append(work)
+
+    def _keep_house(self) -> None:
+        # One timer for all: to wake the executor each time costs more than the work itself.
+        for work in self._housekeeping:
+            work()
 
     def add_change_service(self, name: str, callback: Callable[[Any, Any], Any]) -> None:
         """Open the service ``~/name`` (std_srvs/Trigger), which changes state, until the clean-up.

@@ -16,7 +16,6 @@ from collections import deque
 from functools import partial
 from pathlib import Path
 from threading import RLock
-from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from posor_msgs.msg import JointReliability, JointTransform, RawScan
@@ -110,7 +109,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self.add_cleanup(self._forget_scans)
         self.add_cleanup(self._inputs.clear)
         qos = sensor_subscription_qos(self.parameters)
-        self._watch = self._inputs.add(IntraProcessSubscription(self, RawScan, RAW_TOPIC, qos, self._on_raw_scan))
+        self._inputs.add(IntraProcessSubscription(self, RawScan, RAW_TOPIC, qos, self._on_raw_scan))
         if self.parameters.encoder.sigma:
             topic = self.parameters.encoder.topic
             encoder = self.create_subscription(JointState, topic, self._on_encoder, qos)
@@ -280,10 +279,11 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         with self._lock:
             if not self.may_publish:
                 return
-            self._watch.record(monotonic())
             if self._count_from_next and self._inputs.silent:
                 self._forget_home()
-            transform = self._estimate_scan(data)
+            transform = self._estimate_expected(data)
+            if transform is None:
+                transform = self._estimate_scan(data)
             if transform is None:
                 data = self._open_stream(data)
                 transform = self._estimate_scan(data)
@@ -291,19 +291,25 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
                 self._publisher.publish(transform)
                 self._update_counts(self._stream, data)
 
+    def _estimate_expected(self, data: bytes) -> bytes | None:
+        """Return the transform of a scan that passes all checks; None for any other, which changes nothing."""
+        inputs, stream = self._inputs, self._stream
+        if stream is None or inputs.several:
+            return None
+        return stream.estimate_message(data, inputs.stamp_limits.now_ns())
+
     def _estimate_scan(self, data: bytes) -> bytes | None:
         """Return the transform of a scan, empty for a repeated one; None if there is no stream for it."""
         stream = self._stream
         if stream is None or (identity := stream.identity(data)) is None:
             return None
-        stamp_ns, number = identity
-        if not self._order.is_next(number, stamp_ns):
-            text, is_repeated = self._order.describe(number, stamp_ns)
+        if last := stream.last_identity():
+            text, is_repeated = self._order.describe(identity, last)
             if text:
                 self._inputs.note(text)
             if is_repeated:
                 return b""
-        refusal = self._inputs.refusal(stamp_ns)
+        refusal = self._inputs.refusal(identity[0])
         return stream.refuse_message(data, refusal) if refusal else stream.estimate_message(data)
 
     def _open_stream(self, data: bytes) -> bytes:
@@ -319,7 +325,8 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         if self._stream is not None:
             self._recent_scans.clear()
         self._stream = stream
-        self._order.restart()
+        limits = self._inputs.stamp_limits
+        stream.accept_ages(limits.youngest_ns, limits.oldest_ns)
         if self._count_from_next:
             stream.count_from_next()
         return data

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from posor_estimator.bags.cdr_schema import STAMP
 from posor_estimator.bags.message_table import LEAD, TableLayout
-from posor_estimator.estimation.message_stream import MessageEstimator
+from posor_estimator.estimation.message_stream import UNCHECKED, MessageEstimator
 from posor_estimator.model.fault import State
 from posor_estimator.numerics.stamps import NO_TIME, NS
 from posor_estimator.ros.cdr_scan import RAW_SCAN, scan_of
@@ -62,6 +62,10 @@ class RawScanStream:
         seconds, nanoseconds, number = self._unpack_identity(data, STAMP.start)
         return seconds * NS + nanoseconds, number
 
+    def last_identity(self) -> tuple[int, int] | None:
+        """Return stamp and number of the last scan, as ``identity``; None: there was none."""
+        return None if self.status["state"] < 0 else self.identity(self._last)
+
     def number_of(self, data: bytes) -> int:
         """Return the number of a raw scan of this layout."""
         return int(self._unpack_identity(data, STAMP.start)[2])
@@ -82,13 +86,21 @@ class RawScanStream:
             self.status["readings_usable"] = usable
             self._refusal = refusal
 
-    def estimate_message(self, data: bytes) -> bytes | None:
-        """Return the transform of a raw scan; None where the scan has another layout, which changes nothing."""
+    def accept_ages(self, youngest_ns: float, oldest_ns: float) -> None:
+        """Set the least and the greatest age of expected scans [ns]; at first all are expected."""
+        self.status["youngest_ns"], self.status["oldest_ns"] = youngest_ns, oldest_ns
+
+    def estimate_message(self, data: bytes, now_ns: int = UNCHECKED) -> bytes | None:
+        """Return the transform of a raw scan; None where the scan has another layout, which changes nothing.
+
+        With the present time [ns], that is also the return value where the scan is unexpected: its number does not
+        follow that of the last scan, there is no last scan, or its age is not accepted.
+        """
         if len(data) < self._size:
             return None
         self._refusal = ""
         self._raw[:] = data if len(data) == self._size else data[: self._size]
-        if not self._estimate_rows():
+        if not self._estimate_rows(now_ns):
             return None
         self._last = data
         return self._transform()

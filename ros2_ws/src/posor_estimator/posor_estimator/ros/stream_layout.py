@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -48,7 +49,7 @@ def message_stream(
 
     """
     status = np.zeros(1, dtype=STATUS)
-    status["state"] = -1
+    status["state"], status["youngest_ns"], status["oldest_ns"] = -1, -math.inf, math.inf
     status["readings_usable"] = raw.strings["header.frame_id"] == transforms.strings["header.frame_id"]
     return MessageStream(
         raw=MessageRows.of(raw_rows),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import time
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -76,16 +77,15 @@ def test_stamps_beyond_the_limits_are_named_with_the_parameter() -> None:
 
 def test_missing_repeated_and_backward_numbers_are_counted() -> None:
     order = ScanOrder()
-    seen = []
-    for number, stamp_ns in ((7, 1), (8, 2), (8, 2), (11, 3), (11, 4), (5, 5), (6, 6)):
-        if not order.is_next(number, stamp_ns):
-            seen.append(order.describe(number, stamp_ns))
+    scans = [(1, 7), (2, 8), (2, 8), (3, 11), (4, 11), (5, 5), (6, 6)]
+    seen = [order.describe(scan, last) for last, scan in pairwise(scans)]
     assert seen == [
         ("", False),
         ("scan 8 was repeated", True),
         ("2 scans are missing before scan 11", False),
         ("scan 11 came after scan 11", False),
         ("scan 5 came after scan 11", False),
+        ("", False),
     ]
     assert order.counts == {"numbers_missing": 2, "scans_repeated": 1, "numbers_backward": 2}
 

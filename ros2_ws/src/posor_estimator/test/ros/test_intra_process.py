@@ -130,7 +130,7 @@ def test_a_blocking_subscription_is_awaited_and_then_named(
 def test_a_subscription_uses_dds_while_its_process_has_no_publisher(process: NodeProcess) -> None:
     received: list[bytes] = []
     subscription = subscribe(process, received.append)
-    assert subscription.publisher_count() == 0
+    assert subscription.publishers == 0
     with Graph() as graph:
         remote = graph.node.create_publisher(RawScan, TOPIC, KEEP_ALL_QOS)
 
@@ -142,15 +142,15 @@ def test_a_subscription_uses_dds_while_its_process_has_no_publisher(process: Nod
         graph.wait_until(lambda: received == MESSAGES[:1], "a message over DDS", process.spin_once)
         publisher = publish_from(process.start(IdleNode, "/joint"))
         wait_for_subscriptions(0)
-        assert subscription.publisher_count() == 1
-        graph.wait_until(lambda: subscription.publisher_count() == 2, "both", subscription.find_publishers)
+        assert subscription.publishers == 1
+        graph.wait_until(lambda: subscription.publishers == 2, "both", subscription.find_publishers)
         publisher.publish(MESSAGES[1])
         assert received == MESSAGES[:2]
         publisher.destroy()
         wait_for_subscriptions(1)
         remote.publish(MESSAGES[2])
         graph.wait_until(lambda: received == MESSAGES, "a message over DDS again", process.spin_once)
-        assert subscription.publisher_count() == 1
+        assert subscription.publishers == 1
         subscription.destroy()
         wait_for_subscriptions(0)
 

@@ -17,7 +17,8 @@ from posor_estimator.estimation.posor import Posor
 from posor_estimator.estimation.scan_checks import MARKS
 from posor_estimator.model.fault import Fault, State
 from posor_estimator.model.native_coordinates import rotation_from_native
-from posor_estimator.ros.cdr_scan import RAW_SCAN, scan_of
+from posor_estimator.numerics.stamps import NS
+from posor_estimator.ros.cdr_scan import RAW_SCAN, ScanTemplate, scan_of
 from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM
 from posor_estimator.ros.message_conversion import transform_message
 from posor_estimator.ros.raw_scan_stream import RawScanStream
@@ -91,6 +92,29 @@ def test_bytes_of_transforms_are_those_of_the_estimates_messages(stack: DesignNa
     raw = [RAW_SCAN.serialize(message) for message in messages]
     stream = RawScanStream(Posor(calibration), raw[0], kind)
     assert [stream.estimate_message(data) for data in raw] == wanted
+
+
+def test_only_the_next_scan_of_an_accepted_age_is_expected() -> None:
+    calibration = design("triad_diodes", motion=True)
+    posor, other = Posor(calibration), Posor(calibration)
+    template = ScanTemplate(RAW_SCAN.serialize(moving(Posor(calibration))[0]))
+    stamps_ns = [NS + n * NS // 1000 for n in range(4)]
+    raw = [template.at(stamp_ns, 7 + n) for n, stamp_ns in enumerate(stamps_ns)]
+    stream, unchecked = (RawScanStream(each, raw[0], "total") for each in (posor, other))
+    stream.accept_ages(-5.0, 10.0)
+    wanted = [unchecked.estimate_message(data) for data in raw]
+    assert stream.last_identity() is None
+    assert stream.estimate_message(raw[0], stamps_ns[0]) is None  # no scan came before
+    assert stream.estimate_message(raw[0]) == wanted[0]
+    for n, age_ns in ((0, 0), (2, 0), (1, -6), (1, 11)):  # repeated, one missing, ahead of time, too old
+        before = posor.model.workspace[0]["tracker"].tobytes()
+        assert stream.estimate_message(raw[n], stamps_ns[n] + age_ns) is None
+        assert posor.model.workspace[0]["tracker"].tobytes() == before
+        assert stream.last_identity() == (stamps_ns[0], 7)
+    for n, age_ns in ((1, -5), (2, 10)):
+        assert stream.estimate_message(raw[n], stamps_ns[n] + age_ns) == wanted[n]
+    assert stream.estimate_message(template.at(stamps_ns[3], 8), stamps_ns[3]) is None  # backward
+    assert stream.estimate_message(raw[3], stamps_ns[3]) == wanted[3]
 
 
 @pytest.mark.parametrize("stack", STACKS)
