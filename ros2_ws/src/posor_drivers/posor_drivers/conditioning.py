@@ -14,7 +14,8 @@ from posor_msgs.msg import RawScan
 from rclpy.serialization import deserialize_message
 
 from posor_drivers.sample_average import SampleAverage, average_samples
-from posor_drivers.scheduled_publication import Pause, ScheduledPublication
+from posor_drivers.scheduled_publication import Pause
+from posor_drivers.sources.source import SourceMessage
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -31,7 +32,7 @@ READINGS = {"gap_voltages": 1, "ring_voltages": 1, DIODE_CURRENTS: CONTACTS}
 SPREADS = {name: f"{name.removesuffix('s')}_spreads" for name in READINGS}
 """Fields of their spreads."""
 
-ItemT = TypeVar("ItemT", bound=ScheduledPublication | Pause)
+ItemT = TypeVar("ItemT", bound=SourceMessage | Pause)
 
 
 @dataclass
@@ -142,9 +143,7 @@ def _source(scan: Any) -> tuple[object, ...]:
     return (*scan.lit_sources, scan.status & RawScan.STATUS_DARK_SUBTRACTED)
 
 
-def condition_scans(
-    items: Iterator[ItemT], parameters: ConditioningParameters
-) -> Iterator[ItemT | ScheduledPublication]:
+def condition_scans(items: Iterator[ItemT], parameters: ConditioningParameters) -> Iterator[ItemT | SourceMessage]:
     """Return what is to be published: groups of scans become one scan, everything else passes unchanged.
 
     A scan is published with the last scan of its group, or with the first scan that shows that the group is complete.
@@ -158,7 +157,7 @@ def condition_scans(
     return items if parameters.passes_scans_unchanged else _condition(items, parameters)
 
 
-def _condition(items: Iterator[ItemT], parameters: ConditioningParameters) -> Iterator[ItemT | ScheduledPublication]:
+def _condition(items: Iterator[ItemT], parameters: ConditioningParameters) -> Iterator[ItemT | SourceMessage]:
     grouper = ScanGrouper(parameters.samples, subtract_dark=parameters.subtract_dark)
     after_s, all_dark, count = 0.0, True, 0
     failure = None
@@ -167,15 +166,15 @@ def _condition(items: Iterator[ItemT], parameters: ConditioningParameters) -> It
             if isinstance(item, Pause) or item.topic != RAW_TOPIC:
                 yield item
                 continue
-            scan, after_s = _decode(item.content), item.after_s
+            scan, after_s = _decode(item.data), item.after_s
             count, all_dark = count + 1, all_dark and is_dark(scan)
             for group in grouper.add_scan(scan):
                 merged = merge_scans(group, parameters)
-                yield ScheduledPublication(RAW_TOPIC, merged, after_s, stamp_ns(merged) if item.stamp_ns else 0)
+                yield SourceMessage(RAW_TOPIC, stamp_ns(merged) if item.time_ns else 0, merged, after_s)
     except PosorError as error:
         failure = error
     for group in grouper.finish():
-        yield ScheduledPublication(RAW_TOPIC, merge_scans(group, parameters), after_s)
+        yield SourceMessage(RAW_TOPIC, 0, merge_scans(group, parameters), after_s)
     if failure is not None:
         raise failure
     if parameters.subtract_dark and all_dark:

@@ -42,8 +42,8 @@ if TYPE_CHECKING:
     from posor_estimator.ros.diagnostics import Status
 
     from posor_drivers.ros_clock import TickClock
-    from posor_drivers.scheduled_publication import Pause, ScheduledPublication
-    from posor_drivers.sources.source import Input, Source
+    from posor_drivers.scheduled_publication import Pause
+    from posor_drivers.sources.source import Input, Source, SourceMessage
 
 DELIVERY_TIMEOUT_S = 10.0
 """Longest wait, after the last message, for slow reliable subscribers before the program ends."""
@@ -144,7 +144,7 @@ class DriverNode(PosorNode[DriverParameters]):
         if self._run is not None and self._run.stop():
             self._status.report(Level.OK, "stopped")
 
-    def _replay_publications(self) -> Iterator[ScheduledPublication]:
+    def _replay_publications(self) -> Iterator[SourceMessage]:
         parameters, source = self.parameters, self._source
         if not (isinstance(parameters, ReplayDriverParameters) and isinstance(source, RecordedSource)):
             message = f"source '{parameters.source}' is neither live nor recorded"
@@ -154,7 +154,7 @@ class DriverNode(PosorNode[DriverParameters]):
 
     def _live_publications(
         self, source: LiveSource[Any], missed: MissedTicks, clock: TickClock
-    ) -> Iterator[ScheduledPublication | Pause]:
+    ) -> Iterator[SourceMessage | Pause]:
         return condition_scans(schedule_ticks(source, clock, missed), self.parameters.conditioning)
 
     def _has_subscribers(self) -> bool:
@@ -172,14 +172,14 @@ class DriverNode(PosorNode[DriverParameters]):
             self._status.report(Level.OK, text)
         return not missing
 
-    def _publish(self, publication: ScheduledPublication) -> None:
-        topic, data = publication.topic, publication.content
+    def _publish(self, publication: SourceMessage) -> None:
+        topic, data = publication.topic, publication.data
         if not isinstance(data, bytes):
             data = schema_of_class(type(data)).serialize(data)
         if self._topic_publishers[topic].publish(data):
             self._counts[topic] += 1
             if topic == RAW_TOPIC:
-                self.timing.record(publication.stamp_ns)
+                self.timing.record(publication.time_ns)
                 self._watch.record(time.monotonic())
 
     def _is_stopping(self) -> bool:

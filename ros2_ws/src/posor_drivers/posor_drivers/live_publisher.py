@@ -12,7 +12,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
 from posor_drivers.ros_clock import is_simulated
-from posor_drivers.scheduled_publication import SUBSCRIBER_POLL_S, Pause, RunState, ScheduledPublication
+from posor_drivers.scheduled_publication import SUBSCRIBER_POLL_S, Pause, RunState
 from posor_drivers.tick_scheduler import TickScheduler, TickTask
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from posor_drivers.ros_clock import TickClock
-    from posor_drivers.sources.source import LiveSource
+    from posor_drivers.sources.source import LiveSource, SourceMessage
 
 
 @dataclass
@@ -33,9 +33,7 @@ class MissedTicks:
     ticks: int = 0
 
 
-def schedule_ticks(
-    source: LiveSource[Any], clock: TickClock, missed: MissedTicks
-) -> Iterator[ScheduledPublication | Pause]:
+def schedule_ticks(source: LiveSource[Any], clock: TickClock, missed: MissedTicks) -> Iterator[SourceMessage | Pause]:
     """Yield what is to be published, and pauses until the next is due; ends with the run.
 
     A tick is missed when the next tick is due as well: it is skipped and counted, so scans are never bunched, unless
@@ -63,8 +61,7 @@ def schedule_ticks(
                     missed.ticks += present - tick
                     tick = present
                     due_ns = source.publication_time_ns(tick + 1)
-            for message in source.read_tick(tick):
-                yield ScheduledPublication(message.topic, message.data, 0.0, message.time_ns)
+            yield from source.read_tick(tick)
             tick += 1
         else:
             return
@@ -86,8 +83,8 @@ class LivePublisher:
         node: Node,
         rate: float,
         spin_us: int,
-        publications: Callable[[TickClock], Iterator[ScheduledPublication | Pause]],
-        publish: Callable[[ScheduledPublication], None],
+        publications: Callable[[TickClock], Iterator[SourceMessage | Pause]],
+        publish: Callable[[SourceMessage], None],
         has_subscribers: Callable[[], bool],
         on_state: Callable[[RunState, Exception | None], None],
     ) -> None:

@@ -13,13 +13,14 @@ from posor_estimator.numerics.stamps import NS
 from posor_estimator.ros_names import RAW_TOPIC
 from rclpy.serialization import deserialize_message
 
-from posor_drivers.scheduled_publication import SUBSCRIBER_POLL_S, RunState, ScheduledPublication
+from posor_drivers.scheduled_publication import SUBSCRIBER_POLL_S, RunState
+from posor_drivers.sources.source import SourceMessage
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
     from posor_drivers.driver_parameters import ReplayParameters
-    from posor_drivers.sources.source import RecordedSource, SourceMessage
+    from posor_drivers.sources.source import RecordedSource
 
 
 @dataclass
@@ -109,7 +110,7 @@ class StampRewriter:
 
 def schedule_replay(
     source: RecordedSource[Any], classes: Mapping[str, Any], options: ReplayParameters, now_ns: int
-) -> Iterator[ScheduledPublication]:
+) -> Iterator[SourceMessage]:
     """Yield what is to be published, in order; endless if the replay loops.
 
     Args:
@@ -135,7 +136,7 @@ def schedule_replay(
                 scans.add(message.time_ns)
             after_ns = pass_number * length_ns + message.time_ns - everything.first
             after_s = after_ns / NS / speed if options.rate else 0.0
-            yield ScheduledPublication(message.topic, stamps.rewrite(message), after_s)
+            yield SourceMessage(message.topic, 0, stamps.rewrite(message), after_s)
         if not scans.count:
             raise ParameterError(
                 f"no scan lies between 'start_offset' {options.start_offset} and 'stop_offset' {options.stop_offset}",
@@ -166,8 +167,8 @@ class ReplayPublisher:
 
     def __init__(
         self,
-        publications: Callable[[], Iterator[ScheduledPublication]],
-        publish: Callable[[ScheduledPublication], None],
+        publications: Callable[[], Iterator[SourceMessage]],
+        publish: Callable[[SourceMessage], None],
         has_subscribers: Callable[[], bool],
         on_state: Callable[[RunState, Exception | None], None],
     ) -> None:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from rclpy.clock import Clock
 
-    from posor_drivers.scheduled_publication import ScheduledPublication
+    from posor_drivers.sources.source import SourceMessage
 
 SWITCH_AT_TICK_S = 2e-5
 """Switch interval of Python while this thread waits: how long another thread may delay a tick."""
@@ -40,8 +40,8 @@ class TickTask:
     def __init__(
         self,
         clock: TickClock,
-        publications: Iterator[ScheduledPublication | Pause],
-        publish: Callable[[ScheduledPublication], None],
+        publications: Iterator[SourceMessage | Pause],
+        publish: Callable[[SourceMessage], None],
         on_end: Callable[[Exception | None], None],
     ) -> None:
         """Start at the first tick.

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from posor_drivers.conditioning import MAX_DARK_SCANS, condition_scans, stamp_ns
 from posor_drivers.driver_parameters import ConditioningParameters
-from posor_drivers.scheduled_publication import ScheduledPublication
+from posor_drivers.sources.source import SourceMessage
 from posor_estimator.errors import BagError, ParameterError, PosorError
 from posor_msgs.msg import RawScan
 from rclpy.serialization import deserialize_message
@@ -27,12 +27,12 @@ NET_A = np.linspace(1e-5, 8e-5, 8)
 BACKGROUND_A = np.linspace(3e-6, 1e-6, 8)
 
 
-def item(number: int, **fields: Any) -> ScheduledPublication:
+def item(number: int, **fields: Any) -> SourceMessage:
     fields = {"gap_voltages": np.full(3, 0.5)} | fields
-    return ScheduledPublication("raw", scan(number, START + number * TICK, **fields).data, number / 1000)
+    return SourceMessage("raw", 0, scan(number, START + number * TICK, **fields).data, number / 1000)
 
 
-def pattern(text: str, drift: float = 0.0) -> Iterator[ScheduledPublication]:
+def pattern(text: str, drift: float = 0.0) -> Iterator[SourceMessage]:
     """Yield a scan for each letter: L lit, D dark; the background grows by a part ``drift`` of itself per scan."""
     for number, letter in enumerate(text):
         background = BACKGROUND_A * (1.0 + drift * number)
@@ -43,18 +43,16 @@ def pattern(text: str, drift: float = 0.0) -> Iterator[ScheduledPublication]:
 
 
 def condition(
-    items: Iterable[ScheduledPublication], method: Any = "mean", samples: int = 5, **options: Any
-) -> list[ScheduledPublication]:
+    items: Iterable[SourceMessage], method: Any = "mean", samples: int = 5, **options: Any
+) -> list[SourceMessage]:
     return list(condition_scans(iter(items), ConditioningParameters(method=method, samples=samples, **options)))
 
 
-def scans(
-    items: Iterable[ScheduledPublication], method: str = "mean", samples: int = 5, **options: Any
-) -> list[RawScan]:
-    return [result.content for result in condition(items, method, samples, **options)]
+def scans(items: Iterable[SourceMessage], method: str = "mean", samples: int = 5, **options: Any) -> list[RawScan]:
+    return [result.data for result in condition(items, method, samples, **options)]
 
 
-def numbers(items: Iterable[ScheduledPublication], **options: Any) -> list[tuple[int, int]]:
+def numbers(items: Iterable[SourceMessage], **options: Any) -> list[tuple[int, int]]:
     return [(result.scan, result.samples) for result in scans(items, **options)]
 
 
@@ -69,7 +67,7 @@ def test_five_scans_become_one() -> None:
     ]
     (only,) = condition(raw)
     assert (only.topic, only.after_s) == ("raw", raw[-1].after_s)
-    result = only.content
+    result = only.data
     assert (result.scan, stamp_ns(result), result.samples) == (9, START + 9 * TICK, 5)
     assert result.header.frame_id == "posor_receiving"
     assert result.status == RawScan.STATUS_SATURATED | RawScan.STATUS_HOME_BUMP
@@ -108,7 +106,7 @@ def test_incomplete_last_group_is_published_with_fewer_samples() -> None:
 )
 def test_group_ends_early_where_scans_are_not_comparable(other: dict[str, Any]) -> None:
     result = condition([item(0), item(1), item(2), item(3, **other)])
-    assert [(result.content.scan, result.content.samples, result.after_s) for result in result] == [
+    assert [(result.data.scan, result.data.samples, result.after_s) for result in result] == [
         (1, 3, 0.003),
         (3, 1, 0.003),
     ]
@@ -220,7 +218,7 @@ def test_background_of_single_scans_is_subtracted() -> None:
 def test_noise_of_the_background_adds_to_that_of_the_mean() -> None:
     groups, sigma, random = 600, 1e-7, np.random.default_rng(5)
     raw = (
-        ScheduledPublication(result.topic, noisy(result.content, random, sigma), result.after_s)
+        SourceMessage(result.topic, 0, noisy(result.data, random, sigma), result.after_s)
         for result in pattern(groups * "DLDLDDDDDD")
     )
     results = scans(raw, samples=2, subtract_dark=True)
@@ -278,7 +276,7 @@ def test_home_mark_of_a_dark_scan_counts_once_and_its_other_flags_in_both_groups
 
 def test_light_that_stays_off_does_not_delay_earlier_scans() -> None:
     results = condition(pattern("LLL" + 3 * MAX_DARK_SCANS * "D" + "LLLLL"), subtract_dark=True)
-    assert [(result.content.scan, result.content.samples) for result in results] == [
+    assert [(result.data.scan, result.data.samples) for result in results] == [
         (1, 3),
         (3 * MAX_DARK_SCANS + 5, 5),
     ]
@@ -299,7 +297,7 @@ def test_record_without_lit_scans_is_refused() -> None:
 
 
 def test_other_topics_and_idle_conditioning_change_nothing() -> None:
-    raw = [item(0), ScheduledPublication("/truth", b"x", 0.0), item(1)]
+    raw = [item(0), SourceMessage("/truth", 0, b"x", 0.0), item(1)]
     assert condition(raw, method="none", samples=1) == raw
     result = condition(raw, samples=2)
     assert [result.topic for result in result] == ["/truth", "raw"]
@@ -307,12 +305,12 @@ def test_other_topics_and_idle_conditioning_change_nothing() -> None:
 
 
 def test_incomplete_group_is_published_before_the_failure_of_the_source() -> None:
-    def failing() -> Iterator[ScheduledPublication]:
+    def failing() -> Iterator[SourceMessage]:
         yield from (item(0), item(1))
         raise BagError("breaks off")
 
     stream = condition_scans(failing(), ConditioningParameters(method="mean", samples=5))
-    assert next(stream).content.samples == 2
+    assert next(stream).data.samples == 2
     with pytest.raises(BagError, match="breaks off"):
         next(stream)
 
@@ -326,12 +324,12 @@ def test_incomplete_group_is_published_before_the_failure_of_the_source() -> Non
             "scans 4 to 5: are the mean of 80000 samples; expected at most 65535.",
         ),
         (
-            [ScheduledPublication("raw", item(4).content[:40], 0.0)],
+            [SourceMessage("raw", 0, item(4).data[:40], 0.0)],
             "topic raw: the 40 bytes of a scan cannot be decoded.",
         ),
     ],
 )
-def test_invalid_scans_are_refused(raw: list[ScheduledPublication], sentence: str) -> None:
+def test_invalid_scans_are_refused(raw: list[SourceMessage], sentence: str) -> None:
     with pytest.raises(PosorError) as caught:
         condition(raw, samples=2)
     assert str(caught.value) == sentence

@@ -72,12 +72,12 @@ def ticks(wall: Wall, source: Metronome | None = None, count: int = 1000) -> tup
         if isinstance(due, Pause):
             wall.wait(due.until_ns)
             continue
-        tick = due.stamp_ns // PERIOD
-        assert (due.topic, due.content, due.after_s) == ("raw", str(tick).encode(), 0.0)
+        tick = due.time_ns // PERIOD
+        assert (due.topic, due.data, due.after_s) == ("raw", str(tick).encode(), 0.0)
         assert source.publication_time_ns(tick) <= wall.turn_ns
         truth = next(dues)
         assert not isinstance(truth, Pause)
-        assert (truth.topic, truth.stamp_ns) == ("truth", due.stamp_ns)
+        assert (truth.topic, truth.time_ns) == ("truth", due.time_ns)
         published.append(tick)
         if len(published) == count:
             break

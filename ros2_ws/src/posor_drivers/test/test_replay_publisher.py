@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from posor_drivers.driver_parameters import ReplayParameters
 from posor_drivers.replay_publisher import ReplayPublisher, schedule_replay
-from posor_drivers.scheduled_publication import RunState, ScheduledPublication
+from posor_drivers.scheduled_publication import RunState
 from posor_drivers.sources.bag_source import BagParameters, BagSource
+from posor_drivers.sources.source import SourceMessage
 from posor_estimator.bags.message_definitions import MessageTypes
 from posor_estimator.errors import BagError, ParameterError
 from posor_estimator.ros.message_classes import message_class
@@ -34,7 +35,7 @@ RECORDS = [
 NOW = 2_000_000 * SECOND
 
 
-def replay(path: Path, records: list[Record], **options: Any) -> Iterator[ScheduledPublication]:
+def replay(path: Path, records: list[Record], **options: Any) -> Iterator[SourceMessage]:
     others = tuple(sorted({record.topic for record in records} - {"/joint1/raw"}))
     bag = path / "bag"
     if not bag.exists():
@@ -44,17 +45,15 @@ def replay(path: Path, records: list[Record], **options: Any) -> Iterator[Schedu
     return schedule_replay(source, classes, ReplayParameters(**options), NOW)
 
 
-def stamps(items: list[ScheduledPublication]) -> list[int]:
+def stamps(items: list[SourceMessage]) -> list[int]:
     return [
-        item.content.header.stamp.sec * SECOND + item.content.header.stamp.nanosec
-        for item in items
-        if item.topic == "raw"
+        item.data.header.stamp.sec * SECOND + item.data.header.stamp.nanosec for item in items if item.topic == "raw"
     ]
 
 
-def decoded(items: list[ScheduledPublication]) -> list[RawScan]:
+def decoded(items: list[SourceMessage]) -> list[RawScan]:
     return [
-        deserialize_message(item.content, RawScan) if isinstance(item.content, bytes) else item.content
+        deserialize_message(item.data, RawScan) if isinstance(item.data, bytes) else item.data
         for item in items
         if item.topic == "raw"
     ]
@@ -62,7 +61,7 @@ def decoded(items: list[ScheduledPublication]) -> list[RawScan]:
 
 def test_recorded_bytes_are_published_unchanged_at_the_recorded_pace(tmp_path: Path) -> None:
     items = list(replay(tmp_path, RECORDS))
-    assert [item.content for item in items] == [record.data for record in RECORDS]
+    assert [item.data for item in items] == [record.data for record in RECORDS]
     assert [item.after_s for item in items] == [(record.time_ns - START) / SECOND for record in RECORDS]
 
 
@@ -73,7 +72,7 @@ def test_rate_divides_the_intervals_and_zero_removes_them(tmp_path: Path) -> Non
     )
     at_once = list(replay(tmp_path, RECORDS, rate=0.0))
     assert {item.after_s for item in at_once} == {0.0}
-    assert [item.content for item in at_once] == [record.data for record in RECORDS]
+    assert [item.data for item in at_once] == [record.data for record in RECORDS]
 
 
 @pytest.mark.parametrize(
@@ -102,7 +101,7 @@ def test_offsets_that_leave_no_scan_are_refused(tmp_path: Path) -> None:
 
 def test_loop_continues_stamps_scan_numbers_and_pace(tmp_path: Path) -> None:
     items = list(itertools.islice(replay(tmp_path, RECORDS, loop=True), 30))
-    assert [item.content for item in items[:10]] == [record.data for record in RECORDS]
+    assert [item.data for item in items[:10]] == [record.data for record in RECORDS]
     scans = decoded(items)
     assert [content.scan for content in scans] == list(range(10, 25))
     times = [content.header.stamp.sec * SECOND + content.header.stamp.nanosec for content in scans]
@@ -110,7 +109,7 @@ def test_loop_continues_stamps_scan_numbers_and_pace(tmp_path: Path) -> None:
     assert [item.after_s for item in items if item.topic == "raw"] == pytest.approx(
         [number * 0.1 + 7e-9 * (number // 5) for number in range(15)], abs=1e-12
     )
-    truth = [item.content for item in items[10:] if item.topic != "raw"]
+    truth = [item.data for item in items[10:] if item.topic != "raw"]
     assert truth[0].header.stamp.nanosec == 500_000_007
 
 
@@ -149,7 +148,7 @@ def test_restamped_loop_is_one_long_record(tmp_path: Path) -> None:
 def test_message_without_header_is_unchanged(tmp_path: Path) -> None:
     records = [scan(1, START), text(START + 1), scan(2, START + 2)]
     items = list(replay(tmp_path, records, restamp=True))
-    assert items[1].content == records[1].data
+    assert items[1].data == records[1].data
 
 
 def test_undecodable_bytes_are_refused(tmp_path: Path) -> None:
@@ -162,7 +161,7 @@ def test_undecodable_bytes_are_refused(tmp_path: Path) -> None:
 class PublisherHarness:
     """Replaces the node around a ReplayPublisher and records what happens."""
 
-    def __init__(self, *scheduled: ScheduledPublication, failure: Exception | None = None) -> None:
+    def __init__(self, *scheduled: SourceMessage, failure: Exception | None = None) -> None:
         self.scheduled = scheduled
         self.failure = failure
         self.listening = True
@@ -174,7 +173,7 @@ class PublisherHarness:
         self.over = Event()
         self.publisher = ReplayPublisher(self.publications, self.publish, self.has_subscribers, self.on_state)
 
-    def publications(self) -> Iterator[ScheduledPublication]:
+    def publications(self) -> Iterator[SourceMessage]:
         yield from self.scheduled
         if self.failure is not None:
             raise self.failure
@@ -183,7 +182,7 @@ class PublisherHarness:
         self.asked.set()
         return self.listening
 
-    def publish(self, publication: ScheduledPublication) -> None:
+    def publish(self, publication: SourceMessage) -> None:
         self.published.append((publication.topic, time.monotonic()))
         self.first.set()
 
@@ -195,7 +194,7 @@ class PublisherHarness:
 
 
 def test_messages_are_not_published_early() -> None:
-    harness = PublisherHarness(*(ScheduledPublication(str(number), b"", 0.02 * number) for number in range(6)))
+    harness = PublisherHarness(*(SourceMessage(str(number), 0, b"", 0.02 * number) for number in range(6)))
     begin = time.monotonic()
     harness.publisher.start()
     assert harness.over.wait(30.0)
@@ -206,7 +205,7 @@ def test_messages_are_not_published_early() -> None:
 
 
 def test_replay_waits_for_subscribers() -> None:
-    harness = PublisherHarness(ScheduledPublication("a", b"", 0.0))
+    harness = PublisherHarness(SourceMessage("a", 0, b""))
     harness.listening = False
     harness.publisher.start()
     assert harness.asked.wait(30.0)
@@ -219,7 +218,7 @@ def test_replay_waits_for_subscribers() -> None:
 
 
 def test_replay_can_be_stopped_while_it_waits_for_subscribers() -> None:
-    harness = PublisherHarness(ScheduledPublication("a", b"", 0.0))
+    harness = PublisherHarness(SourceMessage("a", 0, b""))
     harness.listening = False
     harness.publisher.start()
     assert harness.asked.wait(30.0)
@@ -229,7 +228,7 @@ def test_replay_can_be_stopped_while_it_waits_for_subscribers() -> None:
 
 
 def test_replay_can_be_stopped_between_messages() -> None:
-    harness = PublisherHarness(ScheduledPublication("a", b"", 0.0), ScheduledPublication("b", b"", 1000.0))
+    harness = PublisherHarness(SourceMessage("a", 0, b""), SourceMessage("b", 0, b"", 1000.0))
     harness.publisher.start()
     assert harness.first.wait(30.0)
     assert harness.publisher.stop()
@@ -239,7 +238,7 @@ def test_replay_can_be_stopped_between_messages() -> None:
 
 def test_failure_of_the_source_is_reported() -> None:
     for failure in (BagError("is broken"), KeyError("a bug")):
-        harness = PublisherHarness(ScheduledPublication("a", b"", 0.0), failure=failure)
+        harness = PublisherHarness(SourceMessage("a", 0, b""), failure=failure)
         harness.publisher.start()
         assert harness.over.wait(30.0)
         assert harness.states[-1] is RunState.FAILED

@@ -6,7 +6,8 @@ from threading import Event, get_ident
 from typing import TYPE_CHECKING
 
 import pytest
-from posor_drivers.scheduled_publication import Pause, ScheduledPublication
+from posor_drivers.scheduled_publication import Pause
+from posor_drivers.sources.source import SourceMessage
 from posor_drivers.tick_scheduler import TickScheduler, TickTask
 from posor_estimator.ros.idle_scheduler import run_when_idle
 from rclpy.clock import Clock
@@ -40,19 +41,19 @@ class Driver:
     def make_task(self, clock: TickClock) -> TickTask:
         return TickTask(clock, self.publications(clock), self.publish, self.end)
 
-    def publications(self, clock: TickClock) -> Iterator[ScheduledPublication | Pause]:
+    def publications(self, clock: TickClock) -> Iterator[SourceMessage | Pause]:
         tick = clock.now_ns // PERIOD_NS
         for _ in range(self.count):
             tick += 1
             yield Pause(tick * PERIOD_NS)
             assert clock.now_ns >= tick * PERIOD_NS
-            yield ScheduledPublication("raw", tick, 0.0)
+            yield SourceMessage("raw", 0, tick, 0.0)
         if self.error is not None:
             raise self.error
 
-    def publish(self, publication: ScheduledPublication) -> None:
+    def publish(self, publication: SourceMessage) -> None:
         self.threads.add(get_ident())
-        self.log.append((self.name, publication.content))
+        self.log.append((self.name, publication.data))
 
     def end(self, error: Exception | None) -> None:
         self.failure = error
@@ -106,7 +107,7 @@ def test_idle_work_waits_for_the_ticks_of_the_drivers(clock: Clock, monkeypatch:
     monkeypatch.setattr("posor_estimator.ros.idle_scheduler._tick_ended", ObservedEvent())
 
     class SlowDriver(Driver):
-        def publish(self, publication: ScheduledPublication) -> None:
+        def publish(self, publication: SourceMessage) -> None:
             if not in_tick.is_set():
                 in_tick.set()
                 waited.append(waiting.wait(30.0))

@@ -44,12 +44,15 @@ class Topic:
 
 
 class SourceMessage(NamedTuple):
-    """One serialised message (CDR)."""
+    """One message of a source, or one to publish."""
 
     topic: str
     time_ns: int
-    """Log time of a recorded message, which sets the pace of a replay, or the stamp of the scan."""
-    data: bytes
+    """Log time of a recorded message, which sets the pace of a replay, or the stamp of the scan; 0 in a replay."""
+    data: Any
+    """Serialised (CDR); in a replay and after conditioning a message where it had to change."""
+    after_s: float = 0.0
+    """In a replay: time after its start [s]."""
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from posor_drivers.ros_clock import TickClock
-    from posor_drivers.scheduled_publication import ScheduledPublication
+    from posor_drivers.sources.source import SourceMessage
 
 RATE = 2000
 FAR = 1_800_000_000 * RATE
@@ -170,8 +170,8 @@ def test_late_joints_of_one_process_publish_the_same_ticks(tmp_path: Path) -> No
     missed = {name: MissedTicks() for name in published}
     enough = Event()
 
-    def late(name: str, due: ScheduledPublication) -> None:
-        published[name].append(due.stamp_ns)
+    def late(name: str, due: SourceMessage) -> None:
+        published[name].append(due.time_ns)
         sleep(0.003)  # six periods
         if len(published["other"]) > 20:
             enough.set()
