@@ -203,10 +203,16 @@ def _finite_mean(readings: FloatArray) -> FloatArray:
 
 
 def _pool_deviations(parts: Sequence[FloatArray]) -> FloatArray:
-    """Return the standard deviation within parts (n, ...), pooled by degrees of freedom."""
-    squares = np.sum([np.nansum(np.square(part - _finite_mean(part)), axis=0) for part in parts], axis=0)
+    """Return the standard deviation within parts (n, ...), pooled by degrees of freedom; exactly 0: equal readings."""
+    squares = np.sum([np.nansum(np.square(_deviations(part)), axis=0) for part in parts], axis=0)
     freedoms = np.sum([np.maximum(np.isfinite(part).sum(axis=0) - 1, 0) for part in parts], axis=0)
     return np.asarray(np.where(freedoms > 0, np.sqrt(squares / np.maximum(freedoms, 1)), np.nan))
+
+
+def _deviations(readings: FloatArray) -> FloatArray:
+    """Return readings (n, ...) less their mean; the mean of equal readings would differ from them by rounding."""
+    above_least = readings - np.where(np.isfinite(readings), readings, np.inf).min(axis=0)
+    return np.asarray(above_least - _finite_mean(above_least))
 
 
 # Outliers within a dwell.

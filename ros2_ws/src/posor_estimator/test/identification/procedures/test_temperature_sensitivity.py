@@ -73,6 +73,27 @@ def test_the_truth_is_found_from_levels() -> None:
     assert max(sigmas) < 0.1 * np.abs(TRUE).min()
 
 
+def test_readings_without_scatter_get_the_calibrated_noise_of_a_mean() -> None:
+    """Every scan of a level has their mean voltages; 20 scans, the last level 25, and 5 lead from level to level."""
+
+    def freeze(voltages: FloatArray) -> None:
+        for start in range(0, len(voltages), 25):
+            level = slice(start, start + (20 if start + 25 < len(voltages) else 25))
+            voltages[level] = voltages[level].mean(axis=0)
+
+    scattered, frozen = simulate(), simulate().with_readings("gap_voltages", freeze)
+    sigmas = [[fit.sigma("sensitivity") for fit in case.identify().fits.values()] for case in (scattered, frozen)]
+    np.testing.assert_allclose(sigmas[1], sigmas[0], rtol=0.2)
+
+
+def test_the_table_has_the_effect_of_the_variation_in_use() -> None:
+    (table,) = simulate().identify(variation=0.5).tables
+    for row, true in zip(table.rows, TRUE, strict=True):
+        sensitivity, effect = float(row[1]), float(row[3])
+        assert sensitivity == pytest.approx(1e6 * true, rel=0.2)
+        assert effect == pytest.approx(0.5 * abs(sensitivity))
+
+
 def test_the_truth_is_found_from_a_slow_drift() -> None:
     """A room that warms up and cools down: pieces within the tolerance count as dwells."""
     drift = 293.15 + 2.0 * np.sin(np.linspace(0.0, 2.0 * np.pi, 1500))
