@@ -71,7 +71,8 @@ def simulation_of(arm: str) -> ArmSimulation:
 
 @pytest.mark.parametrize(
     "arguments",
-    [["--device", kind] for kind in ("stream", "labjack", "labjack_stream", "scpi")] + [["--probes", "capancdt_6200"]],
+    [["--device", kind] for kind in ("stream", "labjack", "labjack_stream", "nidaqmx", "scpi")]
+    + [["--probes", "capancdt_6200"]],
     ids=lambda arguments: arguments[1],
 )
 @pytest.mark.parametrize("arm", ["test_rig", "five_axis", "six_axis"])
@@ -94,7 +95,8 @@ def test_a_starting_file_holds_every_reading(
 def test_a_starting_file_of_an_unsuitable_device_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert instruments(["start", str(find_arm("test_rig")), "--device", "none"]) == 2
     assert capsys.readouterr().err == (
-        "instruments start: kind 'none'; expected one of capancdt_6200, labjack, labjack_stream, scpi, stream.\n"
+        "instruments start: kind 'none'; "
+        "expected one of capancdt_6200, labjack, labjack_stream, nidaqmx, scpi, stream.\n"
     )
     assert instruments(["start", str(find_arm("test_rig")), "--device", "capancdt_6200"]) == 2
     said = capsys.readouterr().err

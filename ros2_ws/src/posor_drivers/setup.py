@@ -41,6 +41,7 @@ setup(
             "capancdt_6200 = posor_drivers.instruments.capancdt_device:CapaNcdtDevice",
             "labjack = posor_drivers.instruments.labjack_device:LabJackDevice",
             "labjack_stream = posor_drivers.instruments.labjack_stream_device:LabJackStreamDevice",
+            "nidaqmx = posor_drivers.instruments.nidaqmx_device:NiDevice",
             "scpi = posor_drivers.instruments.scpi_device:ScpiDevice",
             "stream = posor_drivers.instruments.stream_device:StreamDevice",
         ],
