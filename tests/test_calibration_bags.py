@@ -184,7 +184,8 @@ THERE = "/joint1/raw (posor_msgs/msg/RawScan)"
             {"references": [Reference(RAW)]},
             (
                 "BAG: topic /joint1/raw is of type posor_msgs/msg/RawScan; expected geometry_msgs/msg/PointStamped or "
-                "geometry_msgs/msg/PoseStamped or geometry_msgs/msg/TransformStamped or std_msgs/msg/Float64."
+                "geometry_msgs/msg/PoseStamped or geometry_msgs/msg/TransformStamped or "
+                "posor_msgs/msg/ReferenceReading or std_msgs/msg/Float64."
             ),
         ),
     ],
