@@ -7,13 +7,12 @@ line ``input``.
 from __future__ import annotations
 
 import math
-from collections import deque
-from statistics import median
 from time import monotonic
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from posor_estimator.numerics.stamps import NS, is_accepted_age
 from posor_estimator.ros.diagnostics import Level
+from posor_estimator.ros.input_watch import InputWatch
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,56 +21,12 @@ if TYPE_CHECKING:
     from posor_estimator.ros.intra_process import IntraProcessSubscription
     from posor_estimator.ros.lifecycle_node import PosorNode
 
-SILENT_PERIODS = 10
-"""Median periods without input that count as silence, unless ``max_silence`` is longer."""
-PERIODS = 5
-"""Number of last measured periods whose median is used, so that neither a pause nor a burst changes it."""
 PUBLISHER_GONE_S = 0.2
 """Time after a second publisher has gone in which its last messages may still arrive [s]."""
 MAX_NOTES = 3
 """Anomalies that are reported in a second; all are counted."""
 INPUT_STATUS = "input"
 """Name of the status line."""
-
-
-class InputWatch:
-    """Arrivals of one input.
-
-    Attributes:
-        name: Topic or source, for the reports.
-
-    """
-
-    __slots__ = ("_arrivals", "_arrived_s", "_counted", "_counted_s", "_periods", "name")
-
-    def __init__(self, name: str) -> None:
-        """Create a watch; ``restart`` starts it."""
-        self.name = name
-        self._periods: deque[float] = deque(maxlen=PERIODS)
-        self.restart(-math.inf)
-
-    def restart(self, now_s: float) -> None:
-        """Forget all arrivals; silence begins at a steady time [s]."""
-        self._arrivals = self._counted = 0
-        self._arrived_s = self._counted_s = now_s
-        self._periods.clear()
-
-    def record(self, now_s: float) -> None:
-        """Record an arrival at a steady time [s]; takes a fraction of a microsecond."""
-        self._arrivals += 1
-        self._arrived_s = now_s
-
-    def silence(self, now_s: float, limit_s: float) -> str:
-        """Return the sentence on a silence that exceeds the limit [s] and ``SILENT_PERIODS``; else empty."""
-        arrivals, arrived_s = self._arrivals, self._arrived_s
-        if arrivals > self._counted:
-            if self._counted:
-                self._periods.append((arrived_s - self._counted_s) / (arrivals - self._counted))
-            self._counted, self._counted_s = arrivals, arrived_s
-        age_s = now_s - arrived_s
-        if age_s <= max(limit_s, SILENT_PERIODS * median(self._periods) if self._periods else 0.0):
-            return ""
-        return f"no input on {self.name} {'for' if arrivals else 'since activation,'} {age_s:.2f} s"
 
 
 class StampLimits(NamedTuple):

@@ -26,7 +26,7 @@ from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallba
 from rclpy.qos import HistoryPolicy
 
 from posor_estimator.errors import TopicError
-from posor_estimator.ros.freshness import InputWatch
+from posor_estimator.ros.input_watch import InputWatch
 
 if TYPE_CHECKING:
     from collections.abc import Callable

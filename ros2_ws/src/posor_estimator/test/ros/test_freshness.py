@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from posor_estimator.node_parameters import FreshnessParameters, NodeParameters
-from posor_estimator.ros.freshness import InputWatch, ScanOrder, StampLimits
+from posor_estimator.ros.freshness import ScanOrder, StampLimits
+from posor_estimator.ros.input_watch import InputWatch
 from posor_estimator.ros.qos import sensor_publisher_qos
 from posor_estimator.testing.graph import LOSSLESS, Graph, values_of, wait_for_value
 from posor_estimator.testing.program import Program, installed, ros_arguments
