@@ -160,7 +160,9 @@ class DeviceReader:
         if last is None:
             return None
         period_ns = NS / self.device.frame_rate
-        number = last - math.ceil((self._times_ns[last % CAPACITY] - time_ns) / period_ns)  # or later, if it is slower
+        number = last - math.ceil((self._times_ns[last % CAPACITY] - time_ns) / period_ns)
+        while (row := self._row_of(number)) is not None and self._times_ns[row] > time_ns:  # frames after a late one
+            number -= 1
         while (following := self._row_of(number + 1)) is not None and self._times_ns[following] <= time_ns:
             number += 1
         row = self._row_of(number)

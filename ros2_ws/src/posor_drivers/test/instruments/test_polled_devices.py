@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from posor_drivers.instruments.device import DeviceError
+from posor_drivers.instruments.device import DeviceError, Frames
 from posor_drivers.instruments.device_reader import DeviceReader
 from posor_drivers.instruments.labjack_device import LabJackDevice, LabJackSettings
 from posor_drivers.instruments.scpi_device import ScpiDevice, ScpiSettings
@@ -214,3 +214,15 @@ def test_a_host_that_is_none_is_refused(host: str) -> None:
         LabJackDevice("box", labjack_settings(502, host=host)).connect(1.0)
     with pytest.raises(DeviceError):
         ScpiDevice("meter", scpi_settings(5025, address=f"TCPIP::{host}::5025::SOCKET")).connect(1.0)
+
+
+def test_frames_that_follow_a_late_one_quickly_are_found() -> None:
+    """Of 200 questions per second one is answered late, and the next ones at once."""
+    reader = DeviceReader(LabJackDevice("box", labjack_settings(502, channels={"a": {"input": 0}})))
+    times_ms = np.array([0, 5, 10, 19, 20, 21, 25, 30])
+    values = 0.1 * times_ms[:, None]
+    reader._store(Frames(np.arange(8), values, 1_000_000 * times_ms), 0)
+    for time_us in range(2600, 27_500, 700):
+        found = reader.values_at(1000 * time_us)
+        assert found is not None, time_us
+        assert found[0] == pytest.approx(1e-4 * time_us)
