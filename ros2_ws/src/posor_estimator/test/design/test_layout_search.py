@@ -77,6 +77,7 @@ def test_the_trade_off_is_the_pareto_front() -> None:
 
 
 @pytest.mark.usefixtures("three_kinds")
+@pytest.mark.long
 def test_preferences_choose_the_best_checked_layout() -> None:
     checked = [each for each in found().feasible if math.isfinite(each.fault)]
     for preference in ("electronics", "accuracy", "size", "detectability"):
@@ -109,6 +110,7 @@ def test_an_uncertainty_beyond_reach_is_refused_with_the_nearest_requirement() -
 
 
 @pytest.mark.usefixtures("three_kinds")
+@pytest.mark.long
 def test_a_fault_beyond_detection_is_refused_with_the_smallest_detectable() -> None:
     content = example().model_dump(mode="json")
     content["minimum_detectable_fault"] = {"value": 1e-8, "unit": "m"}
@@ -127,9 +129,9 @@ def test_a_fault_beyond_detection_is_refused_with_the_smallest_detectable() -> N
     ("changes", "name"),
     [
         ({"outside_diameter": 0.03}, "outside_diameter"),
-        ({"range": {"gap": 4e-3}}, "range.gap"),
-        ({"range": {"runout": 12e-3}}, "range.runout"),
-        ({"inside_diameter": 0.05}, "outside_diameter"),
+        pytest.param({"range": {"gap": 4e-3}}, "range.gap", marks=pytest.mark.long),
+        pytest.param({"range": {"runout": 12e-3}}, "range.runout", marks=pytest.mark.long),
+        pytest.param({"inside_diameter": 0.05}, "outside_diameter", marks=pytest.mark.long),
     ],
 )
 def test_geometry_beyond_reach_is_refused_with_the_entry_that_must_change_least(
