@@ -27,7 +27,7 @@ help:
 	@echo "make test-long [TESTS='path ...']                      the tests that take long: many draws, whole campaigns, benchmarks"
 	@echo "make lint                                              ruff, mypy and forbidden words"
 	@echo "make coverage                                          covered lines of the numerical packages"
-	@echo "make accuracy [DESIGN=folder]                          closure, consistency and fault detection of the estimator"
+	@echo "make accuracy [DESIGN=folder]                          consistency of the estimator; with DESIGN, of a designed POSOR"
 	@echo "make budgets                                           error budgets of the thesis, cell by cell from the model"
 	@echo "make thesis                                            numbers and figures of the thesis beside the computed ones"
 	@echo "make bench [BENCH='--quick ...']                       latency, lost ticks and cost of the graph, offline speed"
