@@ -52,7 +52,7 @@ def _row(cell: Cell) -> ThesisRow:
         _reason(cell),
     )
     needs_reason = row.verdict is not Verdict.AGREES or cell.agreement is not Agreement.AGREES
-    return row if needs_reason else replace(row, reason="")
+    return replace(row, reason=row.reason if needs_reason else "", input_rounding=cell.input_rounding)
 
 
 def _digits(printed: Printed) -> str:

@@ -32,6 +32,7 @@ class ThesisRow:
         printed: The printed digits, such as ``.0065`` or ``5.6e-9``; empty: not legible.
         computed: The number that this project computes, in the same unit.
         reason: Why the two differ, or what was assumed; required if they differ or if no number is legible.
+        input_rounding: Possible change of the computed number by the rounding of a printed input, in the same unit.
 
     """
 
@@ -41,6 +42,7 @@ class ThesisRow:
     printed: str
     computed: float
     reason: str = ""
+    input_rounding: float = 0.0
 
     def __post_init__(self) -> None:
         """Check the row.
@@ -77,8 +79,8 @@ class ThesisRow:
 
     @property
     def verdict(self) -> Verdict:
-        """Agreement within 2 % of the printed number, or within its rounding."""
+        """Agreement within 2 % of the printed number, or within its rounding and that of a printed input."""
         if self.printed_number is None or self.difference is None:
             return Verdict.NOT_LEGIBLE
-        tolerance = max(RELATIVE_TOLERANCE * abs(self.printed_number), self.rounding)
+        tolerance = max(RELATIVE_TOLERANCE * abs(self.printed_number), self.rounding + self.input_rounding)
         return Verdict.AGREES if abs(self.difference) <= _MARGIN * tolerance else Verdict.DIFFERS
