@@ -64,12 +64,12 @@ class Allotment:
 
     Attributes:
         groups: The g groups: of each joint from the base on, then of each beam.
-        present: Present standard uncertainty of each group [m, rad], (g,): root mean square over the three axes.
+        present: Present standard uncertainty of each group [m, rad], (g,): the largest of three axes in all postures.
         allotted: Allotted standard uncertainty, (g,).
         postures: Angles of the joints [rad], by name, of each posture.
         required: Largest standard uncertainty of the endpoint, (6,) [m, rad].
         endpoint: Its standard uncertainty with the allotment, (postures, 6).
-        before: With the present uncertainties, (postures, 6).
+        before: With the present covariances of the joints and the present beams, (postures, 6).
         shares: Part of each group in the variance of the axis that uses most of its requirement, (g,); what is missing
             from 1 is the sag of the beams.
 
@@ -90,7 +90,8 @@ class EndpointWeights:
 
     Attributes:
         groups: The g groups.
-        present: Their present standard uncertainties, (g,).
+        present: Their present standard uncertainties, (g,): the largest of three axes, as all three are allotted alike.
+        before: Present standard uncertainty of the endpoint by its budget, axis by axis, (postures, 6).
         weights: Variance of an axis by unit variance of a group, (postures, 6, g).
         fixed: Variances that are not allotted, (postures, 6).
 
@@ -113,18 +114,23 @@ class EndpointWeights:
             *(Group(name, what, beam=False) for name in self._joints for what in ("angles", "translations")),
             *(Group(beam.joint, what, beam=True) for beam in listed for what in ("angles", "translations")),
         )
-        self.present = np.array([*self._present_joints(chain), *(s for beam in listed for s in _present_beam(beam))])
+        covariances = self._present_covariances(chain)
+        spreads = (endpoint_budget(chain, *each).spread for each in zip(postures, covariances, strict=True))
+        self.before = np.sqrt([_variances(spread) for spread in spreads])
+        self.present = np.array([*self._largest(covariances), *(s for beam in listed for s in _present_beam(beam))])
         self.fixed = np.array([self._beam_variances(posture, "", np.zeros(6)) for posture in postures])
         self.weights = np.array([self._weights(posture) for posture in postures])
 
-    def _present_joints(self, chain: Chain) -> list[float]:
-        """Return the largest uncertainty over the postures of each joint: angles and translations in turn."""
+    def _present_covariances(self, chain: Chain) -> list[dict[str, FloatArray]]:
+        """Return the covariances of the joints in each posture, (6, 6) each, ROS order, by name."""
         calibrations = {name: self._arm.calibration(name) for name in self._joints}
-        totals = []
-        for posture in self._postures:
-            random, systematic = model_covariances(calibrations, chain, posture)
-            totals.append([np.diagonal(random[name] + systematic[name]).reshape(2, 3) for name in self._joints])
-        sigmas = np.sqrt(np.max(np.mean(totals, axis=3), axis=0))
+        models = [model_covariances(calibrations, chain, posture) for posture in self._postures]
+        return [{name: random[name] + systematic[name] for name in self._joints} for random, systematic in models]
+
+    def _largest(self, covariances: Sequence[Mapping[str, FloatArray]]) -> list[float]:
+        """Return the largest uncertainty of each joint over axes and postures: angles and translations in turn."""
+        variances = [[np.diagonal(each[name]).reshape(2, 3) for name in self._joints] for each in covariances]
+        sigmas = np.sqrt(np.max(variances, axis=(0, 3)))
         return [float(sigma) for translation, angle in sigmas for sigma in (angle, translation)]
 
     def _weights(self, posture: Mapping[str, float]) -> FloatArray:
@@ -188,7 +194,7 @@ def allot(arm: Arm, required: FloatArray, postures: Sequence[Mapping[str, float]
         tuple(postures),
         required,
         endpoint,
-        weights.endpoint(weights.present),
+        weights.before,
         np.asarray(own / endpoint[posture, axis] ** 2),
     )
 
@@ -274,13 +280,9 @@ def _is_uncertain(beam: BeamFile) -> bool:
 
 
 def _present_beam(beam: BeamFile) -> tuple[float, float]:
-    """Return the root mean square of the uncertainties of orientation and of position."""
+    """Return the largest uncertainties of orientation and of position of three axes each."""
     uncertainty = beam.uncertainty
-    angle, position = (
-        float(np.sqrt(np.mean(np.square(quantity.array))))
-        for quantity in (uncertainty.orientation, uncertainty.position)
-    )
-    return angle, position
+    return float(np.max(uncertainty.orientation.array)), float(np.max(uncertainty.position.array))
 
 
 def _variances(spread: Spread) -> FloatArray:

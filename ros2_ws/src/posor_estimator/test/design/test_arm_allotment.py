@@ -16,7 +16,7 @@ from posor_estimator.design.arm_output import joint_requirements, urdf_with_gaps
 from posor_estimator.design.design_command import main
 from posor_estimator.design.requirement import load_requirement
 from posor_estimator.errors import DesignError
-from posor_estimator.uncertainty.endpoint_budget import configurations, endpoint_budget, monte_carlo
+from posor_estimator.uncertainty.endpoint_budget import configurations, endpoint_budget, model_covariances, monte_carlo
 
 ARM_FILE = Path(__file__).resolve().parents[3] / "posor_bringup" / "arms" / "five_axis" / "arm.yaml"
 REQUIRED = np.array([15e-6] * 3 + [8e-6] * 3)
@@ -72,6 +72,28 @@ def test_no_other_allotment_within_the_requirement_has_less_effort(rng: np.rando
         other /= low
         if np.all(weights.endpoint(other) <= REQUIRED * (1.0 + 1e-9)):
             assert np.sum(own.present / other) >= least * (1.0 - 1e-6)
+
+
+def test_the_present_uncertainty_of_a_part_is_that_of_its_worst_axis() -> None:
+    own, calibrations = allotment(), {name: arm().calibration(name) for name in arm().calibrations}
+    present = {(group.part, group.what): sigma for group, sigma in zip(own.groups, own.present, strict=True)}
+    models = [model_covariances(calibrations, arm().chain(), posture) for posture in own.postures]
+    for name in calibrations:
+        sigmas = np.max(
+            [np.sqrt(np.diagonal(random[name] + systematic[name])) for random, systematic in models], axis=0
+        )
+        assert present[name, "translations"] == pytest.approx(np.max(sigmas[:3]))
+        assert present[name, "angles"] == pytest.approx(np.max(sigmas[3:]))
+
+
+def test_the_present_endpoint_is_that_of_its_budget_axis_by_axis() -> None:
+    calibrations = {name: arm().calibration(name) for name in arm().calibrations}
+    for posture, before in zip(allotment().postures, allotment().before, strict=True):
+        random, systematic = model_covariances(calibrations, arm().chain(), posture)
+        covariances = {name: random[name] + systematic[name] for name in calibrations}
+        spread = endpoint_budget(arm().chain(), posture, covariances).spread
+        np.testing.assert_allclose(before, [*spread.displacement, *spread.orientation], rtol=1e-9)
+        assert before[5] > 1.2 * before[3]  # theta of a POSOR is less certain than alpha
 
 
 def test_longer_levers_get_smaller_angles() -> None:
