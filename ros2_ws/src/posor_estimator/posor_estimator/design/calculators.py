@@ -3,12 +3,20 @@
 A calculator is a function. Each argument has a type of ``units.py``, or is a tuple of them; an argument with a default
 may be left out. The result is a frozen dataclass with fields of the same types. The first line of the docstring is the
 summary, and a line that begins with ``Source:`` names the equation or the section.
+
+A calculator refuses what it cannot compute, such as a length of 1e30 in: ``load_calculator`` is the place of this rule.
 """
 
 from __future__ import annotations
 
+import math
+from functools import cache, wraps
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from posor_estimator.errors import ParameterError, PosorError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -46,8 +54,39 @@ CALCULATORS = {
 """Module and function of each calculator by the name that ``posor design`` gives it."""
 
 
+@cache
 def load_calculator(name: str) -> Callable[..., Any]:
-    """Import the function of a calculator."""
+    """Import the function of a calculator; it raises a ParameterError where its numbers exceed the floating point."""
     module, function = CALCULATORS[name]
-    loaded: Callable[..., Any] = getattr(import_module(f"posor_estimator.design.{module}"), function)
-    return loaded
+    calculate: Callable[..., Any] = getattr(import_module(f"posor_estimator.design.{module}"), function)
+
+    @wraps(calculate)
+    def checked(*arguments: Any, **named: Any) -> Any:
+        try:
+            with np.errstate(over="raise", divide="raise", invalid="raise"):
+                result = calculate(*arguments, **named)
+        except PosorError:
+            raise
+        # A ValueError: math, numpy.linalg and scipy.optimize report by it that a number or a matrix is degenerate.
+        except (ArithmeticError, ValueError) as error:
+            raise _no_solution(name) from error
+        if not all(map(_is_finite, vars(result).values())):
+            raise _no_solution(name)
+        return result
+
+    return checked
+
+
+def _no_solution(name: str) -> ParameterError:
+    return ParameterError(
+        "no solution for these arguments",
+        where=f"design {name}",
+        expected="quantities of a usual size; check the units",
+    )
+
+
+def _is_finite(value: Any) -> bool:
+    """Return whether all numbers of a field are finite."""
+    if isinstance(value, tuple):
+        return all(map(_is_finite, value))
+    return not isinstance(value, float) or math.isfinite(value)

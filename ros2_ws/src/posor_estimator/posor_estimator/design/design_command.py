@@ -11,7 +11,7 @@ import sys
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 from posor_estimator.design.calculator_signature import read_signature
 from posor_estimator.design.calculators import CALCULATORS
@@ -45,6 +45,19 @@ PROGRAMS: dict[str, DesignProgram] = {
 _VALUES = """\
 VALUE is a number with a unit, such as '60 in' or '10.6e6 psi', or several with commas between them; without a unit it
 has the unit in brackets. Write a negative value as --name=-3."""
+
+
+class CalculatorParser(CommandLineParser):
+    """Parser of the arguments of a calculator, which may be negative quantities."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise a ParameterError; argparse takes ``-2in`` for an option."""
+        option, found, _ = message.removeprefix("argument ").partition(": expected one argument")
+        if found:
+            raise ParameterError(
+                f"{option} has no value", where=self.prog, expected=f"a value; a negative one such as {option}=-2in"
+            )
+        super().error(message)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -103,12 +116,12 @@ def run_calculator(signature: CalculatorSignature, arguments: Sequence[str]) -> 
         _write(options["html"], render_design_page(signature, values, results))
 
 
-def build_parser(signature: CalculatorSignature) -> CommandLineParser:
+def build_parser(signature: CalculatorSignature) -> CalculatorParser:
     """Return the parser of the arguments of a calculator."""
     results = "\n".join(
         f"  {each.name}: {each.description.rstrip('.')} [{name_kind(each.kind)}]" for each in signature.results
     )
-    parser = CommandLineParser(
+    parser = CalculatorParser(
         prog=f"design {signature.name}",
         description=f"{signature.summary}.\n\n{signature.description}".rstrip(),
         epilog=f"{_VALUES}\n\nresults:\n{results}\n\nSource: {signature.source}\n\nExample:\n  {signature.example}",
@@ -147,8 +160,9 @@ def _json_values(fields: Sequence[Value], values: dict[str, Any]) -> dict[str, A
 
 
 def _write(path: Path, text: str) -> None:
+    if not path.parent.exists():
+        raise OutputError(f"the folder {path.parent} does not exist", where=str(path), expected="an existing folder")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise OutputError(f"cannot be written: {error.strerror}", where=str(path)) from error

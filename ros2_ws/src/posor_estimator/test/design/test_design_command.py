@@ -14,6 +14,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
 
+import numpy as np
 import posor_estimator.design
 import pytest
 from posor_estimator.design.calculator_signature import CalculatorSignature, read_signature
@@ -21,6 +22,7 @@ from posor_estimator.design.calculators import CALCULATORS, load_calculator
 from posor_estimator.design.design_command import PROGRAMS, build_parser, list_calculators, main
 from posor_estimator.design.unit_expression import parse_unit
 from posor_estimator.design.value_kinds import name_kind, summarise_value, unit_of
+from posor_estimator.errors import ParameterError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -53,7 +55,7 @@ def test_the_list_has_every_calculator(capsys: pytest.CaptureFixture[str]) -> No
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_calculator_runs_from_its_example(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    figures, page = tmp_path / "new" / "result.json", tmp_path / "result.html"
+    figures, page = tmp_path / "result.json", tmp_path / "result.html"
     assert main([*example_of(name), "--json", str(figures), "--html", str(page)]) == 0
     printed = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
     signature, content = signature_of(name), json.loads(figures.read_text(encoding="utf-8"))
@@ -142,6 +144,10 @@ def test_calculators_need_no_ros() -> None:
             "angle: 1.5708 rad; expected",
         ),
         (
+            ["abbe-error", "--offset", "-2in", "--angle", "1"],
+            "design abbe-error: --offset has no value; expected a value; a negative one such as --offset=-2in.\n",
+        ),
+        (
             ["fibre-lever", "--receivers", "six"],
             "design fibre-lever, --receivers: 'six' is not a whole number; expected",
         ),
@@ -168,6 +174,52 @@ def test_a_file_that_cannot_be_written_is_one_sentence(
     (tmp_path / "file").touch()
     assert main([*example_of("abbe-error"), option, str(tmp_path / "file" / "x")]) == 1
     assert capsys.readouterr().err.startswith(f"{tmp_path}/file/x: cannot be written: ")
+
+
+@pytest.mark.parametrize("option", ["--json", "--html"])
+def test_a_folder_is_not_created(option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "new"
+    assert main([*example_of("abbe-error"), option, str(folder / "x")]) == 1
+    assert capsys.readouterr().err.startswith(f"{folder}/x: the folder {folder} does not exist; expected")
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "option", "value"),
+    [
+        ("beam-frequencies", "--length", "1e6m"),
+        ("cantilever-frequencies", "--wall", "1e-30 in"),
+        ("cantilever-frequencies", "--length", "1e30 in"),
+        ("aerostatic-bearing", "--diameter", "1e30 in"),
+        ("aerostatic-bearing", "--length", "1e-30 in"),
+        ("aerostatic-bearing", "--clearance", "1e30 in"),
+        ("aerostatic-bearing", "--orifice-radius", "1e-30 in"),
+    ],
+)
+def test_arguments_without_a_solution_are_refused(
+    name: str, option: str, value: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*example_of(name), option, value]) == 2
+    captured = capsys.readouterr()
+    assert captured.err == (
+        f"design {name}: no solution for these arguments; expected quantities of a usual size; check the units.\n"
+    )
+    assert not captured.out
+
+
+@pytest.mark.parametrize("extreme", [1e-300, 1e-30, 1e30, 1e300])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_result_is_finite_or_refused(name: str, extreme: float) -> None:
+    signature = signature_of(name)
+    options = vars(build_parser(signature).parse_args(example_of(name)[1:]))
+    arguments = {each.name: options[each.name] for each in signature.arguments}
+    for argument in [key for key, value in arguments.items() if isinstance(value, float)]:
+        try:
+            result = signature.function(**{**arguments, argument: extreme})
+        except ParameterError:
+            continue
+        numbers = [number for number in vars(result).values() if not isinstance(number, str)]
+        assert all(np.all(np.isfinite(number)) for number in numbers), argument
 
 
 def test_units_do_not_change_the_result(capsys: pytest.CaptureFixture[str]) -> None:
