@@ -33,9 +33,9 @@ from posor_estimator.design.arm_output import (
 )
 from posor_estimator.design.layout_search import LayoutSearch
 from posor_estimator.design.nearest_requirement import refuse
-from posor_estimator.design.posor_output import requirement_text, write_files
-from posor_estimator.design.quantity_text import parse_quantity, split_unit
-from posor_estimator.errors import OutputError, ParameterError, PosorError
+from posor_estimator.design.posor_output import output_folder, requirement_text, write_files
+from posor_estimator.design.quantity_text import parse_quantity_with_unit, split_unit
+from posor_estimator.errors import ParameterError, PosorError
 from posor_estimator.reporting.command_line_parser import CommandLineParser
 from posor_estimator.uncertainty.endpoint_budget import configurations
 
@@ -74,7 +74,7 @@ def _parser() -> CommandLineParser:
         "the last joint at 90 deg",
     )
     parser.add_argument("--layouts", action="store_true", help="also design the POSORs, and write the whole arm")
-    parser.add_argument("--output", type=Path, metavar="FOLDER", help="default: build/design/<name of the arm>")
+    parser.add_argument("--output", metavar="FOLDER", help="default: build/design/<name of the arm>")
     parser.add_argument("--force", action="store_true", help="replace files of an earlier design")
     return parser
 
@@ -89,7 +89,7 @@ def required_endpoint(options: argparse.Namespace) -> np.ndarray[tuple[int], np.
     values = {}
     for name, unit in (("displacement", "m"), ("orientation", "rad"), ("coverage_factor", "1")):
         where = f"{WHERE}, --{name.replace('_', '-')}"
-        values[name] = parse_quantity(getattr(options, name), unit, where)
+        values[name] = parse_quantity_with_unit(getattr(options, name), unit, where)
         if not values[name] > 0.0:
             raise ParameterError(getattr(options, name), where=where, expected="more than 0")
     factor = values["coverage_factor"]
@@ -112,7 +112,8 @@ def postures_of(texts: Sequence[str], joints: Sequence[str]) -> list[Mapping[str
         if len(entries) != len(joints):
             raise ParameterError(f"{len(entries)} angles", where=where, expected=f"{len(joints)}: {', '.join(joints)}")
         unit = split_unit(entries[-1])
-        angles = [parse_quantity(each if split_unit(each) else f"{each} {unit}", "rad", where) for each in entries]
+        with_units = (each if split_unit(each) else f"{each} {unit}".strip() for each in entries)
+        angles = [parse_quantity_with_unit(each, "rad", where) for each in with_units]
         postures.append(dict(zip(joints, angles, strict=True)))
     return postures
 
@@ -121,13 +122,15 @@ def design_arm_main(arguments: Sequence[str]) -> int:
     """Run the program; exit code 0: the requirement is allotted, and with ``--layouts`` every POSOR is designed."""
     try:
         options = _parser().parse_args(list(arguments))
-        required, arm = required_endpoint(options), load_arm(options.arm)
+        required = required_endpoint(options)
+        if not options.arm.is_file():
+            expected = "the path of an arm file (arm.yaml); 'posor bringup --help' lists the installed arms"
+            raise ParameterError("no such file", where=f"{WHERE}, {options.arm}", expected=expected)
+        arm = load_arm(options.arm)
         if options.layouts and arm.scenario is None:
             what = f"arm '{arm.name}' has no scenario"
             raise ParameterError(what, where=f"{WHERE}, --layouts", expected="an arm that can be simulated")
-        folder = options.output or Path("build/design") / arm.name
-        if (folder / JSON).exists() and not options.force:
-            raise OutputError(f"{JSON} exists already", where=str(folder), expected="another folder, or --force")
+        folder = output_folder(options.output, arm.name, JSON, force=options.force)
         joints = [joint.name for joint in arm.chain().joints]
         allotment = allot(arm, required, postures_of(options.posture, joints))
         requirements = joint_requirements(arm, allotment)

@@ -65,6 +65,7 @@ class SearchResult:
         trade_off: Those of them that no other one excels in size, accuracy, detectability and noise at once.
         chosen: The preferred one, verified at random poses; None: the requirement cannot be met.
         evaluations: Number of layouts whose uncertainty was computed.
+        preference: What the chosen one is best in.
 
     """
 
@@ -74,6 +75,7 @@ class SearchResult:
     trade_off: tuple[Candidate, ...]
     chosen: Candidate | None
     evaluations: int
+    preference: Preference
 
 
 def ratios(requirement: Requirement, candidate: Candidate) -> Ratios:
@@ -111,6 +113,7 @@ class LayoutSearch:
             tuple(trade_off(self.requirement, feasible)),
             self._choose(feasible, preference),
             self.evaluations,
+            preference,
         )
 
     def optimised(self, kind: LayoutKind) -> tuple[Shares, Candidate | None]:

@@ -22,10 +22,10 @@ from posor_estimator.design.posor_design_page import (
     uncertainty_rows,
     verdict,
 )
-from posor_estimator.design.posor_output import ARM_FILE, CALIBRATION, output_files, write_files
-from posor_estimator.design.quantity_text import parse_quantity
+from posor_estimator.design.posor_output import ARM_FILE, CALIBRATION, output_files, output_folder, write_files
+from posor_estimator.design.quantity_text import parse_quantity_with_unit
 from posor_estimator.design.requirement import FREEDOMS, VERSION, Requirement, load_requirement
-from posor_estimator.errors import OutputError, ParameterError, PosorError, similar_name
+from posor_estimator.errors import ParameterError, PosorError, similar_name
 from posor_estimator.reporting.command_line_parser import CommandLineParser
 from posor_estimator.uncertainty.budget_command import OUTPUT_FILES, compute_budget, write_budget
 from posor_estimator.uncertainty.budget_command import parse_options as parse_budget_options
@@ -80,7 +80,7 @@ def _parser() -> CommandLineParser:
     parser.add_argument(
         "--prefer", choices=PREFERENCES, default=PREFERENCES[0], help="of the chosen layout; default: electronics"
     )
-    parser.add_argument("--output", type=Path, metavar="FOLDER", help="default: build/design/<name>")
+    parser.add_argument("--output", metavar="FOLDER", help="default: build/design/<name>")
     parser.add_argument("--force", action="store_true", help="replace files of an earlier design")
     return parser
 
@@ -111,15 +111,18 @@ def _requirement_of_options(options: argparse.Namespace) -> Requirement:
     values: dict[str, float | None] = {}
     for name, (unit, default, _) in OPTIONS.items():
         text = getattr(options, _key(name)) or default
-        values[name] = parse_quantity(text, unit, f"{WHERE}, {name}") if text else None
+        values[name] = parse_quantity_with_unit(text, unit, f"{WHERE}, {name}") if text else None
     limits = {name: values["--translations" if unit == "m" else "--angles"] for name, unit in NATIVE}
     units = dict(NATIVE)
     for text in options.uncertainty:
         freedom, equals, quantity = text.partition("=")
-        if not equals or freedom not in limits:
+        if freedom not in limits:
             expected = similar_name(freedom, FREEDOMS, f"one of {', '.join(FREEDOMS)}, then = and a quantity")
             raise ParameterError(f"'{text}'", where=f"{WHERE}, --uncertainty", expected=expected)
-        limits[freedom] = parse_quantity(quantity, units[freedom], f"{WHERE}, --uncertainty {freedom}")
+        if not equals:
+            expected = f"{freedom}=QUANTITY, such as '{freedom}=2 u{units[freedom]}'"
+            raise ParameterError(f"'{text}'", where=f"{WHERE}, --uncertainty", expected=expected)
+        limits[freedom] = parse_quantity_with_unit(quantity, units[freedom], f"{WHERE}, --uncertainty {freedom}")
 
     def entry(name: str) -> dict[str, Any]:
         return {"value": values[name], "unit": OPTIONS[name][0]}
@@ -161,9 +164,7 @@ def design_posor_main(arguments: Sequence[str]) -> int:
     try:
         options = _parser().parse_args(list(arguments))
         requirement = requirement_of(options)
-        folder = options.output or Path("build/design") / requirement.name
-        if (folder / ARM_FILE).exists() and not options.force:
-            raise OutputError(f"{ARM_FILE} exists already", where=str(folder), expected="another folder, or --force")
+        folder = output_folder(options.output, requirement.name, ARM_FILE, force=options.force)
         errors = Console(stderr=True)
         with Progress(console=errors, transient=True, disable=not errors.is_terminal) as progress:
             task = progress.add_task("layouts", total=1.0)

@@ -131,10 +131,17 @@ def trade_off_rows(requirement: Requirement, candidates: Iterable[Candidate]) ->
 
 
 def verdict(result: SearchResult) -> str:
-    """Return the number of layouts in one sentence."""
+    """Return the number of layouts, and what the chosen one is best in, in two sentences."""
+    checked = sum(math.isfinite(each.fault) for each in result.feasible)
     return (
         f"{len(result.feasible)} layouts meet the requirement; {len(result.trade_off)} of them are not excelled by "
-        f"another one in size, accuracy, detectability and noise at once ({result.evaluations} layouts evaluated)."
+        f"another one in size, accuracy, detectability and noise at once ({result.evaluations} layouts evaluated). "
+        + (
+            f"In {checked} of them all readings are checked; these come first, and of these the chosen one is best in "
+            f"{result.preference}."
+            if checked
+            else f"In none of them are all readings checked; the chosen one is best in {result.preference}."
+        )
     )
 
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from posor_estimator.calibration.document_text import document_text
@@ -12,11 +14,10 @@ from posor_estimator.design.layout_search import objectives
 from posor_estimator.design.posor_design_page import render_posor_page
 from posor_estimator.design.posor_layout import CURRENT_SPAN, SPEED_RESERVE, VOLTAGE_SPAN
 from posor_estimator.design.requirement import FREEDOMS
-from posor_estimator.errors import OutputError
+from posor_estimator.errors import OutputError, ParameterError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
     from posor_estimator.design.layout_evaluation import Candidate
     from posor_estimator.design.layout_search import SearchResult
@@ -90,6 +91,34 @@ def output_files(result: SearchResult, chosen: Candidate) -> dict[str, str]:
         FIGURES: json.dumps(figures(result, chosen), indent=2) + "\n",
         PAGE: render_posor_page(result, chosen),
     }
+
+
+def output_folder(text: str | None, name: str, first: str, *, force: bool) -> Path:
+    """Return the folder of a design, checked before the search.
+
+    Args:
+        text: Option ``--output``; None: ``build/design/<name>``.
+        name: Name of the arm.
+        first: File that an earlier design left in its folder.
+        force: Whether an earlier design is replaced.
+
+    Raises:
+        ParameterError: The option is empty.
+        OutputError: The folder cannot be written, or holds an earlier design.
+
+    """
+    if text is not None and not text.strip():
+        raise ParameterError(f"'{text}'", where="--output", expected="a folder")
+    folder = Path("build/design") / name if text is None else Path(text)
+    try:
+        nearest = next(each for each in (folder, *folder.absolute().parents) if each.exists())
+        if not nearest.is_dir() or not os.access(nearest, os.W_OK | os.X_OK):
+            raise OutputError(f"cannot be written below {nearest}", where=str(folder), expected="a writable folder")
+        if (folder / first).exists() and not force:
+            raise OutputError(f"{first} exists already", where=str(folder), expected="another folder, or --force")
+    except OSError as error:
+        raise OutputError(f"cannot be written: {error.strerror}", where=str(folder)) from error
+    return folder
 
 
 def write_files(folder: Path, texts: Mapping[str, str], *, force: bool = False) -> None:

@@ -15,6 +15,8 @@ _QUANTITY = re.compile(
 _DIGITS = 5
 _LARGE_PREFIXES = frozenset(("Hz", "N", "Pa", "Ohm", "W"))
 _SMALL_PREFIXES = _LARGE_PREFIXES | {"m", "rad", "s", "V", "A", "F"}
+_EXAMPLES = {"m": ("mm", "um"), "rad": ("urad", "deg")}
+"""Units that an error proposes; for other SI units: themselves."""
 _STEP = 3
 """Digits between two prefixes."""
 
@@ -44,6 +46,25 @@ def parse_quantity(text: str, si: str, where: str) -> float:
     value = float(Decimal(match["number"]) / int(match["divisor"] or 1) * unit.factor / target.factor)
     if not math.isfinite(value):
         raise ParameterError(f"'{text}' is too large", where=where, expected=describe_unit(si))
+    return value
+
+
+def parse_quantity_with_unit(text: str, si: str, where: str) -> float:
+    """Return a quantity as ``parse_quantity``; unless the SI unit is ``1``, a number without unit is refused.
+
+    Args:
+        text: The quantity.
+        si: The SI unit of the result.
+        where: Name of the argument, for errors.
+
+    Raises:
+        ParameterError: The text has no unit, or is not a finite number with a unit of the same dimension.
+
+    """
+    value = parse_quantity(text, si, where)
+    if si != "1" and not split_unit(text):
+        examples = " or ".join(f"'{text.strip()} {unit}'" for unit in _EXAMPLES.get(si, (si,)))
+        raise ParameterError(f"'{text}'", where=where, expected=f"a number with a unit, such as {examples}")
     return value
 
 

@@ -52,4 +52,4 @@ def candidate(kind: LayoutKind = RING_OF_LIGHTS) -> Candidate:
 
 def result_of(requirement: Requirement, chosen: Candidate) -> SearchResult:
     """Return the result of a search that found one layout."""
-    return SearchResult(requirement, chosen, (chosen,), (chosen,), chosen, 1)
+    return SearchResult(requirement, chosen, (chosen,), (chosen,), chosen, 1, "electronics")

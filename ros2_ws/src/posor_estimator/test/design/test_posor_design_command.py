@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
+from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,6 +13,7 @@ import pytest
 from posor_estimator.calibration.calibration_file import load_calibration
 from posor_estimator.chain.arm_file import load_arm
 from posor_estimator.design.design_command import main
+from posor_estimator.design.posor_design_page import verdict
 from posor_estimator.design.posor_output import ARM_FILE, CALIBRATION, JOINT, output_files, write_files
 from posor_estimator.design.requirement import load_requirement
 from posor_estimator.errors import OutputError
@@ -18,11 +22,11 @@ from posor_estimator.estimation.posor import Posor
 from .layout_examples import BUMPS, RING_OF_LIGHTS, candidate, example, result_of
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from posor_estimator.design.layout_geometry import LayoutKind
 
 OPTIONS = ["--outside-diameter", "80 mm", "--translations", "2 um", "--angles", "20 urad"]
+
+FIVE_AXIS = Path(__file__).resolve().parents[3] / "posor_bringup" / "arms" / "five_axis" / "arm.yaml"
 
 
 @pytest.fixture
@@ -96,6 +100,14 @@ def test_the_command_writes_files_budget_and_page(tmp_path: Path, capsys: pytest
         ),
         ([*OPTIONS, "--inside-diameter", "90 mm"], "design posor, inside_diameter: 0.09 m; expected less than 0.08 m"),
         ([*OPTIONS, "--fault", "-1 um"], "design posor, minimum_detectable_fault: -1e-06 m; expected more than 0"),
+        (
+            [*OPTIONS, "--outside-diameter", "80"],
+            "--outside-diameter: '80'; expected a number with a unit, such as '80 mm'",
+        ),
+        ([*OPTIONS, "--speed", "2"], "--speed: '2'; expected a number with a unit, such as '2 rad/s'"),
+        ([*OPTIONS, "--uncertainty", "x=2"], "--uncertainty x: '2'; expected a number with a unit, such as '2 mm'"),
+        ([*OPTIONS, "--uncertainty", "x"], "--uncertainty: 'x'; expected x=QUANTITY, such as 'x=2 um'"),
+        ([*OPTIONS, "--uncertainty", "theta"], "'theta'; expected theta=QUANTITY, such as 'theta=2 urad'"),
         ([*OPTIONS, "--uncertainty", "teta=1 urad"], "--uncertainty: 'teta=1 urad'; expected perhaps 'theta'"),
         ([*OPTIONS, "--name", "two words"], "design posor, name: name 'two words'; expected a letter"),
         ([*OPTIONS, "--prefer", "speed"], "design posor: argument --prefer: invalid choice: 'speed'"),
@@ -112,6 +124,35 @@ def test_wrong_options_are_refused(
     assert main(["posor", *arguments, "--output", str(tmp_path / "out")]) in {1, 2}
     assert sentence in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("command", ["posor", "arm"])
+def test_a_folder_that_cannot_be_written_is_refused_before_the_search(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for searching in ("posor_design_command.LayoutSearch.run", "arm_design_command.allot"):
+        monkeypatch.setattr(f"posor_estimator.design.{searching}", None)  # a search would raise a TypeError
+    arm = ["arm", str(FIVE_AXIS), "--displacement", "20 um", "--orientation", "10 urad"]
+    arguments = arm if command == "arm" else ["posor", *OPTIONS]
+    assert main([*arguments, "--output", ""]) == 2
+    assert "--output: ''; expected a folder" in capsys.readouterr().err
+    (tmp_path / "file").write_text("kept", encoding="utf-8")
+    for output in ("file", "file/out", f"{tmp_path}/file/a/b"):
+        assert main([*arguments, "--output", output]) == 1
+        assert f"{output}: cannot be written below" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_the_verdict_states_why_a_layout_was_chosen() -> None:
+    checked = candidate()
+    unchecked = replace(checked, fault=math.inf, layout=replace(checked.layout, outside_diameter=0.064))
+    result = replace(result_of(example(), checked), feasible=(unchecked, checked), preference="size")
+    assert "In 1 of them all readings are checked; these come first, and of these the chosen one is best in size." in (
+        verdict(result)
+    )
+    none = replace(result, feasible=(unchecked,), chosen=unchecked)
+    assert "In none of them are all readings checked; the chosen one is best in size." in verdict(none)
 
 
 @pytest.mark.usefixtures("one_kind")

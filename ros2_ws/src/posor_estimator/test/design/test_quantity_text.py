@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from posor_estimator.design.quantity_text import format_quantity, parse_quantity
+from posor_estimator.design.quantity_text import format_quantity, parse_quantity, parse_quantity_with_unit
 from posor_estimator.errors import ParameterError
 
 
@@ -46,6 +46,22 @@ def test_a_wrong_quantity_is_refused(text: str, si: str, message: str) -> None:
         parse_quantity(text, si, "--size")
     assert caught.value.where == "--size"
     assert caught.value.exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "si", "examples"),
+    [
+        ("80", "m", "'80 mm' or '80 um'"),
+        ("5", "rad", "'5 urad' or '5 deg'"),
+        ("1000", "Hz", "'1000 Hz'"),
+        (" 2 ", "rad/s", "'2 rad/s'"),
+    ],
+)
+def test_a_quantity_without_unit_is_refused_where_a_unit_is_required(text: str, si: str, examples: str) -> None:
+    with pytest.raises(ParameterError, match=rf"^--size: '{text}'; expected a number with a unit, such as {examples}"):
+        parse_quantity_with_unit(text, si, "--size")
+    assert parse_quantity_with_unit(f"{text} {si}", si, "--size") == float(text)
+    assert parse_quantity_with_unit("2", "1", "--size") == 2.0
 
 
 @pytest.mark.parametrize(

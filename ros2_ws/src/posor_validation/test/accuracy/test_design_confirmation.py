@@ -52,7 +52,7 @@ def folder(tmp_path: Path, requirement: Requirement) -> Path:
     layout = arrange(requirement, KIND, 0.08, Shares(1.0, 0.0))
     assert layout is not None
     chosen = evaluate(requirement, KIND, layout, extreme_poses(requirement, layout.gap))
-    result = SearchResult(requirement, chosen, (chosen,), (chosen,), chosen, 1)
+    result = SearchResult(requirement, chosen, (chosen,), (chosen,), chosen, 1, "electronics")
     write_files(tmp_path / "design", output_files(result, chosen))
     return tmp_path / "design"
 
