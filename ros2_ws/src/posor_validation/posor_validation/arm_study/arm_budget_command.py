@@ -56,6 +56,11 @@ TITLES = {
 }
 
 
+def thesis_arm_path() -> Path:
+    """Return the file of the installed five-axis arm, the robot of thesis chapter 9."""
+    return share() / "arms" / "five_axis" / "arm.yaml"
+
+
 def spread_figures(spread: Spread | PrintedEndpoint) -> dict[str, float]:
     """Return the figures of a spread by the names of ``FIGURES``."""
     turns, shifts = (spread.orientation / URAD).tolist(), (spread.displacement / MICROINCH).tolist()
@@ -66,7 +71,7 @@ def arm_budget(arm: Arm, draws: int = DRAWS) -> dict[str, dict[str, Any]]:
     """Return the budgets of an arm, by configuration: ``extended`` and ``bent``.
 
     Each configuration has the figures of ``FIGURES`` by the source of the joints' accuracies: ``sensor_noise``,
-    ``sensor_models``, and ``thesis`` if the joints are those of the thesis' robot. Each source also has the
+    ``sensor_models``, and ``thesis`` if the arm is the installed five-axis arm. Each source also has the
     same figures by ``monte_carlo``, and ``contributions``. The configuration itself has the figures of ``thesis``, or
     else of ``sensor_models``; ``printed`` are the figures printed in the thesis.
 
@@ -83,7 +88,7 @@ def arm_budget(arm: Arm, draws: int = DRAWS) -> dict[str, dict[str, Any]]:
     joints = read_joints(data_path(JOINTS_FILE))
     printed = read_endpoint(data_path(ENDPOINT_FILE))
     names = [joint.name for joint in chain.joints]
-    is_thesis_robot = names == list(joints)
+    is_thesis_robot = arm.path.resolve() == thesis_arm_path().resolve()
     calibrations = {name: arm.calibration(name) for name in names}
     result: dict[str, dict[str, Any]] = {}
     for configuration, angles in configurations(names).items():
@@ -160,8 +165,9 @@ def parse_options(arguments: Sequence[str]) -> argparse.Namespace:
 
     """
     parser = CommandLineParser(prog="arm_budget", description="Error budget of an arm's endpoint.")
-    default = share() / "arms" / "five_axis" / "arm.yaml"
-    parser.add_argument("--arm", type=Path, default=default, metavar="ARM.yaml", help="default: the five-axis arm")
+    parser.add_argument(
+        "--arm", type=Path, default=thesis_arm_path(), metavar="ARM.yaml", help="default: the five-axis arm"
+    )
     parser.add_argument("--output", type=Path, metavar="FILE.json", help="file for the figures")
     parser.add_argument("--draws", type=int, default=DRAWS, help=f"draws of each Monte Carlo run (default: {DRAWS})")
     options = parser.parse_args(list(arguments))

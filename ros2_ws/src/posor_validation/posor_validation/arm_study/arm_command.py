@@ -126,12 +126,19 @@ def _checked_simulation(arm: Arm, options: Namespace) -> ArmSimulation:
     """Return the simulation of an arm with the options' driver parameters; the drivers refuse invalid parameters.
 
     Raises:
-        ParameterError: The arm is not simulated, or cannot be used with a controller.
+        ParameterError: The arm is not simulated, cannot be used with a controller, or has no beams and nothing else is
+            requested than the coverage.
 
     """
     if arm.driver.source != "simulated":
         raise ParameterError(
             f"source '{arm.driver.source}'", where=str(arm.path), expected="'simulated', whose truth is known"
+        )
+    if options.coverage_only and arm.beams is None:
+        raise ParameterError(
+            "has no beams file, without which no arms are drawn",
+            where=str(arm.path),
+            expected="an arm with beams, or no --coverage-only",
         )
     parameters = {name.removeprefix("simulated."): value for name, value in options.parameters}
     known = {name: bool(value) for name, value in parameters.items() if name in Imperfections.model_fields}

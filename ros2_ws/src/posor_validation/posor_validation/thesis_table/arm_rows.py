@@ -7,7 +7,6 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from posor_bringup.installed import share
 from posor_estimator.calibration.design_parts import INCH
 from posor_estimator.calibration.designs import PROBE_ACCURACY
 from posor_estimator.chain.arm_file import load_arm
@@ -15,7 +14,7 @@ from posor_estimator.reporting.figure_style import BLUE
 from posor_estimator.reporting.plot import Plot
 from posor_estimator.uncertainty.endpoint_budget import thesis_covariance
 
-from posor_validation.arm_study.arm_budget_command import FIGURES, THESIS, WHOLE, arm_budget
+from posor_validation.arm_study.arm_budget_command import FIGURES, THESIS, WHOLE, arm_budget, thesis_arm_path
 from posor_validation.arm_study.thesis_robot import CONFIGURATIONS, ENDPOINT_FILE, JOINTS_FILE
 from posor_validation.thesis_budgets.chapter5 import root_sum_square
 from posor_validation.thesis_data import URAD, data_path, parse_number, read_table
@@ -79,7 +78,7 @@ def plots() -> list[Plot]:
 @cache
 def _budget() -> Mapping[str, Mapping[str, Any]]:
     """Return the budgets of the five-axis arm; a single draw, because no row needs the Monte Carlo runs."""
-    return arm_budget(load_arm(share() / "arms" / "five_axis" / "arm.yaml"), draws=1)
+    return arm_budget(load_arm(thesis_arm_path()), draws=1)
 
 
 @cache

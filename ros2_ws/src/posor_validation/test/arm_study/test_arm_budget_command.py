@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -144,6 +145,14 @@ def test_arm_that_is_not_the_thesis_has_its_own_models_only() -> None:
         assert THESIS not in case
         assert "printed" not in case
         assert case["displacement_uin"] == case[WHOLE]["displacement_uin"]
+
+
+def test_a_copy_of_the_arm_of_the_thesis_may_differ_and_is_not_compared(tmp_path: Path) -> None:
+    folder = shutil.copytree(ARMS / "five_axis", tmp_path / "five_axis")
+    case = arm_budget(load_arm(folder / "arm.yaml"), 2)["extended"]
+    assert "printed" not in case
+    assert THESIS not in case
+    assert case["displacement_uin"] == case[WHOLE]["displacement_uin"]
 
 
 def test_program_prints_the_budget_and_writes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
