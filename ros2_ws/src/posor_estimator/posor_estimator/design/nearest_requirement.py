@@ -38,6 +38,8 @@ LARGEST_FACTOR = 64.0
 """Largest change of an entry that is tried."""
 STEPS = 7
 """Bisections of such a change."""
+EXCESSES = (0.0, *(0.01 * 2.0**n for n in range(8)))
+"""By how much more than the least change a value is relaxed until it is accepted; then quarters of the last step."""
 _UNITS = dict(NATIVE)
 _FAULT = "minimum_detectable_fault"
 
@@ -90,13 +92,15 @@ def _refuse_uncertainty(
 ) -> NoReturn:
     used, name = ratios(requirement, best), binding_constraint(requirement, best)
     changes: dict[str, float] = {}
-    nearest, slack = requirement, SLACK
+    nearest, slack, bound = requirement, SLACK, "at least"
     for _ in range(ATTEMPTS):
         changes = _relaxed(requirement, best, slack)
         nearest = _with_changes(requirement, changes)
         if LayoutSearch(nearest, progress).run().chosen is not None:
             break
         slack = 1.0 + 4.0 * (slack - 1.0)
+    else:
+        bound = "more than"
     if name == _FAULT:
         reached = "no reading of every layout is checked" if math.isinf(best.fault) else _length(best.fault)
         what = f"{_FAULT} {_length(requirement.fault)} is beyond every layout: the best one detects {reached}"
@@ -114,7 +118,7 @@ def _refuse_uncertainty(
     ways = ", ".join(f"{key} {format_quantity(value, _UNITS.get(key, 'm'))}" for key, value in changes.items())
     diameter = None if used.fault > 1.0 else _sufficient_diameter(requirement, best)
     larger = "" if diameter is None else f", or outside_diameter {_length(diameter)}"
-    raise DesignError(what, where=where, expected=f"at least {ways}, all else unchanged{larger}")
+    raise DesignError(what, where=where, expected=f"{bound} {ways}, all else unchanged{larger}")
 
 
 def binding_constraint(requirement: Requirement, candidate: Candidate) -> str:
@@ -162,7 +166,7 @@ def _sufficient_diameter(requirement: Requirement, best: Candidate) -> float | N
         return candidate is not None and ratios(larger, candidate).worst <= 1.0
 
     factor = _least_factor(requirement, entry, sufficient, 8.0)
-    return None if factor is None else _rounded_up(entry.value(requirement) * factor)
+    return None if factor is None else _verified(requirement, entry, factor, sufficient)
 
 
 def _refuse_geometry(requirement: Requirement, where: str) -> NoReturn:
@@ -179,9 +183,15 @@ def _refuse_geometry(requirement: Requirement, where: str) -> NoReturn:
     value = binding.value(requirement)
     ways = []
     for entry, factor in sorted(found.items(), key=lambda item: item[1]):
-        own = entry.value(requirement)
-        limit = _rounded_up(own * factor) if entry.larger else _rounded_down(own / factor)
-        ways.append(f"{entry.name} of {'at least' if entry.larger else 'at most'} {format_quantity(limit, entry.unit)}")
+        limit, bound = _verified(requirement, entry, factor, _sufficient), "at least" if entry.larger else "at most"
+        if limit is None:  # a layout fits, but is too uncertain
+            own = entry.value(requirement)
+            limit, bound = own * factor if entry.larger else own / factor, "more than" if entry.larger else "less than"
+            ways.append(
+                f"{entry.name} of {bound} {_short(limit, entry.unit)} with a weaker required uncertainty or fault"
+            )
+        else:
+            ways.append(f"{entry.name} of {bound} {format_quantity(limit, entry.unit)}")
     what = f"{binding.name} {format_quantity(value, binding.unit)}: no layout fits with this range of motion"
     raise DesignError(what, where=where, expected=f"{' or '.join(ways)}, all else unchanged")
 
@@ -204,6 +214,37 @@ def _least_factor(
         middle = 0.5 * (low + high)
         low, high = (low, middle) if relaxed(middle) else (middle, high)
     return math.exp(high)
+
+
+def _verified(
+    requirement: Requirement, entry: Relaxation, factor: float, accepts: Callable[[Requirement], bool]
+) -> float | None:
+    """Return the value, of three digits, nearest to one relaxed by a factor that is accepted; None: none is found."""
+    own, refused = entry.value(requirement), 0.0
+
+    def value(excess: float) -> float:
+        relaxed = factor * (1.0 + excess)
+        return _rounded_up(own * relaxed) if entry.larger else _rounded_down(own / relaxed)
+
+    def accepted(excess: float) -> bool:
+        return accepts(entry.changed(requirement, value(excess)))
+
+    for excess in EXCESSES:
+        if accepted(excess):
+            return value(next(float(each) for each in np.linspace(refused, excess, 5)[1:] if accepted(each)))
+        refused = excess
+    return None
+
+
+def _sufficient(requirement: Requirement) -> bool:
+    """Return whether a layout of the first simplex meets the requirement, with the reserve."""
+    search, diameter = LayoutSearch(requirement), requirement.outside_diameter.number
+    for kind in layout_kinds(requirement):
+        for shares in START:
+            candidate = search.candidate(kind, diameter, shares)
+            if candidate is not None and ratios(requirement, candidate).worst <= 1.0:
+                return True
+    return False
 
 
 def _usable(requirement: Requirement) -> bool:
@@ -233,4 +274,8 @@ def _rounded_down(value: float) -> float:
 
 
 def _length(value: float) -> str:
-    return format_quantity(float(f"{value:.4g}"), "m")
+    return _short(value, "m")
+
+
+def _short(value: float, unit: str) -> str:
+    return format_quantity(float(f"{value:.4g}"), unit)

@@ -154,6 +154,24 @@ def test_geometry_beyond_reach_is_refused_with_the_entry_that_must_change_least(
     assert not fits(worse * value)
 
 
+@pytest.mark.usefixtures("three_kinds")
+def test_the_advised_diameter_meets_the_whole_requirement() -> None:
+    tight = {"alpha": 8e-6, "beta": 8e-6}
+    requirement = example().changed(outside_diameter=0.03, uncertainty=tight)
+    match = re.search(r"outside_diameter of at least ([\d.]+) mm", refusal_of(requirement).expected)
+    assert match is not None
+    advised = 1e-3 * float(match[1])
+    assert LayoutSearch(requirement.changed(outside_diameter=advised)).run().chosen is not None
+    assert LayoutSearch(requirement.changed(outside_diameter=0.85 * advised)).run().chosen is None
+
+
+@pytest.mark.usefixtures("three_kinds")
+def test_a_diameter_that_fits_but_cannot_suffice_is_not_advised_as_sufficient() -> None:
+    requirement = example().changed(outside_diameter=0.03, uncertainty={"x": 1e-9})
+    expected = refusal_of(requirement).expected
+    assert re.match(r"outside_diameter of more than [\d.]+ mm with a weaker required uncertainty or fault", expected)
+
+
 def test_the_binding_constraint_is_the_one_that_is_used_most() -> None:
     own = candidate()
     tight = example().changed(uncertainty={"beta": float(own.sigmas[4]) / 2.0})
