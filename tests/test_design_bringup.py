@@ -60,7 +60,7 @@ def test_a_designed_posor_runs(tmp_path: Path, kind: LayoutKind, rotation: float
     layout = arrange(requirement, kind, 0.08, Shares(1.0, 0.0))
     assert layout is not None
     chosen = evaluate(requirement, kind, layout, extreme_poses(requirement, layout.gap))
-    result = SearchResult(requirement, chosen, (chosen,), (chosen,), chosen, 1)
+    result = SearchResult(requirement, chosen, (chosen,), (chosen,), chosen, 1, "electronics")
     write_files(tmp_path / "design", output_files(result, chosen))
     arm = load_checked_arm(str(tmp_path / "design"))
     command = [*installed("posor_bringup", "bringup"), str(arm.path), "--layout", "composed"]
