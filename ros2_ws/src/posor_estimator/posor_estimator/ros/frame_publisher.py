@@ -77,7 +77,9 @@ class FramePublisher:
         node.add_cleanup(node.destroy_timer, timer)
 
     def _publish(self) -> None:
-        """Publish the transforms of the newest scan with a pose, unless they were published before."""
+        """Publish the transforms of the newest scan with a pose, once, and only while there is a subscription."""
+        if not self._publisher.get_subscription_count():
+            return
         newest = self._newest()
         if newest is None or newest.stamp_ns == self._published_ns:
             return

@@ -138,7 +138,8 @@ class InputMonitor:
         self.silent_names: list[str] = []
         self.silent = ""
         node.diagnostics.add_refresh(self._refresh)
-        node.add_housekeeping(self.check)
+        node.add_graph_look(self._find_publishers)
+        node.add_input_look(self.check)
 
     def add(self, subscription: IntraProcessSubscription) -> None:
         """Watch a subscription until ``clear``."""
@@ -188,8 +189,6 @@ class InputMonitor:
         if not self._is_active:
             return
         now_s, limit_s = monotonic(), self._node.parameters.freshness.max_silence
-        for each in self._subscriptions:
-            each.find_publishers()
         several = self._several_publishers()
         missed = [each for each in self._subscriptions if each.take_missed_deadlines()]
         if missed:
@@ -206,6 +205,12 @@ class InputMonitor:
     def refusal(self, stamp_ns: int) -> str:
         """Return why a message with a stamp [ns] must not be used: several publishers, or the stamp; else empty."""
         return self._several_publishers() or self.stamp_limits.fault(stamp_ns)
+
+    def _find_publishers(self) -> None:
+        """Count the publishers of all topics."""
+        if self._is_active:
+            for each in self._subscriptions:
+                each.find_publishers()
 
     def _find_several(self) -> None:
         """Keep the sentence on several publishers of a topic until shortly after only one of them is left."""
@@ -226,9 +231,10 @@ class InputMonitor:
         return self.several
 
     def _refresh(self) -> None:
-        """Discard the anomalies of the last second; the next check reports again, with present ages."""
+        """Discard the anomalies of the last second and report again, with present ages."""
         self._notes.clear()
         self._reported = None
+        self.check()
 
     def _report(self, level: Level, text: str, key: tuple[str, ...] | None) -> None:
         self._reported = key

@@ -47,6 +47,6 @@ class InputWatch:
                 self._periods.append((arrived_s - self._counted_s) / (arrivals - self._counted))
             self._counted, self._counted_s = arrivals, arrived_s
         age_s = now_s - arrived_s
-        if age_s <= max(limit_s, SILENT_PERIODS * median(self._periods) if self._periods else 0.0):
+        if age_s <= limit_s or (self._periods and age_s <= SILENT_PERIODS * median(self._periods)):
             return ""
         return f"no input on {self.name} {'for' if arrivals else 'since activation,'} {age_s:.2f} s"

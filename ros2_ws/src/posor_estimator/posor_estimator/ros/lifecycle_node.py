@@ -35,7 +35,10 @@ if TYPE_CHECKING:
     from rclpy.waitable import Waitable
 
 HOUSEKEEPING_S = 0.08
-"""Time between two looks at the events of publishers and subscriptions, and at the inputs."""
+"""Time between two looks at the inputs."""
+GRAPH_LOOK = 4
+"""Every so many of these looks, the node also looks at the events of its publishers and subscriptions, and at the
+publishers of its topics: calls into ROS, which may wait for the interpreter lock."""
 STATUS_CHANGES = ("total_count_change", "current_count_change", "alive_count_change", "not_alive_count_change")
 """Fields of the events, not zero after a change."""
 LISTENERS_STATUS = "listeners"
@@ -62,6 +65,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         exit_requested: Whether the node wants its program to end.
         qos_overrides: The user's changes of the quality of service of single topics.
         may_publish: Whether the node is active or being activated; publishers are silent otherwise.
+        housekeeping_timer: Calls ``keep_house`` every ``HOUSEKEEPING_S``.
 
     """
 
@@ -117,9 +121,11 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         self.timing = Timing(timing_status, self.get_clock(), lambda: self.parameters.limits)
         self.diagnostics.add_refresh(self.timing.report)
         self._listener_counts: dict[str, int] = {}
-        self._housekeeping: list[Callable[[], None]] = [self._take_events]
+        self._input_looks: list[Callable[[], None]] = []
+        self._graph_looks: list[Callable[[], None]] = [self._take_events]
+        self._looks = 0
         clock = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(HOUSEKEEPING_S, lambda: run_when_idle(self._keep_house), clock=clock)
+        self.housekeeping_timer = self.create_timer(HOUSEKEEPING_S, lambda: run_when_idle(self.keep_house), clock=clock)
 
     def _open_lifecycle(self) -> None:
         """Create the state machine; without ``allow_changes``, keep only the services that read parameters.
@@ -207,14 +213,26 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         """Register a function that undoes a part of ``configure``; the last one runs first."""
         self._cleanups.callback(cleanup, *arguments)
 
-    def add_housekeeping(self, work: Callable[[], None]) -> None:
-        """Have the executor call a function every ``HOUSEKEEPING_S``, between two ticks; it must be short."""
-        self._housekeeping.append(work)
+    def add_input_look(self, look: Callable[[], None]) -> None:
+        """Have the executor call a function every ``HOUSEKEEPING_S``, between two ticks.
 
-    def _keep_house(self) -> None:
-        # One timer for all: to wake the executor each time costs more than the work itself.
-        for work in self._housekeeping:
-            work()
+        It must be short and must not call into ROS.
+        """
+        self._input_looks.append(look)
+
+    def add_graph_look(self, look: Callable[[], None]) -> None:
+        """Have the executor call a function every ``GRAPH_LOOK`` looks at the inputs, before them."""
+        self._graph_looks.append(look)
+
+    def keep_house(self) -> None:
+        """Look at the inputs and, at times, at the graph.
+
+        The timer of the node calls it. A program of several nodes calls it for all of them at once and cancels their
+        timers: to wake the executor costs more than the looks.
+        """
+        self._looks += 1
+        for look in (*(self._graph_looks if self._looks % GRAPH_LOOK == 0 else ()), *self._input_looks):
+            look()
 
     def add_change_service(self, name: str, callback: Callable[[Any, Any], Any]) -> None:
         """Open the service ``~/name`` (std_srvs/Trigger), which changes state, until the clean-up.

@@ -6,6 +6,7 @@ import re
 import signal
 import sys
 from contextlib import ExitStack, closing, contextmanager
+from time import monotonic
 from typing import TYPE_CHECKING, Any, Self
 
 import rclpy
@@ -16,6 +17,8 @@ from rclpy.utilities import remove_ros_args, try_shutdown
 from posor_estimator.compilation import compile_kernels
 from posor_estimator.errors import NodeError, ParameterError, PosorError
 from posor_estimator.node_parameters import RealtimeParameters
+from posor_estimator.ros.idle_scheduler import run_when_idle
+from posor_estimator.ros.lifecycle_node import HOUSEKEEPING_S
 from posor_estimator.ros.realtime_process import (
     PROCESS_STATUS,
     ProcessHealth,
@@ -209,10 +212,15 @@ class NodeGroup:
                     return
                 with _name_node_in_errors(node, location, several=several):
                     node.start()
+                node.housekeeping_timer.cancel()
             prepare_heap()
             manager.report_ready()
+            next_look_s = 0.0
             while self._locations and not stop():
-                executor.spin_once(timeout_sec=SPIN_TIMEOUT_S)
+                executor.spin_once(timeout_sec=HOUSEKEEPING_S)
+                if (now_s := monotonic()) >= next_look_s:
+                    next_look_s = now_s + HOUSEKEEPING_S
+                    run_when_idle(self._keep_house)
                 manager.report_alive()
                 for node in [node for node in self._locations if node.exit_requested]:
                     leave_executor(node)
@@ -220,6 +228,10 @@ class NodeGroup:
                     with _name_node_in_errors(node, lambda _: "", several=several):
                         node.stop()
                         node.raise_failure()
+
+    def _keep_house(self) -> None:
+        for node in self._locations:
+            node.keep_house()
 
     def _report_process_health(self) -> None:
         """Apply the real-time settings; the first node reports the refusals."""
