@@ -239,12 +239,7 @@ class Schema:
     def _encode_fields(self, out: bytearray, fields: Sequence[Field], values: Mapping[str, Value]) -> None:
         for field in fields:
             value = values.get(field.path)
-            if value is None:
-                value = field.default
-            if field.code == "s" and field.kind is Kind.ONE:
-                _append_text(out, value)
-            else:
-                self._encode_field(out, field, value)
+            self._encode_field(out, field, field.default if value is None else value)
 
     def _encode_field(self, out: bytearray, field: Field, value: Value) -> None:
         elements = [value] if field.kind is Kind.ONE else value
@@ -262,7 +257,9 @@ class Schema:
             _append(out, field.code, elements)
             return
         for text in elements:
-            _append_text(out, text)
+            encoded = text.encode("utf-8") + b"\x00"
+            _append_length(out, len(encoded))
+            out += encoded
 
 
 class _Walk:
@@ -357,11 +354,6 @@ def _values_of(message: Any, fields: Iterable[Field]) -> dict[str, Value]:
 
 def _append_length(out: bytearray, length: int) -> None:
     out += bytes((BODY - len(out)) % 4) + length.to_bytes(4, "little")
-
-
-def _append_text(out: bytearray, text: str) -> None:
-    encoded = text.encode("utf-8")
-    out += bytes(-len(out) % 4) + (len(encoded) + 1).to_bytes(4, "little") + encoded + b"\x00"
 
 
 def _append(out: bytearray, code: str, elements: Sequence[Value]) -> None:
