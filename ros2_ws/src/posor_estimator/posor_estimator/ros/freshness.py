@@ -121,7 +121,7 @@ class InputMonitor:
 
         Args:
             node: The node.
-            on_check: Called after each check (``HOUSEKEEPING_S``) with whether the report has changed or is repeated
+            on_check: Called after each check (``INPUT_CHECK_S``) with whether the report has changed or is repeated
                 after another second.
 
         """
@@ -138,8 +138,8 @@ class InputMonitor:
         self.silent_names: list[str] = []
         self.silent = ""
         node.diagnostics.add_refresh(self._refresh)
-        node.add_graph_look(self._find_publishers)
-        node.add_input_look(self.check)
+        node.add_graph_check(self._find_publishers)
+        node.add_input_check(self.check)
 
     def add(self, subscription: IntraProcessSubscription) -> None:
         """Watch a subscription until ``clear``."""

@@ -34,11 +34,11 @@ if TYPE_CHECKING:
     from rclpy.subscription import Subscription
     from rclpy.waitable import Waitable
 
-HOUSEKEEPING_S = 0.08
-"""Time between two looks at the inputs."""
-GRAPH_LOOK = 4
-"""Every so many of these looks, the node also looks at the events of its publishers and subscriptions, and at the
-publishers of its topics: calls into ROS, which may wait for the interpreter lock."""
+INPUT_CHECK_S = 0.08
+"""Time between two checks of the inputs."""
+GRAPH_CHECK_EVERY = 4
+"""With every so many of these checks the node also takes the events of its publishers and subscriptions and counts the
+publishers of its topics. These are calls into ROS, after which the thread waits for the interpreter lock."""
 STATUS_CHANGES = ("total_count_change", "current_count_change", "alive_count_change", "not_alive_count_change")
 """Fields of the events, not zero after a change."""
 LISTENERS_STATUS = "listeners"
@@ -65,7 +65,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         exit_requested: Whether the node wants its program to end.
         qos_overrides: The user's changes of the quality of service of single topics.
         may_publish: Whether the node is active or being activated; publishers are silent otherwise.
-        housekeeping_timer: Calls ``keep_house`` every ``HOUSEKEEPING_S``.
+        check_timer: Calls ``run_checks`` every ``INPUT_CHECK_S``; see there.
 
     """
 
@@ -121,11 +121,11 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         self.timing = Timing(timing_status, self.get_clock(), lambda: self.parameters.limits)
         self.diagnostics.add_refresh(self.timing.report)
         self._listener_counts: dict[str, int] = {}
-        self._input_looks: list[Callable[[], None]] = []
-        self._graph_looks: list[Callable[[], None]] = [self._take_events]
-        self._looks = 0
+        self._input_checks: list[Callable[[], None]] = []
+        self._graph_checks: list[Callable[[], None]] = [self._take_events]
+        self._check_number = 0
         clock = Clock(clock_type=ClockType.STEADY_TIME)
-        self.housekeeping_timer = self.create_timer(HOUSEKEEPING_S, lambda: run_when_idle(self.keep_house), clock=clock)
+        self.check_timer = self.create_timer(INPUT_CHECK_S, lambda: run_when_idle(self.run_checks), clock=clock)
 
     def _open_lifecycle(self) -> None:
         """Create the state machine; without ``allow_changes``, keep only the services that read parameters.
@@ -213,26 +213,26 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         """Register a function that undoes a part of ``configure``; the last one runs first."""
         self._cleanups.callback(cleanup, *arguments)
 
-    def add_input_look(self, look: Callable[[], None]) -> None:
-        """Have the executor call a function every ``HOUSEKEEPING_S``, between two ticks.
+    def add_input_check(self, check: Callable[[], None]) -> None:
+        """Have the executor's thread call a short function every ``INPUT_CHECK_S``; it must not call into ROS."""
+        self._input_checks.append(check)
 
-        It must be short and must not call into ROS.
+    def add_graph_check(self, check: Callable[[], None]) -> None:
+        """Have the executor's thread call a function before every ``GRAPH_CHECK_EVERY``th check of the inputs."""
+        self._graph_checks.append(check)
+
+    def run_checks(self) -> None:
+        """Check the inputs and, at times, the graph.
+
+        A `NodeGroup` calls it for all of its nodes at once and cancels their timers: to wake the executor costs more
+        than the checks. The timer serves a node in another executor.
         """
-        self._input_looks.append(look)
-
-    def add_graph_look(self, look: Callable[[], None]) -> None:
-        """Have the executor call a function every ``GRAPH_LOOK`` looks at the inputs, before them."""
-        self._graph_looks.append(look)
-
-    def keep_house(self) -> None:
-        """Look at the inputs and, at times, at the graph.
-
-        The timer of the node calls it. A program of several nodes calls it for all of them at once and cancels their
-        timers: to wake the executor costs more than the looks.
-        """
-        self._looks += 1
-        for look in (*(self._graph_looks if self._looks % GRAPH_LOOK == 0 else ()), *self._input_looks):
-            look()
+        self._check_number += 1
+        if self._check_number % GRAPH_CHECK_EVERY == 0:
+            for check in self._graph_checks:
+                check()
+        for check in self._input_checks:
+            check()
 
     def add_change_service(self, name: str, callback: Callable[[Any, Any], Any]) -> None:
         """Open the service ``~/name`` (std_srvs/Trigger), which changes state, until the clean-up.

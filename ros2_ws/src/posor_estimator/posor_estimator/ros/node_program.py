@@ -18,7 +18,7 @@ from posor_estimator.compilation import compile_kernels
 from posor_estimator.errors import NodeError, ParameterError, PosorError
 from posor_estimator.node_parameters import RealtimeParameters
 from posor_estimator.ros.idle_scheduler import run_when_idle
-from posor_estimator.ros.lifecycle_node import HOUSEKEEPING_S
+from posor_estimator.ros.lifecycle_node import INPUT_CHECK_S
 from posor_estimator.ros.realtime_process import (
     PROCESS_STATUS,
     ProcessHealth,
@@ -212,15 +212,15 @@ class NodeGroup:
                     return
                 with _name_node_in_errors(node, location, several=several):
                     node.start()
-                node.housekeeping_timer.cancel()
+                node.check_timer.cancel()
             prepare_heap()
             manager.report_ready()
-            next_look_s = 0.0
+            next_check_s = 0.0
             while self._locations and not stop():
-                executor.spin_once(timeout_sec=HOUSEKEEPING_S)
-                if (now_s := monotonic()) >= next_look_s:
-                    next_look_s = now_s + HOUSEKEEPING_S
-                    run_when_idle(self._keep_house)
+                executor.spin_once(timeout_sec=INPUT_CHECK_S)
+                if (now_s := monotonic()) >= next_check_s:
+                    next_check_s = now_s + INPUT_CHECK_S
+                    run_when_idle(self._run_checks)
                 manager.report_alive()
                 for node in [node for node in self._locations if node.exit_requested]:
                     leave_executor(node)
@@ -229,9 +229,9 @@ class NodeGroup:
                         node.stop()
                         node.raise_failure()
 
-    def _keep_house(self) -> None:
+    def _run_checks(self) -> None:
         for node in self._locations:
-            node.keep_house()
+            node.run_checks()
 
     def _report_process_health(self) -> None:
         """Apply the real-time settings; the first node reports the refusals."""
