@@ -188,6 +188,26 @@ def test_invalid_messages_are_refused_and_the_next_scan_is_estimated(scans: list
             publish_and_wait(data, words)
 
 
+def test_a_publisher_elsewhere_of_a_topic_of_this_process_is_an_error() -> None:
+    with NodeProcess() as process, Graph() as graph:
+        process.start(Source)
+        process.start(PosorEstimatorNode, parameters=POSOR)
+        graph.watch_diagnostics()
+
+        def wait_for(text: str) -> None:
+            def is_reported() -> bool:
+                status = graph.latest("/posor_node: input")
+                return status is not None and status.message == text
+
+            graph.wait_until(is_reported, text, process.spin_once)
+
+        wait_for("in time")
+        second = graph.node.create_publisher(RawScan, "/raw", KEEP_ALL_QOS)
+        wait_for("2 publishers on /raw; expected one")
+        graph.node.destroy_publisher(second)
+        wait_for("in time")
+
+
 def test_errors_are_published_by_the_executors_thread_and_logged_if_they_last(
     scans: list[bytes], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
