@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
 PUBLISHER_GONE_S = 0.2
 """Time after a second publisher has gone in which its last messages may still arrive [s]."""
-MAX_NOTES = 3
-"""Anomalies that are reported in a second; all are counted."""
 INPUT_STATUS = "input"
 """Name of the status line."""
+MISSING, REPEATED, BACKWARD = "numbers_missing", "scans_repeated", "numbers_backward"
+"""Kinds of scans out of order, as the diagnostics count them."""
 
 
 class StampLimits(NamedTuple):
@@ -79,9 +79,9 @@ class ScanOrder:
 
     def __init__(self) -> None:
         """Start with counts of zero."""
-        self.counts = {"numbers_missing": 0, "scans_repeated": 0, "numbers_backward": 0}
+        self.counts = {MISSING: 0, REPEATED: 0, BACKWARD: 0}
 
-    def describe(self, identity: tuple[int, int], last: tuple[int, int]) -> tuple[str, bool]:
+    def describe(self, identity: tuple[int, int], last: tuple[int, int]) -> tuple[str, str]:
         """Count a scan that is out of order.
 
         Args:
@@ -89,20 +89,20 @@ class ScanOrder:
             last: Of the scan before.
 
         Returns:
-            The sentence, empty for a scan in order, and whether the scan repeats the one before, which is then to be
-            dropped.
+            The kind and the sentence, both empty for a scan in order. A repeated scan is to be dropped.
 
         """
         number, last_number = identity[1], last[1]
         if identity == last:
-            self.counts["scans_repeated"] += 1
-            return f"scan {number} was repeated", True
+            self.counts[REPEATED] += 1
+            return REPEATED, f"scan {number} was repeated"
         if number <= last_number:
-            self.counts["numbers_backward"] += 1
-            return f"scan {number} came after scan {last_number}", False
-        missing = number - last_number - 1
-        self.counts["numbers_missing"] += missing
-        return f"{missing} scans are missing before scan {number}" if missing else "", False
+            self.counts[BACKWARD] += 1
+            return BACKWARD, f"scan {number} came after scan {last_number}"
+        if missing := number - last_number - 1:
+            self.counts[MISSING] += missing
+            return MISSING, f"scans missing before scan {number}: {missing}"
+        return "", ""
 
 
 class InputMonitor:
@@ -131,7 +131,8 @@ class InputMonitor:
         self._watches: list[InputWatch] = []
         self._subscriptions: list[IntraProcessSubscription] = []
         self._is_active = False
-        self._notes: list[str] = []
+        self._notes: dict[str, str] = {}
+        self._notes_of_this_second: dict[str, str] = {}
         self._reported: tuple[str, ...] | None = None
         self.several, self._several_until_s = "", math.inf
         self.stamp_limits = StampLimits.of(node.timing.now_ns, node.parameters.freshness)
@@ -165,7 +166,7 @@ class InputMonitor:
         self.stamp_limits = StampLimits.of(self._node.timing.now_ns, self._node.parameters.freshness)
         for watch in self._watches:
             watch.restart(monotonic())
-        self._notes.clear()
+        self._notes, self._notes_of_this_second = {}, {}
         self._is_active = True
 
     def stop(self) -> None:
@@ -174,11 +175,16 @@ class InputMonitor:
         self.silent = ""
         self._report(Level.OK, "not watched", None)
 
-    def note(self, text: str) -> None:
-        """Report an anomaly, such as a missing scan, as a warning for a second; at most ``MAX_NOTES`` of them."""
-        if len(self._notes) < MAX_NOTES:
-            self._notes.append(text)
-            self._report(Level.WARN, "; ".join(self._notes), None)
+    def note(self, kind: str, text: str) -> None:
+        """Report an anomaly, such as a missing scan, as a warning, until there was none of its kind for a second.
+
+        The first of a kind is reported at once, the last one of each second with the status lines of that second: a
+        host that misses ticks would else have each node publish at the highest rate.
+        """
+        self._notes_of_this_second[kind] = text
+        if kind not in self._notes:
+            self._notes[kind] = text
+            self._report_notes()
 
     def update(self, counts: dict[str, int]) -> None:
         """Update values of the status line."""
@@ -192,7 +198,7 @@ class InputMonitor:
         several = self._several_publishers()
         missed = [each for each in self._subscriptions if each.take_missed_deadlines()]
         if missed:
-            self.note(f"deadline missed on {', '.join(each.topic_name for each in missed)}")
+            self.note("deadline", f"deadline missed on {', '.join(each.topic_name for each in missed)}")
         silent = [(watch.name, text) for watch in self._watches if (text := watch.silence(now_s, limit_s))]
         self.silent, self.silent_names = "; ".join(text for _, text in silent), [name for name, _ in silent]
         key = (several, *self.silent_names) if several or silent else ()
@@ -231,10 +237,15 @@ class InputMonitor:
         return self.several
 
     def _refresh(self) -> None:
-        """Discard the anomalies of the last second and report again, with present ages."""
-        self._notes.clear()
+        """Report again: the anomalies of the last second, or the inputs with present ages."""
+        self._notes, self._notes_of_this_second = self._notes_of_this_second, {}
         self._reported = None
+        if self._notes:
+            self._report_notes()
         self.check()
+
+    def _report_notes(self) -> None:
+        self._report(Level.WARN, "; ".join(self._notes.values()), None)
 
     def _report(self, level: Level, text: str, key: tuple[str, ...] | None) -> None:
         self._reported = key

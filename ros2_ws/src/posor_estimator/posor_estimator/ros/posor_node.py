@@ -32,7 +32,7 @@ from posor_estimator.ros.alarm_rate import AlarmRate
 from posor_estimator.ros.cdr_scan import RAW_SCAN, scan_of
 from posor_estimator.ros.diagnostics import Level
 from posor_estimator.ros.endpoint_verdict import NOT_COUNTED, waits_to_be_counted
-from posor_estimator.ros.freshness import InputMonitor, ScanOrder
+from posor_estimator.ros.freshness import REPEATED, InputMonitor, ScanOrder
 from posor_estimator.ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_estimator.ros.lifecycle_node import PosorNode
 from posor_estimator.ros.message_classes import schema_of_class
@@ -40,7 +40,7 @@ from posor_estimator.ros.message_conversion import stamp_ns as stamp_ns_of
 from posor_estimator.ros.node_program import run_node
 from posor_estimator.ros.qos import RELIABLE_QOS, sensor_publisher_qos, sensor_subscription_qos
 from posor_estimator.ros.raw_scan_stream import RawScanStream
-from posor_estimator.ros.reliability_message import reliability_message
+from posor_estimator.ros.reliability_message import reliability_fields
 from posor_estimator.ros_names import RAW_TOPIC, RELIABILITY_TOPIC, TRANSFORM_TOPIC
 
 if TYPE_CHECKING:
@@ -219,7 +219,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self._count_from_next = False
         if self._stream is not None:
             self._stream.count_from_next(stated=False)
-        self._inputs.note("the call of ~/home is void, because no sound scan followed it at once")
+        self._inputs.note("home", "the call of ~/home is void, because no sound scan followed it at once")
 
     def _zero_gap_probes(self) -> str:
         """Shift the zero of the gap probes by the most recent scans (thesis 8.3.1)."""
@@ -255,7 +255,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             with self._lock:
                 self._posor.confirm_theta(theta, self.parameters.encoder.sigma)
         except PosorError as error:
-            self._inputs.note(f"{self.parameters.encoder.topic}: {error}")
+            self._inputs.note("encoder", f"{self.parameters.encoder.topic}: {error}")
 
     def _encoder_position(self, message: JointState) -> float:
         """Return the position of the encoder's joint [rad].
@@ -304,10 +304,10 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         if stream is None or (identity := stream.identity(data)) is None:
             return None
         if last := stream.last_identity():
-            text, is_repeated = self._order.describe(identity, last)
-            if text:
-                self._inputs.note(text)
-            if is_repeated:
+            kind, text = self._order.describe(identity, last)
+            if kind:
+                self._inputs.note(kind, text)
+            if kind == REPEATED:
                 return b""
         refusal = self._inputs.refusal(identity[0])
         return stream.refuse_message(data, refusal) if refusal else stream.estimate_message(data)
@@ -388,9 +388,9 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
                 return
             if self._stream is None or self._stream is not self._last_stream:
                 return  # a new estimator has seen no scan yet
-            message = reliability_message(self._posor, self._stream.last_scan())
-        if message is not None:
-            publisher.publish(schema_of_class(JointReliability).serialize(message))
+            fields = reliability_fields(self._posor, self._stream.last_scan())
+        if fields is not None:
+            publisher.publish(schema_of_class(JointReliability).encode(fields))
 
 
 def _format_status(state: int, faults: int, excess: str, counts: dict[str, Value], scan: EstimatedScan) -> StatusText:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from posor_msgs.msg import JointReliability
+from typing import TYPE_CHECKING, Any
 
 from posor_estimator.model.fault import Fault, State
 from posor_estimator.numerics.stamps import NS
@@ -16,18 +14,27 @@ if TYPE_CHECKING:
     from posor_estimator.ros.raw_scan_stream import EstimatedScan
 
 
-def reliability_message(posor: Posor, last: EstimatedScan) -> JointReliability | None:
-    """Return the reliability of a POSOR at its last estimate; None: that has no usable pose, or not from it alone."""
+def reliability_fields(posor: Posor, last: EstimatedScan) -> dict[str, Any] | None:
+    """Return the fields of a ``JointReliability`` at the last estimate of a POSOR.
+
+    Returns:
+        The fields by their paths; None: the estimate has no usable pose, or not from the readings alone.
+
+    """
     usable = last.estimate["state"] in {State.OK, State.DEGRADED}
     if last.refusal or not usable or last.estimate["faults"] & Fault.ILL_CONDITIONED:
         return None
     found = reliability(posor, last_sensitivity(posor))
     frames = posor.calibration.frames
-    message = JointReliability(child_frame_id=frames.child)
-    message.header.frame_id = frames.parent
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(last.stamp_ns, NS)
-    message.false_alarm, message.missed_detection = found.false_alarm, found.missed_detection
-    message.readings = list(found.names)
-    message.detectable_biases = found.biases.tolist()
-    message.undetected_shifts = found.shifts.ravel().tolist()
-    return message
+    sec, nanosec = divmod(last.stamp_ns, NS)
+    return {
+        "header.stamp.sec": sec,
+        "header.stamp.nanosec": nanosec,
+        "header.frame_id": frames.parent,
+        "child_frame_id": frames.child,
+        "false_alarm": found.false_alarm,
+        "missed_detection": found.missed_detection,
+        "readings": found.names,
+        "detectable_biases": found.biases,
+        "undetected_shifts": found.shifts.ravel(),
+    }

@@ -81,12 +81,12 @@ def test_missing_repeated_and_backward_numbers_are_counted() -> None:
     scans = [(1, 7), (2, 8), (2, 8), (3, 11), (4, 11), (5, 5), (6, 6)]
     seen = [order.describe(scan, last) for last, scan in pairwise(scans)]
     assert seen == [
-        ("", False),
-        ("scan 8 was repeated", True),
-        ("2 scans are missing before scan 11", False),
-        ("scan 11 came after scan 11", False),
-        ("scan 5 came after scan 11", False),
-        ("", False),
+        ("", ""),
+        ("scans_repeated", "scan 8 was repeated"),
+        ("numbers_missing", "scans missing before scan 11: 2"),
+        ("numbers_backward", "scan 11 came after scan 11"),
+        ("numbers_backward", "scan 5 came after scan 11"),
+        ("", ""),
     ]
     assert order.counts == {"numbers_missing": 2, "scans_repeated": 1, "numbers_backward": 2}
 
@@ -186,6 +186,34 @@ def test_scans_out_of_order_are_named_and_a_repeated_scan_is_dropped(rig: Rig) -
     for key, count in (("scans_repeated", 1), ("numbers_missing", 5), ("numbers_backward", 1)):
         rig.wait_for_count(key, count)
     assert sum(t.scan == sender.number for t in rig.transforms[before:]) <= 1
+
+
+def test_missing_scans_are_reported_once_a_second_until_none_is_missing(rig: Rig) -> None:
+    """A host that misses ticks all the time does not make the node publish at the highest rate."""
+
+    def reports() -> list[str]:
+        return [s.message for s in rig.graph.diagnostics if s.name == INPUT and s.level == WARN]
+
+    def send_with_gaps() -> None:
+        rig.sender.number += 1
+        rig.sender.send()
+        time.sleep(PERIOD_S)
+
+    begin_s = time.monotonic()
+    rig.graph.wait_until(lambda: len(set(reports())) > 2, "three reports", send_with_gaps)
+    end_s = time.monotonic()
+    assert end_s - begin_s > 0.9
+    assert all(re.fullmatch(r"scans missing before scan \d+: 1", text) for text in reports())
+
+    def is_in_time() -> bool:
+        status = rig.graph.latest(INPUT)
+        return status is not None and status.message == "in time"
+
+    def send() -> None:
+        rig.sender.send()
+        time.sleep(PERIOD_S)
+
+    rig.graph.wait_until(is_in_time, "the end of the warning", send)
 
 
 def test_two_publishers_are_an_error_and_their_scans_are_not_used(rig: Rig) -> None:
