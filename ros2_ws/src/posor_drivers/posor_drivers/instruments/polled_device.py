@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 
-LEAST_ANSWER_TIME_S = 0.25
+LEAST_ANSWER_TIME_S = 0.2
 """With the period of a device that is asked five times per second, a stall is known within half a second."""
 
 MOST_PERIODS = 3
@@ -33,8 +33,8 @@ class PolledSettings(DeviceSettings):
 
     @property
     def answer_time_s(self) -> float:
-        """Time limit of an answer [s]: a little more than a period, and at least 0.25 s."""
-        return max(LEAST_ANSWER_TIME_S, 1.2 / self.rate.number)
+        """Time limit of an answer [s]: a period, and at least 0.2 s."""
+        return max(LEAST_ANSWER_TIME_S, 1.0 / self.rate.number)
 
 
 SettingsT = TypeVar("SettingsT", bound=PolledSettings)
