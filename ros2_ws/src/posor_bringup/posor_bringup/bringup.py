@@ -32,7 +32,9 @@ def parse_options(arguments: Sequence[str]) -> Namespace:
         ParameterError: An option is unknown or its value is invalid.
 
     """
-    parser = CommandLineParser(prog="bringup", description="Start all nodes of an arm and watch them until Ctrl-C.")
+    parser = CommandLineParser(
+        prog="posor bringup", description="Start all nodes of an arm and watch them until Ctrl-C."
+    )
     parser.add_argument(
         "arm", metavar="ARM", help=f"path of an arm file, or name of an installed arm: {', '.join(installed_arms())}"
     )

@@ -50,7 +50,7 @@ def parse_options(arguments: Sequence[str]) -> Namespace:
         ParameterError: An option is unknown or its value is invalid.
 
     """
-    parser = CommandLineParser(prog="view", description="Show an arm on a web page of this host until Ctrl-C.")
+    parser = CommandLineParser(prog="posor view", description="Show an arm on a web page of this host until Ctrl-C.")
     parser.add_argument(
         "arm", metavar="ARM", help=f"path of an arm file, or name of an installed arm: {', '.join(installed_arms())}"
     )

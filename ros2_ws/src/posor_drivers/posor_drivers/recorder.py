@@ -189,7 +189,7 @@ def _single_type(topic: str, type_names: Sequence[str]) -> str:
 
 
 def _parse_arguments(arguments: Sequence[str]) -> Namespace:
-    parser = CommandLineParser(prog="record", description="Record topics into a rosbag2 bag until interrupted.")
+    parser = CommandLineParser(prog="posor record", description="Record topics into a rosbag2 bag until interrupted.")
     parser.add_argument("--output", type=Path, required=True, metavar="FOLDER", help="the bag; must not exist yet")
     text = "arm file of the recorded arm: the bag states the hashes of its calibrations, URDF and beams"
     parser.add_argument("--arm", type=Path, metavar="FILE.yaml", help=text)

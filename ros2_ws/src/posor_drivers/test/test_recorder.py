@@ -169,7 +169,7 @@ def test_invalid_command_line_is_refused_with_one_sentence(tmp_path: Path) -> No
         code, (sentence,) = refusal(*arguments)
         assert code == 2
         assert sentence.startswith("record: ")
-        assert sentence.endswith("expected options as 'record --help' lists them.")
+        assert sentence.endswith("expected options as 'posor record --help' lists them.")
     assert not (tmp_path / "bag").exists()
 
 

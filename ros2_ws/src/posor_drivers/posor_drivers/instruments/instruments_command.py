@@ -31,7 +31,7 @@ WATCH_S = 1.0
 
 
 def _parse_options(arguments: Sequence[str] | None) -> Namespace:
-    parser = CommandLineParser(prog="instruments", description="Show the devices of an instruments file.")
+    parser = CommandLineParser(prog="posor instruments", description="Show the devices of an instruments file.")
     actions = parser.add_subparsers(dest="action", required=True, parser_class=CommandLineParser)
     for name, summary in (
         ("list", "devices, channels and the readings made of them; connects to nothing"),

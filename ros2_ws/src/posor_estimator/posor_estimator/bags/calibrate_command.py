@@ -52,7 +52,7 @@ NOT_EXPLAINED = 3
 
 def make_parser() -> CommandLineParser:
     """Return the parser of the command line."""
-    parser = CommandLineParser(prog="calibrate", description="Fit a calibration file from recorded bags.")
+    parser = CommandLineParser(prog="posor calibrate", description="Fit a calibration file from recorded bags.")
     actions = parser.add_subparsers(dest="action", required=True, metavar="PROCEDURE|list|diff|check")
     actions.add_parser("list", help="list the procedures")
     diff = actions.add_parser("diff", help="compare two calibration files, in sigmas")

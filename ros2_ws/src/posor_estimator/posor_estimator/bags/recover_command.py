@@ -214,7 +214,8 @@ def _rescue(file: Path, target: _Output) -> Rescue:
 def parser() -> CommandLineParser:
     """Return the parser of the command line."""
     command = CommandLineParser(
-        prog="recover", description="Write the whole chunks of a damaged MCAP bag to a new bag, and say what is lost."
+        prog="posor recover",
+        description="Write the whole chunks of a damaged MCAP bag to a new bag, and say what is lost.",
     )
     text = "folder of a bag, with or without metadata.yaml, or its .mcap file; it is not changed"
     command.add_argument("bag", type=Path, metavar="BAG", help=text)

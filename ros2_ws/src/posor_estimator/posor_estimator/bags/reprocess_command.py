@@ -39,7 +39,7 @@ COVARIANCES = ("total", "random", "systematic")
 def parser() -> CommandLineParser:
     """Return the parser of the command line."""
     command = CommandLineParser(
-        prog="reprocess", description="From recorded raw scans to transforms and endpoint poses."
+        prog="posor reprocess", description="From recorded raw scans to transforms and endpoint poses."
     )
     command.add_argument("bags", type=Path, nargs="+", metavar="BAG", help="folder of a rosbag2 bag, or its file")
     command.add_argument("--arm", type=Path, metavar="FILE.yaml", help="arm file: URDF, beams and calibrations")

@@ -52,7 +52,7 @@ JSON, PAGE = "allotment.json", "allotment.html"
 
 def _parser() -> CommandLineParser:
     parser = CommandLineParser(
-        prog=WHERE,
+        prog=f"posor {WHERE}",
         description="Allot the required uncertainty of an arm's endpoint to its POSORs and measuring beams.",
         help_call=f"posor {WHERE} --help",
         allow_abbrev=False,

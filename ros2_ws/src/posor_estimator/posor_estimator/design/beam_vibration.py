@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 LEAST_DEGREE = 12
 DEGREES_PER_HALF_WAVE = 2
+LARGEST_ERROR = 1e-3
+"""Largest relative difference of a natural frequency from the Rayleigh quotient of its shape; rounding causes it."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +131,12 @@ class BeamModel:
         return int(np.argmin(np.abs(self.positions - at)))
 
     def modes(self, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return the lowest natural frequencies [rad/s], (count,), and their shapes, (count, 2 n)."""
+        """Return the lowest natural frequencies [rad/s], (count,), and their shapes, (count, 2 n).
+
+        Raises:
+            LinAlgError: The stiffness is singular, or so nearly that rounding decides a frequency.
+
+        """
         free = np.ix_(self._free, self._free)
         size = len(self._free)
         # The inverse problem: its largest values are the lowest frequencies, and only the stiffness has to be definite.
@@ -138,7 +145,12 @@ class BeamModel:
         )
         shapes = np.zeros((count, len(self.stiffness)))
         shapes[:, self._free] = vectors.T[::-1]
-        return 1.0 / np.sqrt(values[::-1]), shapes
+        frequencies = 1.0 / np.sqrt(values[::-1])
+        quotients = _squares(shapes, self.stiffness) / _squares(shapes, self.mass)
+        if not np.allclose(np.sqrt(quotients), frequencies, rtol=LARGEST_ERROR, atol=0.0):
+            message = "the stiffness is nearly singular"
+            raise np.linalg.LinAlgError(message)
+        return frequencies, shapes
 
     def response(self, frequency: float, loss_factor: float) -> Any:
         """Return the amplitudes of the motion relative to the supports under a uniform specific force of 1 m/s^2.
@@ -157,6 +169,11 @@ class BeamModel:
         amplitudes = np.zeros(len(uniform), dtype=complex)
         amplitudes[self._free] = np.linalg.solve(dynamic, (self.mass @ uniform)[self._free])
         return amplitudes
+
+
+def _squares(shapes: FloatArray, matrix: FloatArray) -> FloatArray:
+    """Return ``x @ matrix @ x`` of each shape x, (count,)."""
+    return np.asarray(np.sum(shapes @ matrix * shapes, axis=1))
 
 
 class _ReferenceElement:

@@ -54,9 +54,9 @@ class CalculatorParser(CommandLineParser):
         """Raise a ParameterError; argparse takes ``-2in`` for an option."""
         option, found, _ = message.removeprefix("argument ").partition(": expected one argument")
         if found:
-            raise ParameterError(
-                f"{option} has no value", where=self.prog, expected=f"a value; a negative one such as {option}=-2in"
-            )
+            where = self.prog.removeprefix("posor ")
+            expected = f"a value; a negative one such as {option}=-2in"
+            raise ParameterError(f"{option} has no value", where=where, expected=expected)
         super().error(message)
 
 
@@ -122,7 +122,7 @@ def build_parser(signature: CalculatorSignature) -> CalculatorParser:
         f"  {each.name}: {each.description.rstrip('.')} [{name_kind(each.kind)}]" for each in signature.results
     )
     parser = CalculatorParser(
-        prog=f"design {signature.name}",
+        prog=f"posor design {signature.name}",
         description=f"{signature.summary}.\n\n{signature.description}".rstrip(),
         epilog=f"{_VALUES}\n\nresults:\n{results}\n\nSource: {signature.source}\n\nExample:\n  {signature.example}",
         formatter_class=argparse.RawDescriptionHelpFormatter,

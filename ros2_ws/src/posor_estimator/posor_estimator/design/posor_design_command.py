@@ -60,7 +60,7 @@ REQUIRED = ("--outside-diameter", "--translations", "--angles")
 
 def _parser() -> CommandLineParser:
     parser = CommandLineParser(
-        prog=WHERE,
+        prog=f"posor {WHERE}",
         description="Find the layout of a POSOR that meets a requirement, and write the files that bringup runs.",
         help_call=f"posor {WHERE} --help",
         allow_abbrev=False,

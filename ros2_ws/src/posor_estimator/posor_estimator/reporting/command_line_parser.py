@@ -29,5 +29,6 @@ class CommandLineParser(argparse.ArgumentParser):
         self.help_call = help_call or f"{self.prog} --help"
 
     def error(self, message: str) -> NoReturn:
-        """Raise a ParameterError with argparse's message."""
-        raise ParameterError(message, where=self.prog, expected=f"options as '{self.help_call}' lists them")
+        """Raise a ParameterError with argparse's message, which names the program as other errors do."""
+        where = self.prog.removeprefix("posor ")
+        raise ParameterError(message, where=where, expected=f"options as '{self.help_call}' lists them")

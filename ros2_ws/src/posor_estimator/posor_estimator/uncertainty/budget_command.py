@@ -78,7 +78,7 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
         ParameterError: An option is unknown, or its value is invalid.
 
     """
-    parser = CommandLineParser(prog="budget", description="Error budget of a POSOR from its calibration file.")
+    parser = CommandLineParser(prog="posor budget", description="Error budget of a POSOR from its calibration file.")
     parser.add_argument("calibration", type=Path, metavar="CALIBRATION.yaml")
     parser.add_argument("--session", default="", help="session of the calibration file to apply")
     names = [name for name, _ in NATIVE]

@@ -151,7 +151,11 @@ def test_an_arm_gets_the_protection_level_of_its_endpoint(
         (["--seed", "-1"], 2, "budget: argument --seed: '-1' is not a seed (a whole number of at least 0); expected"),
         (["--pose=0,0,0.5,0,0,0"], 2, "calibration 'triad_diodes': gap probe 1 is out of its calibrated range"),
         (["--session", "noon"], 1, "calibration 'triad_diodes': session 'noon' is unknown; expected an empty name"),
-        (["--what"], 2, "budget: unrecognized arguments: --what; expected options as 'budget --help' lists them."),
+        (
+            ["--what"],
+            2,
+            "budget: unrecognized arguments: --what; expected options as 'posor budget --help' lists them.",
+        ),
     ],
 )
 def test_wrong_options_are_refused(
