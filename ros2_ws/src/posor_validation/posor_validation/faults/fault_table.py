@@ -38,8 +38,9 @@ class FaultRow:
         kind: Kind of the failure.
         arm: Arm that it is injected into.
         expected: Sentence on the expected behaviour.
-        named_by: Names of fault flags, or words of a sentence, of which one must be published; none where the fault is
-            not observable.
+        named_by: Names of fault flags, or words of a sentence, of which one must be published; none where the fault
+            cannot be seen.
+        may_hide: Whether a reading of the fault may by chance be so close to the right one that nothing shows it.
 
     """
 
@@ -48,11 +49,12 @@ class FaultRow:
     arm: Arm
     expected: str
     named_by: tuple[str, ...] = ()
+    may_hide: bool = False
 
     @property
     def is_observable(self) -> bool:
-        """Whether the stack must name the fault."""
-        return bool(self.named_by)
+        """Whether each scan with the fault shows it: then no pose may be wrong, else the protection level covers it."""
+        return bool(self.named_by) and not self.may_hide
 
 
 @dataclass(frozen=True)
@@ -83,10 +85,11 @@ class RowResult:
         if not self.row.is_observable:
             if not self.covered >= COVERED_SHARE:
                 found.append(f"the protection level covers {100.0 * self.covered:.1f} % of the cases")
-            return found
-        limit = NAMING_LIMITS_S[self.row.kind]
-        if self.wrong_ok:
+        elif self.wrong_ok:
             found.append(f"{self.wrong_ok} wrong poses published as valid")
+        limit = NAMING_LIMITS_S[self.row.kind]
+        if not self.row.named_by:
+            return found
         if self.naming_s is None:
             found.append("not named")
         elif self.naming_s > limit:

@@ -86,15 +86,35 @@ class PoseJudge:
             count += self._count_wrong(_valid(arrivals), lambda truth: truth.T_parent_child[joint])
         return count
 
+    def covered_share(self, receiver: FaultReceiver, begin_ns: int, end_ns: int) -> float:
+        """Return which share of the wrong endpoints that came as valid is within the protection level; 1 without any.
+
+        A level that is not known (NaN), as in the second after a recovery, covers nothing.
+        """
+        parts = _valid(receiver.between(ENDPOINT_STATE_TOPIC, begin_ns, end_ns))
+        if not parts:
+            return 1.0
+        arrivals, poses, covariances = zip(*parts, strict=True)
+        found, true = pose_array(poses), self._truth(arrivals).endpoint
+        wrong = wrong_poses(found, np.reshape(covariances, (-1, 6, 6)), true)
+        levels = np.array([each.message.protection_level for each in arrivals])
+        covered = np.all(np.abs(small_errors(found, true)) <= levels, axis=1)
+        return float(np.mean(covered[wrong])) if wrong.any() else 1.0
+
+    def _truth(self, arrivals: Sequence[Arrival]) -> ArmTruth:
+        """Return the truth at the stamps of messages."""
+        stamps = np.array([stamp_ns(each.message) for each in arrivals])
+        return self._simulation.truth(
+            np.rint(stamps * (self._simulation.scenario.ticks_per_second / NS)).astype(np.int64)
+        )
+
     def _count_wrong(self, parts: Sequence[tuple[Arrival, Any, Any]], true: Callable[[ArmTruth], PoseArray]) -> int:
         if not parts:
             return 0
         arrivals, poses, covariances = zip(*parts, strict=True)
-        stamps = np.array([stamp_ns(each.message) for each in arrivals])
-        ages_ns = np.array([each.time_ns for each in arrivals]) - stamps
-        ticks = np.rint(stamps * (self._simulation.scenario.ticks_per_second / NS)).astype(np.int64)
+        ages_ns = np.array([each.time_ns - stamp_ns(each.message) for each in arrivals])
         matrices = np.reshape(covariances, (-1, 6, 6))
-        wrong = wrong_poses(pose_array(poses), matrices, true(self._simulation.truth(ticks)))
+        wrong = wrong_poses(pose_array(poses), matrices, true(self._truth(arrivals)))
         return int(np.count_nonzero(wrong | (ages_ns > STALE_S * NS)))
 
 

@@ -6,6 +6,7 @@ acknowledges it, and the arm has until the next fault to be sound again.
 
 from __future__ import annotations
 
+import math
 import time
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -140,7 +141,16 @@ def _rows() -> list[ScenarioFault]:
     add(arm, "ring probe not a number", "garbage", "nan", "LOST, BAD_READING", "BAD_READING", **ring)
     for name in ARMS[1:]:
         add(name, "gap probe +1 V", "wrong", "offset", jump, *contradiction, **volts, size=quantity(1.0, "V"))
-        add(name, "gap probe garbage", "garbage", "garbage", jump, *contradiction, **volts, size=quantity(5.0, "V"))
+        # Only the motion gate checks three gap probes, and some of the voltages lie within it.
+        row = FaultRow(
+            "gap probe garbage",
+            "garbage",
+            name,
+            f"{jump}; else within the protection level",
+            contradiction,
+            may_hide=True,
+        )
+        rows.append(ScenarioFault(row, "garbage", {**volts, "size": garbage}))
         add(name, "gap probe stuck at a reading", "stuck", "stuck", "LOST, FROZEN", "FROZEN", **volts)
     arm = "test_rig"
     add(arm, "gap probe stuck at 0 V", "stuck", "value", jump, *contradiction, **volts, size=quantity(0.0, "V"))
@@ -259,5 +269,6 @@ class ReadingRun:
             receiver.describe(begin_ns, begin_ns + round(FAULT_S * NS), joint),
             None if named_ns is None else max(0.0, (named_ns - faulted_ns) / NS),
             self._judge_of_poses.count_wrong(receiver, begin_ns, end_ns, joint),
+            covered=math.nan if row.is_observable else self._judge_of_poses.covered_share(receiver, begin_ns, end_ns),
             problem=problem,
         )

@@ -87,6 +87,10 @@ def test_a_row_fails_for_each_missed_aim() -> None:
     assert hidden.failures == []
     assert "98.0 %" in replace(hidden, covered=0.98).failures[0]
     assert replace(hidden, covered=float("nan")).failures
+    lucky = RowResult(replace(row, may_hide=True), "LOST", 0.01, 3, covered=1.0)
+    assert lucky.failures == []
+    assert "0.0 %" in replace(lucky, covered=0.0).failures[0]
+    assert replace(lucky, naming_s=None).failures == ["not named"]
 
 
 def test_wrong_poses() -> None:
