@@ -91,7 +91,7 @@ def survives(folder: Path, seed: int, transitions: int, *, driver_apart: bool) -
 
 @pytest.mark.parametrize("driver_apart", [False, True])
 def test_a_composition_survives_transitions(tmp_path: Path, *, driver_apart: bool) -> None:
-    survives(tmp_path, 1, 6, driver_apart=driver_apart)
+    survives(tmp_path, 1, 25, driver_apart=driver_apart)
 
 
 @pytest.mark.long

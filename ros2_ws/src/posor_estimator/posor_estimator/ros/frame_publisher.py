@@ -59,7 +59,7 @@ class FramePublisher:
             newest: Returns the poses of the newest scan; None: it gives no endpoint, or the node must not publish.
 
         """
-        self._newest, self._published_ns = newest, 0
+        self._newest, self._published_ns, self._is_open = newest, 0, True
         joints = (*chain.joints, *chain.beam_joints)
         self._moving = TFMessage(transforms=[_transform(joint.parent, joint.child) for joint in joints])
         self._publisher = node.create_publisher(TFMessage, TF_TOPIC, TF_QOS)
@@ -72,13 +72,18 @@ class FramePublisher:
             publisher.publish(schema_of_class(type(message)).serialize(message))
         for publisher in (self._publisher, static, description):
             node.add_cleanup(node.destroy_publisher, publisher)
+        node.add_cleanup(self._close)
         clock = Clock(clock_type=ClockType.STEADY_TIME)
         timer = node.create_timer(1.0 / rate, lambda: run_when_idle(self._publish), clock=clock)
         node.add_cleanup(node.destroy_timer, timer)
 
+    def _close(self) -> None:
+        """Publish nothing more; the executor may hold a call of the destroyed timer."""
+        self._is_open = False
+
     def _publish(self) -> None:
         """Publish the transforms of the newest scan with a pose, once, and only while there is a subscription."""
-        if not self._publisher.get_subscription_count():
+        if not self._is_open or not self._publisher.get_subscription_count():
             return
         newest = self._newest()
         if newest is None or newest.stamp_ns == self._published_ns:
