@@ -64,6 +64,7 @@ class DeviceReader:
         self._stopping = Event()
         self._lock = Lock()
         self._fault, self._identity = f"{device.name}: not connected yet", ""
+        self._unreported = ""
         self._failure: Exception | None = None
         self._counts = {"frames": 0, "frames_lost": 0, "frames_repeated": 0, "connections": 0}
         self._forget_frames()
@@ -93,6 +94,13 @@ class DeviceReader:
                     "clock_uncertainty": line.uncertainty_s,
                 }
             return DeviceState(self._fault or self._trigger_fault, self._identity, values)
+
+    def take_state(self) -> DeviceState:
+        """Return the present state; once, the last fault since the call before, even if it has passed meanwhile."""
+        state = self.state
+        with self._lock:
+            fault, self._unreported = self._unreported, ""
+        return state._replace(fault=fault or state.fault)
 
     def values_at(self, time_ns: int, whole: Sequence[int] = ()) -> FloatArray | None:
         """Return the values of all channels at a ROS time [ns], (c,), interpolated between the three nearest frames.
@@ -221,7 +229,7 @@ class DeviceReader:
             except DeviceError as error:
                 with self._lock:
                     pause_s = FIRST_PAUSE_S if self._last is not None else min(2.0 * pause_s, LONGEST_PAUSE_S)
-                    self._fault = str(error)
+                    self._fault = self._unreported = str(error)
                     self._forget_frames()
             except Exception as error:  # noqa: BLE001  the driver ends the program with it
                 self._failure = error

@@ -169,6 +169,6 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
             *(
                 SourceStatus(f"device {reader.device.name}", state.fault, state.text, state.values)
                 for reader in self._readers
-                for state in (reader.state,)
+                for state in (reader.take_state(),)
             ),
         ]

@@ -168,6 +168,8 @@ def test_fault_is_named_at_once_and_the_device_read_again(
     wait_for_frames(reader)
     print(f"{name}: named after {named_s:.2f} s, connected {connected_s:.2f} s after the end: {found}")
     assert sentence in found
+    assert sentence in reader.take_state().fault  # a fault that has passed between two reports is reported once
+    assert not reader.take_state().fault
 
 
 def test_absent_device_is_named_and_read_when_it_comes() -> None:
