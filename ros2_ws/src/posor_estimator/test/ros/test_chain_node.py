@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -251,8 +252,12 @@ def test_poses_are_relative_to_the_first_pose_or_to_the_last_set_home() -> None:
             assert graph.call(ChangeState, "/chain_node/change_state", request).success
             assert call_set_home(graph) == (False, "there is no pose now to take as home")  # the arm may have moved
         states = graph.collect(EndpointState, "endpoint/state")
-        joint.publish(lost_transform(5, JointTransform.FAULT_RESIDUAL))
-        graph.wait_until(lambda: any(s.state == EndpointState.STATE_LOST for s in states), "the loss")
+        stamps = count(5)
+        graph.wait_until(  # the new subscription may not have matched at the first transform
+            lambda: any(s.state == EndpointState.STATE_LOST for s in states),
+            "the loss",
+            lambda: joint.publish(lost_transform(next(stamps), JointTransform.FAULT_RESIDUAL)),
+        )
         assert call_set_home(graph) == (False, "there is no pose now to take as home")
 
 
