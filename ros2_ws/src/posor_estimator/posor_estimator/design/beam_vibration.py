@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 LEAST_DEGREE = 12
 DEGREES_PER_HALF_WAVE = 2
-LARGEST_ERROR = 1e-3
+LARGEST_ERROR = 1e-4
 """Largest relative difference of a natural frequency from the Rayleigh quotient of its shape; rounding causes it."""
 
 
