@@ -16,7 +16,7 @@ from posor_estimator.ros.chain_node import ChainNode
 from posor_estimator.ros.message_conversion import stamp_ns
 from posor_estimator.ros.qos import LATCHED_QOS, TF_QOS
 from posor_estimator.testing.graph import Graph
-from posor_estimator.testing.in_process_nodes import run_refused_node
+from posor_estimator.testing.in_process_nodes import NodeProcess, run_refused_node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
@@ -137,6 +137,17 @@ def test_without_a_rate_nothing_is_published() -> None:
         ChainRig(graph)
         topics = {name for name, _ in graph.node.get_topic_names_and_types()}
     assert not topics & {"/tf", "/tf_static", "/robot_description"}
+
+
+def test_a_timer_call_that_the_executor_still_holds_publishes_nothing_after_cleanup() -> None:
+    with NodeProcess() as process:
+        node = process.start(ChainNode, parameters={"urdf": str(URDF), "beams": str(BEAMS), "tf_rate": 1.0})
+        held_call = node._frames._publish
+        held_call()
+        node.trigger_deactivate()
+        node.trigger_cleanup()
+        process.spin_once()
+        held_call()
 
 
 def test_fixed_frames_are_those_of_the_urdf() -> None:

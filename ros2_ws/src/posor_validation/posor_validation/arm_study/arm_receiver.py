@@ -12,13 +12,14 @@ from posor_estimator.model.fault import Fault, State
 from posor_estimator.numerics.stamps import NS
 from posor_estimator.ros.lifecycle_node import LISTENERS_STATUS as LISTENERS
 from posor_estimator.ros.message_conversion import is_usable, pose_from_message
+from posor_estimator.ros.qos import KEEP_ALL_QOS
 from posor_estimator.ros_names import ENDPOINT_COVARIANCE_TOPIC, TRANSFORM_TOPIC
 from posor_msgs.msg import JointTransform
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 from posor_validation.arm_study.arm_record import CHAIN, GIVEN_UP, NO_SCAN, TRUTH, ArmRecord, pose_array
-from posor_validation.reports.graph_receiver import KEEP_ALL_QOS, GraphReceiver
+from posor_validation.reports.graph_receiver import GraphReceiver
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping

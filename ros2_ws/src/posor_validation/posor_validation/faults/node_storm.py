@@ -17,6 +17,7 @@ from posor_drivers.message_builder import raw_scan, scan_fields
 from posor_estimator.bags.message_definitions import MessageTypes
 from posor_estimator.model.fault import State
 from posor_estimator.node_parameters import RECORDING
+from posor_estimator.ros.lifecycle_node import LISTENERS_STATUS
 from posor_estimator.ros.qos import KEEP_ALL_QOS
 from posor_estimator.ros_names import RAW_SCAN, RAW_TOPIC, TRANSFORM_TOPIC
 from posor_msgs.msg import JointTransform, RawScan
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from posor_validation.faults.storm import Storm, StormCount
 
 NAMESPACE = "/storm"
+POSOR_NODE = f"{NAMESPACE}/posor_node"
 
 
 class StormReceiver(GraphReceiver):
@@ -49,7 +51,16 @@ class StormReceiver(GraphReceiver):
         self.create_subscription(
             JointTransform, f"{NAMESPACE}/{TRANSFORM_TOPIC}", self._on_transform, KEEP_ALL_QOS, raw=True
         )
-        self.operator = self.create_client(Trigger, f"{NAMESPACE}/posor_node/acknowledge")
+        self.operator = self.create_client(Trigger, f"{POSOR_NODE}/acknowledge")
+
+    def posor_node_is_ready(self) -> bool:
+        """Return whether every scan will be answered: the node is active, and both ends of both topics have matched.
+
+        An inactive node answers nothing, and a transform is not sent to a subscription that it has not discovered yet.
+        """
+        listeners = self.status_value(f"{POSOR_NODE}: {LISTENERS_STATUS}", TRANSFORM_TOPIC)
+        is_active = self.status_value(f"{POSOR_NODE}: lifecycle", "message") == "active"
+        return is_active and listeners == "1" and self.raw.get_subscription_count() > 0
 
     def _on_transform(self, data: bytes) -> None:
         self.received += 1
@@ -72,11 +83,7 @@ def run_node_storm(
         ProcessError: The node failed, or transforms do not come.
 
     """
-    path = folder / f"{calibration.name}.yaml"
-    path.write_text(yaml.safe_dump(calibration.model_dump(mode="json", exclude_none=True)), encoding="utf-8")
-    parameters: dict[str, Any] = {"calibration": str(path), "lossless": True, **RECORDING}
-    program = Program("posor_node", "posor_estimator", "posor_node", (), NAMESPACE, parameters)
-    maker, total = StormMaker(calibration), NO_COUNT
+    program, maker, total = posor_program(calibration, folder), StormMaker(calibration), NO_COUNT
     while total.injected < injected:
         storm = maker.draw(seed)
         with Supervisor(folder) as supervisor:  # a new node for each block: the true sensors are others
@@ -101,16 +108,20 @@ def run_node_storm(
     return total
 
 
+def posor_program(calibration: Calibration, folder: Path) -> Program:
+    """Return the program of the posor_node, whose calibration file is written to a folder."""
+    path = folder / f"{calibration.name}.yaml"
+    path.write_text(yaml.safe_dump(calibration.model_dump(mode="json", exclude_none=True)), encoding="utf-8")
+    parameters: dict[str, Any] = {"calibration": str(path), "lossless": True, **RECORDING}
+    return Program("posor_node", "posor_estimator", "posor_node", (), NAMESPACE, parameters)
+
+
 def play_storm(storm: Storm, receiver: StormReceiver, watch: GraphWatch) -> None:
     """Publish all scans of a storm, and acknowledge where an operator does."""
     types, records = MessageTypes(), storm.scans
     watch.wait(
-        lambda: (
-            receiver.raw.get_subscription_count() > 0
-            and receiver.count_publishers(f"{NAMESPACE}/{TRANSFORM_TOPIC}") > 0
-            and receiver.operator.service_is_ready()
-        ),
-        lambda: "posor_node",
+        lambda: receiver.posor_node_is_ready() and receiver.operator.service_is_ready(),
+        lambda: "posor_node, or one of its connections",
     )
     begin = 0
     for end in [*storm.acknowledgements.tolist(), len(records)]:
@@ -118,7 +129,10 @@ def play_storm(storm: Storm, receiver: StormReceiver, watch: GraphWatch) -> None
             scan = records[n]
             message = raw_scan(types, scan.stamp_ns, "receiving", status=scan.status, **scan_fields(scan))
             receiver.raw.publish(types.serialize(message, RAW_SCAN))
-        watch.wait(lambda end=end: len(receiver.transforms) >= end, lambda: "transforms")  # type: ignore[misc]
+        watch.wait(
+            lambda end=end: len(receiver.transforms) >= end,  # type: ignore[misc]
+            lambda end=end: f"{end - len(receiver.transforms)} of {end} transforms",  # type: ignore[misc]
+        )
         if end < len(records):
             response = receiver.operator.call_async(Trigger.Request())
             watch.wait(response.done, lambda: "the response of acknowledge")

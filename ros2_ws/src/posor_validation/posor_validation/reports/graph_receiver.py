@@ -11,10 +11,10 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from posor_bringup.supervisor import ProcessError
 from posor_estimator.ros.message_conversion import stamp_ns
 from posor_estimator.ros.node_program import SPIN_TIMEOUT_S
+from posor_estimator.ros.qos import KEEP_ALL_QOS
 from posor_estimator.ros_names import DIAGNOSTICS_TOPIC
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from posor_validation.reports.console_progress import InterruptedRunError
 
@@ -29,8 +29,6 @@ SILENCE_LIMIT_S = 60.0
 """A run is given up when no message has arrived for this time."""
 WAITING_S = 1.0
 """A wait that lasts longer is shown, and again after each such time."""
-KEEP_ALL_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL, depth=0, reliability=ReliabilityPolicy.RELIABLE)
-"""Lossless delivery."""
 
 
 class GraphReceiver(Node):

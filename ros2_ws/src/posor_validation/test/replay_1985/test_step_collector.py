@@ -10,9 +10,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PointStamped, PoseStamped
 from posor_estimator.model.fault import State
 from posor_estimator.ros.node_program import ros_context
+from posor_estimator.ros.qos import KEEP_ALL_QOS
 from posor_msgs.msg import JointTransform
 from posor_validation.replay_1985.step_collector import StepCollector
-from posor_validation.reports.graph_receiver import KEEP_ALL_QOS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

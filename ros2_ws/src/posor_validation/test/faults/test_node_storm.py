@@ -1,0 +1,48 @@
+"""The storm through a posor_node: every scan is answered, whatever the node was doing before the first."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from lifecycle_msgs.msg import Transition
+from posor_bringup.supervisor import Supervisor
+from posor_estimator.ros.node_program import ros_context
+from posor_estimator.testing.graph import Graph
+from posor_msgs.msg import JointTransform
+from posor_validation.faults.node_storm import POSOR_NODE, StormReceiver, play_storm, posor_program
+from posor_validation.faults.storm import StormMaker, estimate_storm, storm_calibrations
+from posor_validation.reports.graph_receiver import GraphWatch
+from rclpy.serialization import deserialize_message
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SCANS = 2000
+
+
+@pytest.mark.usefixtures("ros_domain")
+def test_a_storm_waits_for_an_active_node_and_equals_the_estimator(tmp_path: Path) -> None:
+    maker = StormMaker(storm_calibrations()["diodes"])
+    storm = maker.draw(5, SCANS)
+    program = posor_program(maker.calibration, tmp_path)
+    program = replace(program, parameters={**program.parameters, "autostart": False})
+    with ros_context(["test"]), Graph() as graph, Supervisor(tmp_path) as supervisor:
+        receiver = StormReceiver()
+        watch = GraphWatch(supervisor, receiver, "storm")
+        supervisor.start(program)
+        assert graph.change_state(POSOR_NODE, Transition.TRANSITION_CONFIGURE)
+        watch.wait(lambda: receiver.raw.get_subscription_count() > 0, lambda: "the subscription")
+        assert not receiver.posor_node_is_ready()  # inactive: it would answer nothing
+        assert graph.change_state(POSOR_NODE, Transition.TRANSITION_ACTIVATE)
+        play_storm(storm, receiver, watch)
+        found = [deserialize_message(data, JointTransform) for data in receiver.transforms]
+        receiver.close()
+    maker.posor.reset()
+    expected = estimate_storm(maker.posor, storm)
+    assert len(storm.acknowledgements) > 0
+    np.testing.assert_array_equal([each.scan for each in found], storm.scans.numbers)
+    np.testing.assert_array_equal([each.state for each in found], expected.states)
+    np.testing.assert_array_equal([each.faults for each in found], expected.faults)
