@@ -42,12 +42,12 @@ def open_replay(plan: ReplayPlan) -> Iterator[Replay]:
     """Yield a replay, not yet started, in a ROS domain of its own; end its processes afterwards."""
     with pytest.MonkeyPatch.context() as environment, leased_domain() as domain:
         environment.setenv("ROS_DOMAIN_ID", str(domain))
-        with ros_context(["test"]) as stop, Supervisor(plan.output / "logs") as supervisor:
-            collector = StepCollector(JOINT)
-            try:
-                yield Replay(plan, supervisor, collector, interrupted=lambda: stop.requested)
-            finally:
-                collector.close()
+        with (
+            ros_context(["test"]) as stop,
+            Supervisor(plan.output / "logs") as supervisor,
+            StepCollector(JOINT) as collector,
+        ):
+            yield Replay(plan, supervisor, collector, interrupted=lambda: stop.requested)
 
 
 def run_replay(plan: ReplayPlan) -> StepCollector:

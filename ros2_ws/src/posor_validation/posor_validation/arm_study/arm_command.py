@@ -161,21 +161,22 @@ def _run_nodes(
     scenario, arm = simulation.scenario, simulation.arm
     ticks = scenario.cycle_ticks if options.seconds is None else math.ceil(options.seconds * scenario.ticks_per_second)
     plan = ArmPlan(simulation, ticks, logs, options.controller, dict(options.parameters))
-    with isolated_network(), ros_context(argv) as stop, Supervisor(logs) as supervisor:
-        receiver = ArmReceiver(arm.name, simulation.chain, stage=scenario.stage is not None)
-        try:
-            with ArmLiveTable(f"{arm.name}, simulated", console, live=not options.no_live) as table:
-                run = ArmRun(plan, supervisor, receiver, table, interrupted=lambda: stop.requested)
-                run.start_nodes()
-                records = [run.run_cycle("without controller")]
-                if plan.controller is not None:
-                    run.start_controller()
-                    records.append(run.run_cycle("with controller"))
-                table.show_state("reading the counters")
-                counters = run.read_counters()
-                run.end_nodes()
-        finally:
-            receiver.close()
+    with (
+        isolated_network(),
+        ros_context(argv) as stop,
+        Supervisor(logs) as supervisor,
+        ArmReceiver(arm.name, simulation.chain, stage=scenario.stage is not None) as receiver,
+        ArmLiveTable(f"{arm.name}, simulated", console, live=not options.no_live) as table,
+    ):
+        run = ArmRun(plan, supervisor, receiver, table, interrupted=lambda: stop.requested)
+        run.start_nodes()
+        records = [run.run_cycle("without controller")]
+        if plan.controller is not None:
+            run.start_controller()
+            records.append(run.run_cycle("with controller"))
+        table.show_state("reading the counters")
+        counters = run.read_counters()
+        run.end_nodes()
     before, after = records[0], records[1] if plan.controller is not None else None
     return ArmOutcome(before, after, count_outcomes(records, simulation, counters))
 

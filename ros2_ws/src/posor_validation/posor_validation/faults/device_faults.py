@@ -124,8 +124,7 @@ class DeviceRun:
             arm = write_arm(self._readings.arm, trial, devices, self._folder)
             arguments = [str(arm), "--layout", "composed", "--output", str(self._folder / "out")]
             program = stack.enter_context(Program([*installed("posor_bringup", "bringup"), *arguments]))
-            self._receiver = FaultReceiver(ARM, [self._joint])
-            stack.callback(self._receiver.close)
+            self._receiver = stack.enter_context(FaultReceiver(ARM, [self._joint]))
             self._wait_for_poses()
             self._readings.start_motion()
             results = [self._inject(fault) for fault in self._faults]

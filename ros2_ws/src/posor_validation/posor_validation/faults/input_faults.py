@@ -211,15 +211,12 @@ class InputRun:
         """
         unused = () if self._topic == RAW_TOPIC else ("posor_node",)
         programs = [each for each in arm_programs(self._arm, drivers=False) if not each.name.endswith(unused or ("-",))]
-        with Supervisor(self._folder) as supervisor:
-            receiver = FaultReceiver(self._arm.name, [self._joint] if self._topic == RAW_TOPIC else [])
-            try:
-                for program in programs:
-                    supervisor.start(program)
-                self._watch = GraphWatch(supervisor, receiver, "faults", interrupted=self._interrupted)
-                return self._publish_all(receiver)
-            finally:
-                receiver.close()
+        receiver = FaultReceiver(self._arm.name, [self._joint] if self._topic == RAW_TOPIC else [])
+        with Supervisor(self._folder) as supervisor, receiver:
+            for program in programs:
+                supervisor.start(program)
+            self._watch = GraphWatch(supervisor, receiver, "faults", interrupted=self._interrupted)
+            return self._publish_all(receiver)
 
     def _publish_all(self, receiver: FaultReceiver) -> list[RowResult]:
         message_type = RawScan if self._topic == RAW_TOPIC else JointTransform

@@ -17,16 +17,14 @@ from posor_drivers.message_builder import raw_scan, scan_fields
 from posor_estimator.bags.message_definitions import MessageTypes
 from posor_estimator.model.fault import State
 from posor_estimator.node_parameters import RECORDING
-from posor_estimator.ros.lifecycle_node import LISTENERS_STATUS
-from posor_estimator.ros.qos import KEEP_ALL_QOS
 from posor_estimator.ros_names import RAW_SCAN, RAW_TOPIC, TRANSFORM_TOPIC
 from posor_msgs.msg import JointTransform, RawScan
 from rclpy.serialization import deserialize_message
-from std_srvs.srv import Trigger
 
 from posor_validation.faults.pose_judge import pose_array
 from posor_validation.faults.storm import NO_COUNT, StormMaker, count_storm, estimate_storm
-from posor_validation.reports.graph_receiver import GraphReceiver, GraphWatch
+from posor_validation.reports.graph_receiver import GraphWatch
+from posor_validation.reports.node_player import NodePlayer
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -37,34 +35,8 @@ if TYPE_CHECKING:
     from posor_validation.faults.storm import Storm, StormCount
 
 NAMESPACE = "/storm"
-POSOR_NODE = f"{NAMESPACE}/posor_node"
-
-
-class StormReceiver(GraphReceiver):
-    """Plays the driver of a posor_node and receives its transforms."""
-
-    def __init__(self) -> None:
-        """Open the topics and the client."""
-        super().__init__("storm")
-        self.transforms: list[bytes] = []
-        self.raw = self.create_publisher(RawScan, f"{NAMESPACE}/{RAW_TOPIC}", KEEP_ALL_QOS)
-        self.create_subscription(
-            JointTransform, f"{NAMESPACE}/{TRANSFORM_TOPIC}", self._on_transform, KEEP_ALL_QOS, raw=True
-        )
-        self.operator = self.create_client(Trigger, f"{POSOR_NODE}/acknowledge")
-
-    def posor_node_is_ready(self) -> bool:
-        """Return whether every scan will be answered: the node is active, and both ends of both topics have matched.
-
-        An inactive node answers nothing, and a transform is not sent to a subscription that it has not discovered yet.
-        """
-        listeners = self.status_value(f"{POSOR_NODE}: {LISTENERS_STATUS}", TRANSFORM_TOPIC)
-        is_active = self.status_value(f"{POSOR_NODE}: lifecycle", "message") == "active"
-        return is_active and listeners == "1" and self.raw.get_subscription_count() > 0
-
-    def _on_transform(self, data: bytes) -> None:
-        self.received += 1
-        self.transforms.append(data)
+POSOR_NODE = f"{NAMESPACE}/posor_node", [(RawScan, RAW_TOPIC)], (JointTransform, TRANSFORM_TOPIC)
+"""Name of the node, its inputs, its answers."""
 
 
 def run_node_storm(
@@ -86,14 +58,11 @@ def run_node_storm(
     program, maker, total = posor_program(calibration, folder), StormMaker(calibration), NO_COUNT
     while total.injected < injected:
         storm = maker.draw(seed)
-        with Supervisor(folder) as supervisor:  # a new node for each block: the true sensors are others
-            receiver = StormReceiver()
-            try:
-                supervisor.start(program)
-                play_storm(storm, receiver, GraphWatch(supervisor, receiver, "storm"))
-                found = [deserialize_message(data, JointTransform) for data in receiver.transforms]
-            finally:
-                receiver.close()
+        # A new node for each block: the true sensors are others.
+        with Supervisor(folder) as supervisor, NodePlayer(*POSOR_NODE) as player:
+            supervisor.start(program)
+            play_storm(storm, player, GraphWatch(supervisor, player, "storm"))
+            found = [deserialize_message(data, JointTransform) for data in player.answers]
         poses = pose_array([each.pose for each in found])
         states, faults = np.array([(each.state, each.faults) for each in found], dtype=np.int64).T
         covariances = np.array([each.covariance for each in found]).reshape(-1, 6, 6)
@@ -116,24 +85,20 @@ def posor_program(calibration: Calibration, folder: Path) -> Program:
     return Program("posor_node", "posor_estimator", "posor_node", (), NAMESPACE, parameters)
 
 
-def play_storm(storm: Storm, receiver: StormReceiver, watch: GraphWatch) -> None:
+def play_storm(storm: Storm, player: NodePlayer, watch: GraphWatch) -> None:
     """Publish all scans of a storm, and acknowledge where an operator does."""
     types, records = MessageTypes(), storm.scans
-    watch.wait(
-        lambda: receiver.posor_node_is_ready() and receiver.operator.service_is_ready(),
-        lambda: "posor_node, or one of its connections",
-    )
+    watch.wait(player.is_ready, lambda: "posor_node, or one of its connections")
     begin = 0
     for end in [*storm.acknowledgements.tolist(), len(records)]:
         for n in range(begin, end):
             scan = records[n]
             message = raw_scan(types, scan.stamp_ns, "receiving", status=scan.status, **scan_fields(scan))
-            receiver.raw.publish(types.serialize(message, RAW_SCAN))
+            player.inputs[0].publish(types.serialize(message, RAW_SCAN))
         watch.wait(
-            lambda end=end: len(receiver.transforms) >= end,  # type: ignore[misc]
-            lambda end=end: f"{end - len(receiver.transforms)} of {end} transforms",  # type: ignore[misc]
+            lambda end=end: len(player.answers) >= end,  # type: ignore[misc]
+            lambda end=end: f"{end - len(player.answers)} of {end} transforms",  # type: ignore[misc]
         )
         if end < len(records):
-            response = receiver.operator.call_async(Trigger.Request())
-            watch.wait(response.done, lambda: "the response of acknowledge")
+            player.acknowledge(watch)
         begin = end

@@ -119,15 +119,11 @@ class ProcessRun:
             ProcessError: A node failed, or the arm has no poses.
 
         """
-        with Supervisor(self._folder) as supervisor:
-            receiver = FaultReceiver(self._arm.name, [self._joint])
-            try:
-                self._watch = GraphWatch(supervisor, receiver, "faults", interrupted=self._interrupted)
-                running = {program.name.rpartition("/")[2]: supervisor.start(program) for program in self._programs()}
-                self._rig = _RunningRig(self._arm.name, self._joint, supervisor, receiver, self._watch, running)
-                return [self._inject(fault, receiver) for fault in self._faults]
-            finally:
-                receiver.close()
+        with Supervisor(self._folder) as supervisor, FaultReceiver(self._arm.name, [self._joint]) as receiver:
+            self._watch = GraphWatch(supervisor, receiver, "faults", interrupted=self._interrupted)
+            running = {program.name.rpartition("/")[2]: supervisor.start(program) for program in self._programs()}
+            self._rig = _RunningRig(self._arm.name, self._joint, supervisor, receiver, self._watch, running)
+            return [self._inject(fault, receiver) for fault in self._faults]
 
     def _programs(self) -> list[Program]:
         """Return the nodes; in separate processes with a relay between the driver and the topic of its scans."""

@@ -203,23 +203,20 @@ class ReadingRun:
         """
         self._started_s = self._acknowledged_s = time.monotonic()
         programs = arm_programs(self._arm, driver_parameters=IMPERFECTIONS)
-        with Supervisor(self._folder) as supervisor:
-            receiver = FaultReceiver(self._arm.name, self._simulation.joints)
-            try:
-                for program in group_programs(programs, "drivers_apart", self._folder):
-                    supervisor.start(program)
-                watch = GraphWatch(supervisor, receiver, "faults", interrupted=self._interrupted)
-                watch.wait(partial(self._is_settled, receiver), lambda: "endpoint poses")
-                results: dict[int, RowResult] = {}
-                for _ in range(ATTEMPTS):
-                    begins = self._receive_faults(receiver, watch)
-                    pending = [n for n in begins if n not in results or results[n].problem]
-                    results |= {n: self._judge(receiver, n, begins[n]) for n in pending}
-                    if not any(result.problem for result in results.values()):
-                        break
-                return [results[n] for n in sorted(results)]
-            finally:
-                receiver.close()
+        receiver = FaultReceiver(self._arm.name, self._simulation.joints)
+        with Supervisor(self._folder) as supervisor, receiver:
+            for program in group_programs(programs, "drivers_apart", self._folder):
+                supervisor.start(program)
+            watch = GraphWatch(supervisor, receiver, "faults", interrupted=self._interrupted)
+            watch.wait(partial(self._is_settled, receiver), lambda: "endpoint poses")
+            results: dict[int, RowResult] = {}
+            for _ in range(ATTEMPTS):
+                begins = self._receive_faults(receiver, watch)
+                pending = [n for n in begins if n not in results or results[n].problem]
+                results |= {n: self._judge(receiver, n, begins[n]) for n in pending}
+                if not any(result.problem for result in results.values()):
+                    break
+            return [results[n] for n in sorted(results)]
 
     def _is_settled(self, receiver: FaultReceiver) -> bool:
         """Return whether the arm has poses; acknowledge latched faults, which occur before the run begins to count."""

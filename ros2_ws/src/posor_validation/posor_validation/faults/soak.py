@@ -87,25 +87,21 @@ def run_soak(arm: Arm, seconds: float, folder: Path, seed: int, interrupted: Cal
         scans = simulation.scans(joint, np.arange(others)).scans
         estimates = Posor(simulation.calibrations[joint]).estimate_all(scans)
         expected_alarms += int(np.count_nonzero(estimates.faults & int(Fault.RESIDUAL)))
-    with Supervisor(folder) as supervisor:
-        receiver = FaultReceiver(copy.name, simulation.joints)
-        try:
-            programs = arm_programs(copy, driver_parameters=IMPERFECTIONS)
-            for program in group_programs(programs, "drivers_apart", folder):
-                supervisor.start(program)
-            watch = GraphWatch(supervisor, receiver, "faults", interrupted=interrupted)
-            watch.wait(lambda: receiver.usable_endpoints(round(rate)), lambda: "endpoint poses")
-            receiver.diagnostics.clear()
-            begin = {joint: receiver.count(f"{joint}/{TRANSFORM_TOPIC}") for joint in simulation.joints}
-            receiver.receive_for(seconds)
-            errors = {status.message for _, status in receiver.diagnostics if status.level == status.ERROR}
-            flags = [
-                each.message.faults
-                for joint in simulation.joints
-                for each in receiver.since(f"{joint}/{TRANSFORM_TOPIC}", begin[joint])
-            ]
-        finally:
-            receiver.close()
+    with Supervisor(folder) as supervisor, FaultReceiver(copy.name, simulation.joints) as receiver:
+        programs = arm_programs(copy, driver_parameters=IMPERFECTIONS)
+        for program in group_programs(programs, "drivers_apart", folder):
+            supervisor.start(program)
+        watch = GraphWatch(supervisor, receiver, "faults", interrupted=interrupted)
+        watch.wait(lambda: receiver.usable_endpoints(round(rate)), lambda: "endpoint poses")
+        receiver.diagnostics.clear()
+        begin = {joint: receiver.count(f"{joint}/{TRANSFORM_TOPIC}") for joint in simulation.joints}
+        receiver.receive_for(seconds)
+        errors = {status.message for _, status in receiver.diagnostics if status.level == status.ERROR}
+        flags = [
+            each.message.faults
+            for joint in simulation.joints
+            for each in receiver.since(f"{joint}/{TRANSFORM_TOPIC}", begin[joint])
+        ]
     without_alarm = others * len(simulation.joints) - expected_alarms
     low, high = betabinom.interval(BAND, len(flags), expected_alarms + 1, without_alarm + 1)
     alarms = sum(bool(each & Fault.RESIDUAL) for each in flags)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
@@ -19,15 +19,14 @@ from posor_estimator.node_parameters import RECORDING
 from posor_estimator.numerics.stamps import NS
 from posor_estimator.ros.cdr_transform import stamp_ns_of
 from posor_estimator.ros.message_conversion import pose_from_message
-from posor_estimator.ros.qos import KEEP_ALL_QOS
 from posor_estimator.ros_names import ENDPOINT_TOPIC, RAW_TOPIC, TRANSFORM_TOPIC
 from posor_msgs.msg import JointTransform, RawScan
 from rclpy.serialization import deserialize_message
-from std_srvs.srv import Trigger
 
 from posor_validation.fuzz.message_fuzz import USABLE, ScanFuzz, TransformFuzz
 from posor_validation.fuzz.mutation import mutate
-from posor_validation.reports.graph_receiver import GraphReceiver, GraphWatch
+from posor_validation.reports.graph_receiver import GraphWatch
+from posor_validation.reports.node_player import NodePlayer
 from posor_validation.soak.process_sample import ProcessSample, growth_mb
 
 if TYPE_CHECKING:
@@ -65,35 +64,6 @@ class NodeCount:
     growth_mb: float = float("nan")  # of the memory of the node; NaN: too few messages
 
 
-class NodePlayer(GraphReceiver):
-    """Publishes serialised messages and keeps the serialised answers."""
-
-    def __init__(self, inputs: Sequence[tuple[type[Any], str]], answer: tuple[type[Any], str], services: str) -> None:
-        """Open the topics.
-
-        Args:
-            inputs: Type and name of the topics of the node.
-            answer: Type and name of the topic with its answers.
-            services: Name of the node, before those of its services.
-
-        """
-        super().__init__("fuzz")
-        self.answers: list[bytes] = []
-        self.inputs = [self.create_publisher(kind, topic, KEEP_ALL_QOS) for kind, topic in inputs]
-        self._answer = answer[1]
-        self.create_subscription(*answer, self._on_answer, KEEP_ALL_QOS, raw=True)
-        self.operator = self.create_client(Trigger, f"{services}/acknowledge")
-
-    def _on_answer(self, data: bytes) -> None:
-        self.received += 1
-        self.answers.append(data)
-
-    def is_connected(self) -> bool:
-        """Return whether the node has opened its topics."""
-        inputs = all(publisher.get_subscription_count() for publisher in self.inputs)
-        return inputs and self.count_publishers(self._answer) > 0
-
-
 class _NodeRun:
     """A running node and its player."""
 
@@ -104,7 +74,7 @@ class _NodeRun:
         self._samples: list[ProcessSample] = []
         self._sent = 0
         self.slowest_s = 0.0
-        self._watch.wait(player.is_connected, lambda: program.name)
+        self._watch.wait(player.is_ready, lambda: f"{program.name}, or one of its connections")
 
     def answers_until(self, stamp_ns: int) -> list[bytes]:
         """Return the answers up to the one with a stamp [ns].
@@ -133,9 +103,7 @@ class _NodeRun:
 
     def acknowledge(self) -> None:
         """Release a latched fault, as an operator would."""
-        self._watch.wait(self.player.operator.service_is_ready, lambda: "the service acknowledge")
-        response = self.player.operator.call_async(Trigger.Request())
-        self._watch.wait(response.done, lambda: "the response of acknowledge")
+        self.player.acknowledge(self._watch)
 
     @property
     def growth_mb(self) -> float:
@@ -178,17 +146,14 @@ class NodeScanFuzz:
             ProcessError: The node ended.
 
         """
-        topics = [(RawScan, f"{self._namespace}/{RAW_TOPIC}")], (JointTransform, f"{self._namespace}/{TRANSFORM_TOPIC}")
+        topics = [(RawScan, RAW_TOPIC)], (JointTransform, TRANSFORM_TOPIC)
         end = self.count.messages.mutations + mutations
-        with Supervisor(folder) as supervisor:
-            player = NodePlayer(*topics, f"{self._namespace}/posor_node")
-            try:
-                node = _NodeRun(self._program, player, supervisor)
-                while self.count.messages.mutations < end:
-                    self._play_cycle(node, end, on_done)
-                self.count.slowest_s, self.count.growth_mb = node.slowest_s, node.growth_mb
-            finally:
-                player.close()
+        player = NodePlayer(f"{self._namespace}/posor_node", *topics)
+        with Supervisor(folder) as supervisor, player:
+            node = _NodeRun(self._program, player, supervisor)
+            while self.count.messages.mutations < end:
+                self._play_cycle(node, end, on_done)
+            self.count.slowest_s, self.count.growth_mb = node.slowest_s, node.growth_mb
 
     def _play_cycle(self, node: _NodeRun, end: int, on_done: Callable[[int], None]) -> None:
         """Play a cycle of the scenario, which begins at the home marks; end early where a sound scan has no pose."""
@@ -238,7 +203,8 @@ class NodeTransformFuzz:
         self._fuzz = TransformFuzz(simulation, seed)
         self.count = NodeCount(self._fuzz.count)
         arm = simulation.arm
-        self._namespace, self._joints = f"/{arm.name}", [joint.name for joint in simulation.chain.joints]
+        self._namespace = f"/{arm.name}"
+        self._inputs = [(JointTransform, f"{joint.name}/{TRANSFORM_TOPIC}") for joint in simulation.chain.joints]
         chain: dict[str, Parameter] = {
             **LOSSLESS,
             "acceleration_window": 0.0,
@@ -250,27 +216,23 @@ class NodeTransformFuzz:
 
     def run(self, mutations: int, folder: Path, on_done: Callable[[int], None]) -> None:
         """Damage so many transforms; see ``NodeScanFuzz.run``."""
-        inputs = [(JointTransform, f"{self._namespace}/{joint}/{TRANSFORM_TOPIC}") for joint in self._joints]
-        with Supervisor(folder) as supervisor:
-            player = NodePlayer(inputs, (PoseStamped, f"{self._namespace}/{ENDPOINT_TOPIC}"), self._program.name)
-            try:
-                node = _NodeRun(self._program, player, supervisor)
-                for _ in range(mutations):
-                    scan, j = self._fuzz.choose()
-                    damaged = self._next_scan(scan)
-                    damaged[j] = _damage(damaged[j], self._fuzz.chance)
-                    self._send(player, damaged)
-                    self._send(player, self._next_scan(scan))
-                    *before, answer = map(_pose_of_message, node.answers_until(self._stamp_ns))
-                    if len(before) > 1:
-                        raise NodeFuzzError(f"{len(before)} poses of one damaged scan")
-                    if not self._fuzz.is_near(scan, answer):
-                        raise NodeFuzzError("the pose of a sound scan is wrong after a damaged one")
-                    self._fuzz.judge(scan, j, before[0] if before else None)
-                    on_done(1)
-                self.count.slowest_s, self.count.growth_mb = node.slowest_s, node.growth_mb
-            finally:
-                player.close()
+        player = NodePlayer(f"{self._namespace}/chain_node", self._inputs, (PoseStamped, ENDPOINT_TOPIC))
+        with Supervisor(folder) as supervisor, player:
+            node = _NodeRun(self._program, player, supervisor)
+            for _ in range(mutations):
+                scan, j = self._fuzz.choose()
+                damaged = self._next_scan(scan)
+                damaged[j] = _damage(damaged[j], self._fuzz.chance)
+                self._send(player, damaged)
+                self._send(player, self._next_scan(scan))
+                *before, answer = map(_pose_of_message, node.answers_until(self._stamp_ns))
+                if len(before) > 1:
+                    raise NodeFuzzError(f"{len(before)} poses of one damaged scan")
+                if not self._fuzz.is_near(scan, answer):
+                    raise NodeFuzzError("the pose of a sound scan is wrong after a damaged one")
+                self._fuzz.judge(scan, j, before[0] if before else None)
+                on_done(1)
+            self.count.slowest_s, self.count.growth_mb = node.slowest_s, node.growth_mb
 
     def _next_scan(self, scan: Sequence[bytes]) -> list[bytes]:
         """Return the transforms of a scan with the next stamp."""

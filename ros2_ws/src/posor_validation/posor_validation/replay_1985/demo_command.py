@@ -124,18 +124,19 @@ def _run(argv: Sequence[str]) -> Findings:
 
 def _replay(plan: ReplayPlan, argv: Sequence[str], table: LiveTable) -> tuple[MotionTest, Mapping[str, str]]:
     """Run the graph; return the steps and the identity of the POSOR node's calibration."""
-    with isolated_network(), ros_context(argv) as stop, Supervisor(plan.output / LOGS) as supervisor:
-        collector = StepCollector(JOINT)
-        try:
-            with table:
-                replay = Replay(plan, supervisor, collector, on_steps=table.show, interrupted=lambda: stop.requested)
-                replay.start()
-                replay.activate_driver()
-                replay.wait_for_end()
-            replay.stop()
-            return MotionTest(tuple(collector.complete_steps())), replay.calibration_identity()
-        finally:
-            collector.close()
+    with (
+        isolated_network(),
+        ros_context(argv) as stop,
+        Supervisor(plan.output / LOGS) as supervisor,
+        StepCollector(JOINT) as collector,
+    ):
+        with table:
+            replay = Replay(plan, supervisor, collector, on_steps=table.show, interrupted=lambda: stop.requested)
+            replay.start()
+            replay.activate_driver()
+            replay.wait_for_end()
+        replay.stop()
+        return MotionTest(tuple(collector.complete_steps())), replay.calibration_identity()
 
 
 def _write_report(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from posor_bringup.supervisor import ProcessError
@@ -20,6 +20,7 @@ from posor_validation.reports.console_progress import InterruptedRunError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from types import TracebackType
 
     from posor_bringup.supervisor import Supervisor
 
@@ -61,7 +62,13 @@ class GraphReceiver(Node):
         while not condition():
             self._executor.spin_once(timeout_sec=SPIN_TIMEOUT_S)
 
-    def close(self) -> None:
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         """Leave the graph."""
         self._executor.remove_node(self)
         self._executor.shutdown()

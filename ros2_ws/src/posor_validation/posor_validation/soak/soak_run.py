@@ -231,27 +231,23 @@ def run_soak(
 
     """
     arm = write_fault_arm(name, folder / "arm", CYCLE_S, SEED)
-    with Supervisor(folder) as supervisor:
-        receiver = SoakReceiver(arm)
-        try:
-            (program,) = group_programs(arm_programs(arm, driver_parameters=IMPERFECTIONS), "composed", folder)
-            pid = supervisor.start(program).process.pid
-            watch = GraphWatch(supervisor, receiver, "soak", interrupted=interrupted)
-            watch.wait(lambda: len(receiver.poses) > SETTLED_POSES, lambda: "endpoint poses")
-            _wait_until(time.monotonic() + warm_up, watch)
-            begin_ns, begin_s, missed, samples = time.time_ns(), time.monotonic(), receiver.missed, []
-            while True:
-                now_s = time.monotonic() - begin_s
-                samples.append(ProcessSample.take(pid, now_s))
-                on_sample(samples[-1])
-                if now_s >= seconds:
-                    break
-                _wait_until(begin_s + min(now_s + SAMPLE_S, seconds), watch)
-            window = TickWindow(begin_ns, time.time_ns() - SETTLING_NS, RATES[name])
-            receiver.stop_drivers(watch)
-            return receiver.figures(window, receiver.missed - missed, samples)
-        finally:
-            receiver.close()
+    with Supervisor(folder) as supervisor, SoakReceiver(arm) as receiver:
+        (program,) = group_programs(arm_programs(arm, driver_parameters=IMPERFECTIONS), "composed", folder)
+        pid = supervisor.start(program).process.pid
+        watch = GraphWatch(supervisor, receiver, "soak", interrupted=interrupted)
+        watch.wait(lambda: len(receiver.poses) > SETTLED_POSES, lambda: "endpoint poses")
+        _wait_until(time.monotonic() + warm_up, watch)
+        begin_ns, begin_s, missed, samples = time.time_ns(), time.monotonic(), receiver.missed, []
+        while True:
+            now_s = time.monotonic() - begin_s
+            samples.append(ProcessSample.take(pid, now_s))
+            on_sample(samples[-1])
+            if now_s >= seconds:
+                break
+            _wait_until(begin_s + min(now_s + SAMPLE_S, seconds), watch)
+        window = TickWindow(begin_ns, time.time_ns() - SETTLING_NS, RATES[name])
+        receiver.stop_drivers(watch)
+        return receiver.figures(window, receiver.missed - missed, samples)
 
 
 def _wait_until(end_s: float, watch: GraphWatch) -> None:

@@ -33,16 +33,16 @@ def test_a_missing_topic_is_shown_and_ends_the_start(
     )
     simulation = ArmSimulation(load_checked_arm("test_rig"))
     screen = io.StringIO()
-    with ros_context(["test"]), Supervisor(tmp_path) as supervisor:
-        receiver = ArmReceiver("test_rig", simulation.chain, stage=False)
-        try:
-            with ArmLiveTable("rig", Console(file=screen, width=200)) as table:
-                run = ArmRun(ArmPlan(simulation, 1, tmp_path), supervisor, receiver, table)
-                topic = "/test_rig/endpoint/pose_with_covariance (no diagnostics of /test_rig/chain_node yet)"
-                with pytest.raises(ProcessError) as raised:
-                    run.start_nodes()
-        finally:
-            receiver.close()
+    with (
+        ros_context(["test"]),
+        Supervisor(tmp_path) as supervisor,
+        ArmReceiver("test_rig", simulation.chain, stage=False) as receiver,
+        ArmLiveTable("rig", Console(file=screen, width=200)) as table,
+    ):
+        run = ArmRun(ArmPlan(simulation, 1, tmp_path), supervisor, receiver, table)
+        topic = "/test_rig/endpoint/pose_with_covariance (no diagnostics of /test_rig/chain_node yet)"
+        with pytest.raises(ProcessError) as raised:
+            run.start_nodes()
     assert str(raised.value).startswith(f"arm: no message for 8 s, missing: {topic}")
     lines = screen.getvalue().splitlines()
     assert lines[0] == "rig: starting 2 nodes"

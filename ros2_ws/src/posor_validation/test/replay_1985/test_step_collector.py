@@ -23,10 +23,8 @@ if TYPE_CHECKING:
 @pytest.fixture
 def collector(ros_domain: int) -> Iterator[StepCollector]:
     assert ros_domain
-    with ros_context(["test"]):
-        node = StepCollector("joint7")
+    with ros_context(["test"]), StepCollector("joint7") as node:
         yield node
-        node.close()
 
 
 @pytest.fixture

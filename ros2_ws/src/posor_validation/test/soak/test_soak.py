@@ -29,11 +29,9 @@ SAMPLES = [ProcessSample(float(n), 100.0 + 1e-4 * n, 20, 50) for n in range(10)]
 @pytest.fixture
 def receiver(ros_domain: int) -> Iterator[SoakReceiver]:
     assert ros_domain
-    with ros_context(["soak"]):
-        found = SoakReceiver(load_checked_arm("five_axis"))
+    with ros_context(["soak"]), SoakReceiver(load_checked_arm("five_axis")) as found:
         found.poses, found.states = array("q", TICKS), array("q", TICKS)
         yield found
-        found.close()
 
 
 def judge(receiver: SoakReceiver, missed: int, fewest: int = 0) -> SoakFigures:
