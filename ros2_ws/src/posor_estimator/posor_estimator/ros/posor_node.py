@@ -38,7 +38,7 @@ from posor_estimator.ros.lifecycle_node import PosorNode
 from posor_estimator.ros.message_classes import schema_of_class
 from posor_estimator.ros.message_conversion import stamp_ns as stamp_ns_of
 from posor_estimator.ros.node_program import run_node
-from posor_estimator.ros.qos import RELIABLE_QOS, sensor_publisher_qos, sensor_subscription_qos
+from posor_estimator.ros.qos import RELIABLE_QOS, input_qos, sensor_publisher_qos, sensor_subscription_qos
 from posor_estimator.ros.raw_scan_stream import RawScanStream
 from posor_estimator.ros.reliability_message import reliability_fields
 from posor_estimator.ros_names import RAW_TOPIC, RELIABILITY_TOPIC, TRANSFORM_TOPIC
@@ -112,7 +112,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self._inputs.add(IntraProcessSubscription(self, RawScan, RAW_TOPIC, qos, self._on_raw_scan))
         if self.parameters.encoder.sigma:
             topic = self.parameters.encoder.topic
-            encoder = self.create_subscription(JointState, topic, self._on_encoder, qos)
+            encoder = self.create_subscription(JointState, topic, self._on_encoder, input_qos(self.parameters))
             self.add_cleanup(self.destroy_subscription, encoder)
         services = {
             "reload": self._reload_calibration,

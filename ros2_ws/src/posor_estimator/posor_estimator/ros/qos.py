@@ -42,12 +42,18 @@ def sensor_publisher_qos(parameters: NodeParameters) -> QoSProfile:
 
 
 def sensor_subscription_qos(parameters: NodeParameters) -> QoSProfile:
-    """Return the profile of a subscription to a sensor topic.
+    """Return the profile of a subscription to a sensor topic of this project: as other inputs, and with its deadline."""
+    return _with_deadline(input_qos(parameters), parameters)
+
+
+def input_qos(parameters: NodeParameters) -> QoSProfile:
+    """Return the profile of a subscription to a topic that others publish, such as that of encoders.
 
     The default is best effort with a small depth, as REP-2003 recommends: a servo needs the newest scan, not all of
-    them. With ``lossless`` it is reliable and keeps all, so that publishers that keep all wait for it.
+    them. With ``lossless`` it is reliable and keeps all, so that publishers that keep all wait for it. It requests no
+    deadline: publishers of others offer none, and would not match.
     """
-    return _with_deadline(KEEP_ALL_QOS if parameters.lossless else SENSOR_QOS, parameters)
+    return KEEP_ALL_QOS if parameters.lossless else SENSOR_QOS
 
 
 def _with_deadline(profile: QoSProfile, parameters: NodeParameters) -> QoSProfile:

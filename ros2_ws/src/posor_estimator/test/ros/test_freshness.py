@@ -247,6 +247,13 @@ def test_a_deadline_is_requested_and_a_missed_one_is_reported() -> None:
         )
 
 
+def test_a_deadline_is_not_requested_of_encoders() -> None:
+    arguments = ros_arguments({**POSOR, "freshness.deadline": 0.1, "encoder.sigma": 1e-3})
+    with Program([*installed("posor_estimator", "posor_node"), *arguments]), Graph() as graph:
+        publisher = graph.node.create_publisher(JointState, "encoder", 10)
+        graph.wait_until(lambda: publisher.get_subscription_count() == 1, "the match")
+
+
 def test_an_encoder_that_disagrees_latches_a_fault_until_it_is_acknowledged() -> None:
     parameters = {**POSOR, "lossless": True, "freshness.max_silence": math.inf}
     parameters |= {"encoder.sigma": 1e-3, "encoder.topic": "/arm/encoders"}
