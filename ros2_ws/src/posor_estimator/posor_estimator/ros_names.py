@@ -18,7 +18,6 @@ TRUTH_TOPIC = "/truth/machining_centre"
 
 RAW_SCAN = "posor_msgs/msg/RawScan"
 JOINT_TRANSFORM = "posor_msgs/msg/JointTransform"
-JOINT_RELIABILITY = "posor_msgs/msg/JointReliability"
 REFERENCE_READING = "posor_msgs/msg/ReferenceReading"
 ENDPOINT_STATE = "posor_msgs/msg/EndpointState"
 POINT_STAMPED = "geometry_msgs/msg/PointStamped"

@@ -13,7 +13,7 @@ from typing import get_args
 import numpy as np
 
 from posor_estimator.calibration.designs import DesignName, design
-from posor_estimator.chain.joint_measurements import JointMeasurements, JointRowLayout, read_rows
+from posor_estimator.chain.joint_measurements import JointRowLayout
 from posor_estimator.chain.kinematic_chain import Chain
 from posor_estimator.compilation import completion_mark
 from posor_estimator.estimation.forward import scans_at
@@ -89,7 +89,6 @@ def warm_up_chain() -> None:
     rows = np.zeros((1, ROW_BYTES), dtype=np.uint8)
     rows.view(np.float64)[0, 10] = 1.0  # w of the quaternion
     estimator.rows[0] = rows[0]
-    read_rows(rows, layout, 0, JointMeasurements.allocate(1, 1))
     estimator.estimate_rows(0)
 
 

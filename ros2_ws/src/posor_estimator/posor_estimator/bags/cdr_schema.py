@@ -129,12 +129,6 @@ class Layout:
         """Return the span of a field."""
         return self.spans[path]
 
-    def holds_for(self, data: bytes) -> bool:
-        """Return whether a message has this layout."""
-        return len(data) >= self.size and all(
-            data[offset : offset + len(expected)] == expected for offset, expected in self.decisive.items()
-        )
-
     def unpacker(self, paths: Sequence[str]) -> struct.Struct:
         """Return a struct that unpacks the first two bytes of a message, then fields; it fails on a short message.
 

@@ -150,25 +150,21 @@ def diodes(kind: DiodeKind, positions: Sequence[tuple[float, float]], sources: S
     }
 
 
-def light_ring(kind: DiodeKind, radius: float, sources: int, *, coded: bool, count: int = 2) -> Part:
-    """Return a ring of light sources of a radius [m], and its diodes.
+def light_ring(kind: DiodeKind, radius: float, sources: int, count: int = 2) -> Part:
+    """Return a coded ring of light sources of a radius [m], and its diodes (``coded_azimuths``, ``coded_places``).
 
     Args:
         kind: Uncertainties of the parts.
         radius: Of the ring and of the places of the diodes [m].
         sources: Number of sources.
-        coded: Whether the sources are spaced as ``coded_azimuths`` says, for diodes 120 degrees apart; else they are
-            spaced evenly, two diodes opposite to each other.
-        count: Number of diodes of a coded ring, two or three.
+        count: Number of diodes, two or three.
 
     """
-    around = coded_azimuths(sources) if coded else tuple(2.0 * math.pi * i / sources for i in range(sources))
-    places = coded_places(count) if coded else (0.25 * math.pi, 1.25 * math.pi)
 
     def on_ring(azimuths: Sequence[float]) -> list[tuple[float, float]]:
         return [(radius * math.cos(phi), radius * math.sin(phi)) for phi in azimuths]
 
-    return diodes(kind, on_ring(places), on_ring(around))
+    return diodes(kind, on_ring(coded_places(count)), on_ring(coded_azimuths(sources)))
 
 
 def coded_places(count: int) -> tuple[float, ...]:

@@ -31,8 +31,6 @@ DesignName = Literal[
 ]
 SizedDesignName = Literal["triad_light_ring", "triad_bumpy_ring", "quad_light_ring", "quad_bumpy_ring"]
 
-DIODE_SPAN = 5.5e-3
-"""Half the width of a diode's calibrated surface [m], slightly inside the domain of its map."""
 THETA_OF_TWO_SOURCES = 0.1
 """Largest theta [rad] with two fixed sources on their diodes, at a runout of 1 mm."""
 SOURCES = 36
@@ -106,15 +104,15 @@ SIZED_RING_PROBE = ProbeKind(
     supply_sigma=1e-3,
 )
 SIZED_TILT_SIGMA = 0.3e-6
-_SIZED_DIODE = DiodeKind(
+SIZED_DIODE = DiodeKind(
     noise=2e-5,
     origin_sigma=(0.1e-6, 0.1e-6, 5e-6),
     axis_sigma=(1e-5, 1e-4),
     map_sigma=0.1e-6,
     source_sigma=(0.1e-6, 0.1e-6, 5e-6),
     direction_sigma=2e-5,
+    lean=_CODED_LEAN,
 )
-CODED_SIZED_DIODE = replace(_SIZED_DIODE, lean=_CODED_LEAN)
 
 
 def _sized_ring(outside_diameter: float) -> RingShape:
@@ -197,18 +195,16 @@ def design(
     name: DesignName,
     *,
     ring_probes: int = 4,
-    coded: bool = True,
     motion: bool = False,
     converter: bool = False,
     frames: tuple[str, str] = ("receiving", "target"),
 ) -> Calibration:
-    """Return the calibration of one of the designs of the 1985 size.
+    """Return the calibration of one of the designs of the 1985 size; the sources of a light ring are a ``coded_ring``.
 
     Args:
         name: Which stack: ``triad_`` with the three gap probes of the thesis; ``quad_``, recommended, with a fourth one
             opposite to the first, so that the gap probes check one another.
         ring_probes: Number of probes of a bumpy ring, three or more.
-        coded: Whether the sources of a light ring are spaced so that they tell which ones are lit (``coded_ring``).
         motion: Whether to limit the velocity of the target: 1 mm/s, 0.02 rad/s of lean, 3 rad/s of theta.
         converter: Whether to state the steps of the converter, so that repeated readings are a fault.
         frames: Names of receiving and target plate.
@@ -219,7 +215,7 @@ def design(
         tips.append([0.0762, 0.0, 0.0])
     sensors = [gap_probes(_PROBE, tips, 20e-6)]
     if name.endswith("_light_ring"):
-        sensors.append(light_ring(_CODED_DIODE if coded else _DIODE, 0.044, SOURCES, coded=coded))
+        sensors.append(light_ring(_CODED_DIODE, 0.044, SOURCES))
     elif name.endswith("_diodes"):
         positions = [(-0.0254, 0.0381), (-0.0254, -0.0381)]
         sensors.append(diodes(_DIODE, positions, positions))
@@ -230,9 +226,7 @@ def design(
     return design_calibration(name, "assumed design", (), frames, limits, environment, steps, sensors)
 
 
-def sized_design(
-    name: SizedDesignName, outside_diameter: float, *, coded: bool = True, frames: tuple[str, str], title: str
-) -> Calibration:
+def sized_design(name: SizedDesignName, outside_diameter: float, *, frames: tuple[str, str], title: str) -> Calibration:
     """Return the calibration of a POSOR of an outside diameter D.
 
     Gap probes on a circle of D - 1 in: ``triad_``, the three of section 9.3.1 in an equilateral triangle, whose
@@ -243,7 +237,6 @@ def sized_design(
     Args:
         name: Which stack.
         outside_diameter: [m].
-        coded: As in ``design``.
         frames: Names of receiving and target plate.
         title: The calibration's name.
 
@@ -272,10 +265,9 @@ def sized_design(
     if name.endswith("_light_ring"):
         radius = 0.5 * outside_diameter - INCH
         sources = 4 * math.ceil(2.0 * math.pi * radius / SOURCE_PITCH / 4.0)
-        sensors.append(light_ring(CODED_SIZED_DIODE if coded else _SIZED_DIODE, radius, sources, coded=coded))
+        sensors.append(light_ring(SIZED_DIODE, radius, sources))
         notes.append("assumed: light sources 7.7 mm apart on average, two diodes of 5.5 mm half width, their noise")
-        if coded:
-            notes.append("assumed: the pitch of the sources grows around the ring, so that two lit ones tell which")
+        notes.append("assumed: the pitch of the sources grows around the ring, so that two lit ones tell which")
     else:
         sensors.append(bumpy_ring(SIZED_RING_PROBE, _sized_ring(outside_diameter), 4))
         notes.append("assumed: bumps of 0.4 mm every 3.32 mm, ring probes of 1.5 times the range of the others")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from posor_estimator.numerics.compiled import in_place, inlined
+from posor_estimator.numerics.compiled import inlined
 from posor_estimator.numerics.pose import rotation_of_pose
 
 if TYPE_CHECKING:
@@ -254,17 +254,3 @@ def read_row(layouts: RecordArray, joint: int, numbers: FloatArray, pose: FloatA
             covariance[i, k] = entries[6 * i + k]
     native = numbers[first_of_native : first_of_native + 6]
     return float(native[5]) if native_agrees(native, pose) else math.inf
-
-
-@in_place
-def _read_rows(layout: RecordArray, numbers: FloatArray, joint: int, measurements: JointMeasurements) -> None:
-    """Read the rows (n, w) of one joint in n scans."""
-    for n in range(numbers.shape[0]):
-        measurements.thetas[n, joint] = read_row(
-            layout, 0, numbers[n], measurements.poses[n, joint], measurements.covariances[n, joint]
-        )
-
-
-def read_rows(rows: ByteArray, layout: JointRowLayout, joint: int, measurements: JointMeasurements) -> None:
-    """Copy serialised measurements (n, bytes) of one joint in n scans into ``measurements``."""
-    _read_rows(layout.record, rows.view(np.float64), joint, measurements)

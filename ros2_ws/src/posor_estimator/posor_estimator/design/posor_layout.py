@@ -22,8 +22,8 @@ from posor_estimator.calibration.design_parts import (
     light_ring,
 )
 from posor_estimator.calibration.designs import (
-    CODED_SIZED_DIODE,
     GAP_OF_VOLT,
+    SIZED_DIODE,
     SIZED_GAP_PROBE,
     SIZED_RING_PROBE,
     SIZED_TILT_SIGMA,
@@ -111,7 +111,7 @@ class PosorLayout:
         """
         noise = self.scan_noise(rate)
         volts = SIZED_GAP_PROBE.noise * noise / VOLTAGE_SPAN
-        amperes = 0.5 * MIDDLE_CURRENT * CODED_SIZED_DIODE.noise * noise / CURRENT_SPAN
+        amperes = 0.5 * MIDDLE_CURRENT * SIZED_DIODE.noise * noise / CURRENT_SPAN
         least = volts if self.theta_sensor == "bumpy_ring" else min(volts, amperes)
         return next((bits for bits in BITS if 2.0**-bits <= least), BITS[-1])
 
@@ -166,7 +166,7 @@ class PosorLayout:
 
     def _diodes(self, rate: float, bits: int) -> dict[str, object]:
         step = math.sqrt(2.0) * CURRENT_SPAN / 2**bits / MIDDLE_CURRENT
-        reference = CODED_SIZED_DIODE
+        reference = SIZED_DIODE
         size = DIODE_SLOPE * self.ring_size / reference.scale
         kind: DiodeKind = replace(
             reference,
@@ -175,7 +175,7 @@ class PosorLayout:
             scale=reference.scale * size,
         )
         if self.theta_sensor == "light_ring":
-            return light_ring(kind, self.ring_radius, self.marks, coded=True, count=self.theta_probes)
+            return light_ring(kind, self.ring_radius, self.marks, count=self.theta_probes)
         places = [
             (self.ring_radius * math.cos(azimuth), self.ring_radius * math.sin(azimuth))
             for azimuth in self.diode_azimuths

@@ -42,7 +42,7 @@ def sensor_publisher_qos(parameters: NodeParameters) -> QoSProfile:
 
 
 def sensor_subscription_qos(parameters: NodeParameters) -> QoSProfile:
-    """Return the profile of a subscription to a sensor topic of this project: as other inputs, and with its deadline."""
+    """Return the profile of a subscription to a sensor topic: that of other inputs, and its publisher's deadline."""
     return _with_deadline(input_qos(parameters), parameters)
 
 

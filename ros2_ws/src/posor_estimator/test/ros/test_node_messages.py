@@ -11,7 +11,7 @@ import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from posor_estimator.bags.cdr_schema import STAMP
 from posor_estimator.bags.message_table import LEAD
-from posor_estimator.chain.joint_measurements import JointMeasurements, read_rows
+from posor_estimator.chain.joint_measurements import JointMeasurements, read_row
 from posor_estimator.errors import TopicError
 from posor_estimator.estimation.estimate import Estimate
 from posor_estimator.model.fault import Fault, State
@@ -98,8 +98,9 @@ def test_a_transform_is_recognised_and_read_for_the_chain() -> None:
         assert kind.read_state(data) == (message.state, message.faults)
         assert stamp_ns_of(data[STAMP]) == scan_from_message(scan).stamp_ns
         row[LEAD : LEAD + kind.size] = np.frombuffer(data, dtype=np.uint8)[: kind.size]
-    read_rows(rows, kind.row_layout, 0, measured)
     for n, message in enumerate(messages):
+        pose, covariance, layouts = measured.poses[n, 0], measured.covariances[n, 0], kind.row_layout.record
+        measured.thetas[n, 0] = read_row(layouts, 0, rows[n].view(np.float64), pose, covariance)
         p, q = message.pose.position, message.pose.orientation
         assert measured.poses[n, 0].tobytes() == np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w]).tobytes()
         assert measured.covariances[n, 0].tobytes() == np.asarray(message.covariance).tobytes()

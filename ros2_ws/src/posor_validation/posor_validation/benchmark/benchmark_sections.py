@@ -6,10 +6,10 @@ import json
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+from posor_validation.benchmark.estimator_benchmark import estimator_figures
 from posor_validation.benchmark.generated_arm import generate_arm, record_scans
 from posor_validation.benchmark.graph_load import LAYOUTS, PROFILE, SPIN_US, GraphLoad
 from posor_validation.benchmark.growth_lines import OVERLOADED, fit_line, select_series
-from posor_validation.benchmark.microbenchmarks import estimator_figures
 from posor_validation.benchmark.offline_benchmark import offline_figures
 from posor_validation.benchmark.tick_statistics import NothingReceivedError, run_figures
 
