@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from posor_estimator.model.fault import Fault, State
+from posor_estimator.model.fault import USABLE_STATES, Fault, State
 from posor_estimator.numerics.stamps import NS
 from posor_estimator.ros_names import ENDPOINT_STATE_TOPIC
 from posor_msgs.msg import EndpointState
@@ -33,7 +33,7 @@ DIAGNOSTICS_SILENCE_S = 3.0
 STATES = {**{int(state): state.name for state in State}, int(EndpointState.STATE_STALE): "STALE"}
 SILENT, NO_MESSAGE, NO_STATE = "SILENT", "NO MESSAGE", "NO STATE"
 """Further states, which follow from the absence of messages; the last one: a bag without ``endpoint/state``."""
-USABLE = (State.OK.name, State.DEGRADED.name)
+USABLE = tuple(state.name for state in USABLE_STATES)
 """States of a joint whose pose may be used."""
 _POSE = (*(f"position.{axis}" for axis in "xyz"), *(f"orientation.{axis}" for axis in "xyzw"))
 

@@ -12,7 +12,7 @@ from posor_estimator.bags.estimate_arrays import ArmEstimates, EndpointEstimates
 from posor_estimator.bags.reprocess_task import EndpointSummary, JointSummary
 from posor_estimator.errors import ChainError
 from posor_estimator.estimation.posor import Posor
-from posor_estimator.model.fault import Fault, State
+from posor_estimator.model.fault import USABLE_STATES, Fault, State
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -162,8 +162,8 @@ class EndpointPipeline:
         """Return the endpoint at all stamps that become complete with the next transforms of all joints."""
         complete = self.synchroniser.join([self._with_stamp(name, joints[name]) for name in self.joints])
         states = np.array([each.states for each in complete])
-        usable = (states == int(State.OK)) | (states == int(State.DEGRADED))
-        all_usable = usable.all(axis=0)
+        usable: BoolArray = np.isin(states, USABLE_STATES)
+        all_usable: BoolArray = np.all(usable, axis=0)
         if not all_usable.all():
             complete = [each.select(all_usable) for each in complete]
         endpoints = self._estimator.estimate_all(

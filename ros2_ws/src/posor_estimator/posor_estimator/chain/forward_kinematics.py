@@ -24,7 +24,7 @@ from posor_estimator.chain.endpoint_covariance import (
     write_covariance,
 )
 from posor_estimator.chain.joint_measurements import ENDPOINT_NOT_FINITE, measurement_fault, read_row
-from posor_estimator.model.fault import State
+from posor_estimator.model.fault import USABLE_STATES
 from posor_estimator.numerics.compiled import in_place, inlined
 from posor_estimator.numerics.matrix import Matrix, applied, matrix, product, row_times, transposed, turned_by
 from posor_estimator.numerics.pose import rotation_of_pose, write_pose
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 UNUSABLE, HISTORY_FULL = -1, -2
 """Results of ``estimate_endpoint_of_rows``: there is no endpoint; nothing was done, enlarge the history and repeat."""
-WORST_USABLE_STATE = int(State.DEGRADED)
+WORST_USABLE_STATE = int(max(USABLE_STATES))
 IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 

@@ -14,7 +14,7 @@ from posor_estimator.identification.bundle_problem import BundleData, PoseRefere
 from posor_estimator.identification.data_checks import READING_KINDS, check_axis, check_channels_vary, check_unit
 from posor_estimator.identification.dwells import NS, average_dwells, find_dwells, scans_with_reference
 from posor_estimator.identification.recording import POSE, unpack_poses
-from posor_estimator.model.fault import State
+from posor_estimator.model.fault import USABLE_STATES, State
 from posor_estimator.model.native_coordinates import native_from_rotation
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def make_bundle_data(
     posor = Posor(calibration.model_copy(update={"motion": None}), false_alarm=0.0)
     if topic is None:
         estimates = posor.estimate_all(recording.scans)
-        found = np.flatnonzero(np.isin(estimates.states, [int(State.OK), int(State.DEGRADED)]))
+        found = np.flatnonzero(np.isin(estimates.states, USABLE_STATES))
         poses = [pin.SE3(estimates.rotations[i], estimates.translations[i]) for i in found]
         left_out = len(recording.scans) - len(found)
         data = BundleData(recording.scans.select(found), np.ones(len(found)), poses, None, left_out)

@@ -14,6 +14,10 @@ class State(IntEnum):
     UNCOUNTED = 3
 
 
+USABLE_STATES = (State.OK, State.DEGRADED)
+"""Of estimates whose pose may be used."""
+
+
 class Fault(IntFlag):
     """Why the state is not OK."""
 

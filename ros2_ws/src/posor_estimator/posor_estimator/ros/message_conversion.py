@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from geometry_msgs.msg import Pose
-from posor_msgs.msg import JointTransform, RawScan
+from posor_msgs.msg import EndpointState, JointTransform, RawScan
 
-from posor_estimator.model.fault import State
+from posor_estimator.model.fault import USABLE_STATES
 from posor_estimator.model.scan import Scan, split_by_diode
 from posor_estimator.node_parameters import COVARIANCE_KINDS
 from posor_estimator.numerics.stamps import time_ns
@@ -89,9 +89,9 @@ def transform_message(
     return message
 
 
-def is_usable(message: JointTransform) -> bool:
-    """Return whether the state of a transform says that its pose may be used."""
-    return message.state in (State.OK, State.DEGRADED)
+def is_usable(message: JointTransform | EndpointState) -> bool:
+    """Return whether the state of a transform or endpoint says that its pose may be used."""
+    return message.state in USABLE_STATES
 
 
 def stamp_ns(message: RawScan | JointTransform | JointState) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from posor_estimator.model.fault import Fault, State
+from posor_estimator.model.fault import USABLE_STATES, Fault
 from posor_estimator.numerics.stamps import NS
 from posor_estimator.uncertainty.reading_sensitivity import last_sensitivity
 from posor_estimator.uncertainty.reliability import reliability
@@ -21,7 +21,7 @@ def reliability_fields(posor: Posor, last: EstimatedScan) -> dict[str, Any] | No
         The fields by their paths; None: the estimate has no usable pose, or not from the readings alone.
 
     """
-    usable = last.estimate["state"] in {State.OK, State.DEGRADED}
+    usable = last.estimate["state"] in USABLE_STATES
     if last.refusal or not usable or last.estimate["faults"] & Fault.ILL_CONDITIONED:
         return None
     found = reliability(posor, last_sensitivity(posor))

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Matches reliable and best-effort publishers."""
-USABLE = (int(State.OK), int(State.DEGRADED))
 
 
 @dataclass(frozen=True)

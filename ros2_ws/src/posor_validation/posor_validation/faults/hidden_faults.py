@@ -18,7 +18,7 @@ from posor_estimator.chain.arm_file import load_arm
 from posor_estimator.errors import PosorError
 from posor_estimator.estimation.forward import scans_at
 from posor_estimator.estimation.posor import Posor
-from posor_estimator.model.fault import State
+from posor_estimator.model.fault import USABLE_STATES, State
 from posor_estimator.uncertainty.protection_level import (
     endpoint_effects,
     endpoint_protection_level,
@@ -119,7 +119,7 @@ def probe_cases(
         thetas = np.array([theta]) if posor.counts_bumps else None
         found = posor.estimate_each(scan.with_fields({"gap_voltages": volts}), thetas)
         covariance = (found.covariances_random + found.covariances_systematic)[0]
-        if found.states[0] not in (State.OK, State.DEGRADED):
+        if found.states[0] not in USABLE_STATES:
             lost += 1
             covered += 1
             continue

@@ -7,10 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from posor_drivers.simulator.pose_array import PoseArray
 from posor_estimator.numerics.stamps import NS
-from posor_estimator.ros.message_conversion import stamp_ns
+from posor_estimator.ros.message_conversion import is_usable, stamp_ns
 from posor_estimator.ros_names import ENDPOINT_COVARIANCE_TOPIC, ENDPOINT_STATE_TOPIC, TRANSFORM_TOPIC
-
-from posor_validation.faults.fault_receiver import USABLE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -120,7 +118,7 @@ class PoseJudge:
 
 def _valid(arrivals: Sequence[Arrival]) -> list[tuple[Arrival, Any, Any]]:
     """Return message, pose and covariance of those published as valid."""
-    return [(each, each.message.pose, each.message.covariance) for each in arrivals if each.message.state in USABLE]
+    return [(each, each.message.pose, each.message.covariance) for each in arrivals if is_usable(each.message)]
 
 
 def pose_array(poses: Sequence[Any]) -> PoseArray:

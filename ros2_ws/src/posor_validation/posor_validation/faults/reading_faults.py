@@ -15,14 +15,14 @@ from posor_bringup.arm_programs import arm_programs, group_programs
 from posor_bringup.supervisor import ProcessError, Supervisor
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
-from posor_estimator.model.fault import Fault
+from posor_estimator.model.fault import USABLE_STATES, Fault
 from posor_estimator.numerics.stamps import NS
 from posor_estimator.ros.message_conversion import stamp_ns
 from posor_estimator.ros_names import TRANSFORM_TOPIC
 from posor_msgs.msg import RawScan
 
 from posor_validation.faults.fault_arm import fault_entry, quantity, write_fault_arm
-from posor_validation.faults.fault_receiver import USABLE, FaultReceiver
+from posor_validation.faults.fault_receiver import FaultReceiver
 from posor_validation.faults.fault_table import ARMS, FaultRow, RowResult
 from posor_validation.faults.pose_judge import PoseJudge
 from posor_validation.reports.graph_receiver import GraphWatch
@@ -254,7 +254,7 @@ class ReadingRun:
         before = receiver.between(topic, begin_ns - round(SOUND_S * NS), begin_ns)
         stamps = {stamp_ns(each.message) for each in receiver.between(topic, begin_ns, end_ns)}
         problem = ""
-        if not any(each.message.state in USABLE for each in before):
+        if not any(each.message.state in USABLE_STATES for each in before):
             problem = "its joint had no pose before the fault"
         elif self._faults[n].kind in NEEDS_FIRST_SCAN and begin_ns not in stamps:
             problem = "the driver missed the scan at which the fault began: the host is overloaded"

@@ -9,7 +9,7 @@ from posor_drivers.simulator.pose_array import PoseArray
 from posor_estimator.calibration.designs import sized_design
 from posor_estimator.estimation.forward import scans_at
 from posor_estimator.estimation.posor import Posor
-from posor_estimator.model.fault import Fault, State
+from posor_estimator.model.fault import USABLE_STATES, Fault
 from posor_estimator.numerics.stamps import NS
 from posor_estimator.sensors.diodes import DiodesCalibration
 
@@ -51,7 +51,7 @@ def run_slips(seed: int, positions: int = 12) -> RowResult:
                 posor.reset()
                 found = posor.estimate_all(sound.with_fields({"lit_sources": lit}))
                 covariances = found.covariances_random + found.covariances_systematic
-                valid = np.isin(found.states, (State.OK, State.DEGRADED))
+                valid = np.isin(found.states, USABLE_STATES)
                 wrong += int(
                     np.count_nonzero(
                         valid & wrong_poses(PoseArray(found.rotations, found.translations), covariances, truth)

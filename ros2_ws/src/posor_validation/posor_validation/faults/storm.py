@@ -24,7 +24,7 @@ from posor_estimator.calibration.designs import design, sized_design
 from posor_estimator.estimation.estimate import ESTIMATE, Estimates
 from posor_estimator.estimation.forward import scans_at
 from posor_estimator.estimation.posor import Posor
-from posor_estimator.model.fault import Fault, State
+from posor_estimator.model.fault import USABLE_STATES, Fault, State
 from posor_estimator.model.scan import HOME_BUMP, Scans
 from posor_estimator.numerics.stamps import NS
 from posor_estimator.sensors.diodes import DiodesCalibration
@@ -260,7 +260,7 @@ def count_storm(
         covariances: Total covariances, (n, 6, 6).
 
     """
-    valid = np.isin(states, (State.OK, State.DEGRADED))
+    valid = np.isin(states, USABLE_STATES)
     wrong = valid & wrong_poses(poses, covariances, storm.truth)
     sound = storm.faults < 0
     posor, covered = Posor(calibration), np.zeros(len(sound), dtype=bool)
@@ -304,7 +304,7 @@ def sensor_shifts(calibration: Calibration, shifts: FloatArray) -> FloatArray:
 def _latched_periods(states: IntArray, faults: IntArray) -> BoolArray:
     """Return which scans are in a period from a latched or uncounted scan, or the beginning, to the next pose, (n,)."""
     begins = (faults & Fault.LATCHED != 0) | (states == State.UNCOUNTED)
-    ends = np.isin(states, (State.OK, State.DEGRADED))
+    ends = np.isin(states, USABLE_STATES)
     begins[0] |= not ends[0]
     latest = np.maximum.accumulate(np.where(begins | ends, np.arange(len(states)), 0))
     return np.asarray(begins[latest])

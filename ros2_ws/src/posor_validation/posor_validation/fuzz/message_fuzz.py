@@ -23,7 +23,7 @@ from posor_estimator.bags.message_definitions import MessageTypes
 from posor_estimator.bags.message_table import LEAD
 from posor_estimator.errors import TopicError
 from posor_estimator.estimation.posor import Posor
-from posor_estimator.model.fault import State
+from posor_estimator.model.fault import USABLE_STATES
 from posor_estimator.ros.cdr_scan import RAW_SCAN, scan_of
 from posor_estimator.ros.cdr_transform import JOINT_TRANSFORM, JointTransformFormat
 from posor_estimator.ros.raw_scan_stream import RawScanStream
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
 
 SCANS = 200
 """Scans of each joint that are damaged, again and again."""
-USABLE = (State.OK, State.DEGRADED)
 READINGS = ("gap_voltages", "ring_voltages", "diode_currents", "lit_sources")
 ENVIRONMENT = "supply or temperature"
 COUPLED = (ENVIRONMENT, "diode_currents")
@@ -104,7 +103,7 @@ def record(simulation: ArmSimulation, joint: str, count: int = SCANS, cycle: int
         trackers.append(posor.model.workspace["tracker"].copy())
         transforms.append(stream.estimate_message(data) or b"")
         estimates.append(stream.last_scan().estimate)
-    usable = [n for n in range(1, count) if estimates[n]["state"] in USABLE]
+    usable = [n for n in range(1, count) if estimates[n]["state"] in USABLE_STATES]
     return JointRecording(posor, stream, scans, transforms, estimates, trackers, usable)
 
 
@@ -129,7 +128,7 @@ class ScanFuzz:
             n = self.chance.choice(self.recording.usable)
             data = mutate(self.recording.scans[n], self.chance)
             found = self._estimate(n, data)
-            self.judge(n, data, None if found is None or found["state"] not in USABLE else _pose_of(found))
+            self.judge(n, data, None if found is None or found["state"] not in USABLE_STATES else _pose_of(found))
 
     def judge(self, n: int, data: bytes, found: pin.SE3 | None) -> None:
         """Count what became of damaged bytes in place of scan n: a pose that is published as valid, or None."""

@@ -15,6 +15,7 @@ from geometry_msgs.msg import PoseStamped
 from posor_bringup.arm_programs import arm_programs
 from posor_bringup.supervisor import Supervisor
 from posor_estimator.bags.cdr_schema import STAMP
+from posor_estimator.model.fault import USABLE_STATES
 from posor_estimator.node_parameters import RECORDING
 from posor_estimator.numerics.stamps import NS
 from posor_estimator.ros.cdr_transform import stamp_ns_of
@@ -23,7 +24,7 @@ from posor_estimator.ros_names import ENDPOINT_TOPIC, RAW_TOPIC, TRANSFORM_TOPIC
 from posor_msgs.msg import JointTransform, RawScan
 from rclpy.serialization import deserialize_message
 
-from posor_validation.fuzz.message_fuzz import USABLE, ScanFuzz, TransformFuzz
+from posor_validation.fuzz.message_fuzz import ScanFuzz, TransformFuzz
 from posor_validation.fuzz.mutation import mutate
 from posor_validation.reports.graph_receiver import GraphWatch
 from posor_validation.reports.node_player import NodePlayer
@@ -192,7 +193,7 @@ class NodeScanFuzz:
 def _usable_pose(data: bytes) -> pin.SE3 | None:
     """Return the pose of a serialised transform that is published as valid."""
     message = deserialize_message(data, JointTransform)
-    return pose_from_message(message.pose) if message.state in USABLE else None
+    return pose_from_message(message.pose) if message.state in USABLE_STATES else None
 
 
 class NodeTransformFuzz:

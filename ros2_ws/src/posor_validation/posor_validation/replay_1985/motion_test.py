@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 from posor_estimator.errors import PosorError
 from posor_estimator.identification.attitude_fit import angles_from_displacements
-from posor_estimator.model.fault import Fault, State
+from posor_estimator.model.fault import USABLE_STATES, Fault, State
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -57,7 +57,7 @@ class MotionStep:
     @property
     def has_pose(self) -> bool:
         """Whether the step gave a pose."""
-        return self.state in (State.OK, State.DEGRADED)
+        return self.state in USABLE_STATES
 
     @property
     def status(self) -> str:

@@ -14,7 +14,7 @@ from posor_estimator.chain.joint_measurements import MeasuredJoint
 from posor_estimator.chain.kinematic_chain import load_chain
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.identification.recording import POINT
-from posor_estimator.model.fault import Fault, State
+from posor_estimator.model.fault import USABLE_STATES, Fault, State
 from posor_estimator.ros_names import TRUTH_TOPIC
 
 from posor_validation.replay_1985.motion_test import MotionStep, MotionTest
@@ -41,7 +41,7 @@ def offline_motion_test(bag: Bag, calibration: CalibrationName) -> MotionTest:
     for n, number in enumerate(recording.scans.numbers):
         state = State(int(estimates.states[n]))
         endpoint = np.full(3, np.nan)
-        if state in (State.OK, State.DEGRADED):
+        if state in USABLE_STATES:
             pose = pin.SE3(estimates.rotations[n], estimates.translations[n])
             endpoint = chain.estimate({JOINT: MeasuredJoint(pose, np.zeros((6, 6)))}).T_base_endpoint.translation
         steps.append(
