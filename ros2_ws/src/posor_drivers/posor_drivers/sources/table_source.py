@@ -20,6 +20,7 @@ from posor_estimator.input_text import read_input_text
 from posor_estimator.parameter_model import ParameterGroup
 from posor_estimator.ros_names import POINT_STAMPED, RAW_SCAN, RAW_TOPIC, TRUTH_TOPIC
 from pydantic import Field
+from scipy.constants import inch
 
 from posor_drivers.message_builder import point_stamped, raw_scan
 from posor_drivers.sources.source import RecordedSource, SourceMessage, Topic
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 
     from posor_estimator.numerics.array_types import FloatArray
 
-METRES_PER_INCH = 0.0254
 TRUTH_COLUMNS = ("x_in", "y_in", "z_in")
 PROBE_COLUMNS = ("l1_v", "l2_v", "l3_v")
 DIODE_COLUMNS = ("dx1", "dy1", "dx2", "dy2")
@@ -196,7 +196,7 @@ def _parse_row(cells: Mapping[str, str], where: str) -> TableRow:
         return value
 
     def metres(column: str) -> float:
-        return math.nan if cells[column].lower() == "nan" else finite(column) * METRES_PER_INCH
+        return math.nan if cells[column].lower() == "nan" else finite(column) * inch
 
     step = cells["step"]
     if not (step.isascii() and step.isdigit()):

@@ -11,9 +11,10 @@ import math
 from dataclasses import replace
 from typing import Any, Literal
 
+from scipy.constants import inch
+
 from posor_estimator.calibration.calibration_file import VERSION, Calibration, calibration_from
 from posor_estimator.calibration.design_parts import (
-    INCH,
     DiodeKind,
     Part,
     ProbeKind,
@@ -38,9 +39,9 @@ BUMPS = 36
 STANDOFF = 0.735e-3
 """Gap at which a probe along Z reads 0 V, the nominal distance of the plates [m]."""
 
-PROBE_ACCURACY = 5e-6 * INCH
+PROBE_ACCURACY = 5e-6 * inch
 """Accuracy of the probes of section 9.3.1, 5 microinch [m]."""
-SMALLEST_DIAMETER = 3.0 * INCH
+SMALLEST_DIAMETER = 3.0 * inch
 """Smallest outside diameter of ``sized_design`` [m]."""
 SOURCE_PITCH = 7.7e-3
 """Largest mean distance between light sources [m]. With a coded ring's growth of pitch, one is always on each diode."""
@@ -116,9 +117,9 @@ SIZED_DIODE = DiodeKind(
 
 
 def _sized_ring(outside_diameter: float) -> RingShape:
-    radius = 0.5 * outside_diameter - INCH
+    radius = 0.5 * outside_diameter - inch
     return RingShape(
-        bumps=4 * max(1, round(BUMPS_PER_INCH * 2.0 * radius / INCH / 4.0)),
+        bumps=4 * max(1, round(BUMPS_PER_INCH * 2.0 * radius / inch / 4.0)),
         mean_radius=radius,
         cos=(-4e-6, 0.0, 4e-4, 5e-7, 1e-5),
         sin=(0.0, -5e-6, 0.0, -1e-5, 0.0),
@@ -248,7 +249,7 @@ def sized_design(name: SizedDesignName, outside_diameter: float, *, frames: tupl
         raise CalibrationError(
             f"outside diameter {outside_diameter:g} m", where=title, expected=f"at least {SMALLEST_DIAMETER:g} m"
         )
-    circle = 0.5 * (outside_diameter - INCH)
+    circle = 0.5 * (outside_diameter - inch)
     half_side = circle * math.sqrt(0.75)
     tips = [[-circle, 0.0, 0.0], [0.5 * circle, half_side, 0.0], [0.5 * circle, -half_side, 0.0]]
     bits = LIGHT_RING_BITS if name.endswith("_light_ring") else CONVERTER_BITS
@@ -263,7 +264,7 @@ def sized_design(name: SizedDesignName, outside_diameter: float, *, frames: tupl
         notes.append("assumed: a fourth gap probe, so that the others check each of them")
     sensors = [gap_probes(SIZED_GAP_PROBE, tips, SIZED_TILT_SIGMA)]
     if name.endswith("_light_ring"):
-        radius = 0.5 * outside_diameter - INCH
+        radius = 0.5 * outside_diameter - inch
         sources = 4 * math.ceil(2.0 * math.pi * radius / SOURCE_PITCH / 4.0)
         sensors.append(light_ring(SIZED_DIODE, radius, sources))
         notes.append("assumed: light sources 7.7 mm apart on average, two diodes of 5.5 mm half width, their noise")
@@ -271,7 +272,7 @@ def sized_design(name: SizedDesignName, outside_diameter: float, *, frames: tupl
     else:
         sensors.append(bumpy_ring(SIZED_RING_PROBE, _sized_ring(outside_diameter), 4))
         notes.append("assumed: bumps of 0.4 mm every 3.32 mm, ring probes of 1.5 times the range of the others")
-    source = f"assumed design of {outside_diameter / INCH:g} in outside diameter"
+    source = f"assumed design of {outside_diameter / inch:g} in outside diameter"
     environment = environment_ranges(SIZED_GAP_PROBE.supply_sigma)
     return design_calibration(
         title, source, tuple(notes), frames, velocity_limits(0.02), environment, converter_steps(bits), sensors

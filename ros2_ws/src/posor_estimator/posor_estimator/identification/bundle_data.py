@@ -12,10 +12,11 @@ from posor_estimator.errors import FitError
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.identification.bundle_problem import BundleData, PoseReference
 from posor_estimator.identification.data_checks import READING_KINDS, check_axis, check_channels_vary, check_unit
-from posor_estimator.identification.dwells import NS, average_dwells, find_dwells, scans_with_reference
+from posor_estimator.identification.dwells import average_dwells, find_dwells, scans_with_reference
 from posor_estimator.identification.recording import POSE, unpack_poses
 from posor_estimator.model.fault import USABLE_STATES, State
 from posor_estimator.model.native_coordinates import native_from_rotation
+from posor_estimator.numerics.stamps import NS
 
 if TYPE_CHECKING:
     from posor_estimator.calibration.calibration_file import Calibration

@@ -11,10 +11,11 @@ from posor_estimator.errors import FitError
 from posor_estimator.estimation.sensor_stack import Stack
 from posor_estimator.identification.calibration_parameters import first_parameter, replace_values
 from posor_estimator.identification.data_checks import check_axis, check_channels_vary, check_count, check_unit
-from posor_estimator.identification.dwells import NS, DwellMeans, LeastDwell, Settle, Still, average_dwells, find_dwells
+from posor_estimator.identification.dwells import DwellMeans, LeastDwell, Settle, Still, average_dwells, find_dwells
 from posor_estimator.identification.procedure import LossOption, Options
 from posor_estimator.model.reading_rows import evaluate_poses
 from posor_estimator.model.scan import DIODES_ESTIMATED, SATURATED
+from posor_estimator.numerics.stamps import NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

@@ -17,6 +17,7 @@ from posor_estimator.identification.data_checks import MOST_OUTLIERS, READING_KI
 from posor_estimator.identification.procedure import Options
 from posor_estimator.identification.recording import POSE
 from posor_estimator.model.scan import Scans
+from posor_estimator.numerics.stamps import NS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from posor_estimator.identification.recording import Recording, Track
     from posor_estimator.numerics.array_types import BoolArray, FloatArray, IntArray
 
-NS = 1_000_000_000
 AVERAGED_FIELDS = (*READING_KINDS, "supply_voltages", "temperatures")
 POSE_LEVER = 0.1
 """Lever [m] by which the rotations of a pose are compared with its translations."""

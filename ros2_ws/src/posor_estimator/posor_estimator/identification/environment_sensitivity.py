@@ -19,13 +19,14 @@ from posor_estimator.identification.calibration_parameters import (
     parameter_indices,
 )
 from posor_estimator.identification.data_checks import check_channels_vary, check_count
-from posor_estimator.identification.dwells import NS, Settle, average_dwells, find_dwells
+from posor_estimator.identification.dwells import Settle, average_dwells, find_dwells
 from posor_estimator.identification.fit_report import describe_enlargement, describe_rejected, enlarge_if_improbable
 from posor_estimator.identification.gap_probe_data import MICRO, SingleProbe, list_probes
 from posor_estimator.identification.least_squares import Fit, fit_linear
 from posor_estimator.identification.procedure import Figure, LossOption, Options, Outcome, Part, Table
 from posor_estimator.identification.recording import Track
 from posor_estimator.model.scan import PROBES_ESTIMATED, SATURATED
+from posor_estimator.numerics.stamps import NS
 from posor_estimator.sensors.gap_probes import GapProbesCalibration
 
 if TYPE_CHECKING:

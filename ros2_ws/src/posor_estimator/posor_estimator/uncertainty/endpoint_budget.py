@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
+from scipy.constants import inch
 
-from posor_estimator.calibration.design_parts import INCH
 from posor_estimator.calibration.designs import PROBE_ACCURACY, SMALLEST_DIAMETER
 from posor_estimator.chain.joint_measurements import MeasuredJoint
 from posor_estimator.errors import ChainError, ParameterError
@@ -183,8 +183,8 @@ def thesis_covariance(outside_diameter: float) -> FloatArray:
     """
     if not outside_diameter >= SMALLEST_DIAMETER:
         raise ParameterError(f"outside diameter {outside_diameter:g} m", expected=f"at least {SMALLEST_DIAMETER:g} m")
-    small = PROBE_ACCURACY / (0.75 * (outside_diameter - INCH))
-    large = PROBE_ACCURACY / (0.5 * (outside_diameter - 2.0 * INCH))
+    small = PROBE_ACCURACY / (0.75 * (outside_diameter - inch))
+    large = PROBE_ACCURACY / (0.5 * (outside_diameter - 2.0 * inch))
     return np.diag(np.square([0.0, 0.0, 0.0, small, small, large]))
 
 

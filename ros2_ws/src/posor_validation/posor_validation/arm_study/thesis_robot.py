@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from posor_estimator.calibration.design_parts import INCH
 from posor_estimator.errors import DataFileError
+from scipy.constants import inch
 
 from posor_validation.thesis_data import URAD, read_table
 
@@ -24,7 +24,7 @@ SENSORS_ONLY = "9.3.1"
 CONFIGURATIONS: Mapping[str, str] = {"extended": "fully extended", "bent": "bent wrist"}
 """Names of the configurations in the table."""
 
-MICROINCH = 1e-6 * INCH
+MICROINCH = 1e-6 * inch
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def read_joints(path: Path) -> dict[str, PrintedJoint]:
     joints = {}
     for row in read_table(path, ["joint", *columns]):
         diameter, large, small = (_parse_number(row, column, path, row["joint"]) for column in columns)
-        joints[row["joint"].replace(" ", "_")] = PrintedJoint(diameter * INCH, large * URAD, small * URAD)
+        joints[row["joint"].replace(" ", "_")] = PrintedJoint(diameter * inch, large * URAD, small * URAD)
     return joints
 
 

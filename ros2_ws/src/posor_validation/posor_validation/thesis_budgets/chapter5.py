@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import pinocchio as pin
 from posor_estimator.calibration.calibration_file import Calibration, calibration_from
-from posor_estimator.calibration.design_parts import INCH, quantity_entry
+from posor_estimator.calibration.design_parts import quantity_entry
 from posor_estimator.estimation.forward import readings_at
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.uncertainty.budget_poses import pose_from_native, scan_at
 from posor_estimator.uncertainty.budget_quantities import PlatePoint
 from posor_estimator.uncertainty.first_order import sensitivities
+from scipy.constants import inch
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -83,14 +84,14 @@ class Chapter5:
         """
         self.posor = Posor(_calibration(c, leg_y))
         leans = -math.atan(slopes.across / (2.0 * LEVER)), math.atan(slopes.along / c)
-        self.pose = pose_from_native((0.0, 0.0, PROBE_RANGE * INCH, *leans, 0.0))
+        self.pose = pose_from_native((0.0, 0.0, PROBE_RANGE * inch, *leans, 0.0))
         self._scan = scan_at(self.posor, self.pose)
         self._readings = self.posor.stack.reading_names
         self._parameters = self.posor.stack.parameter_names
 
     @cached_property
     def _sensitivities(self) -> Sensitivities:
-        points = [PlatePoint(x * INCH, y * INCH) for x, y in POINTS.values()]
+        points = [PlatePoint(x * inch, y * inch) for x, y in POINTS.values()]
         return sensitivities(self.posor, self._scan, self.pose, points)
 
     @cached_property
@@ -100,7 +101,7 @@ class Chapter5:
     @property
     def gaps(self) -> FloatArray:
         """The three gaps at the pose of the derivatives [inch], shape (3,)."""
-        return self._readings_with_turned_axes({}, 0.0)[: len(PROBES)] / INCH
+        return self._readings_with_turned_axes({}, 0.0)[: len(PROBES)] / inch
 
     def reading_sensitivity(self, output: str, reading: str) -> float:
         """Return the effect of an inch of a reading on an output."""
@@ -127,7 +128,7 @@ class Chapter5:
         """
         before, nominal, after = (self._readings_with_turned_axes(turned_axes, angle) for angle in (-STEP, 0.0, STEP))
         second = (before + after - 2.0 * nominal) / STEP**2
-        return float(second[self._readings.index(reading)]) / 2.0 / INCH
+        return float(second[self._readings.index(reading)]) / 2.0 / inch
 
     def _readings_with_turned_axes(self, turned_axes: Mapping[str, Axis], angle: float) -> FloatArray:
         values = self.posor.stack.parameter_values
@@ -142,7 +143,7 @@ class Chapter5:
         """Return the row of an output, and the factor that turns its derivative by metre into one by inch."""
         if output in POINTS:
             return 6 + list(POINTS).index(output), 1.0
-        return [known.name for known in self._sensitivities.outputs].index(output), INCH
+        return [known.name for known in self._sensitivities.outputs].index(output), inch
 
 
 def _calibration(c: float, leg_y: float) -> Calibration:
@@ -153,12 +154,12 @@ def _calibration(c: float, leg_y: float) -> Calibration:
         "kind": "polynomial",
         "center": quantity_entry([0.0, 0.0], "1"),
         "domain": quantity_entry([[-0.9, 0.9], [-0.9, 0.9]], "1"),
-        "x": quantity_entry([[0.0, 0.0], [INCH, 0.0]], "m"),
-        "y": quantity_entry([[0.0, INCH], [0.0, 0.0]], "m"),
+        "x": quantity_entry([[0.0, 0.0], [inch, 0.0]], "m"),
+        "y": quantity_entry([[0.0, inch], [0.0, 0.0]], "m"),
     }
     probe = {
         "axis": quantity_entry([0.0, 0.0, 1.0], "1"),
-        "volts_to_gap": quantity_entry([0.0, 0.01 * INCH], "m/V^k"),
+        "volts_to_gap": quantity_entry([0.0, 0.01 * inch], "m/V^k"),
         "zero_shift": quantity_entry(0.0, "V"),
         "noise": quantity_entry(1e-3, "V"),
         "range": quantity_entry([-5.0, 25.0], "V"),
@@ -174,7 +175,7 @@ def _calibration(c: float, leg_y: float) -> Calibration:
     def parts(name: str, key: str, points: list[list[float]], shared: dict[str, Any]) -> list[dict[str, Any]]:
         """Return parts ``name_1``, ``name_2``, ... at points [inch]."""
         return [
-            {"name": f"{name}_{k}", key: quantity_entry([INCH * x for x in point], "m"), **shared}
+            {"name": f"{name}_{k}", key: quantity_entry([inch * x for x in point], "m"), **shared}
             for k, point in enumerate(points, start=1)
         ]
 

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 
 from posor_bringup.installed import calibration_path
 from posor_estimator.calibration.calibration_file import load_calibration
-from posor_estimator.calibration.design_parts import INCH
 from posor_estimator.errors import DataFileError
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.uncertainty.budget_poses import middle_pose, scan_at
 from posor_estimator.uncertainty.budget_quantities import THETA
 from posor_estimator.uncertainty.first_order import sensitivities
+from scipy.constants import inch
 
 from posor_validation.thesis_budgets.budget_cells import BudgetTable, Cell, Reason, last_digit, printed_cells
 from posor_validation.thesis_budgets.chapter5 import LEG_X, LEG_Y, Chapter5, Slopes, root_sum_square
@@ -86,7 +86,7 @@ def _shift(spot: str, k: int, kind: str, group: str) -> float:
     model = _model()
     x_axis, y_axis = f"Diodes.x_axes[{k},0]", f"Diodes.y_axes[{k},0]"
     if kind in _RAYS:
-        return abs(model.reading_shift(spot, f"Diodes.source_directions[{k},{_RAYS[kind]}]") / INCH)
+        return abs(model.reading_shift(spot, f"Diodes.source_directions[{k},{_RAYS[kind]}]") / inch)
     if kind in _TURNS:
         return model.quadratic_shift(spot, {x_axis: _TURNS[kind], y_axis: _TURNS[kind]})
     if kind == _SKEW:  # each axis out of square to the other
@@ -239,6 +239,6 @@ def rig_theta() -> tuple[float, float, float]:
     pose = middle_pose(posor)
     by_reading = sensitivities(posor, scan_at(posor, pose), pose).by_reading[THETA]
     names = posor.stack.reading_names
-    by_x, by_y = (abs(float(by_reading[names.index(spot)])) * INCH for spot in (SPOT_X, SPOT_Y))
+    by_x, by_y = (abs(float(by_reading[names.index(spot)])) * inch for spot in (SPOT_X, SPOT_Y))
     rows = read_table(data_path(BUDGET_FILE), ["group", "perturbation", "value"])
     return by_x, by_y, _theta_total(rows, by_x, by_y)

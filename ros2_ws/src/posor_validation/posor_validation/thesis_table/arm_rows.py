@@ -7,12 +7,12 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from posor_estimator.calibration.design_parts import INCH
 from posor_estimator.calibration.designs import PROBE_ACCURACY
 from posor_estimator.chain.arm_file import load_arm
 from posor_estimator.reporting.figure_style import BLUE
 from posor_estimator.reporting.plot import Plot
 from posor_estimator.uncertainty.endpoint_budget import thesis_covariance
+from scipy.constants import inch
 
 from posor_validation.arm_study.arm_budget_command import FIGURES, THESIS, WHOLE, arm_budget, thesis_arm_path
 from posor_validation.arm_study.thesis_robot import CONFIGURATIONS, ENDPOINT_FILE, JOINTS_FILE
@@ -97,7 +97,7 @@ def _joint_rows() -> list[ThesisRow]:
     result = []
     for row in joints:
         outside = float(row["posor_od_in"])
-        small, large = np.sqrt(np.diagonal(thesis_covariance(outside * INCH)))[[3, 5]] / URAD
+        small, large = np.sqrt(np.diagonal(thesis_covariance(outside * inch)))[[3, 5]] / URAD
         name = f"{row['joint']}, POSOR of {outside:g} in"
         result += [
             ThesisRow(
@@ -110,7 +110,7 @@ def _joint_rows() -> list[ThesisRow]:
             ThesisRow(_SENSORS, f"{name}: small rotations", "urad", row["small_dof_accuracy_urad"], float(small)),
         ]
     first = joints[0]
-    formula = PROBE_ACCURACY / (float(first["posor_od_in"]) * INCH - 2.0 * INCH) / URAD
+    formula = PROBE_ACCURACY / (float(first["posor_od_in"]) * inch - 2.0 * inch) / URAD
     result.append(
         ThesisRow(
             _SENSORS,
@@ -173,7 +173,7 @@ def extended_as_printed() -> FloatArray:
         # The swivel is as far from the grip as the shoulder; its own cell is empty.
         where = f"{JOINTS_FILE}, {row['joint']}"
         arm = parse_number(table[1] if row is table[0] else row, "distance_to_grip_in", where)
-        small, large = np.sqrt(np.diagonal(thesis_covariance(float(row["posor_od_in"]) * INCH)))[[3, 5]] / URAD
+        small, large = np.sqrt(np.diagonal(thesis_covariance(float(row["posor_od_in"]) * inch)))[[3, 5]] / URAD
         about_z, about_y = {
             "base swivel": (large, small),
             "shoulder": (small, large),

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from posor_estimator.calibration.design_parts import INCH
 from posor_estimator.design.distance_sensors import capacitance_probe, fibre_lever
 from posor_estimator.design.interferometry import air_effects
 from posor_estimator.design.sensor_noise import diode_noise
 from posor_estimator.reporting.figure_style import BLUE, GREEN, ORANGE
 from posor_estimator.reporting.plot import Plot
 from posor_estimator.uncertainty.air_index import ICE_POINT
+from scipy.constants import inch
 
 from posor_validation.thesis_data import data_path, read_table
 from posor_validation.thesis_table.printed_units import INCH_OF_MERCURY, UIN
@@ -40,7 +40,7 @@ def _fibre_lever() -> Plot:
 
 def _capacitance_probe() -> Plot:
     plot = Plot("4.2.2: capacitance probe (assumed: radius 5 mm)", "gap [mm]", "capacitance [pF]")
-    gaps = np.linspace(0.1 * MM, 0.05 * INCH, 101)
+    gaps = np.linspace(0.1 * MM, 0.05 * inch, 101)
     guarded = [capacitance_probe(float(gap), 5.0 * MM).capacitance for gap in gaps]
     near = gaps[gaps <= 1.0 * MM]
     free = [capacitance_probe(float(gap), 5.0 * MM, edge="free").capacitance for gap in near]
@@ -54,7 +54,7 @@ def _diode_noise() -> Plot:
     powers = np.logspace(-5, -2, 61)
     for bandwidth, colour in zip((250.0, 2500.0, 25000.0), _COLOURS, strict=True):
         curve = [
-            diode_noise(1.25 * INCH, float(power), 0.25, 1000.0, 10e-9, bandwidth).resolution / UIN for power in powers
+            diode_noise(1.25 * inch, float(power), 0.25, 1000.0, 10e-9, bandwidth).resolution / UIN for power in powers
         ]
         plot.curve(f"{bandwidth:g} Hz", powers / 1e-3, curve, colour)
     return plot

@@ -7,13 +7,12 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from posor_estimator.calibration.design_parts import INCH
 from posor_estimator.design.calibration_geometry import axis_offsets, light_source_angles, probe_spacing
 from posor_estimator.design.interferometry import air_effects
 from posor_estimator.design.machine_metrology import abbe_error, probe_zero
 from posor_estimator.design.sensor_noise import angle_resolution, converter_resolution, diode_noise
 from posor_estimator.uncertainty.air_index import ICE_POINT
-from scipy.constants import arcsec
+from scipy.constants import arcsec, inch
 from scipy.optimize import brentq
 
 from posor_validation.thesis_budgets.probe_tables import AT_POINT, factor
@@ -28,8 +27,8 @@ if TYPE_CHECKING:
     from posor_estimator.reporting.plot import Plot
 
 PPM = 1e-6
-PROBE_TRAVEL = 0.05 * INCH
-DIODE_TRAVEL = 0.625 * INCH
+PROBE_TRAVEL = 0.05 * inch
+DIODE_TRAVEL = 0.625 * inch
 LOWEST = ("1X", "low_order8")
 """Cell of table 7.7 that is not the lowest of its curves."""
 
@@ -67,9 +66,9 @@ def plots() -> list[Plot]:
 def _resolution_rows() -> list[ThesisRow]:
     """Return the resolutions of section 3.2: probes of 12 bits, the bumpy ring, the diodes."""
     bits_12 = converter_resolution(PROBE_TRAVEL, 1.0, 2.0**-12)
-    probes = angle_resolution(bits_12.step, 5.0 * INCH).step
-    ring = angle_resolution(5.0 * UIN, 2.5 * INCH).step
-    diodes = angle_resolution(25.0 * UIN, 2.5 * INCH).step
+    probes = angle_resolution(bits_12.step, 5.0 * inch).step
+    ring = angle_resolution(5.0 * UIN, 2.5 * inch).step
+    diodes = angle_resolution(25.0 * UIN, 2.5 * inch).step
     return [
         ThesisRow(
             "3.2.1", "bits of an interferometer of 1 part per million", "bit", "20", math.log2(1.0 / PPM), "rounded"
@@ -92,7 +91,7 @@ def _resolution_rows() -> list[ThesisRow]:
 def _diode_rows() -> list[ThesisRow]:
     """Return the noise of a diode (4.3) and the means of section 4.4."""
     noise = diode_noise(
-        side=1.25 * INCH,
+        side=1.25 * inch,
         power=1e-3,
         responsivity=0.25,
         resistance=1000.0,
@@ -102,7 +101,7 @@ def _diode_rows() -> list[ThesisRow]:
     )
     means = converter_resolution(PROBE_TRAVEL, 1.0, 2.0**-16, samples=400, sample_time=25e-6)
     return [
-        ThesisRow("4.3", "diode: position noise, equation 4.3", "in/Hz^0.5", "5e-8", noise.position_noise / INCH),
+        ThesisRow("4.3", "diode: position noise, equation 4.3", "in/Hz^0.5", "5e-8", noise.position_noise / inch),
         ThesisRow("4.3", "diode: resolution with a light period of 400 us", "uin", "2.5", noise.resolution / UIN),
         ThesisRow("4.4", "time of 400 samples of 25 us", "ms", "10", means.time / 1e-3),
     ]
@@ -147,14 +146,14 @@ def _spacing_rows() -> list[ThesisRow]:
     """Return the largest error of a distance by .001 in of the spacing of the probes (5.3.2), from the model."""
     largest = max(abs(factor(lever, AT_POINT)) for lever in ("sigma_a", "sigma_b"))
     return [
-        ThesisRow("5.3.2", "distance at a diode, error by .001 in of a or b", "uin", "14", largest * 0.001 * INCH / UIN)
+        ThesisRow("5.3.2", "distance at a diode, error by .001 in of a or b", "uin", "14", largest * 0.001 * inch / UIN)
     ]
 
 
 def _axis_rows() -> list[ThesisRow]:
     """Return the uncertainty of the offsets of the diodes' axes (7.4.4)."""
     found = axis_offsets(
-        distance=3.0 * INCH,
+        distance=3.0 * inch,
         angle=math.radians(89.503239),
         angle_uncertainty=math.radians(0.029424),
         x_repeatability=12.0 * UIN,
@@ -162,8 +161,8 @@ def _axis_rows() -> list[ThesisRow]:
     )
     assumed = "with the 3 in that the machine moves; the measured distance is not printed"
     return [
-        ThesisRow("7.4.4", "sigma of the offset A along X", "in", ".001541", found.x_uncertainty / INCH, assumed),
-        ThesisRow("7.4.4", "sigma of the offset B along Y", "in", ".000037", found.y_uncertainty / INCH, assumed),
+        ThesisRow("7.4.4", "sigma of the offset A along X", "in", ".001541", found.x_uncertainty / inch, assumed),
+        ThesisRow("7.4.4", "sigma of the offset B along Y", "in", ".000037", found.y_uncertainty / inch, assumed),
     ]
 
 
@@ -237,12 +236,12 @@ def _probe_rows() -> list[ThesisRow]:
     about = "the text says about; this is the slope of the polynomial of table 7.10 at 0 V"
     gains = [abs(probe_zero(each, -1e-3, 1e-3, 0.0, 1.0).motion) / 2e-3 for each in probe_polynomials()]
     tilt = 0.05 / 3.0
-    spacing = probe_spacing(0.05 * INCH, tilt, angle_error=100.0 * URAD, cross_angle=100.0 * URAD, span=3.0 * INCH)
+    spacing = probe_spacing(0.05 * inch, tilt, angle_error=100.0 * URAD, cross_angle=100.0 * URAD, span=3.0 * inch)
     machine_turn = 5.0 * URAD * 0.05  # over .05 in of travel, 5 urad for each inch
     linearity = "linearisation 5 uin and instability {} uin, as independent ones"
     return [
         *(
-            ThesisRow("7.5.1", f"gain of probe {probe}", "in/V", ".05", gain / INCH, about)
+            ThesisRow("7.5.1", f"gain of probe {probe}", "in/V", ".05", gain / inch, about)
             for probe, gain in enumerate(gains, start=1)
         ),
         ThesisRow(
@@ -250,10 +249,10 @@ def _probe_rows() -> list[ThesisRow]:
             "Abbe error of the machine at 15 in",
             "uin",
             "3.8",
-            abbe_error(15.0 * INCH, machine_turn).error / UIN,
+            abbe_error(15.0 * inch, machine_turn).error / UIN,
         ),
         ThesisRow("7.5.2", "error of a gap, axes 100 urad out of square", "uin", "5", spacing.gap_error / UIN),
-        ThesisRow("7.5.2", "error of D21 by 100 urad in alpha", "in", ".0179", abs(spacing.spacing_error) / INCH),
+        ThesisRow("7.5.2", "error of D21 by 100 urad in alpha", "in", ".0179", abs(spacing.spacing_error) / inch),
         *(
             ThesisRow(
                 "7.5.4",
@@ -277,4 +276,4 @@ def probe_polynomials() -> list[tuple[float, ...]]:
     """
     names = ("A0_in", "A1_in_per_V", "A2_in_per_V2", "A3_in_per_V3", "A4_in_per_V4")
     table = read_table(data_path("probe_linearization.csv"), names)
-    return [tuple(INCH * float(row[name]) for name in names) for row in table]
+    return [tuple(inch * float(row[name]) for name in names) for row in table]

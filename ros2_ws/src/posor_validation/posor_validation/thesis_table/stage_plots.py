@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
-from posor_estimator.calibration.design_parts import INCH
 from posor_estimator.design.machine_metrology import probe_zero
 from posor_estimator.reporting.figure_style import BLUE, GREEN, LIGHT_BLUE, ORANGE
 from posor_estimator.reporting.plot import Plot
+from scipy.constants import inch
 
 from posor_validation.thesis_data import data_path, read_table
 from posor_validation.thesis_table.printed_units import UIN
 from posor_validation.thesis_table.sensor_rows import probe_polynomials
 
-TRAVEL = 0.75 * INCH
+TRAVEL = 0.75 * inch
 """Of the stepper stage, section 7.2."""
-GAIN = 0.05 * INCH
+GAIN = 0.05 * inch
 """Of the probes [m/V], section 8.3.1."""
 START, FINISH = 0.1, 0.8
 """Voltages of section 8.3.1."""
@@ -34,7 +34,7 @@ def stage_plots() -> list[Plot]:
 def _straightness() -> Plot:
     plot = Plot("7.2, figure 7.3: lines of the straightness runs, table 7.1", "position [in]", "reading [in]")
     table = read_table(data_path("straightness_table_7_1.csv"), ["run", "b_in", "m"])
-    positions = np.linspace(0.0, TRAVEL / INCH, 16)
+    positions = np.linspace(0.0, TRAVEL / inch, 16)
     for number, row in enumerate(table):
         line = float(row["b_in"]) + float(row["m"]) * positions
         dash = "solid" if number < len(_COLOURS) else "dashed"

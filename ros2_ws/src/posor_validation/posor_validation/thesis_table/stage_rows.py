@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from posor_bringup.installed import calibration_path
 from posor_estimator.calibration.calibration_file import load_calibration
-from posor_estimator.calibration.design_parts import INCH
 from posor_estimator.design.machine_metrology import (
     abbe_error,
     alignment,
@@ -19,7 +18,7 @@ from posor_estimator.design.machine_metrology import (
 from posor_estimator.design.sensor_noise import angle_resolution, converter_resolution
 from posor_estimator.identification.curve_interpolation import doubled_grid_errors
 from posor_estimator.uncertainty.interferometer import ZERO, AirQuantities, Input, Interferometer, correct_reading
-from scipy.constants import arcsec
+from scipy.constants import arcsec, inch
 
 from posor_validation.thesis_budgets.probe_tables import ALPHA, BUDGET_COLUMNS, table_7_12
 from posor_validation.thesis_data import URAD, data_path, read_table
@@ -36,9 +35,9 @@ CAST_IRON = 6.0e-6 * 1.8
 """Thermal expansion [1/K]: 6.0e-6 for each degree Fahrenheit, Machinery's Handbook. The thesis does not print it."""
 TEMPERATURE_CHANGE = 0.1 / 1.8
 """.1 degree Fahrenheit [K]."""
-GAUGE_ERROR = 0.001 * INCH
+GAUGE_ERROR = 0.001 * inch
 """Error of a gap that is set by gauge blocks [m], section 8.3.1."""
-DIODE_LENGTH = 0.5 * INCH
+DIODE_LENGTH = 0.5 * inch
 """Length over which fifteen curves map a diode, section 7.4.2."""
 
 
@@ -81,13 +80,13 @@ def _environment_rows() -> list[ThesisRow]:
             f"thermal growth over {length:g} in, .1 F: {name}",
             "uin",
             printed,
-            thermal_growth(length * INCH, CAST_IRON, TEMPERATURE_CHANGE).growth / UIN,
+            thermal_growth(length * inch, CAST_IRON, TEMPERATURE_CHANGE).growth / UIN,
             expansion,
         )
         for length, printed, name in lengths
     ]
-    laser_block = thermal_growth(5.0 * INCH, 7e-6 * 1.8, 0.15 / 1.8).growth
-    aluminium = thermal_growth(5.0 * INCH, 23e-6, 0.15 / 1.8).growth
+    laser_block = thermal_growth(5.0 * inch, 7e-6 * 1.8, 0.15 / 1.8).growth
+    aluminium = thermal_growth(5.0 * inch, 23e-6, 0.15 / 1.8).growth
     return [
         *growths,
         ThesisRow(
@@ -107,7 +106,7 @@ def _compensation(factor: float) -> float:
     """Return the change of a length of 1 in [m] if the compensation factor changes to this one from .9997300."""
     air = AirQuantities(Input(293.15), Input(101325.0), Input(0.5), Input(450e-6))
     lengths = [
-        correct_reading(Interferometer(Input(632.99e-9), 1.0 / each, air, 0.0, dead_path=ZERO), INCH).displacement
+        correct_reading(Interferometer(Input(632.99e-9), 1.0 / each, air, 0.0, dead_path=ZERO), inch).displacement
         for each in (0.9997300, factor)
     ]
     return abs(lengths[1] - lengths[0])
@@ -116,9 +115,9 @@ def _compensation(factor: float) -> float:
 def _runs() -> StraightnessRuns:
     table = read_table(data_path("straightness_table_7_1.csv"), ["b_in", "m", "deviation_in"])
     return straightness_runs(
-        tuple(INCH * float(row["b_in"]) for row in table),
+        tuple(inch * float(row["b_in"]) for row in table),
         tuple(float(row["m"]) for row in table),
-        tuple(INCH * float(row["deviation_in"]) for row in table),
+        tuple(inch * float(row["deviation_in"]) for row in table),
         TRAVEL,
     )
 
@@ -130,15 +129,15 @@ def _straightness_rows() -> list[ThesisRow]:
         f"over .75 in; the deviations scatter by {runs.deviation_scatter / UIN:.0f} uin"
     )
     return [
-        ThesisRow("7.2", "stage: mean deviation from a line, table 7.1", "in", ".000408", runs.mean_deviation / INCH),
-        ThesisRow("7.2", "stage: repeatability of the straightness", "in", ".001", runs.spread / INCH, repeatability),
+        ThesisRow("7.2", "stage: mean deviation from a line, table 7.1", "in", ".000408", runs.mean_deviation / inch),
+        ThesisRow("7.2", "stage: repeatability of the straightness", "in", ".001", runs.spread / inch, repeatability),
     ]
 
 
 def _alignment_rows() -> list[ThesisRow]:
-    setup = alignment((0.001, 0.002, 0.005), 0.625 * INCH)
-    square = alignment((0.002, 0.002), 0.625 * INCH)
-    one = alignment((0.002,), INCH)
+    setup = alignment((0.001, 0.002, 0.005), 0.625 * inch)
+    square = alignment((0.002, 0.002), 0.625 * inch)
+    one = alignment((0.002,), inch)
     twice = "exact is 1 - cos(.002), 2 uin/in; 4 uin/in is the square of the angle, twice as much"
     orthogonality = (
         "not independent: two axes of .002 fit this number; the scan has .0002 for the first, which gives .0020"
@@ -152,9 +151,9 @@ def _alignment_rows() -> list[ThesisRow]:
 
 
 def _abbe_rows() -> list[ThesisRow]:
-    yaw = abbe_error(2.0 * INCH, 25.0 * URAD).error
-    exact = abbe_error(2.0 * INCH, 5.0 * arcsec).error
-    pitch = abbe_error(2.0 * INCH, 2.0 * arcsec).error
+    yaw = abbe_error(2.0 * inch, 25.0 * URAD).error
+    exact = abbe_error(2.0 * inch, 5.0 * arcsec).error
+    pitch = abbe_error(2.0 * inch, 2.0 * arcsec).error
     return [
         ThesisRow(
             "7.4.2",
@@ -177,11 +176,11 @@ def _abbe_rows() -> list[ThesisRow]:
 
 def _reading_rows() -> list[ThesisRow]:
     """Return what the readings of the machining centre are worth, at the line 31.5 in from the gimbal (8.2)."""
-    readout = angle_resolution(0.0002 * INCH, 31.5 * INCH).step
-    length = 0.3 * INCH * angle_resolution(0.010 * INCH, 31.5 * INCH).step
+    readout = angle_resolution(0.0002 * inch, 31.5 * inch).step
+    length = 0.3 * inch * angle_resolution(0.010 * inch, 31.5 * inch).step
     return [
         ThesisRow("8.2", "beta, theta: accuracy by .0002 in of the machining centre", "urad", "6", readout / URAD),
-        ThesisRow("8.2", "error over .3 in by .010 in of the length", "in", ".0001", length / INCH),
+        ThesisRow("8.2", "error over .3 in by .010 in of the length", "in", ".0001", length / inch),
     ]
 
 
@@ -200,7 +199,7 @@ def _zero_rows() -> list[ThesisRow]:
     """Return the errors that a wrong zero of a probe causes in a motion (8.3.1)."""
     gauge = [probe_zero(each, START, FINISH, GAUGE_ERROR, GAIN) for each in probe_polynomials()]
     computed = [probe_zero(each, START, FINISH, 0.001 * GAIN, GAIN) for each in probe_polynomials()]
-    end = START + 0.002 * INCH / GAIN
+    end = START + 0.002 * inch / GAIN
     small = [abs(probe_zero(each, START, end, GAUGE_ERROR, GAIN).motion_error) / UIN for each in probe_polynomials()]
     each_small = ", ".join(f"{error:.1f}" for error in small)
     supply = [
@@ -261,8 +260,8 @@ def _interpolation_row() -> ThesisRow:
     for count in (15, 29):
         at = np.linspace(0.0, DIODE_LENGTH, count)
         zero = np.zeros(count)
-        cubic = 1e-3 * np.cos(at / (0.3 * INCH))
-        curves = np.column_stack([zero, zero + 0.3 * INCH, zero, cubic])
+        cubic = 1e-3 * np.cos(at / (0.3 * inch))
+        curves = np.column_stack([zero, zero + 0.3 * inch, zero, cubic])
         errors = doubled_grid_errors(curves, at, np.linspace(-0.8, 0.8, 33))
         error[count] = float(np.sqrt(np.mean(errors**2)))
     return ThesisRow(
@@ -279,7 +278,7 @@ def _interpolation_row() -> ThesisRow:
 def _computer_rows() -> list[ThesisRow]:
     """Return the time of a computer of 1985 for a scan (8.3.3)."""
     multiplications = 1.1 * (8.0 * _multiplications(9) + 3.0 * _multiplications(4))
-    conversion = converter_resolution(INCH, 1.0, 2.0**-16, samples=11, sample_time=100e-6).time
+    conversion = converter_resolution(inch, 1.0, 2.0**-16, samples=11, sample_time=100e-6).time
     return [
         ThesisRow(
             "8.3.3",

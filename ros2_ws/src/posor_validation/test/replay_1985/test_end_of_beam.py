@@ -10,7 +10,6 @@ import pytest
 from posor_bringup.installed import bag_path, calibration_path
 from posor_estimator.bags.calibration_recording import read_scans
 from posor_estimator.calibration.calibration_file import load_calibration
-from posor_estimator.calibration.design_parts import INCH
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.identification.attitude_fit import deviation_from_first
 from posor_validation.replay_1985.end_of_beam import Z_LEVER, EndOfBeamProgram
@@ -23,6 +22,7 @@ from posor_validation.replay_1985.end_of_beam_simulation import (
 )
 from posor_validation.thesis_budgets.motion_predictions import dimensions
 from posor_validation.thesis_data import URAD
+from scipy.constants import inch
 
 if TYPE_CHECKING:
     from posor_validation.replay_1985.printed_results import PrintedColumns
@@ -41,7 +41,7 @@ def rigid_program() -> EndOfBeamProgram:
 
 def test_alpha_of_ymo_is_the_printed_one(printed: PrintedColumns) -> None:
     posor = Posor(load_calibration(calibration_path("printed")).for_session("ymo"))
-    readings = posor.stack.linearise(read_scans(bag_path("ymo"))).values / INCH
+    readings = posor.stack.linearise(read_scans(bag_path("ymo"))).values / inch
     sizes = dimensions()
     program = EndOfBeamProgram({**sizes, "flatness_D2_D3_listing": sizes["flatness_D2_D3_tables"]})
     results = program.evaluate(readings[None, :, :3], readings[None, :, 3:])[0]

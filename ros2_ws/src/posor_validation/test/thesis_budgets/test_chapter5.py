@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from posor_estimator.calibration.design_parts import INCH
 from posor_estimator.uncertainty.budget_poses import scan_at
 from posor_estimator.uncertainty.budget_quantities import PlatePoint
 from posor_estimator.uncertainty.monte_carlo import BATCH, monte_carlo
@@ -22,6 +21,7 @@ from posor_validation.thesis_budgets.chapter5 import (
 )
 from posor_validation.thesis_budgets.diode_tables import SPOT_X, SPOT_Y, rig_theta
 from posor_validation.thesis_budgets.probe_tables import WORST, factor
+from scipy.constants import inch
 
 if TYPE_CHECKING:
     from posor_estimator.numerics.array_types import FloatArray
@@ -105,14 +105,14 @@ def test_squares_of_angles_on_a_diode() -> None:
 @pytest.mark.long
 def test_draws_of_the_probes_noise_give_the_first_row() -> None:
     model = Chapter5(WORST)
-    points = [PlatePoint(0.0, 0.0), PlatePoint(-INCH, 1.5 * INCH)]
+    points = [PlatePoint(0.0, 0.0), PlatePoint(-inch, 1.5 * inch)]
     drawn = monte_carlo(
         model.posor, scan_at(model.posor, model.pose), model.pose, points, seed=1985, max_draws=2 * BATCH
     )
     noise = 10.0  # microinch, of each gap
     columns = {"alpha": 3, "beta": 4, "l_0_0": 6, "l_m1_1p5": 7}
     for output, column in columns.items():
-        unit = 1e-6 * (INCH if output.startswith("l_") else 1.0)
+        unit = 1e-6 * (inch if output.startswith("l_") else 1.0)
         assert drawn.sigmas[column] / unit == pytest.approx(noise * factor("sigma_l", output), rel=0.025), output
 
 

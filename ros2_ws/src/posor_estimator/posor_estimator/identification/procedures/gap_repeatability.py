@@ -9,7 +9,6 @@ import numpy as np
 from pydantic import Field
 
 from posor_estimator.errors import FitError
-from posor_estimator.identification.dwells import NS
 from posor_estimator.identification.gap_probe_data import (
     MICRO,
     GapReferenceOptions,
@@ -20,6 +19,7 @@ from posor_estimator.identification.gap_probe_data import (
 )
 from posor_estimator.identification.least_squares import Fit, fit_linear
 from posor_estimator.identification.procedure import Figure, Outcome, Procedure, Replacement, Table
+from posor_estimator.numerics.stamps import NS
 
 if TYPE_CHECKING:
     from posor_estimator.calibration.calibration_file import Calibration
