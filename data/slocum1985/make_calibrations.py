@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
+from posor_estimator.calibration.document_text import document_text
 
 HERE = Path(__file__).resolve().parent
 DEFAULT_OUTPUT = HERE.parents[1] / "ros2_ws/src/posor_bringup/config"
@@ -55,10 +55,6 @@ Array = np.ndarray[Any, np.dtype[np.float64]]
 ZERO_SHIFTS = (0.0, 0.2, 0.3)
 
 
-class FlowMapping(dict[str, Any]):
-    """A mapping that is written on one line."""
-
-
 def rows(name: str) -> list[dict[str, str]]:
     """Return the rows of one CSV file, comment lines skipped."""
     with (HERE / name).open(encoding="utf-8") as file:
@@ -70,17 +66,10 @@ def dimensions() -> dict[str, float]:
     return {row["quantity"]: float(row["value"]) for row in rows("posor_dimensions.csv")}
 
 
-def quantity(value: Any, unit: str, sigma: Any = None) -> FlowMapping:
+def quantity(value: Any, unit: str, sigma: Any = None) -> dict[str, Any]:
     """Return a quantity of the calibration file."""
-    sigmas = {} if sigma is None else {"sigma": _plain(sigma)}
-    return FlowMapping(value=_plain(value), **sigmas, unit=unit)
-
-
-def _plain(value: Any) -> Any:
-    """Return arrays as nested lists of numbers rounded to twelve digits, without negative zeros."""
-    if isinstance(value, list | tuple | np.ndarray):
-        return [_plain(entry) for entry in value]
-    return float(f"{float(value):.12g}") + 0.0
+    sigmas = {} if sigma is None else {"sigma": np.array(sigma, dtype=float).tolist()}
+    return {"value": np.array(value, dtype=float).tolist(), **sigmas, "unit": unit}
 
 
 def gap_probes(d: dict[str, float], tilt: tuple[float, float], start: NominalStart) -> dict[str, Any]:
@@ -117,7 +106,7 @@ def local_fits() -> dict[tuple[str, str], dict[str, float]]:
 
 def local_map(variant: str, diode: int) -> dict[str, Any]:
     """Return one diode's local map; u and v are the ratios less (.51, .06), as the fits have them."""
-    axes: dict[str, FlowMapping] = {}
+    axes: dict[str, dict[str, Any]] = {}
     for axis in "xy":
         name = f"{axis}d{diode}"
         fit = {key: value * INCH for key, value in local_fits()[variant, name].items()}
@@ -261,17 +250,9 @@ def calibration(name: str, flatness_in: float, notes: list[str], *, shifted: boo
 
 
 def write(path: Path, content: dict[str, Any]) -> None:
-    """Write one file: block style, quantities on one line each."""
-
-    class Dumper(yaml.SafeDumper):
-        pass
-
-    Dumper.add_representer(
-        FlowMapping,
-        lambda dumper, part: dumper.represent_mapping("tag:yaml.org,2002:map", part.items(), flow_style=True),
-    )
-    text = yaml.dump(content, Dumper=Dumper, sort_keys=False, width=120, allow_unicode=True)
-    path.write_text(f"# Made by data/slocum1985/make_calibrations.py; SI units throughout.\n{text}", encoding="utf-8")
+    """Write one file."""
+    comment = "Made by data/slocum1985/make_calibrations.py; SI units throughout."
+    path.write_text(document_text(content, comment), encoding="utf-8")
 
 
 def main(output: Path) -> None:
