@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 from posor_bringup.arms import ARM_FILE, find_arm
+from posor_drivers.simulator.imperfections import Imperfections
 from posor_estimator.chain.arm_file import load_arm
 
 if TYPE_CHECKING:
@@ -24,6 +25,10 @@ AMPLITUDES: Mapping[Arm, float] = {"six_axis": 0.03, "five_axis": 0.06, "test_ri
 """Of the motion about home [rad]: bumpy rings move by more than a bump and pass their home marks once a second."""
 WAYPOINT_S = 1.0
 """Usual time between two waypoints of the motion."""
+IMPERFECTIONS = Imperfections(dropouts=False, zero_drift=False)
+"""Zero drift is not part of the stated covariance, and dropouts are faults themselves."""
+IMPERFECTION_PARAMETERS = {f"simulated.{name}": getattr(IMPERFECTIONS, name) for name in ("dropouts", "zero_drift")}
+"""The same for the drivers."""
 
 
 def quantity(value: float, unit: str) -> dict[str, Any]:

@@ -16,7 +16,6 @@ from posor_bringup.supervisor import Supervisor
 from posor_drivers.scan_clock import first_tick_after, tick_stamp_ns
 from posor_drivers.simulated_messages import SimulatedMessages
 from posor_drivers.simulator.arm_simulation import ArmSimulation
-from posor_drivers.simulator.imperfections import Imperfections
 from posor_estimator.bags.message_definitions import MessageTypes
 from posor_estimator.model.native_coordinates import native_from_rotation
 from posor_estimator.numerics.stamps import NS
@@ -27,7 +26,7 @@ from rclpy.duration import Duration
 from rclpy.qos import LivelinessPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 
-from posor_validation.faults.fault_arm import RATES, write_fault_arm
+from posor_validation.faults.fault_arm import IMPERFECTIONS, RATES, write_fault_arm
 from posor_validation.faults.fault_receiver import FaultReceiver
 from posor_validation.faults.fault_table import FaultRow, RowResult
 from posor_validation.faults.pose_judge import PoseJudge
@@ -197,7 +196,7 @@ class InputRun:
         """
         self._topic, self._faults, self._folder, self._interrupted = topic, faults, folder, interrupted
         self._arm = write_fault_arm("test_rig", folder / "arm", CYCLE_S, seed)
-        self._simulation = ArmSimulation(self._arm, Imperfections(dropouts=False, zero_drift=False))
+        self._simulation = ArmSimulation(self._arm, IMPERFECTIONS)
         (self._joint,) = self._simulation.joints
         self._messages = SimulatedMessages(MessageTypes(), self._simulation)
         self._poses = PoseJudge(self._simulation)

@@ -19,16 +19,15 @@ from lifecycle_msgs.srv import ChangeState
 from posor_bringup.arm_programs import arm_programs, group_programs
 from posor_bringup.supervisor import ProcessError, Program, Supervisor
 from posor_drivers.simulator.arm_simulation import ArmSimulation
-from posor_drivers.simulator.imperfections import Imperfections
 from posor_estimator.numerics.stamps import NS
 from posor_estimator.ros_names import ENDPOINT_STATE_TOPIC, RAW_TOPIC
 
 from posor_validation.faults import relay
-from posor_validation.faults.fault_arm import write_fault_arm
+from posor_validation.faults.fault_arm import IMPERFECTION_PARAMETERS, IMPERFECTIONS, write_fault_arm
 from posor_validation.faults.fault_receiver import FaultReceiver
 from posor_validation.faults.fault_table import FaultRow, RowResult
 from posor_validation.faults.pose_judge import PoseJudge
-from posor_validation.faults.reading_faults import IMPERFECTIONS, SETTLED_POSES
+from posor_validation.faults.reading_faults import SETTLED_POSES
 from posor_validation.reports.graph_receiver import GraphWatch
 
 if TYPE_CHECKING:
@@ -108,7 +107,7 @@ class ProcessRun:
         """
         self._faults, self._folder, self._interrupted = faults, folder, interrupted
         self._arm = write_fault_arm("test_rig", folder / "arm", CYCLE_S, seed)
-        simulation = ArmSimulation(self._arm, Imperfections(dropouts=False, zero_drift=False))
+        simulation = ArmSimulation(self._arm, IMPERFECTIONS)
         (self._joint,) = simulation.joints
         self._poses = PoseJudge(simulation)
 
@@ -127,7 +126,7 @@ class ProcessRun:
 
     def _programs(self) -> list[Program]:
         """Return the nodes; in separate processes with a relay between the driver and the topic of its scans."""
-        programs = arm_programs(self._arm, driver_parameters=IMPERFECTIONS)
+        programs = arm_programs(self._arm, driver_parameters=IMPERFECTION_PARAMETERS)
         layout = self._faults[0].layout
         if layout == "composed":
             return group_programs(programs, layout, self._folder)

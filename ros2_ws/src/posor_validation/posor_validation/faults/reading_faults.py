@@ -14,14 +14,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from posor_bringup.arm_programs import arm_programs, group_programs
 from posor_bringup.supervisor import ProcessError, Supervisor
 from posor_drivers.simulator.arm_simulation import ArmSimulation
-from posor_drivers.simulator.imperfections import Imperfections
 from posor_estimator.model.fault import USABLE_STATES, Fault
 from posor_estimator.numerics.stamps import NS
 from posor_estimator.ros.message_conversion import stamp_ns
 from posor_estimator.ros_names import TRANSFORM_TOPIC
 from posor_msgs.msg import RawScan
 
-from posor_validation.faults.fault_arm import fault_entry, quantity, write_fault_arm
+from posor_validation.faults.fault_arm import (
+    IMPERFECTION_PARAMETERS,
+    IMPERFECTIONS,
+    fault_entry,
+    quantity,
+    write_fault_arm,
+)
 from posor_validation.faults.fault_receiver import FaultReceiver
 from posor_validation.faults.fault_table import ARMS, FaultRow, RowResult
 from posor_validation.faults.pose_judge import PoseJudge
@@ -47,8 +52,6 @@ SETTLED_POSES = 20
 """Endpoint poses without interruption before a run counts."""
 HOUR_S = 3601.3
 """Shift of a clock; no multiple of a cycle, after which the motion repeats."""
-IMPERFECTIONS = {"simulated.dropouts": False, "simulated.zero_drift": False}
-"""Disabled: zero drift is not part of the stated covariance, and dropouts are faults themselves."""
 
 
 class ScenarioFault(NamedTuple):
@@ -189,8 +192,7 @@ class ReadingRun:
             for n, (joint, fault) in enumerate(zip(self._joints, faults, strict=True))
         ]
         self._arm = write_fault_arm(arm, path, duration_s, seed, entries)
-        imperfections = Imperfections(dropouts=False, zero_drift=False)
-        self._simulation = ArmSimulation(self._arm, imperfections)
+        self._simulation = ArmSimulation(self._arm, IMPERFECTIONS)
         self._judge_of_poses = PoseJudge(self._simulation)
         self._cycle_ns = duration_s * NS
 
@@ -202,7 +204,7 @@ class ReadingRun:
 
         """
         self._started_s = self._acknowledged_s = time.monotonic()
-        programs = arm_programs(self._arm, driver_parameters=IMPERFECTIONS)
+        programs = arm_programs(self._arm, driver_parameters=IMPERFECTION_PARAMETERS)
         receiver = FaultReceiver(self._arm.name, self._simulation.joints)
         with Supervisor(self._folder) as supervisor, receiver:
             for program in group_programs(programs, "drivers_apart", self._folder):

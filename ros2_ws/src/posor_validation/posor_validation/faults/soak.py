@@ -9,15 +9,13 @@ import numpy as np
 from posor_bringup.arm_programs import arm_programs, group_programs
 from posor_bringup.supervisor import Supervisor
 from posor_drivers.simulator.arm_simulation import ArmSimulation
-from posor_drivers.simulator.imperfections import Imperfections
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.model.fault import Fault
 from posor_estimator.ros_names import TRANSFORM_TOPIC
 from scipy.stats import betabinom
 
-from posor_validation.faults.fault_arm import RATES, write_fault_arm
+from posor_validation.faults.fault_arm import IMPERFECTION_PARAMETERS, IMPERFECTIONS, RATES, write_fault_arm
 from posor_validation.faults.fault_receiver import FaultReceiver
-from posor_validation.faults.reading_faults import IMPERFECTIONS
 from posor_validation.reports.graph_receiver import GraphWatch
 
 if TYPE_CHECKING:
@@ -80,7 +78,7 @@ def run_soak(arm: Arm, seconds: float, folder: Path, seed: int, interrupted: Cal
 
     """
     copy = write_fault_arm(arm, folder / "arm", CYCLE_S, seed)
-    simulation = ArmSimulation(copy, Imperfections(dropouts=False, zero_drift=False))
+    simulation = ArmSimulation(copy, IMPERFECTIONS)
     rate, others = RATES[arm], (EXPECTED_SCANS // (CYCLE_S * RATES[arm])) * CYCLE_S * RATES[arm]
     expected_alarms = 0
     for joint in simulation.joints:
@@ -88,7 +86,7 @@ def run_soak(arm: Arm, seconds: float, folder: Path, seed: int, interrupted: Cal
         estimates = Posor(simulation.calibrations[joint]).estimate_all(scans)
         expected_alarms += int(np.count_nonzero(estimates.faults & int(Fault.RESIDUAL)))
     with Supervisor(folder) as supervisor, FaultReceiver(copy.name, simulation.joints) as receiver:
-        programs = arm_programs(copy, driver_parameters=IMPERFECTIONS)
+        programs = arm_programs(copy, driver_parameters=IMPERFECTION_PARAMETERS)
         for program in group_programs(programs, "drivers_apart", folder):
             supervisor.start(program)
         watch = GraphWatch(supervisor, receiver, "faults", interrupted=interrupted)

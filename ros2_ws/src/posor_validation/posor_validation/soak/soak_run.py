@@ -28,8 +28,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
 from posor_validation.benchmark.tick_statistics import TickWindow
-from posor_validation.faults.fault_arm import RATES, write_fault_arm
-from posor_validation.faults.reading_faults import IMPERFECTIONS
+from posor_validation.faults.fault_arm import IMPERFECTION_PARAMETERS, RATES, write_fault_arm
 from posor_validation.reports.graph_receiver import GraphReceiver, GraphWatch
 from posor_validation.soak.process_sample import ProcessSample, growth_mb
 
@@ -232,7 +231,7 @@ def run_soak(
     """
     arm = write_fault_arm(name, folder / "arm", CYCLE_S, SEED)
     with Supervisor(folder) as supervisor, SoakReceiver(arm) as receiver:
-        (program,) = group_programs(arm_programs(arm, driver_parameters=IMPERFECTIONS), "composed", folder)
+        (program,) = group_programs(arm_programs(arm, driver_parameters=IMPERFECTION_PARAMETERS), "composed", folder)
         pid = supervisor.start(program).process.pid
         watch = GraphWatch(supervisor, receiver, "soak", interrupted=interrupted)
         watch.wait(lambda: len(receiver.poses) > SETTLED_POSES, lambda: "endpoint poses")
