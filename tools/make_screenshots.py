@@ -19,7 +19,7 @@ from environment import THIS
 from playwright.sync_api import sync_playwright
 from posor_bringup.arm_programs import arm_programs, group_programs
 from posor_estimator.errors import PosorError
-from posor_estimator.ros.node_program import exit_code_of
+from posor_estimator.reporting.program_errors import reports_errors
 from posor_estimator.testing.program import Program
 from posor_validation.faults.fault_arm import write_fault_arm
 
@@ -105,7 +105,9 @@ def processor_share(pid: int, seconds: float) -> float:
     return 100.0 * (used_s() - begin_s) / (time.monotonic() - begun_s)
 
 
-def _make_screenshots() -> None:
+@reports_errors
+def main() -> int:
+    """Make the pictures of the live page."""
     images = THIS.root / "docs" / "images"
     with (
         tempfile.TemporaryDirectory() as folder,
@@ -124,7 +126,8 @@ def _make_screenshots() -> None:
         page.goto("about:blank")
         print(f"view at rest: {processor_share(view.process.pid, REST_S):.1f} % of a core")
     print(f"written: {images / 'view_five_axis.png'}, {images / 'view_fault.png'}")
+    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(exit_code_of(_make_screenshots))
+    sys.exit(main())

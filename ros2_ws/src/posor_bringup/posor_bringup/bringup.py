@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 from posor_estimator.node_parameters import RECORDING
 from posor_estimator.reporting.command_line_parser import CommandLineParser
-from posor_estimator.ros.node_program import SPIN_TIMEOUT_S, StopSignal, exit_code_of, non_ros_arguments
+from posor_estimator.reporting.program_errors import reports_errors
+from posor_estimator.ros.node_program import SPIN_TIMEOUT_S, StopSignal, non_ros_arguments
 from rich.console import Console
 
 from posor_bringup.arm_programs import LAYOUTS, arm_programs, group_programs
@@ -58,10 +59,12 @@ def parse_options(arguments: Sequence[str]) -> Namespace:
     return parser.parse_args(list(arguments))
 
 
+@reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; the exit code is 0 if all nodes ended without error."""
     argv = sys.argv if arguments is None else arguments
-    return exit_code_of(lambda: _run_arm(parse_options(non_ros_arguments(argv))))
+    _run_arm(parse_options(non_ros_arguments(argv)))
+    return 0
 
 
 def _run_arm(options: Namespace) -> None:

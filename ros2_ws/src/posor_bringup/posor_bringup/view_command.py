@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from posor_estimator.reporting.command_line_parser import CommandLineParser
-from posor_estimator.ros.node_program import exit_code_of, non_ros_arguments, ros_context
+from posor_estimator.reporting.program_errors import reports_errors
+from posor_estimator.ros.node_program import non_ros_arguments, ros_context
 
 from posor_bringup.arms import installed_arms, load_checked_arm
 from posor_bringup.view_geometry import ArmGeometry
@@ -60,9 +61,11 @@ def parse_options(arguments: Sequence[str]) -> Namespace:
     return parser.parse_args(list(arguments))
 
 
+@reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program."""
-    return exit_code_of(lambda: _view(sys.argv if arguments is None else arguments))
+    _view(sys.argv if arguments is None else arguments)
+    return 0
 
 
 def _view(arguments: Sequence[str]) -> None:

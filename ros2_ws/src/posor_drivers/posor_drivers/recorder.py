@@ -17,8 +17,9 @@ from posor_estimator.bags.message_definitions import MessageTypes
 from posor_estimator.bags.provenance import provenance_of
 from posor_estimator.errors import BagError, ParameterError, PosorError
 from posor_estimator.reporting.command_line_parser import CommandLineParser
+from posor_estimator.reporting.program_errors import reports_errors
 from posor_estimator.ros.diagnostics import Diagnostics, Level
-from posor_estimator.ros.node_program import exit_code_of, non_ros_arguments, ros_context, spin_until
+from posor_estimator.ros.node_program import non_ros_arguments, ros_context, spin_until
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.exceptions import InvalidTopicNameException
@@ -234,6 +235,8 @@ def _record(arguments: Sequence[str]) -> None:
             raise BagError("; ".join(shortcomings), where=str(options.output))
 
 
+@reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the recorder as a program."""
-    return exit_code_of(lambda: _record(sys.argv if arguments is None else arguments))
+    _record(sys.argv if arguments is None else arguments)
+    return 0

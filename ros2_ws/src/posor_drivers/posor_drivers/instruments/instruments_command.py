@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 from posor_estimator.calibration.calibration_file import load_calibration
 from posor_estimator.calibration.save import save_calibration
 from posor_estimator.chain.arm_file import Arm, load_arm
-from posor_estimator.errors import ParameterError, PosorError
+from posor_estimator.errors import ParameterError
 from posor_estimator.reporting.command_line_parser import CommandLineParser
+from posor_estimator.reporting.program_errors import reports_errors
 
 from posor_drivers.instruments.device import DeviceError
 from posor_drivers.instruments.device_reader import DeviceReader
@@ -53,34 +54,29 @@ def _parse_options(arguments: Sequence[str] | None) -> Namespace:
     return parser.parse_args(arguments)
 
 
+@reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; the exit code is 0 if every device works."""
-    try:
-        options = _parse_options(arguments)
-        if options.action == "start":
-            print(
-                format_starting_file(load_arm(options.file), options.device, options.probes or options.device), end=""
-            )
-            return 0
-        file = load_instruments(options.file)
-        if options.action == "list":
-            _list(file)
-            return 0
-        if options.action == "noise":
-            _state_noise(file, load_arm(options.arm), options.output)
-            return 0
-        with ExitStack() as stack:
-            readers = [DeviceReader(device) for device in file.new_devices().values()]
-            for reader in readers:
-                reader.start()
-                stack.callback(reader.stop)
-            if options.action == "probe":
-                _probe(readers)
-            else:
-                _watch(readers)
-    except PosorError as error:
-        sys.stderr.write(f"{error}\n")
-        return error.exit_code
+    options = _parse_options(arguments)
+    if options.action == "start":
+        print(format_starting_file(load_arm(options.file), options.device, options.probes or options.device), end="")
+        return 0
+    file = load_instruments(options.file)
+    if options.action == "list":
+        _list(file)
+        return 0
+    if options.action == "noise":
+        _state_noise(file, load_arm(options.arm), options.output)
+        return 0
+    with ExitStack() as stack:
+        readers = [DeviceReader(device) for device in file.new_devices().values()]
+        for reader in readers:
+            reader.start()
+            stack.callback(reader.stop)
+        if options.action == "probe":
+            _probe(readers)
+        else:
+            _watch(readers)
     return 0
 
 

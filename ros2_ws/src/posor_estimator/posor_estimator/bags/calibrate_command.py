@@ -19,7 +19,7 @@ from posor_estimator.calibration.calibration_file import FILE_KIND, load_calibra
 from posor_estimator.calibration.fit_record import Instrument
 from posor_estimator.calibration.save import refuse_existing, save_calibration
 from posor_estimator.calibration.yaml_document import read_text
-from posor_estimator.errors import BagError, OutputError, ParameterError, PosorError
+from posor_estimator.errors import BagError, OutputError, ParameterError
 from posor_estimator.identification.calibration_comparison import compare_calibrations
 from posor_estimator.identification.calibration_update import FitContext, update_text
 from posor_estimator.identification.drift_check import check_drift
@@ -37,6 +37,7 @@ from posor_estimator.identification.procedure_registry import PROCEDURES
 from posor_estimator.identification.procedures.bundle import BundleOptions
 from posor_estimator.identification.recording import POSE
 from posor_estimator.reporting.command_line_parser import CommandLineParser
+from posor_estimator.reporting.program_errors import reports_errors
 
 if TYPE_CHECKING:
     import argparse
@@ -84,13 +85,10 @@ def _add_recording_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--all", action="store_true", help="print all tables with every line")
 
 
+@reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; return 0 on success, 3 if a check fails, else the error's exit code."""
-    try:
-        return _run_action(make_parser().parse_args(arguments), Console(width=WIDTH))
-    except PosorError as error:
-        sys.stderr.write(f"{error}\n")
-        return error.exit_code
+    return _run_action(make_parser().parse_args(arguments), Console(width=WIDTH))
 
 
 def _run_action(options: argparse.Namespace, console: Console) -> int:

@@ -26,8 +26,9 @@ from posor_estimator.bags.mcap_file import (
 from posor_estimator.bags.mcap_writer import McapBagWriter
 from posor_estimator.bags.message_definitions import stored_type_hash
 from posor_estimator.bags.provenance import custom_data
-from posor_estimator.errors import BagError, PosorError
+from posor_estimator.errors import BagError
 from posor_estimator.reporting.command_line_parser import CommandLineParser
+from posor_estimator.reporting.program_errors import reports_errors
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -223,16 +224,13 @@ def parser() -> CommandLineParser:
     return command
 
 
+@reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; the exit code is 0 if any message was rescued, also if others are lost."""
-    try:
-        options = parser().parse_args(arguments)
-        for rescue in recover(options.bag, options.output):
-            sys.stdout.writelines(f"{line}.\n" for line in rescue.lines())
-        sys.stdout.write(f"written to {options.output}\n")
-    except PosorError as error:
-        sys.stderr.write(f"{error}\n")
-        return error.exit_code
+    options = parser().parse_args(arguments)
+    for rescue in recover(options.bag, options.output):
+        sys.stdout.writelines(f"{line}.\n" for line in rescue.lines())
+    sys.stdout.write(f"written to {options.output}\n")
     return 0
 
 

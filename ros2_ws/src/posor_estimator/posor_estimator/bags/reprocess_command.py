@@ -23,9 +23,10 @@ from posor_estimator.bags.offline_pipeline import reprocess_bag
 from posor_estimator.bags.reprocess_task import FORMATS, JointSettings, Settings, Summary, Task
 from posor_estimator.bags.result_folder import check_outside_of_bags, check_replaceable, clear_unfinished
 from posor_estimator.chain.arm_file import load_arm
-from posor_estimator.errors import ParameterError, PosorError
+from posor_estimator.errors import ParameterError
 from posor_estimator.lazy_program import EXIT_INTERRUPTED, INTERRUPT_SIGNALS
 from posor_estimator.reporting.command_line_parser import CommandLineParser
+from posor_estimator.reporting.program_errors import reports_errors
 
 if TYPE_CHECKING:
     import argparse
@@ -67,14 +68,12 @@ def parser() -> CommandLineParser:
     return command
 
 
+@reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; the exit code is 0 if all bags were reprocessed."""
     try:
         with _interruptible():
             _run(parser().parse_args(arguments))
-    except PosorError as error:
-        sys.stderr.write(f"{error}\n")
-        return error.exit_code
     except KeyboardInterrupt:
         sys.stderr.write("reprocess: interrupted; what was not finished is not there.\n")
         return EXIT_INTERRUPTED

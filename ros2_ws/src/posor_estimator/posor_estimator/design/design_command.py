@@ -17,8 +17,9 @@ from posor_estimator.design.calculator_signature import read_signature
 from posor_estimator.design.calculators import CALCULATORS
 from posor_estimator.design.design_page import render_design_page
 from posor_estimator.design.value_kinds import format_value, name_kind, parse_value, summarise_value, unit_of
-from posor_estimator.errors import OutputError, ParameterError, PosorError, similar_name
+from posor_estimator.errors import OutputError, ParameterError, similar_name
 from posor_estimator.reporting.command_line_parser import CommandLineParser
+from posor_estimator.reporting.program_errors import reports_errors
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -60,6 +61,7 @@ class CalculatorParser(CommandLineParser):
         super().error(message)
 
 
+@reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; exit code 0: the calculator has a result."""
     name, *others = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
@@ -67,17 +69,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         program = PROGRAMS[name]
         function = getattr(import_module(f"posor_estimator.design.{program.module}"), program.function)
         return int(function(others))
-    try:
-        if name in {"-h", "--help"}:
-            print(list_calculators(), end="")
-        elif name not in CALCULATORS:
-            expected = similar_name(name, [*PROGRAMS, *CALCULATORS], "a name that 'posor design' lists")
-            raise ParameterError(f"there is no calculator '{name}'", where="design", expected=expected)
-        else:
-            run_calculator(read_signature(name), others)
-    except PosorError as error:
-        print(error, file=sys.stderr)
-        return error.exit_code
+    if name in {"-h", "--help"}:
+        print(list_calculators(), end="")
+    elif name not in CALCULATORS:
+        expected = similar_name(name, [*PROGRAMS, *CALCULATORS], "a name that 'posor design' lists")
+        raise ParameterError(f"there is no calculator '{name}'", where="design", expected=expected)
+    else:
+        run_calculator(read_signature(name), others)
     return 0
 
 

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from posor_estimator.errors import NodeError, ParameterError, PosorError
+from posor_estimator.reporting.program_errors import reports_errors
 from posor_estimator.ros.composition_file import error_location, load_composition, registered_nodes
-from posor_estimator.ros.node_program import NodeGroup, exit_code_of, non_ros_arguments, ros_context
+from posor_estimator.ros.node_program import NodeGroup, non_ros_arguments, ros_context
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,10 +32,11 @@ Nodes start in this order and stop in the reverse order: list subscribers before
 such as --params-file FILE, apply to all nodes."""
 
 
+@reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; the exit code is 0 if all nodes ended as requested."""
-    argv = sys.argv if arguments is None else arguments
-    return exit_code_of(lambda: _compose(argv))
+    _compose(sys.argv if arguments is None else arguments)
+    return 0
 
 
 def _compose(arguments: Sequence[str]) -> None:

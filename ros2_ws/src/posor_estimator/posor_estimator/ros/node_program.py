@@ -17,6 +17,7 @@ from rclpy.utilities import remove_ros_args, try_shutdown
 from posor_estimator.compilation import compile_kernels
 from posor_estimator.errors import NodeError, ParameterError, PosorError
 from posor_estimator.node_parameters import RealtimeParameters
+from posor_estimator.reporting.program_errors import reports_errors
 from posor_estimator.ros.idle_scheduler import run_when_idle
 from posor_estimator.ros.lifecycle_node import INPUT_CHECK_S
 from posor_estimator.ros.realtime_process import (
@@ -263,16 +264,7 @@ def _name_node_in_errors(
         raise
 
 
-def exit_code_of(program: Callable[[], None]) -> int:
-    """Run ``program``; return 0, or write a PosorError to stderr and return its exit code."""
-    try:
-        program()
-    except PosorError as error:
-        sys.stderr.write(f"{error}\n")
-        return error.exit_code
-    return 0
-
-
+@reports_errors
 def run_node(node_class: type[PosorNode[Any]], arguments: Sequence[str] | None = None) -> int:
     """Run one node as a program, until a signal or the end of the node.
 
@@ -284,15 +276,12 @@ def run_node(node_class: type[PosorNode[Any]], arguments: Sequence[str] | None =
         The exit code.
 
     """
-    return exit_code_of(lambda: _run_node(node_class, sys.argv if arguments is None else arguments))
-
-
-def _run_node(node_class: type[PosorNode[Any]], arguments: Sequence[str]) -> None:
+    arguments = sys.argv if arguments is None else arguments
     with ros_context(arguments) as stop:
         own = non_ros_arguments(arguments)
         if own in (["-h"], ["--help"]):
             sys.stdout.write(node_class.help() + "\n")
-            return
+            return 0
         if own:
             raise ParameterError(
                 f"argument '{own[0]}' is unknown", where=node_class.NAME, expected="--ros-args -p name:=value"
@@ -300,3 +289,4 @@ def _run_node(node_class: type[PosorNode[Any]], arguments: Sequence[str]) -> Non
         with NodeGroup() as nodes:
             nodes.add(node_class())
             nodes.run(lambda: stop.requested)
+    return 0

@@ -10,7 +10,8 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
-from posor_estimator.errors import ParameterError, PosorError
+from posor_estimator.errors import ParameterError
+from posor_estimator.reporting.program_errors import reports_errors
 from posor_estimator.testing.random_poses import STACKS
 from rich.console import Console
 from rich.progress import Progress
@@ -124,6 +125,7 @@ def _confirm_design(folder: Path, scale: float, output: Path) -> int:
     return 0 if confirmation.confirmed else 1
 
 
+@reports_errors
 def main(arguments: list[str] | None = None) -> int:
     """Run the program; the exit code is 0 if the report could be made, or the requirement of a design is confirmed."""
     parser = argparse.ArgumentParser(prog="accuracy", description=str(__doc__).splitlines()[0])
@@ -131,17 +133,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--scale", type=float, default=1.0, help="share of the full size, for a quick look")
     parser.add_argument("--design", type=Path, metavar="FOLDER", help="output of posor design posor to simulate")
     options = parser.parse_args(arguments)
-    try:
-        if not 0.0 < options.scale <= 1.0:
-            raise ParameterError(f"--scale {options.scale}", expected="more than 0, at most 1")
-        check_writable(options.output)
-        if options.design is not None:
-            return _confirm_design(options.design, options.scale, options.output)
-        with Progress(console=Console(stderr=True)) as progress:
-            report = accuracy_report(options.scale, progress)
-    except PosorError as error:
-        print(error, file=sys.stderr)
-        return error.exit_code
+    if not 0.0 < options.scale <= 1.0:
+        raise ParameterError(f"--scale {options.scale}", expected="more than 0, at most 1")
+    check_writable(options.output)
+    if options.design is not None:
+        return _confirm_design(options.design, options.scale, options.output)
+    with Progress(console=Console(stderr=True)) as progress:
+        report = accuracy_report(options.scale, progress)
     print_report(report, Console(width=118))
     write_json(options.output, report)
     return 0

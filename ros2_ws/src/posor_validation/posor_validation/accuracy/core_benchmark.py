@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from posor_estimator.calibration.designs import DesignName, design
-from posor_estimator.errors import PosorError
 from posor_estimator.estimation.forward import scans_at
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.model.fault import State
 from posor_estimator.model.native_coordinates import rotation_from_native
 from posor_estimator.model.scan import STATED_HOME
 from posor_estimator.numerics.compiled import COMPILING
+from posor_estimator.reporting.program_errors import reports_errors
 from posor_estimator.testing.random_poses import STACKS, TICK_NS
 from rich.console import Console
 from rich.table import Table
@@ -77,16 +77,13 @@ def measure_stack(stack: DesignName, single_count: int, batch_count: int) -> dic
     }
 
 
+@reports_errors
 def main(arguments: list[str] | None = None) -> int:
     """Run the benchmark, print a table and write a JSON file."""
     parser = argparse.ArgumentParser(prog="bench_core", description=str(__doc__).splitlines()[0])
     parser.add_argument("--output", type=Path, default=Path("build/bench_core.json"), help="JSON file to write")
     options = parser.parse_args(arguments)
-    try:
-        check_writable(options.output)
-    except PosorError as error:
-        print(error, file=sys.stderr)
-        return error.exit_code
+    check_writable(options.output)
     figures = {stack: measure_stack(stack, 2_000, 20_000) for stack in STACKS}
     kernels = "compiled" if COMPILING else "not compiled"
     title = f"Speed of the core, kernels {kernels}; processor time, medians of {ROUNDS} rounds"

@@ -14,10 +14,11 @@ from typing import get_args
 
 import numpy as np
 import pinocchio as pin
-from posor_estimator.errors import DataFileError, PosorError
+from posor_estimator.errors import DataFileError
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.model.fault import Fault, State
 from posor_estimator.model.scan import Scans
+from posor_estimator.reporting.program_errors import reports_errors
 
 from posor_validation.accuracy.ray_traced_cases import RayTracedCase, StackName, read_cases
 
@@ -60,16 +61,13 @@ def largest_errors(path: Path) -> dict[str, dict[str, float]]:
     return report
 
 
+@reports_errors
 def main(arguments: list[str] | None = None) -> int:
     """Run the check; the exit code is 0 if all cases could be checked."""
     parser = argparse.ArgumentParser(prog="golden", description=str(__doc__).splitlines()[0])
     parser.add_argument("file", type=Path, help="cases, one JSON object per line")
     options = parser.parse_args(arguments)
-    try:
-        print(json.dumps(largest_errors(options.file)))
-    except PosorError as error:
-        print(error, file=sys.stderr)
-        return error.exit_code
+    print(json.dumps(largest_errors(options.file)))
     return 0
 
 

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 from posor_bringup.installed import share
 from posor_estimator.chain.arm_file import load_arm
 from posor_estimator.chain.kinematic_chain import load_chain
-from posor_estimator.errors import ChainError, ParameterError, PosorError
+from posor_estimator.errors import ChainError, ParameterError
 from posor_estimator.reporting.command_line_parser import CommandLineParser
+from posor_estimator.reporting.program_errors import reports_errors
 from posor_estimator.uncertainty.endpoint_budget import (
     Spread,
     configurations,
@@ -176,16 +177,13 @@ def parse_options(arguments: Sequence[str]) -> argparse.Namespace:
     return options
 
 
+@reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program."""
-    try:
-        options = parse_options(sys.argv[1:] if arguments is None else arguments)
-        if options.output is not None:
-            check_writable(options.output)
-        budgets = arm_budget(load_arm(options.arm), options.draws)
-    except PosorError as error:
-        sys.stderr.write(f"{error}\n")
-        return error.exit_code
+    options = parse_options(sys.argv[1:] if arguments is None else arguments)
+    if options.output is not None:
+        check_writable(options.output)
+    budgets = arm_budget(load_arm(options.arm), options.draws)
     print_budgets(budgets, Console(width=118, highlight=False))
     if options.output is not None:
         write_json(options.output, budgets)

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 from posor_bringup.bringup_options import prepare_output_folder
 from posor_estimator.errors import ParameterError
 from posor_estimator.reporting.command_line_parser import CommandLineParser
-from posor_estimator.ros.node_program import StopSignal, exit_code_of
+from posor_estimator.reporting.program_errors import reports_errors
+from posor_estimator.ros.node_program import StopSignal
 from posor_estimator.ros.ros_domain import isolated_network
 from posor_estimator.testing.graph import Graph
 from rich.console import Console
@@ -101,9 +102,11 @@ def plan_of(options: Namespace) -> BenchmarkPlan:
     )
 
 
+@reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; the exit code is 0 if all sections could be measured."""
-    return exit_code_of(lambda: _run_benchmark(parse_options(sys.argv[1:] if arguments is None else arguments)))
+    _run_benchmark(parse_options(sys.argv[1:] if arguments is None else arguments))
+    return 0
 
 
 def _run_benchmark(options: Namespace) -> None:

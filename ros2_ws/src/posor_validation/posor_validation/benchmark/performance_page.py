@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from posor_estimator.errors import ParameterError
-from posor_estimator.ros.node_program import exit_code_of
+from posor_estimator.reporting.program_errors import reports_errors
 
 from posor_validation.benchmark.benchmark_tables import GRAPH, aims_table, host_lines, result_tables
 
@@ -57,13 +57,16 @@ def median_run(runs: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
     return sorted(runs, key=latency_us)[len(runs) // 2]
 
 
-def _write_page(arguments: Sequence[str]) -> None:
+@reports_errors
+def main(arguments: Sequence[str]) -> int:
+    """Write the tables of benchmark results into a page; the exit code is 0 if it was written."""
     if len(arguments) <= 1:
         raise ParameterError(f"{len(arguments)} arguments", where="performance_page", expected="PAGE BENCH_JSON...")
     page, *results = map(Path, arguments)
     runs = [json.loads(result.read_text(encoding="utf-8")) for result in results]
     page.write_text(fill_page(page.read_text(encoding="utf-8"), runs), encoding="utf-8")
+    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(exit_code_of(lambda: _write_page(sys.argv[1:])))
+    sys.exit(main(sys.argv[1:]))

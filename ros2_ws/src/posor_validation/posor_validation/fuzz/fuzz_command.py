@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING
 from posor_bringup.arms import load_checked_arm
 from posor_estimator.errors import ParameterError
 from posor_estimator.reporting.command_line_parser import CommandLineParser
-from posor_estimator.ros.node_program import exit_code_of, non_ros_arguments, ros_context
+from posor_estimator.reporting.program_errors import reports_errors
+from posor_estimator.ros.node_program import non_ros_arguments, ros_context
 from posor_estimator.ros.ros_domain import isolated_network
 from rich.console import Console
 
@@ -62,12 +63,11 @@ def parse_options(arguments: Sequence[str]) -> Namespace:
     return options
 
 
+@reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; the exit code is 0 if nothing failed."""
     argv = sys.argv if arguments is None else arguments
-    failures: list[str] = []
-    code = exit_code_of(lambda: failures.extend(_run(parse_options(non_ros_arguments(argv)), argv)))
-    return code or int(bool(failures))
+    return int(bool(_run(parse_options(non_ros_arguments(argv)), argv)))
 
 
 def _run(options: Namespace, argv: Sequence[str]) -> list[str]:

@@ -16,7 +16,8 @@ from posor_bringup.installed import BAGS, CALIBRATIONS, JOINT, bag_path, calibra
 from posor_bringup.supervisor import Supervisor
 from posor_estimator.calibration.calibration_file import load_calibration
 from posor_estimator.reporting.command_line_parser import CommandLineParser
-from posor_estimator.ros.node_program import exit_code_of, non_ros_arguments, ros_context
+from posor_estimator.reporting.program_errors import reports_errors
+from posor_estimator.ros.node_program import non_ros_arguments, ros_context
 from posor_estimator.ros.ros_domain import isolated_network
 from rich.console import Console
 
@@ -86,12 +87,10 @@ def parse_options(arguments: Sequence[str]) -> argparse.Namespace:
     return parser.parse_args(list(arguments))
 
 
+@reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the program."""
-    argv = sys.argv if arguments is None else arguments
-    comparisons: list[Findings] = []
-    code = exit_code_of(lambda: comparisons.append(_run(argv)))
-    return code or int(not comparisons[0].holds)
+    """Run the program; the exit code is 0 if the comparison holds."""
+    return int(not _run(sys.argv if arguments is None else arguments).holds)
 
 
 def _run(argv: Sequence[str]) -> Findings:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from posor_estimator.ros.node_program import exit_code_of
+from posor_estimator.reporting.program_errors import reports_errors
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -12,8 +12,7 @@ if TYPE_CHECKING:
     from posor_validation.reports.findings import Findings
 
 
+@reports_errors
 def exit_code_of_findings(program: Callable[[], Findings]) -> int:
     """Run ``program``; return 0 if its findings hold, 1 if not, or write a PosorError and return its exit code."""
-    findings: list[Findings] = []
-    code = exit_code_of(lambda: findings.append(program()))
-    return code or int(not findings[0].holds)
+    return int(not program().holds)
