@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from posor_drivers.driver_programs import instruments, record
 from posor_estimator.errors import ParameterError, similar_name
 from posor_estimator.estimator_programs import budget, calibrate, design, recover, reprocess
+from posor_estimator.reporting.program_errors import reports_errors
 
 from posor_bringup.bringup_programs import bringup, view
 
@@ -50,6 +51,7 @@ SUBCOMMANDS = {
 }
 
 
+@reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
     """Start the program of a subcommand with the further arguments; return its exit code."""
     name, *others = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
@@ -60,9 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     if name not in SUBCOMMANDS:
         expected = similar_name(name, SUBCOMMANDS, f"one of {', '.join(SUBCOMMANDS)}")
-        error = ParameterError(f"there is no subcommand '{name}'", where="posor", expected=expected)
-        sys.stderr.write(f"{error}\n")
-        return error.exit_code
+        raise ParameterError(f"there is no subcommand '{name}'", where="posor", expected=expected)
     subcommand = SUBCOMMANDS[name]
     sys.argv = [name, *subcommand.arguments, *others]
     return subcommand.program()

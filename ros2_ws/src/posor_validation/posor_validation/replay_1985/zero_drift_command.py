@@ -6,7 +6,6 @@ and the remaining errors of alpha and beta. It fails if these are larger than wi
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,12 +13,12 @@ from posor_bringup.installed import bag_path, calibration_path
 from posor_estimator.bags.calibration_recording import Reference, load_recording
 from posor_estimator.calibration.calibration_file import load_calibration
 from posor_estimator.calibration.quantity import Quantity
-from posor_estimator.errors import PosorError
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.identification.attitude_fit import ANGLES, deviation_from_first, read_reference_attitude
 from posor_estimator.identification.procedures.zero_drift import NAME, ZeroDriftOptions, find_zero_drift
 from posor_estimator.model.native_coordinates import native_from_rotation
 from posor_estimator.reporting.command_line_parser import CommandLineParser
+from posor_estimator.reporting.program_errors import reports_errors
 from rich.console import Console
 
 from posor_validation.replay_1985.motion_test import INCH, TRUTH_LEVER
@@ -92,22 +91,19 @@ def _remaining_deviations(calibration: Calibration, recording: Recording) -> Flo
     return deviation_from_first(errors - errors[0])
 
 
+@reports_errors
 def main() -> int:
     """Run the program; return 1 if a search leaves more error than the shifts of the thesis."""
     CommandLineParser(prog="zero_drift_1985", description=__doc__.splitlines()[0]).parse_args()
     console = Console()
     findings: list[Finding] = []
-    try:
-        calibration = load_calibration(calibration_path("section84"))
-        for test in TESTS:
-            recording = load_recording(bag_path(test), references=[TRUTH])
-            found, lines = search_zero_shifts(test, calibration, recording)
-            findings += found.findings
-            for line in lines:
-                console.print(line, soft_wrap=True, markup=False, highlight=False)
-    except PosorError as error:
-        sys.stderr.write(f"{error}\n")
-        return error.exit_code
+    calibration = load_calibration(calibration_path("section84"))
+    for test in TESTS:
+        recording = load_recording(bag_path(test), references=[TRUTH])
+        found, lines = search_zero_shifts(test, calibration, recording)
+        findings += found.findings
+        for line in lines:
+            console.print(line, soft_wrap=True, markup=False, highlight=False)
     combined = Findings(tuple(findings))
     print_findings(combined, console, "Errors left by the zero shifts found", _HEADINGS)
     return 0 if combined.holds else 1
