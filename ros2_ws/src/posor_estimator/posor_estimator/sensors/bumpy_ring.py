@@ -20,15 +20,13 @@ from posor_estimator.calibration.quantity import ANY, Quantity, measured
 from posor_estimator.model.reading_rows import RING, ROW, evaluate_rows
 from posor_estimator.model.readings import RING_VOLTAGES
 from posor_estimator.model.ring import MAX_HARMONICS
-from posor_estimator.sensors.base import ReadingSource, RowSensor, SensorCalibration, no_parameters
-from posor_estimator.sensors.probe import Channels, ProbeCalibration, probe_parameters
+from posor_estimator.sensors.base import SensorCalibration, no_parameters
+from posor_estimator.sensors.probe import ProbeCalibration, ProbeSensor
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from posor_estimator.errors import ScanError
-    from posor_estimator.model.scan import Scan, Scans
-    from posor_estimator.numerics.array_types import FloatArray, IntArray
+    from posor_estimator.numerics.array_types import FloatArray
 
 
 class RingSurfaceCalibration(FrozenModel):
@@ -82,29 +80,25 @@ class BumpyRingCalibration(SensorCalibration):
         return self.home.number
 
 
-class BumpyRing(RowSensor):
-    """Ring probes with their linearisation."""
+class BumpyRing(ProbeSensor):
+    """Ring probes and the ring that they see."""
+
+    KIND, VOLTAGES = "ring", RING_VOLTAGES
 
     def __init__(self, calibration: BumpyRingCalibration) -> None:
         """Take the parameters out of a validated calibration."""
         ring = calibration.ring
-        values, sigmas = probe_parameters(calibration.probes)
-        self._names = tuple(probe.name for probe in calibration.probes)
         self._orders = np.array(ring.orders, dtype=float)
         self.bumps = ring.bumps
-        self._probes = calibration.probes
         super().__init__(
-            {**values, "mean_radius": ring.mean_radius.array, "cos": ring.cos.array, "sin": ring.sin.array},
-            {**sigmas, "mean_radius": ring.mean_radius.sigmas, "cos": ring.cos.sigmas, "sin": ring.sin.sigmas},
+            calibration.probes,
+            {"mean_radius": ring.mean_radius.array, "cos": ring.cos.array, "sin": ring.sin.array},
+            {"mean_radius": ring.mean_radius.sigmas, "cos": ring.cos.sigmas, "sin": ring.sin.sigmas},
         )
-
-    def _prepare(self) -> None:
-        super()._prepare()
-        self._channels = Channels(self._probes, "ring probe", self)
 
     def _layout(self) -> NDArray[np.void]:
         harmonics = len(self._orders)
-        rows = np.zeros(len(self._names), dtype=ROW)
+        rows = np.zeros(len(self._probes), dtype=ROW)
         rows["kind"], rows["harmonics"] = RING, harmonics
         rows["orders"][:, :harmonics] = self._orders
         of_row = no_parameters(len(rows))
@@ -116,37 +110,6 @@ class BumpyRing(RowSensor):
         )
         self.row_parameters = of_row["parameters"]
         return rows
-
-    @property
-    def reading_names(self) -> tuple[str, ...]:
-        """``ring <probe>`` for each probe."""
-        return tuple(f"ring {name}" for name in self._names)
-
-    @property
-    def reading_source(self) -> ReadingSource:
-        """The ring voltages."""
-        return ReadingSource(RING_VOLTAGES, self._channels.parameters, self._channels.records)
-
-    def selected_rows(self, scan: Scan) -> IntArray:  # noqa: ARG002  the same for every scan
-        """Return all rows."""
-        return np.arange(len(self._names))
-
-    def explain(self, scan: Scan, code: int) -> ScanError:
-        """Return what a code of the voltages means."""
-        return self._channels.explain(scan.ring_voltages, scan, code)
-
-    def encode(self, readings: FloatArray, scans: Scans) -> dict[str, FloatArray]:
-        """Return the voltages of gaps; see ``RowSensor.encode``."""
-        return {"ring_voltages": self._channels.encode(readings, scans)}
-
-    def disturbed(self, scans: Scans, noise: np.random.Generator) -> dict[str, FloatArray]:
-        """Return the voltages with noise."""
-        return {
-            "ring_voltages": scans.ring_voltages + noise.normal(size=scans.ring_voltages.shape) * self._channels.noises
-        }
-
-    def _linearisation_jacobian(self, scan: Scan) -> FloatArray:
-        return self._channels.jacobian(scan.ring_voltages, scan, self._values.size)
 
     def observability(self, phases: FloatArray) -> FloatArray:
         """Return how well the ring's readings tell (x, y, theta) apart at each bump phase.

@@ -12,18 +12,18 @@ from pydantic import Field
 
 from posor_estimator.calibration.file_model import FrozenModel
 from posor_estimator.calibration.quantity import Quantity, measured
-from posor_estimator.errors import CalibrationError, ScanError
+from posor_estimator.errors import CalibrationError
 from posor_estimator.model.reading_rows import GAP, ROW
 from posor_estimator.model.readings import GAP_VOLTAGES
-from posor_estimator.sensors.base import ReadingSource, RowSensor, SensorCalibration, no_parameters
-from posor_estimator.sensors.probe import Channels, ProbeCalibration, probe_parameters
+from posor_estimator.sensors.base import SensorCalibration, no_parameters
+from posor_estimator.sensors.probe import ProbeCalibration, ProbeSensor
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from posor_estimator.calibration.session import Session
-    from posor_estimator.model.scan import Scan, Scans
-    from posor_estimator.numerics.array_types import FloatArray, IntArray
+    from posor_estimator.model.scan import Scans
+    from posor_estimator.numerics.array_types import FloatArray
 
 
 class TargetPlaneCalibration(FrozenModel):
@@ -71,26 +71,22 @@ class GapProbesCalibration(SensorCalibration):
         return self.model_copy(update={"probes": probes})
 
 
-class GapProbes(RowSensor):
-    """Gap probes with their linearisation."""
+class GapProbes(ProbeSensor):
+    """Gap probes and the target plane that they see."""
+
+    KIND, VOLTAGES = "gap", GAP_VOLTAGES
 
     def __init__(self, calibration: GapProbesCalibration) -> None:
         """Take the parameters out of a validated calibration."""
-        values, sigmas = probe_parameters(calibration.probes)
         plane = calibration.target_plane
-        self._names = tuple(probe.name for probe in calibration.probes)
-        self._probes = calibration.probes
         super().__init__(
-            {**values, "plane_point": plane.point.array, "plane_tilt": plane.tilt.array},
-            {**sigmas, "plane_point": plane.point.sigmas, "plane_tilt": plane.tilt.sigmas},
+            calibration.probes,
+            {"plane_point": plane.point.array, "plane_tilt": plane.tilt.array},
+            {"plane_point": plane.point.sigmas, "plane_tilt": plane.tilt.sigmas},
         )
 
-    def _prepare(self) -> None:
-        super()._prepare()
-        self._channels = Channels(self._probes, "gap probe", self)
-
     def _layout(self) -> NDArray[np.void]:
-        rows = np.zeros(len(self._names), dtype=ROW)
+        rows = np.zeros(len(self._probes), dtype=ROW)
         rows["kind"] = GAP
         of_row = no_parameters(len(rows))
         of_row["tip"], of_row["axis"] = self.parameter_ids("tips"), self.parameter_ids("axes")
@@ -98,37 +94,6 @@ class GapProbes(RowSensor):
         self.row_parameters = of_row["parameters"]
         return rows
 
-    @property
-    def reading_names(self) -> tuple[str, ...]:
-        """``gap <probe>`` for each probe."""
-        return tuple(f"gap {name}" for name in self._names)
-
-    @property
-    def reading_source(self) -> ReadingSource:
-        """The gap voltages."""
-        return ReadingSource(GAP_VOLTAGES, self._channels.parameters, self._channels.records)
-
-    def selected_rows(self, scan: Scan) -> IntArray:  # noqa: ARG002  the same for every scan
-        """Return all rows."""
-        return np.arange(len(self._names))
-
     def gap_sigmas(self, scans: Scans) -> FloatArray:
         """Return the standard uncertainties (n, p) [m] of the gaps of fit scans from their linearisation."""
         return self._channels.sigmas(scans.gap_voltages, scans, self._sigmas)
-
-    def explain(self, scan: Scan, code: int) -> ScanError:
-        """Return what a code of the voltages means."""
-        return self._channels.explain(scan.gap_voltages, scan, code)
-
-    def encode(self, readings: FloatArray, scans: Scans) -> dict[str, FloatArray]:
-        """Return the voltages of gaps; see ``RowSensor.encode``."""
-        return {"gap_voltages": self._channels.encode(readings, scans)}
-
-    def disturbed(self, scans: Scans, noise: np.random.Generator) -> dict[str, FloatArray]:
-        """Return the voltages with noise."""
-        return {
-            "gap_voltages": scans.gap_voltages + noise.normal(size=scans.gap_voltages.shape) * self._channels.noises
-        }
-
-    def _linearisation_jacobian(self, scan: Scan) -> FloatArray:
-        return self._channels.jacobian(scan.gap_voltages, scan, self._values.size)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.polynomial import polynomial
@@ -23,6 +23,7 @@ from posor_estimator.model.voltage import (
     voltages_of_gaps,
 )
 from posor_estimator.numerics.compiled import record_view
+from posor_estimator.sensors.base import ReadingSource, RowSensor
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -188,3 +189,62 @@ class Channels:
         for row, ids, derivatives in zip(out, self.parameters, self._derivatives(volts, scan), strict=True):
             row[ids[ids >= 0]] = derivatives[ids >= 0]
         return out
+
+
+class ProbeSensor(RowSensor):
+    """Probes with their linearisation; a subclass states what surface they see (``_layout``).
+
+    Attributes:
+        KIND: Which probes, ``gap`` or ``ring``: part of the names of readings and of the field with the voltages.
+        VOLTAGES: The same for the kernels.
+
+    """
+
+    KIND: ClassVar[Literal["gap", "ring"]]
+    VOLTAGES: ClassVar[int]
+
+    def __init__(
+        self, probes: Sequence[ProbeCalibration], surface: dict[str, FloatArray], surface_sigmas: dict[str, FloatArray]
+    ) -> None:
+        """Take the parameters of probes, and those of the surface they see with their standard uncertainties."""
+        self._probes = probes
+        values, sigmas = probe_parameters(probes)
+        super().__init__({**values, **surface}, {**sigmas, **surface_sigmas})
+
+    def _prepare(self) -> None:
+        super()._prepare()
+        self._channels = Channels(self._probes, f"{self.KIND} probe", self)
+
+    def _voltages(self, scans: Scan | Scans) -> FloatArray:
+        voltages: FloatArray = getattr(scans, f"{self.KIND}_voltages")
+        return voltages
+
+    @property
+    def reading_names(self) -> tuple[str, ...]:
+        """``gap <probe>`` or ``ring <probe>`` for each probe."""
+        return tuple(f"{self.KIND} {probe.name}" for probe in self._probes)
+
+    @property
+    def reading_source(self) -> ReadingSource:
+        """The voltages."""
+        return ReadingSource(self.VOLTAGES, self._channels.parameters, self._channels.records)
+
+    def selected_rows(self, scan: Scan) -> IntArray:  # noqa: ARG002  the same for every scan
+        """Return all rows."""
+        return np.arange(len(self._probes))
+
+    def explain(self, scan: Scan, code: int) -> ScanError:
+        """Return what a code of the voltages means."""
+        return self._channels.explain(self._voltages(scan), scan, code)
+
+    def encode(self, readings: FloatArray, scans: Scans) -> dict[str, FloatArray]:
+        """Return the voltages of gaps; see ``RowSensor.encode``."""
+        return {f"{self.KIND}_voltages": self._channels.encode(readings, scans)}
+
+    def disturbed(self, scans: Scans, noise: np.random.Generator) -> dict[str, FloatArray]:
+        """Return the voltages with noise."""
+        voltages = self._voltages(scans)
+        return {f"{self.KIND}_voltages": voltages + noise.normal(size=voltages.shape) * self._channels.noises}
+
+    def _linearisation_jacobian(self, scan: Scan) -> FloatArray:
+        return self._channels.jacobian(self._voltages(scan), scan, self._values.size)
