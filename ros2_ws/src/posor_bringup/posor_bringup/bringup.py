@@ -82,17 +82,13 @@ def _run_arm(options: Namespace) -> None:
     )
     folder = prepare_output_folder(options.output / arm.name, tuple(VIEWS.values()))
     write_views(arm, folder)
-    stop = StopSignal()
-    try:
-        with Supervisor(folder / LOGS) as supervisor:
-            running = [supervisor.start(program) for program in group_programs(nodes, options.layout, folder)]
-            for started in running:
-                console.print(f"{started.program.name}: process {started.process.pid}")
-            console.print(f"{arm.name}: {len(nodes)} nodes started, their logs in {folder / LOGS}; Ctrl-C ends them")
-            console.print(f"views for RViz, Foxglove and PlotJuggler: {', '.join(VIEWS.values())} in {folder}")
-            _watch(supervisor, running, stop, console)
-    finally:
-        stop.restore()
+    with StopSignal() as stop, Supervisor(folder / LOGS) as supervisor:
+        running = [supervisor.start(program) for program in group_programs(nodes, options.layout, folder)]
+        for started in running:
+            console.print(f"{started.program.name}: process {started.process.pid}")
+        console.print(f"{arm.name}: {len(nodes)} nodes started, their logs in {folder / LOGS}; Ctrl-C ends them")
+        console.print(f"views for RViz, Foxglove and PlotJuggler: {', '.join(VIEWS.values())} in {folder}")
+        _watch(supervisor, running, stop, console)
     console.print(f"{arm.name}: all nodes have ended")
 
 

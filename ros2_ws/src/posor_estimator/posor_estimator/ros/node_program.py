@@ -41,19 +41,25 @@ SPIN_TIMEOUT_S = 0.1
 
 
 class StopSignal:
-    """Records SIGINT and SIGTERM. Further signals change nothing: launch repeats the Ctrl-C of a terminal.
+    """Records SIGINT and SIGTERM in a ``with`` block. Further signals change nothing: launch repeats Ctrl-C.
 
     rclpy's own handlers would shut the context down before the nodes have published their end and closed their files.
     """
 
     def __init__(self) -> None:
         self.requested = False
+
+    def __enter__(self) -> Self:
+        """Handle the signals."""
         self._former = {number: signal.signal(number, self._on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
+        return self
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self.requested = True
 
-    def restore(self) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         """Restore the former handlers."""
         for number, handler in self._former.items():
             signal.signal(number, handler)
@@ -70,17 +76,16 @@ def ros_context(arguments: Sequence[str]) -> Iterator[StopSignal]:
         ParameterError: ROS cannot parse its part of the command line.
 
     """
-    stop = StopSignal()
-    try:
-        non_ros_arguments(arguments)  # fails where rclpy.init would fail, but without a log line
+    with StopSignal() as stop:
         try:
-            rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
-        except RuntimeError as error:
-            raise _argument_error(error) from None
-        yield stop
-    finally:
-        try_shutdown()
-        stop.restore()
+            non_ros_arguments(arguments)  # fails where rclpy.init would fail, but without a log line
+            try:
+                rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+            except RuntimeError as error:
+                raise _argument_error(error) from None
+            yield stop
+        finally:
+            try_shutdown()
 
 
 def non_ros_arguments(arguments: Sequence[str]) -> list[str]:

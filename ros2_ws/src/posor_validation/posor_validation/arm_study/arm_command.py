@@ -183,7 +183,6 @@ def _run_nodes(
 
 def _measure_coverage(arm: Arm, arms: int, console: Console) -> Coverage:
     """Draw many arms and show the progress."""
-    stop = StopSignal()
     title = f"{arm.name}: drawing {arms} arms, {POSES} poses of each"
 
     def check() -> None:
@@ -192,11 +191,8 @@ def _measure_coverage(arm: Arm, arms: int, console: Console) -> Coverage:
 
     if not console.is_terminal:
         console.print(title, soft_wrap=True, markup=False)
-    try:
-        with StageProgress(console, check) as progress, progress.stage(title, arms) as on_drawn:
-            return arm_coverage(arm, arms, on_drawn=on_drawn)
-    finally:
-        stop.restore()
+    with StopSignal() as stop, StageProgress(console, check) as progress, progress.stage(title, arms) as on_drawn:
+        return arm_coverage(arm, arms, on_drawn=on_drawn)
 
 
 if __name__ == "__main__":

@@ -114,11 +114,10 @@ def _run_benchmark(options: Namespace) -> None:
     console = Console(highlight=False, soft_wrap=True, markup=False)
     results: dict[str, Any] = {"host": host_description()}
     console.print("\n".join(host_lines(results["host"])))
-    stop = StopSignal()
     try:
-        _measure_sections(options, results, stop, console)
+        with StopSignal() as stop:
+            _measure_sections(options, results, stop, console)
     finally:
-        stop.restore()
         if len(results) > 1:  # also after an error
             _write_results(options, results, console)
 

@@ -49,14 +49,14 @@ def measure_lateness(rate: int, clock: WallClock, stopped: Callable[[], bool]) -
 def main() -> None:
     """Run the program."""
     rate, spin_us, file = non_ros_arguments(sys.argv)
-    stop = StopSignal()
     gc.disable()
     disable_timer_slack()
-    print(READY, flush=True)
-    before_s = stolen_s()
-    lateness = measure_lateness(int(rate), WallClock(1000 * int(spin_us)), lambda: stop.requested)
-    lateness["stolen_s"] = stolen_s() - before_s
-    Path(file).write_text(json.dumps(lateness), encoding="utf-8")
+    with StopSignal() as stop:
+        print(READY, flush=True)
+        before_s = stolen_s()
+        lateness = measure_lateness(int(rate), WallClock(1000 * int(spin_us)), lambda: stop.requested)
+        lateness["stolen_s"] = stolen_s() - before_s
+        Path(file).write_text(json.dumps(lateness), encoding="utf-8")
 
 
 if __name__ == "__main__":

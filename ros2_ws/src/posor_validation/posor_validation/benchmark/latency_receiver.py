@@ -69,9 +69,9 @@ def _unused_callback(_data: bytes) -> None:
 def main() -> None:
     """Run the program."""
     topic, file = non_ros_arguments(sys.argv)
-    stop = StopSignal()
     gc.disable()
-    np.save(file, np.array(receive_poses(topic, stop), dtype=np.int64).reshape(-1, 4))
+    with StopSignal() as stop:
+        np.save(file, np.array(receive_poses(topic, stop), dtype=np.int64).reshape(-1, 4))
 
 
 if __name__ == "__main__":
