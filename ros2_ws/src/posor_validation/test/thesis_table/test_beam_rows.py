@@ -1,4 +1,4 @@
-"""Rows of measuring beams: the frequencies of 6.2.2 and appendix 6A, why they differ, and the plots."""
+"""Rows of measuring beams: why the frequencies of 6.2.2 and appendix 6A differ, and the plots."""
 
 from __future__ import annotations
 
@@ -10,45 +10,11 @@ from collections import Counter
 import numpy as np
 import pytest
 from posor_validation.thesis_table import beam_rows
-from posor_validation.thesis_table.thesis_row import ThesisRow, Verdict
-
-AGREES, DIFFERS = Verdict.AGREES, Verdict.DIFFERS
+from posor_validation.thesis_table.thesis_row import Verdict
 
 
-@pytest.fixture(scope="module")
-def rows() -> list[ThesisRow]:
-    return beam_rows.rows()
-
-
-@pytest.mark.parametrize(
-    ("section", "printed", "computed", "verdict"),
-    [
-        ("6.2.2", "318", 318.0, AGREES),
-        ("6.2.2", "1994", 1990.0, AGREES),
-        ("6.2.2", "5583", 5572.0, AGREES),
-        ("6.2.2", "235", 232.0, AGREES),
-        ("6.2.2", "1475", 1455.0, AGREES),
-        ("6.2.2", "4131", 4074.0, AGREES),
-        ("6.2.2", "817", 807.9, AGREES),
-        ("6.2.2", "1156", 1151.9, AGREES),
-        ("6.2.2", "886", 807.9, DIFFERS),
-        ("App. 6A", "129.798310", 128.59, AGREES),
-        ("App. 6A", "140.721214", 128.59, DIFFERS),
-        ("App. 6A", "183.779175", 183.32, AGREES),
-        ("App. 6A", "201.010994", 183.32, DIFFERS),
-        ("App. 6A", "211.716768", 145.87, DIFFERS),
-        ("App. 6A", "426.793661", 292.89, DIFFERS),
-        ("6.3", "2", 2.544, DIFFERS),
-    ],
-)
-def test_figures(rows: list[ThesisRow], section: str, printed: str, computed: float, verdict: Verdict) -> None:
-    (row,) = (row for row in rows if (row.section, row.printed) == (section, printed))
-    assert row.computed == pytest.approx(computed, rel=2e-3)
-    assert row.verdict is verdict
-
-
-def test_most_rows_agree(rows: list[ThesisRow]) -> None:
-    assert Counter(row.verdict for row in rows) == {AGREES: 12, DIFFERS: 9}
+def test_most_rows_agree() -> None:
+    assert Counter(row.verdict for row in beam_rows.rows()) == {Verdict.AGREES: 12, Verdict.DIFFERS: 9}
 
 
 def test_the_sideways_modes_follow_from_plates_without_rotary_inertia() -> None:
