@@ -248,19 +248,22 @@ def test_a_recording_that_is_played_back_and_forth_is_no_loop() -> None:
     assert not (posor.estimate_all(scans).faults & Fault.FROZEN).any()
 
 
-def test_a_loop_is_seen_whatever_the_home_mark_says() -> None:
+def looping() -> tuple[Posor, Scans]:
+    """Return a POSOR and 300 scans, of which from the 100th on 8 readings repeat in a loop."""
     posor = Posor(design("triad_light_ring", motion=True, converter=True))
     scans = resting(posor, 300, rounded=True)
     for name in ("gap_voltages", "diode_currents"):
         getattr(scans, name)[100:] = getattr(scans, name)[92 + np.arange(200) % 8]
+    return posor, scans
+
+
+def test_a_loop_is_seen_whatever_the_home_mark_says() -> None:
+    posor, scans = looping()
     scans.statuses[::3] = HOME_BUMP
     assert (posor.estimate_all(scans).states[106:] == State.LOST).all()
 
 
 def test_readings_filled_in_by_the_driver_may_repeat_in_a_loop() -> None:
-    posor = Posor(design("triad_light_ring", motion=True, converter=True))
-    scans = resting(posor, 300, rounded=True)
-    for name in ("gap_voltages", "diode_currents"):
-        getattr(scans, name)[100:] = getattr(scans, name)[92 + np.arange(200) % 8]
+    posor, scans = looping()
     scans.statuses[100:] = PROBES_ESTIMATED | DIODES_ESTIMATED
     assert not (posor.estimate_all(scans).faults & Fault.FROZEN).any()

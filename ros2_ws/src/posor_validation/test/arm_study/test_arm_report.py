@@ -7,7 +7,6 @@ import json
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-import matplotlib.image
 import numpy as np
 import pytest
 from posor_bringup.arms import load_checked_arm
@@ -25,6 +24,8 @@ from posor_validation.arm_study.arm_report import arm_figures, write_report
 from posor_validation.arm_study.tick_outcomes import Dropouts, NodeCounters, TickOutcomes, count_outcomes
 from posor_validation.reports.findings import Verdict
 from rich.console import Console
+
+from ..picture_pixels import pixels_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -162,12 +163,6 @@ def test_figures_of_the_json_file(outcome: ArmOutcome) -> None:
     assert figures["controller"]["after_rms_m"] == pytest.approx(5e-6)
     assert figures["ticks"] == {"recorded": 80, "with_pose": 80, "without_pose_by_cause": {}, "unaccounted": 0}
     assert set(arm_figures(ArmOutcome(coverage=drawn()))) == {"coverage95", "coverage", "sag"}
-
-
-def pixels_of(picture: bytes, color: str) -> int:
-    image = matplotlib.image.imread(io.BytesIO(picture), format="png")[..., :3]
-    wanted = np.array([int(color[i : i + 2], 16) / 255 for i in (1, 3, 5)])
-    return int(np.sum(np.all(np.abs(image - wanted) < 0.02, axis=-1)))
 
 
 @pytest.mark.long

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import io
 from typing import TYPE_CHECKING
 
-import matplotlib.image
-import numpy as np
 import pytest
 from posor_bringup.installed import calibration_path
 from posor_estimator.calibration.calibration_file import load_calibration
@@ -20,18 +17,13 @@ from posor_validation.replay_1985.printed_results import EXPECTED_ERRORS_FILE, r
 from posor_validation.replay_1985.replay_report import replay_notes, replay_page
 from posor_validation.thesis_data import data_path
 
+from ..picture_pixels import pixels_of
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from posor_validation.replay_1985.motion_test import MotionTest
     from posor_validation.replay_1985.printed_results import PrintedColumns
-
-
-def pixels_of(picture: bytes, color: str, opacity: float = 1.0) -> int:
-    """Return how many pixels have a colour, laid over white."""
-    image = matplotlib.image.imread(io.BytesIO(picture), format="png")[..., :3]
-    wanted = np.array([int(color[i : i + 2], 16) / 255 for i in (1, 3, 5)]) * opacity + 1.0 - opacity
-    return int(np.sum(np.all(np.abs(image - wanted) < 0.02, axis=-1)))
 
 
 def test_the_picture_shows_every_curve(printed_test: Callable[..., MotionTest], printed: PrintedColumns) -> None:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from posor_estimator.calibration.designs import STANDOFF
+from posor_estimator.testing.simulated_recordings import diode_calibration, simulated_recording
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,6 +29,30 @@ class SimulatedCase:
     calibration: Calibration
     recording: Recording
     truth: Any = None
+
+    @classmethod
+    def at_rest(
+        cls, procedure: Procedure[Any], calibration: Calibration, count: int, seed: int = 0, **environment: Any
+    ) -> SimulatedCase:
+        """Return scans of a resting target in a varied environment; the design is the input of the procedure.
+
+        Args:
+            procedure: The procedure.
+            calibration: True calibration.
+            count: Number of scans.
+            seed: Seed of the noise.
+            environment: As for ``simulated_recording``, one value for each scan.
+
+        """
+        recording = simulated_recording(
+            calibration,
+            np.tile(np.eye(3), (count, 1, 1)),
+            np.tile([0.0, 0.0, STANDOFF], (count, 1)),
+            np.zeros((count, 1)),
+            np.random.default_rng(seed),
+            **environment,
+        )
+        return cls(procedure, diode_calibration(), recording)
 
     def identify(self, **options: Any) -> Outcome:
         return self.procedure.identify(self.recording, self.calibration, self.procedure.options(**options))

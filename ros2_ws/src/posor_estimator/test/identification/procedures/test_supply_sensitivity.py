@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from posor_estimator.calibration.designs import STANDOFF
 from posor_estimator.calibration.quantity import Quantity
 from posor_estimator.errors import FitError
 from posor_estimator.identification.procedures.supply_sensitivity import PROCEDURE
-from posor_estimator.testing.simulated_recordings import diode_calibration, dwell_path, simulated_recording
+from posor_estimator.testing.simulated_recordings import diode_calibration, dwell_path
 from scipy.stats import binomtest
 
 from .simulated_case import SimulatedCase
@@ -25,16 +24,7 @@ TRUE = 2e-5
 
 def simulate(seed: int = 0, levels: FloatArray = LEVELS, scans_each: int = 20) -> SimulatedCase:
     supplies = dwell_path(levels[:, None], scans_each)[:, 0]
-    count = len(supplies)
-    recording = simulated_recording(
-        diode_calibration(),
-        np.tile(np.eye(3), (count, 1, 1)),
-        np.tile([0.0, 0.0, STANDOFF], (count, 1)),
-        np.zeros((count, 1)),
-        np.random.default_rng(seed),
-        supply_voltages=supplies,
-    )
-    return SimulatedCase(PROCEDURE, diode_calibration(), recording)
+    return SimulatedCase.at_rest(PROCEDURE, diode_calibration(), len(supplies), seed, supply_voltages=supplies)
 
 
 @pytest.mark.long

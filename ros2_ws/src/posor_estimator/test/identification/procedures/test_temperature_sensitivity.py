@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from posor_estimator.calibration.designs import STANDOFF
 from posor_estimator.calibration.quantity import Quantity
 from posor_estimator.errors import FitError
 from posor_estimator.identification.procedures.temperature_sensitivity import PROCEDURE
-from posor_estimator.testing.simulated_recordings import diode_calibration, dwell_path, simulated_recording
+from posor_estimator.testing.simulated_recordings import diode_calibration, dwell_path
 from scipy.stats import binomtest
 
 from .simulated_case import SimulatedCase
@@ -46,16 +45,7 @@ def warm_calibration() -> Calibration:
 
 def simulate(seed: int = 0, temperatures: FloatArray | None = None, levels: FloatArray = LEVELS) -> SimulatedCase:
     path = dwell_path(levels[:, None], 20)[:, 0] if temperatures is None else temperatures
-    recording = simulated_recording(
-        warm_calibration(),
-        np.tile(np.eye(3), (len(path), 1, 1)),
-        np.tile([0.0, 0.0, STANDOFF], (len(path), 1)),
-        np.zeros((len(path), 1)),
-        np.random.default_rng(seed),
-        temperatures=path,
-        period_ns=PERIOD_NS,
-    )
-    return SimulatedCase(PROCEDURE, diode_calibration(), recording)
+    return SimulatedCase.at_rest(PROCEDURE, warm_calibration(), len(path), seed, temperatures=path, period_ns=PERIOD_NS)
 
 
 def normalised_errors(case: SimulatedCase) -> FloatArray:
@@ -119,22 +109,13 @@ def test_the_entry_of_the_file_keeps_the_reference_temperature() -> None:
 def test_the_supply_is_corrected_meanwhile() -> None:
     """A supply that follows the temperature acts on the voltages, and is measured: the result stays the same."""
     path = dwell_path(LEVELS[:, None], 20)[:, 0]
-    recording = simulated_recording(
-        warm_calibration(),
-        np.tile(np.eye(3), (len(path), 1, 1)),
-        np.tile([0.0, 0.0, STANDOFF], (len(path), 1)),
-        np.zeros((len(path), 1)),
-        np.random.default_rng(0),
-        temperatures=path,
-        supply_voltages=15.0 + 0.1 * (path - 293.15),
-        period_ns=PERIOD_NS,
+    supplies = 15.0 + 0.1 * (path - 293.15)
+    case = SimulatedCase.at_rest(
+        PROCEDURE, warm_calibration(), len(path), temperatures=path, supply_voltages=supplies, period_ns=PERIOD_NS
     )
-    fits = SimulatedCase(PROCEDURE, diode_calibration(), recording).identify().fits.values()
-    values = np.array([fit.value("sensitivity") for fit in fits])
-    sigmas = np.array([fit.sigma("sensitivity") for fit in fits])
-    assert np.abs((values - TRUE) / sigmas).max() < 4.0
+    assert np.abs(normalised_errors(case)).max() < 4.0
     of_supply = 0.1 * 2e-6  # its uncertainty [m/V] times the slope of the supply [V/K]
-    assert sigmas.min() == pytest.approx(of_supply, rel=0.1)
+    assert min(fit.sigma("sensitivity") for fit in case.identify().fits.values()) == pytest.approx(of_supply, rel=0.1)
 
 
 def test_a_temperature_that_was_not_measured_or_not_varied_is_refused() -> None:
