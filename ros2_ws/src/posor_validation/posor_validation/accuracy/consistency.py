@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 FREEDOMS = 6
 BAND = 0.95
+REGION = 0.95
+REGION_LIMIT = float(chi2.ppf(REGION, FREEDOMS))
+"""Largest normalised error squared inside the published 95 % region of a pose."""
 FALSE_ALARM = 1e-12
 """Probability so small that no scan is excluded because of its residual."""
 
@@ -54,10 +57,14 @@ def nees(stack: DesignName, runs: int, seed: int) -> Nees:
 
 def normalised(errors: FloatArray, covariances: FloatArray, band: float = BAND) -> Nees:
     """Return the mean normalised error squared of errors (n, 6) with stated covariances (n, 6, 6)."""
-    whitened = np.linalg.solve(covariances, errors[:, :, None])[:, :, 0]
     count = FREEDOMS * len(errors)
     low, high = (float(chi2.ppf(p, count)) / count for p in (0.5 - 0.5 * band, 0.5 + 0.5 * band))
-    return Nees(float(np.sum(errors * whitened)) / count, low, high)
+    return Nees(float(np.sum(normalised_squares(errors, covariances))) / count, low, high)
+
+
+def normalised_squares(errors: FloatArray, covariances: FloatArray) -> FloatArray:
+    """Return e' C^-1 e of errors (n, k) with covariances (n, k, k), (n,)."""
+    return np.asarray(np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[..., None])[..., 0]))
 
 
 class DrawnPosors:

@@ -28,7 +28,8 @@ from posor_estimator.errors import ParameterError
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.model.fault import State
 
-from posor_validation.arm_study.arm_record import REGION_LIMIT, normalised_squares, pose_array, pose_errors, rms
+from posor_validation.accuracy.consistency import REGION_LIMIT, normalised_squares
+from posor_validation.arm_study.arm_record import pose_array, pose_errors, rms
 
 if TYPE_CHECKING:
     from collections.abc import Callable

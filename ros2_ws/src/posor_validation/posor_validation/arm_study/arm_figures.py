@@ -11,8 +11,8 @@ from matplotlib.ticker import FuncFormatter
 from posor_estimator.reporting.figure_style import BLUE, GREEN, GREY, MICRON, ORANGE, style_axes, to_png
 from scipy.stats import chi2
 
-from posor_validation.accuracy.consistency import FREEDOMS
-from posor_validation.arm_study.arm_record import REGION_LIMIT, rms
+from posor_validation.accuracy.consistency import FREEDOMS, REGION_LIMIT
+from posor_validation.arm_study.arm_record import rms
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from posor_estimator.reporting.figure_style import MICRON
 
-from posor_validation.arm_study.arm_record import REGION, rms
+from posor_validation.accuracy.consistency import REGION
+from posor_validation.arm_study.arm_record import rms
 from posor_validation.arm_study.thesis_robot import MICROINCH
 from posor_validation.reports.findings import Finding, Findings, Verdict
 

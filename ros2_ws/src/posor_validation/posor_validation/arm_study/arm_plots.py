@@ -9,9 +9,9 @@ from posor_estimator.reporting.figure_style import BLUE, GREEN, GREY, LIGHT_BLUE
 from posor_estimator.reporting.plot import Plot
 from scipy.stats import chi2
 
-from posor_validation.accuracy.consistency import FREEDOMS
+from posor_validation.accuracy.consistency import FREEDOMS, REGION_LIMIT
 from posor_validation.arm_study.arm_figures import BINS, ENLARGED_TO, NEES_END, lengths_um, round_down
-from posor_validation.arm_study.arm_record import REGION_LIMIT, rms
+from posor_validation.arm_study.arm_record import rms
 
 if TYPE_CHECKING:
     from posor_validation.arm_study.arm_coverage import Coverage

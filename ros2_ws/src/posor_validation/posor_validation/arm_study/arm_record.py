@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from posor_drivers.simulator.pose_array import PoseArray
 from posor_estimator.testing.random_poses import errors_in_parent
-from scipy.stats import chi2
 
-from posor_validation.accuracy.consistency import FREEDOMS
+from posor_validation.accuracy.consistency import REGION_LIMIT, normalised_squares
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -20,9 +19,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from posor_estimator.numerics.array_types import FloatArray
 
-REGION = 0.95
-REGION_LIMIT = float(chi2.ppf(REGION, FREEDOMS))
-"""Largest normalised error squared inside the published 95 % region of a pose."""
 CHAIN, TRUTH = "chain", "truth"
 """Keys of ``ArmRecord.reasons`` beside the joints."""
 NO_SCAN = "sent no scan"
@@ -88,11 +84,6 @@ class ArmRecord:
     def target_distances(self) -> FloatArray:
         """Distance of the true endpoint from its target [m], (n,)."""
         return np.asarray(np.linalg.norm(self.truth.translations - self.target.translations, axis=1))
-
-
-def normalised_squares(errors: FloatArray, covariances: FloatArray) -> FloatArray:
-    """Return e' C^-1 e of errors (n, 6) with covariances (n, 6, 6), (n,)."""
-    return np.asarray(np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[..., None])[..., 0]))
 
 
 def pose_errors(found: PoseArray, true: PoseArray) -> FloatArray:

@@ -12,6 +12,7 @@ from posor_estimator.reporting.plot import Plot
 from posor_estimator.uncertainty.first_order import Kind
 from scipy.stats import chi2, norm
 
+from posor_validation.accuracy.consistency import REGION_LIMIT
 from posor_validation.campaign.campaign_series import CLAIM
 from posor_validation.campaign.parameter_coverage import QUANTILE_95
 from posor_validation.campaign.validation_set import FREEDOMS
@@ -192,12 +193,11 @@ def _plot_pose_errors(report: CampaignReport) -> Plot:
 def _plot_quantiles(report: CampaignReport) -> Plot:
     values = np.sort(report.validation.normalised_squares[report.validation.located])
     expected = chi2.ppf((np.arange(len(values)) + 0.5) / len(values), len(FREEDOMS))
-    limit = float(chi2.ppf(0.95, len(FREEDOMS)))
     plot = Plot("Squared error over the budget, all six freedoms", "quantile of chi-square, 6", "found")
     plot.curve("validation poses of this campaign", expected, values, BLUE, dash=None, marker="circle")
-    reach = 1.05 * max(float(expected[-1]), float(values[-1]), limit)
+    reach = 1.05 * max(float(expected[-1]), float(values[-1]), REGION_LIMIT)
     plot.curve("right budget, independent errors", [0.0, reach], [0.0, reach], GREY)
-    plot.horizontal("95 % region", limit, ORANGE)
+    plot.horizontal("95 % region", REGION_LIMIT, ORANGE)
     return plot
 
 

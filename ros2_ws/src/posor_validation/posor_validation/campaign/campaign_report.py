@@ -13,13 +13,8 @@ from posor_estimator.uncertainty.budget_quantities import physical_quantities
 from posor_estimator.uncertainty.first_order import error_budget, sensitivities
 from scipy.stats import norm
 
-from posor_validation.campaign.campaign_series import (
-    CLAIM,
-    REGION_LIMIT,
-    VALIDATION_POSES,
-    chance_margin,
-    share_interval,
-)
+from posor_validation.accuracy.consistency import REGION_LIMIT
+from posor_validation.campaign.campaign_series import CLAIM, VALIDATION_POSES, chance_margin, share_interval
 from posor_validation.campaign.parameter_coverage import compare_with_truth
 from posor_validation.campaign.validation_set import FREEDOMS, validate_calibration
 from posor_validation.reports.findings import Finding, Findings, Verdict

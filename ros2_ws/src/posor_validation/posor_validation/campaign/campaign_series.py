@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from posor_estimator.errors import PosorError
-from scipy.stats import beta, binom, binomtest, chi2, t
+from scipy.stats import beta, binom, binomtest, t
 
+from posor_validation.accuracy.consistency import REGION_LIMIT
 from posor_validation.arm_study.arm_coverage import MeanEstimate
 from posor_validation.campaign.campaign_run import run_in_memory
 from posor_validation.campaign.ground_truth import GroundTruth
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 
 VALIDATION_POSES = 20
 """Validation poses of each campaign."""
-REGION_LIMIT = float(chi2.ppf(0.95, 6))
 CLAIM = (0.92, 0.98)
 """Accepted share of campaigns whose interval contains the truth."""
 

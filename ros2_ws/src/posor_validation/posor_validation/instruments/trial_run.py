@@ -21,6 +21,7 @@ from posor_estimator.testing.program import Program, installed
 from rclpy.serialization import deserialize_message
 from scipy.stats import chi2
 
+from posor_validation.accuracy.consistency import REGION, normalised_squares
 from posor_validation.instruments.simulated_readings import SimulatedReadings
 from posor_validation.reports.console_progress import InterruptedRunError
 
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
 SETTLED_POSES = 5
 STALL_S = 2.0
 TIMEOUT_S = 120.0
-REGION = 0.95
 
 
 @dataclass(frozen=True)
@@ -147,8 +147,7 @@ def _clock_uncertainty(graph: Graph) -> float:
 
 def _share_inside(errors: FloatArray, covariances: FloatArray) -> float:
     """Return the share of errors, (n, 3), inside the 95 % region of their covariances, (n, 3, 3)."""
-    distances = np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[:, :, None])[:, :, 0])
-    return float(np.mean(distances < chi2.ppf(REGION, 3)))
+    return float(np.mean(normalised_squares(errors, covariances) < chi2.ppf(REGION, 3)))
 
 
 def _is_stall_named(graph: Graph, seen: int) -> bool:

@@ -17,8 +17,9 @@ from posor_estimator.ros.node_program import non_ros_arguments, ros_context
 from posor_estimator.ros.ros_domain import isolated_network
 from rich.console import Console
 
+from posor_validation.accuracy.consistency import REGION
 from posor_validation.instruments.device_trials import TRIALS
-from posor_validation.instruments.trial_run import REGION, run_trial
+from posor_validation.instruments.trial_run import run_trial
 from posor_validation.output_files import check_writable, write_json
 from posor_validation.reports.findings import Finding, Findings, Verdict, print_findings
 from posor_validation.reports.findings_program import exit_code_of_findings

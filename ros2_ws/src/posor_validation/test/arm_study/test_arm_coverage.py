@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from posor_bringup.arms import load_checked_arm
 from posor_estimator.errors import ParameterError, PosorError
+from posor_validation.accuracy.consistency import REGION_LIMIT
 from posor_validation.arm_study.arm_coverage import ArmSample, ArmSampler, arm_coverage, coverage_figures, sample_arms
-from posor_validation.arm_study.arm_record import REGION_LIMIT
 from scipy.stats import binom, chi2
 
 if TYPE_CHECKING:
