@@ -7,11 +7,8 @@ nodes, which know only the files.
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,6 +27,7 @@ from posor_estimator.model.fault import State
 
 from posor_validation.accuracy.consistency import REGION_LIMIT, normalised_squares
 from posor_validation.arm_study.arm_record import pose_array, pose_errors, rms
+from posor_validation.reports.process_pool import ordered_map
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -238,20 +236,13 @@ def _to_pose_array(poses: FloatArray) -> PoseArray:
     return pose_array([pin.XYZQUATToSE3(pose) for pose in poses])
 
 
-_sampler: ArmSampler | None = None
-"""Of a worker process."""
+@cache  # each worker reads the files once
+def _sampler(path: Path, poses: int) -> ArmSampler:
+    return ArmSampler(load_arm(path), poses)
 
 
-def _start_worker(path: Path, poses: int) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the main process ends the workers
-    global _sampler  # noqa: PLW0603  each worker reads the files once
-    _sampler = ArmSampler(load_arm(path), poses)
-
-
-def _draw_in_worker(seeds: range) -> ArmSample:
-    if _sampler is None:
-        raise RuntimeError("the worker has not been started")
-    return _sampler.draw(seeds)
+def _draw(path: Path, poses: int, seeds: range) -> ArmSample:
+    return _sampler(path, poses).draw(seeds)
 
 
 def sample_arms(
@@ -269,18 +260,6 @@ def sample_arms(
 
     """
     batches = [range(begin, min(begin + BATCH, seed + arms)) for begin in range(seed, seed + arms, BATCH)]
-    parts = []
-    pool = ProcessPoolExecutor(
-        workers or os.cpu_count(),
-        # Spawned: a process with ROS has threads, which must not be forked.
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=_start_worker,
-        initargs=(arm.path, poses),
-    )
-    try:
-        for batch, part in zip(batches, pool.map(_draw_in_worker, batches), strict=True):
-            parts.append(part)
-            on_drawn(len(batch))
-    finally:
-        pool.shutdown(cancel_futures=True)
+    draw = partial(_draw, arm.path, poses)
+    parts = ordered_map(draw, batches, workers, lambda part: on_drawn(len(part.normalised)))
     return ArmSample.concatenate(parts)

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import signal
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING
@@ -20,6 +17,7 @@ from posor_validation.campaign.campaign_run import run_in_memory
 from posor_validation.campaign.ground_truth import GroundTruth
 from posor_validation.campaign.parameter_coverage import QUANTILE_95, compare_with_truth
 from posor_validation.campaign.validation_set import validate_calibration
+from posor_validation.reports.process_pool import ordered_map
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -99,21 +97,7 @@ def run_campaigns(
     """
     # Read when a worker loads numpy: threads of several workers would only wait for one another.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # Ctrl-C reaches all processes of the group; the main program ends the workers.
-    pool = ProcessPoolExecutor(
-        workers or os.cpu_count(),
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=signal.signal,
-        initargs=(signal.SIGINT, signal.SIG_IGN),
-    )
-    results = []
-    try:
-        for result in pool.map(partial(run_campaign, name), seeds):
-            results.append(result)
-            on_done()
-    finally:
-        pool.shutdown(cancel_futures=True)
-    return results
+    return ordered_map(partial(run_campaign, name), seeds, workers, lambda _: on_done())
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,48 @@
+"""Calls of a function in several processes."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from concurrent.futures import ProcessPoolExecutor
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+ItemT = TypeVar("ItemT")
+ResultT = TypeVar("ResultT")
+
+
+def ordered_map(
+    function: Callable[[ItemT], ResultT],
+    items: Sequence[ItemT],
+    workers: int = 0,
+    on_result: Callable[[ResultT], None] = lambda _: None,
+) -> list[ResultT]:
+    """Call a function with each item in several processes; return the results in the order of the items.
+
+    Args:
+        function: The function; picklable, as are items and results.
+        items: The items.
+        workers: Number of processes; 0: number of processors.
+        on_result: Called with each result, in order; an exception of it ends the calls.
+
+    """
+    pool = ProcessPoolExecutor(
+        workers or os.cpu_count(),
+        # Spawned: a process with ROS has threads, which must not be forked.
+        mp_context=multiprocessing.get_context("spawn"),
+        # Ctrl-C reaches all processes of the group; the main process ends the workers.
+        initializer=signal.signal,
+        initargs=(signal.SIGINT, signal.SIG_IGN),
+    )
+    results = []
+    try:
+        for result in pool.map(function, items):
+            results.append(result)
+            on_result(result)
+    finally:
+        pool.shutdown(cancel_futures=True)
+    return results
