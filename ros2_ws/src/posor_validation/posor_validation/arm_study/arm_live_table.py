@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 import numpy as np
 from posor_estimator.reporting.figure_style import MICRON
@@ -21,24 +21,14 @@ COLUMNS = ("x", "y", "z", "length", "about X", "about Y", "about Z", "angle")
 LEGEND = "um and urad, axes of the base"
 
 
-class ArmLiveTable:
-    """A context manager that shows the newest tick: a table in a terminal, else lines."""
+class ArmLiveTable(LiveView):
+    """Shows the newest tick: a table in a terminal, else lines."""
 
     def __init__(self, title: str, console: Console | None = None, *, live: bool = True) -> None:
         """Create the table; ``console`` and ``live`` are those of ``LiveView``."""
-        self._view = LiveView(console, live=live)
+        super().__init__(console, live=live)
         self._title = title
         self._state = self._waiting = ""
-        self.is_live = self._view.is_live
-
-    def __enter__(self) -> Self:
-        """Start drawing."""
-        self._view.__enter__()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        """Stop drawing; the last table stays."""
-        self._view.__exit__(*error)
 
     def show_state(self, state: str) -> None:
         """Show what the run is doing."""
@@ -54,9 +44,9 @@ class ArmLiveTable:
 
     def _show_line(self, text: str) -> None:
         if self.is_live:
-            self._view.update(Text(f"{self._title}: {text}"), at_once=True)
+            self.update(Text(f"{self._title}: {text}"), at_once=True)
         else:
-            self._view.line(f"{self._title}: {text}")
+            self.line(f"{self._title}: {text}")
 
     def show_tick(self, newest: ArmRecord, ticks: int, without_pose: int, speed: float) -> None:
         """Show a tick.
@@ -76,7 +66,7 @@ class ArmLiveTable:
         miss = truth - newest.target.translations[-1]
         if not self.is_live:
             position = " ".join(f"{value:+.6f}" for value in truth)
-            self._view.line(
+            self.line(
                 f"truth {position} m; POSOR off {_length(posor[:3]):.1f} um, {_length(posor[3:]):.1f} urad; "
                 f"encoders off {_length(encoders[:3]):.0f} um, {_length(encoders[3:]):.0f} urad; "
                 f"{_length(miss):.0f} um from its target; {caption}"
@@ -92,7 +82,7 @@ class ArmLiveTable:
         table.add_row("truth minus target", *_cells(miss), style="magenta")
         if np.isfinite(newest.stage[-1]).all():
             table.add_row("stage, axes of the endpoint", *_cells(newest.stage[-1]), style="dim")
-        self._view.update(table)
+        self.update(table)
 
 
 def _length(vector: FloatArray) -> float:

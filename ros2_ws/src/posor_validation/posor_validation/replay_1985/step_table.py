@@ -62,47 +62,40 @@ def _format_numbers(values: Iterable[float], pattern: str) -> list[str]:
     return [text.removeprefix("-") if float(text) == 0.0 else text for text in texts]
 
 
-class LiveTable:
-    """A context manager that shows every new step once."""
+class LiveTable(LiveView):
+    """Shows every new step once."""
 
     def __init__(self, title: str, console: Console | None = None, *, live: bool = True) -> None:
-        """Create the table.
-
-        Args:
-            title: Title.
-            console: Output; None: standard output.
-            live: False: plain lines even in a terminal.
-
-        """
-        self._view = LiveView(console, live=live)
+        """Create the table; ``console`` and ``live`` are those of ``LiveView``."""
+        super().__init__(console, live=live)
         self._title = title
         self._rows: list[list[str]] = []
 
     def __enter__(self) -> Self:
         """Show title and header."""
-        self._view.__enter__()
-        if self._view.is_live:
-            self._view.update(self._table([]), at_once=True)
+        super().__enter__()
+        if self.is_live:
+            self.update(self._table([]), at_once=True)
         else:
             for text in (self._title, LEGEND, _plain_line(HEADER)):
-                self._view.line(text)
+                self.line(text)
         return self
 
     def __exit__(self, *exception: object) -> None:
         """Leave the whole table on the screen."""
-        self._view.update(self._table(self._rows))
-        self._view.__exit__(*exception)
+        self.update(self._table(self._rows))
+        super().__exit__(*exception)
 
     def show(self, steps: Sequence[MotionStep]) -> None:
         """Add the new steps; ``steps`` holds all so far, the first is the reference."""
         new = [step_row(step, steps[0]) for step in steps[len(self._rows) :]]
         self._rows += new
-        if self._view.is_live:
-            fitting = max(1, self._view.console.height - _LINES_AROUND)
-            self._view.update(self._table(self._rows[-fitting:]))
+        if self.is_live:
+            fitting = max(1, self.console.height - _LINES_AROUND)
+            self.update(self._table(self._rows[-fitting:]))
             return
         for row in new:
-            self._view.line(_plain_line(row))
+            self.line(_plain_line(row))
 
     def _table(self, rows: Sequence[Sequence[str]]) -> Table:
         table = Table(title=self._title, caption=LEGEND, header_style="bold")
