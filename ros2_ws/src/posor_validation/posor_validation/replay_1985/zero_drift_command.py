@@ -23,6 +23,7 @@ from rich.console import Console
 
 from posor_validation.replay_1985.motion_test import INCH, TRUTH_LEVER
 from posor_validation.reports.findings import Finding, Findings, Verdict, print_findings
+from posor_validation.reports.findings_program import exit_code_of_findings
 from posor_validation.thesis_data import URAD
 
 if TYPE_CHECKING:
@@ -94,6 +95,10 @@ def _remaining_deviations(calibration: Calibration, recording: Recording) -> Flo
 @reports_errors
 def main() -> int:
     """Run the program; return 1 if a search leaves more error than the shifts of the thesis."""
+    return exit_code_of_findings(_run)
+
+
+def _run() -> Findings:
     CommandLineParser(prog="zero_drift_1985", description=__doc__.splitlines()[0]).parse_args()
     console = Console()
     findings: list[Finding] = []
@@ -106,4 +111,4 @@ def main() -> int:
             console.print(line, soft_wrap=True, markup=False, highlight=False)
     combined = Findings(tuple(findings))
     print_findings(combined, console, "Errors left by the zero shifts found", _HEADINGS)
-    return 0 if combined.holds else 1
+    return combined

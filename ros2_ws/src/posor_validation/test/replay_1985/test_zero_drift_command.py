@@ -52,3 +52,11 @@ def test_the_program_prints_shifts_and_errors(
     out = capsys.readouterr().out
     assert "YMO, beta: error against machining centre, standard deviation: 2.65 urad" in out
     assert re.search(r"zero shift of probe_3: \+0\.217\d V \+- 0\.01\d\d V \(thesis \+0\.240 V\)", out)
+
+
+def test_an_unknown_option_is_refused_in_one_sentence(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.argv", ["zero_drift_1985", "--shifts"])
+    assert main() == 2
+    assert capsys.readouterr().err.startswith("zero_drift_1985: unrecognized arguments: --shifts; expected options")
