@@ -13,10 +13,10 @@ from posor_validation.arm_study.arm_findings import REVERSALS
 from posor_validation.arm_study.arm_plots import plot_axes, plot_controller, plot_coverage, plot_path
 from posor_validation.arm_study.arm_record import rms
 from posor_validation.output_files import write_files
-from posor_validation.reports.findings import findings_table
+from posor_validation.reports.findings import COMPARISON_HEADINGS, findings_table
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
     from pathlib import Path
 
     from posor_drivers.simulator.scenario import Scenario
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from posor_validation.arm_study.arm_record import ArmRecord
     from posor_validation.reports.findings import Findings
 
-HEADINGS: Mapping[str, str] = {"computed": "found", "stated": "expected", "limit": "must be", "source": "source"}
+HEADINGS = COMPARISON_HEADINGS
 """Headings of the table of findings."""
 RUN_NOTES = (
     (

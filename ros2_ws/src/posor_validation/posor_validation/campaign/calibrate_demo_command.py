@@ -15,13 +15,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
 from posor_bringup.bringup_options import prepare_output_folder
-from posor_estimator.errors import ParameterError, PosorError
+from posor_estimator.errors import ParameterError
 from posor_estimator.lazy_program import INTERRUPT_SIGNALS
 from posor_estimator.reporting.command_line_parser import CommandLineParser
 from rich.console import Console
 
 from posor_validation.campaign.campaign_json import campaigns_as_json
-from posor_validation.campaign.campaign_page import HEADINGS, campaign_page
+from posor_validation.campaign.campaign_page import campaign_page
 from posor_validation.campaign.campaign_report import CampaignReport, all_findings
 from posor_validation.campaign.campaign_run import calibrate_from_bags, record_bags
 from posor_validation.campaign.campaign_series import coverage_of_series, run_campaigns
@@ -29,12 +29,15 @@ from posor_validation.campaign.campaign_steps import campaign_steps
 from posor_validation.campaign.ground_truth import POSORS, GroundTruth, PosorName
 from posor_validation.output_files import write_files
 from posor_validation.reports.console_progress import InterruptedRunError, StageProgress
-from posor_validation.reports.findings import print_findings
+from posor_validation.reports.findings import COMPARISON_HEADINGS, print_findings, print_verdict
+from posor_validation.reports.findings_program import exit_code_of_findings
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Iterator, Sequence
     from types import FrameType
+
+    from posor_validation.reports.findings import Findings
 
 SEED = 1985
 CAMPAIGNS = 6
@@ -124,15 +127,12 @@ def write_report(options: argparse.Namespace, reports: Sequence[CampaignReport])
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program."""
-    try:
+
+    def program() -> Findings:
         with _note_signals() as check:
             return _run(parse_options(arguments), check)
-    except KeyboardInterrupt:
-        error: PosorError = InterruptedRunError("interrupted", where="calibrate_demo")
-    except PosorError as raised:
-        error = raised
-    print(error, file=sys.stderr)
-    return error.exit_code
+
+    return exit_code_of_findings(program)
 
 
 @contextmanager
@@ -141,6 +141,10 @@ def _note_signals() -> Iterator[Callable[[], None]]:
 
     An exception raised by the handler itself could be lost in a library, or printed by one. A second signal raises it
     nevertheless: nobody has to wait for a long part. The workers end with the program.
+
+    Raises:
+        InterruptedRunError: There was a signal.
+
     """
     interrupted = False
 
@@ -158,21 +162,23 @@ def _note_signals() -> Iterator[Callable[[], None]]:
     try:
         yield check
         check()
+    except KeyboardInterrupt:
+        raise InterruptedRunError("interrupted", where="calibrate_demo") from None
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
 
 
-def _run(options: argparse.Namespace, check: Callable[[], None]) -> int:
+def _run(options: argparse.Namespace, check: Callable[[], None]) -> Findings:
     console = Console(highlight=False) if sys.stdout.isatty() else Console(highlight=False, width=WIDTH)
     with StageProgress(console, check) as progress:
         reports = run_posors(options, progress)
     write_report(options, reports)
     findings = all_findings(reports)
-    print_findings(findings, console, "Findings of the calibration campaigns", HEADINGS)
+    print_findings(findings, console, "Findings of the calibration campaigns", COMPARISON_HEADINGS)
     console.print(f"report: {options.output / 'report.html'}", soft_wrap=True, markup=False)
-    console.print(findings.sentence, style="green" if findings.holds else "bold red")
-    return 0 if findings.holds else 1
+    print_verdict(findings, console)
+    return findings
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from posor_validation.campaign.campaign_plots import plot_budgets, plot_residual
 from posor_validation.campaign.campaign_report import all_findings
 from posor_validation.campaign.parameter_coverage import measuring_steps
 from posor_validation.campaign.validation_set import FREEDOMS
-from posor_validation.reports.findings import findings_table
+from posor_validation.reports.findings import COMPARISON_HEADINGS, findings_table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from posor_validation.campaign.campaign_report import CampaignReport
     from posor_validation.campaign.campaign_series import FamilyCoverage, SeriesCoverage
 
-HEADINGS: Mapping[str, str] = {"computed": "found", "stated": "expected", "limit": "must be", "source": "source"}
 AS_BUILT = "as built, not measured"
 NO_REFERENCE = "no reference"
 MEASURED_BY = (
@@ -81,7 +80,7 @@ NOTES = (
 def campaign_page(reports: Sequence[CampaignReport], provenance: Mapping[str, str]) -> str:
     """Return the self-contained page."""
     findings = all_findings(reports)
-    sections = [Section("Findings", findings_table(findings, HEADINGS))]
+    sections = [Section("Findings", findings_table(findings, COMPARISON_HEADINGS))]
     for report in reports:
         sections += _posor_sections(report)
     sections += [Section("Notes", bullet_list(NOTES)), Section("Provenance", definition_list(provenance))]

@@ -21,7 +21,7 @@ from posor_validation.accuracy.consistency import REGION
 from posor_validation.instruments.device_trials import TRIALS
 from posor_validation.instruments.trial_run import run_trial
 from posor_validation.output_files import check_writable, write_json
-from posor_validation.reports.findings import Finding, Findings, Verdict, print_findings
+from posor_validation.reports.findings import FIGURE_HEADINGS, Finding, Findings, Verdict, print_findings, print_verdict
 from posor_validation.reports.findings_program import exit_code_of_findings
 
 if TYPE_CHECKING:
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from posor_validation.instruments.trial_run import TrialFigures
 
 REGION_TOLERANCE, LEAST_RATE, NAMED_WITHIN_S, BACK_WITHIN_S = 0.02, 0.95, 0.5, 2.0
-HEADINGS = {"computed": "figure", "limit": "limit"}
 
 
 def parse_options(arguments: Sequence[str]) -> Namespace:
@@ -69,9 +68,9 @@ def _run(options: Namespace, argv: Sequence[str]) -> Findings:
         with tempfile.TemporaryDirectory(prefix="trial-") as folder, isolated_network(), ros_context(argv) as stop:
             figures.append(run_trial(trial, Path(folder), interrupted=lambda: stop.requested))
     findings = Findings(tuple(finding for each in figures for finding in trial_findings(each)))
-    print_findings(findings, console, "instruments, simulated devices behind real sockets", HEADINGS)
+    print_findings(findings, console, "instruments, simulated devices behind real sockets", FIGURE_HEADINGS)
     write_json(options.output, {"holds": findings.holds, "trials": [asdict(each) for each in figures]})
-    console.print(findings.sentence, style="green" if findings.holds else "bold red")
+    print_verdict(findings, console)
     return findings
 
 

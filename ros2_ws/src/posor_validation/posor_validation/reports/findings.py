@@ -29,6 +29,15 @@ class Verdict(Enum):
         return Verdict.HOLDS if holds else Verdict.FAILS
 
 
+FIGURE_HEADINGS: Mapping[str, str] = {"computed": "figure", "limit": "limit"}
+"""Headings for findings that are compared with nothing but their limits."""
+COMPARISON_HEADINGS: Mapping[str, str] = {
+    "computed": "found",
+    "stated": "expected",
+    "limit": "must be",
+    "source": "source",
+}
+"""Headings for findings that are compared with expected values."""
 _CSS_CLASSES = {Verdict.HOLDS: "holds", Verdict.FAILS: "fails", Verdict.NOT_JUDGED: ""}
 _STYLES = {Verdict.HOLDS: "green", Verdict.FAILS: "bold red", Verdict.NOT_JUDGED: "dim"}
 
@@ -111,6 +120,11 @@ def print_findings(findings: Findings, console: Console, title: str, headings: M
         verdict = f"[{_STYLES[finding.verdict]}]{finding.verdict.value}[/]"
         terminal_table.add_row(finding.quantity, *(getattr(finding, attribute) for attribute in headings), verdict)
     console.print(terminal_table)
+
+
+def print_verdict(findings: Findings, console: Console) -> None:
+    """Print the verdict on all figures."""
+    console.print(findings.sentence, style="green" if findings.holds else "bold red")
 
 
 def _format_line(finding: Finding, headings: Mapping[str, str]) -> str:
