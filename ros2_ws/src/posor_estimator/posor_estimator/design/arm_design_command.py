@@ -37,6 +37,7 @@ from posor_estimator.design.posor_output import output_folder, requirement_text,
 from posor_estimator.design.quantity_text import parse_quantity_with_unit, split_unit
 from posor_estimator.errors import ParameterError, PosorError
 from posor_estimator.reporting.command_line_parser import CommandLineParser
+from posor_estimator.reporting.report_console import report_console
 from posor_estimator.uncertainty.endpoint_budget import configurations
 
 if TYPE_CHECKING:
@@ -147,7 +148,7 @@ def design_arm_main(arguments: Sequence[str]) -> int:
     except PosorError as error:
         print(error, file=sys.stderr)
         return error.exit_code
-    console = Console(highlight=False) if sys.stdout.isatty() else Console(highlight=False, width=160)
+    console = report_console(160)
     tables = [
         ("Required standard uncertainties of joints and beams", PARTS_HEADER, part_rows(allotment)),
         ("Standard uncertainty of the endpoint, axes of the base", ENDPOINT_HEADER, endpoint_rows(allotment)),

@@ -27,6 +27,7 @@ from posor_estimator.design.quantity_text import parse_quantity_with_unit
 from posor_estimator.design.requirement import FREEDOMS, VERSION, Requirement, load_requirement
 from posor_estimator.errors import ParameterError, PosorError, similar_name
 from posor_estimator.reporting.command_line_parser import CommandLineParser
+from posor_estimator.reporting.report_console import report_console
 from posor_estimator.uncertainty.budget_command import OUTPUT_FILES, compute_budget, write_budget
 from posor_estimator.uncertainty.budget_command import parse_options as parse_budget_options
 from posor_estimator.uncertainty.budget_quantities import NATIVE
@@ -176,8 +177,7 @@ def design_posor_main(arguments: Sequence[str]) -> int:
     except PosorError as error:
         print(error, file=sys.stderr)
         return error.exit_code
-    console = Console(highlight=False, markup=False)
-    print_result(result, result.chosen, console if sys.stdout.isatty() else Console(highlight=False, width=160))
+    print_result(result, result.chosen, report_console(160))
     print(f"page: {folder / 'design.html'}; error budget: {folder / 'budget' / OUTPUT_FILES[2]}")
     print(f"to run it: posor bringup {folder / ARM_FILE}")
     return 0

@@ -18,6 +18,7 @@ from posor_estimator.chain.arm_file import load_arm
 from posor_estimator.errors import ParameterError, PosorError
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.reporting.command_line_parser import CommandLineParser
+from posor_estimator.reporting.report_console import report_console
 from posor_estimator.uncertainty.budget_page import render_budget_page
 from posor_estimator.uncertainty.budget_poses import middle_pose, pose_from_native, scan_at
 from posor_estimator.uncertainty.budget_quantities import NATIVE, PlatePoint
@@ -244,7 +245,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except PosorError as error:
         print(error, file=sys.stderr)
         return error.exit_code
-    console = Console(highlight=False) if sys.stdout.isatty() else Console(highlight=False, width=160)
+    console = report_console(160)
     print_budget(report, console)
     console.print(f"page and files: {options.output}", soft_wrap=True, markup=False)
     return 0

@@ -18,7 +18,7 @@ from posor_bringup.bringup_options import prepare_output_folder
 from posor_estimator.errors import ParameterError
 from posor_estimator.lazy_program import INTERRUPT_SIGNALS
 from posor_estimator.reporting.command_line_parser import CommandLineParser
-from rich.console import Console
+from posor_estimator.reporting.report_console import report_console
 
 from posor_validation.campaign.campaign_json import campaigns_as_json
 from posor_validation.campaign.campaign_page import campaign_page
@@ -44,7 +44,6 @@ CAMPAIGNS = 6
 MINIMUM_CAMPAIGNS = 4
 """Fewest campaigns with a meaningful scatter."""
 OUTPUTS = ("report.html", *POSORS)
-WIDTH = 150
 
 
 def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -170,7 +169,7 @@ def _note_signals() -> Iterator[Callable[[], None]]:
 
 
 def _run(options: argparse.Namespace, check: Callable[[], None]) -> Findings:
-    console = Console(highlight=False) if sys.stdout.isatty() else Console(highlight=False, width=WIDTH)
+    console = report_console(150)
     with StageProgress(console, check) as progress:
         reports = run_posors(options, progress)
     write_report(options, reports)

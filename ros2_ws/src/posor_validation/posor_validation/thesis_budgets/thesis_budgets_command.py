@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from posor_estimator.errors import PosorError
 from posor_estimator.reporting.command_line_parser import CommandLineParser
-from rich.console import Console
+from posor_estimator.reporting.report_console import report_console
 from rich.table import Table
 
 from posor_validation.output_files import check_writable, write_json
@@ -26,9 +26,10 @@ from posor_validation.thesis_budgets.probe_tables import table_5_2, table_7_12
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from rich.console import Console
+
     from posor_validation.thesis_budgets.budget_cells import BudgetTable, Cell
 
-WIDTH = 150
 _STYLES = {Agreement.EXPLAINED: "yellow", Agreement.DIFFERS: "bold red"}
 _ZERO = 5e-7
 """Smaller factors are printed as 0: they come from the inclination of the plate."""
@@ -51,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except PosorError as error:
         print(error, file=sys.stderr)
         return error.exit_code
-    console = Console(highlight=False) if sys.stdout.isatty() else Console(highlight=False, width=WIDTH)
+    console = report_console(150)
     for table in tables:
         print_table(table, console)
     printed = tables[2].cell("root mean square: total", "induced_sigma_theta_urad").printed

@@ -14,8 +14,8 @@ from posor_estimator.errors import PosorError
 from posor_estimator.reporting.command_line_parser import CommandLineParser
 from posor_estimator.reporting.html_page import Cell, Section, render_page
 from posor_estimator.reporting.html_page import table as html_table
+from posor_estimator.reporting.report_console import report_console
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
@@ -26,10 +26,11 @@ from posor_validation.thesis_table.thesis_table import all_rows, compute_subject
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from rich.console import Console
+
     from posor_validation.thesis_table.thesis_row import ThesisRow
     from posor_validation.thesis_table.thesis_table import Subject
 
-WIDTH = 150
 _TITLE = "The thesis of 1985 beside this project"
 HEADER = ("section", "quantity", "printed", "computed", "unit", "difference", "verdict")
 _WIDE = {"quantity", "verdict"}
@@ -54,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(error, file=sys.stderr)
         return error.exit_code
     rows = all_rows(subjects)
-    console = Console(highlight=False) if sys.stdout.isatty() else Console(highlight=False, width=WIDTH)
+    console = report_console(150)
     print_rows(rows, console)
     console.print(summary(rows))
     write_json(output, json_content(rows))
