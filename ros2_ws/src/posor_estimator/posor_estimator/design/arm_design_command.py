@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,7 +34,7 @@ from posor_estimator.design.layout_search import LayoutSearch
 from posor_estimator.design.nearest_requirement import refuse
 from posor_estimator.design.posor_output import output_folder, requirement_text, write_files
 from posor_estimator.design.quantity_text import parse_quantity_with_unit, split_unit
-from posor_estimator.errors import ParameterError, PosorError
+from posor_estimator.errors import ParameterError
 from posor_estimator.reporting.command_line_parser import CommandLineParser
 from posor_estimator.reporting.report_console import report_console
 from posor_estimator.uncertainty.endpoint_budget import configurations
@@ -121,33 +120,29 @@ def postures_of(texts: Sequence[str], joints: Sequence[str]) -> list[Mapping[str
 
 def design_arm_main(arguments: Sequence[str]) -> int:
     """Run the program; exit code 0: the requirement is allotted, and with ``--layouts`` every POSOR is designed."""
-    try:
-        options = _parser().parse_args(list(arguments))
-        required = required_endpoint(options)
-        if not options.arm.is_file():
-            expected = "the path of an arm file (arm.yaml); 'posor bringup --help' lists the installed arms"
-            raise ParameterError("no such file", where=f"{WHERE}, {options.arm}", expected=expected)
-        arm = load_arm(options.arm)
-        if options.layouts and arm.scenario is None:
-            what = f"arm '{arm.name}' has no scenario"
-            raise ParameterError(what, where=f"{WHERE}, --layouts", expected="an arm that can be simulated")
-        folder = output_folder(options.output, arm.name, JSON, force=options.force)
-        joints = [joint.name for joint in arm.chain().joints]
-        allotment = allot(arm, required, postures_of(options.posture, joints))
-        requirements = joint_requirements(arm, allotment)
-        layouts = _layouts(requirements) if options.layouts else {}
-        beams = allotted_beams(arm, allotment)
-        files = {
-            JSON: json.dumps(allotment_json(allotment), indent=2) + "\n",
-            PAGE: render_arm_page(arm.name, allotment, layouts),
-            **{f"{name}/requirement.yaml": requirement_text(each) for name, each in requirements.items()},
-            **({} if beams is None else {BEAMS: beams}),
-            **(arm_files(arm, allotment, requirements, layouts) if layouts else {}),
-        }
-        write_files(folder, files, force=options.force)
-    except PosorError as error:
-        print(error, file=sys.stderr)
-        return error.exit_code
+    options = _parser().parse_args(list(arguments))
+    required = required_endpoint(options)
+    if not options.arm.is_file():
+        expected = "the path of an arm file (arm.yaml); 'posor bringup --help' lists the installed arms"
+        raise ParameterError("no such file", where=f"{WHERE}, {options.arm}", expected=expected)
+    arm = load_arm(options.arm)
+    if options.layouts and arm.scenario is None:
+        what = f"arm '{arm.name}' has no scenario"
+        raise ParameterError(what, where=f"{WHERE}, --layouts", expected="an arm that can be simulated")
+    folder = output_folder(options.output, arm.name, JSON, force=options.force)
+    joints = [joint.name for joint in arm.chain().joints]
+    allotment = allot(arm, required, postures_of(options.posture, joints))
+    requirements = joint_requirements(arm, allotment)
+    layouts = _layouts(requirements) if options.layouts else {}
+    beams = allotted_beams(arm, allotment)
+    files = {
+        JSON: json.dumps(allotment_json(allotment), indent=2) + "\n",
+        PAGE: render_arm_page(arm.name, allotment, layouts),
+        **{f"{name}/requirement.yaml": requirement_text(each) for name, each in requirements.items()},
+        **({} if beams is None else {BEAMS: beams}),
+        **(arm_files(arm, allotment, requirements, layouts) if layouts else {}),
+    }
+    write_files(folder, files, force=options.force)
     console = report_console(160)
     tables = [
         ("Required standard uncertainties of joints and beams", PARTS_HEADER, part_rows(allotment)),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +24,7 @@ from posor_estimator.design.posor_design_page import (
 from posor_estimator.design.posor_output import ARM_FILE, CALIBRATION, output_files, output_folder, write_files
 from posor_estimator.design.quantity_text import parse_quantity_with_unit
 from posor_estimator.design.requirement import FREEDOMS, VERSION, Requirement, load_requirement
-from posor_estimator.errors import ParameterError, PosorError, similar_name
+from posor_estimator.errors import ParameterError, similar_name
 from posor_estimator.reporting.command_line_parser import CommandLineParser
 from posor_estimator.reporting.report_console import report_console
 from posor_estimator.uncertainty.budget_command import OUTPUT_FILES, compute_budget, write_budget
@@ -162,21 +161,17 @@ def _key(option: str) -> str:
 
 def design_posor_main(arguments: Sequence[str]) -> int:
     """Run the program; exit code 0: a layout meets the requirement and its files are written."""
-    try:
-        options = _parser().parse_args(list(arguments))
-        requirement = requirement_of(options)
-        folder = output_folder(options.output, requirement.name, ARM_FILE, force=options.force)
-        errors = Console(stderr=True)
-        with Progress(console=errors, transient=True, disable=not errors.is_terminal) as progress:
-            task = progress.add_task("layouts", total=1.0)
-            result = LayoutSearch(requirement, lambda share: progress.update(task, completed=share)).run(options.prefer)
-            if result.chosen is None:
-                refuse(result, lambda share: progress.update(task, completed=share))
-            write_files(folder, output_files(result, result.chosen), force=options.force)
-            _write_budget(folder, result.chosen)
-    except PosorError as error:
-        print(error, file=sys.stderr)
-        return error.exit_code
+    options = _parser().parse_args(list(arguments))
+    requirement = requirement_of(options)
+    folder = output_folder(options.output, requirement.name, ARM_FILE, force=options.force)
+    errors = Console(stderr=True)
+    with Progress(console=errors, transient=True, disable=not errors.is_terminal) as progress:
+        task = progress.add_task("layouts", total=1.0)
+        result = LayoutSearch(requirement, lambda share: progress.update(task, completed=share)).run(options.prefer)
+        if result.chosen is None:
+            refuse(result, lambda share: progress.update(task, completed=share))
+        write_files(folder, output_files(result, result.chosen), force=options.force)
+        _write_budget(folder, result.chosen)
     print_result(result, result.chosen, report_console(160))
     print(f"page: {folder / 'design.html'}; error budget: {folder / 'budget' / OUTPUT_FILES[2]}")
     print(f"to run it: posor bringup {folder / ARM_FILE}")

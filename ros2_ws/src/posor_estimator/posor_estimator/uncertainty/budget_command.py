@@ -15,9 +15,10 @@ from rich.table import Table
 
 from posor_estimator.calibration.calibration_file import load_calibration
 from posor_estimator.chain.arm_file import load_arm
-from posor_estimator.errors import ParameterError, PosorError
+from posor_estimator.errors import ParameterError
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.reporting.command_line_parser import CommandLineParser
+from posor_estimator.reporting.program_errors import reports_errors
 from posor_estimator.reporting.report_console import report_console
 from posor_estimator.uncertainty.budget_page import render_budget_page
 from posor_estimator.uncertainty.budget_poses import middle_pose, pose_from_native, scan_at
@@ -234,17 +235,14 @@ def _print_reliability(report: BudgetReport, console: Console) -> None:
         console.print(protection_note(report.arm))
 
 
+@reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; exit code 0: the budget has been computed."""
-    try:
-        options = parse_options(arguments)
-        console = Console(stderr=True)
-        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-            report = compute_budget(options, progress)
-        write_budget(report, options.output)
-    except PosorError as error:
-        print(error, file=sys.stderr)
-        return error.exit_code
+    options = parse_options(arguments)
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        report = compute_budget(options, progress)
+    write_budget(report, options.output)
     console = report_console(160)
     print_budget(report, console)
     console.print(f"page and files: {options.output}", soft_wrap=True, markup=False)

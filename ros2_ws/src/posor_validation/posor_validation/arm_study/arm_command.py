@@ -28,12 +28,12 @@ from posor_validation.arm_study.arm_coverage import ARMS, POSES, Coverage, arm_c
 from posor_validation.arm_study.arm_findings import ArmOutcome, arm_findings
 from posor_validation.arm_study.arm_live_table import ArmLiveTable
 from posor_validation.arm_study.arm_receiver import ArmReceiver
-from posor_validation.arm_study.arm_report import HEADINGS, arm_figures, write_report
+from posor_validation.arm_study.arm_report import arm_figures, write_report
 from posor_validation.arm_study.arm_run import ArmPlan, ArmRun
 from posor_validation.arm_study.tick_outcomes import count_outcomes
 from posor_validation.output_files import write_json
 from posor_validation.reports.console_progress import InterruptedRunError, StageProgress
-from posor_validation.reports.findings import print_findings
+from posor_validation.reports.findings import COMPARISON_HEADINGS, print_findings, print_verdict
 from posor_validation.reports.findings_program import exit_code_of_findings
 
 if TYPE_CHECKING:
@@ -115,10 +115,10 @@ def _study_arm(options: Namespace, argv: Sequence[str]) -> Findings:
     outcome = replace(outcome, coverage=coverage, budget=arm_budget(arm, BUDGET_DRAWS))
     findings = arm_findings(outcome)
     write_report(folder, arm, simulation.scenario, outcome, findings)
-    print_findings(findings, console, f"{arm.name}: findings", HEADINGS)
+    print_findings(findings, console, f"{arm.name}: findings", COMPARISON_HEADINGS)
     write_json(options.output.with_name(f"{options.output.name}.json"), arm_figures(outcome))
     console.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False)
-    console.print(findings.sentence, style="green" if findings.holds else "bold red")
+    print_verdict(findings, console)
     return findings
 
 

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from posor_validation.arm_study.arm_record import ArmRecord
     from posor_validation.reports.findings import Findings
 
-HEADINGS = COMPARISON_HEADINGS
 """Headings of the table of findings."""
 RUN_NOTES = (
     (
@@ -80,7 +79,7 @@ def write_report(folder: Path, arm: Arm, scenario: Scenario, outcome: ArmOutcome
         findings.sentence,
         holds=findings.holds,
         sections=(
-            Section("Findings", findings_table(findings, HEADINGS)),
+            Section("Findings", findings_table(findings, COMPARISON_HEADINGS)),
             *_plotted_sections(outcome),
             Section("Notes", bullet_list(notes)),
             Section("Provenance", definition_list(_provenance(arm, scenario))),

@@ -32,7 +32,7 @@ from posor_validation.faults.source_slip import SLIP_ROW, run_slips
 from posor_validation.faults.storm import run_storm, storm_calibrations
 from posor_validation.output_files import check_writable, write_json
 from posor_validation.reports.console_progress import InterruptedRunError, StageProgress
-from posor_validation.reports.findings import Finding, Findings, Verdict, print_findings
+from posor_validation.reports.findings import FIGURE_HEADINGS, Finding, Findings, Verdict, print_findings, print_verdict
 from posor_validation.reports.findings_program import exit_code_of_findings
 
 if TYPE_CHECKING:
@@ -65,7 +65,6 @@ QUICK_ROWS = (
     "six_axis: gap probe off by less than is detectable",
 )
 """Rows of ``--quick``, by arm and name."""
-HEADINGS = {"computed": "figure", "limit": "limit"}
 
 
 def parse_options(arguments: Sequence[str]) -> Namespace:
@@ -138,7 +137,7 @@ def _run(options: Namespace, argv: Sequence[str]) -> Findings:
     findings = fault_findings(results, soaks, storms)
     if console.is_terminal:
         print_rows(results, console)
-    print_findings(findings, console, "fault table", HEADINGS)
+    print_findings(findings, console, "fault table", FIGURE_HEADINGS)
     write_json(
         options.output,
         {
@@ -147,7 +146,7 @@ def _run(options: Namespace, argv: Sequence[str]) -> Findings:
             "storm": storm_json(storms),
         },
     )
-    console.print(findings.sentence, style="green" if findings.holds else "bold red")
+    print_verdict(findings, console)
     return findings
 
 

@@ -19,7 +19,7 @@ from rich.console import Console
 
 from posor_validation.faults.fault_arm import RATES
 from posor_validation.output_files import check_writable, write_json
-from posor_validation.reports.findings import Finding, Findings, Verdict, print_findings
+from posor_validation.reports.findings import FIGURE_HEADINGS, Finding, Findings, Verdict, print_findings, print_verdict
 from posor_validation.reports.findings_program import exit_code_of_findings
 from posor_validation.soak.soak_run import run_soak
 
@@ -36,7 +36,6 @@ LINE_S = 300.0
 MOST_GROWTH_MB = 1.0
 MIN_SECONDS = 5.0
 """Of which the last one is not judged."""
-HEADINGS = {"computed": "figure", "limit": "limit"}
 
 
 def parse_options(arguments: Sequence[str]) -> Namespace:
@@ -87,9 +86,9 @@ def _run(options: Namespace, argv: Sequence[str]) -> Findings:
             options.arm, options.seconds, options.warm_up, Path(folder), on_sample, interrupted=lambda: stop.requested
         )
     findings = soak_findings(figures)
-    print_findings(findings, console, f"{options.arm} in one process", HEADINGS)
+    print_findings(findings, console, f"{options.arm} in one process", FIGURE_HEADINGS)
     write_json(options.output, soak_json(options.arm, figures, findings))
-    console.print(findings.sentence, style="green" if findings.holds else "bold red")
+    print_verdict(findings, console)
     return findings
 
 

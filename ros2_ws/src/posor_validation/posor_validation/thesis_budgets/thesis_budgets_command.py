@@ -13,8 +13,8 @@ from pathlib import Path
 from string import ascii_lowercase
 from typing import TYPE_CHECKING, Any
 
-from posor_estimator.errors import PosorError
 from posor_estimator.reporting.command_line_parser import CommandLineParser
+from posor_estimator.reporting.program_errors import reports_errors
 from posor_estimator.reporting.report_console import report_console
 from rich.table import Table
 
@@ -35,23 +35,20 @@ _ZERO = 5e-7
 """Smaller factors are printed as 0: they come from the inclination of the plate."""
 
 
+@reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program."""
     parser = CommandLineParser(prog="budgets", description="Error budgets of the thesis, cell by cell from the model.")
     parser.add_argument("--output", type=Path, default=Path("build/budgets.json"), help="JSON file to write")
-    try:
-        output = check_writable(parser.parse_args(arguments).output)
-        tables = (table_5_2(), table_5_4(), table_7_9(), table_7_12())
-        by_x, by_y, theta = rig_theta()
-        derived = {
-            "linearisation_of_7_9_and_7_7_uin": fits_of_linearisation(),
-            "rig_theta_by_x_rad_per_in": by_x,
-            "rig_theta_by_y_rad_per_in": by_y,
-            "rig_theta_total_urad": theta,
-        }
-    except PosorError as error:
-        print(error, file=sys.stderr)
-        return error.exit_code
+    output = check_writable(parser.parse_args(arguments).output)
+    tables = (table_5_2(), table_5_4(), table_7_9(), table_7_12())
+    by_x, by_y, theta = rig_theta()
+    derived = {
+        "linearisation_of_7_9_and_7_7_uin": fits_of_linearisation(),
+        "rig_theta_by_x_rad_per_in": by_x,
+        "rig_theta_by_y_rad_per_in": by_y,
+        "rig_theta_total_urad": theta,
+    }
     console = report_console(150)
     for table in tables:
         print_table(table, console)

@@ -10,10 +10,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from posor_estimator.errors import PosorError
 from posor_estimator.reporting.command_line_parser import CommandLineParser
 from posor_estimator.reporting.html_page import Cell, Section, render_page
 from posor_estimator.reporting.html_page import table as html_table
+from posor_estimator.reporting.program_errors import reports_errors
 from posor_estimator.reporting.report_console import report_console
 from rich.box import SIMPLE_HEAD
 from rich.markup import escape
@@ -39,21 +39,18 @@ _STYLES = {Verdict.AGREES: "", Verdict.DIFFERS: "yellow", Verdict.NOT_LEGIBLE: "
 _CSS_CLASSES = {Verdict.AGREES: "holds", Verdict.DIFFERS: "fails", Verdict.NOT_LEGIBLE: ""}
 
 
+@reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program."""
     parser = CommandLineParser(prog="thesis", description="Printed numbers of the thesis beside the computed ones.")
     parser.add_argument(
         "--output", type=Path, default=Path("build/thesis.json"), help="JSON file; the page is beside it"
     )
-    try:
-        output = check_writable(parser.parse_args(arguments).output)
-        page = check_writable(output.with_suffix(".html"))
-        if page == output:
-            parser.error(f"--output {output}: the page has this name")
-        subjects = compute_subjects()
-    except PosorError as error:
-        print(error, file=sys.stderr)
-        return error.exit_code
+    output = check_writable(parser.parse_args(arguments).output)
+    page = check_writable(output.with_suffix(".html"))
+    if page == output:
+        parser.error(f"--output {output}: the page has this name")
+    subjects = compute_subjects()
     rows = all_rows(subjects)
     console = report_console(150)
     print_rows(rows, console)
