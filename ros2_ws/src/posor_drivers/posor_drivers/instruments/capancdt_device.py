@@ -37,14 +37,15 @@ import re
 import struct
 import time
 from contextlib import closing
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from posor_estimator.calibration.file_model import EntryError, FrozenModel
 from posor_estimator.calibration.quantity import Quantity, measured
 from pydantic import Field, model_validator
 
-from posor_drivers.instruments.device import Channel, Device, DeviceError, DeviceSettings, Frames
+from posor_drivers.instruments.device import DeviceSettings, Frames, Port, refuse_repeated_numbers
+from posor_drivers.instruments.packet_device import PacketDevice
 from posor_drivers.instruments.tcp_connection import TcpConnection
 from posor_drivers.simulator.scenario_limits import POSITIVE
 
@@ -67,12 +68,11 @@ MOST_SENSORS = 4
 _SENSOR = "1"
 """State of a channel in the answer to ``$CHS``: 0 is no module, 2 a math function."""
 
-Port = Annotated[int, Field(strict=True, ge=1, le=65_535)]
-
 
 class CapaNcdtChannel(FrozenModel):
     """A channel: its number at the controller and the measuring range of its sensor."""
 
+    unit: ClassVar[str] = "m"
     number: Annotated[int, Field(strict=True, ge=1, le=MOST_SENSORS)]
     range: Annotated[Quantity, measured("m"), POSITIVE]
 
@@ -92,10 +92,7 @@ class CapaNcdtSettings(DeviceSettings):
         if not LEAST_RATE_HZ <= self.rate.number <= GREATEST_RATE_HZ:
             expected = f"{LEAST_RATE_HZ:g} to {GREATEST_RATE_HZ:g} Hz"
             raise EntryError(f"rate {self.rate.number:g} Hz", key=("rate", "value"), expected=expected)
-        numbers = [channel.number for channel in self.channels.values()]
-        for n, (name, number) in enumerate(zip(self.channels, numbers, strict=True)):
-            if number in numbers[:n]:
-                raise EntryError(f"number {number}, used twice", key=("channels", name), expected="a number for each")
+        refuse_repeated_numbers({name: channel.number for name, channel in self.channels.items()})
         return self
 
     @property
@@ -104,7 +101,7 @@ class CapaNcdtSettings(DeviceSettings):
         return round(US / self.rate.number)
 
 
-class CapaNcdtDevice(Device[CapaNcdtSettings]):
+class CapaNcdtDevice(PacketDevice[CapaNcdtSettings]):
     """Sets up the controller over its command port, and reads the frames of its data port."""
 
     Settings = CapaNcdtSettings
@@ -115,8 +112,6 @@ class CapaNcdtDevice(Device[CapaNcdtSettings]):
         channels = settings.channels.values()
         self._numbers = [channel.number for channel in channels]
         self._steps = np.array([channel.range.number / FULL_SCALE for channel in channels])
-        self._connection: TcpConnection | None = None
-        self._rest = b""
         self._last: int | None = None
 
     @classmethod
@@ -129,11 +124,6 @@ class CapaNcdtDevice(Device[CapaNcdtSettings]):
             "rate": {"value": 1041.67, "unit": "Hz"},
             "channels": {name: {"number": n, "range": dict(span)} for n, name in enumerate(voltages, start=1)},
         }
-
-    @property
-    def channels(self) -> Sequence[Channel]:
-        """The channels of the settings."""
-        return [Channel(name, "m") for name in self.settings.channels]
 
     @property
     def frame_rate(self) -> float:
@@ -158,10 +148,10 @@ class CapaNcdtDevice(Device[CapaNcdtSettings]):
             actual = self._ask(port, command, rf"{command},(\d+)OK", f"'${command},', a sample time, 'OK'", deadline_s)
         if int(actual) != sample_time_us:
             what = f"the controller has no sample time of {sample_time_us} us, the next one is {actual} us"
-            raise self._error(what, "a rate that the controller has; in Hz, 1e6 divided by the sample time")
+            raise self.error(what, "a rate that the controller has; in Hz, 1e6 divided by the sample time")
         remaining_s = max(0.001, deadline_s - time.monotonic())
-        self._rest, self._last = b"", None
-        self._connection = TcpConnection(self.name, settings.host, settings.data_port, remaining_s)
+        self._last = None
+        self.open_stream(settings.host, settings.data_port, remaining_s)
         return version.replace(";", " ")
 
     def _ask(self, port: TcpConnection, command: str, pattern: str, expected: str, deadline_s: float) -> str:
@@ -178,9 +168,9 @@ class CapaNcdtDevice(Device[CapaNcdtSettings]):
                 _, mark, answer = line.replace(b"\r", b"").decode("ascii", "replace").rpartition("$")
                 if mark and answer != command:
                     if (match := re.fullmatch(pattern, answer)) is None:
-                        raise self._error(f"the answer to '${command}' is '${answer}'", expected)
+                        raise self.error(f"the answer to '${command}' is '${answer}'", expected)
                     return match[1]
-        raise self._error(f"no answer to '${command}' in time", expected)
+        raise self.error(f"no answer to '${command}' in time", expected)
 
     def _check_channels(self, states: Sequence[str]) -> None:
         """Check that each channel of the settings outputs the values of a sensor."""
@@ -189,46 +179,30 @@ class CapaNcdtDevice(Device[CapaNcdtSettings]):
             if state != _SENSOR:
                 what = "has no module" if state == "0" else f"has the state {state}, which is no sensor"
                 modules = ", ".join(str(n) for n, state in enumerate(states, start=1) if state == _SENSOR)
-                raise self._error(f"channel {channel.number}, '{name}', {what}", f"one of {modules or 'no channels'}")
+                raise self.error(f"channel {channel.number}, '{name}', {what}", f"one of {modules or 'no channels'}")
 
-    def read(self, timeout_s: float) -> Frames | None:
-        """Return the frames of the packets that have come."""
-        if self._connection is None:
-            raise self._error("no connection", "a call of connect before")
-        deadline_s = time.monotonic() + timeout_s
-        while received := self._connection.receive(max(0.0, deadline_s - time.monotonic())):
-            self._rest += received
-            packets = []
-            while (packet := self._take_packet()) is not None:
-                packets.append(packet)
-            if packets:
-                counters = np.concatenate([packet.counters for packet in packets])
-                values = np.concatenate([packet.values for packet in packets])
-                return Frames(counters, values, arrived_ns=self._connection.received_ns)
-        return None
-
-    def _take_packet(self) -> Frames | None:
+    def take_packet(self) -> Frames | None:
         """Return the frames of the first packet; None if it is not complete."""
-        if len(self._rest) < _HEADER.size:
+        if len(self.received) < _HEADER.size:
             return None
-        preamble, _, _, channel_bits, _, first, second, counter = _HEADER.unpack_from(self._rest)
+        preamble, _, _, channel_bits, _, first, second, counter = _HEADER.unpack_from(self.received)
         if preamble not in PREAMBLES:
             expected = " or ".join(f"'{each.decode()}'" for each in PREAMBLES)
-            raise self._error(f"a packet begins with {preamble!r}", expected)
+            raise self.error(f"a packet begins with {preamble!r}", expected)
         present = [n + 1 for n in range(_MAX_CHANNELS) if channel_bits >> 2 * n & 3]
         if missing := [number for number in self._numbers if number not in present]:
-            raise self._error(f"a packet has no channel {missing[0]}, only {present}", "the channels of the settings")
+            raise self.error(f"a packet has no channel {missing[0]}, only {present}", "the channels of the settings")
         frame_bytes = _VALUE_BYTES * len(present)
         count = first if second == frame_bytes else second
         if frame_bytes not in (first, second) or count == 0:
             what = f"a packet states {first} and {second} as number of frames and bytes per frame"
-            raise self._error(what, f"{frame_bytes} bytes per frame of {len(present)} channels, and a frame or more")
+            raise self.error(what, f"{frame_bytes} bytes per frame of {len(present)} channels, and a frame or more")
         end = _HEADER.size + count * frame_bytes
-        if len(self._rest) < end:
+        if len(self.received) < end:
             return None
-        raw = np.frombuffer(self._rest, "<i4", count * len(present), _HEADER.size).reshape(count, len(present))
+        raw = np.frombuffer(self.received, "<i4", count * len(present), _HEADER.size).reshape(count, len(present))
         raw = raw[:, [present.index(number) for number in self._numbers]]
-        self._rest = self._rest[end:]
+        self.received = self.received[end:]
         values = np.where((raw >= 0) & (raw < FULL_SCALE), raw * self._steps, np.nan)
         return Frames(self._unwrapped(counter, count) + np.arange(count), values)
 
@@ -240,17 +214,7 @@ class CapaNcdtDevice(Device[CapaNcdtSettings]):
             before = self._last % _COUNTER_RANGE
             if counter < before and step > LONGEST_GAP:
                 what = f"the frame counter went back from {before} to {counter}"
-                raise self._error(what, "ascending numbers; the controller may have restarted")
+                raise self.error(what, "ascending numbers; the controller may have restarted")
             number = self._last + step
         self._last = number + count - 1
         return number
-
-    def close(self) -> None:
-        """Close the data port."""
-        if self._connection is not None:
-            self._connection.close()
-            self._connection = None
-
-    def _error(self, what: str, expected: str) -> DeviceError:
-        """Return an error of this device."""
-        return DeviceError(what, where=self.name, expected=expected)

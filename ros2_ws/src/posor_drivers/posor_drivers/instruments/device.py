@@ -2,10 +2,14 @@
 
 How to add a device:
 
-1. Declare its keys in a subclass of ``DeviceSettings``. They are the keys of a device in an instruments file.
-2. Derive the device from ``Device``: ``connect``, ``read`` and ``close``. Each is called in one thread, which
-   reconnects after a ``DeviceError``; ``stream_device.py`` is a short example. A device that must be asked for each
-   frame is a ``PolledDevice``: ``connect``, ``ask`` and ``close``; ``labjack_device.py`` is an example.
+1. Declare its keys in a subclass of ``DeviceSettings``. They are the keys of a device in an instruments file. With a
+   key ``channels``, a mapping from names to models that have a ``unit``, the device has these channels; without it,
+   declare ``channels`` in the device.
+2. Derive the device from ``Device``: ``Settings``, ``address``, ``connect`` and ``read``. ``connect`` stores what it
+   opens in ``connection``. Both are called in one thread, which closes ``connection`` and connects again after a
+   ``DeviceError``; ``stream_device.py`` is a short example. A device that must be asked for each frame is a
+   ``PolledDevice``, with ``ask`` in place of ``read``; ``labjack_device.py`` is an example. One that sends packets over
+   TCP is a ``PacketDevice``, with ``take_packet`` in place of ``read``; ``capancdt_device.py`` is an example.
 3. Register the class under its ``kind`` in the entry point group ``posor_drivers.devices`` of its package's
    ``setup.py``: ``"posor_drivers.devices": ["mybox = my_package.mybox:MyBox"]``.
 """
@@ -13,13 +17,15 @@ How to add a device:
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, TypeVar
 
-from posor_estimator.calibration.file_model import FrozenModel
+from posor_estimator.calibration.file_model import EntryError, FrozenModel
 from posor_estimator.calibration.quantity import Quantity, measured
 from posor_estimator.errors import PosorError
+from pydantic import Field
 
 from posor_drivers.simulator.scenario_limits import NOT_NEGATIVE, POSITIVE
 
@@ -30,6 +36,8 @@ if TYPE_CHECKING:
 
 ENTRY_POINT_GROUP = "posor_drivers.devices"
 
+Port = Annotated[int, Field(strict=True, ge=1, le=65_535)]
+
 
 class DeviceError(PosorError):
     """A device cannot be reached, or answers something else than expected."""
@@ -39,6 +47,8 @@ class DeviceSettings(FrozenModel):
     """Keys of a device in an instruments file; a subclass adds those of its kind."""
 
     kind: str
+    rate: Annotated[Quantity, measured("Hz"), POSITIVE]
+    """Nominal number of frames per second."""
     delay: Annotated[Quantity, measured("s"), NOT_NEGATIVE] = Quantity(value=0.0, unit="s")
     """Least time from the exposure of a frame to its arrival, which arrivals cannot show."""
     trigger_tolerance: Annotated[Quantity, measured("s"), POSITIVE] | None = None
@@ -88,6 +98,7 @@ class Device(ABC, Generic[SettingsT]):
         Settings: Model of the device's keys.
         name: Name in the instruments file.
         settings: The keys.
+        connection: What ``connect`` has opened, an object with a method ``close``; None: not connected.
 
     """
 
@@ -97,6 +108,7 @@ class Device(ABC, Generic[SettingsT]):
         """Store the settings; ``connect`` opens the connection."""
         self.name = name
         self.settings = settings
+        self.connection: Any = None
 
     @classmethod
     def starting_settings(cls, units: Mapping[str, str]) -> dict[str, Any]:
@@ -110,14 +122,15 @@ class Device(ABC, Generic[SettingsT]):
         return {"channels": {name: {"unit": unit} for name, unit in units.items()}}
 
     @property
-    @abstractmethod
     def channels(self) -> Sequence[Channel]:
-        """The channels, in the order of the values; known without a connection."""
+        """The channels, in the order of the values: those of the key ``channels``; known without a connection."""
+        settings: Any = self.settings
+        return [Channel(name, channel.unit) for name, channel in settings.channels.items()]
 
     @property
-    @abstractmethod
     def frame_rate(self) -> float:
-        """Nominal number of frames per second [Hz]; known without a connection."""
+        """Nominal number of frames per second [Hz]: the stated rate; known without a connection."""
+        return self.settings.rate.number
 
     @property
     def longest_interval_s(self) -> float:
@@ -150,9 +163,37 @@ class Device(ABC, Generic[SettingsT]):
 
         """
 
-    @abstractmethod
     def close(self) -> None:
         """Close the connection, if there is one; must not raise."""
+        if self.connection is not None:
+            with suppress(Exception):  # of a connection that is broken
+                self.connection.close()
+            self.connection = None
+
+    def error(self, what: str, expected: str) -> DeviceError:
+        """Return an error of this device."""
+        return DeviceError(what, where=self.name, expected=expected)
+
+
+def analogue_readings(units: Mapping[str, str]) -> list[str]:
+    """Return the names of the readings that are not whole numbers, by the units of all."""
+    return [name for name, unit in units.items() if unit != "1"]
+
+
+def refuse_repeated_numbers(numbers: Mapping[str, int]) -> None:
+    """Check that the channels of a device have different numbers.
+
+    Args:
+        numbers: Number of each channel by its name.
+
+    Raises:
+        EntryError: An earlier channel has the number too; names the later one.
+
+    """
+    names: dict[int, str] = {}
+    for name, number in numbers.items():
+        if names.setdefault(number, name) != name:
+            raise EntryError(f"number {number}, used twice", key=("channels", name), expected="a number for each")
 
 
 def registered_devices() -> dict[str, EntryPoint]:

@@ -248,7 +248,7 @@ class DeviceReader:
             if frames is None or not len(frames.counters):
                 if now_s - last_s > stall_s:
                     expected = f"{device.frame_rate:g} frames per second"
-                    raise DeviceError(f"no frame for {now_s - last_s:.2f} s", where=device.name, expected=expected)
+                    raise device.error(f"no frame for {now_s - last_s:.2f} s", expected)
                 continue
             last_s = now_s
             arrived_ns = read_ns if frames.arrived_ns is None else frames.arrived_ns
@@ -268,7 +268,7 @@ class DeviceReader:
             n = int(np.argmax(steps < 0))
             before = int(last if n == 0 else counters[n - 1])
             what = f"the frame counter went back from {before} to {counters[n]}"
-            raise DeviceError(what, where=self.device.name, expected="ascending numbers; the device may have restarted")
+            raise self.device.error(what, "ascending numbers; the device may have restarted")
         counts["frames"] += int(np.count_nonzero(steps))
         counts["frames_repeated"] += int(np.count_nonzero(steps == 0))
         counts["frames_lost"] += int(np.sum(steps[steps > 1] - 1))
@@ -297,5 +297,5 @@ class DeviceReader:
             return f"{name}: finding its clock, which takes a second"
         rate = NS / line.period_ns
         if abs(rate / nominal - 1.0) > MAX_DRIFT:
-            raise DeviceError(f"{rate:.6g} frames per second", where=name, expected=f"{nominal:g}, as stated")
+            raise self.device.error(f"{rate:.6g} frames per second", f"{nominal:g}, as stated")
         return ""

@@ -18,14 +18,14 @@ a LabJack, only with a Modbus server. ``labjack_stream`` is the stream mode.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from posor_estimator.calibration.file_model import FrozenModel
 from posor_estimator.calibration.quantity import Quantity, measured
 from pydantic import Field
 
-from posor_drivers.instruments.device import Channel, DeviceError
+from posor_drivers.instruments.device import Port, analogue_readings
 from posor_drivers.instruments.labjack_registers import (
     LONG_REGISTERS,
     NEGATIVE_INPUT,
@@ -47,6 +47,7 @@ MOST_REGISTERS = 124
 class LabJackChannel(FrozenModel):
     """An analogue input."""
 
+    unit: ClassVar[str] = "V"
     input: Annotated[int, Field(strict=True, ge=0, le=254)]
     range: Annotated[Quantity, measured("V"), POSITIVE] | None = None
     negative_input: Annotated[int, Field(strict=True, ge=0, le=199)] | None = None
@@ -58,7 +59,7 @@ class LabJackSettings(PolledSettings):
 
     kind: Literal["labjack"]
     host: str
-    port: Annotated[int, Field(strict=True, ge=1, le=65_535)] = 502
+    port: Port = 502
     channels: Annotated[dict[str, LabJackChannel], Field(min_length=1)]
 
 
@@ -66,6 +67,7 @@ class LabJackDevice(PolledDevice[LabJackSettings]):
     """Reads the inputs that lie next to each other with one question."""
 
     Settings = LabJackSettings
+    connection: LabJackRegisters | None
 
     def __init__(self, name: str, settings: LabJackSettings) -> None:
         """Prepare the questions of a frame."""
@@ -75,22 +77,18 @@ class LabJackDevice(PolledDevice[LabJackSettings]):
         self._greatest = [
             np.inf if channel.range is None else channel.range.number for channel in settings.channels.values()
         ]
-        self._registers: LabJackRegisters | None = None
 
     @classmethod
     def starting_settings(cls, units: Mapping[str, str]) -> dict[str, Any]:
         """Return an input for each reading that is not a whole number."""
-        analogue = [name for name, unit in units.items() if unit != "1"]
         return {
             "host": "192.168.0.8",
             "rate": {"value": 500, "unit": "Hz"},
-            "channels": {name: {"input": n, "range": {"value": 10.0, "unit": "V"}} for n, name in enumerate(analogue)},
+            "channels": {
+                name: {"input": n, "range": {"value": 10.0, "unit": "V"}}
+                for n, name in enumerate(analogue_readings(units))
+            },
         }
-
-    @property
-    def channels(self) -> Sequence[Channel]:
-        """The channels of the settings."""
-        return [Channel(name, "V") for name in self.settings.channels]
 
     @property
     def address(self) -> str:
@@ -101,7 +99,7 @@ class LabJackDevice(PolledDevice[LabJackSettings]):
         """Check the product and set up the inputs."""
         settings = self.settings
         limit_s = min(timeout_s, settings.answer_time_s)
-        self._registers = registers = LabJackRegisters(self.name, settings.host, settings.port, limit_s)
+        self.connection = registers = LabJackRegisters(self.name, settings.host, settings.port, limit_s)
         identity = registers.identity()
         for channel in settings.channels.values():
             n = channel.input
@@ -115,22 +113,16 @@ class LabJackDevice(PolledDevice[LabJackSettings]):
 
     def ask(self) -> Sequence[float]:
         """Return the voltage of each channel."""
-        if self._registers is None:
-            raise DeviceError("no connection", where=self.name, expected="a call of connect before")
+        if self.connection is None:
+            raise self.error("no connection", "a call of connect before")
         voltages: dict[int, float] = {}
         for first, count in self._questions:
-            found = self._registers.read_floats(VOLTAGE + LONG_REGISTERS * first, count)
+            found = self.connection.read_floats(VOLTAGE + LONG_REGISTERS * first, count)
             voltages |= {first + n: voltage for n, voltage in enumerate(found)}
         values = [voltages[number] for number in self._inputs]
         return [
             value if abs(value) <= greatest else np.nan for value, greatest in zip(values, self._greatest, strict=True)
         ]
-
-    def close(self) -> None:
-        """Close the connection."""
-        if self._registers is not None:
-            self._registers.close()
-            self._registers = None
 
 
 def _questions(inputs: Sequence[int]) -> list[tuple[int, int]]:

@@ -29,18 +29,17 @@ Never run with a LabJack.
 from __future__ import annotations
 
 import struct
-import time
 from contextlib import suppress
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from posor_estimator.calibration.file_model import FrozenModel
 from posor_estimator.calibration.quantity import Quantity, measured
 from pydantic import Field
 
-from posor_drivers.instruments.device import Channel, Device, DeviceError, DeviceSettings, Frames
+from posor_drivers.instruments.device import DeviceError, DeviceSettings, Frames, Port, analogue_readings
 from posor_drivers.instruments.labjack_registers import LONG_REGISTERS, NEGATIVE_INPUT, RANGE, LabJackRegisters
-from posor_drivers.instruments.tcp_connection import TcpConnection
+from posor_drivers.instruments.packet_device import PacketDevice
 from posor_drivers.simulator.scenario_limits import POSITIVE
 
 if TYPE_CHECKING:
@@ -67,6 +66,7 @@ RATE_TOLERANCE = 0.01
 class StreamChannel(FrozenModel):
     """An analogue input."""
 
+    unit: ClassVar[str] = "V"
     input: Annotated[int, Field(strict=True, ge=0, le=254)]
     range: Annotated[Quantity, measured("V"), POSITIVE] = Quantity(value=10.0, unit="V")
     negative_input: Annotated[int, Field(strict=True, ge=0, le=199)] | None = None
@@ -77,13 +77,12 @@ class LabJackStreamSettings(DeviceSettings):
 
     kind: Literal["labjack_stream"]
     host: str
-    port: Annotated[int, Field(strict=True, ge=1, le=65_535)] = 502
-    stream_port: Annotated[int, Field(strict=True, ge=1, le=65_535)] = 702
-    rate: Annotated[Quantity, measured("Hz"), POSITIVE]
+    port: Port = 502
+    stream_port: Port = 702
     channels: Annotated[dict[str, StreamChannel], Field(min_length=1, max_length=128)]
 
 
-class LabJackStreamDevice(Device[LabJackStreamSettings]):
+class LabJackStreamDevice(PacketDevice[LabJackStreamSettings]):
     """Sets up the stream through the registers, and reads it from its port."""
 
     Settings = LabJackStreamSettings
@@ -92,29 +91,20 @@ class LabJackStreamDevice(Device[LabJackStreamSettings]):
         """Store the settings."""
         super().__init__(name, settings)
         self._registers: LabJackRegisters | None = None
-        self._stream: TcpConnection | None = None
         self._constants: FloatArray = np.empty((len(settings.channels), CONSTANTS))
-        self._rest, self._packet, self._next = b"", 0, 0
+        self._packet, self._next = 0, 0
 
     @classmethod
     def starting_settings(cls, units: Mapping[str, str]) -> dict[str, Any]:
         """Return an input for each reading that is not a whole number."""
-        analogue = [name for name, unit in units.items() if unit != "1"]
         return {
             "host": "192.168.0.8",
             "rate": {"value": 1000, "unit": "Hz"},
-            "channels": {name: {"input": n, "range": {"value": 10.0, "unit": "V"}} for n, name in enumerate(analogue)},
+            "channels": {
+                name: {"input": n, "range": {"value": 10.0, "unit": "V"}}
+                for n, name in enumerate(analogue_readings(units))
+            },
         }
-
-    @property
-    def channels(self) -> Sequence[Channel]:
-        """The channels of the settings."""
-        return [Channel(name, "V") for name in self.settings.channels]
-
-    @property
-    def frame_rate(self) -> float:
-        """The stated rate [Hz]."""
-        return self.settings.rate.number
 
     @property
     def address(self) -> str:
@@ -134,18 +124,18 @@ class LabJackStreamDevice(Device[LabJackStreamSettings]):
                 registers.write_short(NEGATIVE_INPUT + channel.input, channel.negative_input)
             self._constants[n] = self._read_constants(registers, channel.range.number)
         self._write_setup(registers)
-        self._rest, self._packet, self._next = b"", 0, 0
-        self._stream = TcpConnection(self.name, settings.host, settings.stream_port, timeout_s)
+        self._packet, self._next = 0, 0
+        self.open_stream(settings.host, settings.stream_port, timeout_s)
         registers.write_number(ENABLE, 1)
         actual_hz = registers.read_floats(SCAN_RATE, 1)[0]
         if abs(actual_hz / self.frame_rate - 1.0) > RATE_TOLERANCE:
-            raise self._error(f"the device streams {actual_hz:g} frames per second", f"{self.frame_rate:g}, as stated")
+            raise self.error(f"the device streams {actual_hz:g} frames per second", f"{self.frame_rate:g}, as stated")
         return identity
 
     def _read_constants(self, registers: LabJackRegisters, range_v: float) -> Sequence[float]:
         """Return slope above and below the centre, centre and offset of a range."""
         if range_v not in RANGES_V:
-            raise self._error(f"a range of {range_v:g} V", ", ".join(f"{each:g}" for each in RANGES_V))
+            raise self.error(f"a range of {range_v:g} V", ", ".join(f"{each:g}" for each in RANGES_V))
         bytes_before = RANGES_V.index(range_v) * CONSTANTS * FLOAT_BYTES
         registers.write_number(FLASH_POINTER, CONSTANTS_ADDRESS + bytes_before)
         return registers.read_floats(FLASH, CONSTANTS)
@@ -161,45 +151,29 @@ class LabJackStreamDevice(Device[LabJackStreamSettings]):
         for n, channel in enumerate(settings.channels.values()):
             registers.write_number(SCAN_LIST + LONG_REGISTERS * n, LONG_REGISTERS * channel.input)
 
-    def read(self, timeout_s: float) -> Frames | None:
-        """Return the frames of the packets that have come."""
-        if self._stream is None:
-            raise self._error("no connection", "a call of connect before")
-        deadline_s = time.monotonic() + timeout_s
-        while received := self._stream.receive(max(0.0, deadline_s - time.monotonic())):
-            self._rest += received
-            packets = []
-            while (packet := self._take_packet()) is not None:
-                packets.append(packet)
-            if packets:
-                counters = np.concatenate([counters for counters, _ in packets])
-                values = np.concatenate([samples for _, samples in packets])
-                return Frames(counters, self._volts(values), arrived_ns=self._stream.received_ns)
-        return None
-
-    def _take_packet(self) -> tuple[Any, Any] | None:
-        """Return numbers and samples of the frames of the first packet; None if it is not complete."""
-        if len(self._rest) < HEADER.size:
+    def take_packet(self) -> Frames | None:
+        """Return the frames of the first packet; None if it is not complete."""
+        if len(self.received) < HEADER.size:
             return None
-        packet, _, length, _, function, kind, _, status, information = HEADER.unpack_from(self._rest)
+        packet, _, length, _, function, kind, _, status, information = HEADER.unpack_from(self.received)
         if (function, kind) != (STREAM_FUNCTION, STREAM_TYPE):
             expected = f"{STREAM_FUNCTION} and {STREAM_TYPE}"
-            raise self._error(f"a packet has function {function} and type {kind}", expected)
+            raise self.error(f"a packet has function {function} and type {kind}", expected)
         if packet != self._packet:
-            raise self._error(f"packet {packet} follows packet {self._packet - 1}", "packets without a gap")
+            raise self.error(f"packet {packet} follows packet {self._packet - 1}", "packets without a gap")
         if status not in (0, RECOVERING, RECOVERED):
-            raise self._error(f"the stream has status {status}", "0; 2942 means that the rate is too high")
+            raise self.error(f"the stream has status {status}", "0; 2942 means that the rate is too high")
         count, row = length - LENGTH_WITHOUT_SAMPLES, 2 * len(self._constants)
         if count <= 0 or count % row:
-            raise self._error(f"a packet has {count} bytes of samples", f"whole frames of {row} bytes")
-        if len(self._rest) < HEADER.size + count:
+            raise self.error(f"a packet has {count} bytes of samples", f"whole frames of {row} bytes")
+        if len(self.received) < HEADER.size + count:
             return None
         self._next += information if status == RECOVERED else 0
-        samples = np.frombuffer(self._rest, ">u2", count // 2, HEADER.size).reshape(-1, len(self._constants))
+        samples = np.frombuffer(self.received, ">u2", count // 2, HEADER.size).reshape(-1, len(self._constants))
         counters = self._next + np.arange(len(samples))
-        self._rest = self._rest[HEADER.size + count :]
+        self.received = self.received[HEADER.size + count :]
         self._packet, self._next = (packet + 1) % (1 << 16), self._next + len(samples)
-        return counters, samples
+        return Frames(counters, self._volts(samples))
 
     def _volts(self, samples: Any) -> FloatArray:
         """Return the voltages of samples, (n, c)."""
@@ -215,9 +189,4 @@ class LabJackStreamDevice(Device[LabJackStreamSettings]):
                 self._registers.write_number(ENABLE, 0)
             self._registers.close()
             self._registers = None
-        if self._stream is not None:
-            self._stream.close()
-            self._stream = None
-
-    def _error(self, what: str, expected: str) -> DeviceError:
-        return DeviceError(what, where=self.name, expected=expected)
+        super().close()

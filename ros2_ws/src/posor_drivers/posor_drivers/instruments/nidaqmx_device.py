@@ -18,19 +18,18 @@ from __future__ import annotations
 
 import importlib
 import time
-from contextlib import suppress
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from posor_estimator.calibration.file_model import FrozenModel
 from posor_estimator.calibration.quantity import Quantity, measured
 from pydantic import Field
 
-from posor_drivers.instruments.device import Channel, Device, DeviceError, DeviceSettings, Frames
+from posor_drivers.instruments.device import Device, DeviceError, DeviceSettings, Frames, analogue_readings
 from posor_drivers.simulator.scenario_limits import POSITIVE
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
 BUFFER_S = 2.0
 """Frames that the driver keeps."""
@@ -40,6 +39,7 @@ POLL_S = 0.002
 class NiChannel(FrozenModel):
     """An analogue input by its physical name, and the end of its range."""
 
+    unit: ClassVar[str] = "V"
     input: Annotated[str, Field(min_length=1)]
     range: Annotated[Quantity, measured("V"), POSITIVE] = Quantity(value=10.0, unit="V")
 
@@ -48,7 +48,6 @@ class NiSettings(DeviceSettings):
     """Keys of an NI-DAQmx device."""
 
     kind: Literal["nidaqmx"]
-    rate: Annotated[Quantity, measured("Hz"), POSITIVE]
     channels: Annotated[dict[str, NiChannel], Field(min_length=1)]
 
 
@@ -61,26 +60,14 @@ class NiDevice(Device[NiSettings]):
         """Store the settings."""
         super().__init__(name, settings)
         self._ranges = np.array([channel.range.number for channel in settings.channels.values()])
-        self._task: Any = None
         self._failures: tuple[type[Exception], ...] = ()
         self._read = 0
 
     @classmethod
     def starting_settings(cls, units: Mapping[str, str]) -> dict[str, Any]:
         """Return an input for each reading that is not a whole number."""
-        analogue = [name for name, unit in units.items() if unit != "1"]
-        channels = {name: {"input": f"Dev1/ai{n}"} for n, name in enumerate(analogue)}
+        channels = {name: {"input": f"Dev1/ai{n}"} for n, name in enumerate(analogue_readings(units))}
         return {"rate": {"value": 1000, "unit": "Hz"}, "channels": channels}
-
-    @property
-    def channels(self) -> Sequence[Channel]:
-        """The channels of the settings."""
-        return [Channel(name, "V") for name in self.settings.channels]
-
-    @property
-    def frame_rate(self) -> float:
-        """The stated rate [Hz]."""
-        return self.settings.rate.number
 
     @property
     def address(self) -> str:
@@ -94,11 +81,11 @@ class NiDevice(Device[NiSettings]):
             nidaqmx = importlib.import_module("nidaqmx")
             errors = importlib.import_module("nidaqmx.errors")
         except ImportError as error:
-            raise self._error(str(error), "the package nidaqmx, which is not installed here") from None
+            raise self.error(str(error), "the package nidaqmx, which is not installed here") from None
         self._failures = (errors.DaqError, errors.DaqNotFoundError)
         rate_hz = self.frame_rate
         try:
-            self._task = task = nidaqmx.Task()
+            self.connection = task = nidaqmx.Task()
             for channel in self.settings.channels.values():
                 end_v = channel.range.number
                 task.ai_channels.add_ai_voltage_chan(channel.input, min_val=-end_v, max_val=end_v)
@@ -106,7 +93,7 @@ class NiDevice(Device[NiSettings]):
             task.timing.cfg_samp_clk_timing(rate_hz, sample_mode=continuous, samps_per_chan=round(BUFFER_S * rate_hz))
             task.start()
         except self._failures as error:
-            raise self._error(str(error), "NI-DAQmx with these inputs") from None
+            raise self.error(str(error), "NI-DAQmx with these inputs") from None
         self._read = 0
         return f"NI-DAQmx task of {len(self.settings.channels)} inputs"
 
@@ -114,24 +101,18 @@ class NiDevice(Device[NiSettings]):
         """Return the frames that the driver has."""
         deadline_s = time.monotonic() + timeout_s
         try:
-            while not (count := self._task.in_stream.avail_samp_per_chan):
+            while not (count := self.connection.in_stream.avail_samp_per_chan):
                 if time.monotonic() > deadline_s:
                     return None
                 time.sleep(POLL_S)
             arrived_ns = time.time_ns()
-            values = np.reshape(self._task.read(number_of_samples_per_channel=count), (len(self._ranges), count)).T
+            values = np.reshape(self.connection.read(number_of_samples_per_channel=count), (len(self._ranges), count)).T
         except self._failures as error:
-            raise self._error(str(error), "a running task") from None
+            raise self.error(str(error), "a running task") from None
         counters = self._read + np.arange(count)
         self._read += count
         return Frames(counters, np.where(np.abs(values) < self._ranges, values, np.nan), arrived_ns=arrived_ns)
 
-    def close(self) -> None:
-        """End the task."""
-        if self._task is not None:
-            with suppress(*self._failures):
-                self._task.close()
-            self._task = None
-
-    def _error(self, what: str, expected: str) -> DeviceError:
-        return DeviceError(what.splitlines()[0] if what else "failed", where=self.name, expected=expected)
+    def error(self, what: str, expected: str) -> DeviceError:
+        """Return an error with the first line of what the driver says."""
+        return super().error(what.splitlines()[0] if what else "failed", expected)

@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 import time
 from abc import abstractmethod
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-from posor_estimator.calibration.quantity import Quantity, measured
 from posor_estimator.numerics.stamps import NS
 
 from posor_drivers.instruments.device import Device, DeviceSettings, Frames
-from posor_drivers.simulator.scenario_limits import POSITIVE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,10 +24,7 @@ MOST_PERIODS = 3
 
 
 class PolledSettings(DeviceSettings):
-    """Keys of every polled device."""
-
-    rate: Annotated[Quantity, measured("Hz"), POSITIVE]
-    """Questions per second."""
+    """Keys of every polled device; ``rate`` is the number of questions per second."""
 
     @property
     def answer_time_s(self) -> float:
@@ -51,11 +46,6 @@ class PolledDevice(Device[SettingsT]):
         """Store the settings; ``connect`` opens the connection."""
         super().__init__(name, settings)
         self._next_s, self._asked = 0.0, 0
-
-    @property
-    def frame_rate(self) -> float:
-        """The stated rate [Hz]."""
-        return self.settings.rate.number
 
     @property
     def longest_interval_s(self) -> float:

@@ -20,7 +20,6 @@ from __future__ import annotations
 import math
 import re
 import time
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
@@ -28,7 +27,7 @@ from posor_estimator.calibration.file_model import EntryError, FrozenModel
 from posor_estimator.calibration.yaml_document import load_document
 from pydantic import Field, model_validator
 
-from posor_drivers.instruments.device import Channel, DeviceError
+from posor_drivers.instruments.device import analogue_readings, refuse_repeated_numbers
 from posor_drivers.instruments.polled_device import PolledDevice, PolledSettings
 
 if TYPE_CHECKING:
@@ -93,10 +92,7 @@ class ScpiSettings(PolledSettings):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        numbers = [channel.number for channel in self.channels.values()]
-        for n, (name, number) in enumerate(zip(self.channels, numbers, strict=True)):
-            if number in numbers[:n]:
-                raise EntryError(f"number {number}, used twice", key=("channels", name), expected="a number for each")
+        refuse_repeated_numbers({name: channel.number for name, channel in self.channels.items()})
         if not self.dialect_path.is_file():
             known = ", ".join(sorted(path.stem for path in DIALECTS.glob("*.yaml")))
             expected = f"one of {known}, or the path of a file"
@@ -124,24 +120,17 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
         super().__init__(name, settings)
         self._dialect = load_dialect(settings.dialect_path)
         self._numbers = [channel.number for channel in settings.channels.values()]
-        self._instrument: Any = None
         self._checked_s = 0.0
 
     @classmethod
     def starting_settings(cls, units: Mapping[str, str]) -> dict[str, Any]:
         """Return a channel for each reading that is not a whole number."""
-        analogue = [name for name, unit in units.items() if unit != "1"]
         return {
             "address": "TCPIP::192.168.0.7::5025::SOCKET",
             "dialect": "keysight_daq970a",
             "rate": {"value": 5, "unit": "Hz"},
-            "channels": {name: {"number": 101 + n, "unit": "V"} for n, name in enumerate(analogue)},
+            "channels": {name: {"number": 101 + n, "unit": "V"} for n, name in enumerate(analogue_readings(units))},
         }
-
-    @property
-    def channels(self) -> Sequence[Channel]:
-        """The channels of the settings."""
-        return [Channel(name, channel.unit) for name, channel in self.settings.channels.items()]
 
     @property
     def address(self) -> str:
@@ -158,14 +147,14 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
             instrument: Any = pyvisa.ResourceManager("@py").open_resource(
                 self.address, open_timeout=round(1e3 * timeout_s), resource_pyclass=MessageBasedResource
             )
-            self._instrument = instrument
+            self.connection = instrument  # not the resource manager, which all devices of the process share
             instrument.timeout = round(1e3 * self.settings.answer_time_s)
             instrument.read_termination = instrument.write_termination = dialect.termination
         except Exception as error:  # noqa: BLE001  pyvisa-py raises a plain Exception where the host cannot be reached
-            raise self._error(f"no connection to {self.address}, {error}", "an instrument at this address") from None
+            raise self.error(f"no connection to {self.address}, {error}", "an instrument at this address") from None
         identity = self._query(dialect.identify)
         if re.search(dialect.model, identity) is None:
-            raise self._error(f"the instrument is '{identity}'", f"a model that matches '{dialect.model}'")
+            raise self.error(f"the instrument is '{identity}'", f"a model that matches '{dialect.model}'")
         numbers = ",".join(map(str, sorted(self._numbers)))
         for command in dialect.setup:
             self._transfer("write", command.replace("{numbers}", numbers))
@@ -189,18 +178,11 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
         if len(readings) != len(self._numbers):
             self._check_errors()
             what = f"the answer to '{dialect.read}' is '{answer}'"
-            raise self._error(what, f"{len(self._numbers)} numbers, separated by '{dialect.separator}'")
+            raise self.error(what, f"{len(self._numbers)} numbers, separated by '{dialect.separator}'")
         by_number = dict(zip(sorted(self._numbers), readings, strict=True))
         return [
             by_number[number] if abs(by_number[number]) < dialect.overload else math.nan for number in self._numbers
         ]
-
-    def close(self) -> None:
-        """Close the connection, but not PyVISA's resource manager, which all devices of the process share."""
-        if self._instrument is not None:
-            with suppress(Exception):  # of a connection that is broken
-                self._instrument.close()
-            self._instrument = None
 
     def _check_errors(self) -> None:
         """Empty the error queue.
@@ -217,7 +199,7 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
             errors.append(answer)
         self._checked_s = time.monotonic()
         if errors:
-            raise self._error(f"the instrument reports {'; '.join(errors)}", "an empty error queue")
+            raise self.error(f"the instrument reports {'; '.join(errors)}", "an empty error queue")
 
     def _query(self, command: str) -> str:
         answer: str = self._transfer("query", command)
@@ -233,12 +215,9 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
         from pyvisa.errors import Error  # noqa: PLC0415  see connect
 
         try:
-            return getattr(self._instrument, method)(command)
+            return getattr(self.connection, method)(command)
         except (Error, OSError, UnicodeDecodeError) as error:
-            raise self._error(f"no answer to '{command}', {error}", "an answer in time") from None
-
-    def _error(self, what: str, expected: str) -> DeviceError:
-        return DeviceError(what, where=self.name, expected=expected)
+            raise self.error(f"no answer to '{command}', {error}", "an answer in time") from None
 
 
 def load_dialect(path: Path) -> Dialect:

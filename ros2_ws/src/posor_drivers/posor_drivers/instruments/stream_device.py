@@ -25,15 +25,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from posor_estimator.calibration.file_model import EntryError, FrozenModel
-from posor_estimator.calibration.quantity import Quantity, measured
 from pydantic import Field, model_validator
 
-from posor_drivers.instruments.device import Channel, Device, DeviceError, DeviceSettings, Frames
+from posor_drivers.instruments.device import Device, DeviceSettings, Frames, Port
 from posor_drivers.instruments.tcp_connection import TcpConnection
-from posor_drivers.simulator.scenario_limits import POSITIVE
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
 COUNTER = "counter"
 MAX_DATAGRAM = 65_536
@@ -52,8 +50,7 @@ class StreamSettings(DeviceSettings):
     kind: Literal["stream"]
     transport: Literal["tcp", "udp"]
     host: str
-    port: Annotated[int, Field(strict=True, ge=1, le=65_535)]
-    rate: Annotated[Quantity, measured("Hz"), POSITIVE]
+    port: Port
     format: str
     fields: tuple[str, ...]
     constants: dict[str, int] = Field(default_factory=dict)
@@ -82,6 +79,7 @@ class StreamDevice(Device[StreamSettings]):
     """Connects to a TCP server, or receives datagrams of one frame each or of several at a port of this host."""
 
     Settings = StreamSettings
+    connection: TcpConnection | socket.socket | None
 
     def __init__(self, name: str, settings: StreamSettings) -> None:
         """Prepare the layout of a frame."""
@@ -94,7 +92,6 @@ class StreamDevice(Device[StreamSettings]):
         self._counter = fields.index(COUNTER)
         codes = [code for code in settings.format.strip("@=<>!") if code != "x"]
         self._wrap = 1 << (8 * struct.calcsize("<" + codes[self._counter])) if len(codes) == len(fields) else 1 << 64
-        self._connection: TcpConnection | socket.socket | None = None
         self._rest, self._last = b"", -1
 
     @classmethod
@@ -111,16 +108,6 @@ class StreamDevice(Device[StreamSettings]):
         }
 
     @property
-    def channels(self) -> Sequence[Channel]:
-        """The channels of the settings."""
-        return [Channel(name, channel.unit) for name, channel in self.settings.channels.items()]
-
-    @property
-    def frame_rate(self) -> float:
-        """The stated rate [Hz]."""
-        return self.settings.rate.number
-
-    @property
     def address(self) -> str:
         """Transport, host and port."""
         return f"{self.settings.transport} {self.settings.host}:{self.settings.port}"
@@ -130,9 +117,9 @@ class StreamDevice(Device[StreamSettings]):
         settings = self.settings
         self._rest, self._last = b"", -1
         if settings.transport == "tcp":
-            self._connection = TcpConnection(self.name, settings.host, settings.port, timeout_s)
+            self.connection = TcpConnection(self.name, settings.host, settings.port, timeout_s)
         else:
-            self._connection = self._open_port()
+            self.connection = self._open_port()
         return self.address
 
     def _open_port(self) -> socket.socket:
@@ -142,12 +129,12 @@ class StreamDevice(Device[StreamSettings]):
         except OSError as error:
             port.close()
             what = f"{self.address} cannot be opened, {error.strerror}"
-            raise DeviceError(what, where=self.name, expected="an address of this host and a free port") from None
+            raise self.error(what, "an address of this host and a free port") from None
         return port
 
     def read(self, timeout_s: float) -> Frames | None:
         """Return the frames that have come."""
-        connection = self._connection
+        connection = self.connection
         if isinstance(connection, TcpConnection):
             data = self._rest + connection.receive(timeout_s)
             arrived_ns = connection.received_ns
@@ -167,7 +154,7 @@ class StreamDevice(Device[StreamSettings]):
             datagram = port.recv(MAX_DATAGRAM)
             if len(datagram) % self._frame.size:
                 what = f"a datagram of {len(datagram)} bytes"
-                raise DeviceError(what, where=self.name, expected=f"whole frames of {self._frame.size} bytes")
+                raise self.error(what, f"whole frames of {self._frame.size} bytes")
             data += datagram
         return data
 
@@ -177,7 +164,7 @@ class StreamDevice(Device[StreamSettings]):
             for column, name, value in self._constants:
                 if row[column] != value:
                     what = f"'{name}' is {row[column]} in a frame"
-                    raise DeviceError(what, where=self.name, expected=f"{value}; the frames may be of another layout")
+                    raise self.error(what, f"{value}; the frames may be of another layout")
         values = np.array([[row[column] for column in self._columns] for row in rows], dtype=np.float64) * self._scales
         counters = np.array([self._unwrapped(row[self._counter]) for row in rows], dtype=np.int64)
         return Frames(counters, values, arrived_ns=arrived_ns)
@@ -186,12 +173,6 @@ class StreamDevice(Device[StreamSettings]):
         """Return a counter that goes on where that of the device begins again at zero."""
         self._last = counter if self._last < 0 else self._last + _step(self._last, counter, self._wrap)
         return self._last
-
-    def close(self) -> None:
-        """Close the connection or port."""
-        if self._connection is not None:
-            self._connection.close()
-            self._connection = None
 
 
 def _step(last: int, counter: int, wrap: int) -> int:
