@@ -1,9 +1,9 @@
 """Source ``instruments``: scans of one joint made of the channels of devices, see ``instruments.instruments_file``.
 
-At each tick of the ROS clock the channels are interpolated between the two frames nearest to the tick, so the scans of
-joints with devices of their own have common stamps. A scan whose frames are missing is not published, nor one between
-two frames with different light sources. A reading that a device flags as invalid, such as one out of range, is NaN, and
-the scan has the flag SATURATED.
+At each tick of the ROS clock the channels are interpolated between the three frames nearest to the tick, so the scans
+of joints with devices of their own have common stamps. A scan whose frames are missing is not published, nor one
+between frames with different light sources. A reading that a device flags as invalid, such as one out of range, is NaN,
+and the scan has the flag SATURATED.
 """
 
 from __future__ import annotations
