@@ -14,7 +14,7 @@ from posor_estimator.bags.calibration_recording import Reference, bag_sha256, lo
 from posor_estimator.calibration.designs import STANDOFF
 from posor_estimator.errors import BagError, PosorError, TrackError
 from posor_estimator.identification.procedures.gap_linearisation import GapLinearisationOptions, linearise_gap_probes
-from posor_estimator.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED, SATURATED, Scan
+from posor_estimator.model.scan import PROBES_ESTIMATED, SATURATED, Scan
 from posor_estimator.numerics.stamps import NS
 from posor_estimator.ros_names import POSE_STAMPED
 from posor_estimator.testing.simulated_recordings import diode_calibration, lifted_recording
@@ -70,12 +70,6 @@ def test_scans_come_as_they_were_recorded(tmp_path: Path) -> None:
     assert taken.statuses is not None
     assert taken.statuses.tolist() == [SATURATED, 0, RawScan.STATUS_HOME_BUMP]
     assert (taken.source, dict(taken.tracks)) == (str(tmp_path / "bag"), {})
-
-
-def test_status_bits_are_those_of_the_message() -> None:
-    assert PROBES_ESTIMATED == RawScan.STATUS_PROBES_ESTIMATED
-    assert DIODES_ESTIMATED == RawScan.STATUS_DIODES_ESTIMATED
-    assert SATURATED == RawScan.STATUS_SATURATED
 
 
 def test_a_pose_stamped_is_a_reference_only_if_it_is_named(tmp_path: Path) -> None:

@@ -10,10 +10,11 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from posor_bringup.installed import BAGS, CALIBRATIONS, Bag, CalibrationName
 from posor_estimator.model.fault import Fault, State
+from posor_estimator.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED
 from posor_msgs.msg import JointTransform
 from posor_validation.replay_1985.comparison import compare_with_thesis
 from posor_validation.replay_1985.expectations import STEPS
-from posor_validation.replay_1985.motion_test import DIODES_ESTIMATED, PROBES_ESTIMATED, MotionTest
+from posor_validation.replay_1985.motion_test import MotionTest
 from posor_validation.replay_1985.printed_results import PRINTED_FILES, read_printed
 from posor_validation.replay_1985.replay import TOPICS
 from posor_validation.reports.findings import Verdict

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from posor_estimator.bags.message_definitions import MessageTypes
 from posor_estimator.identification.recording import POINT, POSE, SCALAR
+from posor_estimator.model.scan import HOME_BUMP
 from posor_estimator.ros_names import POINT_STAMPED, RAW_SCAN
 
 from posor_drivers.bag_writer import BagWriter
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
 TYPES = MessageTypes()
 FLOAT64 = "std_msgs/msg/Float64"
 TRANSFORM_STAMPED = "geometry_msgs/msg/TransformStamped"
-HOME_BUMP = 128
-"""Status bit of ``posor_msgs/RawScan``: the ring's home mark was seen."""
 RAW = "/joint1/raw"
 FRAME = "receiving"
 LOG_DELAY_NS = 5_000_000

@@ -8,6 +8,7 @@ import numpy as np
 from posor_estimator.errors import CalibrationError
 from posor_estimator.estimation.forward import scans_at
 from posor_estimator.estimation.sensor_stack import Stack
+from posor_estimator.model.scan import HOME_BUMP, SATURATED, SIMULATED
 from posor_estimator.numerics.stamps import NS
 from posor_estimator.sensors.base import RowSensor
 
@@ -16,9 +17,6 @@ from posor_drivers.simulator.random_stream import RandomStream
 from posor_drivers.simulator.simulated_scans import (
     DIODE_FIELD,
     PROBE_FIELDS,
-    STATUS_HOME_BUMP,
-    STATUS_SATURATED,
-    STATUS_SIMULATED,
     SimulatedScans,
     find_channel,
 )
@@ -117,7 +115,7 @@ class JointElectronics:
         scans, saturated = self._convert(scans, out_of_range)
         if supply is not None and not (self._settings.supply and self._settings.supply.measured):
             scans = scans.with_fields({"supply_voltages": np.full(len(ticks), np.nan)})
-        statuses = STATUS_SIMULATED | STATUS_SATURATED * saturated | STATUS_HOME_BUMP * home
+        statuses = SIMULATED | SATURATED * saturated | HOME_BUMP * home
         dropouts = self._settings.dropouts if self._imperfections.dropouts else None
         sent = np.asarray(chances[:, 0] >= (0.0 if dropouts is None else dropouts.probability.number))
         return SimulatedScans(scans, statuses, sent, self._latencies_ns(chances[:, 1]))

@@ -13,13 +13,14 @@ import numpy as np
 from posor_estimator.calibration.file_model import EntryError, FrozenModel
 from posor_estimator.calibration.quantity import Quantity, measured
 from posor_estimator.errors import CalibrationError
+from posor_estimator.model.scan import HOME_BUMP
 from posor_estimator.numerics.stamps import NS
 from posor_estimator.sensors.diodes import DiodesCalibration
 from pydantic import Field, model_validator
 
 from posor_drivers.simulator.random_stream import RandomStream
 from posor_drivers.simulator.scenario_limits import NOT_NEGATIVE, POSITIVE
-from posor_drivers.simulator.simulated_scans import DIODE_FIELD, STATUS_HOME_BUMP, find_channel
+from posor_drivers.simulator.simulated_scans import DIODE_FIELD, find_channel
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -201,7 +202,7 @@ def _status(published: SimulatedScans, which: IntArray, placed: PlacedFault, _fi
 
 def _home(published: SimulatedScans, which: IntArray, _placed: PlacedFault, _first: Scans) -> SimulatedScans:
     statuses = published.statuses.copy()
-    statuses[which] |= STATUS_HOME_BUMP
+    statuses[which] |= HOME_BUMP
     return replace(_with_fields(published, which, at_home=1), statuses=statuses)
 
 

@@ -15,10 +15,6 @@ if TYPE_CHECKING:
     from posor_estimator.model.scan import Scans
     from posor_estimator.numerics.array_types import BoolArray, IntArray
 
-STATUS_SATURATED = 16
-STATUS_SIMULATED = 64
-STATUS_HOME_BUMP = 128
-"""Flags of ``posor_msgs/RawScan``, repeated here because the simulator imports no ROS; a test compares them."""
 PROBE_FIELDS = ("gap_voltages", "ring_voltages")
 DIODE_FIELD = "diode_currents"
 

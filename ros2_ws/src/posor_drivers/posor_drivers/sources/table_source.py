@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from posor_estimator.errors import DataFileError
 from posor_estimator.input_text import read_input_text
+from posor_estimator.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED
 from posor_estimator.parameter_model import ParameterGroup
 from posor_estimator.ros_names import POINT_STAMPED, RAW_SCAN, RAW_TOPIC, TRUTH_TOPIC
 from pydantic import Field
@@ -35,8 +36,6 @@ PROBE_COLUMNS = ("l1_v", "l2_v", "l3_v")
 DIODE_COLUMNS = ("dx1", "dy1", "dx2", "dy2")
 COLUMNS = ("step", *TRUTH_COLUMNS, *PROBE_COLUMNS, *DIODE_COLUMNS, "repaired")
 
-STATUS_PROBES_ESTIMATED = 1
-STATUS_DIODES_ESTIMATED = 2
 LIT_SOURCES = np.array([0, 1], dtype=np.uint8)
 """Diode 1 sees light source 1, diode 2 light source 2; both were lit throughout."""
 
@@ -88,7 +87,7 @@ class TableSource(RecordedSource[TableParameters]):
         start_ns, period_ns = (round(1e9 * seconds) for seconds in (parameters.start, parameters.period))
         for index, row in enumerate(self._rows):
             time_ns = start_ns + index * period_ns
-            status = STATUS_PROBES_ESTIMATED * row.probes_estimated | STATUS_DIODES_ESTIMATED * row.diodes_estimated
+            status = PROBES_ESTIMATED * row.probes_estimated | DIODES_ESTIMATED * row.diodes_estimated
             scan = raw_scan(
                 types,
                 time_ns,

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from posor_drivers.simulator import electronics
 from posor_drivers.simulator.electronics import convert_to_digital
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_estimator.estimation.posor import Posor
@@ -26,11 +25,6 @@ if TYPE_CHECKING:
 def clean(tmp_path_factory: pytest.TempPathFactory) -> ArmSimulation:
     """The arm without any imperfection that a switch turns off."""
     return simulation(tmp_path_factory.mktemp("clean"), Imperfections.only())
-
-
-def test_flags_are_those_of_the_message() -> None:
-    for name in ("STATUS_SATURATED", "STATUS_SIMULATED", "STATUS_HOME_BUMP"):
-        assert getattr(electronics, name) == getattr(RawScan, name)
 
 
 def test_contamination_is_on_its_channel_and_at_its_time(tmp_path: Path, clean: ArmSimulation) -> None:

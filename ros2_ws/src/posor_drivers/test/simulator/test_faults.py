@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from posor_drivers.simulator.faults import KINDS
 from posor_drivers.simulator.imperfections import Imperfections
-from posor_drivers.simulator.simulated_scans import PROBE_FIELDS, STATUS_HOME_BUMP
+from posor_drivers.simulator.simulated_scans import PROBE_FIELDS
+from posor_estimator.model.scan import HOME_BUMP
 from posor_estimator.sensors.diodes import DiodesCalibration
 from posor_estimator.sensors.gap_probes import GapProbesCalibration
 
@@ -128,7 +129,7 @@ def test_sizes_of_faults(tmp_path: Path, sound: tuple[ArmSimulation, SimulatedSc
     count = len(diodes.light_sources)
     assert np.array_equal(scans.scans.lit_sources[part], (expected.scans.lit_sources[part] + 2) % count)
     assert np.all(expected.scans.stamps_ns[part] - scans.scans.stamps_ns[part] == 2 * SECOND)
-    assert np.all(scans.statuses[part] & STATUS_HOME_BUMP)
+    assert np.all(scans.statuses[part] & HOME_BUMP)
 
 
 @pytest.mark.parametrize(

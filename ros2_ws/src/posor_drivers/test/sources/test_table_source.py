@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import PointStamped
-from posor_drivers.sources import table_source
 from posor_drivers.sources.source import Topic
 from posor_drivers.sources.table_source import TableParameters, TableSource, contact_currents, read_table
 from posor_estimator.bags.message_definitions import MessageTypes
@@ -41,11 +40,6 @@ def messages(folder: Path, **parameters: Any) -> tuple[list[RawScan], list[Point
         assert message.time_ns == stamp.sec * NS + stamp.nanosec
         (scans if is_scan else truths).append(content)
     return scans, truths
-
-
-def test_status_flags_are_those_of_the_message() -> None:
-    for name in ("STATUS_PROBES_ESTIMATED", "STATUS_DIODES_ESTIMATED"):
-        assert getattr(table_source, name) == getattr(RawScan, name)
 
 
 def test_scan_holds_the_cells_of_its_row(tmp_path: Path) -> None:

@@ -20,8 +20,9 @@ NO_SOURCE = 255
 CONTACTS = 4
 """Contact currents A, B, C, D of a diode."""
 
-PROBES_ESTIMATED, DIODES_ESTIMATED, SATURATED, HOME_BUMP = 1, 2, 16, 128
-"""Flags of ``posor_msgs/RawScan.status``: readings filled in, a channel at the end of its range, the home mark seen."""
+PROBES_ESTIMATED, DIODES_ESTIMATED, SATURATED, SIMULATED, HOME_BUMP = 1, 2, 16, 64, 128
+"""Flags of ``posor_msgs/RawScan.status``: readings filled in, a channel at the end of its range, a simulated scan, the
+home mark seen."""
 STATED_HOME = 2
 """``at_home`` where an operator states that the joint is within half a period of the home mark."""
 

@@ -18,8 +18,6 @@ from posor_estimator.estimation.forward import scans_at
 from posor_estimator.estimation.posor import Posor
 from posor_estimator.model.fault import Fault, State
 from posor_estimator.model.native_coordinates import rotation_from_native
-from posor_estimator.model.scan import DIODES_ESTIMATED, HOME_BUMP, PROBES_ESTIMATED, SATURATED
-from posor_msgs.msg import RawScan
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -106,8 +104,3 @@ def test_scans_of_another_frame_or_without_a_stamp_are_lost_and_the_others_are_a
 
 def test_no_estimates_can_be_concatenated() -> None:
     assert len(JointEstimates.concatenate([JointEstimates.none(), JointEstimates.none()])) == 0
-
-
-def test_the_flags_are_those_of_the_message() -> None:
-    flags = [RawScan.STATUS_PROBES_ESTIMATED, RawScan.STATUS_DIODES_ESTIMATED, RawScan.STATUS_SATURATED]
-    assert [*flags, RawScan.STATUS_HOME_BUMP] == [PROBES_ESTIMATED, DIODES_ESTIMATED, SATURATED, HOME_BUMP]

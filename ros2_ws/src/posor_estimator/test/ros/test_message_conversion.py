@@ -8,7 +8,14 @@ import pinocchio as pin
 import pytest
 from posor_estimator.estimation.estimate import Estimate
 from posor_estimator.model.fault import Fault, State
-from posor_estimator.model.scan import NO_SOURCE
+from posor_estimator.model.scan import (
+    DIODES_ESTIMATED,
+    HOME_BUMP,
+    NO_SOURCE,
+    PROBES_ESTIMATED,
+    SATURATED,
+    SIMULATED,
+)
 from posor_estimator.ros.message_conversion import (
     is_usable,
     pose_from_message,
@@ -69,7 +76,12 @@ def test_states_and_faults_equal_the_constants_of_the_message(enum: type[IntEnum
     assert core == message
 
 
-def test_no_source_equals_the_constant_of_the_message() -> None:
+def test_flags_and_no_source_equal_the_constants_of_the_message() -> None:
+    assert PROBES_ESTIMATED == RawScan.STATUS_PROBES_ESTIMATED
+    assert DIODES_ESTIMATED == RawScan.STATUS_DIODES_ESTIMATED
+    assert SATURATED == RawScan.STATUS_SATURATED
+    assert SIMULATED == RawScan.STATUS_SIMULATED
+    assert HOME_BUMP == RawScan.STATUS_HOME_BUMP
     assert NO_SOURCE == RawScan.NO_SOURCE
 
 

@@ -6,13 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from posor_drivers.simulator.electronics import HOME_MARK, convert_to_digital
-from posor_drivers.simulator.simulated_scans import STATUS_SATURATED, STATUS_SIMULATED
 from posor_estimator.estimation.forward import empty_scans, scans_at
 from posor_estimator.estimation.sensor_stack import Stack
 from posor_estimator.identification.recording import Recording, Track
 from posor_estimator.model.native_coordinates import native_from_rotation, rotation_from_native
 from posor_estimator.model.reading_rows import evaluate_poses
-from posor_estimator.model.scan import NO_SOURCE
+from posor_estimator.model.scan import NO_SOURCE, SATURATED, SIMULATED
 from scipy.spatial.transform import Rotation
 
 if TYPE_CHECKING:
@@ -117,7 +116,7 @@ def record_scans(scans: Scans, track: Track | None) -> Recording:
         values = np.where(np.isnan(values), missing_value, values)
         fields[name], at_limit = convert_to_digital(values, limits, BITS, steps=True)
         saturated |= at_limit
-    statuses = STATUS_SIMULATED | STATUS_SATURATED * saturated.astype(np.int64)
+    statuses = SIMULATED | SATURATED * saturated.astype(np.int64)
     tracks = {} if track is None else {REFERENCE: track}
     return Recording(scans.with_fields(fields), tracks, "simulated", statuses=statuses)
 

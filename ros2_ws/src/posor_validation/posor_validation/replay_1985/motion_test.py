@@ -10,6 +10,7 @@ import numpy as np
 from posor_estimator.errors import PosorError
 from posor_estimator.identification.attitude_fit import angles_from_displacements
 from posor_estimator.model.fault import USABLE_STATES, Fault, State
+from posor_estimator.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,10 +23,6 @@ ANGLES: tuple[Angle, ...] = get_args(Angle)
 INCH = 0.0254
 TRUTH_LEVER = 31.43 * INCH
 """From the pivot to the scribed line at which the machining centre reads [m]; listings of appendix 8A."""
-
-PROBES_ESTIMATED = 1
-DIODES_ESTIMATED = 2
-"""Flags of ``posor_msgs/RawScan.status``; a test compares them with the constants of the message."""
 
 _ESTIMATED_FLAGS = {"alpha": PROBES_ESTIMATED, "beta": PROBES_ESTIMATED, "theta": DIODES_ESTIMATED}
 _MINIMUM_STEPS = 3

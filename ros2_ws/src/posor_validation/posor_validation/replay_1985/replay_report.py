@@ -6,6 +6,7 @@ import hashlib
 from typing import TYPE_CHECKING
 
 from posor_estimator.calibration.calibration_file import TiltAngle
+from posor_estimator.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED
 from posor_estimator.reporting.html_page import (
     Section,
     bullet_list,
@@ -15,7 +16,6 @@ from posor_estimator.reporting.html_page import (
     table,
 )
 
-from posor_validation.replay_1985.motion_test import DIODES_ESTIMATED, PROBES_ESTIMATED
 from posor_validation.replay_1985.step_table import HEADER, LEGEND, step_row
 from posor_validation.reports.findings import findings_table
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 import pytest
 from posor_bringup.installed import BAGS, CALIBRATIONS, Bag
+from posor_estimator.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED
 from posor_validation.replay_1985.comparison import compare_with_thesis
 from posor_validation.replay_1985.expectations import EXPECTATIONS, STEPS, WITHOUT_POSE
-from posor_validation.replay_1985.motion_test import DIODES_ESTIMATED, PROBES_ESTIMATED
 from posor_validation.replay_1985.printed_results import PrintedColumns
 from posor_validation.reports.findings import Finding, Findings, Verdict
 from posor_validation.thesis_data import URAD

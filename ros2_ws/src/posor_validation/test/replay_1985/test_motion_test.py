@@ -10,25 +10,13 @@ import pytest
 from posor_estimator.errors import PosorError
 from posor_estimator.identification.attitude_fit import angles_from_displacements, deviation_from_first
 from posor_estimator.model.fault import Fault, State
-from posor_msgs.msg import RawScan
-from posor_validation.replay_1985.motion_test import (
-    ANGLES,
-    DIODES_ESTIMATED,
-    INCH,
-    PROBES_ESTIMATED,
-    TRUTH_LEVER,
-    MotionTest,
-)
+from posor_estimator.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED
+from posor_validation.replay_1985.motion_test import ANGLES, INCH, TRUTH_LEVER, MotionTest
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from posor_validation.replay_1985.printed_results import PrintedColumns
-
-
-def test_flags_are_those_of_the_message() -> None:
-    assert RawScan.STATUS_PROBES_ESTIMATED == PROBES_ESTIMATED
-    assert RawScan.STATUS_DIODES_ESTIMATED == DIODES_ESTIMATED
 
 
 def test_values_are_relative_to_the_first_step(

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import pytest
 from posor_bringup.installed import calibration_path
 from posor_estimator.calibration.calibration_file import load_calibration
+from posor_estimator.model.scan import DIODES_ESTIMATED
 from posor_estimator.reporting.figure_style import BLUE, GREY, LIGHT_BLUE, ORANGE
 from posor_estimator.testing.report_page import ReportPage
 from posor_validation.replay_1985.comparison import compare_with_thesis
 from posor_validation.replay_1985.motion_figures import draw_motion_test
 from posor_validation.replay_1985.motion_plots import plot_angles, plot_displacements
-from posor_validation.replay_1985.motion_test import DIODES_ESTIMATED
 from posor_validation.replay_1985.printed_results import EXPECTED_ERRORS_FILE, read_predicted_errors
 from posor_validation.replay_1985.replay_report import replay_notes, replay_page
 from posor_validation.thesis_data import data_path

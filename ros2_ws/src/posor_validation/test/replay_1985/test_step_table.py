@@ -7,8 +7,8 @@ import io
 from typing import TYPE_CHECKING
 
 import pytest
+from posor_estimator.model.scan import DIODES_ESTIMATED
 from posor_validation.replay_1985.comparison import compare_with_thesis
-from posor_validation.replay_1985.motion_test import DIODES_ESTIMATED
 from posor_validation.replay_1985.replay_report import HEADINGS
 from posor_validation.replay_1985.step_table import CSV_HEADER, LiveTable, steps_as_csv
 from posor_validation.reports.findings import print_findings
