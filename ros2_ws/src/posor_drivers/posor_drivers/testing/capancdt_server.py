@@ -7,29 +7,28 @@ is sent as ``SAEM`` and the bytes per frame before the number of frames.
 from __future__ import annotations
 
 import math
-import socket
 import struct
 import time
-from threading import Condition, Event, Thread
-from typing import TYPE_CHECKING, Self
+from threading import Condition, Event
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from posor_drivers.ros_clock import disable_timer_slack
+from posor_drivers.testing.device_server import POLL_S, DeviceServer
 
 if TYPE_CHECKING:
+    import socket
     from collections.abc import Callable, Mapping, Sequence
-    from types import TracebackType
 
 WELCOME = "Welcome to capaNCDT\r\nDevice: DT6220\r\nS/N: 12345\r\n"
 SAMPLE_TIMES_US = (256, 480, 960, 1920, 3840, 9600, 19_200, 38_400, 96_000, 200_000, 400_000)
 """Of the manual only 960 and the greatest are known."""
 HEADER_BYTES = 32
 FULL_SCALE = (1 << 24) - 1
-POLL_S = 0.02
 
 
-class CapaNcdtServer:
+class CapaNcdtServer(DeviceServer):
     """Answers commands and sends packets of frames, to one client after another at each port.
 
     Attributes:
@@ -67,6 +66,7 @@ class CapaNcdtServer:
             delay_s: Mean of the exponential delay of each packet [s]; packets stay in order.
 
         """
+        super().__init__()
         self.answers: dict[str, str | None] = {}
         self.states = [1 if number in ranges else 0 for number in (1, 2, 3, 4)]
         self.preamble, self.frames_first = b"SAEM", False
@@ -77,28 +77,14 @@ class CapaNcdtServer:
         self._drift, self._delay_s = drift, delay_s
         self._start_ns, self._period_ns, self._restarted = 0, 0.0, False
         self._sent_packets, self._sending = 0, Condition()
-        self._stopping, self._dropped = Event(), Event()
+        self._dropped = Event()
         self._random = np.random.default_rng(1985)
-        self._sockets = [socket.create_server(("127.0.0.1", 0)) for _ in range(2)]
-        self.command_port, self.data_port = (each.getsockname()[1] for each in self._sockets)
-        tasks = (self._answer, self._stream)
-        self._threads = [
-            Thread(target=self._serve, args=(port, task), daemon=True)
-            for port, task in zip(self._sockets, tasks, strict=True)
-        ]
+        self.command_port, self.data_port = self.open_port(self._answer), self.open_port(self._stream)
 
-    def __enter__(self) -> Self:
-        for thread in self._threads:
-            thread.start()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: object, trace: TracebackType | None) -> None:
-        self._stopping.set()
+    def stop(self) -> None:
+        """Close both ports, also in the middle of a packet."""
         self.released.set()
-        for thread in self._threads:
-            thread.join()
-        for each in self._sockets:
-            each.close()
+        super().stop()
 
     def exposed_ns(self, number: int) -> int:
         """Return the ROS time of a frame since the connection [ns]."""
@@ -119,26 +105,12 @@ class CapaNcdtServer:
         """Close the data connection; the next one is accepted."""
         self._dropped.set()
 
-    def _serve(self, port: socket.socket, task: Callable[[socket.socket], None]) -> None:
-        port.settimeout(POLL_S)
-        while not self._stopping.is_set():
-            try:
-                client, _ = port.accept()
-            except TimeoutError:
-                continue
-            with client:
-                client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                try:
-                    task(client)
-                except ConnectionError:
-                    continue
-
     def _answer(self, client: socket.socket) -> None:
         """Answer commands until the client's end; each character comes back as echo, the rest follows."""
         client.settimeout(POLL_S)
         client.sendall(WELCOME.encode())
         line = b""
-        while not self._stopping.is_set():
+        while not self.stopping.is_set():
             try:
                 byte = client.recv(1)
             except TimeoutError:
@@ -181,7 +153,7 @@ class CapaNcdtServer:
             delay_s = self._random.exponential(self._delay_s) if self._delay_s and not frames else 0.0
             sent_s = max(sent_s, self.exposed_ns(number) * 1e-9 + delay_s)
             frame = self._frame(number)  # before its time, so that sending is the least delay
-            if self._stopping.wait(max(0.0, sent_s - time.time())):
+            if self.stopping.wait(max(0.0, sent_s - time.time())):
                 return
             number += 1
             if self.skip or self.stalled.is_set() or self.trigger_mode:

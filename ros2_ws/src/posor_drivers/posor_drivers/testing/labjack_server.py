@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import socket
 import struct
 import time
 from threading import Event
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from pyModbusTCP.server import DataBank, ModbusServer
 
+from posor_drivers.testing.device_server import HOST, DeviceServer, free_port
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from types import TracebackType
 
 PRODUCT, FIRMWARE = 60_000, 60_004
 FLOAT = struct.Struct(">f")
@@ -21,14 +21,14 @@ FLOAT = struct.Struct(">f")
 class _Registers(DataBank):
     """Voltages of the present time, and what was written."""
 
-    def __init__(self, voltages: Callable[[int], Sequence[float]]) -> None:
+    def __init__(self, voltages: Callable[[int], Sequence[float]], stopping: Event) -> None:
         super().__init__(virtual_mode=True)
         self.voltages = voltages
         self.others: Callable[[int, int], list[int] | None] = lambda _address, _number: None
         self.product = 7.0
         self.written: dict[int, int] = {}
         self.stalled = Event()
-        self.stopping = Event()
+        self.stopping = stopping
 
     def get_holding_registers(self, address: int, number: int = 1, srv_info: object = None) -> list[int] | None:
         """Return registers; None, an illegal address, for those that a LabJack does not have."""
@@ -51,7 +51,7 @@ class _Registers(DataBank):
         return True
 
 
-class LabJackServer:
+class LabJackServer(DeviceServer):
     """Serves the inputs of a LabJack at a port of this host.
 
     Attributes:
@@ -63,28 +63,21 @@ class LabJackServer:
 
     def __init__(self, voltages: Callable[[int], Sequence[float]]) -> None:
         """Choose a port; ``voltages`` are those of input 0, 1, ... by the ROS time [ns]."""
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            self.port: int = free.getsockname()[1]
-        self.registers = _Registers(voltages)
+        super().__init__()
+        self.port = free_port()
+        self.registers = _Registers(voltages, self.stopping)
         self.stalled = self.registers.stalled
         self._server: Any = None
 
-    def __enter__(self) -> Self:
-        self.start()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: object, trace: TracebackType | None) -> None:
-        self.stop()
-
     def start(self) -> None:
         """Accept connections."""
-        self.registers.stopping.clear()
-        self._server = ModbusServer("127.0.0.1", self.port, no_block=True, data_bank=self.registers)
+        super().start()
+        self._server = ModbusServer(HOST, self.port, no_block=True, data_bank=self.registers)
         self._server.start()
 
     def stop(self) -> None:
         """Accept no more connections, and answer no more questions."""
-        self.registers.stopping.set()
+        super().stop()
         self._server.stop()
 
     def written_float(self, register: int) -> float:

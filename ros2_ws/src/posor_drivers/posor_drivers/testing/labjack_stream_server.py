@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import socket
 import struct
 import time
-from threading import Event, Thread
+from threading import Event
 from typing import TYPE_CHECKING
 
 from posor_drivers.ros_clock import disable_timer_slack
+from posor_drivers.testing.device_server import POLL_S
 from posor_drivers.testing.labjack_server import FLOAT, LabJackServer
 
 if TYPE_CHECKING:
+    import socket
     from collections.abc import Callable, Sequence
-    from types import TracebackType
 
 SETUP = range(4002, 4022)
 SCAN_RATE, ADDRESSES, SAMPLES, SCAN_LIST, ENABLE = 4002, 4004, 4006, 4100, 4990
@@ -22,8 +22,6 @@ POINTER, FLASH, FLASH_CONSTANTS = 61_810, 61_812, 0x3C4000
 GAIN = {10.0: 1.0, 1.0: 10.0, 0.1: 100.0, 0.01: 1000.0}
 SLOPE, CENTRE = 3.16e-4, 33_510.0
 """Of the range of 10 V; other devices have others."""
-POLL_S = 0.02
-LONG = struct.Struct(">I")
 
 
 class LabJackStreamServer(LabJackServer):
@@ -44,17 +42,8 @@ class LabJackStreamServer(LabJackServer):
         self.registers.stalled = Event()
         self.stalled = Event()
         self.status, self.skip_packet = (0, 0), False
-        self._drift, self._stopping = drift, Event()
-        self._socket = socket.create_server(("127.0.0.1", 0))
-        self.stream_port: int = self._socket.getsockname()[1]
-        self._thread = Thread(target=self._serve, daemon=True)
-        self._thread.start()
-
-    def __exit__(self, kind: type[BaseException] | None, error: object, trace: TracebackType | None) -> None:
-        super().__exit__(kind, error, trace)
-        self._stopping.set()
-        self._thread.join()
-        self._socket.close()
+        self._drift = drift
+        self.stream_port = self.open_port(self._stream)
 
     def written_number(self, register: int) -> int:
         """Return the 32-bit number that was written to two registers; 0 if there was none."""
@@ -71,25 +60,11 @@ class LabJackStreamServer(LabJackServer):
             return [self.registers.written.get(address + n, 0) for n in range(number)]
         return None
 
-    def _serve(self) -> None:
-        disable_timer_slack()
-        self._socket.settimeout(POLL_S)
-        while not self._stopping.is_set():
-            try:
-                client, _ = self._socket.accept()
-            except TimeoutError:
-                continue
-            with client:
-                client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                try:
-                    self._stream(client)
-                except ConnectionError:
-                    continue
-
     def _stream(self, client: socket.socket) -> None:
         """Send packets while the stream is enabled; wait for that first."""
+        disable_timer_slack()
         while not self.written_number(ENABLE):
-            if self._stopping.wait(POLL_S):
+            if self.stopping.wait(POLL_S):
                 return
         count = self.written_number(ADDRESSES)
         inputs = [self.written_number(SCAN_LIST + 2 * n) // 2 for n in range(count)]
@@ -97,7 +72,7 @@ class LabJackStreamServer(LabJackServer):
         frames = self.written_number(SAMPLES) // count
         period_ns = 1e9 / self.written_float(SCAN_RATE) * (1.0 + self._drift)
         start_ns, number, packet, samples = time.time_ns(), 0, 0, b""
-        while self.written_number(ENABLE) and not self._stopping.is_set():
+        while self.written_number(ENABLE) and not self.stopping.is_set():
             exposed_ns = start_ns + round(number * period_ns)
             number += 1
             volts = self.registers.voltages(exposed_ns)

@@ -5,21 +5,22 @@ from __future__ import annotations
 import asyncio
 import socket
 import time
-from threading import Event, Thread
-from typing import TYPE_CHECKING, Any, Self
+from threading import Event
+from typing import TYPE_CHECKING, Any
 
 from scpipy.server import Router, Server
 from scpipy.shared.errors import ScpiError
 
+from posor_drivers.testing.device_server import HOST, DeviceServer, free_port
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from types import TracebackType
 
 FIRST_CHANNEL = 101
 POLL_S = 0.01
 
 
-class ScpiServer:
+class ScpiServer(DeviceServer):
     """Answers the commands of a Keysight DAQ970A that measure DC voltages.
 
     Attributes:
@@ -34,8 +35,9 @@ class ScpiServer:
 
     def __init__(self, voltages: Callable[[int], Sequence[float]]) -> None:
         """Choose a port; ``voltages`` are those of channel 101, 102, ... by the ROS time [ns]."""
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            self.port: int = free.getsockname()[1]
+        super().__init__()
+        self.add_task(lambda: asyncio.run(self._run()))
+        self.port = free_port()
         self.model = "DAQ970A"
         self.scanned: list[int] = []
         self.error: tuple[int, str] | None = None
@@ -45,13 +47,6 @@ class ScpiServer:
         self._server: Any = None
         self._loop: Any = None
 
-    def __enter__(self) -> Self:
-        self.start()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: object, trace: TracebackType | None) -> None:
-        self.stop()
-
     def start(self) -> None:
         """Accept connections."""
         router = Router()
@@ -59,17 +54,16 @@ class ScpiServer:
         router.add_route("CONFigure:VOLTage:DC <channels>", self._choose_channels)
         router.add_route("ROUTe:SCAN <channels>", self._choose_channels)
         router.add_route("READ?", self._read)
-        self._server = Server("127.0.0.1", self.port, shared_context=True)
+        self._server = Server(HOST, self.port, shared_context=True)
         self._server.include_router(router)
-        self._thread = Thread(target=asyncio.run, args=(self._run(),), daemon=True)
-        self._thread.start()
+        super().start()
         self._wait_until_open()
 
     def stop(self) -> None:
         """Close all connections."""
         self.stalled.clear()
         self._loop.call_soon_threadsafe(self._server.stop)
-        self._thread.join()
+        super().stop()
 
     async def _run(self) -> None:
         self._loop = asyncio.get_running_loop()
@@ -78,7 +72,7 @@ class ScpiServer:
     def _wait_until_open(self) -> None:
         while True:
             try:
-                socket.create_connection(("127.0.0.1", self.port)).close()
+                socket.create_connection((HOST, self.port)).close()
             except ConnectionRefusedError:
                 time.sleep(POLL_S)
             else:
