@@ -15,7 +15,7 @@ from posor_drivers.instruments.device import DeviceError
 from posor_drivers.instruments.interpolation import FrameWeights, frame_weights
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from posor_estimator.numerics.array_types import FloatArray
 
@@ -54,10 +54,10 @@ class DeviceState(NamedTuple):
 class DeviceReader:
     """Reads one device until it is stopped; connects again after a fault."""
 
-    def __init__(self, device: Device[Any], now_ns: Callable[[], int] = time.time_ns) -> None:
-        """Prepare; ``now_ns`` is the ROS time by which arrivals are stamped."""
+    def __init__(self, device: Device[Any]) -> None:
+        """Prepare; ``start`` connects."""
         self.device = device
-        self._now_ns, self._delay_ns = now_ns, round(device.settings.delay.number * NS)
+        self._delay_ns = round(device.settings.delay.number * NS)
         tolerance = device.settings.trigger_tolerance
         self._tolerance_s, self._trigger_fault = None if tolerance is None else tolerance.number, ""
         self._thread = Thread(target=self._run, name=f"device {device.name}", daemon=True)
@@ -244,7 +244,7 @@ class DeviceReader:
         stall_s = max(STALL_S, STALL_FRAMES / device.frame_rate)
         while not self._stopping.is_set():
             frames = device.read(READ_TIMEOUT_S)
-            read_ns, now_s = self._now_ns(), time.monotonic()
+            read_ns, now_s = time.time_ns(), time.monotonic()
             if frames is None or not len(frames.counters):
                 if now_s - last_s > stall_s:
                     expected = f"{device.frame_rate:g} frames per second"
