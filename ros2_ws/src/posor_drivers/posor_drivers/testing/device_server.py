@@ -22,7 +22,7 @@ def free_port() -> int:
 
 
 class DeviceServer:
-    """Runs from ``start`` to ``stop``, or in a ``with`` block.
+    """Runs from ``start`` to ``stop``, or in a ``with`` block; one with ``open_port`` starts once.
 
     Attributes:
         stopping: Set by ``stop``.

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
 Part = dict[str, object]
 
-
 CHORD_MIDDLE = -0.25 * math.pi
 """Azimuth in the middle between the two diodes of a coded ring [rad]."""
 

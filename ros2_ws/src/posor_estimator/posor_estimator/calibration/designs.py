@@ -200,7 +200,7 @@ def design(
     converter: bool = False,
     frames: tuple[str, str] = ("receiving", "target"),
 ) -> Calibration:
-    """Return the calibration of one of the designs of the 1985 size; the sources of a light ring are a ``coded_ring``.
+    """Return the calibration of one of the designs of the 1985 size; a light ring is coded (``coded_ring``).
 
     Args:
         name: Which stack: ``triad_`` with the three gap probes of the thesis; ``quad_``, recommended, with a fourth one

@@ -196,7 +196,7 @@ class ProbeSensor(RowSensor):
 
     Attributes:
         KIND: Which probes, ``gap`` or ``ring``: part of the names of readings and of the field with the voltages.
-        VOLTAGES: The same for the kernels.
+        VOLTAGES: Index of these voltages for the kernels.
 
     """
 

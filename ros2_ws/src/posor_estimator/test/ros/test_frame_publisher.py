@@ -139,15 +139,14 @@ def test_without_a_rate_nothing_is_published() -> None:
     assert not topics & {"/tf", "/tf_static", "/robot_description"}
 
 
-def test_a_timer_call_that_the_executor_still_holds_publishes_nothing_after_cleanup() -> None:
+def test_a_timer_call_that_the_executor_still_holds_may_come_after_cleanup() -> None:
     with NodeProcess() as process:
         node = process.start(ChainNode, parameters={"urdf": str(URDF), "beams": str(BEAMS), "tf_rate": 1.0})
         held_call = node._frames._publish
-        held_call()
         node.trigger_deactivate()
         node.trigger_cleanup()
         process.spin_once()
-        held_call()
+        held_call()  # asks no destroyed publisher
 
 
 def test_fixed_frames_are_those_of_the_urdf() -> None:

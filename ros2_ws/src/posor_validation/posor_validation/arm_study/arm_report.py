@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from posor_validation.arm_study.arm_record import ArmRecord
     from posor_validation.reports.findings import Findings
 
-"""Headings of the table of findings."""
 RUN_NOTES = (
     (
         "Truth, endpoint and encoders were received over ROS and matched by their stamps; each node is a process of "

@@ -15,6 +15,7 @@ from time import time_ns
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from posor_estimator.numerics.stamps import NS
 from posor_estimator.ros.compose_command import main as compose
 from posor_estimator.ros.node_program import non_ros_arguments
 
@@ -54,7 +55,6 @@ SCAN, POSE = "RawScan", "PoseStamped"
 MILESTONES = ("stamp_to_first_scan_us", "first_to_last_scan_us", "last_scan_to_pose_us")
 WARM_UP_TICKS = 100
 _STAMP = Struct("<iI")
-_NS = 1_000_000_000
 
 
 class TickMilestones:
@@ -94,7 +94,7 @@ class TickMilestones:
 
 def _stamp_ns(data: bytes) -> int:
     sec, nanosec = _STAMP.unpack_from(data, 4)
-    return int(sec * _NS + nanosec)
+    return int(sec * NS + nanosec)
 
 
 def install_stopwatches(watches: Stopwatches, milestones: TickMilestones) -> None:

@@ -28,7 +28,7 @@ WAYPOINT_S = 1.0
 IMPERFECTIONS = Imperfections(dropouts=False, zero_drift=False)
 """Zero drift is not part of the stated covariance, and dropouts are faults themselves."""
 IMPERFECTION_PARAMETERS = {f"simulated.{name}": getattr(IMPERFECTIONS, name) for name in ("dropouts", "zero_drift")}
-"""The same for the drivers."""
+"""The same as parameters of the drivers."""
 
 
 def quantity(value: float, unit: str) -> dict[str, Any]:

@@ -210,8 +210,8 @@ class InputRun:
         """
         unused = () if self._topic == RAW_TOPIC else ("posor_node",)
         programs = [each for each in arm_programs(self._arm, drivers=False) if not each.name.endswith(unused or ("-",))]
-        receiver = FaultReceiver(self._arm.name, [self._joint] if self._topic == RAW_TOPIC else [])
-        with Supervisor(self._folder) as supervisor, receiver:
+        joints = [self._joint] if self._topic == RAW_TOPIC else []
+        with Supervisor(self._folder) as supervisor, FaultReceiver(self._arm.name, joints) as receiver:
             for program in programs:
                 supervisor.start(program)
             self._watch = GraphWatch(supervisor, receiver, "faults", interrupted=self._interrupted)

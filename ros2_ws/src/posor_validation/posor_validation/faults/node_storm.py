@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from posor_validation.faults.storm import Storm, StormCount
 
 NAMESPACE = "/storm"
-POSOR_NODE = f"{NAMESPACE}/posor_node", [(RawScan, RAW_TOPIC)], (JointTransform, TRANSFORM_TOPIC)
-"""Name of the node, its inputs, its answers."""
+PLAYER_ARGUMENTS = f"{NAMESPACE}/posor_node", [(RawScan, RAW_TOPIC)], (JointTransform, TRANSFORM_TOPIC)
+"""Name of the node, its inputs, its answers, for ``NodePlayer``."""
 
 
 def run_node_storm(
@@ -59,7 +59,7 @@ def run_node_storm(
     while total.injected < injected:
         storm = maker.draw(seed)
         # A new node for each block: the true sensors are others.
-        with Supervisor(folder) as supervisor, NodePlayer(*POSOR_NODE) as player:
+        with Supervisor(folder) as supervisor, NodePlayer(*PLAYER_ARGUMENTS) as player:
             supervisor.start(program)
             play_storm(storm, player, GraphWatch(supervisor, player, "storm"))
             found = [deserialize_message(data, JointTransform) for data in player.answers]

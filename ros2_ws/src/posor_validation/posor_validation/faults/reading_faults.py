@@ -205,8 +205,8 @@ class ReadingRun:
         """
         self._started_s = self._acknowledged_s = time.monotonic()
         programs = arm_programs(self._arm, driver_parameters=IMPERFECTION_PARAMETERS)
-        receiver = FaultReceiver(self._arm.name, self._simulation.joints)
-        with Supervisor(self._folder) as supervisor, receiver:
+        joints = self._simulation.joints
+        with Supervisor(self._folder) as supervisor, FaultReceiver(self._arm.name, joints) as receiver:
             for program in group_programs(programs, "drivers_apart", self._folder):
                 supervisor.start(program)
             watch = GraphWatch(supervisor, receiver, "faults", interrupted=self._interrupted)

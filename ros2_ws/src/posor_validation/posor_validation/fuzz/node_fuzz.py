@@ -70,12 +70,12 @@ class _NodeRun:
 
     def __init__(self, program: Program, player: NodePlayer, supervisor: Supervisor) -> None:
         self.player = player
-        self._watch = GraphWatch(supervisor, player, "fuzz")
+        self.watch = GraphWatch(supervisor, player, "fuzz")
         self._pid = supervisor.start(program).process.pid
         self._samples: list[ProcessSample] = []
         self._sent = 0
         self.slowest_s = 0.0
-        self._watch.wait(player.is_ready, lambda: f"{program.name}, or one of its connections")
+        self.watch.wait(player.is_ready, lambda: f"{program.name}, or one of its connections")
 
     def answers_until(self, stamp_ns: int) -> list[bytes]:
         """Return the answers up to the one with a stamp [ns].
@@ -93,7 +93,7 @@ class _NodeRun:
             new, seen = answers[seen:], len(answers)
             return any(stamp_ns_of(data[STAMP]) == stamp_ns for data in new)
 
-        self._watch.wait(is_answered, lambda: "an answer")
+        self.watch.wait(is_answered, lambda: "an answer")
         self.slowest_s = max(self.slowest_s, time.monotonic() - begin_s)
         self._sent += 1
         if self._sent % SAMPLE_EVERY == 0:
@@ -101,10 +101,6 @@ class _NodeRun:
         found = answers.copy()
         answers.clear()
         return found
-
-    def acknowledge(self) -> None:
-        """Release a latched fault, as an operator would."""
-        self.player.acknowledge(self._watch)
 
     @property
     def growth_mb(self) -> float:
@@ -149,8 +145,7 @@ class NodeScanFuzz:
         """
         topics = [(RawScan, RAW_TOPIC)], (JointTransform, TRANSFORM_TOPIC)
         end = self.count.messages.mutations + mutations
-        player = NodePlayer(f"{self._namespace}/posor_node", *topics)
-        with Supervisor(folder) as supervisor, player:
+        with Supervisor(folder) as supervisor, NodePlayer(f"{self._namespace}/posor_node", *topics) as player:
             node = _NodeRun(self._program, player, supervisor)
             while self.count.messages.mutations < end:
                 self._play_cycle(node, end, on_done)
@@ -160,7 +155,7 @@ class NodeScanFuzz:
         """Play a cycle of the scenario, which begins at the home marks; end early where a sound scan has no pose."""
         self._cycle += 1
         self._fuzz.begin_cycle(self._cycle)
-        node.acknowledge()
+        node.player.acknowledge(node.watch)
         scans, usable = self._fuzz.recording.scans, self._fuzz.recording.usable
         for n in range(usable[0] + 1):
             *_, answer = self._send_sound(node, scans[n])
@@ -217,8 +212,8 @@ class NodeTransformFuzz:
 
     def run(self, mutations: int, folder: Path, on_done: Callable[[int], None]) -> None:
         """Damage so many transforms; see ``NodeScanFuzz.run``."""
-        player = NodePlayer(f"{self._namespace}/chain_node", self._inputs, (PoseStamped, ENDPOINT_TOPIC))
-        with Supervisor(folder) as supervisor, player:
+        node_name, answer = f"{self._namespace}/chain_node", (PoseStamped, ENDPOINT_TOPIC)
+        with Supervisor(folder) as supervisor, NodePlayer(node_name, self._inputs, answer) as player:
             node = _NodeRun(self._program, player, supervisor)
             for _ in range(mutations):
                 scan, j = self._fuzz.choose()

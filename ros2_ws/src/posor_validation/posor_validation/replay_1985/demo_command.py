@@ -16,7 +16,6 @@ from posor_bringup.installed import BAGS, CALIBRATIONS, JOINT, bag_path, calibra
 from posor_bringup.supervisor import Supervisor
 from posor_estimator.calibration.calibration_file import load_calibration
 from posor_estimator.reporting.command_line_parser import CommandLineParser
-from posor_estimator.reporting.program_errors import reports_errors
 from posor_estimator.ros.node_program import non_ros_arguments, ros_context
 from posor_estimator.ros.ros_domain import isolated_network
 from rich.console import Console
@@ -44,6 +43,7 @@ from posor_validation.replay_1985.replay_report import (
 from posor_validation.replay_1985.step_collector import StepCollector
 from posor_validation.replay_1985.step_table import LiveTable, steps_as_csv
 from posor_validation.reports.findings import print_findings
+from posor_validation.reports.findings_program import exit_code_of_findings
 from posor_validation.thesis_data import data_path
 
 if TYPE_CHECKING:
@@ -87,10 +87,9 @@ def parse_options(arguments: Sequence[str]) -> argparse.Namespace:
     return parser.parse_args(list(arguments))
 
 
-@reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; the exit code is 0 if the comparison holds."""
-    return int(not _run(sys.argv if arguments is None else arguments).holds)
+    return exit_code_of_findings(lambda: _run(sys.argv if arguments is None else arguments))
 
 
 def _run(argv: Sequence[str]) -> Findings:

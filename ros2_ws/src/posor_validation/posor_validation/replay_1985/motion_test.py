@@ -11,6 +11,7 @@ from posor_estimator.errors import PosorError
 from posor_estimator.identification.attitude_fit import angles_from_displacements
 from posor_estimator.model.fault import USABLE_STATES, Fault, State
 from posor_estimator.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED
+from scipy.constants import inch
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,8 +21,7 @@ if TYPE_CHECKING:
 Angle = Literal["alpha", "beta", "theta"]
 ANGLES: tuple[Angle, ...] = get_args(Angle)
 
-INCH = 0.0254
-TRUTH_LEVER = 31.43 * INCH
+TRUTH_LEVER = 31.43 * inch
 """From the pivot to the scribed line at which the machining centre reads [m]; listings of appendix 8A."""
 
 _ESTIMATED_FLAGS = {"alpha": PROBES_ESTIMATED, "beta": PROBES_ESTIMATED, "theta": DIODES_ESTIMATED}

@@ -18,10 +18,10 @@ from posor_estimator.identification.attitude_fit import ANGLES, deviation_from_f
 from posor_estimator.identification.procedures.zero_drift import NAME, ZeroDriftOptions, find_zero_drift
 from posor_estimator.model.native_coordinates import native_from_rotation
 from posor_estimator.reporting.command_line_parser import CommandLineParser
-from posor_estimator.reporting.program_errors import reports_errors
 from rich.console import Console
+from scipy.constants import inch
 
-from posor_validation.replay_1985.motion_test import INCH, TRUTH_LEVER
+from posor_validation.replay_1985.motion_test import TRUTH_LEVER
 from posor_validation.reports.findings import Finding, Findings, Verdict, print_findings
 from posor_validation.reports.findings_program import exit_code_of_findings
 from posor_validation.thesis_data import URAD
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from posor_estimator.identification.recording import Recording
     from posor_estimator.numerics.array_types import FloatArray
 
-TRUTH = Reference("/truth/machining_centre", (2e-4 * INCH,))
+TRUTH = Reference("/truth/machining_centre", (2e-4 * inch,))
 """The machining centre, accurate to 0.0002 in (section 8.2)."""
 TESTS: Mapping[Bag, Mapping[str, float | None]] = {
     "ymo": {"alpha": None, "beta": 4.0},
@@ -92,7 +92,6 @@ def _remaining_deviations(calibration: Calibration, recording: Recording) -> Flo
     return deviation_from_first(errors - errors[0])
 
 
-@reports_errors
 def main() -> int:
     """Run the program; return 1 if a search leaves more error than the shifts of the thesis."""
     return exit_code_of_findings(_run)

@@ -58,7 +58,7 @@ class GraphReceiver(Node):
         return store
 
     def receive_until(self, condition: Callable[[], bool]) -> None:
-        """Receive until a condition holds; it is checked after each event and at least every ``WAKE_S``."""
+        """Receive until a condition holds; it is checked after each event and at least every ``SPIN_TIMEOUT_S``."""
         while not condition():
             self._executor.spin_once(timeout_sec=SPIN_TIMEOUT_S)
 

@@ -47,7 +47,7 @@ class NodePlayer(GraphReceiver):
         self.answers.append(data)
 
     def is_ready(self) -> bool:
-        """Return whether all inputs will be answered: the node is active, and both ends of all topics have matched.
+        """Return whether all inputs will be answered: the node is active, and each publisher has matched.
 
         An inactive node answers nothing, and an answer is not sent to a subscription that the node has not discovered.
         """

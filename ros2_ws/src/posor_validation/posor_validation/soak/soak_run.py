@@ -22,6 +22,7 @@ from lifecycle_msgs.srv import ChangeState
 from posor_bringup.arm_programs import arm_programs, group_programs
 from posor_bringup.supervisor import Supervisor
 from posor_estimator.numerics.stamps import time_ns
+from posor_estimator.ros.message_conversion import is_usable
 from posor_estimator.ros_names import ENDPOINT_STATE_TOPIC, ENDPOINT_TOPIC
 from posor_msgs.msg import EndpointState
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -124,7 +125,7 @@ class SoakReceiver(GraphReceiver):
             self.stale += 1
             return
         self.states.append(stamp := _stamp_of(data))
-        if message.state not in (EndpointState.STATE_OK, EndpointState.STATE_DEGRADED):
+        if not is_usable(message):
             self.reasons[stamp] = message.reason
 
     @property

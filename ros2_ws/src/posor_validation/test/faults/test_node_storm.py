@@ -12,7 +12,7 @@ from posor_bringup.supervisor import Supervisor
 from posor_estimator.ros.node_program import ros_context
 from posor_estimator.testing.graph import Graph
 from posor_msgs.msg import JointTransform
-from posor_validation.faults.node_storm import POSOR_NODE, play_storm, posor_program
+from posor_validation.faults.node_storm import PLAYER_ARGUMENTS, play_storm, posor_program
 from posor_validation.faults.storm import StormMaker, estimate_storm, storm_calibrations
 from posor_validation.reports.graph_receiver import GraphWatch
 from posor_validation.reports.node_player import NodePlayer
@@ -30,13 +30,19 @@ def test_a_storm_waits_for_an_active_node_and_equals_the_estimator(tmp_path: Pat
     storm = maker.draw(5, SCANS)
     program = posor_program(maker.calibration, tmp_path)
     program = replace(program, parameters={**program.parameters, "autostart": False})
-    with ros_context(["test"]), Graph() as graph, Supervisor(tmp_path) as supervisor, NodePlayer(*POSOR_NODE) as player:
+    with (
+        ros_context(["test"]),
+        Graph() as graph,
+        Supervisor(tmp_path) as supervisor,
+        NodePlayer(*PLAYER_ARGUMENTS) as player,
+    ):
         watch = GraphWatch(supervisor, player, "storm")
         supervisor.start(program)
-        assert graph.change_state(POSOR_NODE[0], Transition.TRANSITION_CONFIGURE)
-        watch.wait(lambda: player.inputs[0].get_subscription_count() > 0, lambda: "the subscription")
-        assert not player.is_ready()  # inactive: it would answer nothing
-        assert graph.change_state(POSOR_NODE[0], Transition.TRANSITION_ACTIVATE)
+        assert graph.change_state(PLAYER_ARGUMENTS[0], Transition.TRANSITION_CONFIGURE)
+        status = f"{PLAYER_ARGUMENTS[0]}: lifecycle"
+        watch.wait(lambda: player.status_value(status, "message") == "inactive", lambda: "the inactive node")
+        assert not player.is_ready()  # it would answer nothing
+        assert graph.change_state(PLAYER_ARGUMENTS[0], Transition.TRANSITION_ACTIVATE)
         play_storm(storm, player, watch)
         found = [deserialize_message(data, JointTransform) for data in player.answers]
     maker.posor.reset()

@@ -11,7 +11,8 @@ from posor_estimator.errors import PosorError
 from posor_estimator.identification.attitude_fit import angles_from_displacements, deviation_from_first
 from posor_estimator.model.fault import Fault, State
 from posor_estimator.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED
-from posor_validation.replay_1985.motion_test import ANGLES, INCH, TRUTH_LEVER, MotionTest
+from posor_validation.replay_1985.motion_test import ANGLES, TRUTH_LEVER, MotionTest
+from scipy.constants import inch
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,7 +32,7 @@ def test_values_are_relative_to_the_first_step(
 
 def test_machining_centre_angles_are_those_of_the_listings() -> None:
     inches = np.array([[0.0, 0.0, 0.0], [0.005, -0.1357, 0.0004]])  # YMO, steps 1 and 15
-    alpha, beta, theta = angles_from_displacements(inches * INCH, TRUTH_LEVER)[1] * 1e6
+    alpha, beta, theta = angles_from_displacements(inches * inch, TRUTH_LEVER)[1] * 1e6
     assert alpha == 0.0
     assert beta == pytest.approx(4318.0, abs=0.6)
     assert theta == pytest.approx(-13.0, abs=0.5)
