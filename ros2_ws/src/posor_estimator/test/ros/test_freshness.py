@@ -240,10 +240,16 @@ def test_a_deadline_is_requested_and_a_missed_one_is_reported() -> None:
         without = graph.node.create_publisher(RawScan, "raw", LOSSLESS)
         sender = ScanSender(graph, qos=sensor_publisher_qos(parameters))
         assert without.get_subscription_count() == 0  # it does not offer the deadline
-        sender.send()
+
+        def send_late() -> None:
+            """Send again: a best-effort subscription may not have matched at the first scan."""
+            sender.send()
+            time.sleep(0.3)
+
         graph.wait_until(
             lambda: any("deadline missed on /raw" in s.message and s.level == WARN for s in graph.diagnostics),
             "the missed deadline",
+            send_late,
         )
 
 
