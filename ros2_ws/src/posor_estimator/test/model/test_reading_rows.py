@@ -21,11 +21,6 @@ if TYPE_CHECKING:
 CASES = 200
 WHOLE_NUMBERS = {RING: (7, 8, 11, 14)}  # the number of harmonics, and each k: not to be differentiated
 
-of_each_kind = pytest.mark.parametrize(
-    ("kind", "random_case"),
-    [(GAP, random_gap), (RING, random_ring_gap), (SPOT_X, random_spot), (SPOT_Y, random_spot)],
-)
-
 
 def gaps(case: dict[str, Any]) -> list[tuple[int, list[float]]]:
     """Return kind and parameters of the gap probes of a ray-traced case."""
@@ -64,8 +59,11 @@ def test_readings_are_those_of_ray_tracing(
         np.testing.assert_allclose(found, traced, rtol=0.0, atol=1e-12, err_msg=f"case {case['case']}")
 
 
-@of_each_kind
-def test_tangent_derivative_is_that_of_finite_differences(
+@pytest.mark.parametrize(
+    ("kind", "random_case"),
+    [(GAP, random_gap), (RING, random_ring_gap), (SPOT_X, random_spot), (SPOT_Y, random_spot)],
+)
+def test_derivatives_are_those_of_finite_differences(
     kind: int,
     random_case: Callable[[np.random.Generator], tuple[FloatArray, pin.SE3]],
     rng: np.random.Generator,
@@ -73,22 +71,13 @@ def test_tangent_derivative_is_that_of_finite_differences(
 ) -> None:
     for _ in range(CASES):
         row, pose = random_case(rng)
-        jacobian = tangent_derivative(kind, row, pose)
-        expected = central_difference(lambda step: read_row(kind, row, pose * pin.exp6(step)), 6)  # noqa: B023  used at once
-        np.testing.assert_allclose(jacobian, expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
-
-
-@of_each_kind
-def test_parameter_derivatives_are_those_of_finite_differences(
-    kind: int,
-    random_case: Callable[[np.random.Generator], tuple[FloatArray, pin.SE3]],
-    rng: np.random.Generator,
-    central_difference: Callable[[Callable[[FloatArray], float], int], FloatArray],
-) -> None:
-    for _ in range(CASES):
-        row, pose = random_case(rng)
-        jacobian = parameter_derivatives(kind, row, pose)
         differentiable = np.ones(row.size)
         differentiable[list(WHOLE_NUMBERS.get(kind, ()))] = 0.0
-        expected = central_difference(lambda step: read_row(kind, row + step * differentiable, pose), row.size)  # noqa: B023  used at once
-        np.testing.assert_allclose(jacobian, expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
+        # Both functions are used at once, within this turn of the loop.
+        by_tangent = central_difference(lambda step: read_row(kind, row, pose * pin.exp6(step)), 6)  # noqa: B023
+        by_parameters = central_difference(lambda step: read_row(kind, row + step * differentiable, pose), row.size)  # noqa: B023
+        for found, expected in (
+            (tangent_derivative(kind, row, pose), by_tangent),
+            (parameter_derivatives(kind, row, pose), by_parameters),
+        ):
+            np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
