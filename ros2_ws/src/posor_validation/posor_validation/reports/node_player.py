@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING, Any
 
 from posor_estimator.ros.lifecycle_node import LISTENERS_STATUS
 from posor_estimator.ros.qos import KEEP_ALL_QOS
+from posor_estimator.testing.graph import RETRY_S
+from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from posor_validation.reports.graph_receiver import GraphReceiver
@@ -56,7 +59,18 @@ class NodePlayer(GraphReceiver):
         return is_active and listeners == "1" and all(each.get_subscription_count() for each in self.inputs)
 
     def acknowledge(self, watch: GraphWatch) -> None:
-        """Release a latched fault, as an operator does."""
+        """Release a latched fault, as an operator does; repeat the call until there is a response.
+
+        A service drops its response to a client that it has not discovered.
+        """
         watch.wait(self._operator.service_is_ready, lambda: "the service acknowledge")
-        response = self._operator.call_async(Trigger.Request())
-        watch.wait(response.done, lambda: "the response of acknowledge")
+        calls, next_s = list[Future](), 0.0
+
+        def has_response() -> bool:
+            nonlocal next_s
+            if (now_s := time.monotonic()) >= next_s:
+                calls.append(self._operator.call_async(Trigger.Request()))
+                next_s = now_s + RETRY_S
+            return any(call.done() for call in calls)
+
+        watch.wait(has_response, lambda: "the response of acknowledge")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from lifecycle_msgs.msg import Transition
 from posor_bringup.supervisor import Supervisor
+from posor_estimator.ros.lifecycle_node import LISTENERS_STATUS
 from posor_estimator.ros.node_program import ros_context
 from posor_estimator.testing.graph import Graph
 from posor_msgs.msg import JointTransform
@@ -26,6 +27,7 @@ SCANS = 2000
 
 @pytest.mark.usefixtures("ros_domain")
 def test_a_storm_waits_for_an_active_node_and_equals_the_estimator(tmp_path: Path) -> None:
+    name, _, (_, answer) = PLAYER_ARGUMENTS
     maker = StormMaker(storm_calibrations()["diodes"])
     storm = maker.draw(5, SCANS)
     program = posor_program(maker.calibration, tmp_path)
@@ -38,11 +40,18 @@ def test_a_storm_waits_for_an_active_node_and_equals_the_estimator(tmp_path: Pat
     ):
         watch = GraphWatch(supervisor, player, "storm")
         supervisor.start(program)
-        assert graph.change_state(PLAYER_ARGUMENTS[0], Transition.TRANSITION_CONFIGURE)
-        status = f"{PLAYER_ARGUMENTS[0]}: lifecycle"
-        watch.wait(lambda: player.status_value(status, "message") == "inactive", lambda: "the inactive node")
+        assert graph.change_state(name, Transition.TRANSITION_CONFIGURE)
+
+        def is_connected_and_inactive() -> bool:
+            found = [
+                player.status_value(f"{name}: {status}", key)
+                for status, key in ((LISTENERS_STATUS, answer), ("lifecycle", "message"))
+            ]
+            return found == ["1", "inactive"] and player.inputs[0].get_subscription_count() > 0
+
+        watch.wait(is_connected_and_inactive, lambda: "the inactive node")
         assert not player.is_ready()  # it would answer nothing
-        assert graph.change_state(PLAYER_ARGUMENTS[0], Transition.TRANSITION_ACTIVATE)
+        assert graph.change_state(name, Transition.TRANSITION_ACTIVATE)
         play_storm(storm, player, watch)
         found = [deserialize_message(data, JointTransform) for data in player.answers]
     maker.posor.reset()
