@@ -30,6 +30,7 @@ CYCLE_S, SEED, WAYPOINT_S = 60, 4, 5.0
 JUDGED = 100
 """Poses of the true endpoint before and after, 2 s each."""
 MAX_STOP_S = 0.2
+SILENT = "stopped: no message on endpoint/state"
 
 
 def command_of(program: NodeProgram) -> Program:
@@ -69,7 +70,7 @@ def test_the_endpoint_reaches_its_target_and_a_killed_driver_stops_the_controlle
     (others,) = group_programs([program for program in programs if program is not driver], "composed", tmp_path)
     command = [*script(EXAMPLE), *ros_arguments({}, f"/{ARM}")]
     arrivals: list[float] = []
-    with command_of(others), command_of(driver) as killed, Graph() as graph:
+    with command_of(others) as nodes, command_of(driver) as killed, Graph() as graph:
         errors = Errors(graph)
         before = errors.next_rms()
         with Program(command) as controller:
@@ -84,6 +85,9 @@ def test_the_endpoint_reaches_its_target_and_a_killed_driver_stops_the_controlle
             graph.wait_until(lambda: any("stopped: " in line for line in controller.stderr), "the controller's stop")
             graph.wait_until(lambda: time.monotonic() > killed_s + 5.0 * MAX_STOP_S, "late commands")
             assert kept.topic_name.endswith("stage/command")
+            assert SILENT not in controller.stderr[-1]
+            nodes.process.kill()
+            graph.wait_until(lambda: SILENT in controller.stderr[-1], "the sentence of silence")
             assert controller.end() == 0, controller.stderr
     assert before > 10.0 * after
     assert arrivals[-1] < killed_s + MAX_STOP_S

@@ -8,13 +8,13 @@ from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from posor_msgs.msg import EndpointState
 from rclpy.node import Node
 
-MAX_AGE_S, KEPT = 0.1, 100
+MAX_AGE_S, KEPT, SILENT = 0.1, 100, "no message on endpoint/state"
 
 
 class PlainController(Node):
     def __init__(self):
         super().__init__("plain_controller")
-        self.targets, self.positions, self.reason = {}, {}, "nothing to command"
+        self.targets, self.positions, self.reason = {}, {}, SILENT
         self.output = self.create_publisher(Vector3Stamped, "stage/command", 10)
         self.create_subscription(PoseStamped, "target/endpoint", lambda target: self.keep(self.targets, target), 10)
         self.create_subscription(Vector3Stamped, "stage/position", lambda stage: self.keep(self.positions, stage), 10)
@@ -29,9 +29,10 @@ class PlainController(Node):
     def on_state(self, measured):
         stamp = measured.header.stamp.sec * 10**9 + measured.header.stamp.nanosec
         age_s = (self.get_clock().now().nanoseconds - stamp) * 1e-9
-        if measured.state != EndpointState.STATE_OK or abs(age_s) > MAX_AGE_S:
-            self.reason = measured.reason or f"state {measured.state}, {age_s:.3f} s old"
-        elif stamp in self.targets and stamp in self.positions:
+        usable = measured.state == EndpointState.STATE_OK and abs(age_s) <= MAX_AGE_S
+        unusable = measured.reason or f"state {measured.state}, {age_s:.3f} s old"
+        self.reason = "nothing to command" if usable else unusable
+        if usable and stamp in self.targets and stamp in self.positions:
             self.command(measured.pose, self.targets[stamp].pose.position, self.positions[stamp])
 
     def command(self, measured, target, stage):
@@ -42,13 +43,13 @@ class PlainController(Node):
         command.vector.x = x + 2.0 * (q.w * a + b * q.z - c * q.y) + stage.vector.x
         command.vector.y = y + 2.0 * (q.w * b + c * q.x - a * q.z) + stage.vector.y
         command.vector.z = z + 2.0 * (q.w * c + a * q.y - b * q.x) + stage.vector.z
-        self.reason = "nothing to command"
         if math.isfinite(command.vector.x + command.vector.y + command.vector.z):
             self.output.publish(command)
             self.watchdog.reset()
 
     def stop(self):  # another machine would brake here
         self.get_logger().warning(f"stopped: {self.reason}", throttle_duration_sec=1.0)
+        self.reason = SILENT
 
 
 if __name__ == "__main__":

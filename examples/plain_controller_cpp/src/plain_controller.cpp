@@ -23,6 +23,7 @@ using Stamp = std::pair<int32_t, uint32_t>;
 
 constexpr double MAX_AGE_S = 0.1;
 constexpr std::size_t KEPT = 100;
+constexpr char SILENT[] = "no message on endpoint/state";
 
 template<typename Message>
 Stamp stamp_of(const Message & message)
@@ -68,7 +69,10 @@ private:
       now().seconds() - (measured.header.stamp.sec + 1e-9 * measured.header.stamp.nanosec);
     if (measured.state != EndpointState::STATE_OK || std::abs(age_s) > MAX_AGE_S) {
       reason_ = measured.reason.empty() ? "the pose is not OK or too old" : measured.reason;
-    } else if (target != targets_.end() && stage != positions_.end()) {
+      return;
+    }
+    reason_ = "nothing to command";
+    if (target != targets_.end() && stage != positions_.end()) {
       command(measured.pose, target->second.pose.position, stage->second);
     }
   }
@@ -86,7 +90,6 @@ private:
     message.vector.x += x + 2.0 * (q.w * a + b * q.z - c * q.y);
     message.vector.y += y + 2.0 * (q.w * b + c * q.x - a * q.z);
     message.vector.z += z + 2.0 * (q.w * c + a * q.y - b * q.x);
-    reason_ = "nothing to command";
     if (std::isfinite(message.vector.x + message.vector.y + message.vector.z)) {
       output_->publish(message);
       watchdog_->reset();
@@ -97,9 +100,10 @@ private:
   void stop()
   {
     RCLCPP_WARN_THROTTLE(get_logger(), *get_clock(), 1000, "stopped: %s", reason_.c_str());
+    reason_ = SILENT;
   }
 
-  std::string reason_ = "nothing to command";
+  std::string reason_ = SILENT;
   std::map<Stamp, PoseStamped> targets_;
   std::map<Stamp, Vector3Stamped> positions_;
   rclcpp::Publisher<Vector3Stamped>::SharedPtr output_;
