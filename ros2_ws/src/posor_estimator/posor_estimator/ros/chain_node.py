@@ -43,6 +43,7 @@ from posor_estimator.ros.endpoint_protection import ProtectionLevel
 from posor_estimator.ros.endpoint_verdict import SOUND, JointStatus, Verdict, degraded_verdict, unusable_verdict
 from posor_estimator.ros.frame_publisher import FramePublisher, StampedPoses
 from posor_estimator.ros.freshness import InputMonitor
+from posor_estimator.ros.idle_scheduler import run_when_idle
 from posor_estimator.ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_estimator.ros.lifecycle_node import PosorNode
 from posor_estimator.ros.node_program import run_node
@@ -119,7 +120,7 @@ class ChainNode(PosorNode[ChainParameters]):
             for name, row in zip(names, self._estimator.rows, strict=True)
         ]
         self._home, self._pose_stamp, self._reported = None, b"", None
-        self._reliability_topics: list[str] = []
+        self._reliabilities: list[IntraProcessSubscription] = []
         self._poses = self._scans_refused = self._scans_incomplete = 0
         self._refusals.clear()
         self._last_stamp, self._has_alarm = bytes(8), False
@@ -162,14 +163,8 @@ class ChainNode(PosorNode[ChainParameters]):
         self._inputs.add(subscription)
         self._joint_of_topic[subscription.topic_name] = joint.name
 
-        def on_reliability(message: JointReliability) -> None:
-            with self._lock:
-                self._protection.receive(joint.name, message)
-
-        topic = f"{joint.name}/{RELIABILITY_TOPIC}"
-        self._reliability_topics.append(topic)
-        subscription = self.create_subscription(JointReliability, topic, on_reliability, RELIABLE_QOS)
-        self.add_cleanup(self.destroy_subscription, subscription)
+        topic, callback = f"{joint.name}/{RELIABILITY_TOPIC}", partial(self._protection.receive, joint.name)
+        self._reliabilities.append(IntraProcessSubscription(self, JointReliability, topic, RELIABLE_QOS, callback))
 
     def activate(self) -> None:
         """Expect transforms with present stamps from now on."""
@@ -197,7 +192,9 @@ class ChainNode(PosorNode[ChainParameters]):
             if self._is_relative and self._home is not None:
                 axes = pin.XYZQUATToSE3(self._home).rotation
         level = protection.compute(poses, covariance, axes)
-        if any(self.count_publishers(topic) > 1 for topic in self._reliability_topics):
+        for subscription in self._reliabilities:
+            run_when_idle(subscription.find_publishers)
+        if any(subscription.publishers > 1 for subscription in self._reliabilities):
             level[:] = math.nan
         with self._lock:
             self._state_writer.protection_level[:] = level

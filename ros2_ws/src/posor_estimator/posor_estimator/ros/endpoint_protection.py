@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
+from posor_msgs.msg import JointReliability
 
+from posor_estimator.errors import TopicError
+from posor_estimator.ros.message_classes import schema_of_class
 from posor_estimator.uncertainty.protection_level import (
     endpoint_effects,
     endpoint_protection_level,
@@ -15,8 +18,6 @@ from posor_estimator.uncertainty.protection_level import (
 )
 
 if TYPE_CHECKING:
-    from posor_msgs.msg import JointReliability
-
     from posor_estimator.chain.kinematic_chain import Chain
     from posor_estimator.numerics.array_types import FloatArray
 
@@ -33,12 +34,16 @@ class ProtectionLevel:
         self._chain = chain
         self._received: dict[str, tuple[float, FloatArray]] = {}
 
-    def receive(self, joint: str, message: JointReliability) -> None:
-        """Keep the message of a joint; ignore one with other frames, another length, or too few readings for a pose."""
+    def receive(self, joint: str, data: bytes) -> None:
+        """Keep a JointReliability; ignore one with other frames, another length, or too few readings for a pose."""
         expected = next(own for own in self._chain.joints if own.name == joint)
-        shifts = np.array(message.undetected_shifts)
-        frames = message.header.frame_id, message.child_frame_id
-        is_whole = shifts.size == 6 * len(message.readings) and len(message.readings) >= FREEDOMS
+        try:
+            message = schema_of_class(JointReliability).values(data)
+        except TopicError:
+            return
+        shifts, readings = np.array(message["undetected_shifts"]), len(message["readings"])
+        frames = message["header.frame_id"], message["child_frame_id"]
+        is_whole = shifts.size == 6 * readings and readings >= FREEDOMS
         if frames == (expected.parent, expected.child) and is_whole:
             self._received[joint] = monotonic(), shifts.reshape(-1, 6)
 

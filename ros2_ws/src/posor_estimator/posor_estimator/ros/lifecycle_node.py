@@ -224,8 +224,8 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
     def run_checks(self) -> None:
         """Check the inputs and, at times, the graph.
 
-        A `NodeGroup` calls it for all of its nodes at once and cancels their timers: to wake the executor costs more
-        than the checks. The timer serves a node in another executor.
+        A `NodeGroup` calls it for one of its nodes after another and cancels their timers: to wake the executor costs
+        more than the checks. The timer serves a node in another executor.
         """
         self._check_number += 1
         if self._check_number % GRAPH_CHECK_EVERY == 0:

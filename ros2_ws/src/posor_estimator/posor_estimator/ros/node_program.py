@@ -226,7 +226,8 @@ class NodeGroup:
                 executor.spin_once(timeout_sec=INPUT_CHECK_S)
                 if (now_s := monotonic()) >= next_check_s:
                     next_check_s = now_s + INPUT_CHECK_S
-                    run_when_idle(self._run_checks)
+                    for node in self._locations:
+                        run_when_idle(node.run_checks)
                 manager.report_alive()
                 for node in [node for node in self._locations if node.exit_requested]:
                     leave_executor(node)
@@ -234,10 +235,6 @@ class NodeGroup:
                     with _name_node_in_errors(node, lambda _: "", several=several):
                         node.stop()
                         node.raise_failure()
-
-    def _run_checks(self) -> None:
-        for node in self._locations:
-            node.run_checks()
 
     def _report_process_health(self) -> None:
         """Apply the real-time settings; the first node reports the refusals."""

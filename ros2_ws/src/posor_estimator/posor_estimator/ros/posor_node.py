@@ -33,6 +33,7 @@ from posor_estimator.ros.cdr_scan import RAW_SCAN, scan_of
 from posor_estimator.ros.diagnostics import Level
 from posor_estimator.ros.endpoint_verdict import NOT_COUNTED, waits_to_be_counted
 from posor_estimator.ros.freshness import REPEATED, InputMonitor, ScanOrder
+from posor_estimator.ros.idle_scheduler import run_when_idle
 from posor_estimator.ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_estimator.ros.lifecycle_node import PosorNode
 from posor_estimator.ros.message_classes import schema_of_class
@@ -40,13 +41,13 @@ from posor_estimator.ros.message_conversion import stamp_ns as stamp_ns_of
 from posor_estimator.ros.node_program import run_node
 from posor_estimator.ros.qos import RELIABLE_QOS, input_qos, sensor_publisher_qos, sensor_subscription_qos
 from posor_estimator.ros.raw_scan_stream import RawScanStream
-from posor_estimator.ros.reliability_message import reliability_fields
+from posor_estimator.ros.reliability_message import has_reliability, reliability_fields
 from posor_estimator.ros_names import RAW_TOPIC, RELIABILITY_TOPIC, TRANSFORM_TOPIC
+from posor_estimator.uncertainty.reading_sensitivity import EstimateMatrices
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from rclpy.publisher import Publisher
     from std_srvs.srv import Trigger
 
     from posor_estimator.calibration.calibration_file import Calibration
@@ -71,7 +72,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
 
     _calibration: Calibration
     _posor: Posor
-    _reliability: Publisher | None
+    _reliability: IntraProcessPublisher | None
     _stream: RawScanStream | None
     _last_stream: RawScanStream | None
     _recent_scans: deque[bytes]
@@ -104,8 +105,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self._publisher = IntraProcessPublisher(self, JointTransform, TRANSFORM_TOPIC, qos, count_listeners=True)
         self._reliability = None
         if self.parameters.covariance == "total":  # the chain adds it to the biases that the reliability is about
-            self._reliability = self.create_publisher(JointReliability, RELIABILITY_TOPIC, RELIABLE_QOS)
-            self.add_cleanup(self.destroy_publisher, self._reliability)
+            self._reliability = IntraProcessPublisher(self, JointReliability, RELIABILITY_TOPIC, RELIABLE_QOS)
         self.add_cleanup(self._forget_scans)
         self.add_cleanup(self._inputs.clear)
         qos = sensor_subscription_qos(self.parameters)
@@ -384,13 +384,17 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         """Publish the reliability at the last pose, once a second, if there is a pose and somebody listens."""
         publisher = self._reliability
         with self._lock:
-            if not self.may_publish or publisher is None or not publisher.get_subscription_count():
+            if not self.may_publish or publisher is None or not publisher.has_subscriptions:
                 return
             if self._stream is None or self._stream is not self._last_stream:
                 return  # a new estimator has seen no scan yet
-            fields = reliability_fields(self._posor, self._stream.last_scan())
-        if fields is not None:
-            publisher.publish(schema_of_class(JointReliability).encode(fields))
+            posor, last = self._posor, self._stream.last_scan()
+            if not has_reliability(last):
+                return
+            matrices = EstimateMatrices.of(posor)
+        fields = reliability_fields(posor, matrices, last.stamp_ns)  # without the lock: no scan waits for it
+        data = schema_of_class(JointReliability).encode(fields)
+        run_when_idle(partial(publisher.publish, data))
 
 
 def _format_status(state: int, faults: int, excess: str, counts: dict[str, Value], scan: EstimatedScan) -> StatusText:

@@ -6,27 +6,25 @@ from typing import TYPE_CHECKING, Any
 
 from posor_estimator.model.fault import USABLE_STATES, Fault
 from posor_estimator.numerics.stamps import NS
-from posor_estimator.uncertainty.reading_sensitivity import last_sensitivity
 from posor_estimator.uncertainty.reliability import reliability
 
 if TYPE_CHECKING:
     from posor_estimator.estimation.posor import Posor
     from posor_estimator.ros.raw_scan_stream import EstimatedScan
+    from posor_estimator.uncertainty.reading_sensitivity import EstimateMatrices
 
 
-def reliability_fields(posor: Posor, last: EstimatedScan) -> dict[str, Any] | None:
-    """Return the fields of a ``JointReliability`` at the last estimate of a POSOR.
-
-    Returns:
-        The fields by their paths; None: the estimate has no usable pose, or not from the readings alone.
-
-    """
+def has_reliability(last: EstimatedScan) -> bool:
+    """Return whether an estimate has a usable pose, and from the readings alone."""
     usable = last.estimate["state"] in USABLE_STATES
-    if last.refusal or not usable or last.estimate["faults"] & Fault.ILL_CONDITIONED:
-        return None
-    found = reliability(posor, last_sensitivity(posor))
+    return not last.refusal and usable and not last.estimate["faults"] & Fault.ILL_CONDITIONED
+
+
+def reliability_fields(posor: Posor, matrices: EstimateMatrices, stamp_ns: int) -> dict[str, Any]:
+    """Return the fields of a ``JointReliability`` by their paths, at the estimate of the matrices."""
+    found = reliability(posor, matrices.sensitivity())
     frames = posor.calibration.frames
-    sec, nanosec = divmod(last.stamp_ns, NS)
+    sec, nanosec = divmod(stamp_ns, NS)
     return {
         "header.stamp.sec": sec,
         "header.stamp.nanosec": nanosec,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
@@ -64,14 +64,39 @@ def sensitivity_at(posor: Posor, scan: Scan, T_R_T: pin.SE3) -> ReadingSensitivi
     return ReadingSensitivity.of(gain.T, jacobian, rotation, np.diagonal(seen).copy())
 
 
-def last_sensitivity(posor: Posor) -> ReadingSensitivity:
-    """Return the sensitivity at the last estimate, which is not LOST and for which the readings sufficed.
+class EstimateMatrices(NamedTuple):
+    """Copies of the matrices of a POSOR's last estimate, which is not LOST and for which the m readings sufficed.
 
-    It comes from the matrices of that estimate: nodes compute it between two scans, for which ``sensitivity_at`` is too
-    slow.
+    Nodes compute the sensitivity from them, between two scans; ``sensitivity_at`` is too slow for that.
+
+    Attributes:
+        gain: Change of the pose by each reading, in the local tangent, (m, 6).
+        jacobian: Derivatives of the readings in the local tangent, (m, 6).
+        rotation: Of the target in R, (3, 3).
+        residual_space: Combinations of the readings that the pose does not change, (r, m), r the redundancy.
+        residual_covariance: Cholesky factor of their covariance, (r, r); its upper triangle is not used.
+
     """
-    workspace, m = posor.model.workspace[0], posor.stack.readings
-    space, factor = (workspace[name][: posor.redundancy] for name in ("residual_space", "residual_covariance"))
-    components = np.linalg.solve(np.tril(factor[:, : posor.redundancy]), space[:, :m])
-    rotation, seen = workspace["pose"]["rotation"].copy(), np.square(components).sum(axis=0)
-    return ReadingSensitivity.of(workspace["gain"][:m], workspace["jacobian"][:m], rotation, seen)
+
+    gain: FloatArray
+    jacobian: FloatArray
+    rotation: FloatArray
+    residual_space: FloatArray
+    residual_covariance: FloatArray
+
+    @classmethod
+    def of(cls, posor: Posor) -> Self:
+        """Copy the matrices."""
+        workspace, m, r = posor.model.workspace[0], posor.stack.readings, posor.redundancy
+        return cls(
+            workspace["gain"][:m].copy(),
+            workspace["jacobian"][:m].copy(),
+            workspace["pose"]["rotation"].copy(),
+            workspace["residual_space"][:r, :m].copy(),
+            workspace["residual_covariance"][:r, :r].copy(),
+        )
+
+    def sensitivity(self) -> ReadingSensitivity:
+        """Return the sensitivity at that estimate."""
+        components = np.linalg.solve(np.tril(self.residual_covariance), self.residual_space)
+        return ReadingSensitivity.of(self.gain, self.jacobian, self.rotation, np.square(components).sum(axis=0))

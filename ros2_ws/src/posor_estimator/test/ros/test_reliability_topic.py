@@ -116,6 +116,7 @@ def test_chain_node_bounds_the_endpoint_by_the_worst_undetected_shift_and_the_wa
         level_after(wrong, lambda level: np.isnan(level).all() and seconds > 10)
         too_few = reliability_message(shifts[:5])  # no six freedoms: forged, or of something else
         level_after(too_few, lambda level: np.isnan(level).all() and seconds > 20)
+        level_after(b"\x00\x01 no message", lambda level: np.isnan(level).all() and seconds > 30)
         found = level_after(reliability_message(shifts), lambda level: np.isfinite(level).all())
         covariance = np.reshape(states[-1].covariance, (6, 6))
         poses = {"joint1": pin.SE3.Identity()}

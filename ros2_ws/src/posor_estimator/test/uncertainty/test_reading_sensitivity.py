@@ -16,7 +16,7 @@ from posor_estimator.estimation.posor import Posor
 from posor_estimator.model.native_coordinates import rotation_from_native
 from posor_estimator.model.scan import NO_SOURCE
 from posor_estimator.testing.random_poses import STACKS, TICK_NS
-from posor_estimator.uncertainty.reading_sensitivity import last_sensitivity, sensitivity_at
+from posor_estimator.uncertainty.reading_sensitivity import EstimateMatrices, sensitivity_at
 
 if TYPE_CHECKING:
     from posor_estimator.calibration.designs import DesignName
@@ -41,7 +41,8 @@ def test_the_sensitivity_of_the_last_estimate_is_that_at_its_pose(stack: DesignN
         scan = replace(scans[n], temperature=temperature)
         pose = posor.estimate(scan).T_R_T
         assert pose is not None
-        for found, expected in zip(last_sensitivity(posor), sensitivity_at(posor, scan, pose), strict=True):
+        last = EstimateMatrices.of(posor).sensitivity()
+        for found, expected in zip(last, sensitivity_at(posor, scan, pose), strict=True):
             np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
 
 
