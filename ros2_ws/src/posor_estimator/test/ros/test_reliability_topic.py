@@ -124,6 +124,10 @@ def test_chain_node_bounds_the_endpoint_by_the_worst_undetected_shift_and_the_wa
         assert expansion_bound(expansions).max() == pytest.approx(5.0 * 23e-6 * 0.84836)
         expected = endpoint_protection_level([shifts], [effects], covariance, expansions)
         np.testing.assert_allclose(found, expected, rtol=1e-9)
+        other = graph.publisher(JointReliability, "joint1/reliability")
+        level_after(reliability_message(shifts), lambda level: np.isnan(level).all())
+        graph.node.destroy_publisher(other)
+        level_after(reliability_message(shifts), lambda level: np.isfinite(level).all())
         shifts[2, 2] = math.inf
         unbounded = level_after(reliability_message(shifts), lambda level: np.isinf(level).any())
         np.testing.assert_array_equal(np.isinf(unbounded), np.abs(effects[:, 2]) > 1e-9)
