@@ -22,9 +22,10 @@ from posor_estimator.node_parameters import NodeParameters
 from posor_estimator.ros.composition_file import NodeEntry
 from posor_estimator.ros.message_conversion import is_usable, stamp_ns
 from posor_estimator.ros.node_program import NodeGroup
+from posor_estimator.ros_names import RELIABILITY_TOPIC
 from posor_estimator.testing.graph import Graph, values_of, wait_for_value
 from posor_estimator.testing.program import Program
-from posor_msgs.msg import JointTransform
+from posor_msgs.msg import EndpointState, JointTransform
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
@@ -134,6 +135,17 @@ def test_all_nodes_end_at_a_signal(tmp_path: Path) -> None:
             assert graph.state(name) == "active"
             graph.wait_for_status(f"{name}: lifecycle", "active")
         assert ends_cleanly(program, graph, signal.SIGINT)
+
+
+def test_the_chain_receives_the_reliability_of_a_joint_of_its_process(tmp_path: Path) -> None:
+    with Program([*COMPOSE, str(write_composition(tmp_path, RIG))]), Graph() as graph:
+        states = graph.collect(EndpointState, "/rig/endpoint/state")
+        graph.wait_until(
+            lambda: bool(states) and not any(map(math.isnan, states[-1].protection_level)), "a protection level"
+        )
+        reliability = f"/rig/joint1/{RELIABILITY_TOPIC}"
+        assert graph.node.count_publishers(reliability) == 1
+        assert graph.node.count_subscribers(reliability) == 0  # the bytes do not take the way over DDS
 
 
 class StoppedNode:
