@@ -25,7 +25,7 @@ from posor_estimator.ros.node_program import NodeGroup
 from posor_estimator.ros_names import RELIABILITY_TOPIC
 from posor_estimator.testing.graph import Graph, values_of, wait_for_value
 from posor_estimator.testing.program import Program
-from posor_msgs.msg import EndpointState, JointTransform
+from posor_msgs.msg import EndpointState, JointReliability, JointTransform
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
@@ -146,6 +146,8 @@ def test_the_chain_receives_the_reliability_of_a_joint_of_its_process(tmp_path: 
         reliability = f"/rig/joint1/{RELIABILITY_TOPIC}"
         assert graph.node.count_publishers(reliability) == 1
         assert graph.node.count_subscribers(reliability) == 0  # the bytes do not take the way over DDS
+        graph.node.create_publisher(JointReliability, reliability, 1)
+        graph.wait_until(lambda: all(map(math.isnan, states[-1].protection_level)), "no level with two publishers")
 
 
 class StoppedNode:

@@ -394,7 +394,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             matrices = EstimateMatrices.of(posor)
         fields = reliability_fields(posor, matrices, last.stamp_ns)  # without the lock: no scan waits for it
         data = schema_of_class(JointReliability).encode(fields)
-        run_when_idle(partial(publisher.publish, data))
+        run_when_idle(partial(publisher.publish, data))  # a piece of work of its own
 
 
 def _format_status(state: int, faults: int, excess: str, counts: dict[str, Value], scan: EstimatedScan) -> StatusText:
