@@ -49,25 +49,25 @@ audit: setup
 	@.venv/bin/python -I tools/audit_requirements.py
 
 demo:
-	@./run posor_validation demo --bag $(BAG) --calibration $(CAL)
+	@./run posor_lab demo --bag $(BAG) --calibration $(CAL)
 
 arm:
-	@./run posor_validation arm --arm $(ARM) $(if $(CONTROLLER),--controller $(CONTROLLER))
+	@./run posor_lab arm --arm $(ARM) $(if $(CONTROLLER),--controller $(CONTROLLER))
 
 calibrate-demo:
-	@./run posor_validation calibrate_demo --campaigns $(CAMPAIGNS) --posor $(POSOR)
+	@./run posor_lab calibrate_demo --campaigns $(CAMPAIGNS) --posor $(POSOR)
 
 faults: setup
-	@$(IN_WORKSPACE) -m posor_validation.faults.faults_command $(FAULTS)
+	@$(IN_WORKSPACE) -m posor_lab.faults.faults_command $(FAULTS)
 
 fuzz: setup
-	@$(IN_WORKSPACE) -m posor_validation.fuzz.fuzz_command $(FUZZ)
+	@$(IN_WORKSPACE) -m posor_lab.fuzz.fuzz_command $(FUZZ)
 
 instruments: setup
-	@$(IN_WORKSPACE) -m posor_validation.instruments.trials_command $(INSTRUMENTS)
+	@$(IN_WORKSPACE) -m posor_lab.instruments.trials_command $(INSTRUMENTS)
 
 soak: setup
-	@$(IN_WORKSPACE) -m posor_validation.soak.soak_command $(SOAK)
+	@$(IN_WORKSPACE) -m posor_lab.soak.soak_command $(SOAK)
 
 test: setup
 	@.venv/bin/python -E tools/run_tests.py $(TESTS)
@@ -79,19 +79,19 @@ coverage: setup
 	@.venv/bin/python -E tools/measure_coverage.py
 
 accuracy:
-	@./run posor_validation accuracy $(if $(DESIGN),--design $(DESIGN)) --output build/accuracy.json
+	@./run posor_lab accuracy $(if $(DESIGN),--design $(DESIGN)) --output build/accuracy.json
 
 budgets:
-	@./run posor_validation budgets --output build/budgets.json
+	@./run posor_lab budgets --output build/budgets.json
 
 thesis:
-	@./run posor_validation thesis --output build/thesis.json
+	@./run posor_lab thesis --output build/thesis.json
 
 bench: setup
-	@$(IN_WORKSPACE) -m posor_validation.benchmark.benchmark_command $(BENCH)
+	@$(IN_WORKSPACE) -m posor_lab.benchmark.benchmark_command $(BENCH)
 
 bench-core:
-	@./run posor_validation bench_core --output build/bench_core.json
+	@./run posor_lab bench_core --output build/bench_core.json
 
 data: setup
 	@$(IN_WORKSPACE) data/slocum1985/make_calibrations.py

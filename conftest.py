@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from posor_estimator.ros.ros_domain import leased_domain
+from posor_ros.ros_domain import leased_domain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -13,24 +13,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
+from posor.errors import PosorError
+from posor.messages.message_definitions import MessageTypes
+from posor.ros_names import ENDPOINT_TOPIC, POSE_STAMPED, RAW_SCAN, RAW_TOPIC
 from posor_bringup.arms import load_checked_arm
 from posor_drivers.bag_writer import replace_bag
 from posor_drivers.scan_clock import tick_stamp_ns
 from posor_drivers.simulated_messages import SimulatedMessages
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.sources.source import SourceMessage, Topic
-from posor_estimator.bags.message_definitions import MessageTypes
-from posor_estimator.errors import PosorError
-from posor_estimator.ros.qos import RELIABLE_QOS, SENSOR_QOS
-from posor_estimator.ros_names import ENDPOINT_TOPIC, POSE_STAMPED, RAW_SCAN, RAW_TOPIC
+from posor_lab.arm_study.arm_offline import arm_endpoints
 from posor_msgs.msg import RawScan
-from posor_validation.arm_study.arm_offline import arm_endpoints
+from posor_ros.qos import RELIABLE_QOS, SENSOR_QOS
 from rclpy.serialization import deserialize_message
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from posor_estimator.chain.arm_file import Arm
+    from posor.chain.arm_file import Arm
 
 HERE = Path(__file__).resolve().parent
 ARM = "five_axis"

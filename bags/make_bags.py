@@ -10,12 +10,12 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from posor.errors import PosorError
+from posor.messages.message_definitions import MessageTypes
+from posor.ros_names import RAW_TOPIC
 from posor_drivers.bag_writer import replace_bag
 from posor_drivers.sources.table_source import TableParameters, TableSource
-from posor_estimator.bags.message_definitions import MessageTypes
-from posor_estimator.errors import PosorError
-from posor_estimator.ros.qos import RELIABLE_QOS, SENSOR_QOS
-from posor_estimator.ros_names import RAW_TOPIC
+from posor_ros.qos import RELIABLE_QOS, SENSOR_QOS
 
 HERE = Path(__file__).resolve().parent
 TABLES = HERE.parent / "data/slocum1985"

@@ -1,6 +1,6 @@
 """Estimates the endpoint of a recorded arm without ROS; run it from the repository root."""
 
-from posor_estimator import load_arm
+from posor import load_arm
 
 arm = load_arm("ros2_ws/src/posor_bringup/arms/five_axis/arm.yaml")
 endpoint = arm.estimate("bags/five_axis").endpoint

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from posor_bringup.installed import bag_path, calibration_path, urdf_path
-from posor_estimator.testing.program import installed
+from posor_lab.harness.program import installed
 
 if TYPE_CHECKING:
     from pathlib import Path

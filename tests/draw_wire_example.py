@@ -10,18 +10,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from posor_estimator.estimation.forward import scans_at
-from posor_estimator.model.native_coordinates import rotation_from_native
-from posor_estimator.sensors.base import PlainSensor
-from posor_estimator.testing.random_poses import TICK_NS
+from posor.estimation.forward import scans_at
+from posor.model.native_coordinates import rotation_from_native
+from posor.sensors.base import PlainSensor
+from posor_lab.harness.random_poses import TICK_NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from posor_estimator.estimation.posor import Posor
-    from posor_estimator.estimation.sensor_stack import Stack
-    from posor_estimator.model.scan import Scan, Scans
-    from posor_estimator.numerics.array_types import FloatArray
+    from posor.estimation.posor import Posor
+    from posor.estimation.sensor_stack import Stack
+    from posor.model.scan import Scan, Scans
+    from posor.numerics.array_types import FloatArray
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "posor_draw_wire"
 WIRES = 4

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import Point, Pose, Quaternion
+from posor.calibration.calibration_file import load_calibration
+from posor.chain.kinematic_chain import Chain
+from posor.estimation.posor import Posor
 from posor_bringup.installed import JOINT, bag_path, calibration_path, urdf_path
 from posor_bringup.supervisor import Supervisor
-from posor_estimator.calibration.calibration_file import load_calibration
-from posor_estimator.chain.kinematic_chain import Chain
-from posor_estimator.estimation.posor import Posor
-from posor_estimator.ros.message_conversion import is_usable, scan_from_message, transform_message
-from posor_estimator.ros.node_program import ros_context
-from posor_estimator.ros.ros_domain import leased_domain
+from posor_lab.replay_1985.replay import Replay, ReplayPlan
+from posor_lab.replay_1985.step_collector import StepCollector
 from posor_msgs.msg import JointTransform, RawScan
-from posor_validation.replay_1985.replay import Replay, ReplayPlan
-from posor_validation.replay_1985.step_collector import StepCollector
+from posor_ros.message_conversion import is_usable, scan_from_message, transform_message
+from posor_ros.node_program import ros_context
+from posor_ros.ros_domain import leased_domain
 from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader
 

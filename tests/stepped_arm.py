@@ -13,23 +13,23 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Self
 
 from geometry_msgs.msg import PoseStamped, Vector3Stamped
+from posor.numerics.stamps import NS
 from posor_bringup.arm_programs import arm_programs
 from posor_bringup.arms import load_checked_arm
 from posor_drivers.scan_clock import tick_stamp_ns
 from posor_drivers.simulator.arm_simulation import ArmSimulation
-from posor_estimator.numerics.stamps import NS
-from posor_estimator.ros.message_conversion import is_usable, stamp_ns
-from posor_estimator.testing.graph import LOSSLESS, wait_for_value
-from posor_estimator.testing.program import Program
+from posor_lab.arm_study.tick_outcomes import Dropouts
+from posor_lab.harness.graph import LOSSLESS, wait_for_value
+from posor_lab.harness.program import Program
 from posor_msgs.msg import JointTransform
-from posor_validation.arm_study.tick_outcomes import Dropouts
+from posor_ros.message_conversion import is_usable, stamp_ns
 from rosgraph_msgs.msg import Clock
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from posor_bringup.supervisor import Parameter
-    from posor_estimator.testing.graph import Graph
+    from posor_lab.harness.graph import Graph
 
 PARAMETERS: dict[str, Parameter] = {
     "use_sim_time": True,

@@ -13,11 +13,11 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 import yaml
+from posor.chain.arm_file import Arm, load_arm
+from posor.chain.beam_bending import Tube
+from posor.chain.beams_file import load_beams
 from posor_drivers.simulator.motion_phases import Spline
 from posor_drivers.simulator.scenario import load_scenario
-from posor_estimator.chain.arm_file import Arm, load_arm
-from posor_estimator.chain.beam_bending import Tube
-from posor_estimator.chain.beams_file import load_beams
 
 ROOT = Path(__file__).resolve().parents[1]
 ARMS = ROOT / "ros2_ws" / "src" / "posor_bringup" / "arms"

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import pytest
 import yaml
 from posor_bringup.arms import find_arm
-from posor_estimator.testing.program import Program, installed
-from posor_validation.arm_study.arm_command import main
+from posor_lab.arm_study.arm_command import main
+from posor_lab.harness.program import Program, installed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -50,7 +50,7 @@ def node_processes(output: Path) -> Iterator[int]:
 
 @contextmanager
 def run_arm(output: Path, *arguments: str) -> Iterator[Program]:
-    with Program([*installed("posor_validation", "arm"), "--output", str(output), *arguments]) as program:
+    with Program([*installed("posor_lab", "arm"), "--output", str(output), *arguments]) as program:
         try:
             yield program
         finally:

@@ -13,23 +13,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from posor.bags.reprocess_command import main as reprocess
+from posor.chain.arm_file import DriverFile
 from posor_bringup.arm_programs import arm_programs
 from posor_bringup.arms import find_arm, load_checked_arm
-from posor_estimator.bags.reprocess_command import main as reprocess
-from posor_estimator.chain.arm_file import DriverFile
-from posor_estimator.ros.message_conversion import stamp_ns
-from posor_estimator.testing.graph import Graph, wait_for_value
-from posor_estimator.testing.program import Program
+from posor_lab.arm_study.arm_offline import arm_endpoints
+from posor_lab.harness.graph import Graph, wait_for_value
+from posor_lab.harness.program import Program
 from posor_msgs.msg import JointTransform, RawScan
-from posor_validation.arm_study.arm_offline import arm_endpoints
+from posor_ros.message_conversion import stamp_ns
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
 from tests.rig_replay import all_message_bits, message_bits, read_bag_messages
 
 if TYPE_CHECKING:
+    from posor.numerics.array_types import FloatArray
     from posor_bringup.supervisor import Parameter
-    from posor_estimator.numerics.array_types import FloatArray
 
 BAGS = Path(__file__).resolve().parents[1] / "bags"
 BAG = BAGS / "five_axis"

@@ -12,10 +12,10 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from posor_bringup.bringup import main
 from posor_bringup.installed import bag_path, calibration_path, urdf_path
-from posor_estimator.testing.graph import BEST_EFFORT, Graph
-from posor_estimator.testing.program import Program, installed
+from posor_lab.harness.graph import BEST_EFFORT, Graph
+from posor_lab.harness.program import Program, installed
+from posor_lab.replay_1985.expectations import STEPS
 from posor_msgs.msg import RawScan
-from posor_validation.replay_1985.expectations import STEPS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -14,24 +14,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import yaml
+from posor.bags.recording import POSE, SCALAR, Recording, Track
+from posor.calibration.calibration_file import load_calibration
+from posor_calibration.calibrate_command import main
 from posor_drivers.calibration_bag import entries, write_bag
-from posor_estimator.bags.calibrate_command import main
-from posor_estimator.calibration.calibration_file import load_calibration
-from posor_estimator.identification.recording import POSE, SCALAR, Recording, Track
-from posor_estimator.testing.program import installed
-from posor_validation.campaign.campaign_run import step_arguments
-from posor_validation.campaign.campaign_steps import campaign_steps
-from posor_validation.campaign.ground_truth import GroundTruth
-from posor_validation.campaign.parameter_coverage import compare_with_truth
+from posor_lab.campaign.campaign_run import step_arguments
+from posor_lab.campaign.campaign_steps import campaign_steps
+from posor_lab.campaign.ground_truth import GroundTruth
+from posor_lab.campaign.parameter_coverage import compare_with_truth
+from posor_lab.harness.program import installed
 from scipy.spatial.transform import Rotation
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from posor_estimator.numerics.array_types import FloatArray
-    from posor_validation.campaign.campaign_steps import CampaignStep
-    from posor_validation.campaign.ground_truth import PosorName
+    from posor.numerics.array_types import FloatArray
+    from posor_lab.campaign.campaign_steps import CampaignStep
+    from posor_lab.campaign.ground_truth import PosorName
 
 SEED = 5000
 SOUND = 4.5
@@ -290,7 +290,7 @@ def test_scans_of_another_joint_are_refused(tmp_path: Path) -> None:
     known, output = tmp_path / "elbow.yaml", tmp_path / "out.yaml"
     known.write_text(yaml.safe_dump(other.model_dump(mode="json", exclude_defaults=True)), encoding="utf-8")
     bag = write_bag(tmp_path / "bag", entries(taken))
-    command = [*installed("posor_estimator", "calibrate"), *step_arguments(step, bag, known, output)]
+    command = [*installed("posor_calibration", "calibrate"), *step_arguments(step, bag, known, output)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (1, "")
     assert re.search(r": the scans are of the receiving plate 'receiving'; expected 'elbow_receiving', ", done.stderr)
@@ -305,7 +305,7 @@ def test_a_file_that_was_cut_short_is_refused(tmp_path: Path) -> None:
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     known, output = tmp_path / "in.yaml", tmp_path / "out.yaml"
     known.write_text(yaml.safe_dump(own.as_built.model_dump(mode="json", exclude_defaults=True)), encoding="utf-8")
-    command = [*installed("posor_estimator", "calibrate"), *step_arguments(step, bag, known, output)]
+    command = [*installed("posor_calibration", "calibrate"), *step_arguments(step, bag, known, output)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert re.search(r"mcap, byte \d+: the file was not closed or is cut short; .*'recover'", done.stderr), done.stderr

@@ -12,18 +12,18 @@ from typing import NamedTuple
 
 import pytest
 import yaml
+from posor.bags.calibration_recording import bag_sha256
+from posor.calibration.calibration_file import Calibration, load_calibration
+from posor.calibration.fit_record import FitRecord
+from posor.ros_names import POSE_STAMPED
+from posor_calibration.calibrate_command import main
+from posor_calibration.calibration_comparison import compare_calibrations
+from posor_calibration.outcome_report import MAX_LINES
+from posor_calibration.outcome_tables import WIDTH
+from posor_calibration.procedure_registry import PROCEDURES
 from posor_drivers.calibration_bag import TRANSFORM_STAMPED, TYPES, entries, write_bag
-from posor_estimator.bags.calibrate_command import main
-from posor_estimator.bags.calibration_recording import bag_sha256
-from posor_estimator.calibration.calibration_file import Calibration, load_calibration
-from posor_estimator.calibration.fit_record import FitRecord
-from posor_estimator.identification.calibration_comparison import compare_calibrations
-from posor_estimator.identification.outcome_report import MAX_LINES
-from posor_estimator.identification.outcome_tables import WIDTH
-from posor_estimator.identification.procedure_registry import PROCEDURES
-from posor_estimator.ros_names import POSE_STAMPED
-from posor_estimator.testing.drawn_posor import ABOUT, ALONG, DrawnPosor
-from posor_estimator.testing.program import installed
+from posor_lab.harness.drawn_posor import ABOUT, ALONG, DrawnPosor
+from posor_lab.harness.program import installed
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFIG = ROOT / "ros2_ws" / "src" / "posor_bringup" / "config"
@@ -93,7 +93,7 @@ def fitted(bench: Bench) -> Path:
 
 
 def test_list_names_every_procedure() -> None:
-    command = [*installed("posor_estimator", "calibrate"), "list"]
+    command = [*installed("posor_calibration", "calibrate"), "list"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert {"bundle", "gap_linearisation", "zero_drift"} <= PROCEDURES.keys()

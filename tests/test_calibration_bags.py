@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from posor.bags.calibration_recording import Reference, bag_sha256, load_recording
+from posor.calibration.designs import STANDOFF
+from posor.errors import BagError, PosorError, TrackError
+from posor.model.scan import PROBES_ESTIMATED, SATURATED, Scan
+from posor.numerics.stamps import NS
+from posor.ros_names import POSE_STAMPED
+from posor_calibration.procedures.gap_linearisation import GapLinearisationOptions, linearise_gap_probes
 from posor_drivers.calibration_bag import RAW, TYPES, Entry, entries, point, raw, scalar, transform, write_bag
 from posor_drivers.message_builder import header
-from posor_estimator.bags.calibration_recording import Reference, bag_sha256, load_recording
-from posor_estimator.calibration.designs import STANDOFF
-from posor_estimator.errors import BagError, PosorError, TrackError
-from posor_estimator.identification.procedures.gap_linearisation import GapLinearisationOptions, linearise_gap_probes
-from posor_estimator.model.scan import PROBES_ESTIMATED, SATURATED, Scan
-from posor_estimator.numerics.stamps import NS
-from posor_estimator.ros_names import POSE_STAMPED
-from posor_estimator.testing.simulated_recordings import diode_calibration, lifted_recording
+from posor_lab.harness.simulated_recordings import diode_calibration, lifted_recording
 from posor_msgs.msg import RawScan
 from scipy.spatial.transform import Rotation
 

@@ -13,19 +13,19 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from lifecycle_msgs.msg import Transition
+from posor.bags.reprocess_command import main as reprocess
+from posor.chain.arm_file import DriverFile
+from posor.errors import ParameterError
+from posor.node_parameters import NodeParameters
+from posor.ros_names import RELIABILITY_TOPIC
 from posor_bringup.arm_programs import Layout, arm_programs, group_programs
 from posor_bringup.arms import load_checked_arm
-from posor_estimator.bags.reprocess_command import main as reprocess
-from posor_estimator.chain.arm_file import DriverFile
-from posor_estimator.errors import ParameterError
-from posor_estimator.node_parameters import NodeParameters
-from posor_estimator.ros.composition_file import NodeEntry
-from posor_estimator.ros.message_conversion import is_usable, stamp_ns
-from posor_estimator.ros.node_program import NodeGroup
-from posor_estimator.ros_names import RELIABILITY_TOPIC
-from posor_estimator.testing.graph import Graph, values_of, wait_for_value
-from posor_estimator.testing.program import Program
+from posor_estimator.composition_file import NodeEntry
+from posor_lab.harness.graph import Graph, values_of, wait_for_value
+from posor_lab.harness.program import Program
 from posor_msgs.msg import EndpointState, JointReliability, JointTransform
+from posor_ros.message_conversion import is_usable, stamp_ns
+from posor_ros.node_program import NodeGroup
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
+from posor.errors import CalibrationError
 from posor_bringup.installed import calibration_path, urdf_path
-from posor_estimator.errors import CalibrationError
-from posor_estimator.ros.compose_command import main
-from posor_estimator.ros.composition_file import load_composition
-from posor_estimator.testing.program import Program, error_lines
+from posor_estimator.compose_command import main
+from posor_estimator.composition_file import load_composition
+from posor_lab.harness.program import Program, error_lines
 
 from tests.composed_rig import COMPOSE, NODES, RIG, write_composition
 

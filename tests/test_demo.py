@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from ament_index_python.packages import get_package_prefix, get_package_share_directory
-from posor_validation.replay_1985.replay import TOPICS
+from posor_lab.replay_1985.replay import TOPICS
 
 from tests.rig_replay import read_bag_messages
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     Demo = Callable[..., subprocess.Popen[str]]
 
-DEMO = Path(get_package_prefix("posor_validation"), "lib", "posor_validation", "demo")
+DEMO = Path(get_package_prefix("posor_lab"), "lib", "posor_lab", "demo")
 FIRST_STEP = "   1     0.0"
 
 
@@ -31,7 +31,7 @@ def installed_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     prefix = tmp_path / "prefix"
     packages = prefix / "share" / "ament_index" / "resource_index" / "packages"
     packages.mkdir(parents=True)
-    for package in ("posor_bringup", "posor_validation"):
+    for package in ("posor_bringup", "posor_lab"):
         shutil.copytree(get_package_share_directory(package), prefix / "share" / package)
         (packages / package).touch()
     monkeypatch.setenv("AMENT_PREFIX_PATH", f"{prefix}{os.pathsep}{os.environ['AMENT_PREFIX_PATH']}")
@@ -101,7 +101,7 @@ def test_the_demo_holds_and_writes_its_report(demo: Demo, tmp_path: Path, monkey
 
 @pytest.mark.long
 def test_a_failed_comparison_gives_exit_code_1(demo: Demo, tmp_path: Path, installed_files: Path) -> None:
-    table = installed_files / "posor_validation" / "data" / "ymo_output.csv"
+    table = installed_files / "posor_lab" / "data" / "ymo_output.csv"
     text = table.read_text(encoding="utf-8")
     assert "\n9,0,52,2564,2497," in text
     table.write_text(text.replace("\n9,0,52,2564,2497,", "\n9,0,52,2564,2499,"), encoding="utf-8")

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from posor_bringup.arms import load_checked_arm
-from posor_estimator.design.layout_evaluation import evaluate, extreme_poses
-from posor_estimator.design.layout_geometry import LayoutKind, Shares, arrange
-from posor_estimator.design.layout_search import SearchResult
-from posor_estimator.design.posor_output import output_files, write_files
-from posor_estimator.design.requirement import Requirement
-from posor_estimator.testing.graph import Graph
-from posor_estimator.testing.program import Program, installed
+from posor_design.layout_evaluation import evaluate, extreme_poses
+from posor_design.layout_geometry import LayoutKind, Shares, arrange
+from posor_design.layout_search import SearchResult
+from posor_design.posor_output import output_files, write_files
+from posor_design.requirement import Requirement
+from posor_lab.harness.graph import Graph
+from posor_lab.harness.program import Program, installed
 from posor_msgs.msg import EndpointState, JointTransform
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import yaml
 from ament_index_python.packages import get_package_share_path
-from posor_estimator.testing.graph import Graph
-from posor_estimator.testing.program import Program
+from posor_lab.harness.graph import Graph
+from posor_lab.harness.program import Program
 
 from tests.composed_rig import COMPOSE, RIG, write_composition
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from posor_estimator.testing.program import Program, script
+from posor_lab.harness.program import Program, script
 
 from tests.composed_rig import COMPOSE, RIG, write_composition
 

@@ -14,16 +14,16 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Vector3Stamped
-from posor_estimator.ros.message_conversion import pose_message, stamp_ns
-from posor_estimator.testing.graph import Graph, values_of, wait_for_value
-from posor_estimator.testing.program import Program, ros_arguments, script
+from posor_lab.harness.graph import Graph, values_of, wait_for_value
+from posor_lab.harness.program import Program, ros_arguments, script
+from posor_ros.message_conversion import pose_message, stamp_ns
 
 from tests.stepped_arm import SteppedArm
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from posor_estimator.numerics.array_types import FloatArray
+    from posor.numerics.array_types import FloatArray
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

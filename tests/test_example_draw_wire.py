@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 import pytest
-from posor_estimator.calibration.calibration_file import load_calibration
-from posor_estimator.errors import CalibrationError
-from posor_estimator.estimation.posor import Posor
-from posor_estimator.model.fault import Fault, State
-from posor_estimator.model.native_coordinates import rotation_from_native
-from posor_estimator.ros.message_conversion import pose_from_message
-from posor_estimator.sensors.registry import sensor_types
-from posor_estimator.testing.graph import Graph
-from posor_estimator.testing.program import HAND_FED, Program, installed, ros_arguments
-from posor_estimator.testing.random_poses import errors_in_parent
+from posor.calibration.calibration_file import load_calibration
+from posor.errors import CalibrationError
+from posor.estimation.posor import Posor
+from posor.model.fault import Fault, State
+from posor.model.native_coordinates import rotation_from_native
+from posor.sensors.registry import sensor_types
+from posor_lab.harness.graph import Graph
+from posor_lab.harness.program import HAND_FED, Program, installed, ros_arguments
+from posor_lab.harness.random_poses import errors_in_parent
 from posor_msgs.msg import JointTransform, RawScan
+from posor_ros.message_conversion import pose_from_message
 from scipy.stats import chi2
 
 from tests.draw_wire_example import EXAMPLE, WIRES, Overlay, built, fourth_order, one_scan, poses, read_by, wires_of
@@ -30,15 +30,15 @@ from tests.draw_wire_example import EXAMPLE, WIRES, Overlay, built, fourth_order
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from posor_estimator.model.scan import Scan
-    from posor_estimator.numerics.array_types import FloatArray
-    from posor_estimator.sensors.base import PlainSensor
+    from posor.model.scan import Scan
+    from posor.numerics.array_types import FloatArray
+    from posor.sensors.base import PlainSensor
 
 RELATIVE = 1e-6
 
 TELL_TYPES = """
 import json
-from posor_estimator.sensors.registry import sensor_types
+from posor.sensors.registry import sensor_types
 print(json.dumps({name: found.__module__ + ":" + found.__qualname__ for name, found in sensor_types().items()}))
 """
 

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from posor_bringup.arm_programs import arm_programs, group_programs
-from posor_estimator.ros.message_conversion import stamp_ns
-from posor_estimator.testing.graph import Graph
-from posor_estimator.testing.program import Program, ros_arguments, script
-from posor_validation.faults.fault_arm import write_fault_arm
+from posor_lab.faults.fault_arm import write_fault_arm
+from posor_lab.harness.graph import Graph
+from posor_lab.harness.program import Program, ros_arguments, script
+from posor_ros.message_conversion import stamp_ns
 
 if TYPE_CHECKING:
     from posor_bringup.supervisor import Program as NodeProgram
-    from posor_validation.faults.fault_table import Arm
+    from posor_lab.faults.fault_table import Arm
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

@@ -6,20 +6,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from posor.bags.calibration_recording import read_scans
+from posor.bags.recover_command import recover
+from posor.bags.reprocess_command import main as reprocess
+from posor.calibration import calibration_file
+from posor.calibration.calibration_file import load_calibration
+from posor.chain import arm_file, beams_file
+from posor.chain.arm_file import load_arm
+from posor.chain.beams_file import load_beams
+from posor.errors import BagError, CalibrationError
+from posor.messages.message_definitions import MessageTypes
+from posor.ros_names import RAW_SCAN
 from posor_bringup.arms import load_checked_arm
 from posor_bringup.installed import calibration_path
 from posor_drivers.simulator.scenario import load_scenario
-from posor_estimator.bags.calibration_recording import read_scans
-from posor_estimator.bags.message_definitions import MessageTypes
-from posor_estimator.bags.recover_command import recover
-from posor_estimator.bags.reprocess_command import main as reprocess
-from posor_estimator.calibration import calibration_file
-from posor_estimator.calibration.calibration_file import load_calibration
-from posor_estimator.chain import arm_file, beams_file
-from posor_estimator.chain.arm_file import load_arm
-from posor_estimator.chain.beams_file import load_beams
-from posor_estimator.errors import BagError, CalibrationError
-from posor_estimator.ros_names import RAW_SCAN
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from tests.rig_replay import read_bag_messages

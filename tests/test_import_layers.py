@@ -10,7 +10,7 @@ import grimp
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("posor_estimator", "posor_drivers", "posor_bringup", "posor_validation")
+PACKAGES = ("posor_estimator", "posor_drivers", "posor_bringup", "posor_lab")
 LAYERS = (  # lowest first; packages of one line may import each other
     ("errors", "input_text", "lazy_program", "estimator_programs", "reporting", "ros_names"),
     ("numerics", "compilation"),
@@ -25,7 +25,7 @@ LAYERS = (  # lowest first; packages of one line may import each other
     ("testing",),
     ("posor_drivers",),
     ("posor_bringup",),
-    ("posor_validation",),
+    ("posor_lab",),
 )
 LEVELS = {name: level for level, names in enumerate(LAYERS) for name in names}
 ROS_LIBRARIES = {"rclpy", "ament_index_python", "launch", "rosidl_parser", "rosidl_runtime_py", "tf2_msgs"}

@@ -9,19 +9,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 import yaml
+from posor.calibration.calibration_file import load_calibration
+from posor.chain.arm_file import load_arm
+from posor.sensors.diodes import DiodesCalibration
+from posor.sensors.gap_probes import GapProbesCalibration
 from posor_bringup.arms import find_arm, load_checked_arm
 from posor_drivers.instruments.instruments_command import main as instruments
 from posor_drivers.instruments.instruments_file import load_instruments
 from posor_drivers.simulator.arm_simulation import ArmSimulation
-from posor_estimator.calibration.calibration_file import load_calibration
-from posor_estimator.chain.arm_file import load_arm
-from posor_estimator.ros.node_program import ros_context
-from posor_estimator.sensors.diodes import DiodesCalibration
-from posor_estimator.sensors.gap_probes import GapProbesCalibration
-from posor_validation.faults.device_faults import DEVICE_FAULTS, DeviceRun
-from posor_validation.instruments.device_trials import TRIALS, DeviceTrial
-from posor_validation.instruments.trial_run import run_trial
-from posor_validation.instruments.trials_command import main as trials
+from posor_lab.faults.device_faults import DEVICE_FAULTS, DeviceRun
+from posor_lab.instruments.device_trials import TRIALS, DeviceTrial
+from posor_lab.instruments.trial_run import run_trial
+from posor_lab.instruments.trials_command import main as trials
+from posor_ros.node_program import ros_context
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from posor_estimator.lazy_program import LazyProgram, interrupts_blocked
-from posor_estimator.testing.program import Program, installed, script
+from posor.lazy_program import LazyProgram, interrupts_blocked
+from posor_lab.harness.program import Program, installed, script
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("posor_bringup", "posor_drivers", "posor_estimator", "posor_validation")
+PACKAGES = ("posor_bringup", "posor_drivers", "posor_estimator", "posor_lab")
 PROGRAMS = [
     program
     for program in entry_points(group="console_scripts")
@@ -98,7 +98,7 @@ def test_a_limit_that_is_too_low_is_one_sentence(limit: str, sentence: str) -> N
 
 GREEDY_PROGRAM = """\
 import sys
-from posor_estimator.lazy_program import LazyProgram
+from posor.lazy_program import LazyProgram
 
 def main():
     files, buffers = [], []

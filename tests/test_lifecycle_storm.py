@@ -10,8 +10,8 @@ from geometry_msgs.msg import PoseStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from posor_bringup.installed import bag_path
-from posor_estimator.testing.graph import Graph
-from posor_estimator.testing.program import Program, installed, ros_arguments
+from posor_lab.harness.graph import Graph
+from posor_lab.harness.program import Program, installed, ros_arguments
 
 from tests.composed_rig import COMPOSE, NODES, RIG, write_composition
 

@@ -12,18 +12,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import posor_estimator
+import posor
 import pytest
 from geometry_msgs.msg import PoseStamped
+from posor.model.fault import State
+from posor.numerics import compiled
 from posor_bringup.arms import find_arm
-from posor_estimator.model.fault import State
-from posor_estimator.numerics import compiled
 from rclpy.serialization import deserialize_message
 
 from tests.rig_replay import read_bag_messages
 
 if TYPE_CHECKING:
-    from posor_estimator.chain.arm_file import ParameterValue
+    from posor.chain.arm_file import ParameterValue
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "ros2_ws" / "src" / "posor_estimator"
@@ -43,7 +43,7 @@ print(json.dumps(result), file=sys.stderr)
 IMPORT = """
 import sys, time
 begin = time.perf_counter()
-import posor_estimator
+import posor
 print(time.perf_counter() - begin, "numpy" in sys.modules)
 """
 
@@ -108,19 +108,19 @@ def test_the_example_is_short_and_uses_public_names_only() -> None:
     lines = EXAMPLE.read_text(encoding="utf-8").splitlines()
     assert len(lines) <= MAX_EXAMPLE_LINES
     imports = [line for line in lines if "import" in line and not line.startswith('"""')]
-    assert imports == ["from posor_estimator import load_arm"]
+    assert imports == ["from posor import load_arm"]
 
 
 def test_every_public_name_exists_and_others_do_not() -> None:
-    assert dir(posor_estimator) == sorted(posor_estimator.__all__)
-    for name in posor_estimator.__all__:
+    assert dir(posor_estimator) == sorted(posor.__all__)
+    for name in posor.__all__:
         assert getattr(posor_estimator, name).__name__ == name
     with pytest.raises(AttributeError, match=r"^module 'posor_estimator' has no attribute 'estimate_bag'$"):
-        _ = posor_estimator.estimate_bag
+        _ = posor.estimate_bag
 
 
 def test_an_arm_gives_joints_and_endpoint_with_covariances_as_arrays() -> None:
-    arm = posor_estimator.load_arm(find_arm("five_axis"))
+    arm = posor.load_arm(find_arm("five_axis"))
     estimates = arm.estimate(BAG)
     assert list(estimates.joints) == list(arm.calibrations)
     elbow, endpoint = estimates.joints["elbow"], estimates.endpoint
@@ -131,13 +131,13 @@ def test_an_arm_gives_joints_and_endpoint_with_covariances_as_arrays() -> None:
     np.testing.assert_allclose(endpoint.standard_uncertainties**2, variances, rtol=1e-14)
     random, systematic = (arm.estimate(BAG, covariance=kind).joints["elbow"] for kind in ("random", "systematic"))
     np.testing.assert_array_equal(random.covariances + systematic.covariances, elbow.covariances)
-    tables = posor_estimator.to_arrow(estimates)
+    tables = posor.to_arrow(estimates)
     assert tables["endpoint"].column_names[-5:] == [f"angle_{joint}" for joint in estimates.chain]
     np.testing.assert_array_equal(tables["elbow"]["cov_x_x"].to_numpy(), elbow.covariances[:, 0, 0])
 
 
 def test_an_arm_is_estimated_with_the_parameters_of_its_file() -> None:
-    arm = posor_estimator.load_arm(find_arm("five_axis"))
+    arm = posor.load_arm(find_arm("five_axis"))
     elbow: dict[str, ParameterValue] = {"covariance": "random", "false_alarm": 0.1}
     stated = replace(arm, posor_parameters={**arm.posor_parameters, "elbow": elbow})
     estimates, usual = stated.estimate(BAG), arm.estimate(BAG)
@@ -150,11 +150,11 @@ def test_an_arm_is_estimated_with_the_parameters_of_its_file() -> None:
 
 
 def test_scans_of_a_bag_are_estimated_one_by_one_or_all_at_once() -> None:
-    scans = posor_estimator.read_scans(BAG, "/five_axis/elbow/raw")
-    arm = posor_estimator.load_arm(find_arm("five_axis"))
+    scans = posor.read_scans(BAG, "/five_axis/elbow/raw")
+    arm = posor.load_arm(find_arm("five_axis"))
     joint = arm.estimate(BAG).joints["elbow"]
     assert scans.stamps_ns.tolist() == joint.stamps_ns.tolist()
-    assert posor_estimator.to_arrow(scans)["gap_voltage_0"].to_pylist() == scans.gap_voltages[:, 0].tolist()
+    assert posor.to_arrow(scans)["gap_voltage_0"].to_pylist() == scans.gap_voltages[:, 0].tolist()
 
 
 @pytest.mark.parametrize(
@@ -163,10 +163,10 @@ def test_scans_of_a_bag_are_estimated_one_by_one_or_all_at_once() -> None:
 def test_a_missing_library_is_named(function: str, library: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(posor_estimator.ParameterError) as caught:
-        getattr(posor_estimator, function)(posor_estimator.read_scans(BAG, "/five_axis/elbow/raw"))
+        getattr(posor_estimator, function)(posor.read_scans(BAG, "/five_axis/elbow/raw"))
     assert str(caught.value) == f"{function}: the Python library '{library}' is not installed; expected {library}."
 
 
 def test_data_that_cannot_be_a_table_are_refused() -> None:
     with pytest.raises(posor_estimator.ParameterError, match=r"^data of type list cannot be a table; expected ArmEst"):
-        posor_estimator.to_arrow([])  # type: ignore[arg-type]
+        posor.to_arrow([])  # type: ignore[arg-type]

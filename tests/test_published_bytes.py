@@ -12,10 +12,10 @@ import pytest
 from posor_bringup.arm_programs import LAYOUTS, Layout, arm_programs, group_programs
 from posor_bringup.arms import load_checked_arm
 from posor_bringup.installed import bag_path, calibration_path, urdf_path
-from posor_estimator.ros.message_classes import message_class
-from posor_estimator.ros.qos import LATCHED_QOS
-from posor_estimator.testing.graph import BEST_EFFORT, LOSSLESS, Graph
-from posor_estimator.testing.program import Program
+from posor_lab.harness.graph import BEST_EFFORT, LOSSLESS, Graph
+from posor_lab.harness.program import Program
+from posor_ros.message_classes import message_class
+from posor_ros.qos import LATCHED_QOS
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tests.composed_rig import COMPOSE, write_composition

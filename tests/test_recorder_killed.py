@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from posor.bags.provenance import custom_data, provenance_of
+from posor.bags.recover_command import recover
+from posor.bags.reprocess_task import Settings
+from posor.chain.arm_file import load_arm
+from posor.errors import BagError
 from posor_bringup.arms import find_arm
-from posor_estimator.bags.provenance import custom_data, provenance_of
-from posor_estimator.bags.recover_command import recover
-from posor_estimator.bags.reprocess_task import Settings
-from posor_estimator.chain.arm_file import load_arm
-from posor_estimator.errors import BagError
-from posor_estimator.testing.graph import Graph
-from posor_estimator.testing.program import Program, installed
+from posor_lab.harness.graph import Graph
+from posor_lab.harness.program import Program, installed
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import UInt64

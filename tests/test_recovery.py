@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
-from posor_estimator.model.fault import State
-from posor_estimator.ros.message_conversion import stamp_ns
+from posor.model.fault import State
+from posor_lab.replay_1985.expectations import STEPS
+from posor_lab.replay_1985.replay import TOPICS
 from posor_msgs.msg import JointTransform
-from posor_validation.replay_1985.expectations import STEPS
-from posor_validation.replay_1985.replay import TOPICS
+from posor_ros.message_conversion import stamp_ns
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.serialization import deserialize_message
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from geometry_msgs.msg import Pose
-    from posor_validation.replay_1985.replay import Replay
+    from posor_lab.replay_1985.replay import Replay
 
 RAW, TRANSFORM, ENDPOINT, TRUTH = TOPICS
 FURTHER_POSES = 5

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
+from posor.model.fault import Fault, State
+from posor.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED
 from posor_bringup.installed import BAGS, CALIBRATIONS, Bag, CalibrationName
-from posor_estimator.model.fault import Fault, State
-from posor_estimator.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED
+from posor_lab.replay_1985.comparison import compare_with_thesis
+from posor_lab.replay_1985.expectations import STEPS
+from posor_lab.replay_1985.motion_test import MotionTest
+from posor_lab.replay_1985.printed_results import PRINTED_FILES, read_printed
+from posor_lab.replay_1985.replay import TOPICS
+from posor_lab.reports.findings import Verdict
+from posor_lab.thesis_data import data_path
 from posor_msgs.msg import JointTransform
-from posor_validation.replay_1985.comparison import compare_with_thesis
-from posor_validation.replay_1985.expectations import STEPS
-from posor_validation.replay_1985.motion_test import MotionTest
-from posor_validation.replay_1985.printed_results import PRINTED_FILES, read_printed
-from posor_validation.replay_1985.replay import TOPICS
-from posor_validation.reports.findings import Verdict
-from posor_validation.thesis_data import data_path
 from rclpy.serialization import deserialize_message
 
 from tests.rig_replay import (
@@ -34,8 +34,8 @@ from tests.rig_replay import (
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from posor_estimator.numerics.array_types import FloatArray
-    from posor_validation.replay_1985.replay import ReplayPlan
+    from posor.numerics.array_types import FloatArray
+    from posor_lab.replay_1985.replay import ReplayPlan
 
 RAW, TRANSFORM, ENDPOINT, TRUTH = TOPICS
 ALPHA, BETA, THETA = range(3)

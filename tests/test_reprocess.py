@@ -17,12 +17,12 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 from geometry_msgs.msg import PoseStamped
+from posor.bags.reprocess_command import main
+from posor.model.fault import State
 from posor_bringup.arms import find_arm, load_checked_arm
 from posor_bringup.installed import calibration_path, urdf_path
-from posor_estimator.bags.reprocess_command import main
-from posor_estimator.model.fault import State
-from posor_estimator.ros.message_conversion import pose_from_message
 from posor_msgs.msg import JointTransform
+from posor_ros.message_conversion import pose_from_message
 from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
@@ -225,14 +225,14 @@ YMO = str(BAGS / "ymo")
 def test_an_invalid_command_line_is_refused_in_one_sentence(
     arguments: list[str], said: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("posor_estimator.bags.executors.CONNECT_WITHIN_S", 1)
+    monkeypatch.setattr("posor.bags.executors.CONNECT_WITHIN_S", 1)
     assert said in refused(capsys, *arguments)
 
 
 def test_a_server_that_does_not_answer_is_no_scheduler(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("posor_estimator.bags.executors.CONNECT_WITHIN_S", 1)
+    monkeypatch.setattr("posor.bags.executors.CONNECT_WITHIN_S", 1)
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
         said = refused(capsys, YMO, *CALIBRATION, "--scheduler", address)

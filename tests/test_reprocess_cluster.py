@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 
 import dask
 import pytest
+from posor.bags.reprocess_command import main
+from posor.bags.result_folder import UNFINISHED
 from posor_bringup.arms import find_arm, load_checked_arm
 from posor_bringup.installed import bag_path, calibration_path
-from posor_estimator.bags.reprocess_command import main
-from posor_estimator.bags.result_folder import UNFINISHED
-from posor_estimator.testing.program import Program, installed, wait_until
-from posor_validation.benchmark.offline_benchmark import repeat_bag
+from posor_lab.benchmark.offline_benchmark import repeat_bag
+from posor_lab.harness.program import Program, installed, wait_until
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -77,7 +77,7 @@ def test_the_results_are_whole_and_the_same_though_a_worker_is_killed(bags: Path
         for worker in workers:
             worker.wait_for_line("Registered to:")
         command = [*given, "--output", str(tmp_path / "cluster"), "--scheduler", address]
-        client = stack.enter_context(Program([*installed("posor_estimator", "reprocess"), *command]))
+        client = stack.enter_context(Program([*installed("posor", "reprocess"), *command]))
         wait_until(lambda: any(map(at_work, workers)), "a worker at work", lambda: time.sleep(0.01))
         victim = next(worker for worker in workers if at_work(worker))
         os.kill(victim.process.pid, signal.SIGKILL)
@@ -131,7 +131,7 @@ def test_a_cluster_with_tls_has_the_same_results_and_refuses_others(
         assert said(capsys, *given, "--scheduler", plain) == (
             f"option --scheduler: {plain} is not encrypted; expected tls://, as Dask's configuration says."
         )
-        monkeypatch.setattr("posor_estimator.bags.executors.CONNECT_WITHIN_S", 1)
+        monkeypatch.setattr("posor.bags.executors.CONNECT_WITHIN_S", 1)
         dask.config.set({"distributed.comm.require-encryption": False})
         assert said(capsys, *given, "--scheduler", plain).startswith(
             f"option --scheduler: no Dask scheduler answers at {plain}; "

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from posor.bags.reprocess_command import main
 from posor_bringup.arms import find_arm
-from posor_estimator.bags.reprocess_command import main
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.rosbag2.storage_mcap import McapWriter
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import pyarrow as pa
 import pyarrow.parquet
 import pytest
+from posor.bags.reprocess_command import main
+from posor.bags.result_folder import FORMER, MARK, NEW, UNFINISHED, clear_unfinished
 from posor_bringup.installed import calibration_path
-from posor_estimator.bags.reprocess_command import main
-from posor_estimator.bags.result_folder import FORMER, MARK, NEW, UNFINISHED, clear_unfinished
 
 if TYPE_CHECKING:
     from collections.abc import Callable

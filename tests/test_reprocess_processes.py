@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from posor.bags.result_folder import UNFINISHED
 from posor_bringup.arms import find_arm, load_checked_arm
-from posor_estimator.bags.result_folder import UNFINISHED
-from posor_estimator.testing.program import Program, installed, wait_until
-from posor_validation.benchmark.offline_benchmark import repeat_bag
+from posor_lab.benchmark.offline_benchmark import repeat_bag
+from posor_lab.harness.program import Program, installed, wait_until
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -46,7 +46,7 @@ def program(bags: Path, names: tuple[str, ...], output: Path) -> Program:
     given = [*(str(bags / name) for name in names), *ARM, "--output", str(output), "--jobs", "2"]
     former = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        return Program(["setsid", *installed("posor_estimator", "reprocess"), *given])
+        return Program(["setsid", *installed("posor", "reprocess"), *given])
     finally:
         signal.signal(signal.SIGINT, former)
 

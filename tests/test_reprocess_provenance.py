@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from posor.bags.offline_arm import load_arm as load_offline_arm
+from posor.bags.provenance import SOFTWARE, custom_data, provenance_of
+from posor.bags.reprocess_command import main
+from posor.bags.reprocess_task import Settings
+from posor.chain.arm_file import load_arm
+from posor.errors import BagError
+from posor.messages.message_definitions import MessageTypes
+from posor.ros_names import RAW_SCAN
 from posor_bringup.arms import find_arm
 from posor_drivers.bag_writer import BagWriter
-from posor_estimator.bags.message_definitions import MessageTypes
-from posor_estimator.bags.offline_arm import load_arm as load_offline_arm
-from posor_estimator.bags.provenance import SOFTWARE, custom_data, provenance_of
-from posor_estimator.bags.reprocess_command import main
-from posor_estimator.bags.reprocess_task import Settings
-from posor_estimator.chain.arm_file import load_arm
-from posor_estimator.errors import BagError
-from posor_estimator.ros_names import RAW_SCAN
 from rosbags.rosbag2 import Reader
 
 if TYPE_CHECKING:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
+from posor.ros_names import JOINT_STATES_TOPIC
 from posor_bringup.arms import load_checked_arm
-from posor_estimator.ros_names import JOINT_STATES_TOPIC
 
 CONFIG = Path(__file__).resolve().parent.parent / "ros2_ws/src/posor_ros2_control/config/five_axis.ros2_control.xacro"
 XACRO = "{http://www.ros.org/wiki/xacro}"

@@ -17,14 +17,14 @@ import pytest
 from posor_bringup.arm_programs import LAYOUTS, arm_programs, group_programs
 from posor_bringup.arms import load_checked_arm
 from posor_drivers.driver_node import DriverNode
-from posor_estimator.ros.chain_node import ChainNode
-from posor_estimator.ros.posor_node import PosorEstimatorNode
-from posor_estimator.testing.graph import Graph
-from posor_estimator.testing.in_process_nodes import NodeProcess, run_refused_node
-from posor_estimator.testing.program import Program, installed
+from posor_estimator.chain_node import ChainNode
+from posor_estimator.posor_node import PosorEstimatorNode
+from posor_lab.harness.graph import Graph
+from posor_lab.harness.in_process_nodes import NodeProcess, run_refused_node
+from posor_lab.harness.program import Program, installed
 
 if TYPE_CHECKING:
-    from posor_estimator.ros.lifecycle_node import PosorNode
+    from posor_ros.lifecycle_node import PosorNode
     from rclpy.node import Node
 
 pytestmark = pytest.mark.usefixtures("ros_domain")

@@ -9,10 +9,10 @@ from textwrap import dedent
 import numpy as np
 import pytest
 import yaml
-from posor_estimator.calibration.calibration_file import calibration_from
-from posor_estimator.estimation.sensor_stack import Stack
-from posor_estimator.sensors.bumpy_ring import BumpyRing
-from posor_estimator.sensors.registry import sensor_types
+from posor.calibration.calibration_file import calibration_from
+from posor.estimation.sensor_stack import Stack
+from posor.sensors.bumpy_ring import BumpyRing
+from posor.sensors.registry import sensor_types
 
 ROOT = Path(__file__).resolve().parents[1]
 SENSORS = (ROOT / "docs" / "reference" / "sensors.md").read_text(encoding="utf-8")
@@ -75,7 +75,7 @@ def test_excerpts_occur_in_the_example() -> None:
 
 
 def test_files_named_in_the_page_exist() -> None:
-    package = ROOT / "ros2_ws/src/posor_estimator/posor_estimator"
+    package = ROOT / "ros2_ws/src/posor/posor_estimator"
     names = re.findall(r"`([\w./]+\.py|[\w]+/[\w./]+)`", ADDING)
     assert len(names) > 5
     for name in names:

@@ -85,14 +85,14 @@ def test_this_checkout_is_up_to_date() -> None:
 @pytest.mark.parametrize(
     ("name", "imports", "rebuilds"),
     [
-        ("numerics/compiled.py", "posor_estimator.numerics.compiled", True),
-        ("model/gap.py", "posor_estimator.numerics.compiled", True),
+        ("numerics/compiled.py", "posor.numerics.compiled", True),
+        ("model/gap.py", "posor.numerics.compiled", True),
         ("model/fault.py", "enum", True),  # its constants are compiled into kernels
-        ("ros/gap.py", "posor_estimator.numerics.compiled", False),
+        ("ros/gap.py", "posor.numerics.compiled", False),
     ],
 )
 def test_changed_kernels_are_compiled_by_the_set_up(tmp_path: Path, name: str, imports: str, *, rebuilds: bool) -> None:
-    file = tmp_path / "ros2_ws/src/posor_estimator/posor_estimator" / name
+    file = tmp_path / "ros2_ws/src/posor/posor_estimator" / name
     file.parent.mkdir(parents=True)
     inputs = []
     for number in (1, 2):

@@ -6,7 +6,7 @@ import json
 from typing import TYPE_CHECKING
 
 import pytest
-from posor_validation.soak.soak_command import main
+from posor_lab.soak.soak_command import main
 
 if TYPE_CHECKING:
     from pathlib import Path

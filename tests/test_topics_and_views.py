@@ -10,9 +10,9 @@ from xml.etree import ElementTree as ET
 import pytest
 import yaml
 from posor_bringup.tool_views import VIEWS
-from posor_estimator.ros.message_classes import message_class
-from posor_estimator.testing.graph import Graph
-from posor_estimator.testing.program import Program, installed
+from posor_lab.harness.graph import Graph
+from posor_lab.harness.program import Program, installed
+from posor_ros.message_classes import message_class
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 
 if TYPE_CHECKING:

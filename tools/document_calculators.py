@@ -6,14 +6,14 @@ import textwrap
 from typing import TYPE_CHECKING
 
 from environment import THIS
-from posor_estimator.design.calculator_signature import read_signature
-from posor_estimator.design.calculators import CALCULATORS
-from posor_estimator.design.value_kinds import format_value, name_kind
+from posor_design.calculator_signature import read_signature
+from posor_design.calculators import CALCULATORS
+from posor_design.value_kinds import format_value, name_kind
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from posor_estimator.design.calculator_signature import CalculatorSignature, Value
+    from posor_design.calculator_signature import CalculatorSignature, Value
 
 PAGE = THIS.root / "docs" / "reference" / "design_calculators.md"
 WIDTH = 110
@@ -21,7 +21,7 @@ WIDTH = 110
 INTRODUCTION = """# Design calculators
 
 `posor design NAME` computes a part of a POSOR or of its structure from dimensions. `make docs` writes this page from
-the functions in `posor_estimator/design/`; `posor design NAME --help` prints the same.
+the functions in `posor_design/`; `posor design NAME --help` prints the same.
 
 ## Minimal example
 
@@ -40,7 +40,7 @@ values of one argument, as in `'6, 24 in'`. A negative number is written `--name
 Each calculator is a function of the public Python API, with arguments and results in SI units:
 
 ```python
-from posor_estimator.design import FUNCTION
+from posor_design import FUNCTION
 ```
 
 A wrong argument is one sentence and exit code 2. [`make thesis`](../background/thesis_table.md) compares these
@@ -68,7 +68,7 @@ def _render_calculator(signature: CalculatorSignature) -> str:
         _command(signature),
         _table(("argument", "unit", "meaning", "default"), arguments),
         _table(("result", "unit", "meaning"), results),
-        f"Function: `posor_estimator.design.{signature.function.__name__}`. Source: {signature.source}",
+        f"Function: `posor_design.{signature.function.__name__}`. Source: {signature.source}",
     ]
     return "\n\n".join(filter(None, parts)).replace("``", "`") + "\n"
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from environment import THIS
+from posor.node_parameters import ChainParameters, NodeParameters, PosorParameters
+from posor.parameter_model import ParameterSpec, parameter_specs
 from posor_drivers.driver_parameters import LiveDriverParameters, ReplayDriverParameters
-from posor_estimator.node_parameters import ChainParameters, NodeParameters, PosorParameters
-from posor_estimator.parameter_model import ParameterSpec, parameter_specs
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 PAGE = THIS.root / "docs" / "reference" / "parameters.md"
 INTRODUCTION = """# Parameters of the nodes
 
-`make docs` writes this page from the declarations in `posor_estimator/node_parameters.py` and
+`make docs` writes this page from the declarations in `posor/node_parameters.py` and
 `posor_drivers/driver_parameters.py`. The same declarations produce `--help`, `ros2 param describe` and the error
 messages. An invalid value or an unknown name ends the start of a node with exit code 2 and one sentence.
 

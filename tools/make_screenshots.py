@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING
 
 from environment import THIS
 from playwright.sync_api import sync_playwright
+from posor.errors import PosorError
+from posor.reporting.program_errors import reports_errors
 from posor_bringup.arm_programs import arm_programs, group_programs
-from posor_estimator.errors import PosorError
-from posor_estimator.reporting.program_errors import reports_errors
-from posor_estimator.testing.program import Program
-from posor_validation.faults.fault_arm import write_fault_arm
+from posor_lab.faults.fault_arm import write_fault_arm
+from posor_lab.harness.program import Program
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

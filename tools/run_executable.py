@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 USAGE = "usage: ./run PACKAGE EXECUTABLE [arguments]"
-LAZY_PACKAGES = ("posor_bringup", "posor_drivers", "posor_estimator", "posor_validation")
+LAZY_PACKAGES = ("posor_bringup", "posor_drivers", "posor_estimator", "posor_lab")
 """Packages whose programs may start with SIGINT and SIGTERM blocked: they allow both when they have their handlers
-(``posor_estimator.lazy_program``). A signal before that would end Python itself with a traceback."""
+(``posor.lazy_program``). A signal before that would end Python itself with a traceback."""
 
 
 def find_executable(package: str, name: str, environ: Mapping[str, str]) -> Path:

@@ -42,7 +42,7 @@ WITHOUT_ROS = tuple(  # folders whose tests make no ROS context and share a proc
             *("numerics", "model", "sensors", "estimation", "chain", "calibration", "identification", "uncertainty"),
             *("bags", "design", "reporting"),
         ),
-        "posor_validation": ("accuracy", "benchmark", "campaign", "thesis_budgets", "thesis_table"),
+        "posor_lab": ("accuracy", "benchmark", "campaign", "thesis_budgets", "thesis_table"),
     }.items()
     for folder in folders
 )

@@ -23,7 +23,7 @@ SOURCES_CHANGED = "sources changed"
 KERNEL_FILES = tuple(
     f"src/posor_estimator/posor_estimator/{pattern}"
     for pattern in ("numerics/*.py", "model/*.py", "estimation/*.py", "chain/*.py", "bags/byte_kernels.py")
-)  # as in posor_estimator.numerics.compiled
+)  # as in posor.numerics.compiled
 
 
 def environment_inputs(workspace: Workspace, *, official: bool) -> str:

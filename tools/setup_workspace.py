@@ -155,7 +155,7 @@ class Setup:
             variables = self.read_added_variables()
         if kernel_files(workspace):
             with self.report.step("compile the kernels of the measurement model", "kernels.log"):
-                command = [str(workspace.python), "-m", "posor_estimator.warm_up"]
+                command = [str(workspace.python), "-m", "posor.warm_up"]
                 failure = "the kernels cannot be compiled"
                 self.report.run(command, with_variables(self.environ, variables), failure)
         environment = read_stamp(workspace.environment_stamp)["inputs"]

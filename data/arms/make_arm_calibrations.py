@@ -11,11 +11,11 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from posor_estimator.calibration.designs import SizedDesignName, design, sized_design
-from posor_estimator.calibration.document_text import document_text
+from posor.calibration.designs import SizedDesignName, design, sized_design
+from posor.calibration.document_text import document_text
 
 if TYPE_CHECKING:
-    from posor_estimator.calibration.calibration_file import Calibration
+    from posor.calibration.calibration_file import Calibration
 
 HERE = Path(__file__).resolve().parent
 DEFAULT_OUTPUT = HERE.parents[1] / "ros2_ws/src/posor_bringup/arms"

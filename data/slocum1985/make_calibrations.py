@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from posor_estimator.calibration.document_text import document_text
+from posor.calibration.document_text import document_text
 
 HERE = Path(__file__).resolve().parent
 DEFAULT_OUTPUT = HERE.parents[1] / "ros2_ws/src/posor_bringup/config"

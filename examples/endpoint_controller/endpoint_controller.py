@@ -24,22 +24,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Vector3Stamped
-from posor_estimator.chain.time_synchroniser import TimeSynchroniser
-from posor_estimator.node_parameters import NodeParameters
-from posor_estimator.ros.diagnostics import Level
-from posor_estimator.ros.intra_process import IntraProcessPublisher
-from posor_estimator.ros.lifecycle_node import PosorNode
-from posor_estimator.ros.message_classes import schema_of_class
-from posor_estimator.ros.message_conversion import pose_from_message, stamp_ns
-from posor_estimator.ros.node_program import run_node
-from posor_estimator.ros.qos import RELIABLE_QOS
-from posor_estimator.ros_names import ENDPOINT_COVARIANCE_TOPIC
+from posor.chain.time_synchroniser import TimeSynchroniser
+from posor.node_parameters import NodeParameters
+from posor.ros_names import ENDPOINT_COVARIANCE_TOPIC
+from posor_ros.diagnostics import Level
+from posor_ros.intra_process import IntraProcessPublisher
+from posor_ros.lifecycle_node import PosorNode
+from posor_ros.message_classes import schema_of_class
+from posor_ros.message_conversion import pose_from_message, stamp_ns
+from posor_ros.node_program import run_node
+from posor_ros.qos import RELIABLE_QOS
 from pydantic import Field
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
 if TYPE_CHECKING:
-    from posor_estimator.numerics.array_types import FloatArray
+    from posor.numerics.array_types import FloatArray
 
 TARGET_TOPIC = "target/endpoint"
 POSITION_TOPIC = "stage/position"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from setuptools import setup
 
 PACKAGE = "posor_draw_wire"
-ENTRY_POINTS = {"posor_estimator.sensors": ["draw_wire = posor_draw_wire.draw_wire:DrawWireCalibration"]}
+ENTRY_POINTS = {"posor.sensors": ["draw_wire = posor_draw_wire.draw_wire:DrawWireCalibration"]}
 
 setup(
     name=PACKAGE,

@@ -17,16 +17,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 import numpy as np
-from posor_estimator.calibration.file_model import EntryError, FrozenModel
-from posor_estimator.calibration.quantity import Quantity, measured
-from posor_estimator.errors import ScanError
-from posor_estimator.model.fault import Fault
-from posor_estimator.sensors.base import PlainReadings, PlainSensor, SensorCalibration
+from posor.calibration.file_model import EntryError, FrozenModel
+from posor.calibration.quantity import Quantity, measured
+from posor.errors import ScanError
+from posor.model.fault import Fault
+from posor.sensors.base import PlainReadings, PlainSensor, SensorCalibration
 from pydantic import Field, model_validator
 
 if TYPE_CHECKING:
-    from posor_estimator.model.scan import Scan
-    from posor_estimator.numerics.array_types import FloatArray
+    from posor.model.scan import Scan
+    from posor.numerics.array_types import FloatArray
 
 
 class WireCalibration(FrozenModel):

@@ -11,7 +11,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
-from posor_estimator.node_parameters import RECORDING
+from posor.node_parameters import RECORDING
 
 LOSSLESS = {"lossless": True, **RECORDING}
 

@@ -6,11 +6,11 @@ import re
 from typing import TYPE_CHECKING, Literal, get_args
 
 import yaml
+from posor.chain.arm_parameters import chain_parameters as chain_parameters_of
+from posor.chain.arm_parameters import posor_parameters
+from posor.errors import ParameterError
+from posor.node_parameters import RECORDING
 from posor_drivers.sources.source import LiveSource, load_source_class
-from posor_estimator.chain.arm_parameters import chain_parameters as chain_parameters_of
-from posor_estimator.chain.arm_parameters import posor_parameters
-from posor_estimator.errors import ParameterError
-from posor_estimator.node_parameters import RECORDING
 
 from posor_bringup.supervisor import Program
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from posor_estimator.chain.arm_file import Arm
+    from posor.chain.arm_file import Arm
 
     from posor_bringup.supervisor import Parameter
 

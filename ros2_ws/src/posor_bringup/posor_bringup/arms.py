@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from posor.chain.arm_file import Arm, load_arm
+from posor.errors import ChainError, ParameterError
 from posor_drivers.simulator.arm_simulation import ArmSimulation
-from posor_estimator.chain.arm_file import Arm, load_arm
-from posor_estimator.errors import ChainError, ParameterError
 
 from posor_bringup.installed import share
 

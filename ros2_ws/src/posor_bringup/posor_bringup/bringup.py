@@ -7,10 +7,10 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from posor_estimator.node_parameters import RECORDING
-from posor_estimator.reporting.command_line_parser import CommandLineParser
-from posor_estimator.reporting.program_errors import reports_errors
-from posor_estimator.ros.node_program import SPIN_TIMEOUT_S, StopSignal, non_ros_arguments
+from posor.node_parameters import RECORDING
+from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.program_errors import reports_errors
+from posor_ros.node_program import SPIN_TIMEOUT_S, StopSignal, non_ros_arguments
 from rich.console import Console
 
 from posor_bringup.arm_programs import LAYOUTS, arm_programs, group_programs

@@ -6,8 +6,8 @@ from argparse import ArgumentParser, ArgumentTypeError
 from typing import TYPE_CHECKING, cast
 
 import yaml
-from posor_estimator.bags.result_folder import prepare_outputs, writing
-from posor_estimator.errors import ParameterError
+from posor.bags.result_folder import prepare_outputs, writing
+from posor.errors import ParameterError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

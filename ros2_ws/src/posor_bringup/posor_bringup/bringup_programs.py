@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from posor_estimator.lazy_program import LazyProgram
+from posor.lazy_program import LazyProgram
 
 bringup = LazyProgram("bringup", "posor_bringup.bringup")
 view = LazyProgram("view", "posor_bringup.view_command")

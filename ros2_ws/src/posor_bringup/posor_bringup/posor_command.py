@@ -5,10 +5,10 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, NamedTuple
 
+from posor.errors import ParameterError, similar_name
+from posor.reporting.program_errors import reports_errors
 from posor_drivers.driver_programs import instruments, record
-from posor_estimator.errors import ParameterError, similar_name
 from posor_estimator.estimator_programs import budget, calibrate, design, recover, reprocess
-from posor_estimator.reporting.program_errors import reports_errors
 
 from posor_bringup.bringup_programs import bringup, view
 

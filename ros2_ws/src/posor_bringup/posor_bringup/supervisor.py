@@ -16,9 +16,9 @@ from shutil import disk_usage
 from typing import TYPE_CHECKING, Self
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
-from posor_estimator.errors import PosorError
-from posor_estimator.lazy_program import EXIT_INTERRUPTED, interrupts_blocked
-from posor_estimator.ros.composition_file import yaml_text
+from posor.errors import PosorError
+from posor.lazy_program import EXIT_INTERRUPTED, interrupts_blocked
+from posor_estimator.composition_file import yaml_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
 import yaml
-from posor_estimator.bags.result_folder import writing
-from posor_estimator.ros_names import (
+from posor.bags.result_folder import writing
+from posor.ros_names import (
     DIAGNOSTICS_TOPIC,
     ENDPOINT_COVARIANCE_TOPIC,
     ENDPOINT_STATE_TOPIC,
@@ -20,7 +20,7 @@ from posor_estimator.ros_names import (
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from posor_estimator.chain.arm_file import Arm
+    from posor.chain.arm_file import Arm
 
 VIEWS = {"rviz": "arm.rviz", "foxglove": "foxglove.json", "plotjuggler": "plotjuggler.xml"}
 """Name of the file for each tool."""

@@ -13,9 +13,9 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from posor_estimator.reporting.command_line_parser import CommandLineParser
-from posor_estimator.reporting.program_errors import reports_errors
-from posor_estimator.ros.node_program import non_ros_arguments, ros_context
+from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.program_errors import reports_errors
+from posor_ros.node_program import non_ros_arguments, ros_context
 
 from posor_bringup.arms import installed_arms, load_checked_arm
 from posor_bringup.view_geometry import ArmGeometry
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Callable, Sequence
 
-    from posor_estimator.chain.arm_file import Arm
-    from posor_estimator.ros.node_program import StopSignal
+    from posor.chain.arm_file import Arm
+    from posor_ros.node_program import StopSignal
 
     from posor_bringup.view_observation import Observation
 

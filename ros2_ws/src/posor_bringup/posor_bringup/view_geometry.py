@@ -16,8 +16,8 @@ import pinocchio as pin
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from posor_estimator.chain.arm_file import Arm
-    from posor_estimator.numerics.array_types import FloatArray
+    from posor.chain.arm_file import Arm
+    from posor.numerics.array_types import FloatArray
 
     from posor_bringup.view_observation import Endpoint, Scan
 

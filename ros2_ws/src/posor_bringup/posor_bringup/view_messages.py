@@ -11,15 +11,12 @@ from collections import deque
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from posor_estimator.bags.bag_reader import checked_type, opened_bag
-from posor_estimator.bags.cdr_schema import STAMP
-from posor_estimator.bags.message_definitions import MessageTypes
-from posor_estimator.errors import ParameterError, TopicError
-from posor_estimator.numerics.stamps import NS
-from posor_estimator.ros.cdr_transform import stamp_ns_of
-from posor_estimator.ros.message_classes import message_class, schema_of_class
-from posor_estimator.ros.qos import SENSOR_QOS
-from posor_estimator.ros_names import (
+from posor.bags.bag_reader import checked_type, opened_bag
+from posor.errors import ParameterError, TopicError
+from posor.messages.cdr_schema import STAMP
+from posor.messages.message_definitions import MessageTypes
+from posor.numerics.stamps import NS
+from posor.ros_names import (
     DIAGNOSTICS_TOPIC,
     ENDPOINT_COVARIANCE_TOPIC,
     ENDPOINT_STATE,
@@ -31,6 +28,9 @@ from posor_estimator.ros_names import (
     POSE_WITH_COVARIANCE_STAMPED,
     TRANSFORM_TOPIC,
 )
+from posor_ros.cdr_transform import stamp_ns_of
+from posor_ros.message_classes import message_class, schema_of_class
+from posor_ros.qos import SENSOR_QOS
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from posor_estimator.bags.cdr_schema import Schema
-    from posor_estimator.chain.arm_file import Arm
+    from posor.chain.arm_file import Arm
+    from posor.messages.cdr_schema import Schema
 
 KEPT = 64
 """Messages kept of each topic: those of one scan are found by their stamp."""

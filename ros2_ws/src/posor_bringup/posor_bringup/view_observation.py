@@ -10,15 +10,15 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from posor_estimator.model.fault import USABLE_STATES, Fault, State
-from posor_estimator.numerics.stamps import NS
-from posor_estimator.ros_names import ENDPOINT_STATE_TOPIC
+from posor.model.fault import USABLE_STATES, Fault, State
+from posor.numerics.stamps import NS
+from posor.ros_names import ENDPOINT_STATE_TOPIC
 from posor_msgs.msg import EndpointState
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from posor_estimator.numerics.array_types import FloatArray
+    from posor.numerics.array_types import FloatArray
 
     from posor_bringup.view_messages import ArmTopics, Message, MessageStore
 

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 import viser
-from posor_estimator.errors import ParameterError
-from posor_estimator.numerics.stamps import NS
+from posor.errors import ParameterError
+from posor.numerics.stamps import NS
 
 from posor_bringup.view_geometry import ellipsoid, enlarge
 from posor_bringup.view_observation import NO_MESSAGE, NO_STATE, SILENT
@@ -22,7 +22,7 @@ from posor_bringup.view_observation import NO_MESSAGE, NO_STATE, SILENT
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from posor_estimator.numerics.array_types import FloatArray
+    from posor.numerics.array_types import FloatArray
 
     from posor_bringup.view_geometry import ArmGeometry, DrawnArm
     from posor_bringup.view_observation import Endpoint, Health, Observation

@@ -5,13 +5,13 @@ import shutil
 from typing import TYPE_CHECKING
 
 import pytest
+from posor.bags.reprocess_command import parser, tasks_of
+from posor.chain.arm_file import load_arm
+from posor.errors import CalibrationError, ChainError, NodeError, ParameterError
+from posor.node_parameters import RECORDING
 from posor_bringup.arm_programs import arm_programs
 from posor_bringup.arms import find_arm, installed_arms, load_checked_arm
 from posor_bringup.installed import share
-from posor_estimator.bags.reprocess_command import parser, tasks_of
-from posor_estimator.chain.arm_file import load_arm
-from posor_estimator.errors import CalibrationError, ChainError, NodeError, ParameterError
-from posor_estimator.node_parameters import RECORDING
 
 if TYPE_CHECKING:
     from pathlib import Path

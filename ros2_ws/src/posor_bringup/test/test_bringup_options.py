@@ -1,10 +1,10 @@
 from __future__ import annotations
 
 import pytest
+from posor.errors import ParameterError
 from posor_bringup.arm_programs import arm_programs
 from posor_bringup.arms import load_checked_arm
 from posor_bringup.bringup_options import parse_driver_parameters
-from posor_estimator.errors import ParameterError
 
 
 def test_driver_parameters_of_a_launch_argument() -> None:

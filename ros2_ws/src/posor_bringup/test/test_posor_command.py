@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from posor.lazy_program import LazyProgram
 from posor_bringup.posor_command import SUBCOMMANDS, main
-from posor_estimator.lazy_program import LazyProgram
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -8,8 +8,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from posor_bringup.arms import load_checked_arm
 from posor_bringup.view_messages import ArmTopics, MessageStore
 from posor_bringup.view_observation import PERIODS, SILENCE_S, Observer
-from posor_estimator.ros.message_classes import schema_of_class
 from posor_msgs.msg import EndpointState, JointTransform
+from posor_ros.message_classes import schema_of_class
 from sensor_msgs.msg import JointState
 
 PERIOD_S, NS = 0.01, 1_000_000_000

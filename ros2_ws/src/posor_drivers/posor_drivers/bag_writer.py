@@ -1,6 +1,6 @@
 """Writes rosbag2 bags: MCAP storage, metadata version 9, type definitions and hashes, offered quality of service.
 
-Chunks and index have checksums (``posor_estimator.bags.mcap_writer``).
+Chunks and index have checksums (``posor.bags.mcap_writer``).
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from posor_estimator.bags.mcap_writer import McapBagWriter
-from posor_estimator.bags.provenance import PENDING
-from posor_estimator.errors import BagError
-from posor_estimator.numerics.stamps import NS
+from posor.bags.mcap_writer import McapBagWriter
+from posor.bags.provenance import PENDING
+from posor.errors import BagError
+from posor.numerics.stamps import NS
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2.errors import WriterError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from posor_estimator.bags.message_definitions import Definition
+    from posor.messages.message_definitions import Definition
     from rclpy.duration import Duration
     from rclpy.qos import QoSProfile
     from rosbags.interfaces import Connection

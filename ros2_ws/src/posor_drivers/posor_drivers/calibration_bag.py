@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from posor_estimator.bags.message_definitions import MessageTypes
-from posor_estimator.identification.recording import POINT, POSE, SCALAR
-from posor_estimator.model.scan import HOME_BUMP
-from posor_estimator.ros_names import POINT_STAMPED, RAW_SCAN
+from posor.bags.recording import POINT, POSE, SCALAR
+from posor.messages.message_definitions import MessageTypes
+from posor.model.scan import HOME_BUMP
+from posor.ros_names import POINT_STAMPED, RAW_SCAN
 
 from posor_drivers.bag_writer import BagWriter
 from posor_drivers.message_builder import header, point_stamped, raw_scan, scan_fields
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-    from posor_estimator.identification.recording import Recording
-    from posor_estimator.model.scan import Scan
+    from posor.bags.recording import Recording
+    from posor.model.scan import Scan
 
 TYPES = MessageTypes()
 FLOAT64 = "std_msgs/msg/Float64"

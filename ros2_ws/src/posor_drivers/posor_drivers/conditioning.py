@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from posor_estimator.errors import BagError, ParameterError, PosorError
-from posor_estimator.model.scan import CONTACTS
-from posor_estimator.numerics.stamps import NS, time_ns
-from posor_estimator.ros_names import RAW_TOPIC
+from posor.errors import BagError, ParameterError, PosorError
+from posor.model.scan import CONTACTS
+from posor.numerics.stamps import NS, time_ns
+from posor.ros_names import RAW_TOPIC
 from posor_msgs.msg import RawScan
 from rclpy.serialization import deserialize_message
 

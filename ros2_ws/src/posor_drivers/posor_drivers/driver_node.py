@@ -12,17 +12,17 @@ import time
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from posor_estimator.bags.message_definitions import MessageTypes
-from posor_estimator.errors import PosorError
-from posor_estimator.parameter_model import help_text
-from posor_estimator.ros.diagnostics import Level
-from posor_estimator.ros.freshness import InputMonitor
-from posor_estimator.ros.intra_process import IntraProcessPublisher
-from posor_estimator.ros.lifecycle_node import PosorNode
-from posor_estimator.ros.message_classes import message_class, schema_of_class
-from posor_estimator.ros.node_program import run_node
-from posor_estimator.ros.qos import RELIABLE_QOS, sensor_publisher_qos
-from posor_estimator.ros_names import RAW_TOPIC
+from posor.errors import PosorError
+from posor.messages.message_definitions import MessageTypes
+from posor.parameter_model import help_text
+from posor.ros_names import RAW_TOPIC
+from posor_ros.diagnostics import Level
+from posor_ros.freshness import InputMonitor
+from posor_ros.intra_process import IntraProcessPublisher
+from posor_ros.lifecycle_node import PosorNode
+from posor_ros.message_classes import message_class, schema_of_class
+from posor_ros.node_program import run_node
+from posor_ros.qos import RELIABLE_QOS, sensor_publisher_qos
 
 from posor_drivers.conditioning import condition_scans
 from posor_drivers.driver_parameters import (
@@ -39,7 +39,7 @@ from posor_drivers.sources.source import LiveSource, RecordedSource, load_source
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from posor_estimator.ros.diagnostics import Status
+    from posor_ros.diagnostics import Status
 
     from posor_drivers.ros_clock import TickClock
     from posor_drivers.scheduled_publication import Pause

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from posor_estimator.errors import ParameterError
-from posor_estimator.node_parameters import NodeParameters
-from posor_estimator.parameter_model import ParameterGroup
+from posor.errors import ParameterError
+from posor.node_parameters import NodeParameters
+from posor.parameter_model import ParameterGroup
 from pydantic import Field, create_model, model_validator
 
 from posor_drivers.sample_average import MIN_SAMPLES

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from posor_estimator.lazy_program import LazyProgram
+from posor.lazy_program import LazyProgram
 
 driver_node = LazyProgram("driver_node", "posor_drivers.driver_node")
 instruments = LazyProgram("instruments", "posor_drivers.instruments.instruments_command")

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from threading import Thread
 from typing import TYPE_CHECKING, Any
 
-from posor_estimator.ros.diagnostics import Level
-from posor_estimator.ros.publication_timing import time_statistics
+from posor_ros.diagnostics import Level
+from posor_ros.publication_timing import time_statistics
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
@@ -18,7 +18,7 @@ from posor_drivers.tick_scheduler import TickScheduler, TickTask
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from posor_estimator.ros.diagnostics import Status, Value
+    from posor_ros.diagnostics import Status, Value
     from rclpy.node import Node
 
     from posor_drivers.ros_clock import TickClock

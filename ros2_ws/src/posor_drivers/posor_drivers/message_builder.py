@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
-from posor_estimator.numerics.stamps import NS
-from posor_estimator.ros_names import POINT_STAMPED, POSE_STAMPED, RAW_SCAN
+from posor.numerics.stamps import NS
+from posor.ros_names import POINT_STAMPED, POSE_STAMPED, RAW_SCAN
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from posor_estimator.bags.message_definitions import MessageTypes
-    from posor_estimator.model.scan import Scan
+    from posor.messages.message_definitions import MessageTypes
+    from posor.model.scan import Scan
 
 
 def header(types: MessageTypes, stamp_ns: int, frame_id: str) -> Any:

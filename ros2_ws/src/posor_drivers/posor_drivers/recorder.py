@@ -13,13 +13,13 @@ from queue import SimpleQueue
 from threading import Thread
 from typing import TYPE_CHECKING
 
-from posor_estimator.bags.message_definitions import MessageTypes
-from posor_estimator.bags.provenance import provenance_of
-from posor_estimator.errors import BagError, ParameterError, PosorError
-from posor_estimator.reporting.command_line_parser import CommandLineParser
-from posor_estimator.reporting.program_errors import reports_errors
-from posor_estimator.ros.diagnostics import Diagnostics, Level
-from posor_estimator.ros.node_program import non_ros_arguments, ros_context, spin_until
+from posor.bags.provenance import provenance_of
+from posor.errors import BagError, ParameterError, PosorError
+from posor.messages.message_definitions import MessageTypes
+from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.program_errors import reports_errors
+from posor_ros.diagnostics import Diagnostics, Level
+from posor_ros.node_program import non_ros_arguments, ros_context, spin_until
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.exceptions import InvalidTopicNameException
@@ -211,8 +211,8 @@ def _custom_data(arm: Path | None) -> dict[str, str]:
     """Return the version of the software, and the hashes of the files of an arm."""
     if arm is None:
         return provenance_of(None)
-    from posor_estimator.bags.reprocess_task import Settings  # noqa: PLC0415  pinocchio: 50 MB, for this option only
-    from posor_estimator.chain.arm_file import load_arm  # noqa: PLC0415
+    from posor.bags.reprocess_task import Settings  # noqa: PLC0415  pinocchio: 50 MB, for this option only
+    from posor.chain.arm_file import load_arm  # noqa: PLC0415
 
     return provenance_of(Settings.of_arm(load_arm(arm)))
 

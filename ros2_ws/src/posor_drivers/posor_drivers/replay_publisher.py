@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Any
 
-from posor_estimator.errors import BagError, ParameterError
-from posor_estimator.numerics.stamps import NS
-from posor_estimator.ros_names import RAW_TOPIC
+from posor.errors import BagError, ParameterError
+from posor.numerics.stamps import NS
+from posor.ros_names import RAW_TOPIC
 from rclpy.serialization import deserialize_message
 
 from posor_drivers.scheduled_publication import SUBSCRIBER_POLL_S, RunState

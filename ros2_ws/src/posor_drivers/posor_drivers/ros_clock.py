@@ -8,7 +8,7 @@ from threading import Event
 from time import monotonic_ns, sleep, time_ns
 from typing import TYPE_CHECKING, Any
 
-from posor_estimator.numerics.stamps import NS
+from posor.numerics.stamps import NS
 from rclpy.clock import JumpThreshold, ROSClock
 from rclpy.duration import Duration
 

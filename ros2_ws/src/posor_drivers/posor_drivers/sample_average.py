@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 if TYPE_CHECKING:
-    from posor_estimator.numerics.array_types import BoolArray, FloatArray, IntArray
+    from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
 SAMPLES_PER_OUTLIER = 5
 """At most one sample in this many is dropped as an outlier, as in 1985; at least one if there are three."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TypeVar
 
-from posor_estimator.numerics.array_types import IntArray
-from posor_estimator.numerics.stamps import NS
+from posor.numerics.array_types import IntArray
+from posor.numerics.stamps import NS
 
 TickT = TypeVar("TickT", int, IntArray)
 

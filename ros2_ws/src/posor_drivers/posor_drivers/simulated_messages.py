@@ -5,15 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from posor_estimator.ros_names import JOINT_STATE, POSE_STAMPED, RAW_SCAN, RAW_TOPIC, VECTOR_STAMPED
+from posor.ros_names import JOINT_STATE, POSE_STAMPED, RAW_SCAN, RAW_TOPIC, VECTOR_STAMPED
 
 from posor_drivers.message_builder import header, pose_stamped, raw_scan, scan_fields
 from posor_drivers.sources.source import SourceMessage, Topic
 
 if TYPE_CHECKING:
     import pinocchio as pin
-    from posor_estimator.bags.message_definitions import MessageTypes
-    from posor_estimator.numerics.array_types import FloatArray
+    from posor.messages.message_definitions import MessageTypes
+    from posor.numerics.array_types import FloatArray
 
     from posor_drivers.simulator.arm_simulation import ArmSimulation
     from posor_drivers.simulator.arm_truth import ArmTruth

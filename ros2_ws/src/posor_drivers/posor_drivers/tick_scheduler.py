@@ -6,9 +6,9 @@ import sys
 from threading import Lock, Thread
 from typing import TYPE_CHECKING
 
-from posor_estimator.ros.idle_scheduler import TickSchedule
-from posor_estimator.ros.publication_timing import NEVER_NS, TimestampLog
-from posor_estimator.ros.realtime_process import SWITCH_INTERVAL_S
+from posor_ros.idle_scheduler import TickSchedule
+from posor_ros.publication_timing import NEVER_NS, TimestampLog
+from posor_ros.realtime_process import SWITCH_INTERVAL_S
 
 from posor_drivers.ros_clock import SimulatedClock, TickClock, WallClock, disable_timer_slack, is_simulated
 from posor_drivers.scheduled_publication import Pause

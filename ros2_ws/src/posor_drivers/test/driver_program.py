@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from posor_estimator.testing.program import Program, installed, ros_arguments
+from posor_lab.harness.program import Program, installed, ros_arguments
 
 LOSSLESS: dict[str, Any] = {"lossless": True}
 

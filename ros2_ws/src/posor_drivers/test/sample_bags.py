@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from posor.messages.message_definitions import MessageTypes
+from posor.ros_names import POINT_STAMPED, RAW_SCAN
 from posor_drivers import message_builder
-from posor_estimator.bags.message_definitions import MessageTypes
-from posor_estimator.ros_names import POINT_STAMPED, RAW_SCAN
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 if TYPE_CHECKING:

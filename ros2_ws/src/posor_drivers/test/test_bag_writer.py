@@ -5,11 +5,11 @@ from typing import Any
 
 import pytest
 import yaml
+from posor.errors import BagError
+from posor.messages.message_definitions import MessageTypes
+from posor.ros_names import RAW_SCAN
 from posor_drivers.bag_writer import BagWriter, replace_bag
-from posor_estimator.bags.message_definitions import MessageTypes
-from posor_estimator.errors import BagError
-from posor_estimator.ros.qos import RELIABLE_QOS
-from posor_estimator.ros_names import RAW_SCAN
+from posor_ros.qos import RELIABLE_QOS
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import ConnectionExtRosbag2

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from posor.errors import BagError, ParameterError, PosorError
 from posor_drivers.conditioning import MAX_DARK_SCANS, condition_scans, stamp_ns
 from posor_drivers.driver_parameters import ConditioningParameters
 from posor_drivers.sources.source import SourceMessage
-from posor_estimator.errors import BagError, ParameterError, PosorError
 from posor_msgs.msg import RawScan
 from rclpy.serialization import deserialize_message
 from scipy.stats import chi2

@@ -11,8 +11,8 @@ from geometry_msgs.msg import PointStamped
 from lifecycle_msgs.msg import Transition
 from posor_drivers.conditioning import stamp_ns
 from posor_drivers.driver_node import DriverNode
-from posor_estimator.testing.graph import Graph, values_of
-from posor_estimator.testing.in_process_nodes import run_refused_node as refused
+from posor_lab.harness.graph import Graph, values_of
+from posor_lab.harness.in_process_nodes import run_refused_node as refused
 from posor_msgs.msg import RawScan
 from rclpy.qos import QoSProfile
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from posor_estimator.testing.program import Program
+    from posor_lab.harness.program import Program
 
     Refusal = Callable[..., tuple[int, list[str]]]
 

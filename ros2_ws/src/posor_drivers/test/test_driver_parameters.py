@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from posor.errors import ParameterError
+from posor.parameter_model import validate_parameters
 from posor_drivers.driver_parameters import driver_parameters_for
-from posor_estimator.errors import ParameterError
-from posor_estimator.parameter_model import validate_parameters
 
 NODE = "node /joint1/driver_node"
 BAG = {"source": "bag", "bag.path": "bag"}

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from posor.messages.message_definitions import MessageTypes
+from posor.parameter_model import ParameterGroup
 from posor_drivers.live_publisher import MissedTicks, schedule_ticks
 from posor_drivers.scheduled_publication import Pause
 from posor_drivers.sources.source import LiveSource, SourceMessage
-from posor_estimator.bags.message_definitions import MessageTypes
-from posor_estimator.parameter_model import ParameterGroup
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from posor_drivers.recorded_topic import DEPTH, RecordedTopic, strictest_request
-from posor_estimator.testing.graph import Graph
+from posor_lab.harness.graph import Graph
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import pytest
 import yaml
 from geometry_msgs.msg import PointStamped
-from posor_estimator.bags.message_definitions import MessageTypes
-from posor_estimator.testing.graph import Graph, values_of
-from posor_estimator.testing.program import Program, installed, script
+from posor.messages.message_definitions import MessageTypes
+from posor_lab.harness.graph import Graph, values_of
+from posor_lab.harness.program import Program, installed, script
 from posor_msgs.msg import RawScan
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy

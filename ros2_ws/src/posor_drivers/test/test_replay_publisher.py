@@ -7,15 +7,15 @@ from threading import Event
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from posor.errors import BagError, ParameterError
+from posor.messages.message_definitions import MessageTypes
 from posor_drivers.driver_parameters import ReplayParameters
 from posor_drivers.replay_publisher import ReplayPublisher, schedule_replay
 from posor_drivers.scheduled_publication import RunState
 from posor_drivers.sources.bag_source import BagParameters, BagSource
 from posor_drivers.sources.source import SourceMessage
-from posor_estimator.bags.message_definitions import MessageTypes
-from posor_estimator.errors import BagError, ParameterError
-from posor_estimator.ros.message_classes import message_class
 from posor_msgs.msg import RawScan
+from posor_ros.message_classes import message_class
 from rclpy.serialization import deserialize_message
 
 from .sample_bags import SECOND, Record, point, scan, text, write_bag

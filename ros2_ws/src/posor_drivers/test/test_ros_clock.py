@@ -8,6 +8,7 @@ from threading import Event, Semaphore, Thread
 from typing import Any
 
 import pytest
+from posor.numerics.stamps import NS
 from posor_drivers.ros_clock import (
     CHECK_PERIOD_NS,
     MAX_SLEW,
@@ -17,7 +18,6 @@ from posor_drivers.ros_clock import (
     WallClock,
     is_simulated,
 )
-from posor_estimator.numerics.stamps import NS
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.time import Time

@@ -9,7 +9,7 @@ import pytest
 from posor_drivers.scheduled_publication import Pause
 from posor_drivers.sources.source import SourceMessage
 from posor_drivers.tick_scheduler import TickScheduler, TickTask
-from posor_estimator.ros.idle_scheduler import run_when_idle
+from posor_ros.idle_scheduler import run_when_idle
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
@@ -95,7 +95,7 @@ def test_drivers_of_one_rate_share_a_thread_and_keep_their_order(clock: Clock) -
 
 def test_idle_work_waits_for_the_ticks_of_the_drivers(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("MAX_WAIT_PERIODS", "MAX_WAIT_NS"):
-        monkeypatch.setattr(f"posor_estimator.ros.idle_scheduler.{name}", 10**18)  # work never runs during a tick
+        monkeypatch.setattr(f"posor_ros.idle_scheduler.{name}", 10**18)  # work never runs during a tick
     in_tick, waiting = Event(), Event()
     waited: list[bool] = []
 
@@ -104,7 +104,7 @@ def test_idle_work_waits_for_the_ticks_of_the_drivers(clock: Clock, monkeypatch:
             waiting.set()
             return super().wait(timeout)
 
-    monkeypatch.setattr("posor_estimator.ros.idle_scheduler._tick_ended", ObservedEvent())
+    monkeypatch.setattr("posor_ros.idle_scheduler._tick_ended", ObservedEvent())
 
     class SlowDriver(Driver):
         def publish(self, publication: SourceMessage) -> None:

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import yaml
+from posor.calibration.designs import SizedDesignName, sized_design
+from posor.chain.arm_file import load_arm
+from posor.errors import CalibrationError
 from posor_drivers.simulator.arm_simulation import ArmSimulation
-from posor_estimator.calibration.designs import SizedDesignName, sized_design
-from posor_estimator.chain.arm_file import load_arm
-from posor_estimator.errors import CalibrationError
 
 if TYPE_CHECKING:
     from posor_drivers.simulator.imperfections import Imperfections

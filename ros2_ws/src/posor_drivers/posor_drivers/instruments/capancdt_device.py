@@ -40,8 +40,8 @@ from contextlib import closing
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from posor_estimator.calibration.file_model import EntryError, FrozenModel
-from posor_estimator.calibration.quantity import Quantity, measured
+from posor.calibration.file_model import EntryError, FrozenModel
+from posor.calibration.quantity import Quantity, measured
 from pydantic import Field, model_validator
 
 from posor_drivers.instruments.device import DeviceSettings, Frames, Port, refuse_repeated_numbers

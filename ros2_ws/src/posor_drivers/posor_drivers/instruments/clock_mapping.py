@@ -14,12 +14,12 @@ from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from posor_estimator.numerics.stamps import NS
+from posor.numerics.stamps import NS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from posor_estimator.numerics.array_types import IntArray
+    from posor.numerics.array_types import IntArray
 
 WINDOW_S = 10.0
 """Time whose arrivals decide; over it the drift of the device's clock is taken to be constant."""

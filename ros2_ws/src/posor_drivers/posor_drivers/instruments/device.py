@@ -22,9 +22,9 @@ from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, TypeVar
 
-from posor_estimator.calibration.file_model import EntryError, FrozenModel
-from posor_estimator.calibration.quantity import Quantity, measured
-from posor_estimator.errors import PosorError
+from posor.calibration.file_model import EntryError, FrozenModel
+from posor.calibration.quantity import Quantity, measured
+from posor.errors import PosorError
 from pydantic import Field
 
 from posor_drivers.simulator.scenario_limits import NOT_NEGATIVE, POSITIVE
@@ -32,7 +32,7 @@ from posor_drivers.simulator.scenario_limits import NOT_NEGATIVE, POSITIVE
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from posor_estimator.numerics.array_types import FloatArray, IntArray
+    from posor.numerics.array_types import FloatArray, IntArray
 
 ENTRY_POINT_GROUP = "posor_drivers.devices"
 

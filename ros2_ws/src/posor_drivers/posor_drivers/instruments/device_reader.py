@@ -8,7 +8,7 @@ from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from posor_estimator.numerics.stamps import NS
+from posor.numerics.stamps import NS
 
 from posor_drivers.instruments.clock_mapping import ClockMapping
 from posor_drivers.instruments.device import DeviceError
@@ -17,7 +17,7 @@ from posor_drivers.instruments.interpolation import FrameWeights, frame_weights
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from posor_estimator.numerics.array_types import FloatArray
+    from posor.numerics.array_types import FloatArray
 
     from posor_drivers.instruments.device import Device, Frames
 

@@ -8,12 +8,12 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from posor_estimator.calibration.calibration_file import load_calibration
-from posor_estimator.calibration.save import save_calibration
-from posor_estimator.chain.arm_file import Arm, load_arm
-from posor_estimator.errors import ParameterError
-from posor_estimator.reporting.command_line_parser import CommandLineParser
-from posor_estimator.reporting.program_errors import reports_errors
+from posor.calibration.calibration_file import load_calibration
+from posor.calibration.save import save_calibration
+from posor.chain.arm_file import Arm, load_arm
+from posor.errors import ParameterError
+from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.program_errors import reports_errors
 
 from posor_drivers.instruments.device import DeviceError
 from posor_drivers.instruments.device_reader import DeviceReader

@@ -27,9 +27,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from posor_estimator.calibration.file_model import EntryError, FrozenModel, select_model_by_key
-from posor_estimator.calibration.quantity import Quantity, measured
-from posor_estimator.calibration.yaml_document import load_document
+from posor.calibration.file_model import EntryError, FrozenModel, select_model_by_key
+from posor.calibration.quantity import Quantity, measured
+from posor.calibration.yaml_document import load_document
 from pydantic import Field, model_validator
 
 from posor_drivers.instruments.device import Device, DeviceSettings, registered_devices

@@ -33,8 +33,8 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from posor_estimator.calibration.file_model import FrozenModel
-from posor_estimator.calibration.quantity import Quantity, measured
+from posor.calibration.file_model import FrozenModel
+from posor.calibration.quantity import Quantity, measured
 from pydantic import Field
 
 from posor_drivers.instruments.device import DeviceError, DeviceSettings, Frames, Port, analogue_readings
@@ -45,7 +45,7 @@ from posor_drivers.simulator.scenario_limits import POSITIVE
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from posor_estimator.numerics.array_types import FloatArray
+    from posor.numerics.array_types import FloatArray
 
 T7 = 7
 RANGES_V = (10.0, 1.0, 0.1, 0.01)

@@ -21,8 +21,8 @@ import time
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from posor_estimator.calibration.file_model import FrozenModel
-from posor_estimator.calibration.quantity import Quantity, measured
+from posor.calibration.file_model import FrozenModel
+from posor.calibration.quantity import Quantity, measured
 from pydantic import Field
 
 from posor_drivers.instruments.device import Device, DeviceError, DeviceSettings, Frames, analogue_readings

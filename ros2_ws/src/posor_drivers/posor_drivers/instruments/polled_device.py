@@ -8,7 +8,7 @@ from abc import abstractmethod
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-from posor_estimator.numerics.stamps import NS
+from posor.numerics.stamps import NS
 
 from posor_drivers.instruments.device import Device, DeviceSettings, Frames
 

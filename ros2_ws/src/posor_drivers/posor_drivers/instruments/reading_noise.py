@@ -11,11 +11,11 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
-from posor_estimator.calibration.edit import edit_document
-from posor_estimator.model.scan import CONTACTS
-from posor_estimator.sensors.bumpy_ring import BumpyRingCalibration
-from posor_estimator.sensors.diodes import DiodesCalibration
-from posor_estimator.sensors.gap_probes import GapProbesCalibration
+from posor.calibration.edit import edit_document
+from posor.model.scan import CONTACTS
+from posor.sensors.bumpy_ring import BumpyRingCalibration
+from posor.sensors.diodes import DiodesCalibration
+from posor.sensors.gap_probes import GapProbesCalibration
 
 from posor_drivers.instruments.interpolation import interpolation_error
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from posor_estimator.calibration.calibration_file import Calibration
+    from posor.calibration.calibration_file import Calibration
 
     from posor_drivers.instruments.instruments_file import InstrumentsFile, ReadingEntry
 

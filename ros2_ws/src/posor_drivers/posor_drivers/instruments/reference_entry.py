@@ -29,9 +29,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
-from posor_estimator.calibration.file_model import EntryError, FrozenModel
-from posor_estimator.calibration.quantity import Quantity, measured
-from posor_estimator.uncertainty.interferometer import AbbeOffset, AirQuantities, Expansion, Input, Interferometer
+from posor.calibration.file_model import EntryError, FrozenModel
+from posor.calibration.quantity import Quantity, measured
+from posor.uncertainty.interferometer import AbbeOffset, AirQuantities, Expansion, Input, Interferometer
 from pydantic import Field, model_validator
 
 from posor_drivers.simulator.scenario_limits import NOT_NEGATIVE, POSITIVE

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from posor_estimator.errors import ParameterError
-from posor_estimator.ros_names import REFERENCE_READING, REFERENCE_TOPIC
-from posor_estimator.uncertainty.interferometer import correct_reading
+from posor.errors import ParameterError
+from posor.ros_names import REFERENCE_READING, REFERENCE_TOPIC
+from posor.uncertainty.interferometer import correct_reading
 
 from posor_drivers.message_builder import header
 from posor_drivers.sources.source import SourceMessage, SourceStatus, Topic
@@ -15,7 +15,7 @@ from posor_drivers.sources.source import SourceMessage, SourceStatus, Topic
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from posor_estimator.bags.message_definitions import MessageTypes
+    from posor.messages.message_definitions import MessageTypes
 
     from posor_drivers.instruments.reference_entry import ReferenceEntry
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from posor_estimator.bags.message_table import TableLayout
-from posor_estimator.model.scan import HOME_BUMP, NO_SOURCE, SATURATED
-from posor_estimator.numerics.stamps import NS
-from posor_estimator.ros.cdr_scan import RAW_SCAN as SCHEMA
-from posor_estimator.ros_names import RAW_SCAN
+from posor.messages.message_table import TableLayout
+from posor.model.scan import HOME_BUMP, NO_SOURCE, SATURATED
+from posor.numerics.stamps import NS
+from posor.ros_names import RAW_SCAN
+from posor_ros.cdr_scan import RAW_SCAN as SCHEMA
 
 from posor_drivers.instruments.instruments_file import READINGS, JointEntry, ReadingEntry
 from posor_drivers.message_builder import raw_scan
@@ -17,8 +17,8 @@ from posor_drivers.message_builder import raw_scan
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from posor_estimator.bags.message_definitions import MessageTypes
-    from posor_estimator.numerics.array_types import FloatArray
+    from posor.messages.message_definitions import MessageTypes
+    from posor.numerics.array_types import FloatArray
 
 FIELDS = tuple(name for name in READINGS if name != "home_mark")
 """Readings that are fields of the message; the home mark is a flag."""

@@ -23,8 +23,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from posor_estimator.calibration.file_model import EntryError, FrozenModel
-from posor_estimator.calibration.yaml_document import load_document
+from posor.calibration.file_model import EntryError, FrozenModel
+from posor.calibration.yaml_document import load_document
 from pydantic import Field, model_validator
 
 from posor_drivers.instruments.device import analogue_readings, refuse_repeated_numbers

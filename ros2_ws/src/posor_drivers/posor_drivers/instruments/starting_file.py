@@ -5,19 +5,19 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import yaml
-from posor_estimator.calibration.calibration_file import load_calibration
-from posor_estimator.errors import ParameterError
-from posor_estimator.sensors.bumpy_ring import BumpyRingCalibration
-from posor_estimator.sensors.diodes import DiodesCalibration
-from posor_estimator.sensors.gap_probes import GapProbesCalibration
+from posor.calibration.calibration_file import load_calibration
+from posor.errors import ParameterError
+from posor.sensors.bumpy_ring import BumpyRingCalibration
+from posor.sensors.diodes import DiodesCalibration
+from posor.sensors.gap_probes import GapProbesCalibration
 
 from posor_drivers.instruments.instruments_file import READINGS, WHOLE_NUMBERS, device_classes
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from posor_estimator.calibration.calibration_file import Calibration
-    from posor_estimator.chain.arm_file import Arm
+    from posor.calibration.calibration_file import Calibration
+    from posor.chain.arm_file import Arm
 
 CONTACTS = "ABCD"
 HEADING = """\

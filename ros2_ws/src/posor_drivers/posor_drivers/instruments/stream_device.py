@@ -24,7 +24,7 @@ import time
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
-from posor_estimator.calibration.file_model import EntryError, FrozenModel
+from posor.calibration.file_model import EntryError, FrozenModel
 from pydantic import Field, model_validator
 
 from posor_drivers.instruments.device import Device, DeviceSettings, Frames, Port

@@ -9,7 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from posor_estimator.errors import CalibrationError, ChainError
+from posor.errors import CalibrationError, ChainError
 
 from posor_drivers.simulator.arm_truth import ArmTruth, true_cycle
 from posor_drivers.simulator.electronics import JointElectronics
@@ -19,9 +19,9 @@ from posor_drivers.simulator.nominal_arm import NominalArm
 from posor_drivers.simulator.scenario import load_scenario
 
 if TYPE_CHECKING:
-    from posor_estimator.chain.arm_file import Arm
-    from posor_estimator.model.scan import Scans
-    from posor_estimator.numerics.array_types import FloatArray, IntArray
+    from posor.chain.arm_file import Arm
+    from posor.model.scan import Scans
+    from posor.numerics.array_types import FloatArray, IntArray
 
     from posor_drivers.simulator.simulated_scans import SimulatedScans
 

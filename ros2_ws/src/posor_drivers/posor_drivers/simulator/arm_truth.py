@@ -32,8 +32,8 @@ from posor_drivers.simulator.random_stream import RandomStream
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from posor_estimator.chain.kinematic_chain import Chain, FixedLink
-    from posor_estimator.numerics.array_types import FloatArray, IntArray
+    from posor.chain.kinematic_chain import Chain, FixedLink
+    from posor.numerics.array_types import FloatArray, IntArray
 
     from posor_drivers.simulator.nominal_arm import NominalArm
     from posor_drivers.simulator.scenario import Scenario

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from posor_estimator.errors import CalibrationError
-from posor_estimator.estimation.forward import scans_at
-from posor_estimator.estimation.sensor_stack import Stack
-from posor_estimator.model.scan import HOME_BUMP, SATURATED, SIMULATED
-from posor_estimator.numerics.stamps import NS
-from posor_estimator.sensors.base import RowSensor
+from posor.errors import CalibrationError
+from posor.estimation.forward import scans_at
+from posor.estimation.sensor_stack import Stack
+from posor.model.scan import HOME_BUMP, SATURATED, SIMULATED
+from posor.numerics.stamps import NS
+from posor.sensors.base import RowSensor
 
 from posor_drivers.scan_clock import tick_stamp_ns
 from posor_drivers.simulator.random_stream import RandomStream
@@ -22,9 +22,9 @@ from posor_drivers.simulator.simulated_scans import (
 )
 
 if TYPE_CHECKING:
-    from posor_estimator.calibration.calibration_file import Calibration
-    from posor_estimator.model.scan import Scans
-    from posor_estimator.numerics.array_types import BoolArray, FloatArray, IntArray
+    from posor.calibration.calibration_file import Calibration
+    from posor.model.scan import Scans
+    from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
     from posor_drivers.simulator.imperfections import Imperfections
     from posor_drivers.simulator.pose_array import PoseArray

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from posor_estimator.calibration.file_model import EntryError, FrozenModel, format_value
-from posor_estimator.calibration.quantity import Quantity, measured
+from posor.calibration.file_model import EntryError, FrozenModel, format_value
+from posor.calibration.quantity import Quantity, measured
 from pydantic import Field, model_validator
 
 from posor_drivers.simulator.scenario_limits import INTERVAL, NOT_NEGATIVE, POSITIVE, PROBABILITY, Seconds

@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, Self
 
 import numpy as np
-from posor_estimator.calibration.file_model import EntryError, FrozenModel
-from posor_estimator.calibration.quantity import Quantity, measured
-from posor_estimator.errors import CalibrationError
-from posor_estimator.model.scan import HOME_BUMP
-from posor_estimator.numerics.stamps import NS
-from posor_estimator.sensors.diodes import DiodesCalibration
+from posor.calibration.file_model import EntryError, FrozenModel
+from posor.calibration.quantity import Quantity, measured
+from posor.errors import CalibrationError
+from posor.model.scan import HOME_BUMP
+from posor.numerics.stamps import NS
+from posor.sensors.diodes import DiodesCalibration
 from pydantic import Field, model_validator
 
 from posor_drivers.simulator.random_stream import RandomStream
@@ -25,9 +25,9 @@ from posor_drivers.simulator.simulated_scans import DIODE_FIELD, find_channel
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from posor_estimator.calibration.calibration_file import Calibration
-    from posor_estimator.model.scan import Scans
-    from posor_estimator.numerics.array_types import IntArray
+    from posor.calibration.calibration_file import Calibration
+    from posor.model.scan import Scans
+    from posor.numerics.array_types import IntArray
 
     from posor_drivers.simulator.simulated_scans import SimulatedScans
 

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from posor_estimator.chain.beam_bending import Tube, cantilever
+from posor.chain.beam_bending import Tube, cantilever
 
 from posor_drivers.simulator.pose_array import PoseArray
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from posor_estimator.numerics.array_types import FloatArray
+    from posor.numerics.array_types import FloatArray
 
     from posor_drivers.simulator.scenario import Bearing, Structure
 

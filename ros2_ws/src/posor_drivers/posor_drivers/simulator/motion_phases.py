@@ -9,16 +9,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 import numpy as np
-from posor_estimator.calibration.file_model import EntryError, FrozenModel, format_value, select_model_by_key
-from posor_estimator.calibration.quantity import ANY, Quantity, check_unit_vector, measured
-from posor_estimator.errors import CalibrationError
+from posor.calibration.file_model import EntryError, FrozenModel, format_value, select_model_by_key
+from posor.calibration.quantity import ANY, Quantity, check_unit_vector, measured
+from posor.errors import CalibrationError
 from pydantic import Field, model_validator
 from scipy.interpolate import CubicSpline
 
 from posor_drivers.simulator.scenario_limits import NOT_NEGATIVE, POSITIVE, Seconds
 
 if TYPE_CHECKING:
-    from posor_estimator.numerics.array_types import FloatArray
+    from posor.numerics.array_types import FloatArray
 
     from posor_drivers.simulator.nominal_arm import NominalArm
 

@@ -13,8 +13,8 @@ from posor_drivers.simulator.pose_array import PoseArray
 
 if TYPE_CHECKING:
     import pinocchio as pin
-    from posor_estimator.chain.kinematic_chain import Chain
-    from posor_estimator.numerics.array_types import FloatArray
+    from posor.chain.kinematic_chain import Chain
+    from posor.numerics.array_types import FloatArray
 
 _MAX_ITERATIONS = 200
 _CONVERGED_RAD = 1e-12

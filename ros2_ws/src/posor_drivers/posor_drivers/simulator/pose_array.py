@@ -10,7 +10,7 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 if TYPE_CHECKING:
-    from posor_estimator.numerics.array_types import BoolArray, FloatArray, IntArray
+    from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,12 @@ import math
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 import numpy as np
-from posor_estimator.calibration.calibration_file import Provenance
-from posor_estimator.calibration.file_model import EntryError, FrozenModel
-from posor_estimator.calibration.quantity import ANY, Quantity, measured
-from posor_estimator.calibration.yaml_document import load_document
-from posor_estimator.chain.beams_file import TubeFile
-from posor_estimator.errors import ParameterError
+from posor.calibration.calibration_file import Provenance
+from posor.calibration.file_model import EntryError, FrozenModel
+from posor.calibration.quantity import ANY, Quantity, measured
+from posor.calibration.yaml_document import load_document
+from posor.chain.beams_file import TubeFile
+from posor.errors import ParameterError
 from pydantic import Field, model_validator
 
 from posor_drivers.simulator.electronics_settings import Contamination, ElectronicsSettings
@@ -28,7 +28,7 @@ from posor_drivers.simulator.scenario_limits import NOT_NEGATIVE, POSITIVE, Seco
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from posor_estimator.numerics.array_types import FloatArray
+    from posor.numerics.array_types import FloatArray
 
     from posor_drivers.simulator.nominal_arm import NominalArm
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from posor_estimator.calibration.file_model import EntryError, format_value
-from posor_estimator.calibration.quantity import Quantity, measured
+from posor.calibration.file_model import EntryError, format_value
+from posor.calibration.quantity import Quantity, measured
 from pydantic import AfterValidator
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from posor_estimator.numerics.array_types import FloatArray
+    from posor.numerics.array_types import FloatArray
 
 
 def _limit(accepts: Callable[[FloatArray], object], expected: str) -> AfterValidator:

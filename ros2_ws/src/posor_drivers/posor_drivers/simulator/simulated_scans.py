@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-from posor_estimator.errors import CalibrationError
-from posor_estimator.sensors.bumpy_ring import BumpyRingCalibration
-from posor_estimator.sensors.diodes import DiodesCalibration
-from posor_estimator.sensors.gap_probes import GapProbesCalibration
+from posor.errors import CalibrationError
+from posor.sensors.bumpy_ring import BumpyRingCalibration
+from posor.sensors.diodes import DiodesCalibration
+from posor.sensors.gap_probes import GapProbesCalibration
 
 if TYPE_CHECKING:
-    from posor_estimator.calibration.calibration_file import Calibration
-    from posor_estimator.model.scan import Scans
-    from posor_estimator.numerics.array_types import BoolArray, IntArray
+    from posor.calibration.calibration_file import Calibration
+    from posor.model.scan import Scans
+    from posor.numerics.array_types import BoolArray, IntArray
 
 PROBE_FIELDS = ("gap_voltages", "ring_voltages")
 DIODE_FIELD = "diode_currents"

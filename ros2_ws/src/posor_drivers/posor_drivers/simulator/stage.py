@@ -7,11 +7,11 @@ from threading import Lock
 from typing import TYPE_CHECKING
 
 import numpy as np
-from posor_estimator.errors import PosorError
-from posor_estimator.numerics.stamps import NS
+from posor.errors import PosorError
+from posor.numerics.stamps import NS
 
 if TYPE_CHECKING:
-    from posor_estimator.numerics.array_types import FloatArray
+    from posor.numerics.array_types import FloatArray
 
     from posor_drivers.simulator.scenario import StageSettings
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from posor_estimator.bags.bag_reader import check_filled, checked_type, counted_messages, opened_bag, scan_topic
-from posor_estimator.errors import BagError
-from posor_estimator.parameter_model import ParameterGroup
-from posor_estimator.ros_names import RAW_SCAN, RAW_TOPIC
+from posor.bags.bag_reader import check_filled, checked_type, counted_messages, opened_bag, scan_topic
+from posor.errors import BagError
+from posor.parameter_model import ParameterGroup
+from posor.ros_names import RAW_SCAN, RAW_TOPIC
 from pydantic import Field
 
 from posor_drivers.sources.source import RecordedSource, SourceMessage, Topic

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from posor_estimator.errors import ParameterError
-from posor_estimator.numerics.stamps import NS
-from posor_estimator.parameter_model import ParameterGroup
-from posor_estimator.ros_names import RAW_SCAN, RAW_TOPIC
+from posor.errors import ParameterError
+from posor.numerics.stamps import NS
+from posor.parameter_model import ParameterGroup
+from posor.ros_names import RAW_SCAN, RAW_TOPIC
 from pydantic import Field
 
 from posor_drivers.instruments.instruments_file import WHOLE_NUMBERS, InstrumentsFile, JointEntry, load_instruments
@@ -29,7 +29,7 @@ from posor_drivers.sources.source import LiveSource, SourceMessage, SourceStatus
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from posor_estimator.numerics.array_types import FloatArray
+    from posor.numerics.array_types import FloatArray
 
     from posor_drivers.instruments.device_reader import DeviceReader
 

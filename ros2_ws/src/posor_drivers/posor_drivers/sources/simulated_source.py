@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from posor_estimator.chain.arm_file import load_arm
-from posor_estimator.errors import ParameterError
-from posor_estimator.numerics.stamps import time_ns
-from posor_estimator.parameter_model import ParameterGroup
-from posor_estimator.ros_names import RAW_SCAN, RAW_TOPIC
+from posor.chain.arm_file import load_arm
+from posor.errors import ParameterError
+from posor.numerics.stamps import time_ns
+from posor.parameter_model import ParameterGroup
+from posor.ros_names import RAW_SCAN, RAW_TOPIC
 from pydantic import Field
 
 from posor_drivers.scan_clock import tick_stamp_ns

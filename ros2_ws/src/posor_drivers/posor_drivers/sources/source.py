@@ -19,16 +19,16 @@ from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, TypeVar
 
-from posor_estimator.errors import ParameterError
-from posor_estimator.parameter_model import ParameterGroup
+from posor.errors import ParameterError
+from posor.parameter_model import ParameterGroup
 
 from posor_drivers.scan_clock import first_tick_after, tick_stamp_ns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
-    from posor_estimator.bags.message_definitions import MessageTypes
-    from posor_estimator.ros.diagnostics import Value
+    from posor.messages.message_definitions import MessageTypes
+    from posor_ros.diagnostics import Value
 
 ENTRY_POINT_GROUP = "posor_drivers.sources"
 

@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from posor_estimator.errors import DataFileError
-from posor_estimator.input_text import read_input_text
-from posor_estimator.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED
-from posor_estimator.parameter_model import ParameterGroup
-from posor_estimator.ros_names import POINT_STAMPED, RAW_SCAN, RAW_TOPIC, TRUTH_TOPIC
+from posor.errors import DataFileError
+from posor.input_text import read_input_text
+from posor.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED
+from posor.parameter_model import ParameterGroup
+from posor.ros_names import POINT_STAMPED, RAW_SCAN, RAW_TOPIC, TRUTH_TOPIC
 from pydantic import Field
 from scipy.constants import inch
 
@@ -29,7 +29,7 @@ from posor_drivers.sources.source import RecordedSource, SourceMessage, Topic
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from posor_estimator.numerics.array_types import FloatArray
+    from posor.numerics.array_types import FloatArray
 
 TRUTH_COLUMNS = ("x_in", "y_in", "z_in")
 PROBE_COLUMNS = ("l1_v", "l2_v", "l3_v")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
-from posor_estimator.testing.program import wait_until
+from posor_lab.harness.program import wait_until
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from posor.calibration.file_model import first_problem
 from posor_drivers.instruments.capancdt_device import CapaNcdtDevice, CapaNcdtSettings
 from posor_drivers.instruments.device import DeviceError, Frames
-from posor_drivers.testing.capancdt_server import FULL_SCALE, HEADER_BYTES, CapaNcdtServer
-from posor_estimator.calibration.file_model import first_problem
+from posor_lab.device_servers.capancdt_server import FULL_SCALE, HEADER_BYTES, CapaNcdtServer
 from pydantic import ValidationError
 
 if TYPE_CHECKING:

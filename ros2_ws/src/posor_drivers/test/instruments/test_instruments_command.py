@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import yaml
 from posor_drivers.instruments.instruments_command import main
-from posor_drivers.testing.stream_server import LEAD, MAGIC, StreamServer
+from posor_lab.device_servers.stream_server import LEAD, MAGIC, StreamServer
 
 if TYPE_CHECKING:
     from pathlib import Path

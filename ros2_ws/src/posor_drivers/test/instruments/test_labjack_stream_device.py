@@ -10,7 +10,7 @@ import pytest
 from posor_drivers.instruments.device import DeviceError
 from posor_drivers.instruments.device_reader import DeviceReader
 from posor_drivers.instruments.labjack_stream_device import LabJackStreamDevice, LabJackStreamSettings
-from posor_drivers.testing.labjack_stream_server import LabJackStreamServer
+from posor_lab.device_servers.labjack_stream_server import LabJackStreamServer
 
 from .device_states import wait_for, wait_for_fault, wait_for_frames
 

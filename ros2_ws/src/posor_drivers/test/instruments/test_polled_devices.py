@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from posor.errors import CalibrationError
 from posor_drivers.instruments.device import DeviceError, Frames
 from posor_drivers.instruments.device_reader import DeviceReader
 from posor_drivers.instruments.labjack_device import LabJackDevice, LabJackSettings
 from posor_drivers.instruments.scpi_device import ScpiDevice, ScpiSettings
-from posor_drivers.testing.labjack_server import LabJackServer
-from posor_drivers.testing.scpi_server import ScpiServer
-from posor_estimator.errors import CalibrationError
+from posor_lab.device_servers.labjack_server import LabJackServer
+from posor_lab.device_servers.scpi_server import ScpiServer
 from pydantic import ValidationError
 
 from .device_states import wait_for, wait_for_fault, wait_for_frames

@@ -12,7 +12,7 @@ import pytest
 from posor_drivers.instruments.device_reader import DeviceReader
 from posor_drivers.instruments.shared_readers import shared_reader
 from posor_drivers.instruments.stream_device import StreamDevice, StreamSettings
-from posor_drivers.testing.stream_server import LEAD, StreamServer
+from posor_lab.device_servers.stream_server import LEAD, StreamServer
 from pydantic import ValidationError
 
 from .device_states import wait_for, wait_for_fault, wait_for_frames

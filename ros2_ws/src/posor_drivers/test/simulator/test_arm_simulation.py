@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from posor.chain.joint_measurements import MeasuredJoint
+from posor.estimation.posor import Posor
+from posor.estimation.tracking import theta_of
+from posor.model.fault import State
+from posor.model.scan import SCAN_FIELDS
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_drivers.simulator.mechanics import LinkCompliance, bend_links
 from posor_drivers.simulator.nominal_arm import NominalArm
-from posor_estimator.chain.joint_measurements import MeasuredJoint
-from posor_estimator.estimation.posor import Posor
-from posor_estimator.estimation.tracking import theta_of
-from posor_estimator.model.fault import State
-from posor_estimator.model.scan import SCAN_FIELDS
 from posor_msgs.msg import RawScan
 
 from ..three_joint_arm import FAR, JOINTS, SECOND, TICKS, N, perfect, refused, scenario, simulation, write_arm
@@ -179,7 +179,7 @@ import sys
 from pathlib import Path
 import numpy as np
 from posor_drivers.simulator.arm_simulation import ArmSimulation
-from posor_estimator.chain.arm_file import load_arm
+from posor.chain.arm_file import load_arm
 
 arm = ArmSimulation(load_arm(Path(sys.argv[1])))
 ticks = np.arange(*map(int, sys.argv[3:]))

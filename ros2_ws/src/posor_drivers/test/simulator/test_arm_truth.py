@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 import pytest
+from posor.chain.arm_file import Arm, load_arm
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
-from posor_estimator.chain.arm_file import Arm, load_arm
 
 if TYPE_CHECKING:
     from posor_drivers.simulator.arm_truth import ArmTruth

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from posor.estimation.posor import Posor
+from posor.model.fault import State
 from posor_drivers.simulator.electronics import convert_to_digital
 from posor_drivers.simulator.imperfections import Imperfections
-from posor_estimator.estimation.posor import Posor
-from posor_estimator.model.fault import State
 from posor_msgs.msg import RawScan
 
 from ..three_joint_arm import FAR, SECOND, TICKS, N, refused, scenario, simulation

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from posor.model.scan import HOME_BUMP
+from posor.sensors.diodes import DiodesCalibration
+from posor.sensors.gap_probes import GapProbesCalibration
 from posor_drivers.simulator.faults import KINDS
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_drivers.simulator.simulated_scans import PROBE_FIELDS
-from posor_estimator.model.scan import HOME_BUMP
-from posor_estimator.sensors.diodes import DiodesCalibration
-from posor_estimator.sensors.gap_probes import GapProbesCalibration
 
 from ..three_joint_arm import SECOND, TICKS, N, refused, scenario, simulation
 

@@ -4,18 +4,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from posor.chain.arm_file import load_arm
+from posor.errors import CalibrationError
 from posor_drivers.simulator.motion_phases import smooth_step
 from posor_drivers.simulator.nominal_arm import NominalArm
 from posor_drivers.simulator.scenario import load_scenario
-from posor_estimator.chain.arm_file import load_arm
-from posor_estimator.errors import CalibrationError
 
 from ..three_joint_arm import scenario, write_arm
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from posor_estimator.numerics.array_types import FloatArray
+    from posor.numerics.array_types import FloatArray
 
 
 def angles(folder: Path, content: dict[str, Any]) -> tuple[NominalArm, FloatArray]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from posor.chain.arm_file import load_arm
 from posor_drivers.simulator.nominal_arm import NominalArm
-from posor_estimator.chain.arm_file import load_arm
 
 from ..three_joint_arm import JOINTS, write_arm
 

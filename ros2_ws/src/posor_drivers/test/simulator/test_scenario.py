@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 import yaml
+from posor.errors import CalibrationError, ParameterError
 from posor_drivers.simulator.motion_phases import Circle, Dither, Rest, Spline
 from posor_drivers.simulator.scenario import load_scenario
-from posor_estimator.errors import CalibrationError, ParameterError
 
 from ..three_joint_arm import SCENARIO, scenario
 

@@ -2,10 +2,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from posor.errors import PosorError
+from posor.numerics.stamps import NS
 from posor_drivers.simulator.scenario import StageSettings
 from posor_drivers.simulator.stage import Stage
-from posor_estimator.errors import PosorError
-from posor_estimator.numerics.stamps import NS
 
 SETTINGS = StageSettings.model_validate(
     {

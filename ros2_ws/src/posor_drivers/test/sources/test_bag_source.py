@@ -4,10 +4,10 @@ import shutil
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from posor.errors import BagError
+from posor.messages.message_definitions import MessageTypes
 from posor_drivers.sources.bag_source import BagParameters, BagSource
 from posor_drivers.sources.source import SourceMessage, Topic
-from posor_estimator.bags.message_definitions import MessageTypes
-from posor_estimator.errors import BagError
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from ..sample_bags import point, scan, text, write_bag
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 EXPECTED = "expected a rosbag2 bag, MCAP or SQLite, that was closed properly."
-RECOVER = "'recover' of posor_estimator writes what is whole to a new bag"
+RECOVER = "'recover' of posor writes what is whole to a new bag"
 RECORDS = [scan(1, 100), point(100), scan(2, 300), text(400), scan(3, 500), point(600)]
 
 

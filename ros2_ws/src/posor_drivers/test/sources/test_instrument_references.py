@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import yaml
+from posor.bags.calibration_recording import Reference, load_recording
+from posor.errors import CalibrationError, TrackError
+from posor.messages.message_definitions import MessageTypes
+from posor.ros_names import RAW_SCAN, REFERENCE_READING
+from posor.uncertainty.air_index import Air
 from posor_drivers.bag_writer import BagWriter
 from posor_drivers.sources.instrument_source import InstrumentParameters, InstrumentSource
-from posor_drivers.testing.stream_server import LEAD, StreamServer
-from posor_estimator.bags.calibration_recording import Reference, load_recording
-from posor_estimator.bags.message_definitions import MessageTypes
-from posor_estimator.errors import CalibrationError, TrackError
-from posor_estimator.ros.message_conversion import stamp_ns
-from posor_estimator.ros_names import RAW_SCAN, REFERENCE_READING
-from posor_estimator.testing.program import wait_until
-from posor_estimator.uncertainty.air_index import Air
+from posor_lab.device_servers.stream_server import LEAD, StreamServer
+from posor_lab.harness.program import wait_until
 from posor_msgs.msg import RawScan, ReferenceReading
+from posor_ros.message_conversion import stamp_ns
 from rclpy.serialization import deserialize_message, serialize_message
 
 if TYPE_CHECKING:

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import yaml
+from posor.errors import ParameterError
+from posor.messages.message_definitions import MessageTypes
+from posor.model.scan import HOME_BUMP, SATURATED
 from posor_drivers.sources.instrument_source import InstrumentParameters, InstrumentSource
-from posor_drivers.testing.stream_server import LEAD, StreamServer
-from posor_estimator.bags.message_definitions import MessageTypes
-from posor_estimator.errors import ParameterError
-from posor_estimator.model.scan import HOME_BUMP, SATURATED
-from posor_estimator.ros.message_conversion import stamp_ns
-from posor_estimator.testing.program import wait_until
+from posor_lab.device_servers.stream_server import LEAD, StreamServer
+from posor_lab.harness.program import wait_until
 from posor_msgs.msg import RawScan
+from posor_ros.message_conversion import stamp_ns
 from rclpy.serialization import deserialize_message
 
 if TYPE_CHECKING:

@@ -9,19 +9,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from posor.errors import BagError
+from posor.messages.message_definitions import MessageTypes
+from posor.ros_names import RAW_SCAN
 from posor_drivers.driver_node import DriverNode
 from posor_drivers.live_publisher import MissedTicks, schedule_ticks
 from posor_drivers.sources import looped_source as looped
 from posor_drivers.sources.looped_source import LoopedParameters, LoopedSource
 from posor_drivers.sources.source import Topic
 from posor_drivers.tick_scheduler import TickScheduler, TickTask
-from posor_estimator.bags.message_definitions import MessageTypes
-from posor_estimator.errors import BagError
-from posor_estimator.ros.message_conversion import stamp_ns
-from posor_estimator.ros_names import RAW_SCAN
-from posor_estimator.testing.graph import BEST_EFFORT, Graph, values_of
-from posor_estimator.testing.in_process_nodes import run_refused_node
+from posor_lab.harness.graph import BEST_EFFORT, Graph, values_of
+from posor_lab.harness.in_process_nodes import run_refused_node
 from posor_msgs.msg import RawScan
+from posor_ros.message_conversion import stamp_ns
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.serialization import deserialize_message

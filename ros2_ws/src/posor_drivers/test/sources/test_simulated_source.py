@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from lifecycle_msgs.msg import Transition
+from posor.chain.arm_file import load_arm
+from posor.messages.message_definitions import MessageTypes
 from posor_drivers.driver_node import DriverNode
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.sources.simulated_source import SimulatedParameters, SimulatedSource
-from posor_estimator.bags.message_definitions import MessageTypes
-from posor_estimator.chain.arm_file import load_arm
-from posor_estimator.ros.message_conversion import pose_from_message, stamp_ns
-from posor_estimator.testing.graph import BEST_EFFORT, Graph, values_of, wait_for_value
-from posor_estimator.testing.in_process_nodes import run_refused_node
+from posor_lab.harness.graph import BEST_EFFORT, Graph, values_of, wait_for_value
+from posor_lab.harness.in_process_nodes import run_refused_node
 from posor_msgs.msg import RawScan
+from posor_ros.message_conversion import pose_from_message, stamp_ns
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
-    from posor_estimator.testing.program import Program
+    from posor_lab.harness.program import Program
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

@@ -6,13 +6,13 @@ from importlib.metadata import EntryPoint
 from typing import TYPE_CHECKING
 
 import pytest
+from posor.errors import ParameterError
+from posor.messages.message_definitions import MessageTypes
+from posor.numerics.stamps import NS
+from posor.parameter_model import ParameterGroup
+from posor.ros_names import RAW_SCAN, RAW_TOPIC
 from posor_drivers.sources import source
 from posor_drivers.sources.source import LiveSource, SourceMessage, Topic, load_source_class
-from posor_estimator.bags.message_definitions import MessageTypes
-from posor_estimator.errors import ParameterError
-from posor_estimator.numerics.stamps import NS
-from posor_estimator.parameter_model import ParameterGroup
-from posor_estimator.ros_names import RAW_SCAN, RAW_TOPIC
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import PointStamped
+from posor.errors import DataFileError
+from posor.messages.message_definitions import MessageTypes
+from posor.numerics.stamps import NS
 from posor_drivers.sources.source import Topic
 from posor_drivers.sources.table_source import TableParameters, TableSource, contact_currents, read_table
-from posor_estimator.bags.message_definitions import MessageTypes
-from posor_estimator.errors import DataFileError
-from posor_estimator.numerics.stamps import NS
 from posor_msgs.msg import RawScan
 from rclpy.serialization import deserialize_message
 

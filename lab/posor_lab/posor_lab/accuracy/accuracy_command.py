@@ -1,0 +1,149 @@
+"""Accuracy of the estimator on simulated scans: ``./run posor_lab accuracy`` prints tables and writes JSON.
+
+With ``--design FOLDER`` it simulates a POSOR of ``posor design posor`` instead, and compares it with its requirement.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+from posor.errors import ParameterError
+from posor.reporting.program_errors import reports_errors
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from posor_lab.accuracy.closure import closure
+from posor_lab.accuracy.consistency import monte_carlo, nees
+from posor_lab.accuracy.design_confirmation import confirm_design, design_rows, design_verdict
+from posor_lab.accuracy.fault_detection import FAULTS, detectable_shifts, detection, ring_observability
+from posor_lab.harness.random_poses import STACKS
+from posor_lab.output_files import check_writable, write_json
+
+FULL = {"poses": 100_000, "runs": 10_000, "draws": 10_000, "faults": 1_000, "designs": 2_000}
+SEED = 1985
+LARGEST_SHIFT_M = 1e-3
+
+EXPLANATION = """\
+Seven readings for six freedoms leave one contradiction: the distance between the spots, or the two pairs of ring
+probes. A shift that resembles another pose is seen by its jump alone: drift slower than the motion limits, and any
+shift before the first scan, cannot be distinguished from motion.
+False alarms are rarer than the 0.1 % that the chi-square test allows, because its limit includes the calibration's
+uncertainty, which these runs do not have. The missed bump is a gap of 100 scans in a turn at 2 rad/s: the count is
+put in doubt because it may have been lost, whether or not it was."""
+
+Report = dict[str, dict[str, dict[str, float]]]
+
+
+def accuracy_report(scale: float, progress: Progress) -> Report:
+    """Run everything at a share of the full size; return the figures, named as in the JSON file."""
+    sizes = {name: max(int(size * scale), 20) for name, size in FULL.items()}
+    report: Report = {name: {} for name in ("closure", "closed_form", "nees", "monte_carlo", "health")}
+    task = progress.add_task("accuracy", total=3 * len(STACKS) + len(FAULTS))
+    for stack in STACKS:
+        progress.update(task, description=f"closure of {stack}")
+        exact, simple = closure(stack, sizes["poses"], SEED)
+        report["closure"][stack], report["closed_form"][stack] = asdict(exact), asdict(simple)
+        progress.update(task, advance=1, description=f"normalised errors of {stack}")
+        report["nees"][stack] = asdict(nees(stack, sizes["runs"], SEED))
+        progress.update(task, advance=1, description=f"Monte Carlo of {stack}")
+        report["monte_carlo"][stack] = asdict(monte_carlo(stack, sizes["draws"], SEED))
+        progress.advance(task)
+    for fault in FAULTS:
+        progress.update(task, description=f"fault: {fault}")
+        report["health"][fault] = asdict(detection(fault, sizes["faults"], SEED))
+        progress.advance(task)
+    return report
+
+
+def _print_table(console: Console, title: str, columns: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
+    table = Table(*columns, title=title, title_justify="left")
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)
+
+
+def print_report(report: Report, console: Console) -> None:
+    """Print the figures as tables, and the smallest shifts of single readings that are flagged."""
+    rows: list[tuple[str, ...]] = []
+    for stack in STACKS:
+        errors = [report[name][stack] for name in ("closure", "closed_form")]
+        normalised, ratios = report["nees"][stack], report["monte_carlo"][stack]
+        rows.append(
+            (
+                stack,
+                *(f"{error['translation_m']:.1e} m\n{error['rotation_rad']:.1e} rad" for error in errors),
+                f"{normalised['mean']:.4f}\n[{normalised['low']:.4f}, {normalised['high']:.4f}]",
+                f"random {ratios['random_ratio']:.3f}\nsystematic {ratios['systematic_ratio']:.3f}",
+            )
+        )
+    columns = ("stack", "closure", "closed form", "NEES / 6 in [95 % band]", "Monte Carlo / stated")
+    _print_table(console, "Accuracy of the estimator over the full range of each design (SI units)", columns, rows)
+    rows = [
+        (
+            fault,
+            FAULTS[fault][0],
+            f"{100 * figures['detected_fraction']:.1f} %",
+            f"{100 * figures['false_alarm_fraction']:.3f} %",
+        )
+        for fault, figures in report["health"].items()
+    ]
+    title = "Faults flagged in their first scan, at 1 kHz"
+    _print_table(console, title, ("fault", "design", "flagged", "false alarms"), rows)
+    rows = []
+    for stack in STACKS:
+        for shift in detectable_shifts(stack):
+            never = shift.by_residual_m > LARGEST_SHIFT_M
+            by_residual = "never" if never else f"{1e6 * shift.by_residual_m:.1f} um"
+            rows.append((stack, shift.reading, f"{1e6 * shift.by_motion_m:.1f} um", by_residual))
+    title = (
+        "Smallest shift of one reading that is flagged within one scan: as motion faster than the design's\n"
+        "limits (1 mm/s, 0.02 rad/s of lean, 3 rad/s of theta), or as a contradiction of the redundant reading"
+    )
+    _print_table(console, title, ("stack", "reading", "by motion", "by chi-square"), rows)
+    console.print(EXPLANATION)
+    rows = []
+    for probes in (3, 4):
+        observability = ring_observability(probes)
+        rows.append((str(probes), f"{observability.min() / observability.max():.4f}"))
+    title = "Observability of x, y and theta by a bumpy ring over the phase of a bump"
+    _print_table(console, title, ("ring probes", "worst phase / best phase"), rows)
+
+
+def _confirm_design(folder: Path, scale: float, output: Path) -> int:
+    """Print and write how a designed POSOR meets its requirement; exit code 0: the simulation confirms it."""
+    draws = max(int(FULL["designs"] * scale), 20)
+    confirmation = confirm_design(folder, draws, SEED)
+    columns = ("freedom", "required", "error rms", "stated rms", "error / required")
+    title = f"Simulated errors of {draws} POSORs drawn from {folder}, one pose each (standard uncertainties, SI units)"
+    _print_table(Console(width=118), title, columns, design_rows(confirmation))
+    print(design_verdict(confirmation))
+    write_json(output, {"design": asdict(confirmation)})
+    return 0 if confirmation.confirmed else 1
+
+
+@reports_errors
+def main(arguments: list[str] | None = None) -> int:
+    """Run the program; the exit code is 0 if the report could be made, or the requirement of a design is confirmed."""
+    parser = argparse.ArgumentParser(prog="accuracy", description=str(__doc__).splitlines()[0])
+    parser.add_argument("--output", type=Path, default=Path("build/accuracy.json"), help="JSON file to write")
+    parser.add_argument("--scale", type=float, default=1.0, help="share of the full size, for a quick look")
+    parser.add_argument("--design", type=Path, metavar="FOLDER", help="output of posor design posor to simulate")
+    options = parser.parse_args(arguments)
+    if not 0.0 < options.scale <= 1.0:
+        raise ParameterError(f"--scale {options.scale}", expected="more than 0, at most 1")
+    check_writable(options.output)
+    if options.design is not None:
+        return _confirm_design(options.design, options.scale, options.output)
+    with Progress(console=Console(stderr=True)) as progress:
+        report = accuracy_report(options.scale, progress)
+    print_report(report, Console(width=118))
+    write_json(options.output, report)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

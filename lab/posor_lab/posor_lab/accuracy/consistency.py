@@ -1,0 +1,124 @@
+"""Consistency of the stated uncertainty: normalised errors, Monte Carlo of both parts of the covariance (JCGM 101)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from posor.calibration.calibration_file import Environment
+from posor.calibration.designs import DesignName, design
+from posor.estimation.forward import scans_at
+from posor.estimation.posor import Posor
+from scipy.stats import chi2
+
+from posor_lab.harness.random_poses import errors_in_parent, readable_poses, thetas_of
+
+if TYPE_CHECKING:
+    from posor.model.scan import Scans
+    from posor.numerics.array_types import FloatArray
+
+FREEDOMS = 6
+BAND = 0.95
+REGION = 0.95
+REGION_LIMIT = float(chi2.ppf(REGION, FREEDOMS))
+"""Largest normalised error squared inside the published 95 % region of a pose."""
+FALSE_ALARM = 1e-12
+"""Probability so small that no scan is excluded because of its residual."""
+
+
+@dataclass(frozen=True)
+class Nees:
+    """Mean normalised estimation error squared, divided by the number of freedoms, and its band, of 95 % by default."""
+
+    mean: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class MonteCarlo:
+    """Ratios of observed to stated standard deviation, each of the freedom with the ratio furthest from 1."""
+
+    random_ratio: float
+    systematic_ratio: float
+
+
+def nees(stack: DesignName, runs: int, seed: int) -> Nees:
+    """Return the normalised errors of noisy scans at random poses of a design."""
+    random = np.random.default_rng(seed)
+    posor = Posor(design(stack), false_alarm=FALSE_ALARM)
+    rotations, translations = readable_poses(posor, stack, runs, random)
+    scans = scans_at(posor.stack, rotations, translations, np.arange(runs, dtype=np.int64), noise=random)
+    found = posor.estimate_each(scans, thetas_of(rotations))
+    known = np.isfinite(found.thetas)  # noise can push a reading at the rim out of its calibrated range
+    errors = errors_in_parent(found.rotations[known], found.translations[known], rotations[known], translations[known])
+    return normalised(errors, found.covariances_random[known])
+
+
+def normalised(errors: FloatArray, covariances: FloatArray, band: float = BAND) -> Nees:
+    """Return the mean normalised error squared of errors (n, 6) with stated covariances (n, 6, 6)."""
+    count = FREEDOMS * len(errors)
+    low, high = (float(chi2.ppf(p, count)) / count for p in (0.5 - 0.5 * band, 0.5 + 0.5 * band))
+    return Nees(float(np.sum(normalised_squares(errors, covariances))) / count, low, high)
+
+
+def normalised_squares(errors: FloatArray, covariances: FloatArray) -> FloatArray:
+    """Return e' C^-1 e of errors (n, k) with covariances (n, k, k), (n,)."""
+    return np.asarray(np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[..., None])[..., 0]))
+
+
+class DrawnPosors:
+    """POSORs that differ from one calibration as much as it says is uncertain.
+
+    The estimator knows the calibration only, and neither the supply nor the temperature, which deviate from their
+    references in the middle of the range.
+    """
+
+    def __init__(self, posor: Posor, random: np.random.Generator) -> None:
+        """Prepare the draws."""
+        self._stack, self._random = posor.stack, random
+        environment = posor.calibration.environment or Environment()
+        parts = [environment.supply, environment.temperature]
+        self._middles = np.array([0.0 if part is None else np.mean(part.range.array) for part in parts])
+        self._spreads = np.array([0.0 if part is None else part.spread.number for part in parts])
+
+    def scan(self, rotation: FloatArray, translation: FloatArray, noise: np.random.Generator | None = None) -> Scans:
+        """Return one scan of a new POSOR at a pose, (1, 3, 3), (1, 3); ``noise``: None, no noise."""
+        stack, random = self._stack, self._random
+        real = stack.with_parameter_values(
+            stack.parameter_values + stack.parameter_sigmas * random.normal(size=stack.parameter_sigmas.size)
+        )
+        supply, temperature = (self._middles + self._spreads * random.normal(size=2))[:, None]
+        stamps, unknown = np.zeros(1, dtype=np.int64), np.full(1, np.nan)
+        scans = scans_at(
+            real, rotation, translation, stamps, supply_voltages=supply, temperatures=temperature, noise=noise
+        )
+        return scans.with_fields({"supply_voltages": unknown, "temperatures": unknown})
+
+
+def _worst_ratio(errors: FloatArray, stated_variances: FloatArray) -> float:
+    """Return the root mean square of errors (n, 6) over the stated standard deviations, the ratio furthest from 1."""
+    ratios = np.sqrt(np.mean(np.square(errors), axis=0)) / np.sqrt(stated_variances)
+    return float(ratios[np.argmax(np.abs(np.log(ratios)))])
+
+
+def monte_carlo(stack: DesignName, draws: int, seed: int) -> MonteCarlo:
+    """Return both ratios at one pose of a design, from ``draws`` draws of the noise and as many of the parameters."""
+    random = np.random.default_rng(seed)
+    posor = Posor(design(stack), false_alarm=FALSE_ALARM)
+    rotation, translation = readable_poses(posor, stack, 1, random)
+    rotations, translations = np.repeat(rotation, draws, axis=0), np.repeat(translation, draws, axis=0)
+    stamps = np.arange(draws, dtype=np.int64)
+    thetas = thetas_of(rotations)
+    found = posor.estimate_each(scans_at(posor.stack, rotations, translations, stamps, noise=random), thetas)
+    errors = errors_in_parent(found.rotations, found.translations, rotations, translations)
+    random_ratio = _worst_ratio(errors, np.mean(np.diagonal(found.covariances_random, axis1=1, axis2=2), axis=0))
+
+    posors, variances = DrawnPosors(posor, random), np.zeros(FREEDOMS)
+    for n in range(draws):
+        scans = posors.scan(rotation, translation)
+        found = posor.estimate_each(scans, thetas[:1])
+        errors[n] = errors_in_parent(found.rotations, found.translations, rotation, translation)[0]
+        variances += np.diagonal(found.covariances_systematic[0]) / draws
+    return MonteCarlo(random_ratio, _worst_ratio(errors, variances))

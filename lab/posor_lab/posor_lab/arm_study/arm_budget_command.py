@@ -1,0 +1,194 @@
+"""arm_budget: error budget of an arm's endpoint, extended and with a bent wrist, beside the figures of the thesis.
+
+``./run posor_lab arm_budget [--arm ARM.yaml] [--output budget.json] [--draws N]``
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from posor.chain.arm_file import load_arm
+from posor.chain.kinematic_chain import load_chain
+from posor.errors import ChainError, ParameterError
+from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.program_errors import reports_errors
+from posor.uncertainty.endpoint_budget import (
+    Spread,
+    configurations,
+    endpoint_budget,
+    model_covariances,
+    monte_carlo,
+    thesis_covariance,
+)
+from posor_bringup.installed import share
+from rich.console import Console
+from rich.table import Table
+
+from posor_lab.arm_study.thesis_robot import (
+    ENDPOINT_FILE,
+    JOINTS_FILE,
+    MICROINCH,
+    PrintedEndpoint,
+    read_endpoint,
+    read_joints,
+)
+from posor_lab.output_files import check_writable, write_json
+from posor_lab.thesis_data import URAD, data_path
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Mapping, Sequence
+
+    from posor.chain.arm_file import Arm
+    from posor.chain.kinematic_chain import Chain
+    from posor.numerics.array_types import FloatArray
+
+DRAWS = 10_000
+SEED = 1985
+FIGURES = ("alpha_x_urad", "alpha_y_urad", "alpha_z_urad", "dx_uin", "dy_uin", "dz_uin", "displacement_uin")
+
+THESIS, NOISE, WHOLE = "thesis", "sensor_noise", "sensor_models"
+TITLES = {
+    THESIS: "thesis 9.3.1, exact beams",
+    NOISE: "sensor models, exact beams: noise",
+    WHOLE: "noise, calibration and beams",
+}
+
+
+def thesis_arm_path() -> Path:
+    """Return the file of the installed five-axis arm, the robot of thesis chapter 9."""
+    return share() / "arms" / "five_axis" / "arm.yaml"
+
+
+def spread_figures(spread: Spread | PrintedEndpoint) -> dict[str, float]:
+    """Return the figures of a spread by the names of ``FIGURES``."""
+    turns, shifts = (spread.orientation / URAD).tolist(), (spread.displacement / MICROINCH).tolist()
+    return dict(zip(FIGURES, [*turns, *shifts, spread.total / MICROINCH], strict=True))
+
+
+def arm_budget(arm: Arm, draws: int = DRAWS) -> dict[str, dict[str, Any]]:
+    """Return the budgets of an arm, by configuration: ``extended`` and ``bent``.
+
+    Each configuration has the figures of ``FIGURES`` by the source of the joints' accuracies: ``sensor_noise``,
+    ``sensor_models``, and ``thesis`` if the arm is the installed five-axis arm. Each source also has the
+    same figures by ``monte_carlo``, and ``contributions``. The configuration itself has the figures of ``thesis``, or
+    else of ``sensor_models``; ``printed`` are the figures printed in the thesis.
+
+    Args:
+        arm: The arm.
+        draws: Draws of a Monte Carlo run.
+
+    Raises:
+        PosorError: A file of the arm is invalid, or its POSORs cannot be read at zero angles.
+
+    """
+    chain = arm.chain()
+    straight = load_chain(arm.urdf, arm.endpoint_frame)
+    joints = read_joints(data_path(JOINTS_FILE))
+    printed = read_endpoint(data_path(ENDPOINT_FILE))
+    names = [joint.name for joint in chain.joints]
+    is_thesis_robot = arm.path.resolve() == thesis_arm_path().resolve()
+    calibrations = {name: arm.calibration(name) for name in names}
+    result: dict[str, dict[str, Any]] = {}
+    for configuration, angles in configurations(names).items():
+        try:
+            random, systematic = model_covariances(calibrations, chain, angles)
+        except ChainError:
+            if any(angles.values()):
+                continue  # a joint cannot reach this angle, such as that of the test rig
+            raise
+        cases: dict[str, tuple[Chain, Mapping[str, FloatArray]]] = {
+            NOISE: (straight, random),
+            WHOLE: (chain, {name: random[name] + systematic[name] for name in names}),
+        }
+        if is_thesis_robot:
+            thesis = {name: thesis_covariance(joint.outside_diameter) for name, joint in joints.items()}
+            cases = {THESIS: (straight, thesis), **cases}
+        budgets = {name: _case_budget(case, angles, covariances, draws) for name, (case, covariances) in cases.items()}
+        selected = budgets[THESIS if is_thesis_robot else WHOLE]
+        result[configuration] = {**{name: selected[name] for name in FIGURES}, **budgets}
+        if is_thesis_robot:
+            result[configuration]["printed"] = spread_figures(printed[configuration])
+    return result
+
+
+def _case_budget(
+    chain: Chain, angles: Mapping[str, float], covariances: Mapping[str, FloatArray], draws: int
+) -> dict[str, Any]:
+    budget = endpoint_budget(chain, angles, covariances)
+    return {
+        **spread_figures(budget.spread),
+        "monte_carlo": spread_figures(monte_carlo(chain, angles, covariances, draws, SEED)),
+        "contributions": [{"name": part.name, **spread_figures(part.spread)} for part in budget.contributions],
+    }
+
+
+def print_budgets(budgets: Mapping[str, Mapping[str, Any]], console: Console) -> None:
+    """Print the budgets as tables."""
+    for configuration, budget in budgets.items():
+        table = _table(f"Endpoint, {configuration}: standard uncertainties (k = 1)", "accuracies of the joints")
+        for name, title in TITLES.items():
+            if name in budget:
+                _add_row(table, title, budget[name])
+                _add_row(table, "  Monte Carlo", budget[name]["monte_carlo"])
+        if "printed" in budget:
+            _add_row(table, "printed in thesis 9.3.1", budget["printed"])
+        console.print(table)
+        for name, title in TITLES.items():
+            if name in budget:
+                parts = _table(f"Contributions, {configuration}: {title}", "contribution")
+                for part in budget[name]["contributions"]:
+                    _add_row(parts, part["name"], part)
+                console.print(parts)
+
+
+def _table(title: str, first: str) -> Table:
+    table = Table(title=title, title_justify="left")
+    table.add_column(first)
+    for column in ("aX urad", "aY urad", "aZ urad", "dX uin", "dY uin", "dZ uin", "total uin", "total um"):
+        table.add_column(column, justify="right")
+    return table
+
+
+def _add_row(table: Table, title: str, row: Mapping[str, float]) -> None:
+    turns, shifts = FIGURES[:3], FIGURES[3:]
+    cells = [f"{row[name]:.2f}" for name in turns] + [f"{row[name]:.1f}" for name in shifts]
+    table.add_row(title, *cells, f"{row['displacement_uin'] * MICROINCH * 1e6:.2f}")
+
+
+def parse_options(arguments: Sequence[str]) -> argparse.Namespace:
+    """Return the options.
+
+    Raises:
+        ParameterError: An option is unknown or its value is invalid.
+
+    """
+    parser = CommandLineParser(prog="arm_budget", description="Error budget of an arm's endpoint.")
+    parser.add_argument(
+        "--arm", type=Path, default=thesis_arm_path(), metavar="ARM.yaml", help="default: the five-axis arm"
+    )
+    parser.add_argument("--output", type=Path, metavar="FILE.json", help="file for the figures")
+    parser.add_argument("--draws", type=int, default=DRAWS, help=f"draws of each Monte Carlo run (default: {DRAWS})")
+    options = parser.parse_args(list(arguments))
+    if options.draws < 1:
+        raise ParameterError(f"--draws {options.draws}", where="arm_budget", expected="1 or more")
+    return options
+
+
+@reports_errors
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program."""
+    options = parse_options(sys.argv[1:] if arguments is None else arguments)
+    if options.output is not None:
+        check_writable(options.output)
+    budgets = arm_budget(load_arm(options.arm), options.draws)
+    print_budgets(budgets, Console(width=118, highlight=False))
+    if options.output is not None:
+        write_json(options.output, budgets)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

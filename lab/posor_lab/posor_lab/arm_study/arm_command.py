@@ -1,0 +1,199 @@
+"""arm: study of a simulated arm: runs its nodes with and without a controller, draws many arms, writes a report.
+
+The exit code is 0 only if every judged figure holds.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from argparse import ArgumentTypeError
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from posor.errors import ParameterError
+from posor.reporting.command_line_parser import CommandLineParser
+from posor_bringup.arms import load_checked_arm
+from posor_bringup.bringup_options import LOGS, add_driver_parameters, prepare_output_folder
+from posor_bringup.supervisor import Supervisor
+from posor_drivers.simulator.arm_simulation import ArmSimulation
+from posor_drivers.simulator.imperfections import Imperfections
+from posor_ros.node_program import StopSignal, non_ros_arguments, ros_context
+from posor_ros.ros_domain import isolated_network
+from rich.console import Console
+
+from posor_lab.arm_study.arm_budget_command import arm_budget
+from posor_lab.arm_study.arm_coverage import ARMS, POSES, Coverage, arm_coverage
+from posor_lab.arm_study.arm_findings import ArmOutcome, arm_findings
+from posor_lab.arm_study.arm_live_table import ArmLiveTable
+from posor_lab.arm_study.arm_receiver import ArmReceiver
+from posor_lab.arm_study.arm_report import arm_figures, write_report
+from posor_lab.arm_study.arm_run import ArmPlan, ArmRun
+from posor_lab.arm_study.tick_outcomes import count_outcomes
+from posor_lab.output_files import write_json
+from posor_lab.reports.console_progress import InterruptedRunError, StageProgress
+from posor_lab.reports.findings import COMPARISON_HEADINGS, print_findings, print_verdict
+from posor_lab.reports.findings_program import exit_code_of_findings
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Sequence
+
+    from posor.chain.arm_file import Arm
+
+    from posor_lab.reports.findings import Findings
+
+OUTPUTS = ("report.html", "report.png")
+BUDGET_DRAWS = 500
+MIN_ARMS = 2
+"""Number of arms with a standard deviation."""
+
+
+def _parse_seconds(text: str) -> float:
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = math.nan
+    if not (math.isfinite(seconds) and seconds > 0.0):
+        raise ArgumentTypeError(f"'{text}' is not a duration, a number greater than 0")
+    return seconds
+
+
+def parse_options(arguments: Sequence[str]) -> Namespace:
+    """Return the options.
+
+    Raises:
+        ParameterError: An option is unknown or its value is invalid.
+
+    """
+    parser = CommandLineParser(prog="arm", description="Run a simulated arm and report how well its endpoint is known.")
+    parser.add_argument("--arm", default="five_axis", metavar="ARM", help="name or path (default: five_axis)")
+    parser.add_argument("--controller", type=Path, metavar="FILE.py", help="endpoint controller for a second cycle")
+    parser.add_argument(
+        "--seconds", type=_parse_seconds, metavar="S", help="length of each cycle (default: that of the scenario)"
+    )
+    parser.add_argument(
+        "--arms", type=int, default=ARMS, metavar="N", help=f"arms drawn for the coverage, 0: none (default: {ARMS})"
+    )
+    parser.add_argument("--coverage-only", action="store_true", help="draw arms, start no node")
+    parser.add_argument(
+        "--output",
+        type=Path,
+        default=Path("build/arm"),
+        metavar="FOLDER",
+        help="report; the figures go to FOLDER.json (default: build/arm)",
+    )
+    parser.add_argument("--no-live", action="store_true", help="lines instead of a live table")
+    add_driver_parameters(parser)
+    options = parser.parse_args(list(arguments))
+    if options.arms < 0 or 0 < options.arms < MIN_ARMS:
+        raise ParameterError(f"--arms {options.arms}", where="arm", expected=f"0, or at least {MIN_ARMS}")
+    if options.coverage_only and not options.arms:
+        raise ParameterError("--coverage-only with --arms 0", where="arm", expected=f"at least {MIN_ARMS} arms")
+    return options
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the study as a program; the exit code is 0 if all judged figures hold."""
+    argv = sys.argv if arguments is None else arguments
+    return exit_code_of_findings(lambda: _study_arm(parse_options(non_ros_arguments(argv)), argv))
+
+
+def _study_arm(options: Namespace, argv: Sequence[str]) -> Findings:
+    """Run the study and write its report."""
+    console = Console(highlight=False)
+    arm = load_checked_arm(options.arm)
+    console.print(f"{arm.name}: preparing the simulation", soft_wrap=True, markup=False)
+    simulation = _checked_simulation(arm, options)
+    folder = prepare_output_folder(options.output, OUTPUTS)
+    outcome = ArmOutcome()
+    if not options.coverage_only:
+        outcome = _run_nodes(options, argv, simulation, folder / LOGS, console)
+    coverage = _measure_coverage(arm, options.arms, console) if options.arms and arm.beams is not None else None
+    console.print(f"{arm.name}: evaluating", soft_wrap=True, markup=False)
+    outcome = replace(outcome, coverage=coverage, budget=arm_budget(arm, BUDGET_DRAWS))
+    findings = arm_findings(outcome)
+    write_report(folder, arm, simulation.scenario, outcome, findings)
+    print_findings(findings, console, f"{arm.name}: findings", COMPARISON_HEADINGS)
+    write_json(options.output.with_name(f"{options.output.name}.json"), arm_figures(outcome))
+    console.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False)
+    print_verdict(findings, console)
+    return findings
+
+
+def _checked_simulation(arm: Arm, options: Namespace) -> ArmSimulation:
+    """Return the simulation of an arm with the options' driver parameters; the drivers refuse invalid parameters.
+
+    Raises:
+        ParameterError: The arm is not simulated, cannot be used with a controller, or has no beams and nothing else is
+            requested than the coverage.
+
+    """
+    if arm.driver.source != "simulated":
+        raise ParameterError(
+            f"source '{arm.driver.source}'", where=str(arm.path), expected="'simulated', whose truth is known"
+        )
+    if options.coverage_only and arm.beams is None:
+        raise ParameterError(
+            "has no beams file, without which no arms are drawn",
+            where=str(arm.path),
+            expected="an arm with beams, or no --coverage-only",
+        )
+    parameters = {name.removeprefix("simulated."): value for name, value in options.parameters}
+    known = {name: bool(value) for name, value in parameters.items() if name in Imperfections.model_fields}
+    simulation = ArmSimulation(arm, Imperfections(**known))
+    if options.controller is not None and simulation.scenario.stage is None:
+        raise ParameterError(
+            "the scenario has no stage, which a controller could move",
+            where=str(arm.scenario),
+            expected="no --controller",
+        )
+    if options.controller is not None and not options.controller.is_file():
+        raise ParameterError(f"there is no file {options.controller}", where="arm", expected="a Python program")
+    return simulation
+
+
+def _run_nodes(
+    options: Namespace, argv: Sequence[str], simulation: ArmSimulation, logs: Path, console: Console
+) -> ArmOutcome:
+    """Run one cycle without a controller, and one with it if there is one."""
+    scenario, arm = simulation.scenario, simulation.arm
+    ticks = scenario.cycle_ticks if options.seconds is None else math.ceil(options.seconds * scenario.ticks_per_second)
+    plan = ArmPlan(simulation, ticks, logs, options.controller, dict(options.parameters))
+    with (
+        isolated_network(),
+        ros_context(argv) as stop,
+        Supervisor(logs) as supervisor,
+        ArmReceiver(arm.name, simulation.chain, stage=scenario.stage is not None) as receiver,
+        ArmLiveTable(f"{arm.name}, simulated", console, live=not options.no_live) as table,
+    ):
+        run = ArmRun(plan, supervisor, receiver, table, interrupted=lambda: stop.requested)
+        run.start_nodes()
+        records = [run.run_cycle("without controller")]
+        if plan.controller is not None:
+            run.start_controller()
+            records.append(run.run_cycle("with controller"))
+        table.show_state("reading the counters")
+        counters = run.read_counters()
+        run.end_nodes()
+    before, after = records[0], records[1] if plan.controller is not None else None
+    return ArmOutcome(before, after, count_outcomes(records, simulation, counters))
+
+
+def _measure_coverage(arm: Arm, arms: int, console: Console) -> Coverage:
+    """Draw many arms and show the progress."""
+    title = f"{arm.name}: drawing {arms} arms, {POSES} poses of each"
+
+    def check() -> None:
+        if stop.requested:
+            raise InterruptedRunError("interrupted", where="arm")
+
+    if not console.is_terminal:
+        console.print(title, soft_wrap=True, markup=False)
+    with StopSignal() as stop, StageProgress(console, check) as progress, progress.stage(title, arms) as on_drawn:
+        return arm_coverage(arm, arms, on_drawn=on_drawn)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

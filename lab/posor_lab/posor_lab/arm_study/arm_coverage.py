@@ -1,0 +1,265 @@
+"""Coverage of the published uncertainty, and effect of the sag, over many simulated arms. No ROS.
+
+Each arm is drawn within the uncertainties of the files: all parameters of POSORs and measuring beams, sag, bearings,
+and the noise of every reading. At several poses of the scenario its raw scans go through estimators and chain as in the
+nodes, which know only the files.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache, partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+from posor.chain.arm_file import Arm, load_arm
+from posor.chain.beams_file import load_beams
+from posor.chain.kinematic_chain import Chain
+from posor.errors import ParameterError
+from posor.estimation.posor import Posor
+from posor.model.fault import State
+from posor_drivers.simulator.arm_truth import true_cycle
+from posor_drivers.simulator.electronics import JointElectronics
+from posor_drivers.simulator.imperfections import Imperfections
+from posor_drivers.simulator.nominal_arm import NominalArm
+from posor_drivers.simulator.scenario import load_scenario
+
+from posor_lab.accuracy.consistency import REGION_LIMIT, normalised_squares
+from posor_lab.arm_study.arm_record import pose_array, pose_errors, rms
+from posor_lab.reports.process_pool import ordered_map
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from posor.estimation.estimate import Estimates
+    from posor.numerics.array_types import FloatArray
+    from posor_drivers.simulator.pose_array import PoseArray
+    from posor_drivers.simulator.scenario import Scenario
+
+ARMS = 1000
+POSES = 6
+BATCH = 25
+"""Arms per task of a worker."""
+IN_THE_BUDGET = Imperfections(zero_drift=False, supply_drift=False, contamination=False, dropouts=False, latency=False)
+"""What the published covariance accounts for: noise, quantisation, calibration, beams and their sag."""
+FALSE_ALARM = 1e-9
+"""Of the chi-square test, so that noise is not taken for a fault: that would trim the errors."""
+
+
+@dataclass(frozen=True)
+class MeanEstimate:
+    """A mean over independent cases, here arms, and its standard uncertainty."""
+
+    value: float
+    sigma: float
+
+    @staticmethod
+    def of(cases: FloatArray) -> MeanEstimate:
+        """Return the mean of cases, (a,)."""
+        return MeanEstimate(float(np.mean(cases)), float(np.std(cases, ddof=1) / np.sqrt(len(cases))))
+
+
+@dataclass(frozen=True)
+class ArmSample:
+    """Errors of a arms at p poses each."""
+
+    normalised: FloatArray  # normalised error squared of the endpoint with its published covariance, (a, p)
+    errors: FloatArray  # errors, (a, p, 6), ROS order, axes of the base
+    without_sag: FloatArray  # errors without the correction of the sag, (a, p, 6)
+    lost: int  # number of poses that a POSOR did not give; NaN above
+
+    @staticmethod
+    def concatenate(parts: list[ArmSample]) -> ArmSample:
+        """Return several samples as one."""
+        return ArmSample(
+            normalised=np.concatenate([part.normalised for part in parts]),
+            errors=np.concatenate([part.errors for part in parts]),
+            without_sag=np.concatenate([part.without_sag for part in parts]),
+            lost=sum(part.lost for part in parts),
+        )
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Figures of many arms."""
+
+    arms: int  # number of arms
+    poses: int  # poses of each arm
+    lost: int  # number of poses that a POSOR did not give; they count as outside
+    inside: MeanEstimate  # share of the poses inside the published 95 % region
+    nees: MeanEstimate  # mean normalised error squared; 6 if the covariance is right
+    normalised: FloatArray  # all normalised errors squared, (a p,)
+    rms_m: float  # root mean square of the endpoint's position error [m]
+    rms_without_sag_m: float  # the same without the correction of the sag
+    shift_found_m: FloatArray  # mean displacement that the uncorrected sag leaves, (p, 3), axes of the base
+    shift_predicted_m: FloatArray  # prediction of the beams file
+    shift_ratio: MeanEstimate  # found over predicted, along the predicted displacement
+
+
+def arm_coverage(
+    arm: Arm,
+    arms: int = ARMS,
+    poses: int = POSES,
+    *,
+    workers: int = 0,
+    on_drawn: Callable[[int], None] = lambda _: None,
+) -> Coverage:
+    """Return how published uncertainty and predicted sag hold for many arms with the files of ``arm``.
+
+    The seeds of the arms follow the seed of the scenario, which is that of the live run.
+
+    Args:
+        arm: The arm; it has a scenario and a beams file.
+        arms: Number of arms, two or more.
+        poses: Poses of each arm, evenly spread over the scenario.
+        workers: Processes; 0: one for each processor.
+        on_drawn: Called with the number of newly drawn arms; an exception ends the run.
+
+    Raises:
+        ParameterError: The arm has no scenario or no beams file.
+        PosorError: A file is invalid.
+
+    """
+    predicted = ArmSampler(arm, poses).predicted_shift()[:, :3]
+    seed = 0 if arm.scenario is None else load_scenario(arm.scenario).seed + 1
+    return coverage_figures(sample_arms(arm, arms, poses, seed, workers=workers, on_drawn=on_drawn), predicted)
+
+
+def coverage_figures(sample: ArmSample, predicted: FloatArray) -> Coverage:
+    """Return the figures of a sample; ``predicted``: displacement by the uncorrected sag [m], (p, 3), axes of base."""
+    arms, poses = sample.normalised.shape
+    known = np.isfinite(sample.normalised)
+    shifts = np.where(known[..., None], sample.without_sag[..., :3], 0.0)
+    along = np.einsum("apk,pk->a", shifts, predicted)
+    scale = np.einsum("ap,pk,pk->a", known, predicted, predicted)
+    seen = scale > 0.0
+    return Coverage(
+        arms=arms,
+        poses=poses,
+        lost=sample.lost,
+        inside=MeanEstimate.of(np.mean(np.where(known, sample.normalised, np.inf) <= REGION_LIMIT, axis=1)),
+        nees=MeanEstimate.of(np.array([np.nanmean(of_arm) for of_arm in sample.normalised[known.any(axis=1)]])),
+        normalised=sample.normalised[known],
+        rms_m=rms(sample.errors[..., :3].reshape(-1, 3)),
+        rms_without_sag_m=rms(sample.without_sag[..., :3].reshape(-1, 3)),
+        shift_found_m=shifts.sum(axis=0) / np.maximum(known.sum(axis=0), 1)[:, None],
+        shift_predicted_m=predicted,
+        shift_ratio=MeanEstimate.of(along[seen] / scale[seen]),
+    )
+
+
+class ArmSampler:
+    """Draws arms with the files of an arm; a seed determines an arm."""
+
+    def __init__(self, arm: Arm, poses: int) -> None:
+        """Read the files and select the poses.
+
+        Args:
+            arm: The arm; it has a scenario.
+            poses: Number of poses of the path, evenly spread over its duration.
+
+        Raises:
+            ParameterError: The arm has no scenario or no beams file.
+            PosorError: A file is invalid.
+
+        """
+        if arm.scenario is None or arm.beams is None:
+            raise ParameterError(
+                "has no scenario or no beams file", where=str(arm.path), expected="a simulated arm with beams"
+            )
+        self._scenario = load_scenario(arm.scenario)
+        self._source = str(arm.scenario)
+        self.chain = arm.chain()
+        beams = load_beams(arm.beams)
+        straight = beams.model_copy(update={"beams": tuple(b.model_copy(update={"sag": None}) for b in beams.beams)})
+        self.straight = Chain(arm.urdf.read_text(encoding="utf-8"), arm.endpoint_frame, straight)
+        self._nominal = NominalArm(self.chain)
+        self._posors = {joint: Posor(arm.calibration(joint), false_alarm=FALSE_ALARM) for joint in self._nominal.joints}
+        cycle = self._scenario.cycle_ticks
+        self._ticks = (np.arange(poses) * cycle) // poses + cycle // (2 * poses)
+        self._commanded = self._scenario.commanded_angles(self._nominal, self._source)[self._ticks]
+
+    def draw(self, seeds: range) -> ArmSample:
+        """Return the errors of the arms with these seeds."""
+        arms, poses = len(seeds), len(self._ticks)
+        normalised = np.full((arms, poses), np.nan)
+        errors, without_sag = np.full((2, arms, poses, 6), np.nan)
+        for n, seed in enumerate(seeds):
+            scenario = self._scenario.model_copy(update={"seed": seed})
+            truth = true_cycle(
+                scenario, self.chain, self._nominal, self._commanded, beam_errors=True, sag=IN_THE_BUDGET.sag
+            )
+            found = {joint: self._estimate_joint(joint, scenario, seen) for joint, seen in truth.T_parent_child.items()}
+            known = np.all([estimates.states != State.LOST for estimates in found.values()], axis=0)
+            if not known.any():
+                continue
+            joint_poses = np.stack([estimates.poses for estimates in found.values()], axis=1)[known]
+            joint_covariances = np.stack(
+                [estimates.covariances_random + estimates.covariances_systematic for estimates in found.values()],
+                axis=1,
+            )[known]
+            true = truth.endpoint.select(known)
+            endpoints = self.chain.estimate_all(joint_poses, joint_covariances)
+            straight = self.straight.estimate_all(joint_poses, joint_covariances)
+            errors[n, known] = pose_errors(_to_pose_array(endpoints.poses), true)
+            without_sag[n, known] = pose_errors(_to_pose_array(straight.poses), true)
+            normalised[n, known] = normalised_squares(errors[n, known], endpoints.covariances)
+        return ArmSample(normalised, errors, without_sag, int(np.isnan(normalised).sum()))
+
+    def predicted_shift(self) -> FloatArray:
+        """Return the endpoint errors by uncorrected sag, (p, 6), that follow from the beams file alone."""
+        joints = [joint.name for joint in self.chain.joints]
+        poses = np.array(
+            [
+                [pin.SE3ToXYZQUAT(self.chain.nominal_joint(joint, float(angle))) for joint, angle in row]
+                for row in (zip(joints, angles, strict=True) for angles in self._commanded)
+            ]
+        )
+        exact = np.zeros((*poses.shape[:2], 6, 6))
+        straight, sagging = (
+            _to_pose_array(chain.estimate_all(poses, exact).poses) for chain in (self.straight, self.chain)
+        )
+        return pose_errors(straight, sagging)
+
+    def _estimate_joint(self, joint: str, scenario: Scenario, seen: PoseArray) -> Estimates:
+        """Return the estimates of a joint's noisy scans at true poses; theta is taken from the counting ring."""
+        posor = self._posors[joint]
+        electronics = JointElectronics(scenario, joint, posor.calibration, IN_THE_BUDGET, self._source)
+        thetas = np.arctan2(-seen.rotations[:, 0, 1], seen.rotations[:, 1, 1])
+        return posor.estimate_each(electronics.scans(self._ticks, seen).scans, thetas)
+
+
+def _to_pose_array(poses: FloatArray) -> PoseArray:
+    """Return poses x, y, z and quaternion x, y, z, w, (n, 7), as rotations and translations."""
+    return pose_array([pin.XYZQUATToSE3(pose) for pose in poses])
+
+
+@cache  # each worker reads the files once
+def _sampler(path: Path, poses: int) -> ArmSampler:
+    return ArmSampler(load_arm(path), poses)
+
+
+def _draw(path: Path, poses: int, seeds: range) -> ArmSample:
+    return _sampler(path, poses).draw(seeds)
+
+
+def sample_arms(
+    arm: Arm, arms: int, poses: int, seed: int, *, workers: int = 0, on_drawn: Callable[[int], None] = lambda _: None
+) -> ArmSample:
+    """Draw many arms in several processes; the result does not depend on their number.
+
+    Args:
+        arm: The arm.
+        arms: Number of arms.
+        poses: Poses of each arm.
+        seed: Seed of the first arm; the others follow.
+        workers: Processes; 0: one for each processor.
+        on_drawn: Called with the number of newly drawn arms; an exception ends the run.
+
+    """
+    batches = [range(begin, min(begin + BATCH, seed + arms)) for begin in range(seed, seed + arms, BATCH)]
+    draw = partial(_draw, arm.path, poses)
+    parts = ordered_map(draw, batches, workers, lambda part: on_drawn(len(part.normalised)))
+    return ArmSample.concatenate(parts)

@@ -1,0 +1,245 @@
+"""Runs a simulated arm in one process per node: one cycle of its scenario, and one more with a controller.
+
+The run publishes the clock of all nodes. It advances tick by tick, at most in real time, once everything of the last
+tick has come. On a slow host the arm moves more slowly, but no tick is missed.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from posor_bringup.arm_programs import arm_programs
+from posor_bringup.supervisor import ProcessError, Program, RunningProgram
+from posor_drivers.scan_clock import tick_stamp_ns
+
+from posor_lab.arm_study.tick_outcomes import Dropouts, NodeCounters
+from posor_lab.reports.graph_receiver import GraphWatch
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
+
+    from posor.chain.arm_file import Arm
+    from posor_bringup.supervisor import Parameter, Supervisor
+    from posor_drivers.simulator.arm_simulation import ArmSimulation
+
+    from posor_lab.arm_study.arm_live_table import ArmLiveTable
+    from posor_lab.arm_study.arm_receiver import ArmReceiver
+    from posor_lab.arm_study.arm_record import ArmRecord
+
+COMMON_PARAMETERS: Mapping[str, Parameter] = {"use_sim_time": True, "lossless": True}
+"""Clock of this run; lossless delivery, so that a missing message was not published."""
+CHAIN_PARAMETERS: Mapping[str, Parameter] = {"max_wait": 60.0}
+"""The clock waits for the transforms: their delay depends on the host only."""
+WARM_UP_TICKS = 40
+"""Ticks before the scenario begins, in which subscriptions are connected."""
+TICK_TIMEOUT_S = 10.0
+"""Wall time until the clock advances although something of a tick is missing; ``tick_outcomes`` reports it."""
+FIRST_TICK_TIMEOUT_S = 1.0
+"""The same until all nodes publish: a node that receives the clock late begins with a later tick."""
+INCOMPLETE_LIMIT_S = 60.0
+"""Wall time without a complete tick after which the run fails."""
+COMMAND_TIMEOUT_S = 1.0
+"""Wall time for a controller to answer a pose; it may hold the stage."""
+REPEAT_S = 0.2
+"""Wall time after which the clock is published again; its delivery is best effort."""
+FIRST_COMMAND_S = 10.0
+"""Time of the arm's clock within which a controller must command the stage."""
+SETTLING_S = 1.0
+"""Time of the arm's clock for a controller to settle."""
+SHOWN_PER_S = 4
+"""Ticks shown per second in a terminal; one line per second elsewhere."""
+
+
+NAMED = 3
+"""Missing topics that a message names."""
+
+
+def _name_first(missing: Sequence[str]) -> str:
+    """Return the first missing topics, and how many more there are."""
+    more = f" and {len(missing) - NAMED} more" if len(missing) > NAMED else ""
+    return "; ".join(missing[:NAMED]) + more
+
+
+@dataclass(frozen=True)
+class ArmPlan:
+    """What to run."""
+
+    simulation: ArmSimulation  # the arm as all drivers simulate it
+    ticks: int  # number of ticks of each cycle
+    logs: Path  # existing folder for the log files
+    controller: Path | None = None  # python file of an endpoint controller; None: no second cycle
+    driver_parameters: Mapping[str, Parameter] = field(default_factory=dict)
+    """ROS parameters of the drivers, such as ``simulated.sag``."""
+
+    @property
+    def arm(self) -> Arm:
+        """The arm file."""
+        return self.simulation.arm
+
+    @property
+    def rate(self) -> int:
+        """Ticks per second."""
+        return self.simulation.scenario.ticks_per_second
+
+    @property
+    def cycle(self) -> int:
+        """Ticks after which the scenario repeats."""
+        return self.simulation.scenario.cycle_ticks
+
+
+class ArmRun:
+    """A run: ``start_nodes``, ``run_cycle``, ``start_controller``, ``run_cycle``, ``read_counters``, ``end_nodes``."""
+
+    def __init__(
+        self,
+        plan: ArmPlan,
+        supervisor: Supervisor,
+        receiver: ArmReceiver,
+        table: ArmLiveTable,
+        *,
+        interrupted: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Prepare; nothing is started yet."""
+        self.plan = plan
+        self._supervisor = supervisor
+        self._receiver = receiver
+        self._table = table
+        self._nodes: list[RunningProgram] = []
+        self._controller: RunningProgram | None = None
+        self._dropouts = Dropouts(plan.simulation)
+        self._tick = plan.cycle - WARM_UP_TICKS
+        self._complete_s = math.inf  # wall time of the latest complete tick
+        self._watch = GraphWatch(supervisor, receiver, "arm", on_waiting=table.show_waiting, interrupted=interrupted)
+
+    def start_nodes(self) -> None:
+        """Start all nodes, wait for their connections, and advance to the beginning of the scenario.
+
+        Raises:
+            ProcessError: A node failed, or something does not come.
+
+        """
+        plan = self.plan
+        programs = arm_programs(
+            plan.arm,
+            driver_parameters=plan.driver_parameters,
+            chain_parameters=CHAIN_PARAMETERS,
+            parameters=COMMON_PARAMETERS,
+        )
+        self._table.show_state(f"starting {len(programs)} nodes")
+        self._nodes = [self._supervisor.start(program) for program in programs]
+        self._watch.wait(
+            lambda: not self._receiver.missing_connections(), lambda: _name_first(self._receiver.missing_connections())
+        )
+        self._complete_s = time.monotonic()
+        while self._tick < plan.cycle or self._receiver.missing_topics():
+            self._advance(FIRST_TICK_TIMEOUT_S if self._receiver.missing_topics() else TICK_TIMEOUT_S)
+
+    def run_cycle(self, state: str) -> ArmRecord:
+        """Run the ticks of a cycle and return their record; ``state`` is shown in the live table.
+
+        Raises:
+            ProcessError: A node failed, or nothing comes any more.
+
+        """
+        self._table.show_state(state)
+        ticks = range(self._tick, self._tick + self.plan.ticks)
+        began, shown, without = time.monotonic(), 0, 0
+        pause = self.plan.rate // (SHOWN_PER_S if self._table.is_live else 1)
+        for done, tick in enumerate(ticks, start=1):
+            time.sleep(max(0.0, began + (done - 1) / self.plan.rate - time.monotonic()))
+            self._advance()
+            without += tick_stamp_ns(tick, self.plan.rate) not in self._receiver.poses
+            if done >= shown + pause:
+                newest = self._receiver.record(range(tick, tick + 1), self.plan.rate)
+                if newest.is_complete:
+                    shown = done
+                    speed = done / self.plan.rate / (time.monotonic() - began)
+                    self._table.show_tick(newest, done, without, speed)
+        return self._receiver.record(ticks, self.plan.rate)
+
+    def _advance(self, timeout_s: float = TICK_TIMEOUT_S) -> None:
+        """Advance the clock to just before the next tick, and wait for the results of this tick.
+
+        Raises:
+            ProcessError: For INCOMPLETE_LIMIT_S no tick was complete.
+
+        """
+        stamp, now = tick_stamp_ns(self._tick, self.plan.rate), tick_stamp_ns(self._tick + 1, self.plan.rate) - 1
+        dropped = self._dropouts.dropped_joints(self._tick)
+        receiver, began = self._receiver, time.monotonic()
+        repeat = began + REPEAT_S
+        receiver.set_clock(now)
+
+        def is_done() -> bool:
+            nonlocal repeat
+            waited = time.monotonic() - began
+            if time.monotonic() > repeat:
+                repeat += REPEAT_S
+                receiver.set_clock(now)
+            if missing := receiver.missing_of_tick(stamp, dropped):
+                if time.monotonic() > self._complete_s + INCOMPLETE_LIMIT_S:
+                    what = f"no tick was complete for {INCOMPLETE_LIMIT_S:g} s, missing: {_name_first(missing)}"
+                    raise ProcessError(what, where="arm")
+                return waited > timeout_s
+            self._complete_s = time.monotonic()
+            commanded = self._controller is None or stamp in receiver.commands or stamp not in receiver.poses
+            return commanded or waited > COMMAND_TIMEOUT_S
+
+        self._watch.wait(is_done, lambda: _name_first(receiver.missing_of_tick(stamp, dropped)))
+        self._tick += 1
+
+    def start_controller(self) -> None:
+        """Start the controller while the clock stands still, then let it settle.
+
+        Raises:
+            ProcessError: It failed, or commands nothing.
+
+        """
+        self._table.show_state("starting the controller")
+        self._controller = self._supervisor.start(
+            Program("controller", "", str(self.plan.controller), (), f"/{self.plan.arm.name}", {"use_sim_time": True})
+        )
+        self._watch.wait(self._receiver.has_controller, lambda: f"a publisher of {self._receiver.command_topic}")
+        last = self._tick + round(FIRST_COMMAND_S * self.plan.rate)
+        while not self._receiver.commands:
+            if self._tick > last:
+                what = f"has published nothing on {self._receiver.command_topic} in {FIRST_COMMAND_S:g} s"
+                raise ProcessError(what, where="controller")
+            self._advance()
+        for _ in range(round(SETTLING_S * self.plan.rate)):
+            self._advance()
+
+    def read_counters(self) -> NodeCounters:
+        """Return the counters of the nodes from diagnostics that are published from now on."""
+        arm = self.plan.arm
+        chain = f"/{arm.name}/chain_node: endpoint"
+        drivers = {joint: f"/{arm.name}/{joint}/driver_node: pace" for joint in arm.calibrations}
+        before = {name: self._receiver.status_count(name) for name in (chain, *drivers.values())}
+
+        def missing() -> list[str]:
+            # Two each: the first one may be older than this call.
+            return [name for name in before if self._receiver.status_count(name) < before[name] + 2]
+
+        self._watch.wait(lambda: not missing(), lambda: "diagnostics of " + ", ".join(missing()))
+        return NodeCounters(
+            missed={joint: self._read_counter(name, "ticks_missed") for joint, name in drivers.items()},
+            incomplete=self._read_counter(chain, "scans_incomplete"),
+        )
+
+    def _read_counter(self, status: str, key: str) -> int:
+        return int(self._receiver.status_value(status, key) or 0)
+
+    def end_nodes(self) -> None:
+        """End the controller, then the nodes.
+
+        Raises:
+            ProcessError: One ended with an error.
+
+        """
+        if self._controller is not None:
+            self._supervisor.end([self._controller])
+        self._supervisor.end(self._nodes)

@@ -1,0 +1,259 @@
+"""The sections of the benchmark; each returns its part of the JSON file."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from posor_lab.benchmark.estimator_benchmark import estimator_figures
+from posor_lab.benchmark.generated_arm import generate_arm, record_scans
+from posor_lab.benchmark.graph_load import LAYOUTS, PROFILE, SPIN_US, GraphLoad
+from posor_lab.benchmark.growth_lines import OVERLOADED, fit_line, select_series
+from posor_lab.benchmark.offline_benchmark import offline_figures
+from posor_lab.benchmark.tick_statistics import NothingReceivedError, run_figures
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from posor.chain.arm_file import Arm
+    from posor_bringup.arm_programs import Layout
+
+    from posor_lab.benchmark.graph_load import Kind
+    from posor_lab.benchmark.graph_measurement import GraphMeasurement
+    from posor_lab.benchmark.tick_statistics import MeasuredRun
+
+SECTIONS = ("graph", "faults", "waiting", "layouts", "growth", "highest", "separate", "profile", "kernel", "offline")
+"""Names of the sections; each is a method of ``BenchmarkSections``."""
+MAX_SPIN_US = 1000
+PRIORITY = 50
+"""SCHED_FIFO priority that is requested; where the system refuses it, the figures are those without."""
+FAULT_INTERVAL = 100
+"""With faults, one of so many scans of the first joint lacks a reading."""
+RATE_LADDER = (500, 1000, 1500, 2000, 2500, 3000, 3500, 4000, 5000, 6000, 8000, 10_000)
+"""Rates [Hz] for the search of the highest rate."""
+SEPARATE_LADDER = (125, 250, 500, 1000)
+"""Rates [Hz] for the search with one process for each node."""
+SEPARATE_LOST = 1e-3
+"""Share of lost ticks that is allowed there."""
+TRIES = 2
+"""A rate fails only if it fails so many times: the host may have paused once."""
+
+
+@dataclass(frozen=True)
+class BenchmarkPlan:
+    """What to measure."""
+
+    joints: int  # joints of the main graph
+    rate: int  # rate of the main graph [Hz]
+    layout: Layout  # layout of the main graph
+    seconds: float  # measured time of the main graph, and of the pass-through graph
+    rounds: int  # number of parts of this time; the two graphs alternate, so that changes of the host affect both
+    point_s: float  # measured time of all other graphs
+    offline_s: int  # length of the bag for offline processing
+    growth_joints: Sequence[int]  # numbers of joints, at ``growth_rate`` [Hz]
+    growth_rate: int  # rate for ``growth_joints`` [Hz]
+    growth_rates: Sequence[int]  # rates [Hz], with the joints of the main graph
+
+    @property
+    def name(self) -> str:
+        """Name of the main graph in the keys of the JSON file."""
+        return f"{self.joints}x{self.rate}"
+
+    @property
+    def full_spin_us(self) -> int:
+        """Period of the main graph [us], rounded up, as far as drivers accept it: with it, they never sleep."""
+        return min(-(-1_000_000 // self.rate), MAX_SPIN_US)
+
+
+class BenchmarkArms:
+    """Generates arms on demand, and one bag that all of them play."""
+
+    def __init__(self, folder: Path, max_joints: int) -> None:
+        """Generate the largest arm and record the bag."""
+        self.folder = folder
+        self.bag = folder / "scans"
+        self._arms: dict[int, Arm] = {}
+        record_scans(self[max_joints], self.bag)
+
+    def __getitem__(self, joints: int) -> Arm:
+        """Return the arm with a number of joints."""
+        if joints not in self._arms:
+            self._arms[joints] = generate_arm(self.folder / f"arm_{joints}", joints, self.bag)
+        return self._arms[joints]
+
+    def with_faults(self, joints: int) -> Arm:
+        """Return an arm that plays a bag in which scans of the first joint lack a reading."""
+        bag = self.folder / "faults"
+        record_scans(self[joints], bag, FAULT_INTERVAL)
+        return generate_arm(self.folder / f"arm_{joints}_faults", joints, bag)
+
+
+def find_highest_rate(
+    lost_share: Callable[[int], float], allowed: float, ladder: Sequence[int] = RATE_LADDER
+) -> int | None:
+    """Return the highest rate of a ladder with at most the allowed share lost, by bisection; None: no rate."""
+    lowest, highest = -1, len(ladder)
+    while highest - lowest > 1:
+        middle = (lowest + highest) // 2
+        if lost_share(ladder[middle]) > allowed:
+            highest = middle
+        else:
+            lowest = middle
+    return ladder[lowest] if lowest >= 0 else None
+
+
+def least_lost_share(
+    measure: Callable[[int], float], rate: int, allowed: float, measured: dict[int, list[float]]
+) -> float:
+    """Return the least lost share of a rate [Hz], measured until it is allowed, at most ``TRIES`` times.
+
+    ``measured`` holds all measured shares by rate and is extended.
+    """
+    shares = measured.setdefault(rate, [])
+    while not shares or (min(shares) > allowed and len(shares) < TRIES):
+        shares.append(measure(rate))
+    return min(shares)
+
+
+class BenchmarkSections:
+    """Measures the sections of a plan."""
+
+    def __init__(
+        self,
+        plan: BenchmarkPlan,
+        measurement: GraphMeasurement,
+        arms: BenchmarkArms,
+        print_line: Callable[[str], None],
+    ) -> None:
+        """Prepare; nothing is measured yet."""
+        self._plan = plan
+        self._measurement = measurement
+        self._arms = arms
+        self._print_line = print_line
+        self._measured: dict[tuple[Layout, int, int], dict[str, Any]] = {}
+
+    def _measure(self, kind: Kind, layout: Layout, joints: int, rate: int, seconds: float) -> MeasuredRun:
+        self._print_line(f"{kind.replace('_', '-')}, {joints} joints at {rate} Hz, {LAYOUTS[layout]}: {seconds:g} s")
+        return self._measurement.measure_graph(GraphLoad(self._arms[joints], kind, layout, rate), seconds)
+
+    def _graph_figures(self, layout: Layout, joints: int, rate: int) -> dict[str, Any]:
+        """Return the figures of a graph; each graph is measured once."""
+        key = (layout, joints, rate)
+        if key not in self._measured:
+            self._measured[key] = run_figures([self._measure("graph", *key, self._plan.point_s)])
+        return self._measured[key]
+
+    def graph(self) -> dict[str, Any]:
+        """Measure the main graph and the pass-through graph alternately, then the empty loop."""
+        plan = self._plan
+        runs: dict[Kind, list[MeasuredRun]] = {"graph": [], "pass_through": []}
+        for _ in range(plan.rounds):
+            for kind, of_kind in runs.items():
+                of_kind.append(self._measure(kind, plan.layout, plan.joints, plan.rate, plan.seconds / plan.rounds))
+        graph, pass_through = (run_figures(of_kind) for of_kind in runs.values())
+        self._measured[plan.layout, plan.joints, plan.rate] = graph
+        return {
+            f"graph_{plan.name}": graph,
+            f"pass_through_{plan.name}": pass_through,
+            "empty_loop": self._empty_loop(plan.seconds / plan.rounds),
+            **{f"ratio_{share}": graph[f"{share}_us"] / pass_through[f"{share}_us"] for share in ("p50", "p99")},
+        }
+
+    def _empty_loop(self, seconds: float) -> dict[str, Any]:
+        rate = self._plan.rate
+        self._print_line(f"empty loop, ticks at {rate} Hz: {seconds:g} s, and as long without sleeping")
+        spins = {"asleep": SPIN_US, "awake": self._plan.full_spin_us}
+        return {name: self._measurement.measure_empty_loop(rate, spin_us, seconds) for name, spin_us in spins.items()}
+
+    def layouts(self) -> dict[str, Any]:
+        """Measure the main graph in every layout but one process for each node, whose rate ``separate`` searches."""
+        plan, layouts = self._plan, [layout for layout in LAYOUTS if layout != "separate"]
+        return {"layouts": {layout: self._graph_figures(layout, plan.joints, plan.rate) for layout in layouts}}
+
+    def waiting(self) -> dict[str, Any]:
+        """Measure the main graph with drivers that always sleep, wake shortly before a tick, or never sleep."""
+        plan, figures = self._plan, {}
+        ways = {f"spin_us {spin_us}": (spin_us, 0) for spin_us in (0, SPIN_US, plan.full_spin_us)}
+        ways[f"spin_us {SPIN_US}, priority {PRIORITY}"] = SPIN_US, PRIORITY
+        for way, (spin_us, priority) in ways.items():
+            self._print_line(f"graph, {plan.joints} joints at {plan.rate} Hz, {way}: {plan.point_s:g} s")
+            load = GraphLoad(self._arms[plan.joints], "graph", plan.layout, plan.rate, spin_us, priority)
+            figures[way] = run_figures([self._measurement.measure_graph(load, plan.point_s)])
+        return {"waiting": figures}
+
+    def faults(self) -> dict[str, Any]:
+        """Measure the main graph while scans of one joint lack a reading: reporting faults takes time."""
+        plan = self._plan
+        self._print_line(f"graph, one scan in {FAULT_INTERVAL} of one joint faulty: {plan.point_s:g} s")
+        load = GraphLoad(self._arms.with_faults(plan.joints), "graph", plan.layout, plan.rate)
+        return {"faults": run_figures([self._measurement.measure_graph(load, plan.point_s)])}
+
+    def growth(self) -> dict[str, Any]:
+        """Measure the processor time by joints and by rate."""
+        plan = self._plan
+        sizes = {(joints, plan.growth_rate) for joints in plan.growth_joints}
+        sizes |= {(plan.joints, rate) for rate in plan.growth_rates}
+        points = [
+            {"joints": joints, "rate": rate, "layout": "composed", **self._graph_figures("composed", joints, rate)}
+            for joints, rate in sorted(sizes)
+        ]
+        lines = {
+            "joints": fit_line(select_series(points, "joints", plan.growth_rate), "joints"),
+            "rate": fit_line(select_series(points, "rate", plan.joints), "rate"),
+        }
+        return {"growth": points, "growth_lines": {by: line and asdict(line) for by, line in lines.items()}}
+
+    def highest(self) -> dict[str, Any]:
+        """Search the highest rate without lost ticks, and with less than ``OVERLOADED`` lost."""
+        measured: dict[int, list[float]] = {}
+
+        def lost_share(rate: int) -> float:
+            return self._lost_share(self._plan.layout, rate)
+
+        def highest_rate(allowed: float) -> int | None:
+            return find_highest_rate(lambda rate: least_lost_share(lost_share, rate, allowed, measured), allowed)
+
+        return {
+            "highest_rate_hz": highest_rate(0.0),
+            "highest_rate_nearly_hz": highest_rate(OVERLOADED),
+            "highest_rate_lost": {str(rate): min(measured[rate]) for rate in sorted(measured)},
+        }
+
+    def separate(self) -> dict[str, Any]:
+        """Search the highest rate with one process for each node and at most ``SEPARATE_LOST`` lost."""
+        measured: dict[int, list[float]] = {}
+
+        def lost_share(rate: int) -> float:
+            return least_lost_share(lambda rate: self._lost_share("separate", rate), rate, SEPARATE_LOST, measured)
+
+        return {
+            "highest_rate_separate_hz": find_highest_rate(lost_share, SEPARATE_LOST, SEPARATE_LADDER),
+            "highest_rate_separate_lost": {str(rate): min(measured[rate]) for rate in sorted(measured)},
+        }
+
+    def _lost_share(self, layout: Layout, rate: int) -> float:
+        """Return the share of lost ticks of the graph with the joints of the main graph."""
+        try:
+            run = self._measure("graph", layout, self._plan.joints, rate, self._plan.point_s)
+        except NothingReceivedError:
+            return 1.0
+        return run.lost / run.expected
+
+    def profile(self) -> dict[str, Any]:
+        """Measure the time of each stage of a tick, all nodes in one process."""
+        plan = self._plan
+        self._print_line(f"profile, {plan.joints} joints at {plan.rate} Hz: {plan.point_s:g} s")
+        load = GraphLoad(self._arms[plan.joints], "graph", "composed", plan.rate, profiled=True)
+        self._measurement.measure_graph(load, plan.point_s)
+        return {"profile": json.loads((self._measurement.folder / PROFILE).read_text(encoding="utf-8"))}
+
+    def kernel(self) -> dict[str, Any]:
+        """Measure the estimator alone."""
+        return dict(estimator_figures(self._arms[self._plan.joints], self._arms.bag))
+
+    def offline(self) -> dict[str, Any]:
+        """Measure ``reprocess`` and the loops that it is compared with."""
+        arms = self._arms
+        return offline_figures(arms[self._plan.joints], arms.bag, arms.folder, self._plan.offline_s)

@@ -1,0 +1,148 @@
+"""A `compose` with a stopwatch around every stage of a tick: ``stage_profile.py COMPOSITION FILE``.
+
+Writes the time of each stage per tick, and the times from the stamp to the milestones of a tick, into FILE (JSON) at
+the end. Nodes that share the process call each other, so all stages of a tick run in one thread.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from importlib import import_module
+from pathlib import Path
+from struct import Struct
+from time import time_ns
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from posor.numerics.stamps import NS
+from posor_estimator.compose_command import main as compose
+from posor_ros.node_program import non_ros_arguments
+
+from posor_lab.benchmark.stopwatch import Stopwatches
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+STAGES = (
+    ("posor_drivers.tick_scheduler", "TickTask", "run_tick", "driver: schedule the ticks, other"),
+    ("posor_ros.cdr_scan", "ScanTemplate", "at", "driver: stamp into the scan"),
+    ("posor_estimator.posor_node", "PosorEstimatorNode", "_on_raw_scan", "posor_node: other"),
+    (
+        "posor_estimator.raw_scan_stream",
+        "RawScanStream",
+        "estimate_message",
+        "posor_node: bytes of the scan and the transform",
+    ),
+    (
+        "posor.messages.message_stream",
+        "MessageEstimator",
+        "estimate_rows",
+        "posor_node: read, estimate, write",
+    ),
+    ("posor_estimator.chain_node", "ChainNode", "_on_transform", "chain_node: other"),
+    ("posor.chain.time_synchroniser", "TimeSynchroniser", "add", "chain_node: synchronise"),
+    (
+        "posor.chain.endpoint_estimator",
+        "EndpointEstimator",
+        "estimate_rows",
+        "chain_node: read the transforms, endpoint",
+    ),
+    ("posor_estimator.cdr_writer", "MessageWriter", "write", "chain_node: numbers into bytes"),
+)
+"""Module, class, method and name of each stage; publishing is one more stage for each message type."""
+SCAN, POSE = "RawScan", "PoseStamped"
+MILESTONES = ("stamp_to_first_scan_us", "first_to_last_scan_us", "last_scan_to_pose_us")
+WARM_UP_TICKS = 100
+_STAMP = Struct("<iI")
+
+
+class TickMilestones:
+    """Times of each tick: first scan published, last scan published, pose published [ns].
+
+    Attributes:
+        intervals_ns: The intervals of ``MILESTONES`` of each tick.
+
+    """
+
+    def __init__(self, on_warm: Callable[[], None]) -> None:
+        """Store milestones; call ``on_warm`` after ``WARM_UP_TICKS`` and forget those ticks."""
+        self._on_warm = on_warm
+        self._is_warm = False
+        self._stamp_ns = self._first_ns = self._last_ns = 0
+        self.intervals_ns: list[tuple[int, int, int]] = []
+
+    def on_scan(self, data: bytes) -> None:
+        """Store the time of a scan."""
+        stamp_ns, now_ns = _stamp_ns(data), time_ns()
+        if stamp_ns != self._stamp_ns:
+            self._stamp_ns, self._first_ns = stamp_ns, now_ns
+        self._last_ns = now_ns
+
+    def on_pose(self, data: bytes) -> None:
+        """Store the intervals of a tick when its pose has been published."""
+        now_ns = time_ns()
+        if _stamp_ns(data) != self._stamp_ns:
+            return
+        first_ns, last_ns = self._first_ns, self._last_ns
+        self.intervals_ns.append((first_ns - self._stamp_ns, last_ns - first_ns, now_ns - last_ns))
+        if not self._is_warm and len(self.intervals_ns) == WARM_UP_TICKS:
+            self._is_warm = True
+            self.intervals_ns.clear()
+            self._on_warm()
+
+
+def _stamp_ns(data: bytes) -> int:
+    sec, nanosec = _STAMP.unpack_from(data, 4)
+    return int(sec * NS + nanosec)
+
+
+def install_stopwatches(watches: Stopwatches, milestones: TickMilestones) -> None:
+    """Put a stopwatch around every stage; call it before nodes are created."""
+    for module, name, method, stage in STAGES:
+        kind = getattr(import_module(module), name)
+        setattr(kind, method, watches.timed(getattr(kind, method), stage))
+    publisher_type = import_module("posor_ros.intra_process").IntraProcessPublisher
+    publish = watches.timed(publisher_type.publish, lambda publisher, *_: f"publish {publisher.message_type.__name__}")
+
+    def publish_and_store(publisher: Any, data: bytes) -> None:
+        kind = publisher.message_type.__name__
+        if kind == SCAN:
+            milestones.on_scan(data)
+        publish(publisher, data)
+        if kind == POSE:
+            milestones.on_pose(data)
+
+    publisher_type.publish = publish_and_store
+
+
+def profile_figures(watches: Stopwatches, milestones: TickMilestones) -> dict[str, Any]:
+    """Return calls and time of each stage per tick, the longest first, and percentiles of the milestones."""
+    intervals_us = np.array(milestones.intervals_ns).reshape(-1, 3) / 1e3
+    ticks = len(intervals_us)
+    stages = sorted(watches.stage_times().items(), key=lambda item: -item[1][1])
+    return {
+        "ticks": ticks,
+        "stages": {name: {"calls": calls / ticks, "us": us / ticks} for name, (calls, us) in stages},
+        **{
+            name: {"p50": float(np.percentile(column, 50)), "p99": float(np.percentile(column, 99))}
+            for name, column in zip(MILESTONES, intervals_us.T, strict=True)
+        },
+    }
+
+
+def main() -> int:
+    """Run the program."""
+    composition, file = non_ros_arguments(sys.argv)
+    watches = Stopwatches()
+    milestones = TickMilestones(watches.restart)
+    install_stopwatches(watches, milestones)
+    code = compose([sys.argv[0], composition])
+    if milestones.intervals_ns:
+        figures = profile_figures(watches, milestones)
+        Path(file).write_text(json.dumps(figures, indent=1), encoding="utf-8")
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

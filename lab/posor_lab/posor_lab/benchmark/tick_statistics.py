@@ -1,0 +1,131 @@
+"""Statistics of a measured time window: latencies and lost ticks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from posor.errors import PosorError
+from posor_drivers.scan_clock import first_tick_after, tick_stamp_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from posor.numerics.array_types import FloatArray, IntArray
+
+STAMP, PUBLISHED, RECEIVED, NUMBER = range(4)
+"""Columns of the rows that ``latency_receiver`` writes."""
+PERCENTILES = {"p50_us": 50.0, "p99_us": 99.0, "p999_us": 99.9, "max_us": 100.0}
+COUNTERS = ("ticks_missed", "incomplete", "refused")
+
+
+class NothingReceivedError(PosorError):
+    """No pose was received in the measured time."""
+
+
+def percentiles_us(times_ns: IntArray) -> dict[str, float]:
+    """Return the percentiles of ``PERCENTILES`` of times [ns] in us."""
+    return {name: float(np.percentile(times_ns, share)) / 1e3 for name, share in PERCENTILES.items()}
+
+
+@dataclass(frozen=True)
+class TickWindow:
+    """The measured time: from ``begin_ns`` to before ``end_ns`` of the ROS clock, with ticks at ``rate`` [Hz]."""
+
+    begin_ns: int
+    end_ns: int
+    rate: int
+
+    @property
+    def stamps_ns(self) -> IntArray:
+        """Stamps of all its ticks [ns], (n,)."""
+        first, last = (first_tick_after(end - 1, self.rate) for end in (self.begin_ns, self.end_ns))
+        return tick_stamp_ns(np.arange(first, last), self.rate)
+
+
+@dataclass(frozen=True)
+class MeasuredRun:
+    """Measurements of one window."""
+
+    latencies_ns: IntArray  # from the stamp of each pose to its reception, (n,)
+    published_ns: IntArray  # from the stamp of each pose to its publication, (n,)
+    expected: int  # number of ticks in the window
+    not_received: int  # number of poses that were published but not received
+    counters: Mapping[str, int]
+    """Counters of the nodes from shortly before to shortly after the window: ticks missed by a driver (the largest
+    of all drivers), scans without a joint, scans refused by the chain."""
+    cpu_cores: Mapping[str, float]  # processor time of each process [s/s]
+    memory_mb: Mapping[str, float]  # resident memory of each process
+
+    @property
+    def lost(self) -> int:
+        """Number of ticks without a received pose."""
+        return self.expected - len(self.latencies_ns)
+
+
+def evaluate_window(
+    rows: IntArray,
+    window: TickWindow,
+    counters: Mapping[str, int],
+    cpu_cores: Mapping[str, float],
+    memory_mb: Mapping[str, float],
+) -> MeasuredRun:
+    """Return the measurements of a window from rows (n, 4) of ``latency_receiver``; rows outside are ignored.
+
+    Raises:
+        NothingReceivedError: There is no pose.
+        PosorError: The stamp of a pose is not that of a tick, or occurs twice.
+
+    """
+    ticks = window.stamps_ns
+    inside = rows[(rows[:, STAMP] >= window.begin_ns) & (rows[:, STAMP] < window.end_ns)]
+    stamps, numbers, where = inside[:, STAMP], inside[:, NUMBER], "endpoint/pose"
+    if not len(inside):
+        raise NothingReceivedError("no pose came in the measured time", where=where, expected=f"{len(ticks)}")
+    stray = stamps[~np.isin(stamps, ticks)]
+    if len(stray):
+        raise PosorError(f"stamp {stray[0]} ns", where=where, expected=f"a tick of {window.rate} Hz")
+    if len(np.unique(stamps)) != len(stamps):
+        raise PosorError("two poses have the same stamp", where=where, expected="one for each tick")
+    return MeasuredRun(
+        latencies_ns=inside[:, RECEIVED] - stamps,
+        published_ns=inside[:, PUBLISHED] - stamps,
+        expected=len(ticks),
+        not_received=int(numbers[-1] - numbers[0]) + 1 - len(numbers),
+        counters=counters,
+        cpu_cores=cpu_cores,
+        memory_mb=memory_mb,
+    )
+
+
+def run_figures(runs: Sequence[MeasuredRun]) -> dict[str, Any]:
+    """Return the figures of several runs of the same graph as if they were one run."""
+    latencies_ns = np.concatenate([run.latencies_ns for run in runs])
+    published = percentiles_us(np.concatenate([run.published_ns for run in runs]))
+    lost, not_received = sum(run.lost for run in runs), sum(run.not_received for run in runs)
+    processes = {
+        name: {
+            "cpu_cores": _mean([run.cpu_cores[name] for run in runs]),
+            "memory_mb": _mean([run.memory_mb[name] for run in runs]),
+        }
+        for name in runs[0].cpu_cores
+    }
+    return {
+        **percentiles_us(latencies_ns),
+        "published_p50_us": published["p50_us"],
+        "published_p99_us": published["p99_us"],
+        "expected": sum(run.expected for run in runs),
+        "received": len(latencies_ns),
+        "lost": lost,
+        "not_received": not_received,
+        "not_published": lost - not_received,
+        **{name: sum(run.counters[name] for run in runs) for name in COUNTERS},
+        "cpu_cores": sum(process["cpu_cores"] for process in processes.values()),
+        "memory_mb": sum(process["memory_mb"] for process in processes.values()),
+        "processes": processes,
+    }
+
+
+def _mean(values: Sequence[float] | FloatArray) -> float:
+    return float(np.mean(values))

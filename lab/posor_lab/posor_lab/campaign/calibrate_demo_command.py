@@ -1,0 +1,184 @@
+"""calibrate_demo: simulated calibration campaigns from bags to a calibrated POSOR, compared with the truth.
+
+``./run posor_lab calibrate_demo`` draws a POSOR, records every step of its calibration as a rosbag2 bag,
+calibrates it by the code of the command line, checks it at validation poses, and checks the stated uncertainties over
+further campaigns. Exit code 0 only if everything holds.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, get_args
+
+from posor.errors import ParameterError
+from posor.lazy_program import INTERRUPT_SIGNALS
+from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.report_console import report_console
+from posor_bringup.bringup_options import prepare_output_folder
+
+from posor_lab.campaign.campaign_json import campaigns_as_json
+from posor_lab.campaign.campaign_page import campaign_page
+from posor_lab.campaign.campaign_report import CampaignReport, all_findings
+from posor_lab.campaign.campaign_run import calibrate_from_bags, record_bags
+from posor_lab.campaign.campaign_series import coverage_of_series, run_campaigns
+from posor_lab.campaign.campaign_steps import campaign_steps
+from posor_lab.campaign.ground_truth import POSORS, GroundTruth, PosorName
+from posor_lab.output_files import write_files
+from posor_lab.reports.console_progress import InterruptedRunError, StageProgress
+from posor_lab.reports.findings import COMPARISON_HEADINGS, print_findings, print_verdict
+from posor_lab.reports.findings_program import exit_code_of_findings
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Callable, Iterator, Sequence
+    from types import FrameType
+
+    from posor_lab.reports.findings import Findings
+
+SEED = 1985
+CAMPAIGNS = 6
+MINIMUM_CAMPAIGNS = 4
+"""Fewest campaigns with a meaningful scatter."""
+OUTPUTS = ("report.html", *POSORS)
+
+
+def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Return the options.
+
+    Raises:
+        ParameterError: An option is unknown or its value invalid.
+
+    """
+    description = "Simulated calibration campaigns, compared with the truth."
+    parser = CommandLineParser(prog="calibrate_demo", description=description)
+    parser.add_argument("--posor", choices=[*get_args(PosorName), "both"], default="both")
+    parser.add_argument(
+        "--campaigns",
+        type=int,
+        default=CAMPAIGNS,
+        metavar="N",
+        help=f"further campaigns of each POSOR, in memory, for the coverage; 0: none (default: {CAMPAIGNS})",
+    )
+    parser.add_argument("--seed", type=int, default=SEED, help=f"of the POSORs that are drawn (default: {SEED})")
+    parser.add_argument(
+        "--output",
+        type=Path,
+        default=Path("build/calibration"),
+        metavar="FOLDER",
+        help="report, bags and files; the figures go to FOLDER.json (default: build/calibration)",
+    )
+    options = parser.parse_args(arguments)
+    if options.campaigns < 0 or 0 < options.campaigns < MINIMUM_CAMPAIGNS:
+        expected = f"0, or at least {MINIMUM_CAMPAIGNS}"
+        raise ParameterError(f"--campaigns {options.campaigns}", where="calibrate_demo", expected=expected)
+    if options.seed < 0:
+        raise ParameterError(f"--seed {options.seed}", where="calibrate_demo", expected="0 or more")
+    return options
+
+
+def run_posors(options: argparse.Namespace, progress: StageProgress) -> list[CampaignReport]:
+    """Run the campaigns of the selected POSORs.
+
+    Raises:
+        PosorError: A procedure refuses its bag, or a file cannot be written.
+
+    """
+    reports = []
+    folder = prepare_output_folder(options.output, OUTPUTS)
+    for name in POSORS if options.posor == "both" else (options.posor,):
+        count = len(campaign_steps(name))
+        truth = GroundTruth.draw(name, options.seed)
+        (folder / name).mkdir()
+        with progress.stage(f"{name}: recording bags", count) as on_bag:
+            bags = record_bags(truth, folder / name / "bags", on_bag)
+        with progress.stage(f"{name}: calibrating", count) as on_step:
+            steps = calibrate_from_bags(truth, bags, folder / name, on_step)
+        coverage = None
+        if options.campaigns:
+            seeds = range(options.seed + 1, options.seed + 1 + options.campaigns)
+            with progress.stage(f"{name}: more campaigns", options.campaigns) as on_done:
+                coverage = coverage_of_series(name, run_campaigns(name, seeds, on_done=on_done))
+        reports.append(CampaignReport.evaluate(truth, steps, coverage))
+    return reports
+
+
+def write_report(options: argparse.Namespace, reports: Sequence[CampaignReport]) -> None:
+    """Write page and figures.
+
+    Raises:
+        ParameterError: A file cannot be written.
+
+    """
+    command = f"--posor {options.posor} --campaigns {options.campaigns} --seed {options.seed}"
+    provenance = {"command": f"./run posor_lab calibrate_demo {command}"} | {
+        f"{report.truth.name}, result": f"{report.steps[-1].step.name}.yaml, content hash "
+        f"{report.calibration.content_hash}"
+        for report in reports
+    }
+    write_files(options.output, {"report.html": campaign_page(reports, provenance)})
+    figures = json.dumps(campaigns_as_json(reports), indent=2) + "\n"
+    write_files(options.output.parent, {f"{options.output.name}.json": figures})
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program."""
+
+    def program() -> Findings:
+        with _note_signals() as check:
+            return _run(parse_options(arguments), check)
+
+    return exit_code_of_findings(program)
+
+
+@contextmanager
+def _note_signals() -> Iterator[Callable[[], None]]:
+    """Note SIGINT and SIGTERM; the yielded function, called after each part of a stage, raises KeyboardInterrupt then.
+
+    An exception raised by the handler itself could be lost in a library, or printed by one. A second signal raises it
+    nevertheless: nobody has to wait for a long part. The workers end with the program.
+
+    Raises:
+        InterruptedRunError: There was a signal.
+
+    """
+    interrupted = False
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        nonlocal interrupted
+        if interrupted:
+            signal.default_int_handler(number, frame)
+        interrupted = True
+
+    def check() -> None:
+        if interrupted:
+            raise KeyboardInterrupt
+
+    handlers = {number: signal.signal(number, interrupt) for number in INTERRUPT_SIGNALS}
+    try:
+        yield check
+        check()
+    except KeyboardInterrupt:
+        raise InterruptedRunError("interrupted", where="calibrate_demo") from None
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+
+
+def _run(options: argparse.Namespace, check: Callable[[], None]) -> Findings:
+    console = report_console(150)
+    with StageProgress(console, check) as progress:
+        reports = run_posors(options, progress)
+    write_report(options, reports)
+    findings = all_findings(reports)
+    print_findings(findings, console, "Findings of the calibration campaigns", COMPARISON_HEADINGS)
+    console.print(f"report: {options.output / 'report.html'}", soft_wrap=True, markup=False)
+    print_verdict(findings, console)
+    return findings
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,216 @@
+"""Interactive plots of a calibration campaign: residuals, error budget, comparison with the truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import cycle
+from typing import TYPE_CHECKING
+
+import numpy as np
+from posor.reporting.figure_style import BLUE, GREEN, GREY, LIGHT_BLUE, ORANGE
+from posor.reporting.plot import Plot
+from posor.uncertainty.first_order import Kind
+from scipy.stats import chi2, norm
+
+from posor_lab.accuracy.consistency import REGION_LIMIT
+from posor_lab.campaign.campaign_series import CLAIM
+from posor_lab.campaign.parameter_coverage import QUANTILE_95
+from posor_lab.campaign.validation_set import FREEDOMS
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from posor_calibration.least_squares import Fit
+    from posor_calibration.procedure import Figure, Outcome
+
+    from posor_lab.campaign.campaign_report import CampaignReport
+    from posor_lab.campaign.campaign_series import SeriesCoverage
+
+STYLES = ((BLUE, "circle"), (ORANGE, "square"), (GREEN, "triangle"), (LIGHT_BLUE, "diamond"))
+BARS = 5
+"""Largest quantities, and readings, drawn for each freedom."""
+MANY = 500
+"""From this number on, residuals are drawn as small points."""
+NEGLIGIBLE = 0.03
+"""Residuals over standard uncertainty below this belong to freedoms without a reference and are not drawn."""
+FAINT = 0.02
+"""Readings with less than this share of the loudest reading's noise are not drawn."""
+WITH_UNIT = {
+    "gap_linearisation": "Gap probes: residuals of the linearisation",
+    "diode_map": "Diodes: residuals of the maps",
+}
+"""Procedures whose own charts show residuals in their unit, and the titles."""
+
+
+def plot_residuals(report: CampaignReport) -> list[Plot]:
+    """Return a plot of the residuals of each procedure, and of the profile of a bumpy ring."""
+    outcomes_by_procedure: dict[str, list[Outcome]] = {}
+    for done in report.steps:
+        outcomes_by_procedure.setdefault(done.step.procedure, []).append(done.outcome)
+    plots = []
+    for procedure, outcomes in outcomes_by_procedure.items():
+        charts = [chart for outcome in outcomes for chart in outcome.figures]
+        if procedure == "bundle":
+            plots.append(_plot_histogram(outcomes[0].fits[procedure]))
+        elif procedure in WITH_UNIT:
+            plots.append(_plot_chart(WITH_UNIT[procedure], _merge_charts(charts)))
+        elif procedure == "target_plane":
+            plots.append(_plot_chart("Target plane: apparent alpha, before and after", charts[0]))
+        else:
+            plots.append(_plot_normalised_residuals(procedure, outcomes[0].fits))
+        if procedure == "ring_profile":
+            plots.append(_plot_chart("Bumpy ring: change of its profile, no residuals", charts[0], line=True))
+    return plots
+
+
+def plot_budgets(report: CampaignReport) -> list[Plot]:
+    """Return a plot of the budget of one scan in the middle of the range for each freedom."""
+    return [_plot_budget(report, freedom) for freedom in range(len(FREEDOMS))]
+
+
+def plot_truth(report: CampaignReport) -> list[Plot]:
+    """Return plots of the errors of parameters and poses against the truth, and of the coverage of many campaigns."""
+    coverage = [_plot_coverage(report.coverage)] if report.coverage else []
+    return [_plot_parameter_errors(report), _plot_pose_errors(report), _plot_quantiles(report), *coverage]
+
+
+def _merge_charts(charts: Sequence[Figure]) -> Figure:
+    """Return charts of the same quantities as one; each series is named by the title of its chart and its own name."""
+    if len(charts) == 1:
+        return charts[0]
+    series = {}
+    for n, chart in enumerate(charts):
+        head = chart.title.split(":")[0].split()[-1] if ":" in chart.title else str(n + 1)
+        single = len(chart.series) == 1
+        series.update({head if single else f"{head} {name}": points for name, points in chart.series.items()})
+    return replace(charts[0], series=series)
+
+
+def _plot_chart(title: str, chart: Figure, *, line: bool = False) -> Plot:
+    plot = Plot(title, *(label.replace("[u", "[µ") for label in (chart.x_label, chart.y_label)))
+    plot.zero()
+    for (name, (x, y)), (colour, marker) in zip(chart.series.items(), cycle(STYLES), strict=False):
+        plot.curve(
+            name or "series", x, y, colour, dash="solid" if line else None, marker=None if line else marker, size=5
+        )
+    return plot
+
+
+def _plot_normalised_residuals(procedure: str, fits: Mapping[str, Fit]) -> Plot:
+    """Plot the residuals of the fits of a procedure, named by the last word of their names.
+
+    A fit with a free pose for each scan has nearly zero residuals in the freedoms without a reference: not drawn.
+    """
+    plot = Plot(
+        f"{procedure.replace('_', ' ').capitalize()}: residuals",
+        f"number of the residual, below {NEGLIGIBLE:g} not drawn",
+        "residual / standard uncertainty",
+    )
+    plot.zero()
+    for (name, fit), (colour, marker) in zip(fits.items(), cycle(STYLES), strict=False):
+        shown = np.flatnonzero(np.abs(fit.residuals) > NEGLIGIBLE)
+        size = 5.0 if len(shown) < MANY else 2.0
+        plot.curve(name.split()[-1], shown + 1, fit.residuals[shown], colour, dash=None, marker=marker, size=size)
+    return plot
+
+
+def _plot_histogram(fit: Fit) -> Plot:
+    plot = Plot(f"Bundle: {len(fit.residuals)} residuals", "residual / standard uncertainty", "density")
+    edges = np.linspace(-4.0, 4.0, 33)
+    density, _ = np.histogram(np.clip(fit.residuals, -4.0, 4.0), edges, density=True)
+    plot.histogram("residuals", edges, density, LIGHT_BLUE)
+    x = np.linspace(-4.0, 4.0, 81)
+    deviation = np.sqrt(np.mean(np.square(fit.residuals)))
+    plot.curve("standard normal", x, norm.pdf(x), GREY)
+    plot.curve(f"normal, deviation {deviation:.2f}", x, norm.pdf(x, scale=deviation), ORANGE, dash="dashed")
+    return plot
+
+
+def _plot_parameter_errors(report: CampaignReport) -> Plot:
+    families = list(dict.fromkeys(parameter.family for parameter in report.parameters))
+    plot = Plot(
+        "Estimate less truth, each parameter", "stated standard uncertainties", "parameters", categories=families
+    )
+    for name, inside, colour in (("within the 95 % interval", True, BLUE), ("outside", False, ORANGE)):
+        shown = [parameter for parameter in report.parameters if parameter.inside is inside]
+        if shown:
+            plot.curve(
+                name,
+                [parameter.normalised_error for parameter in shown],
+                [parameter.family for parameter in shown],
+                colour,
+                dash=None,
+                marker="circle",
+                extra={"parameter": [parameter.name for parameter in shown]},
+            )
+    for limit in (-QUANTILE_95, QUANTILE_95):
+        plot.vertical("95 % interval", limit)
+    return plot
+
+
+def _plot_budget(report: CampaignReport, freedom: int) -> Plot:
+    noises = {part.name: part.effects for part in report.budget.contributions if part.kind is Kind.RANDOM}
+    loudest = max(effects[freedom] for effects in noises.values())
+    noises = {name: effects for name, effects in noises.items() if effects[freedom] > FAINT * loudest}
+    systematic, total = 1e6 * report.calibration_sigmas[freedom], 1e6 * report.budget.sigmas[freedom]
+    noise = np.sqrt(max(total**2 - systematic**2, 0.0))
+    name, unit = list(FREEDOMS.items())[freedom]
+    groups = []
+    for label, effects, colour in (
+        (f"noise, in all {noise:.2g} µ{unit}", noises, ORANGE),
+        (f"calibration, in all {systematic:.2g} µ{unit}", report.gains, BLUE),
+    ):
+        largest = sorted(effects, key=lambda part, effects=effects: -effects[part][freedom])[:BARS]  # type: ignore[misc]
+        groups.append((label, {part: 1e6 * float(effects[part][freedom]) for part in largest}, colour))
+    lengths = {part: length for _, group, _ in groups for part, length in group.items()}
+    plot = Plot(
+        f"{name}: {total:.2g} µ{unit}",
+        f"reduction if known exactly [µ{unit}]",
+        "quantity",
+        categories=sorted(lengths, key=lambda part: -lengths[part]),
+    )
+    for label, group, colour in groups:
+        plot.bars(label, list(group.values()), list(group), colour)
+    return plot
+
+
+def _plot_pose_errors(report: CampaignReport) -> Plot:
+    rms = report.validation.root_mean_squares()
+    count = int(report.validation.located.sum())
+    title = f"Errors at {count} validation poses"
+    plot = Plot(title, "root mean square [µm, µrad]", "freedom", categories=list(FREEDOMS), x_log=True)
+    for key, colour, marker, label in (
+        ("errors_as_built", GREY, "x", "as built"),
+        ("errors", BLUE, "circle", "calibrated"),
+        ("budget", LIGHT_BLUE, "square", "budget"),
+        ("errors_without_noise", ORANGE, "diamond", "calibrated, without noise"),
+        ("budget_of_calibration", GREEN, "triangle", "its part of the budget"),
+    ):
+        plot.curve(label, 1e6 * rms[key], list(FREEDOMS), colour, dash=None, marker=marker, size=9, filled=False)
+    return plot
+
+
+def _plot_quantiles(report: CampaignReport) -> Plot:
+    values = np.sort(report.validation.normalised_squares[report.validation.located])
+    expected = chi2.ppf((np.arange(len(values)) + 0.5) / len(values), len(FREEDOMS))
+    plot = Plot("Squared error over the budget, all six freedoms", "quantile of chi-square, 6", "found")
+    plot.curve("validation poses of this campaign", expected, values, BLUE, dash=None, marker="circle")
+    reach = 1.05 * max(float(expected[-1]), float(values[-1]), REGION_LIMIT)
+    plot.curve("right budget, independent errors", [0.0, reach], [0.0, reach], GREY)
+    plot.horizontal("95 % region", REGION_LIMIT, ORANGE)
+    return plot
+
+
+def _plot_coverage(coverage: SeriesCoverage) -> Plot:
+    names = [family.name for family in coverage.families]
+    low, high = 100.0 * np.array([family.interval for family in coverage.families]).T
+    plot = Plot(
+        f"Truth within 95 %, {coverage.campaigns} campaigns", "parameters within [%]", "parameters", categories=names
+    )
+    plot.intervals("95 % interval of the share", low, high, names, LIGHT_BLUE)
+    shares = [100.0 * family.inside.value for family in coverage.families]
+    extra = {"interval from [%]": low, "interval to [%]": high}
+    plot.curve("share", shares, names, BLUE, dash=None, marker="circle", extra=extra)
+    for end in CLAIM:
+        plot.vertical("accepted on the average", 100.0 * end)
+    return plot

@@ -1,0 +1,117 @@
+"""The POSOR of a campaign: its calibration as built, and its true parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+from posor.calibration.calibration_file import Calibration, calibration_from
+from posor.calibration.designs import design
+from posor.calibration.edit import parse_key_path
+from posor.calibration.parameter_covariance import parameter_entries
+from posor.estimation.posor import Posor
+from posor_calibration.calibration_parameters import FreeParameters
+from posor_drivers.simulator.random_stream import RandomStream
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import numpy as np
+    from posor.estimation.sensor_stack import Stack
+    from posor.numerics.array_types import FloatArray
+
+PosorName = Literal["triad_diodes", "triad_bumpy_ring"]
+POSORS: tuple[PosorName, ...] = ("triad_diodes", "triad_bumpy_ring")
+
+_GAP_PROBE: Mapping[str, Any] = {
+    "tip": [50e-6, 50e-6, 10e-6],
+    "volts_to_gap": [0.13e-6, 2.4e-6, 5e-7, 5e-8, 5e-9],
+    "zero_shift": 0.0,
+    "supply.sensitivity": 5e-6,
+    "supply.reference": 5e-4,
+    "temperature.sensitivity": 0.0,
+    "temperature.reference": 0.0,
+}
+_RING_PROBE: Mapping[str, Any] = {key: _GAP_PROBE[key] for key in _GAP_PROBE if key.startswith(("supply", "temp"))}
+_MAP = [[20e-6 if i + j <= 3 else 0.0 for j in range(4)] for i in range(4)]  # noqa: PLR2004  the order of the map
+AS_BUILT: Mapping[str, Mapping[str, Any]] = {
+    "sensors[0].probes": _GAP_PROBE,
+    "sensors[0].target_plane": {"tilt": 5e-4},
+    "sensors[1].probes": _RING_PROBE,
+    "sensors[1].diodes": {"origin": [1e-4, 1e-4, 30e-6], "x_axis": [0.0, 3e-3, 1e-3], "y_axis": [3e-3, 0.0, 1e-3]},
+    "sensors[1].light_sources": {"origin": [50e-6, 50e-6, 20e-6], "direction": [3e-3, 3e-3, 0.0]},
+    "sensors[1].maps": {"x": _MAP, "y": _MAP},
+    "sensors[1].ring": {"mean_radius": 5e-6, "cos": 2e-6, "sin": 2e-6},
+}
+"""Standard uncertainties before any calibration, by group and quantity; other quantities are exact.
+
+Gap probes are mounted by hand and linearised to the maker's tolerance; their zeros are defined on the day of the
+linearisation. Probes of a ring come linearised. The temperature is constant. Assumed, like the designs.
+"""
+DRIFT = 0.05
+"""Standard deviation of the drift of the gap probes' zeros after the day of their linearisation [V]."""
+
+
+def as_built_calibration(name: PosorName) -> Calibration:
+    """Return the calibration of a design before any procedure."""
+    calibration = design(name)
+    content: dict[str, Any] = calibration.model_dump(mode="json", exclude_defaults=True)
+    content["name"] = f"{name}_as_built"
+    content["provenance"]["notes"] = ["uncertainties as the shop leaves them, before any calibration"]
+    for key in {entry.key for entry in parameter_entries(calibration) if entry is not None}:
+        group = next((group for group in AS_BUILT if key.startswith(group)), "")
+        quantity = next((name for name in AS_BUILT.get(group, ()) if key.endswith(f".{name}")), None)
+        # Only the diodes have maps and only rings have a ring: the name of the group tells the sensor.
+        if quantity is not None:
+            part: Any = content
+            for step in parse_key_path(key):
+                part = part[step]
+            part["sigma"] = AS_BUILT[group][quantity]
+    return calibration_from(content)
+
+
+@dataclass(frozen=True)
+class GroundTruth:
+    """A POSOR with its true parameters.
+
+    Attributes:
+        name: Name of its design.
+        seed: Seed of the draw.
+        as_built: Calibration of the POSOR as built.
+        first_day: Its true sensors on the day on which its probes are linearised.
+        later: The same after the drift of the probes' zeros.
+
+    """
+
+    name: PosorName
+    seed: int
+    as_built: Calibration
+    first_day: Stack
+    later: Stack
+
+    @staticmethod
+    def draw(name: PosorName, seed: int) -> GroundTruth:
+        """Draw a POSOR from the uncertainties of its calibration as built, and its drift."""
+        calibration = as_built_calibration(name)
+        random = RandomStream(seed, "campaign", name, "truth").generator()
+        free = FreeParameters(calibration)
+        values = free.parameter_vector(free.start + free.sigmas * random.normal(size=len(free)))
+        stack = Posor(calibration).stack
+        shifts = [stack.parameter_names.index(f"GapProbes.zero_shifts[{k}]") for k in range(3)]
+        drifted = values.copy()
+        drifted[shifts] += DRIFT * random.normal(size=3)
+        first_day, later = (stack.with_parameter_values(each) for each in (values, drifted))
+        return GroundTruth(name, seed, calibration, first_day, later)
+
+    def random(self, step: str) -> np.random.Generator:
+        """Return the random numbers of one step."""
+        return RandomStream(self.seed, "campaign", self.name, step).generator()
+
+    def true_values(self) -> dict[str, float]:
+        """Return the true value of each parameter of the calibration file, the zeros after the drift."""
+        values: FloatArray = self.later.parameter_values
+        return {
+            entry.name: float(value)
+            for entry, value in zip(parameter_entries(self.as_built), values, strict=True)
+            if entry is not None
+        }

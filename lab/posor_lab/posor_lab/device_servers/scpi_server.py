@@ -1,0 +1,99 @@
+"""Counterpart of a scanner with SCPI commands: the server of scpipy, with faults on demand."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import time
+from threading import Event
+from typing import TYPE_CHECKING, Any
+
+from scpipy.server import Router, Server
+from scpipy.shared.errors import ScpiError
+
+from posor_lab.device_servers.device_server import HOST, DeviceServer, free_port
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+FIRST_CHANNEL = 101
+POLL_S = 0.01
+
+
+class ScpiServer(DeviceServer):
+    """Answers the commands of a Keysight DAQ970A that measure DC voltages.
+
+    Attributes:
+        port: TCP port of this host.
+        model: In the answer to ``*IDN?``.
+        scanned: Channel numbers of the scan list, ascending.
+        error: Put into the error queue with the next scan: code and message; None: no error.
+        answer: Instead of the readings of a scan; None: the readings.
+        stalled: No scan is answered while it is set.
+
+    """
+
+    def __init__(self, voltages: Callable[[int], Sequence[float]]) -> None:
+        """Choose a port; ``voltages`` are those of channel 101, 102, ... by the ROS time [ns]."""
+        super().__init__()
+        self.add_task(lambda: asyncio.run(self._run()))
+        self.port = free_port()
+        self.model = "DAQ970A"
+        self.scanned: list[int] = []
+        self.error: tuple[int, str] | None = None
+        self.answer: str | None = None
+        self.stalled = Event()
+        self._voltages = voltages
+        self._server: Any = None
+        self._loop: Any = None
+
+    def start(self) -> None:
+        """Accept connections."""
+        router = Router()
+        router.add_route("*IDN?", self._identify)
+        router.add_route("CONFigure:VOLTage:DC <channels>", self._choose_channels)
+        router.add_route("ROUTe:SCAN <channels>", self._choose_channels)
+        router.add_route("READ?", self._read)
+        self._server = Server(HOST, self.port, shared_context=True)
+        self._server.include_router(router)
+        super().start()
+        self._wait_until_open()
+
+    def stop(self) -> None:
+        """Close all connections."""
+        self.stalled.clear()
+        self._loop.call_soon_threadsafe(self._server.stop)
+        super().stop()
+
+    async def _run(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        await self._server._listen()  # noqa: SLF001  run() would leave no loop to stop it from another thread
+
+    def _wait_until_open(self) -> None:
+        while True:
+            try:
+                socket.create_connection((HOST, self.port)).close()
+            except ConnectionRefusedError:
+                time.sleep(POLL_S)
+            else:
+                return
+
+    def _identify(self, context: Any) -> str:
+        del context
+        return f"Keysight Technologies,{self.model},MY12345678,A.02.04"
+
+    def _choose_channels(self, context: Any, *channels: str) -> None:
+        """Store a scan list such as ``(@101,103)``, which the library cuts at its commas."""
+        del context
+        self.scanned = sorted(int(number.strip("(@)")) for number in channels)
+
+    async def _read(self, context: Any) -> str:
+        while self.stalled.is_set():  # noqa: ASYNC110  set by another thread
+            await asyncio.sleep(POLL_S)
+        if self.error is not None:
+            context.push_error(ScpiError(*self.error))
+            self.error = None
+        if self.answer is not None:
+            return self.answer
+        voltages = self._voltages(time.time_ns())
+        return ",".join(f"{voltages[number - FIRST_CHANNEL]:+.9E}" for number in self.scanned)

@@ -1,0 +1,93 @@
+"""Server of binary frames over TCP or UDP, with a clock of its own and faults on demand."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import time
+from threading import Event
+from typing import TYPE_CHECKING
+
+from posor_drivers.ros_clock import disable_timer_slack
+
+from posor_lab.device_servers.device_server import HOST, DeviceServer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+LEAD = "<HI"
+"""Format of magic number and counter; the values follow as doubles."""
+MAGIC = 0xAA55
+
+
+class StreamServer(DeviceServer):
+    """Sends frames of a magic number, a counter and values to one client after another.
+
+    Attributes:
+        port: Port of the server; of UDP: port to send to.
+        magic: Sent in each frame; another one is a corrupted frame.
+        stalled: No frame is sent while it is set; frames of this time are lost.
+        merged: Number of frames that are sent together.
+        skip: Number of frames to leave out next.
+        first: Counter of the first frame after a connection.
+        clients: Number of connections so far.
+
+    """
+
+    def __init__(
+        self,
+        values: Callable[[int], Sequence[float]],
+        rate: float = 1000.0,
+        *,
+        drift: float = 0.0,
+        udp_port: int = 0,
+    ) -> None:
+        """Open a port of this host.
+
+        Args:
+            values: Values of a frame by its ROS time [ns].
+            rate: Frames per second of the server's clock.
+            drift: Share by which the server's clock is slow.
+            udp_port: Send datagrams to this port instead; 0: TCP.
+
+        """
+        super().__init__()
+        self.magic, self.merged, self.skip, self.first, self.clients = MAGIC, 1, 0, 0, 0
+        self.stalled, self._dropped = Event(), Event()
+        self._values, self._period_ns = values, 1e9 / rate * (1.0 + drift)
+        if udp_port:
+            self.add_task(self._send_datagrams)
+        self.port = udp_port or self.open_port(self._serve)
+
+    def drop_client(self) -> None:
+        """Close the present connection; the next one is accepted."""
+        self._dropped.set()
+
+    def _serve(self, client: socket.socket) -> None:
+        self.clients += 1
+        self._dropped.clear()
+        self._send_frames(client.sendall)
+
+    def _send_datagrams(self) -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            self._send_frames(lambda frames: sender.sendto(frames, (HOST, self.port)))
+
+    def _send_frames(self, send: Callable[[bytes], object]) -> None:
+        """Send until the end, the client's end, or ``drop_client``."""
+        disable_timer_slack()
+        start_ns, number, held = time.time_ns(), 0, b""
+        while not (self.stopping.is_set() or self._dropped.is_set()):
+            exposed_ns = start_ns + round(number * self._period_ns)
+            values = self._values(exposed_ns)  # before its time, so that sending is the least delay
+            frame = struct.Struct(f"{LEAD}{len(values)}d")
+            if (wait_s := exposed_ns * 1e-9 - time.time()) > 0.0:
+                time.sleep(wait_s)
+            number += 1
+            if self.skip or self.stalled.is_set():
+                self.skip = max(0, self.skip - 1)
+                continue
+            held += frame.pack(self.magic, (self.first + number - 1) % (1 << 32), *values)
+            if len(held) < self.merged * frame.size:
+                continue
+            send(held)
+            held = b""

@@ -1,0 +1,104 @@
+"""The storm of faults through real posor_nodes: the program plays their drivers, without loss, in stretches.
+
+After each stretch it waits for all transforms; between two of them an operator acknowledges. There is no encoder here:
+after an acknowledgement a bumpy ring is UNCOUNTED until it passes its home mark. The transforms must equal those of the
+estimator alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import yaml
+from posor.messages.message_definitions import MessageTypes
+from posor.model.fault import State
+from posor.node_parameters import RECORDING
+from posor.ros_names import RAW_SCAN, RAW_TOPIC, TRANSFORM_TOPIC
+from posor_bringup.supervisor import Program, Supervisor
+from posor_drivers.message_builder import raw_scan, scan_fields
+from posor_msgs.msg import JointTransform, RawScan
+from rclpy.serialization import deserialize_message
+
+from posor_lab.faults.pose_judge import pose_array
+from posor_lab.faults.storm import NO_COUNT, StormMaker, count_storm, estimate_storm
+from posor_lab.reports.graph_receiver import GraphWatch
+from posor_lab.reports.node_player import NodePlayer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from posor.calibration.calibration_file import Calibration
+
+    from posor_lab.faults.storm import Storm, StormCount
+
+NAMESPACE = "/storm"
+PLAYER_ARGUMENTS = f"{NAMESPACE}/posor_node", [(RawScan, RAW_TOPIC)], (JointTransform, TRANSFORM_TOPIC)
+"""Name of the node, its inputs, its answers, for ``NodePlayer``."""
+
+
+def run_node_storm(
+    calibration: Calibration, injected: int, seed: int, folder: Path, on_block: Callable[[int], None]
+) -> StormCount:
+    """Return the figures of a storm of one stack through posor_node.
+
+    Args:
+        calibration: Of the stack.
+        injected: Least number of faulty scans.
+        seed: Of the first block; the others follow.
+        folder: Existing folder for the calibration file and the log.
+        on_block: Called after each block with its number of faulty scans; an exception ends the run.
+
+    Raises:
+        ProcessError: The node failed, or transforms do not come.
+
+    """
+    program, maker, total = posor_program(calibration, folder), StormMaker(calibration), NO_COUNT
+    while total.injected < injected:
+        storm = maker.draw(seed)
+        # A new node for each block: the true sensors are others.
+        with Supervisor(folder) as supervisor, NodePlayer(*PLAYER_ARGUMENTS) as player:
+            supervisor.start(program)
+            play_storm(storm, player, GraphWatch(supervisor, player, "storm"))
+            found = [deserialize_message(data, JointTransform) for data in player.answers]
+        poses = pose_array([each.pose for each in found])
+        states, faults = np.array([(each.state, each.faults) for each in found], dtype=np.int64).T
+        covariances = np.array([each.covariance for each in found]).reshape(-1, 6, 6)
+        maker.posor.reset()
+        expected = estimate_storm(maker.posor, storm)
+        same = (states == expected.states) & (faults == expected.faults)
+        same &= np.all((poses.translations == expected.translations) | (states == State.LOST)[:, None], axis=1)
+        block = count_storm(calibration, storm, states, faults, poses, covariances)
+        block = replace(block, different=int(np.count_nonzero(~same)))
+        total, seed = total + block, seed + 1
+        on_block(block.injected)
+    return total
+
+
+def posor_program(calibration: Calibration, folder: Path) -> Program:
+    """Return the program of the posor_node, whose calibration file is written to a folder."""
+    path = folder / f"{calibration.name}.yaml"
+    path.write_text(yaml.safe_dump(calibration.model_dump(mode="json", exclude_none=True)), encoding="utf-8")
+    parameters: dict[str, Any] = {"calibration": str(path), "lossless": True, **RECORDING}
+    return Program("posor_node", "posor_estimator", "posor_node", (), NAMESPACE, parameters)
+
+
+def play_storm(storm: Storm, player: NodePlayer, watch: GraphWatch) -> None:
+    """Publish all scans of a storm, and acknowledge where an operator does."""
+    types, records = MessageTypes(), storm.scans
+    watch.wait(player.is_ready, lambda: "posor_node, or one of its connections")
+    begin = 0
+    for end in [*storm.acknowledgements.tolist(), len(records)]:
+        for n in range(begin, end):
+            scan = records[n]
+            message = raw_scan(types, scan.stamp_ns, "receiving", status=scan.status, **scan_fields(scan))
+            player.inputs[0].publish(types.serialize(message, RAW_SCAN))
+        watch.wait(
+            lambda end=end: len(player.answers) >= end,  # type: ignore[misc]
+            lambda end=end: f"{end - len(player.answers)} of {end} transforms",  # type: ignore[misc]
+        )
+        if end < len(records):
+            player.acknowledge(watch)
+        begin = end

@@ -1,0 +1,134 @@
+"""Which poses are wrong: further from the truth than their stated covariance allows."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from posor.numerics.stamps import NS
+from posor.ros_names import ENDPOINT_COVARIANCE_TOPIC, ENDPOINT_STATE_TOPIC, TRANSFORM_TOPIC
+from posor_drivers.simulator.pose_array import PoseArray
+from posor_ros.message_conversion import is_usable, stamp_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from posor.numerics.array_types import BoolArray, FloatArray
+    from posor_drivers.simulator.arm_simulation import ArmSimulation
+    from posor_drivers.simulator.arm_truth import ArmTruth
+
+    from posor_lab.faults.fault_receiver import Arrival, FaultReceiver
+
+SIGMAS = 5.0
+"""Standard deviations beyond which a pose is wrong."""
+SMALL_TURN = 0.1
+"""Turn [rad] beyond which a pose is wrong whatever its covariance."""
+
+STALE_S = 1.2
+"""Age beyond which a pose published as valid is wrong, whatever its numbers [s]: ``freshness.max_age`` and a margin."""
+
+
+def wrong_poses(found: PoseArray, covariances: FloatArray, true: PoseArray) -> BoolArray:
+    """Return which poses are wrong, (n,).
+
+    A pose is wrong if a component x, y, z or a small turn about X, Y, Z of the parent frame is more than ``SIGMAS``
+    stated standard deviations from the truth, or if a number is not finite or a variance negative.
+
+    Args:
+        found: Published poses, (n).
+        covariances: Published with them, (n, 6, 6), ROS order.
+        true: True poses, (n).
+
+    """
+    errors = small_errors(found, true)
+    with np.errstate(invalid="ignore"):
+        spreads = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+        return np.asarray(~np.all(np.abs(errors) <= SIGMAS * spreads, axis=1))
+
+
+def small_errors(found: PoseArray, true: PoseArray) -> FloatArray:
+    """Return errors of poses in ROS order, (n, 6), axes of the parent frame; infinite turns beyond ``SMALL_TURN``."""
+    turns = np.einsum("nij,nkj->nik", found.rotations, true.rotations)
+    about = 0.5 * np.stack(
+        [turns[:, 2, 1] - turns[:, 1, 2], turns[:, 0, 2] - turns[:, 2, 0], turns[:, 1, 0] - turns[:, 0, 1]], axis=1
+    )
+    cosines = 0.5 * (np.trace(turns, axis1=1, axis2=2) - 1.0)
+    about[~(cosines > np.cos(SMALL_TURN))] = np.inf
+    return np.column_stack([found.translations - true.translations, about])
+
+
+class PoseJudge:
+    """Compares published poses with the truth of a simulation at their stamps."""
+
+    def __init__(self, simulation: ArmSimulation) -> None:
+        """Compare with the truth of ``simulation``."""
+        self._simulation = simulation
+
+    def count_wrong(self, receiver: FaultReceiver, begin_ns: int, end_ns: int, joint: str = "") -> int:
+        """Return how many poses that came as valid between two times [ns] are wrong or stale.
+
+        Args:
+            receiver: What came.
+            begin_ns: Earliest arrival [ns].
+            end_ns: Latest arrival [ns].
+            joint: Joint whose transforms count beside the endpoint; empty: none.
+
+        """
+        arrivals = receiver.between(ENDPOINT_COVARIANCE_TOPIC, begin_ns, end_ns)
+        parts = [(each, each.message.pose.pose, each.message.pose.covariance) for each in arrivals]
+        count = self._count_wrong(parts, lambda truth: truth.endpoint)
+        arrivals = receiver.between(ENDPOINT_STATE_TOPIC, begin_ns, end_ns)
+        count += self._count_wrong(_valid(arrivals), lambda truth: truth.endpoint)
+        if joint:
+            arrivals = receiver.between(f"{joint}/{TRANSFORM_TOPIC}", begin_ns, end_ns)
+            count += self._count_wrong(_valid(arrivals), lambda truth: truth.T_parent_child[joint])
+        return count
+
+    def covered_share(self, receiver: FaultReceiver, begin_ns: int, end_ns: int) -> float:
+        """Return which share of the wrong endpoints that came as valid is within the protection level; 1 without any.
+
+        A level that is not known (NaN), as in the second after a recovery, covers nothing.
+        """
+        parts = _valid(receiver.between(ENDPOINT_STATE_TOPIC, begin_ns, end_ns))
+        if not parts:
+            return 1.0
+        arrivals, poses, covariances = zip(*parts, strict=True)
+        found, true = pose_array(poses), self._truth(arrivals).endpoint
+        wrong = wrong_poses(found, np.reshape(covariances, (-1, 6, 6)), true)
+        levels = np.array([each.message.protection_level for each in arrivals])
+        covered = np.all(np.abs(small_errors(found, true)) <= levels, axis=1)
+        return float(np.mean(covered[wrong])) if wrong.any() else 1.0
+
+    def _truth(self, arrivals: Sequence[Arrival]) -> ArmTruth:
+        """Return the truth at the stamps of messages."""
+        stamps = np.array([stamp_ns(each.message) for each in arrivals])
+        return self._simulation.truth(
+            np.rint(stamps * (self._simulation.scenario.ticks_per_second / NS)).astype(np.int64)
+        )
+
+    def _count_wrong(self, parts: Sequence[tuple[Arrival, Any, Any]], true: Callable[[ArmTruth], PoseArray]) -> int:
+        if not parts:
+            return 0
+        arrivals, poses, covariances = zip(*parts, strict=True)
+        ages_ns = np.array([each.time_ns - stamp_ns(each.message) for each in arrivals])
+        matrices = np.reshape(covariances, (-1, 6, 6))
+        wrong = wrong_poses(pose_array(poses), matrices, true(self._truth(arrivals)))
+        return int(np.count_nonzero(wrong | (ages_ns > STALE_S * NS)))
+
+
+def _valid(arrivals: Sequence[Arrival]) -> list[tuple[Arrival, Any, Any]]:
+    """Return message, pose and covariance of those published as valid."""
+    return [(each, each.message.pose, each.message.covariance) for each in arrivals if is_usable(each.message)]
+
+
+def pose_array(poses: Sequence[Any]) -> PoseArray:
+    """Return geometry_msgs/Pose messages as arrays; a pose that is not finite stays so."""
+    translations = np.array([(each.position.x, each.position.y, each.position.z) for each in poses])
+    w, x, y, z = np.array(
+        [(each.orientation.w, each.orientation.x, each.orientation.y, each.orientation.z) for each in poses]
+    ).T
+    rotations = np.empty((len(poses), 3, 3))
+    rotations[:, 0] = np.column_stack([1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)])
+    rotations[:, 1] = np.column_stack([2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)])
+    rotations[:, 2] = np.column_stack([2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)])
+    return PoseArray(rotations, translations)

@@ -1,0 +1,334 @@
+"""A storm of faults through the estimator: many scans of which nearly a third is faulty, all kinds mixed.
+
+Three stacks with a fourth gap probe: light ring, bumpy ring, fixed diodes. The true parameters of the sensors are drawn
+within the uncertainties of their calibration. Faults come at random and last for 1 to 200 scans. A probe is off by at
+least twice its minimal detectable bias; smaller errors are rows of ``hidden_faults``. A stuck reading begins to differ
+by less than that, zero or garbage may be near the true reading, and a pose of sound readings may exceed 5 standard
+deviations by chance. These count as wrong only beyond the protection level, and are counted separately.
+
+Once readings have been sound for ``OPERATOR_SCANS``, an operator acknowledges a latched joint, and its encoder confirms
+theta. Nobody acknowledges during a fault.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+from posor.calibration.designs import design, sized_design
+from posor.estimation.estimate import ESTIMATE, Estimates
+from posor.estimation.forward import scans_at
+from posor.estimation.posor import Posor
+from posor.model.fault import USABLE_STATES, Fault, State
+from posor.model.scan import HOME_BUMP, Scans
+from posor.numerics.stamps import NS
+from posor.sensors.diodes import DiodesCalibration
+from posor.uncertainty.protection_level import endpoint_protection_level
+from posor.uncertainty.reliability import joint_reliability
+from posor_drivers.simulator.electronics import convert_to_digital
+from posor_drivers.simulator.pose_array import PoseArray
+from posor_drivers.simulator.simulated_scans import DIODE_FIELD
+
+from posor_lab.faults.pose_judge import small_errors, wrong_poses
+from posor_lab.faults.storm_faults import RANGES, Episode, field_of, storm_faults
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from posor.calibration.calibration_file import Calibration, Converter
+    from posor.numerics.array_types import BoolArray, FloatArray, IntArray
+
+RATE = 500
+BLOCK = 20_000
+"""Scans of one block, for which the true parameters of the sensors are drawn once."""
+FAULTY_SHARE = 0.3
+LONGEST = 200
+"""Scans of the longest fault; the logarithm of the length is uniformly distributed."""
+OPERATOR_SCANS = 20
+"""Sound scans after a fault until an operator acknowledges it."""
+ENCODER_SIGMA = 1e-3
+"""Standard uncertainty of the encoder that confirms theta after an acknowledgement [rad]."""
+START_SCANS = 1000
+"""Scans without faults at the beginning of a block, in which rings pass their home mark."""
+SWING_S, PHASES = 2.5, 40
+"""Period of theta, and poses of half of it at which the detectable biases are computed."""
+LIKE_THE_TRUE_READING = ("stuck", "zero", "garbage")
+"""Last words of the faults whose reading may differ from the true one by less than is detectable."""
+HOME_WIDTH = 0.25
+"""Half width of the home mark, in periods of theta."""
+
+
+def storm_calibrations() -> dict[str, Calibration]:
+    """Return the calibration of each stack."""
+    frames = ("receiving", "target")
+    return {
+        "light_ring": sized_design("quad_light_ring", 0.2032, frames=frames, title="storm_light_ring"),
+        "bumpy_ring": sized_design("quad_bumpy_ring", 0.2032, frames=frames, title="storm_bumpy_ring"),
+        "diodes": design("quad_diodes", motion=True, converter=True, frames=frames),
+    }
+
+
+@dataclass(frozen=True)
+class Storm:
+    """Scans with faults, and what is true.
+
+    Attributes:
+        scans: As the driver publishes them, (n).
+        faults: Which fault each scan has, (n,): an index of ``names``; -1: none.
+        names: Names of the faults.
+        truth: True poses, (n).
+        acknowledgements: Scans before which an operator acknowledges, in order.
+
+    """
+
+    scans: Scans
+    faults: IntArray
+    names: tuple[str, ...]
+    truth: PoseArray
+    acknowledgements: IntArray
+
+    @property
+    def thetas(self) -> FloatArray:
+        """True theta modulo whole turns [rad], (n,)."""
+        return np.arctan2(-self.truth.rotations[:, 0, 1], self.truth.rotations[:, 1, 1])
+
+
+class StormMaker:
+    """Draws blocks of scans of one stack."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        """Compute the largest minimal detectable biases over the motion."""
+        self.calibration, self.posor = calibration, Posor(calibration)
+        self._faults = storm_faults(calibration)
+        self.names = tuple(self._faults)
+        poses = _motion(np.linspace(0.0, SWING_S / 2.0, PHASES), 0.0)
+        scans = scans_at(self.posor.stack, poses.rotations, poses.translations, np.arange(PHASES))
+        biases = [joint_reliability(self.posor, scans[n], poses[n]).biases for n in range(PHASES)]
+        self._biases = dict(zip(self.posor.stack.reading_names, np.max(biases, axis=0).tolist(), strict=True))
+
+    def draw(self, seed: int, count: int = BLOCK) -> Storm:
+        """Return a block of ``count`` scans; the same seed gives the same block."""
+        random = np.random.default_rng([seed, *self.calibration.name.encode()])
+        times = np.arange(count) / RATE
+        truth = _motion(times, random.uniform(0.0, 2.0 * np.pi))
+        arrays = self._sound_readings(truth, random)
+        faults = np.full(count, -1)
+        begin, acknowledgements = START_SCANS, []
+        while True:
+            length = int(math.exp(random.uniform(0.0, math.log(LONGEST + 1))))
+            begin += 1 + int(random.exponential(_mean_length() * (1.0 - FAULTY_SHARE) / FAULTY_SHARE))
+            if begin + length > count:
+                break
+            kind = int(random.integers(len(self.names)))
+            part = slice(begin, begin + length)
+            self._faults[self.names[kind]](Episode(arrays, part, random, self._bias))
+            faults[part] = kind
+            begin += length
+            acknowledgements.append(begin + OPERATOR_SCANS)
+        sound = [n for n in acknowledgements if n < count and not np.any(faults[n - OPERATOR_SCANS : n + 1] >= 0)]
+        sent = arrays.pop("sent")
+        places = np.cumsum(sent) - 1
+        return Storm(
+            scans=Scans.from_fields(**arrays).select(sent),
+            faults=faults[sent],
+            names=self.names,
+            truth=truth.select(sent),
+            acknowledgements=places[np.array(sound, dtype=np.int64)],
+        )
+
+    def _sound_readings(self, truth: PoseArray, random: np.random.Generator) -> dict[str, Any]:
+        """Return the fields of sound scans as arrays that may be changed, and which are sent."""
+        stack, count = self.posor.stack, len(truth)
+        errors = stack.parameter_sigmas * random.normal(size=stack.parameters)
+        stamps = np.arange(1, count + 1, dtype=np.int64) * (NS // RATE)
+        stack = stack.with_parameter_values(stack.parameter_values + errors)
+        scans = scans_at(stack, truth.rotations, truth.translations, stamps, noise=random)
+        arrays: dict[str, Any] = {"stamps_ns": stamps, "numbers": np.arange(count, dtype=np.uint64)}
+        converter = cast("Converter", self.calibration.converter)
+        for name, limits in RANGES.items():
+            values = getattr(scans, name)
+            step = (converter.current if name == DIODE_FIELD else converter.voltage).number
+            bits = round(math.log2((limits[1] - limits[0]) / step))
+            arrays[name] = convert_to_digital(values, np.array(limits), bits, steps=True)[0] if values.size else values
+        arrays["lit_sources"] = scans.lit_sources.copy()
+        arrays["supply_voltages"], arrays["temperatures"] = np.full(count, 15.0), np.full(count, 293.15)
+        arrays["at_home"] = self._at_home(truth).astype(np.int64)
+        arrays["statuses"] = HOME_BUMP * arrays["at_home"]
+        arrays["sent"] = np.ones(count, dtype=bool)
+        return arrays
+
+    def _at_home(self, truth: PoseArray) -> BoolArray:
+        settings = self.posor.settings
+        if not settings["bump_angle"] > 0.0:
+            return np.zeros(len(truth), dtype=bool)
+        thetas = np.arctan2(-truth.rotations[:, 0, 1], truth.rotations[:, 1, 1])
+        return np.asarray(np.abs(thetas - settings["home_theta"]) < HOME_WIDTH * settings["bump_angle"])
+
+    def _bias(self, field: str, channel: int) -> float:
+        """Return the minimal detectable bias of a probe [V]."""
+        sensor: Any = next(each for each in self.calibration.sensors if field_of(each) == field)
+        probe, kind = sensor.probes[channel], "gap" if field == "gap_voltages" else "ring"
+        return float(self._biases[f"{kind} {probe.name}"] / abs(probe.volts_to_gap.array[1]))
+
+
+def _mean_length() -> float:
+    """Return the mean length of a fault: ``floor(exp(u))``, u uniform from 0 to ln(LONGEST + 1)."""
+    lengths = np.arange(1, LONGEST + 1)
+    chances = np.log((lengths + 1) / lengths) / math.log(LONGEST + 1)
+    return float(lengths @ chances)
+
+
+def _motion(times: FloatArray, phase: float) -> PoseArray:
+    """Return the target's true poses at times [s], (n,): theta swings about home, runout and inclination follow."""
+    swing = 0.05 * np.sin(2.0 * np.pi * times / SWING_S + phase)
+    leans = 2e-5 * np.column_stack([np.sin(3.0 * times), np.cos(2.0 * times + phase), np.zeros(len(times))])
+    runout = 1e-5 * np.column_stack([np.cos(2.0 * times), np.sin(3.0 * times + phase), np.sin(5.0 * times)])
+    leaned = PoseArray.from_rotation_vectors(np.array([0.0, 0.0, 0.735e-3]) + runout, leans)
+    return leaned @ PoseArray.from_axis_angles(2, swing)
+
+
+@dataclass(frozen=True)
+class StormCount:
+    """Figures of a storm."""
+
+    scans: int
+    injected: int
+    wrong_ok: int  # beyond 5 standard deviations of the truth, and published as valid
+    uncovered: int  # of these, without sound and LIKE_THE_TRUE_READING scans that the protection level covers
+    sound: int  # scans without a fault, outside of a latched period
+    sound_ok: int
+    latched: int  # scans without a fault in a latched period
+    wrong_by_fault: Mapping[str, int]  # wrong poses published as valid, by the fault before or during them
+    different: int = 0  # transforms of a node that differ from the estimator's
+
+    def __add__(self, other: StormCount) -> StormCount:
+        """Return the sums."""
+        names = {*self.wrong_by_fault, *other.wrong_by_fault}
+        return StormCount(
+            self.scans + other.scans,
+            self.injected + other.injected,
+            self.wrong_ok + other.wrong_ok,
+            self.uncovered + other.uncovered,
+            self.sound + other.sound,
+            self.sound_ok + other.sound_ok,
+            self.latched + other.latched,
+            {name: self.wrong_by_fault.get(name, 0) + other.wrong_by_fault.get(name, 0) for name in sorted(names)},
+            self.different + other.different,
+        )
+
+    @property
+    def sound_ok_share(self) -> float:
+        """Share of sound scans outside of a latched period that are OK."""
+        return self.sound_ok / self.sound if self.sound else math.nan
+
+
+NO_COUNT = StormCount(0, 0, 0, 0, 0, 0, 0, {})
+
+
+def estimate_storm(posor: Posor, storm: Storm, encoder: np.random.Generator | None = None) -> Estimates:
+    """Return the estimates of a storm, acknowledged as an operator would; ``encoder``: its noise, None: no encoder."""
+    records = np.zeros(len(storm.scans), dtype=ESTIMATE)
+    scans, begin = storm.scans.records.copy(), 0
+    for end in [*storm.acknowledgements.tolist(), len(scans)]:
+        posor.estimate_records(scans[begin:end], records[begin:end])
+        if end < len(scans):
+            posor.acknowledge()
+        if end < len(scans) and posor.counts_bumps and encoder is not None:
+            posor.confirm_theta(storm.thetas[end] + ENCODER_SIGMA * encoder.normal(), ENCODER_SIGMA)
+        begin = end
+    return Estimates(records)
+
+
+def count_storm(
+    calibration: Calibration,
+    storm: Storm,
+    states: IntArray,
+    faults: IntArray,
+    poses: PoseArray,
+    covariances: FloatArray,
+) -> StormCount:
+    """Return the figures of a storm.
+
+    Args:
+        calibration: Of the stack.
+        storm: The scans.
+        states: ``State`` of each, (n,).
+        faults: ``Fault`` of each, (n,).
+        poses: Estimated poses, (n).
+        covariances: Total covariances, (n, 6, 6).
+
+    """
+    valid = np.isin(states, USABLE_STATES)
+    wrong = valid & wrong_poses(poses, covariances, storm.truth)
+    sound = storm.faults < 0
+    posor, covered = Posor(calibration), np.zeros(len(sound), dtype=bool)
+    for n in np.flatnonzero(wrong).tolist():
+        if sound[n] or storm.names[storm.faults[n]].endswith(LIKE_THE_TRUE_READING):
+            shifts = sensor_shifts(calibration, joint_reliability(posor, storm.scans[n], poses[n]).shifts)
+            level = endpoint_protection_level([shifts], [np.eye(6)], covariances[n])
+            one = np.array([n])
+            covered[n] = np.all(np.abs(small_errors(poses.select(one), storm.truth.select(one))) <= level)
+    latched = sound & _latched_periods(states, faults)
+    indices = np.maximum.accumulate(np.where(sound, 0, np.arange(len(sound))))
+    by_fault = storm.faults[indices][wrong]
+    names, counts = np.unique(by_fault, return_counts=True)
+    return StormCount(
+        scans=len(sound),
+        injected=int(np.count_nonzero(~sound)),
+        wrong_ok=int(np.count_nonzero(wrong)),
+        uncovered=int(np.count_nonzero(wrong & ~covered)),
+        sound=int(np.count_nonzero(sound & ~latched)),
+        sound_ok=int(np.count_nonzero(sound & ~latched & (states == State.OK))),
+        latched=int(np.count_nonzero(latched)),
+        wrong_by_fault={
+            storm.names[name] if name >= 0 else "none": count
+            for name, count in zip(names.tolist(), counts.tolist(), strict=True)
+        },
+    )
+
+
+def sensor_shifts(calibration: Calibration, shifts: FloatArray) -> FloatArray:
+    """Return the undetected shifts of the pose (m, 6) with those of both readings of a diode together, in amount."""
+    begin, together = 0, [np.abs(shifts)]
+    for sensor in calibration.sensors:
+        if isinstance(sensor, DiodesCalibration):
+            of_diodes = np.abs(shifts[begin : begin + 2 * len(sensor.diodes)])
+            together.append(of_diodes[0::2] + of_diodes[1::2])
+        else:
+            begin += len(sensor.build().reading_names)
+    return np.concatenate(together)
+
+
+def _latched_periods(states: IntArray, faults: IntArray) -> BoolArray:
+    """Return which scans are in a period from a latched or uncounted scan, or the beginning, to the next pose, (n,)."""
+    begins = (faults & Fault.LATCHED != 0) | (states == State.UNCOUNTED)
+    ends = np.isin(states, USABLE_STATES)
+    begins[0] |= not ends[0]
+    latest = np.maximum.accumulate(np.where(begins | ends, np.arange(len(states)), 0))
+    return np.asarray(begins[latest])
+
+
+def run_storm(calibration: Calibration, injected: int, seed: int, on_block: Callable[[int], None]) -> StormCount:
+    """Return the figures of a storm of one stack.
+
+    Args:
+        calibration: Of the stack.
+        injected: Least number of faulty scans.
+        seed: Of the first block; the others follow.
+        on_block: Called after each block with its number of faulty scans.
+
+    """
+    maker = StormMaker(calibration)
+    total = NO_COUNT
+    while total.injected < injected:
+        storm = maker.draw(seed)
+        maker.posor.reset()
+        estimates = estimate_storm(maker.posor, storm, np.random.default_rng(seed))
+        poses = PoseArray(estimates.rotations, estimates.translations)
+        covariances = estimates.covariances_random + estimates.covariances_systematic
+        block = count_storm(calibration, storm, estimates.states, estimates.faults, poses, covariances)
+        total, seed = total + block, seed + 1
+        on_block(block.injected)
+    return total

@@ -1,0 +1,281 @@
+"""Damaged raw scans and joint transforms through the byte path of the nodes, compared with the undamaged ones.
+
+A pose published as valid that differs from that of the undamaged message by more than 5 standard deviations is wrong,
+unless the damaged bytes are a message that the sensors could have sent:
+
+- a raw scan in which one reading differs, by less than the redundant readings detect: within the protection level;
+- a raw scan in which several readings, or supply and temperature, differ so that they agree with one another.
+"""
+
+from __future__ import annotations
+
+import random
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+from posor.errors import TopicError
+from posor.estimation.posor import Posor
+from posor.messages.message_definitions import MessageTypes
+from posor.messages.message_table import LEAD
+from posor.model.fault import USABLE_STATES
+from posor.uncertainty.protection_level import endpoint_protection_level
+from posor.uncertainty.reliability import joint_reliability
+from posor_drivers.simulated_messages import SimulatedMessages
+from posor_drivers.simulator.arm_simulation import ArmSimulation
+from posor_drivers.simulator.imperfections import Imperfections
+from posor_drivers.simulator.pose_array import PoseArray
+from posor_estimator.raw_scan_stream import RawScanStream
+from posor_ros.cdr_scan import RAW_SCAN, scan_of
+from posor_ros.cdr_transform import JOINT_TRANSFORM, JointTransformFormat
+
+from posor_lab.faults.pose_judge import SIGMAS, small_errors
+from posor_lab.faults.storm import sensor_shifts
+from posor_lab.fuzz.mutation import mutate
+
+if TYPE_CHECKING:
+    from posor.chain.arm_file import Arm
+    from posor.numerics.array_types import FloatArray
+
+SCANS = 200
+"""Scans of each joint that are damaged, again and again."""
+READINGS = ("gap_voltages", "ring_voltages", "diode_currents", "lit_sources")
+ENVIRONMENT = "supply or temperature"
+COUPLED = (ENVIRONMENT, "diode_currents")
+"""Damage to one of these changes several readings: those of all probes, or both coordinates of a spot."""
+MOST_EXAMPLES = 10
+
+
+@dataclass
+class FuzzCount:
+    """What became of damaged messages."""
+
+    mutations: int = 0
+    refused: int = 0  # no pose, or the message as a whole
+    unharmed: int = 0  # a pose that does not differ
+    covered: int = 0  # a pose that differs within the protection level, one reading damaged
+    possible: int = 0  # a pose that differs: several readings, or the environment, which agree with one another
+    wrong: int = 0  # a pose that differs otherwise
+    examples: list[str] = field(default_factory=list)  # of wrong ones
+
+    def add_wrong(self, text: str) -> None:
+        """Count a wrong pose."""
+        self.wrong += 1
+        if len(self.examples) < MOST_EXAMPLES:
+            self.examples.append(text)
+
+
+@dataclass(frozen=True)
+class JointRecording:
+    """Undamaged scans of a joint, and what the byte path makes of them.
+
+    Attributes:
+        posor: The estimator.
+        stream: The byte path of posor_node.
+        scans: Serialised raw scans.
+        transforms: Serialised transforms of them.
+        estimates: Records of dtype ESTIMATE.
+        trackers: State of the tracker before each scan.
+        usable: Scans with a pose, all but the first.
+
+    """
+
+    posor: Posor
+    stream: RawScanStream
+    scans: list[bytes]
+    transforms: list[bytes]
+    estimates: list[Any]
+    trackers: list[Any]
+    usable: list[int]
+
+
+def record(simulation: ArmSimulation, joint: str, count: int = SCANS, cycle: int = 0) -> JointRecording:
+    """Estimate simulated scans of a joint from the beginning of a cycle of the scenario on."""
+    messages = SimulatedMessages(MessageTypes(), simulation)
+    ticks = np.arange(1, count + 1) + cycle * simulation.scenario.cycle_ticks
+    simulated = simulation.scans(joint, ticks, simulation.truth(ticks))
+    scans = [messages.raw_scan(joint, simulated, n).data for n in range(count)]
+    posor = Posor(simulation.calibrations[joint])
+    stream = RawScanStream(posor, scans[0], "total")
+    trackers, transforms, estimates = [], [], []
+    for data in scans:
+        trackers.append(posor.model.workspace["tracker"].copy())
+        transforms.append(stream.estimate_message(data) or b"")
+        estimates.append(stream.last_scan().estimate)
+    usable = [n for n in range(1, count) if estimates[n]["state"] in USABLE_STATES]
+    return JointRecording(posor, stream, scans, transforms, estimates, trackers, usable)
+
+
+class ScanFuzz:
+    """Damaged raw scans of one joint, each estimated after the undamaged scan before it."""
+
+    def __init__(self, simulation: ArmSimulation, joint: str, seed: int) -> None:
+        """Estimate the undamaged scans; ``seed`` is that of the damage."""
+        self.count = FuzzCount()
+        self.chance = random.Random(f"{joint} {seed}")  # noqa: S311  damage
+        self._simulation, self._joint = simulation, joint
+        self.begin_cycle(0)
+
+    def begin_cycle(self, cycle: int) -> None:
+        """Damage scans from the beginning of this cycle of the scenario on."""
+        self.recording = record(self._simulation, self._joint, cycle=cycle)
+        self._levels: dict[int, FloatArray] = {}
+
+    def run(self, mutations: int) -> None:
+        """Damage so many scans."""
+        for _ in range(mutations):
+            n = self.chance.choice(self.recording.usable)
+            data = mutate(self.recording.scans[n], self.chance)
+            found = self._estimate(n, data)
+            self.judge(n, data, None if found is None or found["state"] not in USABLE_STATES else _pose_of(found))
+
+    def judge(self, n: int, data: bytes, found: pin.SE3 | None) -> None:
+        """Count what became of damaged bytes in place of scan n: a pose that is published as valid, or None."""
+        count, expected = self.count, self.recording.estimates[n]
+        count.mutations += 1
+        if found is None:
+            count.refused += 1
+            return
+        if self.is_near(n, found):
+            count.unharmed += 1
+            return
+        error = pose_difference(found, _pose_of(expected))
+        changed = changed_readings(self.recording.scans[n], data)
+        if len(changed) == 1 and ENVIRONMENT not in changed and np.all(np.abs(error) <= self._protection_level(n)):
+            count.covered += 1
+        elif len(changed) > 1 or any(name.startswith(COUPLED) for name in changed):
+            count.possible += 1
+        else:
+            readings = ", ".join(sorted(changed)) or "no reading"
+            count.add_wrong(f"scan {n}, {readings} changed: off by {np.round(1e6 * error, 2).tolist()} um, urad")
+
+    def is_near(self, n: int, found: pin.SE3) -> bool:
+        """Return whether a pose is that of scan n within 5 standard deviations."""
+        expected = self.recording.estimates[n]
+        sigmas = np.sqrt(np.diag(expected["random"] + expected["systematic"]))
+        return bool(np.all(np.abs(pose_difference(found, _pose_of(expected))) <= SIGMAS * sigmas))
+
+    def _estimate(self, n: int, data: bytes) -> Any | None:
+        """Return the estimate of damaged bytes in place of scan n, as posor_node makes it; None: it refuses them."""
+        recording = self.recording
+        recording.posor.model.workspace["tracker"] = recording.trackers[n]
+        stream = recording.stream
+        if stream.identity(data) is None or stream.estimate_message(data) is None:
+            try:
+                data = RAW_SCAN.normal(data)
+                stream = RawScanStream(recording.posor, data, "total")
+            except TopicError:
+                return None
+            if stream.estimate_message(data) is None:
+                return None
+        last = stream.last_scan()
+        return last.estimate if last.stamp_ns and not last.refusal else None
+
+    def _protection_level(self, n: int) -> FloatArray:
+        """Return the bound of the error of pose n by one reading, (6,)."""
+        if n not in self._levels:
+            posor, estimate = self.recording.posor, self.recording.estimates[n]
+            found = joint_reliability(posor, scan_of(self.recording.scans[n]), _pose_of(estimate))
+            shifts = sensor_shifts(posor.calibration, found.shifts)
+            covariance = estimate["random"] + estimate["systematic"]
+            self._levels[n] = endpoint_protection_level([shifts], [np.eye(6)], covariance)
+        return self._levels[n]
+
+
+def _pose_of(estimate: Any) -> pin.SE3:
+    """Return the pose of a record of dtype ESTIMATE."""
+    return pin.SE3(estimate["rotation"], estimate["translation"])
+
+
+def pose_difference(found: pin.SE3, expected: pin.SE3) -> FloatArray:
+    """Return the difference of two poses in ROS order, (6,)."""
+    one, other = (PoseArray(np.array([each.rotation]), np.array([each.translation])) for each in (found, expected))
+    return np.asarray(small_errors(one, other)[0])
+
+
+def changed_readings(before: bytes, after: bytes) -> set[str]:
+    """Return which readings differ between two scans, those of a diode as one; ENVIRONMENT for supply, temperature."""
+    one, other = scan_of(before), scan_of(after)
+    changed = set()
+    for name in READINGS:
+        values, others = np.asarray(getattr(one, name)), np.asarray(getattr(other, name))
+        if values.shape != others.shape:
+            return {name, f"number of {name}"}
+        if values.size:
+            differs = (values != others).reshape(len(values), -1).any(axis=1)
+            changed |= {f"{name}[{i}]" for i in np.flatnonzero(differs)}
+    first, second = ((each.supply_voltage, each.temperature) for each in (one, other))
+    if not np.array_equal(first, second, equal_nan=True):
+        changed.add(ENVIRONMENT)
+    return changed
+
+
+class TransformFuzz:
+    """Damaged transforms of one joint of a whole scan, read as chain_node reads them."""
+
+    def __init__(self, simulation: ArmSimulation, seed: int) -> None:
+        """Estimate the undamaged scans of all joints."""
+        self.count = FuzzCount()
+        chain = simulation.chain
+        self._formats = [JointTransformFormat(joint.parent, joint.child) for joint in chain.joints]
+        self._estimator = chain.estimator(0.0, [each.row_layout for each in self._formats])
+        recordings = [record(simulation, joint.name) for joint in chain.joints]
+        usable = set.intersection(*(set(each.usable) for each in recordings))
+        self._scans = [[each.transforms[n] for each in recordings] for n in sorted(usable)]
+        self.chance = random.Random(f"transforms {seed}")  # noqa: S311  damage
+
+    def run(self, mutations: int) -> None:
+        """Damage so many transforms."""
+        for _ in range(mutations):
+            scan, j = self.choose()
+            found = self._endpoint([*scan[:j], mutate(scan[j], self.chance), *scan[j + 1 :]])
+            self.judge(scan, j, None if found is None else found[0])
+
+    def choose(self) -> tuple[list[bytes], int]:
+        """Return the transforms of a scan and the joint whose one is to be damaged."""
+        return self.chance.choice(self._scans), self.chance.randrange(len(self._formats))
+
+    def judge(self, scan: list[bytes], j: int, found: pin.SE3 | None) -> None:
+        """Count what became of a scan whose transform of joint j was damaged: an endpoint pose, or None."""
+        self.count.mutations += 1
+        if found is None:
+            self.count.refused += 1
+        elif self.is_near(scan, found):
+            self.count.unharmed += 1
+        else:
+            error = pose_difference(found, self._expected(scan)[0])
+            self.count.add_wrong(f"joint {j}: endpoint off by {np.round(1e6 * error, 2).tolist()} um, urad")
+
+    def is_near(self, scan: list[bytes], found: pin.SE3) -> bool:
+        """Return whether an endpoint pose is that of the undamaged transforms within 5 standard deviations."""
+        pose, covariance = self._expected(scan)
+        return bool(np.all(np.abs(pose_difference(found, pose)) <= SIGMAS * np.sqrt(np.diag(covariance))))
+
+    def _expected(self, scan: list[bytes]) -> tuple[pin.SE3, FloatArray]:
+        expected = self._endpoint(scan)
+        if expected is None:
+            message = "undamaged transforms were refused"
+            raise AssertionError(message)
+        return expected
+
+    def _endpoint(self, scan: list[bytes]) -> tuple[pin.SE3, FloatArray] | None:
+        """Return pose and covariance of the endpoint; None: refused."""
+        for row, kind, data in zip(self._estimator.rows, self._formats, scan, strict=True):
+            plain = data
+            if not kind.matches(data):
+                try:
+                    plain = JOINT_TRANSFORM.normal(data)
+                except TopicError:
+                    return None
+                if not kind.matches(plain):
+                    return None
+            row[LEAD : LEAD + kind.size] = np.frombuffer(plain[: kind.size], dtype=np.uint8)
+        if self._estimator.estimate_rows(1) < 0:
+            return None
+        return pin.XYZQUATToSE3(self._estimator.pose), self._estimator.covariance.copy()
+
+
+def fuzz_simulation(arm: Arm) -> ArmSimulation:
+    """Return the simulation of an arm whose only imperfection is noise."""
+    return ArmSimulation(arm, Imperfections.only("noise"))

@@ -1,0 +1,49 @@
+"""Output files of the programs of this package."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+from posor.errors import ParameterError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+
+def check_writable(path: Path) -> Path:
+    """Create the folder of an output file; return the path.
+
+    Raises:
+        ParameterError: The folder or the file cannot be written, or the path is that of a folder.
+
+    """
+    if path.is_dir():
+        raise ParameterError("cannot be written: is a folder", where=f"--output {path}", expected="a file")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    except OSError as error:
+        raise ParameterError(f"cannot be written: {error.strerror}", where=f"--output {path}") from error
+    return path
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write figures as JSON and print the path."""
+    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    print(f"figures written to {path}")
+
+
+def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> None:
+    """Write texts and binary files into a folder, by name.
+
+    Raises:
+        ParameterError: One cannot be written.
+
+    """
+    try:
+        for name, content in contents.items():
+            (folder / name).write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
+    except OSError as error:
+        raise ParameterError(f"cannot be written: {error.strerror}", where=str(folder)) from error

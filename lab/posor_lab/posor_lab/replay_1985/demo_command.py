@@ -1,0 +1,165 @@
+"""demo: replays a motion test of 1985 through the nodes, shows it live, compares it with the thesis, writes a report.
+
+Exit code 0 only if the comparison holds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from posor.calibration.calibration_file import load_calibration
+from posor.reporting.command_line_parser import CommandLineParser
+from posor_bringup.bringup_options import LOGS, prepare_output_folder
+from posor_bringup.installed import BAGS, CALIBRATIONS, JOINT, bag_path, calibration_path, urdf_path
+from posor_bringup.supervisor import Supervisor
+from posor_ros.node_program import non_ros_arguments, ros_context
+from posor_ros.ros_domain import isolated_network
+from rich.console import Console
+
+from posor_lab.output_files import write_files
+from posor_lab.replay_1985.comparison import compare_with_thesis
+from posor_lab.replay_1985.motion_figures import draw_motion_test
+from posor_lab.replay_1985.motion_plots import plot_angles, plot_displacements
+from posor_lab.replay_1985.motion_test import MotionTest
+from posor_lab.replay_1985.printed_results import (
+    EXPECTED_ERRORS_FILE,
+    PRINTED_FILES,
+    read_predicted_errors,
+    read_printed,
+)
+from posor_lab.replay_1985.replay import Replay, ReplayPlan
+from posor_lab.replay_1985.replay_report import (
+    HEADINGS,
+    MOTIONS,
+    STATES,
+    replay_notes,
+    replay_page,
+    replay_provenance,
+)
+from posor_lab.replay_1985.step_collector import StepCollector
+from posor_lab.replay_1985.step_table import LiveTable, steps_as_csv
+from posor_lab.reports.findings import print_findings
+from posor_lab.reports.findings_program import exit_code_of_findings
+from posor_lab.thesis_data import data_path
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from posor_lab.reports.findings import Findings
+
+OUTPUT_FILES = ("report.html", "report.png", "steps.csv", "bag")
+"""Content of the report's folder besides the logs."""
+
+
+def _parse_rate(text: str) -> float:
+    try:
+        rate = float(text)
+    except ValueError:
+        rate = math.nan
+    if not (math.isfinite(rate) and rate >= 0.0):
+        raise argparse.ArgumentTypeError(f"'{text}' is not a speed, a number of at least 0")
+    return rate
+
+
+def parse_options(arguments: Sequence[str]) -> argparse.Namespace:
+    """Return the options.
+
+    Raises:
+        ParameterError: An option is unknown or its value invalid.
+
+    """
+    parser = CommandLineParser(prog="demo", description="Replay a motion test of 1985 and compare it with the thesis.")
+    parser.add_argument("--bag", choices=BAGS, default="ymo", help="motion test (default: ymo)")
+    parser.add_argument(
+        "--calibration", choices=CALIBRATIONS, default="printed", help="state to reproduce (default: printed)"
+    )
+    parser.add_argument(
+        "--output", type=Path, default=Path("build/report"), metavar="FOLDER", help="default: build/report"
+    )
+    parser.add_argument(
+        "--rate", type=_parse_rate, default=1.0, metavar="FACTOR", help="speed, 1 is real time, 0 as fast as possible"
+    )
+    parser.add_argument("--no-live", action="store_true", help="plain lines instead of a live table")
+    return parser.parse_args(list(arguments))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; the exit code is 0 if the comparison holds."""
+    return exit_code_of_findings(lambda: _run(sys.argv if arguments is None else arguments))
+
+
+def _run(argv: Sequence[str]) -> Findings:
+    """Replay, compare and report."""
+    options = parse_options(non_ros_arguments(argv))
+    console = Console(highlight=False)
+    folder = prepare_output_folder(options.output / f"{options.bag}_{options.calibration}", OUTPUT_FILES)
+    plan = ReplayPlan(
+        bag=bag_path(options.bag),
+        calibration=calibration_path(options.calibration),
+        session=options.bag,
+        urdf=urdf_path(),
+        output=folder,
+        rate=options.rate,
+    )
+    title = (
+        f"POSOR, test {options.bag.upper()} of 1985: {MOTIONS[options.bag]}\n"
+        f"calibration '{options.calibration}': {STATES[options.calibration]}"
+    )
+    test, identity = _replay(plan, argv, LiveTable(title, console, live=not options.no_live))
+    comparison = _write_report(options, title, plan, test, identity)
+    print_findings(comparison, console, "comparison with the thesis", HEADINGS)
+    console.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False)
+    if comparison.holds:
+        console.print("The comparison holds.", style="green")
+    else:
+        console.print("The comparison does not hold.", style="bold red")
+    return comparison
+
+
+def _replay(plan: ReplayPlan, argv: Sequence[str], table: LiveTable) -> tuple[MotionTest, Mapping[str, str]]:
+    """Run the graph; return the steps and the identity of the POSOR node's calibration."""
+    with (
+        isolated_network(),
+        ros_context(argv) as stop,
+        Supervisor(plan.output / LOGS) as supervisor,
+        StepCollector(JOINT) as collector,
+    ):
+        with table:
+            replay = Replay(plan, supervisor, collector, on_steps=table.show, interrupted=lambda: stop.requested)
+            replay.start()
+            replay.activate_driver()
+            replay.wait_for_end()
+        replay.stop()
+        return MotionTest(tuple(collector.complete_steps())), replay.calibration_identity()
+
+
+def _write_report(
+    options: argparse.Namespace, title: str, plan: ReplayPlan, test: MotionTest, identity: Mapping[str, str]
+) -> Findings:
+    """Compare the steps with the thesis and write all files of the report."""
+    table = PRINTED_FILES.get(options.bag)
+    printed = read_printed(data_path(table)) if table else None
+    comparison = compare_with_thesis(test, options.bag, options.calibration, printed)
+    calibration = load_calibration(plan.calibration)
+    predictions = read_predicted_errors(data_path(EXPECTED_ERRORS_FILE), options.bag)
+    shown = printed if options.calibration == "printed" else None
+    page = replay_page(
+        title,
+        test=test,
+        comparison=comparison,
+        angles=plot_angles(test, shown, predictions),
+        displacements=plot_displacements(test),
+        notes=replay_notes(test, calibration),
+        provenance=replay_provenance(plan.bag, calibration, plan.calibration, identity),
+    )
+    picture = draw_motion_test(test, title, shown, predictions)
+    write_files(plan.output, {"report.png": picture, "report.html": page, "steps.csv": steps_as_csv(test)})
+    return comparison
+
+
+if __name__ == "__main__":
+    sys.exit(main())

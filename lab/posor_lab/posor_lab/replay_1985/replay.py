@@ -1,0 +1,204 @@
+"""Replay of a bag through driver, POSOR, chain and recorder, each in its own process."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from posor.node_parameters import RECORDING
+from posor.ros_names import ENDPOINT_TOPIC, RAW_TOPIC, TRANSFORM_TOPIC, TRUTH_TOPIC
+from posor_bringup.installed import JOINT
+from posor_bringup.supervisor import ProcessError, Program, RunningProgram, Supervisor
+from posor_ros.lifecycle_node import LISTENERS_STATUS
+
+from posor_lab.reports.graph_receiver import GraphWatch
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
+
+    from posor_bringup.supervisor import Parameter
+
+    from posor_lab.replay_1985.motion_test import MotionStep
+    from posor_lab.replay_1985.step_collector import StepCollector
+
+TOPICS = (f"/{JOINT}/{RAW_TOPIC}", f"/{JOINT}/{TRANSFORM_TOPIC}", f"/{ENDPOINT_TOPIC}", TRUTH_TOPIC)
+"""Recorded topics."""
+
+LOSSLESS: Mapping[str, Parameter] = {"lossless": True, **RECORDING}
+"""Parameters that make a fast publisher wait for a slow subscriber and accept recorded stamps."""
+
+_SUBSCRIPTIONS: Mapping[str, tuple[str, int]] = {
+    f"/{JOINT}/posor_node": (TRANSFORM_TOPIC, 3),  # chain, recorder, collector
+    "/chain_node": (ENDPOINT_TOPIC, 2),  # recorder, collector
+}
+"""Topic of a node and its number of subscriptions before the replay begins."""
+
+
+@dataclass(frozen=True)
+class ReplayPlan:
+    """Files and options of a replay.
+
+    Attributes:
+        bag: Recorded scans and machining-centre readings.
+        calibration: Calibration file of the POSOR.
+        session: Session of the calibration file.
+        urdf: The rig.
+        output: Existing folder; gets the new ``bag`` and ``logs`` of the programs.
+        rate: Speed, 1 is real time; 0: as fast as possible.
+        loop: Whether the driver repeats the bag without end.
+
+    """
+
+    bag: Path
+    calibration: Path
+    session: str
+    urdf: Path
+    output: Path
+    rate: float = 0.0
+    loop: bool = False
+
+    @property
+    def recorded(self) -> Path:
+        """The bag of the recorder."""
+        return self.output / "bag"
+
+    def programs(self) -> dict[str, Program]:
+        """Return the programs by name; the driver waits for its activation, then for POSOR, recorder and collector."""
+        driver: dict[str, Parameter] = {
+            "autostart": False,
+            "source": "bag",
+            "bag.path": str(self.bag.resolve()),
+            "bag.other_topics": [TRUTH_TOPIC],
+            "rate": float(self.rate),
+            "loop": self.loop,
+            "wait_for_subscribers": 2,
+            "wait_for_other_subscribers": 2,
+            "on_end": "exit",
+            **LOSSLESS,
+        }
+        posor = {"calibration": str(self.calibration.resolve()), "session": self.session, **LOSSLESS}
+        chain = {"urdf": str(self.urdf.resolve()), **LOSSLESS}
+        record = ("--output", str(self.recorded.resolve()), "--topics", *TOPICS)
+        programs = (
+            Program("driver_node", "posor_drivers", "driver_node", (), f"/{JOINT}", driver, ends=True),
+            Program("posor_node", "posor_estimator", "posor_node", (), f"/{JOINT}", posor),
+            Program("chain_node", "posor_estimator", "chain_node", (), "", chain),
+            Program("record", "posor_drivers", "record", record),
+        )
+        return {program.name: program for program in programs}
+
+
+class Replay:
+    """One replay: ``start``, ``activate_driver``, ``wait_for_end``, ``stop``.
+
+    All methods raise ProcessError if a program ends unexpectedly or expected messages do not arrive.
+    """
+
+    def __init__(
+        self,
+        plan: ReplayPlan,
+        supervisor: Supervisor,
+        collector: StepCollector,
+        *,
+        on_steps: Callable[[Sequence[MotionStep]], None] = lambda _steps: None,
+        interrupted: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Create the replay without starting it.
+
+        Args:
+            plan: Files and options.
+            supervisor: Starts and ends the processes.
+            collector: Receives the messages.
+            on_steps: Called with all complete steps when messages have arrived.
+            interrupted: Whether the user has interrupted the run.
+
+        """
+        self.plan = plan
+        self.collector = collector
+        self._supervisor = supervisor
+        self._running: dict[str, RunningProgram] = {}
+        self._watch = GraphWatch(
+            supervisor,
+            collector,
+            "replay",
+            on_received=lambda: on_steps(collector.complete_steps()),
+            interrupted=interrupted,
+        )
+
+    def start(self) -> None:
+        """Start and configure all programs, and wait until all subscriptions exist."""
+        for name, program in self.plan.programs().items():
+            self._running[name] = self._supervisor.start(program)
+        self._change_driver_state(Transition.TRANSITION_CONFIGURE, "configure", "inactive")
+        self.wait_for_subscriptions()
+
+    def wait_for_subscriptions(self) -> None:
+        """Wait until POSOR and chain have all their subscriptions; the driver waits for its own."""
+        self.wait_until(lambda: not self._missing_subscriptions(), lambda: ", ".join(self._missing_subscriptions()))
+
+    def _missing_subscriptions(self) -> list[str]:
+        return [
+            f"{count} subscriptions to the {topic} of {node}"
+            for node, (topic, count) in _SUBSCRIPTIONS.items()
+            if int(self.collector.status_value(f"{node}: {LISTENERS_STATUS}", topic) or 0) < count
+        ]
+
+    def _change_driver_state(self, transition: int, verb: str, state: str) -> None:
+        """Request a lifecycle transition of the driver and wait for its response or for the state.
+
+        A service drops its response if it has not yet discovered the reader of the client: diagnostics count as well.
+        """
+        client = self.collector.create_client(ChangeState, f"/{JOINT}/driver_node/change_state")
+        self.wait_until(client.service_is_ready, lambda: "the driver's lifecycle service")
+        response = client.call_async(ChangeState.Request(transition=Transition(id=transition)))
+        status = f"/{JOINT}/driver_node: lifecycle"
+        self.wait_until(
+            lambda: response.done() or self.collector.status_value(status, "message") == state,
+            lambda: "the driver's response",
+        )
+        self.collector.destroy_client(client)
+        if response.done() and not response.result().success:
+            reason = self._running["driver_node"].last_sentence()
+            raise ProcessError(f"cannot {verb}: {reason}", where="driver_node")
+
+    def activate_driver(self) -> None:
+        """Activate the driver, which publishes the bag."""
+        self._change_driver_state(Transition.TRANSITION_ACTIVATE, "activate", "active")
+
+    def wait_for_end(self) -> None:
+        """Wait until the driver has published everything and all following messages have arrived."""
+        self.wait_until(lambda: self._running["driver_node"].has_ended, lambda: "the end of the driver")
+        self.wait_until(lambda: not self._outstanding(), lambda: ", ".join(self._outstanding()))
+
+    def _outstanding(self) -> list[str]:
+        truths = [] if self.collector.truths else ["any machining-centre reading"]
+        identity = [] if self.calibration_identity()["calibration_hash"] else ["the POSOR node's calibration hash"]
+        return self.collector.missing() + truths + identity
+
+    def calibration_identity(self) -> dict[str, str]:
+        """Return file, hash and session of the POSOR node's calibration from its diagnostics; empty: not received."""
+        keys = ("calibration", "calibration_hash", "session")
+        return {key: self.collector.status_value(f"/{JOINT}/posor_node: estimate", key) or "" for key in keys}
+
+    def stop(self) -> None:
+        """End driver, nodes and recorder in this order, so that the recorder gets all messages."""
+        for names in (("driver_node",), ("posor_node", "chain_node"), ("record",)):
+            self._supervisor.end([self._running[name] for name in names])
+
+    def kill_node(self, name: str) -> None:
+        """Kill ``posor_node`` or ``chain_node`` as in a crash."""
+        self._supervisor.kill(self._running[name])
+        for node in _SUBSCRIPTIONS:
+            if node.endswith(f"/{name}"):
+                self.collector.forget_node(node)
+
+    def start_node(self, name: str) -> None:
+        """Start a node again that was killed."""
+        self._running[name] = self._supervisor.start(self._running[name].program)
+
+    def wait_until(self, condition: Callable[[], bool], missing: Callable[[], str]) -> None:
+        """Receive until a condition holds, see ``GraphWatch.wait``."""
+        self._watch.wait(condition, missing)

@@ -1,0 +1,113 @@
+"""Digital zero-drift search on the recorded tests of 1985, compared with the shifts of the thesis (8.3.1, table 8.1).
+
+``./run posor_lab zero_drift_1985`` prints, for YMO and YZMO, the zero shifts with uncertainty and correlations,
+and the remaining errors of alpha and beta. It fails if these are larger than with the shifts of the thesis.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from posor.bags.calibration_recording import Reference, load_recording
+from posor.calibration.calibration_file import load_calibration
+from posor.calibration.quantity import Quantity
+from posor.estimation.posor import Posor
+from posor.model.native_coordinates import native_from_rotation
+from posor.reporting.command_line_parser import CommandLineParser
+from posor_bringup.installed import bag_path, calibration_path
+from posor_calibration.attitude_fit import ANGLES, deviation_from_first, read_reference_attitude
+from posor_calibration.procedures.zero_drift import NAME, ZeroDriftOptions, find_zero_drift
+from rich.console import Console
+from scipy.constants import inch
+
+from posor_lab.replay_1985.motion_test import TRUTH_LEVER
+from posor_lab.reports.findings import Finding, Findings, Verdict, print_findings
+from posor_lab.reports.findings_program import exit_code_of_findings
+from posor_lab.thesis_data import URAD
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from posor.bags.recording import Recording
+    from posor.calibration.calibration_file import Calibration
+    from posor.numerics.array_types import FloatArray
+    from posor_bringup.installed import Bag
+
+TRUTH = Reference("/truth/machining_centre", (2e-4 * inch,))
+"""The machining centre, accurate to 0.0002 in (section 8.2)."""
+TESTS: Mapping[Bag, Mapping[str, float | None]] = {
+    "ymo": {"alpha": None, "beta": 4.0},
+    "yzmo": {"alpha": 3.0, "beta": 7.0},
+}
+"""Standard deviation [urad] that section 8.4 states for its own shifts; None: not stated."""
+_HEADINGS = {"computed": "found shifts", "stated": "thesis says", "limit": "limit", "source": "source"}
+
+
+def search_zero_shifts(test: Bag, calibration: Calibration, recording: Recording) -> tuple[Findings, list[str]]:
+    """Search the zero shifts of one test.
+
+    Returns:
+        Remaining errors, compared with those of the shifts in the calibration; and lines with the shifts.
+
+    """
+    options = ZeroDriftOptions(lever=TRUTH_LEVER, session=test, first_sigma=0.0)
+    outcome = find_zero_drift(recording, calibration, options)
+    fit = outcome.fits[NAME]
+    old = calibration.sessions[test].zero_shifts
+    (new,) = outcome.replacements
+    shifts = Quantity(value=new.value, sigma=new.sigma, unit="V")
+    session = calibration.sessions[test].model_copy(update={"zero_shifts": shifts})
+    changed = calibration.model_copy(update={"sessions": {**calibration.sessions, test: session}})
+    before, after = (_remaining_deviations(each.for_session(test), recording) / URAD for each in (calibration, changed))
+    findings = []
+    for i, angle in enumerate(ANGLES[:2]):
+        stated = TESTS[test][angle]
+        findings.append(
+            Finding(
+                f"{test.upper()}, {angle}: error against machining centre, standard deviation",
+                f"{after[i]:.2f} urad",
+                "" if stated is None else f"{stated:g} urad",
+                f"at most {before[i]:.2f} urad, as with the shifts of table 8.1",
+                "section 8.4",
+                Verdict.of(holds=bool(after[i] <= before[i])),
+            )
+        )
+    lines = [f"{test.upper()}: {outcome.method}"]
+    for k, name in enumerate(fit.names):
+        thesis = "" if old is None else f" (thesis {old.array[k]:+.3f} V)"
+        lines.append(f"  {name}: {fit.values[k]:+.4f} V +- {fit.sigmas[k]:.4f} V{thesis}")
+    pairs = [(i, j) for i in range(len(fit.names)) for j in range(i)]
+    correlations = ", ".join(f"{j + 1} and {i + 1}: {fit.correlations[i, j]:+.2f}" for i, j in pairs)
+    lines += [f"  correlations of the shifts of probes {correlations}", *(f"  {text}" for text in outcome.warnings)]
+    return Findings(tuple(findings)), lines
+
+
+def _remaining_deviations(calibration: Calibration, recording: Recording) -> FloatArray:
+    """Return the standard deviations of alpha and beta [rad] over every step that gives a pose, (2,)."""
+    estimates = Posor(calibration).estimate_all(recording.scans)
+    angles = np.array([native_from_rotation(rotation) for rotation in estimates.rotations])
+    reference = read_reference_attitude(recording, TRUTH.topic, lever=TRUTH_LEVER, twist_sigma=0.0, longest_gap_s=0.0)
+    errors = (angles - reference.angles)[np.isfinite(angles).all(axis=1), :2]
+    return deviation_from_first(errors - errors[0])
+
+
+def main() -> int:
+    """Run the program; return 1 if a search leaves more error than the shifts of the thesis."""
+    return exit_code_of_findings(_run)
+
+
+def _run() -> Findings:
+    CommandLineParser(prog="zero_drift_1985", description=__doc__.splitlines()[0]).parse_args()
+    console = Console()
+    findings: list[Finding] = []
+    calibration = load_calibration(calibration_path("section84"))
+    for test in TESTS:
+        recording = load_recording(bag_path(test), references=[TRUTH])
+        found, lines = search_zero_shifts(test, calibration, recording)
+        findings += found.findings
+        for line in lines:
+            console.print(line, soft_wrap=True, markup=False, highlight=False)
+    combined = Findings(tuple(findings))
+    print_findings(combined, console, "Errors left by the zero shifts found", _HEADINGS)
+    return combined

@@ -1,0 +1,171 @@
+"""Receives what the nodes of a graph publish, while a supervisor checks that their processes still run."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from functools import partial
+from typing import TYPE_CHECKING, Any, Self, TypeVar
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from posor.ros_names import DIAGNOSTICS_TOPIC
+from posor_bringup.supervisor import ProcessError
+from posor_ros.message_conversion import stamp_ns
+from posor_ros.node_program import SPIN_TIMEOUT_S
+from posor_ros.qos import KEEP_ALL_QOS
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
+
+from posor_lab.reports.console_progress import InterruptedRunError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import TracebackType
+
+    from posor_bringup.supervisor import Supervisor
+
+MessageT = TypeVar("MessageT")
+
+SILENCE_LIMIT_S = 60.0
+"""A run is given up when no message has arrived for this time."""
+WAITING_S = 1.0
+"""A wait that lasts longer is shown, and again after each such time."""
+
+
+class GraphReceiver(Node):
+    """Stores messages by stamp, and the newest diagnostic status of each name.
+
+    Attributes:
+        received: Number of messages stored.
+
+    """
+
+    def __init__(self, name: str) -> None:
+        """Subscribe to the diagnostics; ``store_topic`` adds topics."""
+        super().__init__(name)
+        self.received = 0
+        self._statuses: dict[str, DiagnosticStatus] = {}
+        self._status_counts: Counter[str] = Counter()
+        self.create_subscription(DiagnosticArray, DIAGNOSTICS_TOPIC, self._on_diagnostics, KEEP_ALL_QOS)
+        # One executor for the whole life: messages that arrive between two executors are lost.
+        self._executor = EventsExecutor()
+        self._executor.add_node(self)
+
+    def store_topic(self, message_type: type[MessageT], topic: str) -> dict[int, MessageT]:
+        """Subscribe to a topic; return the dictionary that will hold its messages by stamp [ns]."""
+        store: dict[int, MessageT] = {}
+        self.create_subscription(message_type, topic, partial(self._on_message, store), KEEP_ALL_QOS)
+        return store
+
+    def receive_until(self, condition: Callable[[], bool]) -> None:
+        """Receive until a condition holds; it is checked after each event and at least every ``SPIN_TIMEOUT_S``."""
+        while not condition():
+            self._executor.spin_once(timeout_sec=SPIN_TIMEOUT_S)
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Leave the graph."""
+        self._executor.remove_node(self)
+        self._executor.shutdown()
+        self.destroy_node()
+
+    def _on_message(self, store: dict[int, Any], message: Any) -> None:
+        self.received += 1
+        store[stamp_ns(message)] = message
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        self._statuses |= {status.name: status for status in message.status}
+        self._status_counts.update(status.name for status in message.status)
+
+    def status_value(self, status: str, key: str) -> str | None:
+        """Return a value of the newest diagnostic status of a name; None: not received.
+
+        Args:
+            status: Name of the status, such as ``/chain_node: endpoint``.
+            key: Key of the value; ``message``: the message of the status.
+
+        """
+        newest = self._statuses.get(status)
+        if newest is None:
+            return None
+        return {**{item.key: item.value for item in newest.values}, "message": newest.message}.get(key)
+
+    def status_count(self, status: str) -> int:
+        """Return how often a diagnostic status was received."""
+        return self._status_counts[status]
+
+    def forget_node(self, node: str) -> None:
+        """Forget the diagnostics of a node that has ended, such as ``/chain_node``."""
+        self._statuses = {name: status for name, status in self._statuses.items() if not name.startswith(f"{node}:")}
+
+
+class GraphWatch:
+    """Receives messages while the processes of the graph run."""
+
+    def __init__(
+        self,
+        supervisor: Supervisor,
+        receiver: GraphReceiver,
+        run_name: str,
+        *,
+        on_received: Callable[[], None] = lambda: None,
+        on_waiting: Callable[[str], None] = lambda _missing: None,
+        interrupted: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Create the watch.
+
+        Args:
+            supervisor: Supervisor of the processes.
+            receiver: Receiver of the messages.
+            run_name: Name of the run in error messages, such as ``replay``.
+            on_received: Called after messages have arrived.
+            on_waiting: Called with the text for what is missing while a wait lasts.
+            interrupted: Whether the user has interrupted the run.
+
+        """
+        self._supervisor = supervisor
+        self._receiver = receiver
+        self._run_name = run_name
+        self._on_received = on_received
+        self._on_waiting = on_waiting
+        self._interrupted = interrupted
+
+    def wait(self, condition: Callable[[], bool], missing: Callable[[], str]) -> None:
+        """Receive until a condition holds.
+
+        Args:
+            condition: The condition.
+            missing: Returns the text for what is missing.
+
+        Raises:
+            InterruptedRunError: The user interrupted the run.
+            ProcessError: A process ended with an error, or nothing arrived for ``SILENCE_LIMIT_S``.
+
+        """
+        received, since_s = -1, time.monotonic()
+        shown_s = since_s
+
+        def is_done() -> bool:
+            nonlocal received, since_s, shown_s
+            if self._interrupted():
+                raise InterruptedRunError("interrupted", where=self._run_name)
+            self._supervisor.check()
+            if self._receiver.received != received:
+                received, since_s = self._receiver.received, time.monotonic()
+                self._on_received()
+            if condition():
+                return True
+            if time.monotonic() - since_s > SILENCE_LIMIT_S:
+                what = f"no message for {SILENCE_LIMIT_S:g} s, missing: {missing()}"
+                raise ProcessError(what, where=self._run_name)
+            if time.monotonic() - shown_s > WAITING_S:
+                shown_s = time.monotonic()
+                self._on_waiting(missing())
+            return False
+
+        self._receiver.receive_until(is_done)

@@ -1,0 +1,254 @@
+"""Runs an arm in one process for a long time: counts its scans from outside, and what the process holds.
+
+Every scan has a state on ``endpoint/state``, and a pose unless the state says why not. A tick without a state was
+missed by all drivers; a state that names a missing transform is of a tick that one of them missed; anything else is
+lost.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from array import array
+from collections import Counter
+from dataclasses import dataclass
+from struct import Struct
+from typing import TYPE_CHECKING
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from posor.numerics.stamps import time_ns
+from posor.ros_names import ENDPOINT_STATE_TOPIC, ENDPOINT_TOPIC
+from posor_bringup.arm_programs import arm_programs, group_programs
+from posor_bringup.supervisor import Supervisor
+from posor_msgs.msg import EndpointState
+from posor_ros.message_conversion import is_usable
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+
+from posor_lab.benchmark.tick_statistics import TickWindow
+from posor_lab.faults.fault_arm import IMPERFECTION_PARAMETERS, RATES, write_fault_arm
+from posor_lab.reports.graph_receiver import GraphReceiver, GraphWatch
+from posor_lab.soak.process_sample import ProcessSample, growth_mb
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from posor.chain.arm_file import Arm as ArmFile
+    from posor.numerics.array_types import IntArray
+
+    from posor_lab.faults.fault_table import Arm
+
+QOS = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.BEST_EFFORT)
+CYCLE_S, SEED = 20, 1985
+"""Of the motion."""
+SETTLED_POSES = 100
+"""Poses before the run begins."""
+REFRESHES = 3
+"""Diagnostics of each node until its totals are those of a moment."""
+SAMPLE_S = 5.0
+"""Time between two samples of the process."""
+SETTLING_NS = 1_000_000_000
+"""Time before the end of the drivers that is not judged: scans under way."""
+_STAMP = Struct("<iI")
+_MISSING = "transform missing"
+
+
+@dataclass(frozen=True)
+class SoakFigures:
+    """Figures of a run; see ``SoakReceiver.figures`` for those of the scans."""
+
+    seconds: float
+    ticks: int  # in the measured time
+    ticks_missed: int  # by the driver that missed most
+    sent: int  # raw scans of all joints, in the whole run
+    transforms: int  # of all joints, in the whole run
+    states: int  # ticks with a state of the endpoint
+    poses: int  # ticks with a pose
+    without_pose: dict[str, int]  # ticks whose state says why there is no pose, by its reason
+    lost_scans: int  # raw scans without a transform
+    lost_states: int  # ticks without a state that no driver missed
+    lost_transforms: int  # transforms that the chain lacked although their driver had sent the scan
+    lost_poses: int  # ticks with a pose, or a state that says so, but not both
+    samples: tuple[ProcessSample, ...]
+
+    @property
+    def lost(self) -> int:
+        """What was lost beyond missed ticks."""
+        return self.lost_scans + self.lost_states + self.lost_transforms + self.lost_poses
+
+    @property
+    def growth_mb(self) -> float:
+        """Growth of the memory over the samples [MB]."""
+        return growth_mb(self.samples)
+
+    @property
+    def first(self) -> ProcessSample:
+        """The first sample after the warm-up."""
+        return self.samples[0]
+
+    @property
+    def last(self) -> ProcessSample:
+        """The last sample."""
+        return self.samples[-1]
+
+
+class SoakReceiver(GraphReceiver):
+    """Keeps the stamps of an arm's endpoint, of its states without a pose with their reason, and the diagnostics."""
+
+    def __init__(self, arm: ArmFile) -> None:
+        """Subscribe to the topics of the arm."""
+        super().__init__("soak")
+        self.poses, self.states = array("q"), array("q")
+        self.stale = 0
+        self.reasons: dict[int, str] = {}
+        for kind, topic, on_bytes in (
+            (PoseStamped, ENDPOINT_TOPIC, self._on_pose),
+            (EndpointState, ENDPOINT_STATE_TOPIC, self._on_state),
+        ):
+            self.create_subscription(kind, f"/{arm.name}/{topic}", on_bytes, QOS, raw=True)
+        self._drivers = [f"/{arm.name}/{joint}/driver_node" for joint in arm.calibrations]
+        self._posors = [f"/{arm.name}/{joint}/posor_node" for joint in arm.calibrations]
+        self._changes = [self.create_client(ChangeState, f"{driver}/change_state") for driver in self._drivers]
+
+    def _on_pose(self, data: bytes) -> None:
+        self.received += 1
+        self.poses.append(_stamp_of(data))
+
+    def _on_state(self, data: bytes) -> None:
+        self.received += 1
+        message = deserialize_message(data, EndpointState)
+        if message.state == EndpointState.STATE_STALE:  # about the absence of scans, with the stamp of an old one
+            self.stale += 1
+            return
+        self.states.append(stamp := _stamp_of(data))
+        if not is_usable(message):
+            self.reasons[stamp] = message.reason
+
+    @property
+    def missed(self) -> IntArray:
+        """Ticks that each driver has missed since its start, (joints,)."""
+        return self._totals(self._drivers, "pace", "ticks_missed")
+
+    @property
+    def sent(self) -> IntArray:
+        """Raw scans that each driver has published since its start, (joints,)."""
+        return self._totals(self._drivers, "source", "scans_published")
+
+    @property
+    def estimated(self) -> IntArray:
+        """Scans that each posor_node has estimated since its start, (joints,)."""
+        return self._totals(self._posors, "estimate", "scans")
+
+    def _totals(self, nodes: Sequence[str], status: str, key: str) -> IntArray:
+        return np.array([int(self.status_value(f"{node}: {status}", key) or 0) for node in nodes])
+
+    def stop_drivers(self, watch: GraphWatch) -> None:
+        """Deactivate all drivers and wait for diagnostics that hold the totals."""
+        request = ChangeState.Request()
+        request.transition.id = Transition.TRANSITION_DEACTIVATE
+        answers = [client.call_async(request) for client in self._changes]
+        watch.wait(lambda: all(each.done() for each in answers), lambda: "the end of the drivers")
+        names = [f"{node}: source" for node in self._drivers] + [f"{node}: estimate" for node in self._posors]
+        begin = {name: self.status_count(name) for name in names}
+        watch.wait(
+            lambda: all(self.status_count(name) >= count + REFRESHES for name, count in begin.items()),
+            lambda: "diagnostics",
+        )
+
+    def figures(self, window: TickWindow, missed: IntArray, samples: Sequence[ProcessSample]) -> SoakFigures:
+        """Return the figures of a time window, and the totals of the run.
+
+        Totals of missed ticks are up to a second old where the window begins: ticks missed just before it may be taken
+        for ticks of the window.
+
+        Args:
+            window: The measured time.
+            missed: Ticks that each driver has missed in it, (joints,).
+            samples: Of the process.
+
+        """
+        ticks = window.stamps_ns
+        has_state, has_pose = (np.isin(ticks, np.array(each)) for each in (self.states, self.poses))
+        says_none = np.isin(ticks, np.array(list(self.reasons), dtype=np.int64))
+        reasons = Counter(_without_joints(self.reasons[stamp]) for stamp in ticks[says_none].tolist())
+        unseen = int(np.count_nonzero(~has_state & ~has_pose))
+        missed_by_all = min(unseen, int(missed.min()))
+        missing = reasons[_MISSING]
+        return SoakFigures(
+            seconds=(window.end_ns - window.begin_ns) / 1e9,
+            ticks=len(ticks),
+            ticks_missed=int(missed.max()),
+            sent=int(self.sent.sum()),
+            transforms=int(self.estimated.sum()),
+            states=int(has_state.sum()),
+            poses=int(has_pose.sum()),
+            without_pose=dict(reasons.most_common()),
+            lost_scans=int(np.abs(self.sent - self.estimated).sum()),
+            lost_states=unseen - missed_by_all,
+            lost_transforms=max(0, missing - int(np.sum(missed - missed_by_all))),
+            lost_poses=int(np.count_nonzero(has_pose != (has_state & ~says_none))),
+            samples=tuple(samples),
+        )
+
+
+def _without_joints(reason: str) -> str:
+    """Return the reason of a state without the names of the joints."""
+    if _MISSING in reason:
+        return _MISSING
+    return "; ".join(sorted(set(re.findall(r"is ([^;]+)", reason)))) or reason
+
+
+def _stamp_of(data: bytes) -> int:
+    """Return the stamp of a serialised message with a header [ns]."""
+    return time_ns(*_STAMP.unpack_from(data, 4))
+
+
+def run_soak(
+    name: Arm,
+    seconds: float,
+    warm_up: float,
+    folder: Path,
+    on_sample: Callable[[ProcessSample], None],
+    interrupted: Callable[[], bool],
+) -> SoakFigures:
+    """Run an arm with all nodes in one process and return its figures.
+
+    Args:
+        name: Installed arm; it moves as in the fault table, at a rate that two processors follow.
+        seconds: Duration after the warm-up.
+        warm_up: Time from the first poses to the first sample [s].
+        folder: Existing folder for the composition file and the log.
+        on_sample: Called with each sample, one each ``SAMPLE_S``.
+        interrupted: Whether the user has interrupted the run.
+
+    Raises:
+        ProcessError: The process failed, or nothing arrives any more.
+        InterruptedRunError: The user interrupted the run.
+
+    """
+    arm = write_fault_arm(name, folder / "arm", CYCLE_S, SEED)
+    with Supervisor(folder) as supervisor, SoakReceiver(arm) as receiver:
+        (program,) = group_programs(arm_programs(arm, driver_parameters=IMPERFECTION_PARAMETERS), "composed", folder)
+        pid = supervisor.start(program).process.pid
+        watch = GraphWatch(supervisor, receiver, "soak", interrupted=interrupted)
+        watch.wait(lambda: len(receiver.poses) > SETTLED_POSES, lambda: "endpoint poses")
+        _wait_until(time.monotonic() + warm_up, watch)
+        begin_ns, begin_s, missed, samples = time.time_ns(), time.monotonic(), receiver.missed, []
+        while True:
+            now_s = time.monotonic() - begin_s
+            samples.append(ProcessSample.take(pid, now_s))
+            on_sample(samples[-1])
+            if now_s >= seconds:
+                break
+            _wait_until(begin_s + min(now_s + SAMPLE_S, seconds), watch)
+        window = TickWindow(begin_ns, time.time_ns() - SETTLING_NS, RATES[name])
+        receiver.stop_drivers(watch)
+        return receiver.figures(window, receiver.missed - missed, samples)
+
+
+def _wait_until(end_s: float, watch: GraphWatch) -> None:
+    watch.wait(lambda: time.monotonic() >= end_s, lambda: "poses")

@@ -1,0 +1,214 @@
+"""The POSOR of chapter 5 as a model: effect of a unit of each perturbation of its error budgets.
+
+Dimensions of tables 5.2 and 5.4 [inch]: probes at (-c, 0), (0, a), (0, -b) with a = b = 1.5, c = 3; light spots 3 apart
+along X and up to 0.5 along Y, each 0.5 from the centre of its diode along both axes; rays 0.05 long. Each number is a
+derivative of the measurement model, or its second difference where the thesis takes the square of an angle.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import pinocchio as pin
+from posor.calibration.calibration_file import Calibration, calibration_from
+from posor.calibration.design_parts import quantity_entry
+from posor.estimation.forward import readings_at
+from posor.estimation.posor import Posor
+from posor.uncertainty.budget_poses import pose_from_native, scan_at
+from posor.uncertainty.budget_quantities import PlatePoint
+from posor.uncertainty.first_order import sensitivities
+from scipy.constants import inch
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from posor.numerics.array_types import FloatArray
+    from posor.uncertainty.first_order import Sensitivities
+
+Axis = Literal["x", "y", "z"]
+
+LEVER = 1.5
+"""a and b [inch]."""
+PROBE_RANGE = 0.05
+"""Range of the probes [inch]: largest difference of two gaps, and the gap where a probe axis leans."""
+LEG_X, LEG_Y = 3.0, 0.5
+"""From spot 2 to spot 1 [inch]; along Y: at most."""
+SPOT = 0.5
+"""Position of each spot on its diode, along both axes [inch]."""
+RAY = 0.05
+"""Length of the rays [inch]."""
+STEP = 1e-3
+"""Angle of the second differences [rad]; their relative error is of the order of its square."""
+POINTS: Mapping[str, tuple[float, float]] = {"l_0_0": (0.0, 0.0), "l_m1_1p5": (-1.0, 1.5), "l_0_1p5": (0.0, 1.5)}
+"""Points [inch] at which the distance to the plate is an output, by name."""
+PROBES = ("gap probe_1", "gap probe_2", "gap probe_3")
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """Inclination of the plate before the probes.
+
+    Attributes:
+        across: Gap 3 less gap 2 [inch].
+        along: Gap 1 less the mean of gaps 2 and 3 [inch].
+
+    """
+
+    across: float = 0.0
+    along: float = 0.0
+
+
+class Chapter5:
+    """The model and its derivatives, in the units of the thesis: inch and radian.
+
+    Outputs are ``alpha``, ``beta``, ``theta`` and the distances of ``POINTS``.
+
+    Attributes:
+        posor: The model; gaps have a noise of 10 microinch, parameters have no uncertainty.
+        pose: Pose of the derivatives.
+
+    """
+
+    def __init__(self, slopes: Slopes, *, c: float = 3.0, leg_y: float = LEG_Y) -> None:
+        """Build the model.
+
+        Args:
+            slopes: Inclination at which the derivatives are taken.
+            c: Lever of probe 1 [inch].
+            leg_y: From spot 2 to spot 1 along Y [inch].
+
+        """
+        self.posor = Posor(_calibration(c, leg_y))
+        leans = -math.atan(slopes.across / (2.0 * LEVER)), math.atan(slopes.along / c)
+        self.pose = pose_from_native((0.0, 0.0, PROBE_RANGE * inch, *leans, 0.0))
+        self._scan = scan_at(self.posor, self.pose)
+        self._readings = self.posor.stack.reading_names
+        self._parameters = self.posor.stack.parameter_names
+
+    @cached_property
+    def _sensitivities(self) -> Sensitivities:
+        points = [PlatePoint(x * inch, y * inch) for x, y in POINTS.values()]
+        return sensitivities(self.posor, self._scan, self.pose, points)
+
+    @cached_property
+    def _residual_jacobian(self) -> FloatArray:
+        return self.posor.stack.residual_jacobian(self._scan, self.pose.rotation, self.pose.translation)
+
+    @property
+    def gaps(self) -> FloatArray:
+        """The three gaps at the pose of the derivatives [inch], shape (3,)."""
+        return self._readings_with_turned_axes({}, 0.0)[: len(PROBES)] / inch
+
+    def reading_sensitivity(self, output: str, reading: str) -> float:
+        """Return the effect of an inch of a reading on an output."""
+        row, unit = self._output_row(output)
+        return unit * float(self._sensitivities.by_reading[row, self._readings.index(reading)])
+
+    def parameter_sensitivity(self, output: str, parameter: str) -> float:
+        """Return the effect of an inch of a parameter, such as ``GapProbes.tips[0,0]``, on an output."""
+        row, unit = self._output_row(output)
+        return unit * float(self._sensitivities.by_parameter[row, self._parameters.index(parameter)])
+
+    def reading_shift(self, reading: str, parameter: str) -> float:
+        """Return the effect of a parameter on a reading [m per unit of the parameter]."""
+        return float(self._residual_jacobian[self._readings.index(reading), self._parameters.index(parameter)])
+
+    def quadratic_shift(self, reading: str, turned_axes: Mapping[str, Axis]) -> float:
+        """Return the effect of the square of an angle on a reading [inch].
+
+        Args:
+            reading: The reading.
+            turned_axes: Axes that turn, each by the first of its three parameters (``GapProbes.axes[0,0]``), and the
+                axis of R about which it turns.
+
+        """
+        before, nominal, after = (self._readings_with_turned_axes(turned_axes, angle) for angle in (-STEP, 0.0, STEP))
+        second = (before + after - 2.0 * nominal) / STEP**2
+        return float(second[self._readings.index(reading)]) / 2.0 / inch
+
+    def _readings_with_turned_axes(self, turned_axes: Mapping[str, Axis], angle: float) -> FloatArray:
+        values = self.posor.stack.parameter_values
+        for name, about in turned_axes.items():
+            first = self._parameters.index(name)
+            values[first : first + 3] = pin.utils.rotate(about, angle) @ values[first : first + 3]
+        stack = self.posor.stack.with_parameter_values(values)
+        readings: FloatArray = readings_at(stack, self.pose.rotation[None], self.pose.translation[None])[0]
+        return readings
+
+    def _output_row(self, output: str) -> tuple[int, float]:
+        """Return the row of an output, and the factor that turns its derivative by metre into one by inch."""
+        if output in POINTS:
+            return 6 + list(POINTS).index(output), 1.0
+        return [known.name for known in self._sensitivities.outputs].index(output), inch
+
+
+def _calibration(c: float, leg_y: float) -> Calibration:
+    """Return the model as a calibration without uncertainties: these come from the tables."""
+    tips = ((-c, 0.0), (0.0, LEVER), (0.0, -LEVER))
+    spots = ((0.5 * LEG_X, 0.5 * leg_y), (-0.5 * LEG_X, -0.5 * leg_y))
+    spot_map = {
+        "kind": "polynomial",
+        "center": quantity_entry([0.0, 0.0], "1"),
+        "domain": quantity_entry([[-0.9, 0.9], [-0.9, 0.9]], "1"),
+        "x": quantity_entry([[0.0, 0.0], [inch, 0.0]], "m"),
+        "y": quantity_entry([[0.0, inch], [0.0, 0.0]], "m"),
+    }
+    probe = {
+        "axis": quantity_entry([0.0, 0.0, 1.0], "1"),
+        "volts_to_gap": quantity_entry([0.0, 0.01 * inch], "m/V^k"),
+        "zero_shift": quantity_entry(0.0, "V"),
+        "noise": quantity_entry(1e-3, "V"),
+        "range": quantity_entry([-5.0, 25.0], "V"),
+    }
+    diode = {
+        "x_axis": quantity_entry([1.0, 0.0, 0.0], "1"),
+        "y_axis": quantity_entry([0.0, 1.0, 0.0], "1"),
+        "noise": quantity_entry([1e-4, 1e-4], "1"),
+        "minimum_sum": quantity_entry(2e-5, "A"),
+    }
+    ray = {"direction": quantity_entry([0.0, 0.0, -1.0], "1")}
+
+    def parts(name: str, key: str, points: list[list[float]], shared: dict[str, Any]) -> list[dict[str, Any]]:
+        """Return parts ``name_1``, ``name_2``, ... at points [inch]."""
+        return [
+            {"name": f"{name}_{k}", key: quantity_entry([inch * x for x in point], "m"), **shared}
+            for k, point in enumerate(points, start=1)
+        ]
+
+    return calibration_from(
+        {
+            "format": "posor_calibration",
+            "version": 1,
+            "name": "chapter 5",
+            "provenance": {"source": "thesis, tables 5.2 and 5.4", "method": "nominal dimensions", "date": "1985"},
+            "frames": {"parent": "receiving", "child": "target"},
+            "sensors": [
+                {
+                    "type": "gap_probes",
+                    "target_plane": {
+                        "point": quantity_entry([0.0, 0.0, 0.0], "m"),
+                        "tilt": quantity_entry([0.0, 0.0], "rad"),
+                    },
+                    "probes": parts("probe", "tip", [[x, y, 0.0] for x, y in tips], probe),
+                },
+                {
+                    "type": "diodes",
+                    "diodes": parts(
+                        "diode", "origin", [[x - SPOT, y - SPOT, PROBE_RANGE - RAY] for x, y in spots], diode
+                    ),
+                    "light_sources": parts("source", "origin", [[x, y, 0.0] for x, y in spots], ray),
+                    "map": "flat",
+                    "maps": {"flat": [spot_map, spot_map]},
+                },
+            ],
+        }
+    )
+
+
+def root_sum_square(*parts: float) -> float:
+    """Return the root of the sum of squares."""
+    return float(np.linalg.norm(parts))

@@ -1,0 +1,218 @@
+"""Errors that section 8.4 predicts for the motion tests: the budgets of chapter 7 over the travels of table 8.1.
+
+Lengths are in inch and angles in rad, as in the other budgets of the thesis.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Literal
+
+from posor_lab.thesis_budgets.chapter5 import LEG_X, Chapter5, Slopes, root_sum_square
+from posor_lab.thesis_budgets.diode_tables import table_7_9
+from posor_lab.thesis_budgets.probe_tables import BUDGET_FILE, LEVERS, table_7_12
+from posor_lab.thesis_data import URAD, data_path, parse_number, read_table
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+RANGES_FILE = "sensor_ranges.csv"
+DIMENSIONS_FILE = "posor_dimensions.csv"
+
+STAGE_STRAIGHTNESS = 0.0004
+"""Standard deviation of the straightness of the stage that calibrated the diodes, section 8.4 [inch]."""
+PEAK_TO_VALLEY = 0.025
+"""Travel across a diode over which a linearisation follows this error from peak to valley, section 8.4 [inch]."""
+CURVE_PEAK = 0.00041
+"""Peak of a linearisation curve by this error, section 8.4.4 [inch]."""
+DIODE_RANGE = 0.5
+"""Travel across a diode over which the total of table 7.9 holds, section 8.4 [inch]."""
+READOUT = 0.0002
+"""Accuracy of the machining centre along any axis, section 8.2 [inch]."""
+READING_DISTANCE = 3.5
+"""Distance of the two readings that give alpha, section 8.2 [inch]."""
+BEARING_RUNOUT, BEARING_DISTANCE = 50e-6, 3.0
+"""Bearings of the twist stage, section 8.2 [inch]."""
+
+MotionName = Literal["ZMO", "YMO", "YZMO", "TWIS", "GEN"]
+
+
+@dataclass(frozen=True)
+class SensorTravel:
+    """Travel of the sensors in one motion test, table 8.1 [inch].
+
+    Attributes:
+        spots_x: Of the light spots along X of diodes 1 and 2, from start to finish, signed.
+        spots_y: The same along Y.
+        probes: Change of the gaps of probes 1 to 3, without its sign.
+
+    """
+
+    spots_x: tuple[float, float]
+    spots_y: tuple[float, float]
+    probes: tuple[float, float, float]
+
+    @property
+    def mean_x(self) -> float:
+        """Mean travel along X of a diode."""
+        return (abs(self.spots_x[0]) + abs(self.spots_x[1])) / 2.0
+
+    @property
+    def mean_distance(self) -> float:
+        """Mean distance that a spot travels across its diode."""
+        return sum(math.hypot(x, y) for x, y in zip(self.spots_x, self.spots_y, strict=True)) / 2.0
+
+    @property
+    def slopes(self) -> Slopes:
+        """Change of the plate's inclination, if all gaps change in the same sense."""
+        one, two, three = self.probes
+        return Slopes(across=three - two, along=one - (two + three) / 2.0)
+
+
+def sensor_travel(test: MotionName) -> SensorTravel:
+    """Return the travel of the sensors in a test.
+
+    Raises:
+        DataFileError: Table 8.1 cannot be read, or has an invalid number.
+
+    """
+    cells = _sensor_cells(test)
+
+    def travel(axis: str, k: int) -> float:
+        return cells[f"{axis}d{k}_finish_in"] - cells[f"{axis}d{k}_start_in"]
+
+    return SensorTravel(
+        (travel("x", 1), travel("x", 2)),
+        (travel("y", 1), travel("y", 2)),
+        (cells["probe1_range_in"], cells["probe2_range_in"], cells["probe3_range_in"]),
+    )
+
+
+def spots_at(test: MotionName, moment: Literal["start", "finish"]) -> tuple[float, float, float, float]:
+    """Return X1, Y1, X2, Y2 of the light spots on their diodes at the start or the finish of a test [inch].
+
+    Raises:
+        DataFileError: Table 8.1 cannot be read, or has an invalid number.
+
+    """
+    cells = _sensor_cells(test)
+    x1, y1, x2, y2 = (cells[f"{axis}d{k}_{moment}_in"] for k in (1, 2) for axis in "xy")
+    return x1, y1, x2, y2
+
+
+@cache
+def _sensor_cells(test: MotionName) -> Mapping[str, float]:
+    """Return the column of a test in table 8.1."""
+    path = data_path(RANGES_FILE)
+    rows = read_table(path, ["quantity", test])
+    return {row["quantity"]: parse_number(row, test, f"{path}, {row['quantity']}") for row in rows}
+
+
+@cache
+def dimensions() -> Mapping[str, float]:
+    """Return the dimensions of POSOR and tests by name (inch, radian).
+
+    Raises:
+        DataFileError: The table cannot be read, or has an invalid number.
+
+    """
+    path = data_path(DIMENSIONS_FILE)
+    rows = read_table(path, ["quantity", "value"])
+    return {row["quantity"]: parse_number(row, "value", f"{path}, {row['quantity']}") for row in rows}
+
+
+@dataclass(frozen=True)
+class ProbePrediction:
+    """Errors of the impedance probes that increase with the motion.
+
+    Attributes:
+        alpha: Of alpha [rad].
+        beta: Of beta [rad].
+
+    """
+
+    alpha: float
+    beta: float
+
+    @property
+    def y(self) -> float:
+        """Of the end of the beam along Y: beta with its lever [inch]."""
+        return self.beta * dimensions()["lever_endpoint"]
+
+
+def increasing_errors(slopes: Slopes) -> ProbePrediction:
+    """Return the errors by the uncertain spacings a, b, c of the probes at a change of inclination (5.21 to 5.25).
+
+    Raises:
+        DataFileError: Table 7.12 cannot be read.
+
+    """
+    model = Chapter5(slopes)
+    path = data_path(BUDGET_FILE)
+    sigmas = {
+        row["perturbation"]: parse_number(row, "value", f"{path}, {row['perturbation']}")
+        for row in read_table(path, ["perturbation", "value"])
+        if row["perturbation"] in LEVERS
+    }
+
+    def total(output: str) -> float:
+        return root_sum_square(
+            *(model.parameter_sensitivity(output, LEVERS[name][0]) * sigma for name, sigma in sigmas.items())
+        )
+
+    return ProbePrediction(total("alpha"), total("beta"))
+
+
+@cache
+def probe_budget(kind: Literal["increasing", "random"], angle: Literal["alpha", "beta"]) -> float:
+    """Return the total of table 7.12 for an angle [rad], by the model."""
+    table = table_7_12()
+    row = next(row for row in table.rows if row.startswith(f"{kind}: root mean square"))
+    return table.cell(row, f"sigma_{angle}_urad").computed * URAD
+
+
+@cache
+def diode_budget(column: Literal["induced_sigma_X_uin", "induced_sigma_Y_uin", "induced_sigma_theta_urad"]) -> float:
+    """Return a total of table 7.9 [inch or rad], by the model."""
+    return table_7_9().cell("root mean square: total", column).computed * 1e-6
+
+
+def straightness_error(travel: float = PEAK_TO_VALLEY, straightness: float = STAGE_STRAIGHTNESS) -> float:
+    """Return the error of theta by the straightness of the calibration stage [rad], section 8.4.
+
+    Both diodes contribute, 3 in apart; the error goes with the travel across a diode.
+
+    Args:
+        travel: Travel of the spots along X of a diode [inch].
+        straightness: Of the stage, peak to valley of a linearisation [inch].
+
+    """
+    return root_sum_square(straightness, straightness) / LEG_X * travel / PEAK_TO_VALLEY
+
+
+def diode_error(distance: float) -> float:
+    """Return the error of theta by the terms of table 7.9 [rad] for a distance across the diodes [inch]."""
+    return diode_budget("induced_sigma_theta_urad") * distance / DIODE_RANGE
+
+
+def total_z() -> float:
+    """Return the expected error of Z at the end of the beam [inch]: theta with its lever, and Y of the diodes."""
+    lever = dimensions()["lever_endpoint"]
+    return lever * diode_budget("induced_sigma_theta_urad") + diode_budget("induced_sigma_Y_uin")
+
+
+def machining_centre_alpha() -> float:
+    """Return the error of alpha by the machining centre [rad], section 8.2."""
+    return root_sum_square(READOUT, READOUT) / READING_DISTANCE
+
+
+def twist_stage_alpha() -> float:
+    """Return the error of alpha by the bearings of the twist stage [rad], section 8.2."""
+    return BEARING_RUNOUT / BEARING_DISTANCE
+
+
+def random_alpha() -> float:
+    """Return the random error of alpha in TWIS and GEN [rad]: POSOR, machining centre and twist stage."""
+    return root_sum_square(probe_budget("random", "alpha"), machining_centre_alpha(), twist_stage_alpha())

@@ -1,0 +1,94 @@
+"""Confirmation of a designed POSOR: a sound one is confirmed; a tightened requirement or optimistic file is not."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from posor_design.layout_evaluation import evaluate, extreme_poses
+from posor_design.layout_geometry import LayoutKind, Shares, arrange
+from posor_design.layout_search import SearchResult
+from posor_design.posor_output import REQUIREMENT, output_files, requirement_text, write_files
+from posor_design.requirement import Requirement
+from posor_lab.accuracy.accuracy_command import main
+from posor_lab.accuracy.design_confirmation import confirm_design
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+DRAWS = 400
+KIND = LayoutKind("light_ring", 3, 4, gap_outside=True)
+
+
+def quantity(value: float, unit: str) -> dict[str, Any]:
+    return {"value": value, "unit": unit}
+
+
+@pytest.fixture
+def requirement() -> Requirement:
+    lengths = {name: quantity(1e-6, "m") for name in ("x", "y", "gap")}
+    angles = {name: quantity(8e-6, "rad") for name in ("alpha", "beta", "theta")}
+    return Requirement.model_validate(
+        {
+            "format": "posor_requirement",
+            "version": 1,
+            "name": "confirmed",
+            "uncertainty": {**lengths, **angles},
+            "range": {
+                **{name: quantity(1e-4, "m") for name in ("gap", "runout")},
+                "tilt": quantity(1e-3, "rad"),
+                "rotation": quantity(3.14, "rad"),
+            },
+            "outside_diameter": quantity(0.08, "m"),
+            "scan_rate": quantity(1000.0, "Hz"),
+            "speed": quantity(1.0, "rad/s"),
+        }
+    )
+
+
+@pytest.fixture
+def folder(tmp_path: Path, requirement: Requirement) -> Path:
+    layout = arrange(requirement, KIND, 0.08, Shares(1.0, 0.0))
+    assert layout is not None
+    chosen = evaluate(requirement, KIND, layout, extreme_poses(requirement, layout.gap))
+    result = SearchResult(requirement, chosen, (chosen,), (chosen,), chosen, 1, "electronics")
+    write_files(tmp_path / "design", output_files(result, chosen))
+    return tmp_path / "design"
+
+
+def test_a_sound_design_is_confirmed(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    output = tmp_path / "accuracy.json"
+    assert main(["--design", str(folder), "--scale", "0.2", "--output", str(output)]) == 0
+    assert "All errors are within the requirement." in capsys.readouterr().out
+    figures = json.loads(output.read_text(encoding="utf-8"))["design"]
+    assert figures["draws"] == DRAWS
+    assert figures["errors"]["theta"] < figures["required"]["theta"]
+
+
+def test_a_tightened_requirement_is_not_confirmed(folder: Path, requirement: Requirement) -> None:
+    theta = 0.7 * confirm_design(folder, DRAWS, 1).errors["theta"]
+    text = requirement_text(requirement.changed(uncertainty={"theta": theta}))
+    (folder / REQUIREMENT).write_text(text, encoding="utf-8")
+    confirmation = confirm_design(folder, DRAWS, 1)
+    assert not confirmation.within
+    assert not confirmation.confirmed
+
+
+def test_errors_larger_than_stated_are_inconsistent(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from posor.estimation.posor import Posor  # noqa: PLC0415  only here
+
+    original = Posor.estimate_each
+
+    def optimistic(*arguments: Any) -> Any:
+        found = original(*arguments)
+        found.covariances_systematic[:] *= 0.25
+        return found
+
+    monkeypatch.setattr(Posor, "estimate_each", optimistic)
+    assert not confirm_design(folder, DRAWS, 1).consistent
+
+
+def test_a_missing_folder_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--design", str(tmp_path / "none"), "--output", str(tmp_path / "a.json")]) == 1
+    assert "requirement.yaml" in capsys.readouterr().err

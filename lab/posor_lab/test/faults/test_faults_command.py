@@ -1,0 +1,140 @@
+"""faults: the quick part from end to end, the table, the judgement of poses, and refused options."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from posor.errors import ParameterError
+from posor.model.fault import State
+from posor_drivers.simulator.pose_array import PoseArray
+from posor_lab.faults.device_faults import DEVICE_FAULTS
+from posor_lab.faults.fault_table import NAMING_LIMITS_S, FaultRow, RowResult
+from posor_lab.faults.faults_command import QUICK_ROWS, main, parse_options
+from posor_lab.faults.hidden_faults import HIDDEN_FAULTS
+from posor_lab.faults.input_faults import MESSAGE_FAULTS
+from posor_lab.faults.pose_judge import SIGMAS, wrong_poses
+from posor_lab.faults.process_faults import PROCESS_FAULTS
+from posor_lab.faults.reading_faults import SCENARIO_FAULTS
+from posor_lab.faults.source_slip import SLIP_ROW, run_slips
+from posor_lab.faults.storm import StormMaker, count_storm, estimate_storm, storm_calibrations
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+pytestmark = pytest.mark.timeout(300)
+KEYS = {"fault", "kind", "observable", "expected", "seen", "naming_s", "wrong_ok", "covered", "failures"}
+MIN_ROWS = 40
+
+
+def all_rows() -> list[FaultRow]:
+    parts = (SCENARIO_FAULTS, MESSAGE_FAULTS, PROCESS_FAULTS, DEVICE_FAULTS, HIDDEN_FAULTS)
+    return [each.row for part in parts for each in part] + [SLIP_ROW]
+
+
+def test_the_table_has_every_kind_and_stack_with_unique_names() -> None:
+    rows = all_rows()
+    names = [f"{row.arm}: {row.name}" for row in rows]
+    assert len(names) == len(set(names)) >= MIN_ROWS
+    assert {row.kind for row in rows} == {"off", "stuck", "garbage", "wrong", "slow", "clock", "network"}
+    assert {row.arm for row in rows} == {"six_axis", "five_axis", "test_rig"}
+    assert set(QUICK_ROWS) <= set(names)
+
+
+@pytest.mark.usefixtures("ros_domain")
+def test_the_quick_part_holds(tmp_path: Path) -> None:
+    path = tmp_path / "faults.json"
+    code = main(["faults", "--quick", "--output", str(path)])
+    content = json.loads(path.read_text(encoding="utf-8"))
+    assert {row["fault"] for row in content["faults"]} == set(QUICK_ROWS)
+    assert all(set(row) == KEYS for row in content["faults"])
+    observable = [row for row in content["faults"] if row["observable"]]
+    assert [row["fault"] for row in observable if row["wrong_ok"]] == []
+    assert [row["fault"] for row in observable if row["naming_s"] is None] == []
+    assert content["storm"]["uncovered"] == 0
+    assert content["storm"]["injected"] > 0
+    late = [row for row in observable if row["naming_s"] > NAMING_LIMITS_S[row["kind"]]]  # on a busy host
+    assert code == 0 or late
+
+
+@pytest.mark.parametrize("arguments", [["--rows", "no such row"], ["--seed", "-1"], ["--storm", "-1"]])
+def test_wrong_options_are_refused(arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["faults", *arguments, "--output", str(tmp_path / "faults.json")]) != 0
+    assert "expected" in capsys.readouterr().err
+
+
+def test_quick_shortens_the_storm() -> None:
+    options = parse_options(["--quick"])
+    assert 0 < options.storm < parse_options([]).storm
+    assert options.node_storm == 0
+    with pytest.raises(ParameterError):
+        parse_options(["--everything"])
+
+
+def test_a_row_fails_for_each_missed_aim() -> None:
+    row = FaultRow("a fault", "wrong", "test_rig", "LOST", ("RESIDUAL",))
+    sound = RowResult(row, "LOST", 0.01, 0)
+    assert sound.failures == []
+    assert "1 wrong poses" in replace(sound, wrong_ok=1).failures[0]
+    assert replace(sound, naming_s=None).failures == ["not named"]
+    assert "limit 0.2 s" in replace(sound, naming_s=0.3).failures[0]
+    assert replace(sound, row=replace(row, kind="off"), naming_s=0.3).failures == []
+    assert replace(sound, problem="no pose before").failures == ["no pose before"]
+    hidden = RowResult(replace(row, named_by=()), "", None, 5, covered=1.0)
+    assert hidden.failures == []
+    assert "98.0 %" in replace(hidden, covered=0.98).failures[0]
+    assert replace(hidden, covered=float("nan")).failures
+    lucky = RowResult(replace(row, may_hide=True), "LOST", 0.01, 3, covered=1.0)
+    assert lucky.failures == []
+    assert "0.0 %" in replace(lucky, covered=0.0).failures[0]
+    assert replace(lucky, naming_s=None).failures == ["not named"]
+
+
+def test_wrong_poses() -> None:
+    count, sigma = 6, 1e-6
+    poses = PoseArray(np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)))
+    true = PoseArray(poses.rotations.copy(), poses.translations.copy())
+    true.translations[1, 2] = 1.1 * SIGMAS * sigma
+    true.translations[2, 0] = 0.9 * SIGMAS * sigma
+    true.rotations[3] = np.diag([-1.0, -1.0, 1.0])  # half a turn, whose antisymmetric part is zero
+    poses.translations[4, 1] = np.nan
+    covariances = np.tile(sigma**2 * np.eye(6), (count, 1, 1))
+    covariances[5, 5, 5] = -1.0
+    assert wrong_poses(poses, covariances, true).tolist() == [False, True, False, True, True, True]
+
+
+@pytest.fixture(scope="module")
+def storm_maker() -> StormMaker:
+    return StormMaker(storm_calibrations()["light_ring"])
+
+
+def test_a_storm_is_seeded_and_nearly_a_third_is_faulty(storm_maker: StormMaker) -> None:
+    one, same, other = (storm_maker.draw(seed) for seed in (1, 1, 2))
+    assert one.scans.records.tobytes() == same.scans.records.tobytes()
+    assert one.scans.records.tobytes() != other.scans.records.tobytes()
+    assert 0.2 < np.mean(one.faults >= 0) < 0.4
+    assert one.names[0] == "no scans"  # of which nothing is left
+    assert set(one.faults.tolist()) == {-1, *range(1, len(one.names))}
+    assert np.all(one.faults[one.acknowledgements] == -1)
+
+
+def test_a_pose_that_is_wrong_counts(storm_maker: StormMaker) -> None:
+    storm = storm_maker.draw(1)
+    storm_maker.posor.reset()
+    found = estimate_storm(storm_maker.posor, storm)
+    covariances = found.covariances_random + found.covariances_systematic
+    poses = PoseArray(found.rotations, found.translations)
+    sound = count_storm(storm_maker.calibration, storm, found.states, found.faults, poses, covariances)
+    first = int(np.flatnonzero(found.states == State.OK)[0])
+    poses.translations[first, 0] += 1e-3
+    wrong = count_storm(storm_maker.calibration, storm, found.states, found.faults, poses, covariances)
+    assert (wrong.wrong_ok, wrong.uncovered) == (sound.wrong_ok + 1, sound.uncovered + 1)
+    assert sound.injected == np.count_nonzero(storm.faults >= 0)
+
+
+def test_no_slip_of_a_coded_ring_gives_a_wrong_pose() -> None:
+    result = run_slips(seed=1, positions=3)
+    assert result.failures == []

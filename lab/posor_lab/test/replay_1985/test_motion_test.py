@@ -1,0 +1,83 @@
+"""Steps of a motion test and what follows from them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from posor.errors import PosorError
+from posor.model.fault import Fault, State
+from posor.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED
+from posor_calibration.attitude_fit import angles_from_displacements, deviation_from_first
+from posor_lab.replay_1985.motion_test import ANGLES, TRUTH_LEVER, MotionTest
+from scipy.constants import inch
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from posor_lab.replay_1985.printed_results import PrintedColumns
+
+
+def test_values_are_relative_to_the_first_step(
+    printed_test: Callable[..., MotionTest], printed: PrintedColumns
+) -> None:
+    test = printed_test()
+    np.testing.assert_allclose(test.posor_angles, printed.posor, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(test.truth_angles, printed.truth, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(test.angle_errors, printed.posor - printed.truth, rtol=0.0, atol=1e-15)
+    assert np.all(test.endpoint_displacement[0] == 0.0)
+
+
+def test_machining_centre_angles_are_those_of_the_listings() -> None:
+    inches = np.array([[0.0, 0.0, 0.0], [0.005, -0.1357, 0.0004]])  # YMO, steps 1 and 15
+    alpha, beta, theta = angles_from_displacements(inches * inch, TRUTH_LEVER)[1] * 1e6
+    assert alpha == 0.0
+    assert beta == pytest.approx(4318.0, abs=0.6)
+    assert theta == pytest.approx(-13.0, abs=0.5)
+
+
+def test_standard_deviation_leaves_the_reference_out() -> None:
+    errors = np.array([0.0, 3.0, 4.0, 12.0])
+    assert deviation_from_first(errors) == pytest.approx(13.0 / np.sqrt(2.0))
+    assert np.isnan(deviation_from_first(errors[:2]))
+
+
+def test_standard_deviation_of_the_printed_table_is_the_printed_one(printed: PrintedColumns) -> None:
+    deviations = [deviation_from_first(column) * 1e6 for column in (printed.posor - printed.truth).T]
+    assert deviations == pytest.approx([51.0, 76.0, 179.0], abs=0.6)
+
+
+def test_estimated_readings_affect_their_angles_only(printed_test: Callable[..., MotionTest]) -> None:
+    test = printed_test(statuses={6: PROBES_ESTIMATED, 13: DIODES_ESTIMATED}, lost=(15,))
+    without = {angle: (np.flatnonzero(~test.fully_measured(angle)) + 1).tolist() for angle in ANGLES}
+    assert without == {"alpha": [6, 15], "beta": [6, 15], "theta": [13, 15]}
+
+
+def test_an_estimated_reading_at_step_1_affects_every_step(printed_test: Callable[..., MotionTest]) -> None:
+    test = printed_test(statuses={1: DIODES_ESTIMATED})
+    assert not test.fully_measured("theta").any()
+    assert test.fully_measured("beta").all()
+
+
+def test_status_is_one_word(printed_test: Callable[..., MotionTest]) -> None:
+    step = printed_test().steps[0]
+    assert step.status == "ok"
+    assert replace(step, scan_status=PROBES_ESTIMATED).status == "ok:probes_estimated"
+    both = replace(step, state=State.DEGRADED, faults=Fault.RESIDUAL, scan_status=PROBES_ESTIMATED | DIODES_ESTIMATED)
+    assert both.status == "degraded:RESIDUAL+probes_estimated+diodes_estimated"
+    lost = replace(step, state=State.LOST, faults=Fault.OUT_OF_RANGE, scan_status=DIODES_ESTIMATED)
+    assert lost.status == "lost:OUT_OF_RANGE"
+
+
+def test_a_first_step_without_pose_is_refused(printed_test: Callable[..., MotionTest]) -> None:
+    with pytest.raises(
+        PosorError, match=r"step 1 gave no pose \(lost:OUT_OF_RANGE\); expected a pose at the first step"
+    ):
+        printed_test(lost=(1,))
+
+
+def test_fewer_than_three_steps_are_refused(printed_test: Callable[..., MotionTest]) -> None:
+    with pytest.raises(PosorError, match="2 steps were received; expected at least 3"):
+        MotionTest(printed_test().steps[:2])

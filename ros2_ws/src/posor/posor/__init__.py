@@ -1,0 +1,99 @@
+"""POSOR estimation: poses and covariances from the readings of position and orientation sensors.
+
+The names in ``__all__`` are the public Python API. They need no ROS, and are imported when they are first used. All
+other modules are private.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from posor.bags.calibration_recording import read_scans
+    from posor.bags.data_frames import to_arrow, to_dataframe
+    from posor.bags.offline_arm import Arm, load_arm
+    from posor.calibration.calibration_file import Calibration, load_calibration
+    from posor.errors import (
+        BagError,
+        CalibrationError,
+        ChainError,
+        FitError,
+        NodeError,
+        OutputError,
+        ParameterError,
+        PosorError,
+        ScanError,
+        ShapeError,
+        TopicError,
+    )
+    from posor.estimation.estimate import Estimate, Estimates
+    from posor.estimation.posor import Posor
+    from posor.messages.estimate_arrays import ArmEstimates, EndpointEstimates, JointEstimates
+    from posor.model.fault import Fault, State
+    from posor.model.scan import Scan, Scans
+    from posor.uncertainty.first_order import ErrorBudget, error_budget
+    from posor.uncertainty.reliability import Reliability, joint_reliability
+
+__all__ = [
+    "Arm",
+    "ArmEstimates",
+    "BagError",
+    "Calibration",
+    "CalibrationError",
+    "ChainError",
+    "EndpointEstimates",
+    "ErrorBudget",
+    "Estimate",
+    "Estimates",
+    "Fault",
+    "FitError",
+    "JointEstimates",
+    "NodeError",
+    "OutputError",
+    "ParameterError",
+    "Posor",
+    "PosorError",
+    "Reliability",
+    "Scan",
+    "ScanError",
+    "Scans",
+    "ShapeError",
+    "State",
+    "TopicError",
+    "error_budget",
+    "joint_reliability",
+    "load_arm",
+    "load_calibration",
+    "read_scans",
+    "to_arrow",
+    "to_dataframe",
+]
+
+_MODULES = {
+    "bags.calibration_recording": ("read_scans",),
+    "bags.data_frames": ("to_arrow", "to_dataframe"),
+    "bags.estimate_arrays": ("ArmEstimates", "EndpointEstimates", "JointEstimates"),
+    "bags.offline_arm": ("Arm", "load_arm"),
+    "calibration.calibration_file": ("Calibration", "load_calibration"),
+    "estimation.estimate": ("Estimate", "Estimates"),
+    "model.fault": ("Fault", "State"),
+    "estimation.posor": ("Posor",),
+    "model.scan": ("Scan", "Scans"),
+    "uncertainty.first_order": ("ErrorBudget", "error_budget"),
+    "uncertainty.reliability": ("Reliability", "joint_reliability"),
+}
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used (PEP 562)."""
+    if name not in __all__:
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    value = getattr(import_module(f"{__name__}.{_MODULE_OF.get(name, 'errors')}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,207 @@
+"""Estimates the joints of an arm and its endpoint from recorded scans, without any node: the nodes' numbers."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from posor.bags.block_synchroniser import BlockSynchroniser
+from posor.bags.reprocess_task import EndpointSummary, JointSummary
+from posor.errors import ChainError
+from posor.estimation.posor import Posor
+from posor.messages.estimate_arrays import ArmEstimates, EndpointEstimates, JointEstimates, estimate_joint
+from posor.model.fault import USABLE_STATES, Fault, State
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from posor.bags.reprocess_task import Settings
+    from posor.calibration.calibration_file import Calibration
+    from posor.chain.forward_kinematics import Endpoints
+    from posor.chain.kinematic_chain import Chain
+    from posor.messages.raw_scan_unpacking import RecordedScans
+    from posor.node_parameters import ChainParameters, CovarianceKind
+    from posor.numerics.array_types import BoolArray, FloatArray, IntArray
+
+
+class ArmEstimator:
+    """The POSORs of an arm and its kinematic chain, block after block of recorded scans.
+
+    Attributes:
+        frames: Receiving and target frame of each joint.
+        covariance_kinds: Part of the uncertainty in the covariances of each joint.
+        endpoint: The kinematic chain; None: joints only.
+
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        """Load calibrations and chain.
+
+        Raises:
+            PosorError: A calibration, the chain or a parameter is invalid.
+
+        """
+        calibrations = {name: joint.load() for name, joint in settings.joints.items()}
+        self.frames = {name: (each.frames.parent, each.frames.child) for name, each in calibrations.items()}
+        self.covariance_kinds = {name: joint.covariance for name, joint in settings.joints.items()}
+        self._joints = {
+            name: _JointEstimator(calibrations[name], joint.covariance, joint.false_alarm)
+            for name, joint in settings.joints.items()
+        }
+        loaded = settings.load_chain()
+        self.endpoint = None if loaded is None else EndpointPipeline(*loaded, self.frames)
+
+    def estimate_block(self, scans: Mapping[str, Sequence[RecordedScans]]) -> ArmEstimates:
+        """Return the transforms of all joints, and the endpoint at all stamps that become complete with them.
+
+        Args:
+            scans: The next scans of each joint.
+
+        """
+        joints = {name: joint.estimate(scans[name]) for name, joint in self._joints.items()}
+        if self.endpoint is None:
+            return ArmEstimates(joints, EndpointEstimates.none())
+        return ArmEstimates(joints, self.endpoint.estimate(joints), self.endpoint.joints)
+
+    def finish(self) -> None:
+        """Count the stamps that are incomplete at the end."""
+        if self.endpoint is not None:
+            self.endpoint.synchroniser.finish()
+
+    def summarise(self) -> tuple[dict[str, JointSummary], EndpointSummary | None]:
+        """Return the counts of the joints' scans and of the endpoint's stamps."""
+        end = self.endpoint
+        summaries = {}
+        for name, joint in self._joints.items():
+            in_chain = end is not None and name in end.joints
+            missing, refused = (end.synchroniser.missing[name], end.refused[name]) if end and in_chain else (0, 0)
+            summaries[name] = JointSummary(joint.scans, joint.lost, dict(joint.faults), missing, refused)
+        if end is None:
+            return summaries, None
+        return summaries, EndpointSummary(end.poses, end.degraded, end.unusable, end.synchroniser.incomplete)
+
+
+class _JointEstimator:
+    """Estimates the transforms of one joint; each scan starts from the pose before.
+
+    Attributes:
+        scans: Number of scans.
+        lost: Number of scans without a pose.
+        faults: Lost scans by fault.
+
+    """
+
+    def __init__(self, calibration: Calibration, kind: CovarianceKind, false_alarm: float) -> None:
+        self._posor = Posor(calibration, false_alarm=false_alarm)
+        self._kind = kind
+        self.scans = self.lost = 0
+        self.faults: Counter[str] = Counter()
+
+    def estimate(self, scans: Sequence[RecordedScans]) -> JointEstimates:
+        parts = [estimate_joint(self._posor, each, self._kind) for each in scans]
+        estimates = JointEstimates.concatenate(parts) if parts else JointEstimates.none()
+        lost = estimates.states == int(State.LOST)
+        self.scans += len(estimates)
+        self.lost += int(np.count_nonzero(lost))
+        faults = estimates.faults[lost]
+        counts = {fault.name: int(np.count_nonzero(faults & fault.value)) for fault in Fault if fault.name}
+        self.faults.update({name: count for name, count in counts.items() if count})
+        return estimates
+
+
+class EndpointPipeline:
+    """Estimates the endpoint from the transforms of all joints.
+
+    Attributes:
+        joints: Names of the joints, in the chain's order.
+        frame: Frame of the endpoint's pose.
+        synchroniser: Joins the transforms by stamp, and counts incomplete stamps.
+        poses: Number of poses.
+        degraded: Number of poses that depend on a DEGRADED joint.
+        unusable: Number of complete stamps without a pose, and of transforms with an invalid stamp.
+        refused: The same, by the joint whose transform cannot be used.
+
+    """
+
+    def __init__(self, chain: Chain, parameters: ChainParameters, frames: Mapping[str, tuple[str, str]]) -> None:
+        """Prepare.
+
+        Args:
+            chain: The chain.
+            parameters: Of chain_node.
+            frames: Receiving and target frame of each calibrated joint.
+
+        Raises:
+            ChainError: A joint of the chain has no calibration, or one between other frames.
+
+        """
+        self.joints = tuple(joint.name for joint in chain.joints)
+        where = f"URDF {parameters.urdf}"
+        for joint in chain.joints:
+            if joint.name not in frames:
+                expected = f"one for each of {', '.join(self.joints)}"
+                raise ChainError(f"joint {joint.name} has no calibration", where=where, expected=expected)
+            parent, child = frames[joint.name]
+            if (parent, child) != (joint.parent, joint.child):
+                raise ChainError(
+                    f"the calibration of {joint.name} is from '{parent}' to '{child}'",
+                    where=where,
+                    expected=f"'{joint.parent}' to '{joint.child}'",
+                )
+        self._estimator = chain.estimator(parameters.acceleration_window)
+        self._relative = parameters.reference == "home"
+        self._home: FloatArray | None = None
+        self.frame = f"{parameters.endpoint_frame}_home" if self._relative else chain.base_frame
+        self.synchroniser = BlockSynchroniser(self.joints)
+        self.poses = self.degraded = self.unusable = 0
+        self.refused = dict.fromkeys(self.joints, 0)
+
+    def estimate(self, joints: Mapping[str, JointEstimates]) -> EndpointEstimates:
+        """Return the endpoint at all stamps that become complete with the next transforms of all joints."""
+        complete = self.synchroniser.join([self._with_stamp(name, joints[name]) for name in self.joints])
+        states = np.array([each.states for each in complete])
+        usable: BoolArray = np.isin(states, USABLE_STATES)
+        all_usable: BoolArray = np.all(usable, axis=0)
+        if not all_usable.all():
+            complete = [each.select(all_usable) for each in complete]
+        endpoints = self._estimator.estimate_all(
+            np.stack([each.poses for each in complete], axis=1),
+            np.stack([each.covariances for each in complete], axis=1),
+            complete[0].stamps_ns,
+            np.stack([each.natives[:, 5] for each in complete], axis=1),
+        )
+        usable[:, all_usable] &= endpoints.faults.T == 0
+        self._count(states, usable)
+        return self._endpoint_estimates(complete, endpoints)
+
+    def _with_stamp(self, joint: str, estimates: JointEstimates) -> JointEstimates:
+        """Return the transforms with a valid stamp; an invalid one (0) would count as time that goes back."""
+        stamped = estimates.stamps_ns != 0
+        if stamped.all():
+            return estimates
+        invalid = int(np.count_nonzero(~stamped))
+        self.refused[joint] += invalid
+        self.unusable += invalid
+        return estimates.select(stamped)
+
+    def _count(self, states: IntArray, usable: BoolArray) -> None:
+        """Count complete stamps by the joints' states and by whether their transforms are usable, (joints, n)."""
+        for name, count in zip(self.joints, np.count_nonzero(~usable, axis=1).tolist(), strict=True):
+            self.refused[name] += count
+        sound = usable.all(axis=0)
+        self.poses += int(np.count_nonzero(sound))
+        self.unusable += int(np.count_nonzero(~sound))
+        self.degraded += int(np.count_nonzero(np.any(states[:, sound] == int(State.DEGRADED), axis=0)))
+
+    def _endpoint_estimates(self, complete: Sequence[JointEstimates], endpoints: Endpoints) -> EndpointEstimates:
+        """Return the valid endpoints, relative to the first one if requested."""
+        sound, poses, covariances = endpoints.usable, endpoints.poses, endpoints.covariances
+        if self._relative and sound.any():
+            if self._home is None:
+                self._home = poses[int(np.argmax(sound))].copy()
+            poses, covariances = endpoints.relative_to(self._home)
+        log_times_ns = np.max([each.log_times_ns for each in complete], axis=0)
+        found = EndpointEstimates(log_times_ns, complete[0].stamps_ns, poses, covariances, endpoints.angles)
+        return found if sound.all() else found.select(sound)

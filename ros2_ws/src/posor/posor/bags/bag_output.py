@@ -1,0 +1,130 @@
+"""Results as a rosbag2 bag: the messages that the nodes would have published, on the same topics."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rosbags.interfaces import QosReliability
+
+from posor.bags.chunk_writer import ChunkedBagWriter, TopicMessages
+from posor.messages.message_definitions import MessageTypes
+from posor.messages.message_packing import (
+    endpoint_layouts,
+    joint_transform_layout,
+    pack_endpoint,
+    pack_joint_transforms,
+)
+from posor.ros_names import (
+    ENDPOINT_COVARIANCE_TOPIC,
+    ENDPOINT_TOPIC,
+    JOINT_STATE,
+    JOINT_STATES_TOPIC,
+    JOINT_TRANSFORM,
+    POSE_STAMPED,
+    POSE_WITH_COVARIANCE_STAMPED,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from rosbags.interfaces import Connection, Qos
+
+    from posor.bags.arm_estimator import ArmEstimator
+    from posor.bags.bag_topics import BagTopics
+    from posor.messages.estimate_arrays import ArmEstimates
+
+CHUNK_BYTES = 4 << 20
+"""Approximate bytes of messages in a chunk."""
+ENDPOINT_TOPICS = {
+    ENDPOINT_TOPIC: POSE_STAMPED,
+    ENDPOINT_COVARIANCE_TOPIC: POSE_WITH_COVARIANCE_STAMPED,
+    JOINT_STATES_TOPIC: JOINT_STATE,
+}
+
+
+class BagOutput:
+    """Writes one bag."""
+
+    def __init__(
+        self,
+        folder: Path,
+        topics: BagTopics,
+        estimator: ArmEstimator,
+        custom_data: Mapping[str, str],
+    ) -> None:
+        """Create the bag.
+
+        Args:
+            folder: Does not exist yet.
+            topics: Of the raw scans; the transforms have the same quality of service.
+            estimator: Of the arm.
+            custom_data: Of the bag's metadata.
+
+        """
+        self._types = types = MessageTypes()
+        self._writer = ChunkedBagWriter(folder)
+        self._writer.open()
+        for key, value in custom_data.items():
+            self._writer.set_custom_data(key, value)
+        transform = types.schema(JOINT_TRANSFORM)
+        self._joints = {
+            name: (
+                self._add_topic(topic, JOINT_TRANSFORM, topics.offered),
+                joint_transform_layout(transform, *estimator.frames[name], estimator.covariance_kinds[name]),
+            )
+            for name, topic in topics.transforms.items()
+        }
+        self._endpoint: tuple[Connection, ...] = ()
+        end = estimator.endpoint
+        if end is not None:
+            reliable = [profile._replace(reliability=QosReliability.RELIABLE) for profile in topics.offered]
+            self._endpoint = tuple(
+                self._add_topic(f"{topics.namespace}/{topic}", kind, reliable)
+                for topic, kind in ENDPOINT_TOPICS.items()
+            )
+            schemas = [types.schema(kind) for kind in ENDPOINT_TOPICS.values()]
+            self._endpoint_layouts = endpoint_layouts(schemas, end.frame, end.joints)
+
+    def _add_topic(self, topic: str, kind: str, profiles: Sequence[Qos]) -> Connection:
+        text, type_hash = self._types.definition(kind)
+        return self._writer.add_connection(
+            topic, kind, msgdef=text, rihs01=type_hash, offered_qos_profiles=list(profiles)
+        )
+
+    def write(self, estimates: ArmEstimates) -> None:
+        """Write the messages of a block."""
+        parts = []
+        for name, joint in estimates.joints.items():
+            connection, layout = self._joints[name]
+            messages = pack_joint_transforms(layout, joint).messages
+            parts.append(TopicMessages(connection, joint.log_times_ns, messages))
+        if estimates.chain:
+            tables = pack_endpoint(self._endpoint_layouts, estimates.endpoint)
+            for connection, table in zip(self._endpoint, tables, strict=True):
+                parts.append(TopicMessages(connection, estimates.endpoint.log_times_ns, table.messages))
+        self._write_chunks([part for part in parts if len(part.times_ns)])
+
+    def _write_chunks(self, parts: Sequence[TopicMessages]) -> None:
+        """Write messages as chunks that follow one another in time."""
+        if not parts:
+            return
+        count = -(-sum(part.messages.nbytes for part in parts) // CHUNK_BYTES)
+        longest = max(parts, key=lambda part: len(part.times_ns)).times_ns
+        ends = [int(longest[len(longest) * n // count]) for n in range(1, count)]
+        bounds = [[0] * len(parts)]
+        bounds += [[int(np.searchsorted(part.times_ns, end)) for part in parts] for end in ends]
+        bounds.append([len(part.times_ns) for part in parts])
+        for begins, ends_ in pairwise(bounds):
+            self._writer.write_messages(
+                [
+                    TopicMessages(part.connection, part.times_ns[begin:end], part.messages[begin:end])
+                    for part, begin, end in zip(parts, begins, ends_, strict=True)
+                ]
+            )
+
+    def close(self) -> None:
+        """Write index and metadata."""
+        self._writer.close()

@@ -1,0 +1,196 @@
+"""Opens rosbag2 bags, MCAP or SQLite, and checks their topics; every error is one sentence that names the bag.
+
+The checksums of MCAP files are checked: that of the index when a bag is opened, that of a chunk when it is read. SQLite
+files have none.
+"""
+
+from __future__ import annotations
+
+import struct
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from rosbags.rosbag2 import Reader
+
+from posor.bags.mcap_file import RECOVER, check_index, damage_error, first_damage
+from posor.errors import BagError, PosorError
+from posor.ros_names import RAW_SCAN
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Sequence
+    from pathlib import Path
+
+    from rosbags.interfaces import Connection
+
+    from posor.messages.message_definitions import MessageTypes
+
+METADATA = "metadata.yaml"
+EXPECTED = "a rosbag2 bag, MCAP or SQLite, that was closed properly"
+ADVICE = {
+    ".mcap": f"it; {RECOVER} with {METADATA}",
+    ".db3": "it, as 'ros2 bag reindex' makes it",
+}
+"""What helps if the metadata are missing, by the suffix of the files."""
+SQLITE_MAGIC = b"SQLite format 3\0"
+
+
+@contextmanager
+def opened_bag(path: Path) -> Iterator[Reader]:
+    """Open a bag; errors of the storage layers, also later ones, become one sentence that names the bag.
+
+    Raises:
+        BagError: The bag does not exist, cannot be read, or holds no messages.
+
+    """
+    if not path.exists():
+        raise BagError("does not exist", where=str(path), expected=EXPECTED)
+    if not (path.is_dir() or path.is_file()):
+        raise BagError("is neither a folder nor a file", where=str(path), expected=EXPECTED)
+    _check_metadata(path)
+    try:
+        _check_size(path)
+        for file in storage_files(path, ".mcap"):
+            check_index(file)
+        with Reader(path) as reader:
+            _check_not_empty(reader, path)
+            yield reader
+    except PosorError:
+        raise
+    except Exception as error:
+        for file in storage_files(path, ".mcap"):
+            if (damage := first_damage(file)) is not None:
+                raise damage_error(file, damage) from error
+        reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+        expected = f"{EXPECTED}; {RECOVER}" if storage_files(path, ".mcap") else EXPECTED
+        raise BagError(f"the bag cannot be read, {reason}", where=str(path), expected=expected) from error
+
+
+def scan_topic(connections: Sequence[Connection], wanted: str, where: str, setting: str) -> str:
+    """Return the topic of the scans: the requested one, or the only one of the bag.
+
+    Args:
+        connections: Of the bag.
+        wanted: The requested topic; empty: the only one.
+        where: Name of the bag in errors.
+        setting: The option that selects a topic, for errors.
+
+    Raises:
+        BagError: The bag has no such topic, or several.
+
+    """
+    if wanted:
+        return wanted
+    names = sorted({connection.topic for connection in connections if connection.msgtype == RAW_SCAN})
+    if len(names) == 1:
+        return names[0]
+    if names:
+        what, expected = f"scans are on {len(names)} topics", f"{setting} as one of " + ", ".join(names)
+    else:
+        what, expected = f"there is no topic of type {RAW_SCAN}", f"one among {_listed(connections)}"
+    raise BagError(what, where=where, expected=expected)
+
+
+def checked_type(
+    connections: Sequence[Connection], topic: str, where: str, types: MessageTypes | None, allowed: Collection[str] = ()
+) -> str:
+    """Return the type of a recorded topic after checking that all its connections have the same type and version.
+
+    Args:
+        connections: Of the bag.
+        topic: Its name.
+        where: Name of the bag in errors.
+        types: The installed types, whose version the topic must have; None: any version.
+        allowed: Types that the topic may have; empty: any.
+
+    Raises:
+        BagError: There is no such topic, or it has another type, another version of it, or several.
+
+    """
+    found = [connection for connection in connections if connection.topic == topic]
+    if not found:
+        raise BagError(f"there is no topic {topic}", where=where, expected=f"one of {_listed(connections)}")
+    first, *others = sorted({connection.msgtype for connection in found})
+    allowed_types = " or ".join(sorted(allowed))
+    if others:
+        listed = ", ".join([first, *others])
+        raise BagError(
+            f"topic {topic} holds messages of several types, {listed}",
+            where=where,
+            expected=f"only {allowed_types or 'one'}",
+        )
+    if allowed and first not in allowed:
+        raise BagError(f"topic {topic} is of type {first}", where=where, expected=allowed_types)
+    recorded = sorted({connection.digest for connection in found if connection.digest})
+    if recorded:
+        expected = recorded[0] if types is None else types.definition(first).type_hash
+        for digest in recorded:
+            if digest != expected:
+                what = f"topic {topic} was recorded with another version of {first}, {digest}"
+                raise BagError(what, where=where, expected=expected)
+    return first
+
+
+def check_filled(connections: Sequence[Connection], topic: str, where: str) -> None:
+    """Refuse a recorded topic without messages.
+
+    Raises:
+        BagError: The topic holds no messages.
+
+    """
+    if not sum(connection.msgcount for connection in connections if connection.topic == topic):
+        raise BagError(f"topic {topic} holds no messages", where=where)
+
+
+def counted_messages(reader: Reader, topics: Collection[str], where: str) -> Iterator[tuple[Connection, int, bytes]]:
+    """Yield the messages of some topics in the order of their log times [ns].
+
+    Raises:
+        BagError: At the end, when the number of messages differs from that in the bag's index.
+
+    """
+    selected = [connection for connection in reader.connections if connection.topic in topics]
+    count, expected = 0, sum(connection.msgcount for connection in selected)
+    for connection, time_ns, data in reader.messages(selected):
+        count += 1
+        yield connection, time_ns, bytes(data)
+    if count != expected:
+        raise BagError(
+            f"holds {count} messages of {', '.join(topics)}", where=where, expected=f"{expected}, as its index says"
+        )
+
+
+def _listed(connections: Sequence[Connection]) -> str:
+    """Return the topics of a bag with their types, for errors."""
+    return ", ".join(sorted({f"{connection.topic} ({connection.msgtype})" for connection in connections})) or "none"
+
+
+def storage_files(path: Path, *suffixes: str) -> list[Path]:
+    """Return the files of a bag (a folder or a single file) with one of some suffixes, ``x_2`` before ``x_10``."""
+    files = sorted(path.iterdir(), key=lambda file: (len(file.name), file.name)) if path.is_dir() else [path]
+    return [file for file in files if file.suffix in suffixes]
+
+
+def _check_metadata(path: Path) -> None:
+    """Refuse a folder without metadata."""
+    if not path.is_dir() or (path / METADATA).exists():
+        return
+    files = storage_files(path, *ADVICE)
+    if not files:
+        raise BagError("the folder holds no bag", where=str(path), expected=EXPECTED)
+    raise BagError(f"{METADATA} is missing in the folder of the bag", where=str(path), expected=ADVICE[files[0].suffix])
+
+
+def _check_not_empty(reader: Reader, path: Path) -> None:
+    if not reader.message_count:
+        raise BagError("holds no messages", where=str(path))
+
+
+def _check_size(bag: Path) -> None:
+    """Refuse a truncated SQLite file; SQLite itself notices only when it reads beyond the end."""
+    for path in storage_files(bag, ".db3") if bag.is_dir() else [bag]:
+        with path.open("rb") as file:
+            head = file.read(32)
+        if len(head) == len(SQLITE_MAGIC) + 16 and head.startswith(SQLITE_MAGIC):
+            page_size, pages = struct.unpack(">H10xI", head[16:])
+            if path.stat().st_size < (page_size if page_size > 1 else 65536) * pages:
+                raise BagError("the file is cut short", where=str(path), expected=EXPECTED)

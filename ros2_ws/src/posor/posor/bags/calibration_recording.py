@@ -1,0 +1,268 @@
+"""Scans of one POSOR from a bag; recordings for calibration, which add measurements of instruments."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from posor.bags.bag_reader import check_filled, checked_type, counted_messages, opened_bag, scan_topic
+from posor.bags.block_reader import read_blocks
+from posor.bags.recording import POSE, Recording, Track
+from posor.bags.topic_reader import TopicReader
+from posor.chain.joint_measurements import UNIT_QUATERNION_TOLERANCE
+from posor.errors import BagError, TopicError, TrackError
+from posor.messages.message_definitions import schema_of_connection
+from posor.messages.raw_scan_unpacking import RecordedScans, check_raw_scan_schema, unpack_scans
+from posor.model.scan import CONTACTS
+from posor.numerics.stamps import time_ns
+from posor.ros_names import POINT_STAMPED, POSE_STAMPED, RAW_SCAN, REFERENCE_READING
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping, Sequence
+
+    from rosbags.rosbag2 import Reader
+
+    from posor.messages.cdr_schema import Value
+    from posor.model.scan import Scans
+    from posor.numerics.array_types import FloatArray
+
+FLOAT64 = "std_msgs/msg/Float64"
+TRANSFORM_STAMPED = "geometry_msgs/msg/TransformStamped"
+
+
+def _pose_fields(position: str, rotation: str) -> tuple[str, ...]:
+    return (*(f"{position}.{axis}" for axis in "xyz"), *(f"{rotation}.{axis}" for axis in "xyzw"))
+
+
+REFERENCE_FIELDS = {
+    POINT_STAMPED: ("point.x", "point.y", "point.z"),
+    TRANSFORM_STAMPED: _pose_fields("transform.translation", "transform.rotation"),
+    POSE_STAMPED: _pose_fields("pose.position", "pose.orientation"),
+    FLOAT64: ("data",),
+    REFERENCE_READING: ("value",),
+}
+"""Fields of a reference measurement, by message type."""
+READINGS = {
+    "gap_voltages": "gap voltages",
+    "ring_voltages": "ring voltages",
+    "diode_currents": "diodes of 4 currents",
+    "lit_sources": "lit sources",
+}
+"""Readings of a scan, and their names in errors."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A reference measurement to read from a bag.
+
+    Attributes:
+        topic: Where it was recorded.
+        sigmas: Standard uncertainty of the instrument: one for all its quantities, or one for each, in their units.
+
+    """
+
+    topic: str
+    sigmas: tuple[float, ...] = (0.0,)
+
+
+def read_scans(bag: Path | str, topic: str = "") -> Scans:
+    """Return all raw scans of one topic of a bag; reads the definition stored in the bag and needs no ROS.
+
+    Args:
+        bag: Folder with metadata.yaml, or a single .mcap or .db3 file.
+        topic: Of the scans; empty: the only one of type RawScan.
+
+    Raises:
+        BagError: The bag cannot be read, lacks the topic, or the numbers of readings or the stamps are inconsistent.
+
+    """
+    path = Path(bag)
+    with opened_bag(path) as reader:
+        name = scan_topic(reader.connections, topic, str(path), "the topic of the scans")
+        return _read_recorded_scans(reader, name, str(path)).scans
+
+
+def load_recording(
+    path: Path, *, topic: str = "", references: Sequence[Reference] = (), named: Collection[str] = ()
+) -> Recording:
+    """Read scans and reference measurements.
+
+    Args:
+        path: Folder with metadata.yaml, or a single .mcap or .db3 file.
+        topic: Of the scans; empty: the only one of type RawScan.
+        references: Measurements to read; empty: every topic of a type that can be a reference, with an uncertainty of
+            zero, but a ``geometry_msgs/PoseStamped`` only if it is ``named``: most are endpoints, not references. A
+            ``std_msgs/Float64`` has no stamp: its log time is used. A ``posor_msgs/ReferenceReading`` states its
+            uncertainty; the largest one applies unless another one is given.
+        named: Topics that the caller knows as references.
+
+    Raises:
+        BagError: The bag cannot be read, lacks a topic, or holds inconsistent scans.
+        TrackError: A reference is invalid: its stamps go back, or its numbers are not finite.
+
+    """
+    where = str(path)
+    with opened_bag(path) as reader:
+        scans_topic = scan_topic(reader.connections, topic, where, "the topic of the scans")
+        if not references:
+            possible = [each for each in reader.connections if each.msgtype in REFERENCE_FIELDS]
+            names = {each.topic for each in possible if each.msgtype != POSE_STAMPED or each.topic in named}
+            references = [Reference(name) for name in sorted(names)]
+        recorded = _read_recorded_scans(reader, scans_topic, where)
+        tracks = _read_tracks(reader, references, where)
+    return Recording(
+        scans=recorded.scans,
+        tracks=tracks,
+        source=where,
+        sha256=bag_sha256(path),
+        statuses=recorded.statuses,
+        frame=recorded.frame,
+    )
+
+
+def _read_recorded_scans(reader: Reader, topic: str, where: str) -> RecordedScans:
+    """Return the scans of a topic, all with the same readings, in the order of their stamps."""
+    place = f"{where}, topic {topic}"
+    checked_type(reader.connections, topic, where, None, (RAW_SCAN,))
+    check_filled(reader.connections, topic, where)
+    schema = schema_of_connection(next(each for each in reader.connections if each.topic == topic), where)
+    check_raw_scan_schema(schema, place)
+    topic_reader = TopicReader(0, topic, schema, where)
+    parts = [
+        unpack_scans(*table)
+        for block in read_blocks(reader, [topic], where)
+        for table in topic_reader.read_tables(block)
+    ]
+    for part in parts:
+        currents = part.scans.diode_currents
+        if currents.size and currents.shape[2] != CONTACTS:
+            raise BagError(
+                f"scan {part.scans.numbers[0]} has {currents.shape[1] * currents.shape[2]} diode currents",
+                where=place,
+                expected="4 for each diode",
+            )
+        if _reading_counts(part.scans) != _reading_counts(parts[0].scans):
+            what = f"scan {part.scans.numbers[0]} has {_reading_counts(part.scans)}"
+            raise BagError(what, where=place, expected=_reading_counts(parts[0].scans))
+    recorded = RecordedScans.concatenate(parts)
+    _check_stamps(recorded.scans, place)
+    return recorded
+
+
+def _reading_counts(scans: Scans) -> str:
+    """Return the numbers of readings of each kind, for errors."""
+    return ", ".join(f"{getattr(scans, name).shape[1]} {words}" for name, words in READINGS.items())
+
+
+def _check_stamps(scans: Scans, where: str) -> None:
+    """Refuse stamps that are missing or do not increase."""
+    numbers, stamps = scans.numbers, scans.stamps_ns
+    if stamps[0] == 0:
+        raise BagError(f"scan {numbers[0]} has no stamp", where=where, expected="the middle of its exposure")
+    back = np.flatnonzero(np.diff(stamps) <= 0)
+    if back.size:
+        n = int(back[0])
+        raise BagError(
+            f"scan {numbers[n + 1]} is stamped {stamps[n + 1]} ns, scan {numbers[n]} before it {stamps[n]} ns",
+            where=where,
+            expected="stamps that increase",
+        )
+
+
+def _read_tracks(reader: Reader, references: Sequence[Reference], where: str) -> dict[str, Track]:
+    """Return the reference measurements by topic."""
+    if not references:
+        return {}  # rosbags would take an empty list for all topics
+    topics = [reference.topic for reference in references]
+    kinds = {topic: checked_type(reader.connections, topic, where, None, tuple(REFERENCE_FIELDS)) for topic in topics}
+    schemas = {}
+    for connection in reader.connections:
+        if connection.topic in kinds:
+            check_filled(reader.connections, connection.topic, where)
+            schemas[connection.topic] = schema_of_connection(connection, where)
+    messages: dict[str, list[tuple[int, dict[str, Value]]]] = {topic: [] for topic in topics}
+    for connection, logged_ns, data in counted_messages(reader, kinds, where):
+        try:
+            messages[connection.topic].append((logged_ns, schemas[connection.topic].values(data)))
+        except TopicError as error:
+            place = f"{where}, topic {connection.topic}, logged at {logged_ns} ns"
+            raise BagError(str(error).rstrip("."), where=place, expected="a message that is whole") from error
+    return {each.topic: _track(kinds[each.topic], messages[each.topic], each, where) for each in references}
+
+
+def bag_sha256(path: Path) -> str:
+    """Return a digest that identifies a bag, 64 hexadecimal digits.
+
+    For a single file, its SHA-256. For a folder, the SHA-256 of the list that ``sha256sum`` prints of its metadata.yaml
+    and storage files, sorted by name.
+    """
+    if not path.is_dir():
+        return _file_sha256(path)
+    files = sorted(
+        file for file in path.iterdir() if file.name == "metadata.yaml" or file.suffix in {".mcap", ".db3", ".zstd"}
+    )
+    listing = "".join(f"{_file_sha256(file)}  {file.name}\n" for file in files)
+    return hashlib.sha256(listing.encode()).hexdigest()
+
+
+def _file_sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _track(kind: str, messages: Sequence[tuple[int, Mapping[str, Value]]], reference: Reference, source: str) -> Track:
+    """Return the messages of a reference topic as a track."""
+    where = f"{source}, topic {reference.topic}"
+    stamps = [
+        logged_ns if kind == FLOAT64 else time_ns(message["header.stamp.sec"], message["header.stamp.nanosec"])
+        for logged_ns, message in messages
+    ]
+    if stamps[0] == 0:
+        raise TrackError("the first message has no stamp", where=where, expected="the time of the measurement")
+    if kind == TRANSFORM_STAMPED:
+        frames = sorted({f"{message['header.frame_id']} to {message['child_frame_id']}" for _, message in messages})
+        if len(frames) > 1:
+            raise TrackError(f"transforms between {', '.join(frames)}", where=where, expected="two frames only")
+    if kind == POSE_STAMPED:
+        frames = sorted({str(message["header.frame_id"]) for _, message in messages})
+        if len(frames) > 1:
+            raise TrackError(f"poses in {', '.join(frames)}", where=where, expected="one frame only")
+    values = np.array([[message[path] for path in REFERENCE_FIELDS[kind]] for _, message in messages], dtype=float)
+    if values.shape[1] == POSE:
+        values = _with_continuous_signs(values, where)
+    sigmas = np.array(reference.sigmas, dtype=float)
+    if kind == REFERENCE_READING:
+        stated = _stated_uncertainty([message for _, message in messages], where)
+        sigmas = sigmas if sigmas.any() else np.array([stated])
+    if sigmas.size not in (1, values.shape[1]) or not np.all(np.isfinite(sigmas)) or np.any(sigmas < 0.0):
+        raise TrackError(
+            f"standard uncertainty {', '.join(f'{sigma:g}' for sigma in sigmas)}",
+            where=where,
+            expected=f"one number, or {values.shape[1]}, of zero or more",
+        )
+    return Track(np.array(stamps, dtype=np.int64), values, np.broadcast_to(sigmas, values.shape[1]).copy(), where)
+
+
+def _stated_uncertainty(readings: Sequence[Mapping[str, Value]], where: str) -> float:
+    """Return the largest standard uncertainty that reference readings of one unit state."""
+    units = sorted({str(reading["unit"]) for reading in readings})
+    if len(units) > 1:
+        raise TrackError(f"readings in {', '.join(units)}", where=where, expected="one unit only")
+    return max(float(reading["standard_uncertainty"]) for reading in readings)
+
+
+def _with_continuous_signs(poses: FloatArray, where: str) -> FloatArray:
+    """Return poses (n, 7) whose quaternions keep their sign from one to the next (q and -q are the same rotation)."""
+    lengths = np.linalg.norm(poses[:, 3:], axis=1)
+    bad = np.flatnonzero(~(np.abs(lengths - 1.0) <= UNIT_QUATERNION_TOLERANCE))
+    if bad.size:
+        raise TrackError(
+            f"rotation {bad[0] + 1} has the length {lengths[bad[0]]:.9g}", where=where, expected="a unit quaternion"
+        )
+    turned = np.sum(poses[1:, 3:] * poses[:-1, 3:], axis=1) < 0.0
+    signs = np.cumprod(np.concatenate([[1.0], np.where(turned, -1.0, 1.0)]))
+    return np.hstack([poses[:, :3], poses[:, 3:] * signs[:, None]])

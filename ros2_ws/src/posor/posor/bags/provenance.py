@@ -1,0 +1,101 @@
+"""Where the numbers of a bag come from: hashes of calibrations, URDF and beams file, and the version of the software.
+
+The recorder and ``reprocess`` write them into the ``custom_data`` of a bag's metadata.yaml. A bag that is reprocessed
+with other files is reprocessed nevertheless, because that is often the purpose; the differences are named.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from contextlib import suppress
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from posor.bags.bag_reader import METADATA
+from posor.calibration.calibration_file import load_calibration
+from posor.errors import BagError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from posor.bags.reprocess_task import Settings
+
+SOFTWARE = "posor.software"
+FILES = ("urdf", "beams")
+"""Parameters of chain_node that name files."""
+PENDING = "custom_data.json"
+"""File beside a bag that is being written: the custom data of its metadata.yaml, which is written at the end."""
+
+
+def provenance_of(settings: Settings | None) -> dict[str, str]:
+    """Return the version of the software and the hashes of the files of an arm, if any, as custom data of a bag.
+
+    A calibration has its content hash, which does not depend on layout and comments; other files their SHA-256.
+
+    Raises:
+        CalibrationError: A calibration is invalid.
+        BagError: A file cannot be read.
+
+    """
+    return {SOFTWARE: _software()} | {key: _hash(key, path) for key, path in _files(settings).items()}
+
+
+def differences(recorded: Mapping[str, str], settings: Settings) -> tuple[str, ...]:
+    """Return a sentence for each file, and for the software, that differs from what a bag was recorded with.
+
+    Args:
+        recorded: Custom data of the bag.
+        settings: With which it is processed; a joint or a file that the bag does not name is not compared.
+
+    Raises:
+        CalibrationError: A calibration is invalid.
+        BagError: A file cannot be read.
+
+    """
+    used = {SOFTWARE: ("this software", _software())} if SOFTWARE in recorded else {}
+    for key, path in _files(settings).items():
+        if key in recorded:
+            used[key] = str(path), f"hash {_hash(key, path)}"
+    return tuple(
+        f"{name}: {value}; the bag was recorded with {recorded[key]}"
+        for key, (name, value) in used.items()
+        if recorded[key] != value.removeprefix("hash ")
+    )
+
+
+def custom_data(bag: Path) -> dict[str, str]:
+    """Return the custom data of a bag, also of one whose recording was killed; empty for a single file."""
+    for name, read in ((METADATA, _of_metadata), (PENDING, json.loads)):
+        with suppress(OSError, ValueError, KeyError, TypeError, AttributeError, yaml.YAMLError):
+            return {str(key): str(value) for key, value in read((bag / name).read_text(encoding="utf-8")).items()}
+    return {}
+
+
+def _software() -> str:
+    return f"posor_estimator {version('posor_estimator')}"
+
+
+def _of_metadata(text: str) -> dict[str, Any]:
+    return dict(yaml.safe_load(text)["rosbag2_bagfile_information"].get("custom_data") or {})
+
+
+def _files(settings: Settings | None) -> dict[str, Path]:
+    """Return the files by their keys in the custom data."""
+    if settings is None:
+        return {}
+    files = {f"posor.calibration.{joint}": each.calibration for joint, each in settings.joints.items()}
+    chain = settings.chain or {}
+    return files | {f"posor.{name}": Path(str(chain[name])) for name in FILES if chain.get(name)}
+
+
+def _hash(key: str, path: Path) -> str:
+    if key.removeprefix("posor.") not in FILES:
+        return load_calibration(path).content_hash
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise BagError(f"cannot be read, {error.strerror}", where=str(path)) from error

@@ -1,0 +1,274 @@
+"""reprocess: from recorded raw scans to transforms and endpoint poses, the same numbers as in the live graph."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+from uuid import uuid4
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from posor.bags.bag_topics import topics_of
+from posor.bags.executors import dask_cluster, local_processes, run_tasks
+from posor.bags.offline_pipeline import reprocess_bag
+from posor.bags.reprocess_task import FORMATS, JointSettings, Settings, Summary, Task
+from posor.bags.result_folder import check_outside_of_bags, check_replaceable, clear_unfinished
+from posor.chain.arm_file import load_arm
+from posor.errors import ParameterError
+from posor.lazy_program import EXIT_INTERRUPTED, INTERRUPT_SIGNALS
+from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.program_errors import reports_errors
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Collection, Iterator, Sequence
+
+
+WIDTH = 118
+COVARIANCES = ("total", "random", "systematic")
+
+
+def parser() -> CommandLineParser:
+    """Return the parser of the command line."""
+    command = CommandLineParser(
+        prog="posor reprocess", description="From recorded raw scans to transforms and endpoint poses."
+    )
+    command.add_argument("bags", type=Path, nargs="+", metavar="BAG", help="folder of a rosbag2 bag, or its file")
+    command.add_argument("--arm", type=Path, metavar="FILE.yaml", help="arm file: URDF, beams and calibrations")
+    text = "calibration file of a joint's POSOR; may be repeated; replaces that of the arm file"
+    command.add_argument("--calibration", action="append", default=[], metavar="JOINT=FILE", help=text)
+    text = "session of the joint's calibration file"
+    command.add_argument("--session", action="append", default=[], metavar="JOINT=NAME", help=text)
+    text = "topic of the joint's raw scans (default: the only one that ends in /JOINT/raw)"
+    command.add_argument("--topic", action="append", default=[], metavar="JOINT=TOPIC", help=text)
+    command.add_argument("--urdf", type=Path, help="robot description; without it, only transforms are written")
+    command.add_argument("--beams", type=Path, help="beams file")
+    command.add_argument("--endpoint-frame", metavar="LINK", help="link of the URDF that is the endpoint")
+    command.add_argument("--acceleration-window", type=float, metavar="S", help="as the parameter of chain_node [s]")
+    command.add_argument("--reference", choices=("absolute", "home"), help="as the parameter of chain_node")
+    command.add_argument("--covariance", choices=COVARIANCES, help="as the parameter of posor_node")
+    command.add_argument("--false-alarm", type=float, metavar="P", help="as the parameter of posor_node")
+    text = "folder for the results; of several bags, a folder of such folders (default: only a summary)"
+    command.add_argument("--output", type=Path, help=text)
+    command.add_argument("--format", choices=FORMATS, default="bag", help="of the results (default: bag)")
+    command.add_argument("--force", action="store_true", help="replace existing results")
+    command.add_argument("--jobs", type=int, default=1, metavar="N", help="bags at a time, each in its own process")
+    command.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster whose workers see the same files")
+    text = "use a --scheduler on another machine without TLS: whoever reaches it runs code on its workers"
+    command.add_argument("--unencrypted", action="store_true", help=text)
+    return command
+
+
+@reports_errors
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; the exit code is 0 if all bags were reprocessed."""
+    try:
+        with _interruptible():
+            _run(parser().parse_args(arguments))
+    except KeyboardInterrupt:
+        sys.stderr.write("reprocess: interrupted; what was not finished is not there.\n")
+        return EXIT_INTERRUPTED
+    return 0
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Raise KeyboardInterrupt on the first SIGINT or SIGTERM, and ignore later ones, until the end of the block.
+
+    Signals that the program was started to ignore, as by a shell in the background, stay ignored.
+    """
+
+    def interrupt(_number: int, _frame: object) -> None:
+        for number in INTERRUPT_SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    former = {number: signal.getsignal(number) for number in INTERRUPT_SIGNALS}
+    try:
+        for number, handler in former.items():
+            if handler is not signal.SIG_IGN:
+                signal.signal(number, interrupt)
+        yield
+    finally:
+        for number, handler in former.items():
+            signal.signal(number, handler)
+
+
+def _run(options: argparse.Namespace) -> None:
+    tasks = tasks_of(options)
+    _check(options, tasks)
+    console = Console(width=WIDTH)
+    try:
+        for summary in _run_tasks(options, tasks):
+            print_summary(summary, console)
+    finally:
+        for task in tasks:
+            if task.output is not None:
+                clear_unfinished(task.output.parent, task.run)
+
+
+def tasks_of(options: argparse.Namespace) -> list[Task]:
+    """Return the tasks of a parsed command line.
+
+    Raises:
+        ParameterError: Options contradict one another.
+        CalibrationError: The arm file is invalid.
+        NodeError: The arm file gives chain_node an invalid parameter.
+
+    """
+    settings = _settings(options)
+    names = [bag.resolve().stem if bag.is_file() else bag.resolve().name for bag in options.bags]
+    for name in names:
+        if options.output is not None and names.count(name) > 1:
+            raise ParameterError(
+                f"two bags are called {name}", where="option --output", expected="bags of different names, or one bag"
+            )
+    outputs: list[Path | None] = [options.output] * len(names)
+    if options.output is not None and len(names) > 1:
+        outputs = [options.output / name for name in names]
+    run = uuid4().hex
+    return [
+        Task(bag.absolute(), settings, output and output.absolute(), options.format, options.force, run)
+        for bag, output in zip(options.bags, outputs, strict=True)
+    ]
+
+
+def _settings(options: argparse.Namespace) -> Settings:
+    arm = Settings({}) if options.arm is None else Settings.of_arm(load_arm(options.arm))
+    joints, chain = dict(arm.joints), dict(arm.chain or {})
+    for joint, file in _by_joint("--calibration", options.calibration).items():
+        joints[joint] = JointSettings(Path(file).absolute())
+    if not joints:
+        raise ParameterError("no joint is named", where="reprocess", expected="--arm FILE, or --calibration JOINT=FILE")
+    for joint, session in _by_joint("--session", options.session, joints).items():
+        joints[joint] = replace(joints[joint], session=session)
+    for joint, topic in _by_joint("--topic", options.topic, joints).items():
+        joints[joint] = replace(joints[joint], topic=topic)
+    given = {
+        "urdf": options.urdf and str(options.urdf.absolute()),
+        "beams": options.beams and str(options.beams.absolute()),
+        "endpoint_frame": options.endpoint_frame,
+        "acceleration_window": options.acceleration_window,
+        "reference": options.reference,
+    }
+    chain |= {name: value for name, value in given.items() if value is not None}
+    if chain and "urdf" not in chain:
+        option = next(iter(chain)).replace("_", "-")
+        raise ParameterError("there is no robot description", where=f"option --{option}", expected="--urdf too")
+    settings = Settings(joints, chain or None)
+    return settings.with_estimation(covariance=options.covariance, false_alarm=options.false_alarm)
+
+
+def _by_joint(option: str, given: Sequence[str], joints: Collection[str] = ()) -> dict[str, str]:
+    """Return the values of a repeated option JOINT=VALUE; ``joints``: the known ones, empty: any."""
+    values: dict[str, str] = {}
+    for text in given:
+        joint, equals, value = text.partition("=")
+        if not (joint and equals and value):
+            raise ParameterError(f"'{text}'", where=f"option {option}", expected="JOINT=..., such as elbow=...")
+        if joint in values:
+            raise ParameterError(f"joint {joint} is named twice", where=f"option {option}", expected="once")
+        if joints and joint not in joints:
+            expected = f"one of {', '.join(joints)}"
+            raise ParameterError(f"there is no joint {joint}", where=f"option {option}", expected=expected)
+        values[joint] = value
+    return values
+
+
+def _check(options: argparse.Namespace, tasks: Sequence[Task]) -> None:
+    """Refuse invalid options before the work begins."""
+    if options.jobs < 1:
+        raise ParameterError(f"{options.jobs}", where="option --jobs", expected="at least 1")
+    if options.scheduler is not None and options.jobs > 1:
+        raise ParameterError("both are given", where="options --jobs and --scheduler", expected="one of them")
+    for task in tasks:
+        if task.output is not None:
+            check_outside_of_bags(task.output, options.bags)
+            check_replaceable(task.output, force=task.force)
+
+
+def _run_tasks(options: argparse.Namespace, tasks: Sequence[Task]) -> Iterator[Summary]:
+    """Run the tasks, show the progress, and yield the summaries."""
+    jobs = min(options.jobs, os.cpu_count() or 1, len(tasks))
+    with _progress() as progress:
+        if options.scheduler is None and jobs == 1:
+            totals = [topics_of(task.bag, task.settings.joints).messages for task in tasks]
+            bars = [progress.add_task(task.bag.name, total=total) for task, total in zip(tasks, totals, strict=True)]
+            for bar, task in zip(bars, tasks, strict=True):
+                yield reprocess_bag(task, partial(progress.advance, bar))
+            return
+        bar = progress.add_task("bags", total=len(tasks))
+        if options.scheduler is None:
+            parallel = local_processes(jobs)
+        else:
+            parallel = dask_cluster(options.scheduler, unencrypted=options.unencrypted)
+        with parallel as executor:
+            at_once = jobs if options.scheduler is None else len(tasks)
+            for summary in run_tasks(executor, reprocess_in_worker, tasks, at_once):
+                progress.advance(bar)
+                yield summary
+
+
+def reprocess_in_worker(task: Task) -> Summary:
+    """Reprocess one bag in a worker process; the process ends if the program has been killed meanwhile."""
+    try:
+        return reprocess_bag(task)
+    except KeyboardInterrupt:
+        os._exit(EXIT_INTERRUPTED)
+
+
+def _progress() -> Progress:
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    console = Console(stderr=True)
+    return Progress(*columns, console=console, transient=True, disable=not console.is_interactive)
+
+
+def print_summary(summary: Summary, console: Console) -> None:
+    """Print the summary of a bag."""
+    chain = summary.endpoint is not None
+    table = Table(title=escape(str(summary.bag)), title_justify="left")
+    table.add_column("joint", no_wrap=True)
+    for column in ("scans", "lost", *(("missing", "no endpoint") if chain else ())):
+        table.add_column(column, justify="right")
+    table.add_column("faults of the lost")
+    for name, joint in summary.joints.items():
+        of_chain = (f"{joint.missing:,}", f"{joint.refused:,}") if chain else ()
+        faults = ", ".join(f"{fault.lower()} {count:,}" for fault, count in joint.faults.items()) or "none"
+        table.add_row(name, f"{joint.scans:,}", f"{joint.lost:,}", *of_chain, faults)
+    console.print(table)
+    if summary.endpoint is not None:
+        end = summary.endpoint
+        console.print(
+            f"endpoint: {end.poses:,} poses, {end.degraded:,} of them degraded; no pose at {end.refused:,} complete "
+            f"stamps, and {end.incomplete:,} incomplete ones"
+        )
+    if summary.left_out:
+        console.print(f"left out, of no joint named: {', '.join(summary.left_out)}", markup=False)
+    for difference in summary.differences:
+        console.print(f"warning: {difference}", markup=False, soft_wrap=True)
+    speed = summary.scans / summary.cpu_s if summary.cpu_s else 0.0
+    console.print(
+        f"{summary.scans:,} scans in {summary.wall_s:.1f} s, {summary.cpu_s:.1f} s of processor time: "
+        f"{speed:,.0f} scans/s per core"
+    )
+    where = "no --output: nothing is written" if summary.output is None else f"written to {summary.output}"
+    console.print(where, markup=False, soft_wrap=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

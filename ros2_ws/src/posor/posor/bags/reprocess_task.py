@@ -1,0 +1,205 @@
+"""The work of ``reprocess`` for one bag and its result: plain values that can be sent to another process or machine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from posor.calibration.calibration_file import load_calibration
+from posor.chain.arm_parameters import CHAIN_NODE, POSOR_NODE, chain_parameters, posor_parameters
+from posor.chain.kinematic_chain import load_chain
+from posor.errors import ParameterError
+from posor.node_parameters import COVARIANCE_KINDS, ChainParameters, PosorParameters
+from posor.parameter_model import validate_parameters
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from posor.calibration.calibration_file import Calibration
+    from posor.chain.arm_file import Arm, ParameterValue
+    from posor.chain.kinematic_chain import Chain
+    from posor.node_parameters import CovarianceKind
+
+Format = Literal["bag", "parquet", "csv"]
+FORMATS: tuple[Format, ...] = ("bag", "parquet", "csv")
+
+
+@dataclass(frozen=True)
+class JointSettings:
+    """A joint's POSOR, as the parameters of its posor_node, and the topic of its scans.
+
+    Attributes:
+        calibration: Path of the file.
+        session: Of the calibration; empty: none.
+        topic: Of the raw scans; empty: the only one of the bag that ends in ``/<joint>/raw``.
+        covariance: Part of the uncertainty in the transforms' covariances.
+        false_alarm: See ``Posor``.
+
+    """
+
+    calibration: Path
+    session: str = ""
+    topic: str = ""
+    covariance: CovarianceKind = "total"
+    false_alarm: float = 1e-3
+
+    def load(self) -> Calibration:
+        """Return the calibration with its session applied.
+
+        Raises:
+            CalibrationError: The file or the session is invalid.
+
+        """
+        return load_calibration(self.calibration).for_session(self.session)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings for all bags, as the parameters of the nodes in a live graph.
+
+    Attributes:
+        joints: The POSORs, by joint.
+        chain: Parameters of chain_node; None: transforms only.
+
+    """
+
+    joints: Mapping[str, JointSettings]
+    chain: Mapping[str, ParameterValue] | None = None
+
+    @staticmethod
+    def of_arm(arm: Arm) -> Settings:
+        """Return the settings of an arm file.
+
+        Raises:
+            NodeError: The arm file gives a node an invalid parameter.
+
+        """
+        joints = {}
+        for name, calibration in arm.calibrations.items():
+            node = validate_parameters(PosorParameters, posor_parameters(arm, name), node=f"{name}/{POSOR_NODE}")
+            joints[name] = JointSettings(
+                calibration, arm.sessions[name], covariance=node.covariance, false_alarm=node.false_alarm
+            )
+        return Settings(joints, chain_parameters(arm))
+
+    def with_estimation(self, *, covariance: CovarianceKind | None, false_alarm: float | None) -> Settings:
+        """Return the settings with other values of all joints; None: as they are.
+
+        Raises:
+            ParameterError: There is no such part of the uncertainty, or ``false_alarm`` is not a probability.
+
+        """
+        changes: dict[str, Any] = {"covariance": covariance, "false_alarm": false_alarm}
+        changes = {name: value for name, value in changes.items() if value is not None}
+        if (kind := changes.get("covariance", "total")) not in COVARIANCE_KINDS:
+            raise ParameterError(f"'{kind}' is unknown", where="covariance", expected=", ".join(COVARIANCE_KINDS))
+        if not 0.0 < (probability := changes.get("false_alarm", 0.5)) < 1.0:
+            raise ParameterError(f"{probability:g}", where="false_alarm", expected="between 0 and 1")
+        return replace(self, joints={name: replace(joint, **changes) for name, joint in self.joints.items()})
+
+    def load_chain(self) -> tuple[Chain, ChainParameters] | None:
+        """Return the kinematic chain and the parameters of chain_node; None without a chain.
+
+        Raises:
+            ChainError: The URDF is invalid.
+            CalibrationError: The beams file is invalid.
+            ParameterError: A parameter is invalid.
+
+        """
+        if self.chain is None:
+            return None
+        parameters = validate_parameters(ChainParameters, dict(self.chain), node=CHAIN_NODE)
+        beams = Path(parameters.beams) if parameters.beams else None
+        return load_chain(Path(parameters.urdf), parameters.endpoint_frame, beams), parameters
+
+
+@dataclass(frozen=True)
+class Task:
+    """One bag to reprocess.
+
+    Attributes:
+        bag: Folder or file.
+        settings: Of the estimation.
+        output: Folder for the results; None: only the summary is wanted.
+        format: Of the results.
+        force: Whether existing results may be replaced.
+        run: Identifies this call of the program among others that write into the same folder.
+
+    """
+
+    bag: Path
+    settings: Settings
+    output: Path | None = None
+    format: Format = "bag"
+    force: bool = False
+    run: str = ""
+
+
+@dataclass(frozen=True)
+class JointSummary:
+    """Counts of a joint's scans.
+
+    Attributes:
+        scans: All scans.
+        lost: Scans without a pose.
+        faults: Lost scans by fault.
+        missing: Stamps of other joints for which this joint had no transform.
+        refused: Complete stamps without an endpoint because of this joint's transform.
+
+    """
+
+    scans: int
+    lost: int
+    faults: Mapping[str, int]
+    missing: int = 0
+    refused: int = 0
+
+
+@dataclass(frozen=True)
+class EndpointSummary:
+    """Counts of stamps.
+
+    Attributes:
+        poses: Stamps with an endpoint.
+        degraded: Endpoints that depend on a DEGRADED joint.
+        refused: Complete stamps without an endpoint.
+        incomplete: Stamps that were given up because a joint was missing.
+
+    """
+
+    poses: int
+    degraded: int
+    refused: int
+    incomplete: int
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Result of one bag.
+
+    Attributes:
+        bag: Folder or file.
+        output: Folder with the results; None: no output.
+        joints: By joint.
+        endpoint: None without a chain.
+        left_out: Topics of raw scans of other joints.
+        differences: Files that differ from those named by the bag, one sentence each.
+        wall_s: Elapsed time.
+        cpu_s: Processor time.
+
+    """
+
+    bag: Path
+    output: Path | None
+    joints: Mapping[str, JointSummary]
+    endpoint: EndpointSummary | None
+    left_out: tuple[str, ...] = ()
+    differences: tuple[str, ...] = ()
+    wall_s: float = 0.0
+    cpu_s: float = 0.0
+
+    @property
+    def scans(self) -> int:
+        """All raw scans."""
+        return sum(joint.scans for joint in self.joints.values())

@@ -1,0 +1,248 @@
+"""The calibration file of one POSOR, version 3.
+
+Versions of the format:
+
+1. First version: ``sensors`` by type, ``sessions``, ``tilt_angle``, ``motion``. Still read.
+2. ``fits``: recording, method, residuals and covariances of fitted values.
+3. ``environment``: valid ranges of supply and temperature; ``converter``: its steps.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union
+
+from pydantic import Field, PrivateAttr, SerializeAsAny, create_model, field_validator, model_validator
+
+from posor.calibration.file_model import EntryError, FrozenModel, select_model_by_key
+from posor.calibration.fit_record import FitRecord
+from posor.calibration.quantity import Quantity, measured
+from posor.calibration.session import Session
+from posor.calibration.yaml_document import parse_document, read_text
+from posor.errors import CalibrationError
+from posor.sensors.base import SensorCalibration
+from posor.sensors.registry import sensor_types
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+FILE_KIND = "calibration file"
+VERSION = 3
+FORMER_VERSIONS = (1, 2)
+
+
+class Provenance(FrozenModel):
+    """Origin of the numbers."""
+
+    source: str
+    method: str
+    date: str
+    notes: tuple[str, ...] = ()
+
+
+class Frames(FrozenModel):
+    """Names of the two frames: ``parent`` is the receiving plate R, ``child`` the target plate T."""
+
+    parent: str
+    child: str
+
+    @model_validator(mode="after")
+    def _check_names(self) -> Self:
+        for name, frame in (("parent", self.parent), ("child", self.child)):
+            if not frame.strip():
+                raise EntryError(f"{name} is empty", key=(name,), expected="the name of a frame")
+        if self.child == self.parent:
+            raise EntryError(f"child '{self.child}' is also the parent", key=("child",), expected="two frames")
+        return self
+
+
+class Motion(FrozenModel):
+    """Largest velocity of the target relative to the receiving plate.
+
+    A pose further from the last one than the velocity allows is a fault. In directions that the readings do not
+    determine, the last pose is used with an uncertainty that grows at this rate. ``translation`` applies to X, Y and Z,
+    ``lean`` to rotations about X and Y, ``theta`` to rotation about the target's Z.
+    """
+
+    translation: Annotated[Quantity, measured("m/s")]
+    lean: Annotated[Quantity, measured("rad/s")]
+    theta: Annotated[Quantity, measured("rad/s")]
+
+
+class SupplyRange(FrozenModel):
+    """Supply voltage of the probe electronics at which the calibration is valid.
+
+    ``range`` is the lowest and the highest voltage; ``spread`` the standard uncertainty of the voltage, about each
+    probe's reference, in scans that do not measure it.
+    """
+
+    range: Annotated[Quantity, measured("V", 2)]
+    spread: Annotated[Quantity, measured("V")]
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        _check_range(self)
+        return self
+
+
+class TemperatureRange(FrozenModel):
+    """Temperature of the receiving plate at which the calibration is valid; see ``SupplyRange``."""
+
+    range: Annotated[Quantity, measured("K", 2)]
+    spread: Annotated[Quantity, measured("K")]
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        _check_range(self)
+        return self
+
+
+def _check_range(part: SupplyRange | TemperatureRange) -> None:
+    low, high = part.range.array
+    if not 0.0 <= low < high:
+        raise EntryError(f"range {part.range.value}", key=("range",), expected="[lowest, highest], not negative")
+    if part.spread.number < 0.0:
+        raise EntryError(f"spread {part.spread.value}", key=("spread",), expected="zero or more")
+
+
+class Environment(FrozenModel):
+    """Valid ranges of what the probes' electronics are sensitive to; outside of them there is no pose."""
+
+    supply: SupplyRange | None = None
+    temperature: TemperatureRange | None = None
+
+
+class Converter(FrozenModel):
+    """Smallest difference between two readings of a channel that differ; zero: readings are not rounded.
+
+    Readings with noise then rarely repeat, and repeated readings are a fault (``estimation.frozen``).
+    """
+
+    voltage: Annotated[Quantity, measured("V")]
+    current: Annotated[Quantity, measured("A")]
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        for name, step in (("voltage", self.voltage), ("current", self.current)):
+            if step.number < 0.0:
+                raise EntryError(f"{name} {step.value}", key=(name,), expected="zero or more")
+        return self
+
+
+class TiltAngle(StrEnum):
+    """The theta by which directions fixed in the target (plane normal, rays) are turned.
+
+    ``THIS_SCAN`` is exact. ``PREVIOUS_SCAN`` reproduces the tables printed in 1985: the program of thesis appendix 8A
+    evaluated the tilt terms of each step at the theta of the step before.
+    """
+
+    THIS_SCAN = "this_scan"
+    PREVIOUS_SCAN = "previous_scan"
+
+
+class Calibration(FrozenModel):
+    """Calibration of one POSOR."""
+
+    format: Literal["posor_calibration"]
+    version: Literal[1, 2, 3]
+    name: str
+    provenance: Provenance
+    frames: Frames
+    tilt_angle: TiltAngle = TiltAngle.THIS_SCAN
+    motion: Motion | None = None
+    environment: Environment | None = None
+    converter: Converter | None = None
+    sensors: list[SerializeAsAny[SensorCalibration]]
+    sessions: dict[str, Session] = Field(default_factory=dict)
+    fits: list[FitRecord] = Field(default_factory=list)
+    _session: str = PrivateAttr(default="")
+
+    @field_validator("sessions")
+    @classmethod
+    def _check_session_names(cls, sessions: dict[str, Session]) -> dict[str, Session]:
+        if "" in sessions:
+            raise EntryError("a session has an empty name", expected="a name")
+        return sessions
+
+    @model_validator(mode="after")
+    def _check_version(self) -> Self:
+        if self.fits and self.version == 1:
+            raise EntryError("fits in a file of version 1", key=("fits",), expected="version 2")
+        for key in ("environment", "converter"):
+            if getattr(self, key) is not None and self.version < VERSION:
+                raise EntryError(
+                    f"{key} in a file of version {self.version}", key=(key,), expected=f"version {VERSION}"
+                )
+        return self
+
+    @property
+    def content_hash(self) -> str:
+        """SHA-256 of the content without layout and comments, 64 hexadecimal digits.
+
+        A file keeps the hash that it had before later versions added keys.
+        """
+        content = self.model_dump(mode="json")
+        for key in ("fits", "environment", "converter"):
+            if not content[key]:
+                del content[key]
+        text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    @property
+    def session(self) -> str:
+        """Name of the applied session; empty: none."""
+        return self._session
+
+    def for_session(self, name: str) -> Self:
+        """Return the calibration with the replacements of a session; an empty name returns it unchanged.
+
+        Raises:
+            CalibrationError: The session is unknown, or does not fit the sensors.
+
+        """
+        if not name:
+            return self
+        if name not in self.sessions:
+            known = ", ".join(self.sessions) or "an empty name; the file has no sessions"
+            raise CalibrationError(f"session '{name}' is unknown", where=f"calibration '{self.name}'", expected=known)
+        session = self.sessions[name]
+        sensors = [sensor.for_session(session) for sensor in self.sensors]
+        applied = self.model_copy(update={"sensors": sensors, "sessions": {name: session}})
+        applied._session = name  # noqa: SLF001  a copy of the same class
+        return applied
+
+
+def load_calibration(path: Path | str) -> Calibration:
+    """Read and validate a calibration file (YAML, SI).
+
+    Raises:
+        CalibrationError: The file cannot be read, is not YAML, or has invalid content.
+
+    """
+    return parse_calibration(read_text(Path(path), FILE_KIND), str(path))
+
+
+def parse_calibration(text: str, source: str) -> Calibration:
+    """Validate the text of a calibration file as ``load_calibration`` does; ``source`` is its name in errors."""
+    keys = "format, version, name, provenance, frames, sensors"
+    return parse_document(text, source, keys, (*FORMER_VERSIONS, VERSION), calibration_from)[0]
+
+
+def calibration_from(content: Mapping[str, Any]) -> Calibration:
+    """Validate the content of a calibration file against all installed sensor types.
+
+    Raises:
+        pydantic.ValidationError: The content is invalid; ``load_calibration`` turns this into one sentence.
+
+    """
+    types = sensor_types()
+    union: Any = Annotated[Union[tuple(types.values())], select_model_by_key("type", types)]  # noqa: UP007
+    model = create_model(
+        "Calibration",
+        __base__=Calibration,
+        sensors=(Annotated[list[union], Field(min_length=1)], ...),
+    )
+    return model.model_validate(content)

@@ -1,0 +1,279 @@
+"""Calibrations of typical POSORs with realistic uncertainties, for accuracy studies, budgets and simulation.
+
+Sizes follow the thesis: ``design`` its 1985 design (probes at 1.5 and 3 in, table 5.2), ``sized_design`` the POSORs of
+its conceptual robot (section 9.3.1; sensors of 5 microinch), given by their outside diameter. Everything else is
+assumed, and the provenance says so.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any, Literal
+
+from scipy.constants import inch
+
+from posor.calibration.calibration_file import VERSION, Calibration, calibration_from
+from posor.calibration.design_parts import (
+    DiodeKind,
+    Part,
+    ProbeKind,
+    RingShape,
+    bumpy_ring,
+    diodes,
+    gap_probes,
+    light_ring,
+    quantity_entry,
+)
+from posor.errors import CalibrationError
+
+DesignName = Literal[
+    "triad_diodes", "triad_light_ring", "triad_bumpy_ring", "quad_diodes", "quad_light_ring", "quad_bumpy_ring"
+]
+SizedDesignName = Literal["triad_light_ring", "triad_bumpy_ring", "quad_light_ring", "quad_bumpy_ring"]
+
+THETA_OF_TWO_SOURCES = 0.1
+"""Largest theta [rad] with two fixed sources on their diodes, at a runout of 1 mm."""
+SOURCES = 36
+BUMPS = 36
+STANDOFF = 0.735e-3
+"""Gap at which a probe along Z reads 0 V, the nominal distance of the plates [m]."""
+
+PROBE_ACCURACY = 5e-6 * inch
+"""Accuracy of the probes of section 9.3.1, 5 microinch [m]."""
+SMALLEST_DIAMETER = 3.0 * inch
+"""Smallest outside diameter of ``sized_design`` [m]."""
+SOURCE_PITCH = 7.7e-3
+"""Largest mean distance between light sources [m]. With a coded ring's growth of pitch, one is always on each diode."""
+BUMPS_PER_INCH = 24
+"""Bumps per inch of a sized ring's diameter (pitch 3.32 mm). The slopes then resolve theta nearly as section 9.3.1
+assumes, 5 microinch over the ring's radius. The number of bumps is a multiple of four for whole inches."""
+
+GAP_OF_VOLT = (STANDOFF, -0.118e-3, 1.5e-6, -2e-7, 1e-8)
+_RING_RANGE = 1.5
+"""Range of the ring probes of sized designs over that of others: for bumps of 0.4 mm and motions of 0.5 mm."""
+
+_PROBE = ProbeKind(
+    volts_to_gap=GAP_OF_VOLT,
+    volts_to_gap_sigmas=(0.13e-6, 5e-8, 5e-9, 0.0, 0.0),
+    noise=1e-3,
+    tip_sigma=(20e-6, 20e-6, 1e-6),
+    axis_sigma=1e-3,
+    zero_shift_sigma=5e-4,
+    supply_sigma=0.01,
+)
+_DIODE = DiodeKind(
+    noise=1e-4,
+    origin_sigma=(5e-6, 5e-6, 20e-6),
+    axis_sigma=(2e-4, 1e-3),
+    map_sigma=0.5e-6,
+    source_sigma=(3e-6, 3e-6, 20e-6),
+    direction_sigma=5e-4,
+)
+# The places of a coded ring's parts are measured as assembled. Its rays lean little: the lean changes the distances of
+# the spots that tell the sources apart.
+_CODED_LEAN = 1e-4
+_CODED_DIODE = replace(_DIODE, origin_sigma=(1e-6, 1e-6, 20e-6), source_sigma=(1e-6, 1e-6, 20e-6), lean=_CODED_LEAN)
+_RING = RingShape(
+    bumps=BUMPS,
+    mean_radius=0.0508,
+    cos=(-4e-6, 0.0, 1.6e-4, 2e-7, 9e-6),
+    sin=(0.0, -5e-6, 0.0, -4e-6, 0.0),
+    radius_sigma=1e-6,
+    amplitude_sigma=0.2e-6,
+    tip_radius=0.0516,
+)
+
+# Sized designs are calibrated as assembled, against an index table and an interferometer. The remaining uncertainty is
+# the resolution of the sensors, about 50 nm, not the accuracy of single parts.
+SIZED_GAP_PROBE = ProbeKind(
+    volts_to_gap=GAP_OF_VOLT,
+    volts_to_gap_sigmas=(30e-9, 1e-8, 1e-9, 0.0, 0.0),
+    noise=PROBE_ACCURACY / 0.118e-3,
+    tip_sigma=(5e-6, 5e-6, 30e-9),
+    axis_sigma=1e-4,
+    zero_shift_sigma=2e-4,
+    supply_sigma=1e-3,
+)
+SIZED_RING_PROBE = ProbeKind(
+    volts_to_gap=tuple(_RING_RANGE * coefficient for coefficient in GAP_OF_VOLT),
+    volts_to_gap_sigmas=(30e-9, 1e-8, 1e-9, 0.0, 0.0),
+    noise=PROBE_ACCURACY / (_RING_RANGE * 0.118e-3),
+    tip_sigma=(30e-9, 30e-9, 5e-6),
+    axis_sigma=2e-5,
+    zero_shift_sigma=2e-4,
+    supply_sigma=1e-3,
+)
+SIZED_TILT_SIGMA = 0.3e-6
+SIZED_DIODE = DiodeKind(
+    noise=2e-5,
+    origin_sigma=(0.1e-6, 0.1e-6, 5e-6),
+    axis_sigma=(1e-5, 1e-4),
+    map_sigma=0.1e-6,
+    source_sigma=(0.1e-6, 0.1e-6, 5e-6),
+    direction_sigma=2e-5,
+    lean=_CODED_LEAN,
+)
+
+
+def _sized_ring(outside_diameter: float) -> RingShape:
+    radius = 0.5 * outside_diameter - inch
+    return RingShape(
+        bumps=4 * max(1, round(BUMPS_PER_INCH * 2.0 * radius / inch / 4.0)),
+        mean_radius=radius,
+        cos=(-4e-6, 0.0, 4e-4, 5e-7, 1e-5),
+        sin=(0.0, -5e-6, 0.0, -1e-5, 0.0),
+        radius_sigma=20e-9,
+        amplitude_sigma=20e-9,
+        tip_radius=radius + _RING_RANGE * 0.8e-3,
+    )
+
+
+def velocity_limits(translation: float, lean: float = 0.02, theta: float = 3.0) -> Part:
+    """Return the largest velocities of the target [m/s], [rad/s]."""
+    return {
+        "translation": quantity_entry(translation, "m/s"),
+        "lean": quantity_entry(lean, "rad/s"),
+        "theta": quantity_entry(theta, "rad/s"),
+    }
+
+
+def environment_ranges(supply_spread: float) -> Part:
+    """Return ranges of supply and temperature; ``supply_spread``: uncertainty of a supply not measured [V]."""
+    return {
+        "supply": {"range": quantity_entry([14.5, 15.5], "V"), "spread": quantity_entry(supply_spread, "V")},
+        "temperature": {"range": quantity_entry([283.15, 303.15], "K"), "spread": quantity_entry(0.1, "K")},
+    }
+
+
+CONVERTER_BITS, LIGHT_RING_BITS = 16, 24
+"""The noise of light spots on a ring is below a step of 16 bits; frozen diodes would look like a joint at rest."""
+
+
+def converter_steps(bits: int) -> Part:
+    """Return the steps of a converter over the ranges of the readings."""
+    return {
+        "voltage": quantity_entry(14.0 / 2**bits, "V"),
+        "current": quantity_entry(1.5e-4 / 2**bits, "A"),
+    }
+
+
+def design_calibration(
+    name: str,
+    source: str,
+    notes: tuple[str, ...],
+    frames: tuple[str, str],
+    motion: Part | None,
+    environment: Part,
+    converter: Part | None,
+    sensors: list[Part],
+) -> Calibration:
+    """Return the calibration of a design; the arguments are the parts of its file."""
+    content: dict[str, Any] = {
+        "format": "posor_calibration",
+        "version": VERSION,
+        "name": name,
+        "provenance": {
+            "source": source,
+            "method": "posor/calibration/designs.py",
+            "date": "none",
+            "notes": notes,
+        },
+        "frames": {"parent": frames[0], "child": frames[1]},
+        "motion": motion,
+        "environment": environment,
+        "converter": converter,
+        "sensors": sensors,
+    }
+    return calibration_from(content)
+
+
+def _with_fourth_probe(name: str) -> bool:
+    return name.startswith("quad_")
+
+
+def design(
+    name: DesignName,
+    *,
+    ring_probes: int = 4,
+    motion: bool = False,
+    converter: bool = False,
+    frames: tuple[str, str] = ("receiving", "target"),
+) -> Calibration:
+    """Return the calibration of one of the designs of the 1985 size; a light ring is coded (``coded_ring``).
+
+    Args:
+        name: Which stack: ``triad_`` with the three gap probes of the thesis; ``quad_``, recommended, with a fourth one
+            opposite to the first, so that the gap probes check one another.
+        ring_probes: Number of probes of a bumpy ring, three or more.
+        motion: Whether to limit the velocity of the target: 1 mm/s, 0.02 rad/s of lean, 3 rad/s of theta.
+        converter: Whether to state the steps of the converter, so that repeated readings are a fault.
+        frames: Names of receiving and target plate.
+
+    """
+    tips = [[-0.0762, 0.0, 0.0], [0.0, 0.0381, 0.0], [0.0, -0.0381, 0.0]]
+    if _with_fourth_probe(name):
+        tips.append([0.0762, 0.0, 0.0])
+    sensors = [gap_probes(_PROBE, tips, 20e-6)]
+    if name.endswith("_light_ring"):
+        sensors.append(light_ring(_CODED_DIODE, 0.044, SOURCES))
+    elif name.endswith("_diodes"):
+        positions = [(-0.0254, 0.0381), (-0.0254, -0.0381)]
+        sensors.append(diodes(_DIODE, positions, positions))
+    else:
+        sensors.append(bumpy_ring(_PROBE, _RING, ring_probes))
+    limits, environment = velocity_limits(1e-3) if motion else None, environment_ranges(_PROBE.supply_sigma)
+    steps = converter_steps(CONVERTER_BITS) if converter else None
+    return design_calibration(name, "assumed design", (), frames, limits, environment, steps, sensors)
+
+
+def sized_design(name: SizedDesignName, outside_diameter: float, *, frames: tuple[str, str], title: str) -> Calibration:
+    """Return the calibration of a POSOR of an outside diameter D.
+
+    Gap probes on a circle of D - 1 in: ``triad_``, the three of section 9.3.1 in an equilateral triangle, whose
+    altitude .75 (D - 1 in) is the lever of that section; ``quad_``, recommended, four in a square. A bumpy ring with
+    four probes, or a ring of light sources, of D - 2 in. Limits of velocity: 20 mm/s, 0.02 rad/s of lean, 3 rad/s of
+    theta.
+
+    Args:
+        name: Which stack.
+        outside_diameter: [m].
+        frames: Names of receiving and target plate.
+        title: The calibration's name.
+
+    Raises:
+        CalibrationError: The diameter is too small.
+
+    """
+    if not outside_diameter >= SMALLEST_DIAMETER:
+        raise CalibrationError(
+            f"outside diameter {outside_diameter:g} m", where=title, expected=f"at least {SMALLEST_DIAMETER:g} m"
+        )
+    circle = 0.5 * (outside_diameter - inch)
+    half_side = circle * math.sqrt(0.75)
+    tips = [[-circle, 0.0, 0.0], [0.5 * circle, half_side, 0.0], [0.5 * circle, -half_side, 0.0]]
+    bits = LIGHT_RING_BITS if name.endswith("_light_ring") else CONVERTER_BITS
+    notes = [
+        "thesis 9.3.1: probes of 5 microinch on a circle of the outside diameter less 1 in, ring of it less 2 in",
+        "assumed: all calibrated as assembled, hence the small uncertainties; the 5 microinch taken for noise",
+        "assumed: linearisation and range of the probes, tilt of the target plane, limits of motion",
+        f"assumed: converters of {bits} bits, ranges of supply and temperature",
+    ]
+    if _with_fourth_probe(name):
+        tips = [[-circle, 0.0, 0.0], [0.0, circle, 0.0], [circle, 0.0, 0.0], [0.0, -circle, 0.0]]
+        notes.append("assumed: a fourth gap probe, so that the others check each of them")
+    sensors = [gap_probes(SIZED_GAP_PROBE, tips, SIZED_TILT_SIGMA)]
+    if name.endswith("_light_ring"):
+        radius = 0.5 * outside_diameter - inch
+        sources = 4 * math.ceil(2.0 * math.pi * radius / SOURCE_PITCH / 4.0)
+        sensors.append(light_ring(SIZED_DIODE, radius, sources))
+        notes.append("assumed: light sources 7.7 mm apart on average, two diodes of 5.5 mm half width, their noise")
+        notes.append("assumed: the pitch of the sources grows around the ring, so that two lit ones tell which")
+    else:
+        sensors.append(bumpy_ring(SIZED_RING_PROBE, _sized_ring(outside_diameter), 4))
+        notes.append("assumed: bumps of 0.4 mm every 3.32 mm, ring probes of 1.5 times the range of the others")
+    source = f"assumed design of {outside_diameter / inch:g} in outside diameter"
+    environment = environment_ranges(SIZED_GAP_PROBE.supply_sigma)
+    return design_calibration(
+        title, source, tuple(notes), frames, velocity_limits(0.02), environment, converter_steps(bits), sensors
+    )

@@ -1,0 +1,201 @@
+"""Covariance of a stack's parameters as a calibration file states it, and its square root.
+
+The file states standard uncertainties, and each fit record the covariance of the values that it replaced, with one
+another and with the values that it took as known. A value replaced again later has the covariance of the later record.
+All other values are independent.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from posor.calibration.file_model import FrozenModel
+from posor.calibration.quantity import Quantity
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from posor.calibration.calibration_file import Calibration
+    from posor.numerics.array_types import FloatArray, IntArray
+
+Part = TypeVar("Part")
+RELATIVE_ROUNDING = 1e-12
+"""Relative to the largest eigenvalue of the correlations: smaller ones, also negative, are rounding of the file."""
+
+
+@dataclass(frozen=True)
+class ParameterEntry:
+    """One number of a calibration file.
+
+    Attributes:
+        key: Key of the quantity: ``sensors[0].probes[1].tip``.
+        index: Index of the component; empty for a scalar quantity.
+        quantity: The quantity.
+
+    """
+
+    key: str
+    index: tuple[int, ...]
+    quantity: Quantity
+
+    @property
+    def name(self) -> str:
+        """Key and index: ``sensors[0].probes[1].tip[2]``."""
+        return self.key + "".join(f"[{i}]" for i in self.index)
+
+
+def parameter_entries(calibration: Calibration, session: str = "") -> list[ParameterEntry | None]:
+    """Return the number of the file behind each entry of the stack's parameter vector, (p,); None: not from a file.
+
+    The order is found from the sensors themselves, whatever their types: each standard uncertainty is replaced by a
+    running number, and the parameters of sensors built from that copy show where the numbers come out. A value replaced
+    by a session is found under the session's key.
+
+    Raises:
+        CalibrationError: The session is unknown.
+
+    """
+    entries: list[ParameterEntry] = []
+    numbered = _numbered(calibration, "", entries).for_session(session)
+    numbers = np.concatenate([sensor.build().parameter_sigmas for sensor in numbered.sensors])
+    return [entries[int(number) - 1] if number else None for number in numbers]
+
+
+def _numbered(part: Part, key: str, entries: list[ParameterEntry]) -> Part:
+    """Return a copy in which each sigma is the running number of its entry, from 1."""
+    copy: Any = part
+    if isinstance(part, Quantity):
+        shape = part.array.shape
+        numbers = np.arange(part.array.size, dtype=float).reshape(shape) + len(entries) + 1
+        entries.extend(ParameterEntry(key, index, part) for index in np.ndindex(shape))
+        copy = Quantity.model_construct(value=part.value, sigma=numbers.tolist(), unit=part.unit)
+    elif isinstance(part, FrozenModel):
+        fields = {name: getattr(part, name) for name in type(part).model_fields}
+        numbered = {name: _numbered(value, f"{key}.{name}".lstrip("."), entries) for name, value in fields.items()}
+        copy = part.model_copy(update=numbered)
+    elif isinstance(part, list):
+        copy = [_numbered(value, f"{key}[{i}]", entries) for i, value in enumerate(part)]
+    elif isinstance(part, dict):
+        copy = {name: _numbered(value, f"{key}.{name}", entries) for name, value in part.items()}
+    result: Part = copy
+    return result
+
+
+def stated_covariance(calibration: Calibration, session: str = "") -> FloatArray:
+    """Return the covariance of a stack's parameter vector, (p, p).
+
+    Args:
+        calibration: The calibration, its session applied or not.
+        session: Name of the session; values replaced by it are found there.
+
+    Raises:
+        CalibrationError: The session is unknown.
+
+    """
+    entries = parameter_entries(calibration, session)
+    sigmas = np.array([0.0 if e is None else float(e.quantity.sigmas[e.index]) for e in entries])
+    return _correlation(calibration, entries) * np.outer(sigmas, sigmas)
+
+
+def stated_correlation(calibration: Calibration, session: str = "") -> FloatArray:
+    """Return the correlations of a stack's parameter vector, (p, p), as ``stated_covariance``."""
+    return _correlation(calibration, parameter_entries(calibration, session))
+
+
+def _correlation(calibration: Calibration, entries: Sequence[ParameterEntry | None]) -> FloatArray:
+    position = {entry.name: i for i, entry in enumerate(entries) if entry is not None}
+    correlation = np.eye(len(entries))
+    for record in calibration.fits:
+        replaced = np.array(
+            [i for name, i in position.items() if any(_is_part(name, key) for key in record.replaced)], dtype=np.int64
+        )
+        correlation[replaced], correlation[:, replaced] = 0.0, 0.0
+        correlation[replaced, replaced] = 1.0
+        for stated in record.covariances:
+            present = [k for k, name in enumerate(stated.entries) if name in position]
+            where = np.array([position[stated.entries[k]] for k in present], dtype=np.int64)
+            covariance = stated.matrix[np.ix_(present, present)]
+            scale = np.sqrt(np.diag(covariance))
+            block = covariance / np.outer(scale, scale)
+            own = np.isin(where, replaced)
+            correlation[np.ix_(where[own], where)] = block[own]
+            correlation[np.ix_(where, where[own])] = block[:, own]
+    return correlation
+
+
+def _is_part(name: str, key: str) -> bool:
+    return name == key or name.startswith((f"{key}[", f"{key}."))
+
+
+def covariance_square_root(covariance: FloatArray) -> FloatArray:
+    """Return R (p, r) with ``R @ R.T`` the covariance (p, p); r is the rank."""
+    sigmas = np.sqrt(np.diag(covariance))
+    uncertain = np.flatnonzero(sigmas > 0.0)
+    if not uncertain.size:
+        return np.zeros((len(sigmas), 0))
+    scale = np.outer(sigmas[uncertain], sigmas[uncertain])
+    values, vectors = np.linalg.eigh(covariance[np.ix_(uncertain, uncertain)] / scale)
+    significant = values > RELATIVE_ROUNDING * values[-1]
+    root = np.zeros((len(sigmas), int(significant.sum())))
+    root[uncertain] = sigmas[uncertain, None] * vectors[:, significant] * np.sqrt(values[significant])
+    return root
+
+
+@dataclass(frozen=True)
+class CovarianceSquareRoot:
+    """Sparse square root of the parameters' covariance: each parameter as a sum of standard normal factors.
+
+    Attributes:
+        spans: For each parameter its first factor, the number of consecutive factors (zero: exact parameter), and the
+            index of its first coefficient, (p, 3).
+        coefficients: Coefficients of the factors, parameter after parameter, (n,).
+        factor_count: Number of independent standard normal factors.
+
+    """
+
+    spans: IntArray
+    coefficients: FloatArray
+    factor_count: int
+
+    @staticmethod
+    def of(sigmas: FloatArray, correlation: FloatArray | None = None) -> CovarianceSquareRoot:
+        """Return the square root for standard uncertainties (p,) and correlations (p, p); None: independent.
+
+        A parameter without correlations has one factor of its own. Each block of correlated parameters has as many
+        factors as its rank.
+        """
+        uncertain = np.flatnonzero(sigmas > 0.0)
+        spans = np.zeros((sigmas.size, 3), dtype=np.int64)
+        coefficients: list[FloatArray] = [np.zeros(0)]
+        factors = stored = 0
+        for block in _correlated_blocks(uncertain, correlation):
+            root = sigmas[block, None]
+            if correlation is not None and block.size > 1:
+                root = root * covariance_square_root(correlation[np.ix_(block, block)])
+            count = root.shape[1]
+            spans[block, 0], spans[block, 1] = factors, count
+            spans[block, 2] = stored + count * np.arange(block.size)
+            coefficients.append(root.ravel())
+            factors, stored = factors + count, stored + root.size
+        return CovarianceSquareRoot(spans, np.concatenate(coefficients), factors)
+
+    def dense(self) -> FloatArray:
+        """Return the square root as a matrix, (p, factor_count)."""
+        matrix = np.zeros((len(self.spans), self.factor_count))
+        for row, (first, count, begin) in zip(matrix, self.spans, strict=True):
+            row[first : first + count] = self.coefficients[begin : begin + count]
+        return matrix
+
+
+def _correlated_blocks(parameters: IntArray, correlation: FloatArray | None) -> list[IntArray]:
+    """Split parameters (k,) into blocks without correlations between them, ordered by first parameter."""
+    if correlation is None:
+        return list(parameters[:, None])
+    linked = correlation[np.ix_(parameters, parameters)] != 0.0
+    labels, previous = np.arange(parameters.size), np.empty(0, dtype=np.int64)
+    while not np.array_equal(labels, previous):  # each parameter takes the smallest label among its neighbours
+        labels, previous = np.where(linked, labels, parameters.size).min(axis=1, initial=parameters.size), labels
+    return [parameters[labels == label] for label in np.unique(labels)]

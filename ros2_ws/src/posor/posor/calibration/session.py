@@ -1,0 +1,23 @@
+"""Values of a calibration that change from one measuring session to the next."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from posor.calibration.file_model import FrozenModel
+from posor.calibration.quantity import ANY, Quantity, measured
+
+
+class Session(FrozenModel):
+    """Replacements for one session; all other values stay.
+
+    Attributes:
+        note: Origin of the replacements.
+        zero_shifts: Added to the voltage of each gap probe [V] (thesis table 8.1).
+        diode_map: Name of the diode maps to use, a key of the diodes' ``maps``.
+
+    """
+
+    note: str
+    zero_shifts: Annotated[Quantity, measured("V", ANY)] | None = None
+    diode_map: str | None = None

@@ -1,0 +1,288 @@
+"""Read YAML files strictly, and name file, line and key of every problem.
+
+Duplicate keys, several documents, recursive aliases, aliases that expand to too much, and deep nesting are refused.
+Only plain decimals are numbers: YAML 1.1 reads ``010`` as 8, ``1:30`` as 90 and ``2e-5`` as text. Here the first two
+are text, which is then refused where a number is expected, and the last is a number.
+
+Positions come from PyYAML's nodes: ``ruamel.yaml``, which keeps positions itself, takes nine times as long to load a
+calibration file, and needs the same code for strictness and dotted keys.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import yaml
+from pydantic import ValidationError
+
+from posor.calibration.file_model import first_problem, format_value
+from posor.errors import CalibrationError
+from posor.input_text import read_input_text
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+Document = TypeVar("Document")
+
+_MAX_DEPTH = 50
+_MAX_NODES = 200_000
+"""Largest number of nodes with all aliases expanded; the largest calibration files have some 10,000."""
+_INTEGER = "tag:yaml.org,2002:int"
+_FLOAT = "tag:yaml.org,2002:float"
+
+
+class StrictLoader(yaml.SafeLoader):
+    """PyYAML's safe loader, stricter."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._open: list[str | None] = []
+        self._nodes = 0  # so far, aliases expanded
+        self._nodes_of: dict[str | None, int] = {}  # of each anchor
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        """Compose a node; refuse recursive aliases and deep nesting."""
+        event: Any = self.peek_event()  # type: ignore[no-untyped-call]
+        mark = event.start_mark
+        if isinstance(event, yaml.AliasEvent):
+            if event.anchor in self._open:
+                problem = f"alias '{event.anchor}' is inside its own anchor"
+                raise yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
+            self._count(self._nodes_of.get(event.anchor, 0), mark)
+            return super().compose_node(parent, index)
+        if len(self._open) == _MAX_DEPTH:
+            raise yaml.MarkedYAMLError(problem="it is nested too deeply", problem_mark=mark)
+        before = self._nodes
+        self._count(1, mark)
+        self._open.append(event.anchor)
+        node = super().compose_node(parent, index)
+        self._open.pop()
+        if event.anchor is not None:
+            self._nodes_of[event.anchor] = self._nodes - before
+        return node
+
+    def _count(self, nodes: int, mark: yaml.Mark) -> None:
+        self._nodes += nodes
+        if self._nodes > _MAX_NODES:
+            problem = f"with its aliases expanded it has more than {_MAX_NODES} entries"
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
+
+    def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:  # PyYAML's stubs call it a dict
+        """Compose a mapping; refuse duplicate keys."""
+        node = super().compose_mapping_node(anchor)
+        lines: dict[tuple[str, str], int] = {}
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode):
+                name = (key.tag, key.value)
+                if name in lines:
+                    problem = f"duplicate key '{key.value}', also in line {lines[name]}"
+                    raise yaml.MarkedYAMLError(problem=problem, problem_mark=key.start_mark)
+                lines[name] = key.start_mark.line + 1
+        return node
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> object:  # noqa: FBT001, FBT002  PyYAML's
+        """Construct an object; report text that Python cannot convert as an error of the file."""
+        try:
+            return super().construct_object(node, deep)
+        except (ValueError, ArithmeticError, LookupError, AttributeError, TypeError) as error:
+            problem = str(error) if isinstance(error, ValueError) else f"'{node.value}' does not fit the tag {node.tag}"
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark) from error
+
+
+class FastLoader(StrictLoader):
+    """The same on the parser of libyaml, many times as fast."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__("")
+        self._parser: Any = yaml.CSafeLoader(text)
+
+    def check_event(self, *choices: Any) -> bool:
+        """Return whether the next event is of one of these types."""
+        return bool(self._parser.check_event(*choices))
+
+    def peek_event(self) -> Any:
+        """Return the next event without consuming it."""
+        return self._parser.peek_event()
+
+    def get_event(self) -> Any:
+        """Consume the next event."""
+        return self._parser.get_event()
+
+
+StrictLoader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if tag not in (_INTEGER, _FLOAT)]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_NUMBERS = (
+    (_INTEGER, re.compile(r"[-+]?(?:0|[1-9][0-9]*)$"), list("-+0123456789")),
+    (
+        _FLOAT,
+        re.compile(
+            r"""[-+]?(?:(?:0|[1-9][0-9]*)\.[0-9]*(?:[eE][-+]?[0-9]+)?
+            |\.[0-9]+(?:[eE][-+]?[0-9]+)?
+            |(?:0|[1-9][0-9]*)[eE][-+]?[0-9]+
+            |\.(?:inf|Inf|INF))$
+            |\.(?:nan|NaN|NAN)$""",
+            re.VERBOSE,
+        ),
+        list("-+.0123456789"),
+    ),
+)
+for _tag, _pattern, _first in _NUMBERS:
+    StrictLoader.add_implicit_resolver(_tag, _pattern, _first)
+
+
+class StrictDumper(yaml.SafeDumper):
+    """PyYAML's safe dumper; quotes text that any YAML version reads as a number, such as ``3e-06``."""
+
+
+for _tag, _pattern, _first in _NUMBERS:
+    StrictDumper.add_implicit_resolver(_tag, _pattern, _first)
+
+
+def parse_yaml(text: str, source: str) -> tuple[yaml.Node | None, object]:
+    """Return the root node of a YAML document, which knows line numbers, and its content.
+
+    Args:
+        text: The document.
+        source: Name of the document in errors, such as the path of the file.
+
+    Raises:
+        CalibrationError: The text is not YAML, or is ambiguous YAML.
+
+    """
+    try:
+        return _compose(FastLoader(text) if yaml.__with_libyaml__ else StrictLoader(text))
+    except yaml.YAMLError:
+        pass  # repeated below for the error messages of PyYAML's own parser
+    try:
+        return _compose(StrictLoader(text))
+    except yaml.reader.ReaderError as error:
+        line = text.count("\n", 0, error.position) + 1
+        problem = f"it contains the control character 0x{ord(text[error.position]):02X}"
+        raise CalibrationError(f"is not YAML: {problem}", where=f"{source}, line {line}") from error
+    except yaml.MarkedYAMLError as error:
+        where = f"{source}, line {error.problem_mark.line + 1}" if error.problem_mark else source
+        problem = ", ".join(part for part in (error.context, error.problem) if part)
+        raise CalibrationError(f"is not YAML: {problem}", where=where) from error
+
+
+def _compose(loader: StrictLoader) -> tuple[yaml.Node | None, object]:
+    root = loader.get_single_node()
+    return root, None if root is None else loader.construct_document(root)
+
+
+@dataclass(frozen=True)
+class FileLocations:
+    """Finds file, line and key of the entries of a YAML file.
+
+    Attributes:
+        source: Name of the file.
+        root: Its root node, from ``parse_yaml``.
+
+    """
+
+    source: str
+    root: yaml.Node | None
+
+    def describe(self, *location: str | int) -> str:
+        """Return ``file, line n, key a.b[0].c``.
+
+        Args:
+            location: Keys and indices of the entry. Parts that are not in the file (a missing key, the tag of a union)
+                are left out. A part with dots may be nested mappings in the file.
+
+        """
+        node = self.root
+        line = 1
+        key = ""
+        parts = [*reversed(location)]
+        while parts:
+            part = parts.pop()
+            if isinstance(node, yaml.MappingNode):
+                entry = _find_entry(node, str(part))
+                if entry is not None:
+                    name, node = entry
+                    line = name.start_mark.line + 1
+                    key += f".{name.value}"
+                    if name.value != str(part):
+                        parts.append(str(part).removeprefix(f"{name.value}."))
+            elif isinstance(node, yaml.SequenceNode) and isinstance(part, int) and part < len(node.value):
+                node = node.value[part]
+                line = node.start_mark.line + 1
+                key += f"[{part}]"
+        return f"{self.source}, line {line}" + (f", key {key.lstrip('.')}" if key else "")
+
+
+def _find_entry(node: yaml.MappingNode, key: str) -> tuple[yaml.Node, yaml.Node] | None:
+    """Return key and value nodes of a key, or else of a mapping whose name is the first part of a dotted key."""
+    exact = [entry for entry in node.value if entry[0].value == key]
+    groups = [entry for entry in node.value if key.startswith(f"{entry[0].value}.")]
+    # Keys from a merge come before the keys that replace them.
+    return next(iter([*reversed(exact), *reversed(groups)]), None)
+
+
+def read_text(path: Path, kind: str) -> str:
+    """Return the text of a file; ``kind`` names the kind of file in errors.
+
+    Raises:
+        CalibrationError: The file cannot be read.
+
+    """
+    try:
+        return read_input_text(path)
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise CalibrationError(
+            f"cannot be read: {reason}", where=f"{kind} {path}", expected=f"a YAML {kind}"
+        ) from error
+
+
+def load_document(
+    path: Path, kind: str, keys: str, version: int, validate: Callable[[dict[str, Any]], Document]
+) -> tuple[Document, FileLocations]:
+    """Read and validate a YAML file that states the version of its format.
+
+    Args:
+        path: The file.
+        kind: Kind of file in errors, such as ``calibration file``.
+        keys: Required keys, for the error of a file that is not a mapping.
+        version: Version of the format.
+        validate: Converts the content to the document; raises pydantic's ValidationError.
+
+    Raises:
+        CalibrationError: The file cannot be read, is not YAML, or has invalid content.
+
+    """
+    return parse_document(read_text(path, kind), str(path), keys, (version,), validate)
+
+
+def parse_document(
+    text: str, source: str, keys: str, versions: tuple[int, ...], validate: Callable[[dict[str, Any]], Document]
+) -> tuple[Document, FileLocations]:
+    """Validate a YAML document as ``load_document`` does; ``source`` is its name in errors.
+
+    Raises:
+        CalibrationError: The text is not YAML, or has invalid content.
+
+    """
+    root, content = parse_yaml(text, source)
+    locations = FileLocations(source, root)
+    if not isinstance(content, dict):
+        raise CalibrationError("is not a mapping", where=f"{source}, line 1", expected=keys)
+    version = content.get("version")
+    if type(version) is not int or version not in versions:  # True and 1.0 are equal to 1
+        what = f"version {format_value(version)}" if "version" in content else "key 'version' is missing"
+        known = " or ".join(", ".join(str(number) for number in versions).rsplit(", ", 1))
+        if type(version) is int and version > max(versions):
+            known += f", or a later release of this software, which reads version {version}"
+        raise CalibrationError(what, where=locations.describe("version"), expected=known)
+    try:
+        return validate(content), locations
+    except ValidationError as error:
+        problem = first_problem(error)
+        where = locations.describe(*problem.location)
+        raise CalibrationError(problem.what, where=where, expected=problem.expected) from error

@@ -1,0 +1,188 @@
+"""The arm file: URDF, beams, calibrations, driver and scenario of an arm.
+
+Versions of the format:
+
+1. First version: ``urdf``, ``endpoint_frame``, ``beams``, ``joints``, ``chain``, ``driver``, ``scenario``.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Literal, Self
+
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+
+from posor.calibration.calibration_file import Calibration, Provenance, load_calibration
+from posor.calibration.file_model import EntryError, FrozenModel, format_value
+from posor.calibration.yaml_document import load_document
+from posor.chain.kinematic_chain import Chain, load_chain
+from posor.errors import CalibrationError, ChainError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+VERSION = 1
+
+
+def _check_ros_name(name: str) -> str:
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+        raise EntryError(f"name {format_value(name)}", expected="a letter, then letters, digits and underscores")
+    return name
+
+
+def _check_parameter_value(value: object) -> object:
+    if isinstance(value, bool | int | float | str) or (
+        isinstance(value, list) and all(isinstance(entry, str) for entry in value)
+    ):
+        return value
+    raise EntryError(format_value(value), expected="true, false, a number, a text or a list of texts")
+
+
+Name = Annotated[str, AfterValidator(_check_ros_name)]
+ParameterValue = bool | int | float | str | list[str]
+
+
+ParameterValues = dict[str, Annotated[ParameterValue, BeforeValidator(_check_parameter_value)]]
+
+
+class JointFile(FrozenModel):
+    """Calibration file and session of the POSOR of a joint, and further ROS parameters of its posor_node."""
+
+    calibration: str
+    session: str = ""
+    parameters: ParameterValues = Field(default_factory=dict)
+
+
+class DriverFile(FrozenModel):
+    """Source of the scans, and ROS parameters of all driver_nodes of the arm."""
+
+    source: str
+    parameters: ParameterValues = Field(default_factory=dict)
+
+
+class ChainFile(FrozenModel):
+    """ROS parameters of the arm's chain_node, besides the files named by the arm file."""
+
+    parameters: ParameterValues = Field(default_factory=dict)
+
+
+class ArmFile(FrozenModel):
+    """Content of an arm file; paths are relative to the file."""
+
+    format: Literal["posor_arm"]
+    version: Literal[1]
+    name: Name
+    provenance: Provenance
+    urdf: str
+    endpoint_frame: str = "endpoint"
+    beams: str = ""
+    joints: dict[str, JointFile]
+    chain: ChainFile = ChainFile()
+    driver: DriverFile
+    scenario: str = ""
+
+    @model_validator(mode="after")
+    def _require_scenario(self) -> Self:
+        if self.driver.source == "simulated" and not self.scenario:
+            raise EntryError("key 'scenario' is missing", expected="the simulator's scenario file")
+        return self
+
+
+@dataclass(frozen=True)
+class Arm:
+    """An arm file with its paths resolved.
+
+    Attributes:
+        path: The arm file.
+        name: The arm's name, also its ROS namespace.
+        urdf: Path of the URDF.
+        endpoint_frame: Link of the endpoint.
+        beams: Path of the beams file; None: straight and exact beams.
+        calibrations: Path of each joint's calibration file, in the order of the chain.
+        sessions: Session of each joint's calibration.
+        posor_parameters: ROS parameters of each joint's posor_node, besides calibration and session.
+        chain_parameters: ROS parameters of chain_node, besides the files named by the arm file.
+        parameter_locations: File, line and key of these parameters, by joint ('' for chain_node) and name.
+        driver: Source and parameters of the drivers.
+        scenario: Path of the simulator's scenario; None: no scenario.
+
+    """
+
+    path: Path
+    name: str
+    urdf: Path
+    endpoint_frame: str
+    beams: Path | None
+    calibrations: Mapping[str, Path]
+    sessions: Mapping[str, str]
+    posor_parameters: Mapping[str, Mapping[str, ParameterValue]]
+    chain_parameters: Mapping[str, ParameterValue]
+    parameter_locations: Mapping[tuple[str, str], str]
+    driver: DriverFile
+    scenario: Path | None
+
+    def chain(self) -> Chain:
+        """Return the arm's kinematic chain.
+
+        Raises:
+            ChainError: The URDF is invalid, or its POSOR joints differ from those of the arm file.
+            CalibrationError: The beams file is invalid.
+
+        """
+        chain = load_chain(self.urdf, self.endpoint_frame, self.beams)
+        joints = tuple(joint.name for joint in chain.joints)
+        if set(joints) != set(self.calibrations):
+            named = ", ".join(self.calibrations) or "none"
+            expected = f"{', '.join(joints)}, the floating joints of {self.urdf}"
+            raise ChainError(f"joints {named}", where=str(self.path), expected=expected)
+        return chain
+
+    def calibration(self, joint: str) -> Calibration:
+        """Return the calibration of a joint with its session applied.
+
+        Raises:
+            CalibrationError: The file is invalid.
+
+        """
+        return load_calibration(self.calibrations[joint]).for_session(self.sessions[joint])
+
+
+def load_arm(path: Path) -> Arm:
+    """Read an arm file, without opening the files that it names.
+
+    Raises:
+        CalibrationError: The file cannot be read, is not YAML, or has invalid content.
+
+    """
+    if path.is_dir() or not path.exists():
+        raise CalibrationError(
+            "does not exist",
+            where=f"arm file {path}",
+            expected="the path of an arm file, such as share/posor_bringup/arms/five_axis/arm.yaml",
+        )
+    keys = "format, version, name, provenance, urdf, joints, driver"
+    content, locations = load_document(path, "arm file", keys, VERSION, ArmFile.model_validate)
+    folder = path.resolve().parent
+    return Arm(
+        path=path,
+        name=content.name,
+        urdf=folder / content.urdf,
+        endpoint_frame=content.endpoint_frame,
+        beams=folder / content.beams if content.beams else None,
+        calibrations={name: folder / joint.calibration for name, joint in content.joints.items()},
+        sessions={name: joint.session for name, joint in content.joints.items()},
+        posor_parameters={name: joint.parameters for name, joint in content.joints.items()},
+        chain_parameters=content.chain.parameters,
+        parameter_locations={
+            **{("", name): locations.describe("chain", "parameters", name) for name in content.chain.parameters},
+            **{
+                (joint, name): locations.describe("joints", joint, "parameters", name)
+                for joint, entry in content.joints.items()
+                for name in entry.parameters
+            },
+        },
+        driver=content.driver,
+        scenario=folder / content.scenario if content.scenario else None,
+    )

@@ -1,0 +1,94 @@
+"""Geometry of an arm for the kernels: the elements on the way from the base to the endpoint, with named fields."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from posor.chain.joint_measurements import RecordArray
+    from posor.chain.measuring_beam import MeasuringBeam
+    from posor.chain.robot_model import RobotModel
+    from posor.numerics.array_types import FloatArray
+
+NO_INDEX = -1
+ELEMENT = np.dtype([("joint", np.int64), ("beam", np.int64), ("rotation", float, (3, 3)), ("translation", float, 3)])
+"""A moving element, which is a joint or a beam (index, or ``NO_INDEX``), and the fixed transform before it."""
+BEAM = np.dtype(
+    [
+        ("rotation", float, (3, 3)),  # start to end without sag
+        ("translation", float, 3),  # [m]
+        # Effect of a specific force [m/s^2] in the axes of the beam's start:
+        ("shift_gain", float, (3, 3)),  # shift of the end relative to the start [m], axes of the start
+        ("start_turn_gain", float, (3, 3)),  # turn of the start [rad], axes of the start
+        ("end_turn_gain", float, (3, 3)),  # turn of the end [rad], axes of the end
+        ("sigma_shift_gain", float, (3, 3)),  # one standard deviation of the sag: translation [m], axes of the start
+        ("sigma_turn_gain", float, (3, 3)),  # the same: rotation [rad], axes of the start
+        ("covariance", float, (6, 6)),  # ``MeasuringBeam.covariance``
+    ]
+)
+
+
+class ArmGeometry(NamedTuple):
+    """An arm of j joints and b beams, of which k are on the way to the endpoint.
+
+    Attributes:
+        elements: Elements on the way, then one without joint and beam for the endpoint, (k + 1,) of ``ELEMENT``.
+        beams: (b,) of ``BEAM``.
+        joint_origins: Rotation of each joint's origin in its parent link, (j, 3, 3).
+        joint_positions: Each joint's origin in its parent link [m], (j, 3).
+        gravity: [m/s^2], (3,), axes of the base.
+
+    """
+
+    elements: RecordArray
+    beams: RecordArray
+    joint_origins: FloatArray
+    joint_positions: FloatArray
+    gravity: FloatArray
+
+    @classmethod
+    def from_model(cls, robot: RobotModel, beams: Sequence[MeasuringBeam], gravity: FloatArray) -> ArmGeometry:
+        """Return the geometry of an arm.
+
+        Args:
+            robot: The model of its URDF.
+            beams: Its measuring beams, in the order of ``robot.freed``.
+            gravity: [m/s^2], (3,), axes of the base.
+
+        """
+        elements = []
+        for index in robot.path():
+            joint, beam = (
+                next((n for n, each in enumerate(joints) if each.index == index), NO_INDEX)
+                for joints in (robot.joints, robot.freed)
+            )
+            frame = (robot.joints[joint] if beam == NO_INDEX else robot.freed[beam]).T_before_parent
+            elements.append((joint, beam, frame.rotation, frame.translation))
+        frame = robot.T_joint_endpoint
+        elements.append((NO_INDEX, NO_INDEX, frame.rotation, frame.translation))
+        return cls(
+            np.array(elements, dtype=ELEMENT),
+            np.array([_beam_record(beam) for beam in beams], dtype=BEAM),
+            np.array([joint.T_parent_joint.rotation for joint in robot.joints]),
+            np.array([joint.T_parent_joint.translation for joint in robot.joints]),
+            np.array(gravity, dtype=float),
+        )
+
+
+def _beam_record(beam: MeasuringBeam) -> tuple[FloatArray, ...]:
+    """Return the fields of ``BEAM``."""
+    span, sigma_gain = beam.T_start_end, beam.sag_sigma * beam.sag_gain
+    return (
+        span.rotation,
+        span.translation,
+        beam.end_gain[:3] - beam.start_gain[:3],
+        beam.start_gain[3:],
+        span.rotation.T @ beam.end_gain[3:],
+        sigma_gain[:3],
+        sigma_gain[3:],
+        beam.covariance,
+    )

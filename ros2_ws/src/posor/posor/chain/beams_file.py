@@ -1,0 +1,165 @@
+"""The beams file, version 2: uncertainty, sag and temperature of an arm's beams, whose transforms are in the URDF.
+
+Versions of the format:
+
+1. First version: ``gravity`` and ``beams``, each with ``uncertainty`` and, where it sags, ``sag``. Still read.
+2. ``temperature`` of a beam: coefficient of expansion, and largest deviation from the temperature of the URDF.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from posor.calibration.calibration_file import Provenance
+from posor.calibration.file_model import EntryError, FrozenModel
+from posor.calibration.quantity import Quantity, measured
+from posor.calibration.yaml_document import parse_document, read_text
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+FILE_KIND = "beams file"
+VERSION = 2
+FORMER_VERSIONS = (1,)
+STANDARD_GRAVITY = 9.80665
+"""[m/s^2] (ISO 80000-3)."""
+
+
+class TubeFile(FrozenModel):
+    """A round tube."""
+
+    outer_diameter: Annotated[Quantity, measured("m")]
+    inner_diameter: Annotated[Quantity, measured("m")]
+    modulus: Annotated[Quantity, measured("Pa")]
+    density: Annotated[Quantity, measured("kg/m^3")]
+
+    @model_validator(mode="after")
+    def _check_values(self) -> Self:
+        inner, outer = self.inner_diameter.number, self.outer_diameter.number
+        if not 0.0 <= inner < outer:
+            expected = f"0 to less than {outer:g} m, the outer"
+            raise EntryError(f"inner_diameter {inner:g} m", key=("inner_diameter",), expected=expected)
+        for name, quantity in (("modulus", self.modulus), ("density", self.density)):
+            if not quantity.number > 0.0:
+                raise EntryError(f"{name} {quantity.number:g}", key=(name,), expected="more than 0")
+        return self
+
+
+class PlateFile(FrozenModel):
+    """A plate of a POSOR on the beam: its mass and its distance from the beam's start."""
+
+    name: str
+    at: Annotated[Quantity, measured("m")]
+    mass: Annotated[Quantity, measured("kg")]
+
+    @model_validator(mode="after")
+    def _check_values(self) -> Self:
+        if self.mass.number < 0.0:
+            raise EntryError(f"mass {self.mass.number:g} kg", key=("mass",), expected="0 kg or more")
+        return self
+
+
+class SagFile(FrozenModel):
+    """Causes of the sag: tube, plates and gimbals of the beam.
+
+    ``uncertainty`` is the relative standard uncertainty of the sag computed from them.
+    """
+
+    tube: TubeFile
+    gimbals: Annotated[Quantity, measured("m", 2)]
+    plates: tuple[PlateFile, ...] = ()
+    uncertainty: Annotated[Quantity, measured("1")]
+
+    @model_validator(mode="after")
+    def _check_values(self) -> Self:
+        near, far = self.gimbals.array
+        if not near < far:
+            raise EntryError(
+                f"gimbals {self.gimbals.value} m", key=("gimbals",), expected="two distances, the nearer one first"
+            )
+        if self.uncertainty.number < 0.0:
+            raise EntryError(f"uncertainty {self.uncertainty.number:g}", key=("uncertainty",), expected="0 or more")
+        return self
+
+
+class PlacementFile(FrozenModel):
+    """Standard uncertainties of the beam's end relative to its start, axes of the start; the values are in the URDF."""
+
+    position: Annotated[Quantity, measured("m", 3)]
+    orientation: Annotated[Quantity, measured("rad", 3)]
+
+    @model_validator(mode="after")
+    def _check_values(self) -> Self:
+        for name, quantity in (("position", self.position), ("orientation", self.orientation)):
+            if (quantity.array < 0.0).any():
+                raise EntryError(f"{name} {quantity.value}", key=(name,), expected="standard uncertainties, 0 or more")
+        return self
+
+
+class TemperatureFile(FrozenModel):
+    """Amounts of the linear expansion of the beam, and of the largest deviation from the temperature of the URDF."""
+
+    coefficient: Annotated[Quantity, measured("1/K")]
+    deviation: Annotated[Quantity, measured("K")]
+
+    @model_validator(mode="after")
+    def _check_values(self) -> Self:
+        for name, quantity in (("coefficient", self.coefficient), ("deviation", self.deviation)):
+            if quantity.number < 0.0:
+                what = f"{name} {quantity.number:g} {quantity.unit}"
+                raise EntryError(what, key=(name,), expected="an amount, 0 or more")
+        return self
+
+
+class BeamFile(FrozenModel):
+    """One beam; the origin of the fixed URDF joint ``joint`` is its transform at the temperature of the URDF.
+
+    Without ``temperature`` the beam keeps its length.
+    """
+
+    joint: str
+    uncertainty: PlacementFile
+    sag: SagFile | None = None
+    temperature: TemperatureFile | None = None
+
+
+class BeamsFile(FrozenModel):
+    """Content of a beams file. ``gravity`` is in the base frame of the URDF; default: along -Z."""
+
+    format: Literal["posor_beams"]
+    version: Literal[1, 2]
+    name: str
+    provenance: Provenance
+    gravity: Annotated[Quantity, measured("m/s^2", 3)] = Quantity(value=[0.0, 0.0, -STANDARD_GRAVITY], unit="m/s^2")
+    beams: Annotated[list[BeamFile], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _check_version(self) -> Self:
+        for index, beam in enumerate(self.beams):
+            if beam.temperature is not None and self.version < VERSION:
+                what, key = f"temperature in a file of version {self.version}", ("beams", index, "temperature")
+                raise EntryError(what, key=key, expected=f"version {VERSION}")
+        return self
+
+    @model_validator(mode="after")
+    def _check_duplicates(self) -> Self:
+        seen: set[str] = set()
+        for index, beam in enumerate(self.beams):
+            if beam.joint in seen:
+                raise EntryError(f"duplicate beam '{beam.joint}'", key=("beams", index), expected="each beam once")
+            seen.add(beam.joint)
+        return self
+
+
+def load_beams(path: Path) -> BeamsFile:
+    """Read and validate a beams file (YAML, SI).
+
+    Raises:
+        CalibrationError: The file cannot be read, is not YAML, or has invalid content.
+
+    """
+    keys = "format, version, name, provenance, beams"
+    text, versions = read_text(path, FILE_KIND), (*FORMER_VERSIONS, VERSION)
+    return parse_document(text, str(path), keys, versions, BeamsFile.model_validate)[0]

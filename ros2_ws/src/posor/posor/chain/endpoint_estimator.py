@@ -1,0 +1,194 @@
+"""Endpoints at servo rate and of recorded scans: one scan at a time or many, by the same compiled kernel."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+
+from posor.chain.beam_acceleration import BeamHistory
+from posor.chain.forward_kinematics import (
+    HISTORY_FULL,
+    Endpoints,
+    estimate_endpoint_of_rows,
+    estimate_endpoints,
+    write_relative,
+)
+from posor.chain.joint_measurements import FAULT_TEXTS, JointMeasurements, JointRows
+from posor.errors import ChainError
+from posor.numerics.compiled import compile_for
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from posor.chain.arm_geometry import ArmGeometry
+    from posor.chain.joint_measurements import JointRowLayout, MeasuredJoint
+    from posor.numerics.array_types import FloatArray, IntArray
+
+
+class EndpointEstimator:
+    """Estimates endpoints scan after scan; ``Chain.estimator`` makes one.
+
+    Fill ``poses``, ``covariances`` and ``thetas`` in place and call ``estimate``, or fill ``rows`` and call
+    ``estimate_rows``. All arrays stay the same objects from scan to scan. If a joint is unusable, every number of the
+    endpoint is NaN. One scan and many give the same bits; both continue the motion seen before.
+
+    Attributes:
+        joints: Names of the joints, in the order of all arrays of joints.
+        poses: Target plates in receiving plates, (j, 7): x, y, z [m], unit quaternion x, y, z, w.
+        covariances: Of the same, (j, 6, 6), as ``MeasuredJoint.covariance``.
+        thetas: Counted large rotations of the joints [rad], (j,), for ``angles``; NaN: not counted.
+        beam_transforms: Plates at the beams' ends in the plates at their starts, with the sag of the last scan, (b, 7),
+            as ``poses``.
+        accelerations: Of the beams [m/s^2], (b, 3), axes of the base: written if there is an acceleration window, read
+            if there is none.
+        rows: Serialised measurements of one scan, (j, bytes).
+        pose: Endpoint in the base frame, (7,), as ``poses``.
+        covariance: Of the same, (6, 6), as ``Endpoint.covariance``.
+        angles: Joint angles about the nominal axes [rad], (j,).
+        faults: Of the joints, (j,): zero, or a key of ``joint_measurements.FAULT_TEXTS``.
+        relative_pose: Endpoint in the axes at home, (7,), written by ``estimate_relative_to``.
+        relative_covariance: Of the same, (6, 6).
+
+    """
+
+    def __init__(
+        self,
+        arm: ArmGeometry,
+        joints: tuple[str, ...],
+        acceleration_window: float = 0.0,
+        row_layouts: Sequence[JointRowLayout] = (),
+    ) -> None:
+        """Allocate all arrays.
+
+        Args:
+            arm: The arm.
+            joints: Names of its joints.
+            acceleration_window: Time over which the accelerations of the beams are estimated [s]; zero: they are those
+                in ``accelerations``, at first zero.
+            row_layouts: Layouts of the joints' rows, for ``estimate_rows``.
+
+        """
+        self.joints = joints
+        self._arm = arm
+        self._history = BeamHistory.allocate(acceleration_window, len(arm.beams))
+        self._measurements = JointMeasurements.allocate(1, len(joints))
+        self._endpoints = Endpoints.allocate(1, len(joints))
+        self._relative = self._endpoints._replace(poses=np.full((1, 7), np.nan), covariances=np.full((1, 6, 6), np.nan))
+        self._rows = JointRows.allocate(row_layouts)
+        self.rows = self._rows.octets
+        self._stamp_ns, *measured = self._measurements
+        self.poses, self.covariances, self.thetas = (array[0] for array in measured)
+        self.accelerations = self._history.accelerations.reshape(-1, 3)
+        self.beam_transforms = self._history.transforms
+        for row, beam in zip(self.beam_transforms, arm.beams, strict=True):  # without sag; stays of beams off the way
+            row[:] = pin.SE3ToXYZQUAT(pin.SE3(beam["rotation"], beam["translation"]))
+        self.pose, self.covariance, self.angles, self.faults = (array[0] for array in self._endpoints)
+        self.relative_pose, self.relative_covariance = self._relative.poses[0], self._relative.covariances[0]
+        self._prepare_arguments()
+        self._estimate = compile_for(estimate_endpoints, self._arguments)
+        self._estimate_rows = compile_for(estimate_endpoint_of_rows, self._row_arguments)
+
+    def set_measurements(self, measured: Mapping[str, MeasuredJoint]) -> None:
+        """Fill ``poses`` and ``covariances`` with measurements by joint name.
+
+        Raises:
+            ChainError: The measurement of a joint is missing.
+
+        """
+        for number, name in enumerate(self.joints):
+            if name not in measured:
+                raise ChainError(
+                    f"joint '{name}' has no measurement",
+                    where="the chain",
+                    expected=f"a measurement of each of {', '.join(self.joints)}",
+                )
+            self.poses[number] = pin.SE3ToXYZQUAT(measured[name].T_parent_child)
+            self.covariances[number] = measured[name].covariance
+
+    def estimate(self, stamp_ns: int = 0) -> bool:
+        """Estimate the endpoint from ``poses``, ``covariances`` and ``thetas``; return whether there is one.
+
+        Args:
+            stamp_ns: Time of the scan, for the accelerations of the beams. If time goes back, their history is emptied.
+
+        """
+        self._stamp_ns[0] = stamp_ns
+        while self._estimate(*self._arguments) == 0:
+            self._enlarge_history()
+        return not math.isnan(self.pose[0])
+
+    def estimate_rows(self, stamp_ns: int) -> int:
+        """Estimate the endpoint from ``rows``; return the worst state of the joints, negative without an endpoint."""
+        self._stamp_ns[0] = stamp_ns
+        while (worst := self._estimate_rows(*self._row_arguments)) == HISTORY_FULL:
+            self._enlarge_history()
+        return worst
+
+    def estimate_all(
+        self,
+        poses: FloatArray,
+        covariances: FloatArray,
+        stamps_ns: IntArray | None = None,
+        thetas: FloatArray | None = None,
+    ) -> Endpoints:
+        """Return the endpoints of n scans, bit for bit as ``estimate`` gives them one after the other.
+
+        Of the attributes only ``accelerations`` are used.
+
+        Args:
+            poses: (n, j, 7), as the attribute.
+            covariances: (n, j, 6, 6), as the attribute.
+            stamps_ns: Times of the scans, (n,); required with an acceleration window.
+            thetas: (n, j), as the attribute; None: turns are not counted.
+
+        Raises:
+            ChainError: An array has the wrong shape, or there is an acceleration window but no stamps.
+
+        """
+        count, joints = len(poses), len(self.joints)
+        if stamps_ns is None:
+            if len(self._history.stamps_ns):
+                raise ChainError("the endpoints of an arm in motion need stamps", expected=f"{count} stamps")
+            stamps_ns = np.zeros(count, dtype=np.int64)
+        thetas = np.full((count, joints), np.nan) if thetas is None else thetas
+        shapes = {
+            "stamps_ns": (stamps_ns, (count,)),
+            "poses": (poses, (count, joints, 7)),
+            "covariances": (covariances, (count, joints, 6, 6)),
+            "thetas": (thetas, (count, joints)),
+        }
+        for name, (array, shape) in shapes.items():
+            if array.shape != shape:
+                raise ChainError(f"{name} of shape {array.shape}", where="the chain", expected=f"{shape}")
+        # The kernel is compiled for exactly these array types; read-only arrays are copied.
+        measurements = JointMeasurements(
+            np.require(stamps_ns, np.int64, ["C", "A", "W"]),
+            *(np.require(array, np.float64, ["C", "A", "W"]) for array in (poses, covariances, thetas)),
+        )
+        endpoints, done = Endpoints.allocate(count, joints), 0
+        while (done := self._estimate(self._arm, self._history, measurements, endpoints, done)) < count:
+            self._enlarge_history()
+        return endpoints
+
+    def estimate_relative_to(self, home: FloatArray) -> None:
+        """Write ``relative_pose`` and ``relative_covariance``; ``home``, (7,), is an endpoint taken as exact."""
+        endpoints, relative = self._endpoints, self._relative
+        write_relative(home, endpoints.poses, endpoints.covariances, relative.poses, relative.covariances)
+
+    def fault_text(self) -> str:
+        """Return why the last scan has no endpoint; empty if it has one."""
+        faults = zip(self.joints, self.faults.tolist(), strict=True)
+        return "; ".join(f"{name} {FAULT_TEXTS[fault]}" for name, fault in faults if fault)
+
+    def _enlarge_history(self) -> None:
+        self._history = self._history.enlarged()
+        self._prepare_arguments()
+
+    def _prepare_arguments(self) -> None:
+        """Keep the arguments of the kernels, so that a call allocates next to nothing."""
+        workspace = self._arm, self._history, self._measurements, self._endpoints
+        self._arguments: tuple[Any, ...] = (*workspace, 0)
+        self._row_arguments: tuple[Any, ...] = (*workspace, self._rows)

@@ -1,0 +1,272 @@
+"""Pose and covariance of the endpoint in one pass along the arm, with the sag of its beams.
+
+Checked against pinocchio's forward kinematics and Jacobian by ``test/chain/test_endpoint_estimator.py``.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from posor.chain.beam_acceleration import (
+    append_centres,
+    estimate_accelerations,
+    forget_after_gap,
+    has_free_row,
+)
+from posor.chain.endpoint_covariance import (
+    ZERO_COVARIANCE,
+    add_outer_product,
+    add_rotated,
+    moved_along,
+    write_covariance,
+)
+from posor.chain.joint_measurements import ENDPOINT_NOT_FINITE, measurement_fault, read_row
+from posor.model.fault import USABLE_STATES
+from posor.numerics.compiled import in_place, inlined
+from posor.numerics.matrix import Matrix, applied, matrix, product, row_times, transposed, turned_by
+from posor.numerics.pose import rotation_of_pose, write_pose
+from posor.numerics.vector import Vector, at, minus, plus, times, within
+
+if TYPE_CHECKING:
+    from posor.chain.arm_geometry import ArmGeometry
+    from posor.chain.beam_acceleration import BeamHistory
+    from posor.chain.joint_measurements import JointMeasurements, JointRows, RecordArray
+    from posor.numerics.array_types import BoolArray, FloatArray, IntArray
+
+UNUSABLE, HISTORY_FULL = -1, -2
+"""Results of ``estimate_endpoint_of_rows``: there is no endpoint; nothing was done, enlarge the history and repeat."""
+WORST_USABLE_STATE = int(max(USABLE_STATES))
+IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+class Endpoints(NamedTuple):
+    """Endpoints of n scans of an arm of j joints; all numbers of a scan are NaN where a joint has a fault.
+
+    Attributes:
+        poses: Endpoint in the chain's base frame, (n, 7): x, y, z [m], unit quaternion x, y, z, w.
+        covariances: (n, 6, 6), as ``Endpoint.covariance``.
+        angles: Joint angles about the nominal axes [rad], (n, j).
+        faults: (n, j): zero, or a key of ``joint_measurements.FAULT_TEXTS``.
+
+    """
+
+    poses: FloatArray
+    covariances: FloatArray
+    angles: FloatArray
+    faults: IntArray
+
+    @classmethod
+    def allocate(cls, scans: int, joints: int) -> Endpoints:
+        """Return NaN for all scans, without faults."""
+        return cls(
+            np.full((scans, 7), np.nan),
+            np.full((scans, 6, 6), np.nan),
+            np.full((scans, joints), np.nan),
+            np.zeros((scans, joints), dtype=np.int64),
+        )
+
+    @property
+    def usable(self) -> BoolArray:
+        """Which scans have an endpoint, (n,)."""
+        usable: BoolArray = np.all(self.faults == 0, axis=1)
+        return usable
+
+    def relative_to(self, home: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return poses (n, 7) and covariances (n, 6, 6) in the axes of the pose ``home``, (7,), taken as exact."""
+        result = self._replace(poses=np.empty_like(self.poses), covariances=np.empty_like(self.covariances))
+        write_relative(home, self.poses, self.covariances, result.poses, result.covariances)
+        return result.poses, result.covariances
+
+
+@inlined
+def bent_beam(beams: RecordArray, b: int, force: Vector) -> tuple[Matrix, Vector]:
+    """Return the plate at a beam's end in the plate at its start; a specific force [m/s^2] bends the beam."""
+    beam = beams[b]
+    rotation = turned_by(IDENTITY, times(-1.0, applied(matrix(beam["start_turn_gain"], 0), force)))
+    span = plus(at(beam["translation"], 0), applied(matrix(beam["shift_gain"], 0), force))
+    translation = applied(rotation, span)
+    rotation = product(rotation, matrix(beam["rotation"], 0))
+    return turned_by(rotation, applied(matrix(beam["end_turn_gain"], 0), force)), translation
+
+
+@inlined
+def compute_endpoint(
+    arm: ArmGeometry,
+    history: BeamHistory,
+    poses: FloatArray,
+    covariances: FloatArray,
+    endpoint: FloatArray,
+    endpoint_covariance: FloatArray,
+) -> None:
+    """Compute pose and covariance of the endpoint.
+
+    Args:
+        arm: The arm.
+        history: ``accelerations`` are read, ``centres`` and ``transforms`` are written.
+        poses: Of the joints in this scan, (j, 7).
+        covariances: Of the joints in this scan, (j, 6, 6).
+        endpoint: Pose to write, (7,), in the base.
+        endpoint_covariance: Covariance to write, (6, 6), ROS order, axes of the base.
+
+    """
+    # ``unbent`` is the rotation if no beam before sagged: gravity across a beam needs it to first order only.
+    rotation = unbent = IDENTITY
+    last = translation = (0.0, 0.0, 0.0)
+    blocks = ZERO_COVARIANCE
+    for n in range(arm.elements.shape[0]):
+        element = arm.elements[n]
+        fixed = matrix(element["rotation"], 0)
+        translation = plus(translation, applied(rotation, at(element["translation"], 0)))
+        parent = rotation = product(rotation, fixed)
+        unbent = product(unbent, fixed)
+        j, b = element["joint"], element["beam"]
+        if j >= 0:
+            translation = plus(translation, applied(rotation, within(poses, j)))
+            turn = rotation_of_pose(poses[j])
+            rotation, unbent = product(rotation, turn), product(unbent, turn)
+            blocks = add_rotated(moved_along(blocks, minus(translation, last)), parent, covariances[j])
+        elif b >= 0:
+            beam = arm.beams[b]
+            half_span = times(0.5, applied(rotation, at(beam["translation"], 0)))
+            centres = history.centres
+            centres[3 * b], centres[3 * b + 1], centres[3 * b + 2] = plus(translation, half_span)
+            force = row_times(minus(at(arm.gravity, 0), at(history.accelerations, 3 * b)), unbent)
+            turn, span = bent_beam(arm.beams, b, force)
+            write_pose(turn, span, history.transforms[b])
+            rotation, translation = product(rotation, turn), plus(translation, applied(rotation, span))
+            unbent = product(unbent, matrix(beam["rotation"], 0))
+            blocks = add_rotated(moved_along(blocks, minus(translation, last)), parent, beam["covariance"])
+            shift = applied(parent, applied(matrix(beam["sigma_shift_gain"], 0), force))
+            turn_vector = applied(parent, applied(matrix(beam["sigma_turn_gain"], 0), force))
+            blocks = add_outer_product(blocks, shift, turn_vector)
+        else:
+            blocks = moved_along(blocks, minus(translation, last))
+        last = translation
+    write_covariance(blocks, endpoint_covariance)
+    write_pose(rotation, translation, endpoint)
+
+
+@inlined
+def joint_angle(pose: FloatArray, origin: FloatArray, theta: float) -> float:
+    """Return the angle of a joint about its nominal axis [rad]: the heading of the target's Y axis about that axis.
+
+    Args:
+        pose: Target plate in receiving plate, (7,).
+        origin: Rotation of the joint's origin in the receiving plate, (3, 3).
+        theta: Counted heading about Z of the receiving plate [rad], which gives the number of turns; NaN: not counted,
+            the angle is in (-pi, pi].
+
+    """
+    turn = rotation_of_pose(pose)
+    heading = turn[0][1], turn[1][1], turn[2][1]
+    x, y, _ = row_times(heading, matrix(origin, 0))
+    if math.isnan(theta):
+        return math.atan2(-x, y)
+    return theta + math.atan2(y * heading[0] - x * heading[1], y * heading[1] + x * heading[0])
+
+
+@in_place
+def estimate_endpoints(
+    arm: ArmGeometry, history: BeamHistory, measurements: JointMeasurements, endpoints: Endpoints, begin: int
+) -> int:
+    """Write the endpoints of the scans from ``begin`` on.
+
+    A scan with an unusable joint gets NaN and the fault of the joint, and does not enter the history of the beams.
+
+    Returns:
+        The number of scans when all are done; else the scan for which ``history`` must be enlarged.
+
+    """
+    moving = history.window[0]["length_ns"] > 0
+    count: int = measurements.stamps_ns.shape[0]
+    for n in range(begin, count):
+        poses, covariances, stamp_ns = measurements.poses[n], measurements.covariances[n], measurements.stamps_ns[n]
+        faults, angles = endpoints.faults[n], endpoints.angles[n]
+        usable = True
+        for j in range(faults.shape[0]):
+            theta, origin = measurements.thetas[n, j], arm.joint_positions[j]
+            faults[j] = measurement_fault(poses[j], covariances[j], theta, origin, endpoints.covariances[n])
+            usable = usable and faults[j] == 0
+        if not usable:
+            write_nan(endpoints, n)
+            continue
+        if moving:
+            if not has_free_row(history):
+                return n
+            forget_after_gap(stamp_ns, history)
+            estimate_accelerations(history)
+        compute_endpoint(arm, history, poses, covariances, endpoints.poses[n], endpoints.covariances[n])
+        if not is_finite(endpoints, n):
+            write_nan(endpoints, n)
+            for j in range(faults.shape[0]):
+                faults[j] = ENDPOINT_NOT_FINITE
+            continue
+        if moving:
+            append_centres(stamp_ns, history)
+        for j in range(faults.shape[0]):
+            angles[j] = joint_angle(poses[j], arm.joint_origins[j], measurements.thetas[n, j])
+    return count
+
+
+@in_place
+def estimate_endpoint_of_rows(
+    arm: ArmGeometry, history: BeamHistory, measurements: JointMeasurements, endpoints: Endpoints, rows: JointRows
+) -> int:
+    """Read the joints of one scan from serialised rows into ``measurements`` and write its endpoint.
+
+    Returns:
+        The worst state of the joints, ``UNUSABLE`` or ``HISTORY_FULL``. Faults are zero where a state is the reason.
+
+    """
+    worst = 0
+    for j in range(rows.numbers.shape[0]):
+        worst = max(worst, int(rows.octets[j, rows.layouts[j]["state"]]))
+        endpoints.faults[0, j] = 0
+    if worst > WORST_USABLE_STATE:
+        write_nan(endpoints, 0)
+        return UNUSABLE
+    for j in range(rows.numbers.shape[0]):
+        measurements.thetas[0, j] = read_row(
+            rows.layouts, j, rows.numbers[j], measurements.poses[0, j], measurements.covariances[0, j]
+        )
+    if estimate_endpoints(arm, history, measurements, endpoints, 0) == 0:
+        return HISTORY_FULL
+    return UNUSABLE if math.isnan(endpoints.poses[0, 0]) else worst
+
+
+@inlined
+def is_finite(endpoints: Endpoints, n: int) -> bool:
+    """Return whether pose and variances of a scan's endpoint are finite; no covariance exceeds the variances."""
+    total = 0.0
+    for i in range(7):
+        total += abs(endpoints.poses[n, i])
+    for i in range(6):
+        total += abs(endpoints.covariances[n, i, i])
+    return math.isfinite(total)
+
+
+@in_place
+def write_nan(endpoints: Endpoints, n: int) -> None:
+    """Write NaN into all numbers of a scan that has no endpoint."""
+    for i in range(7):
+        endpoints.poses[n, i] = math.nan
+    for i in range(6):
+        for k in range(6):
+            endpoints.covariances[n, i, k] = math.nan
+    for j in range(endpoints.angles.shape[1]):
+        endpoints.angles[n, j] = math.nan
+
+
+@in_place
+def write_relative(
+    home: FloatArray, poses: FloatArray, covariances: FloatArray, relative: FloatArray, relative_covariances: FloatArray
+) -> None:
+    """Write poses (n, 7) and covariances (n, 6, 6) in the axes of the pose ``home``, (7,), which is taken as exact."""
+    back = transposed(rotation_of_pose(home))
+    for n in range(poses.shape[0]):
+        translation = applied(back, minus(within(poses, n), at(home, 0)))
+        write_pose(product(back, rotation_of_pose(poses[n])), translation, relative[n])
+        write_covariance(add_rotated(ZERO_COVARIANCE, back, covariances[n]), relative_covariances[n])

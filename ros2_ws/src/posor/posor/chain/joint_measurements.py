@@ -1,0 +1,256 @@
+"""Measurements of the joints as the chain takes them: one by name, many in arrays, or as rows of message bytes."""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from posor.numerics.compiled import inlined
+from posor.numerics.pose import rotation_of_pose
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import pinocchio as pin
+
+    from posor.numerics.array_types import ByteArray, FloatArray, IntArray
+
+RecordArray: TypeAlias = NDArray[np.void]
+
+MAX_OFFSET = 0.02
+"""Largest distance of a target plate's origin from the nominal joint in the URDF [m]; a POSOR measures millimetres."""
+MAX_VARIANCE = 100.0
+"""Largest variance of a measurement [m^2], [rad^2]; a greater one tells nothing and may overflow along the arm."""
+POSE_NOT_FINITE, QUATERNION_NOT_UNIT, COVARIANCE_NOT_FINITE, NATIVE_DISAGREES, POSE_TOO_FAR = 1, 2, 3, 4, 5
+VARIANCE_TOO_LARGE, COVARIANCE_NOT_SYMMETRIC, COVARIANCE_NOT_POSITIVE, ENDPOINT_NOT_FINITE = 6, 7, 8, 9
+FAULT_TEXTS = {
+    POSE_NOT_FINITE: "has a pose that is not finite",
+    QUATERNION_NOT_UNIT: "has an orientation that is not a unit quaternion",
+    COVARIANCE_NOT_FINITE: "has a covariance that is not finite",
+    NATIVE_DISAGREES: "has native coordinates that are not finite or do not agree with its pose",
+    POSE_TOO_FAR: f"is further than {MAX_OFFSET:g} m from the nominal joint of the URDF",
+    VARIANCE_TOO_LARGE: f"has a variance above {MAX_VARIANCE:g} m^2 or rad^2",
+    COVARIANCE_NOT_SYMMETRIC: "has a covariance that is not symmetric",
+    COVARIANCE_NOT_POSITIVE: "has a covariance that is not positive semi-definite",
+    ENDPOINT_NOT_FINITE: "gives an endpoint that is not finite",
+}
+"""Why a joint's measurement cannot be used, by its fault in ``Endpoints.faults``."""
+UNIT_QUATERNION_TOLERANCE = 1e-6
+"""Largest difference of a quaternion's length from one."""
+NATIVE_TOLERANCE = 1e-8
+"""Largest difference of native angles from the pose [rad]; x, y and gap are equal. Damage to one shows in the other."""
+SYMMETRY_TOLERANCE = 1e-6
+"""Largest difference of two opposite elements of a covariance, relative to the two standard deviations."""
+PIVOT_TOLERANCE = 1e-9
+"""Part of a variance that counts as rounding in the test for a positive semi-definite covariance."""
+LARGEST_FLOAT = sys.float_info.max
+
+ROW_LAYOUT = np.dtype([("pose", np.int64), ("native", np.int64), ("covariance", np.int64), ("state", np.int64)])
+"""Where a row of message bytes holds its fields: indices of 8-byte numbers, and of the byte ``state``."""
+
+
+@dataclass(frozen=True)
+class MeasuredJoint:
+    """Measurement of one POSOR.
+
+    Attributes:
+        T_parent_child: Pose of the target plate in the receiving plate.
+        covariance: (6, 6) of x, y, z [m], about X, Y, Z [rad], axes of the parent (as ``posor_msgs/JointTransform``).
+
+    """
+
+    T_parent_child: pin.SE3
+    covariance: FloatArray
+
+
+class JointMeasurements(NamedTuple):
+    """Measurements of all j joints in n scans.
+
+    Attributes:
+        stamps_ns: Times of the scans, (n,).
+        poses: Target plate in receiving plate, (n, j, 7): x, y, z [m], unit quaternion x, y, z, w.
+        covariances: As ``MeasuredJoint.covariance``, (n, j, 6, 6).
+        thetas: Counted large rotations [rad], (n, j); NaN: not counted; infinite: see NATIVE_DISAGREES.
+
+    """
+
+    stamps_ns: IntArray
+    poses: FloatArray
+    covariances: FloatArray
+    thetas: FloatArray
+
+    @classmethod
+    def allocate(cls, scans: int, joints: int) -> JointMeasurements:
+        """Return measurements at the identity, without covariance and without a counted theta."""
+        poses = np.zeros((scans, joints, 7))
+        poses[..., 6] = 1.0
+        return cls(
+            np.zeros(scans, dtype=np.int64), poses, np.zeros((scans, joints, 6, 6)), np.full((scans, joints), np.nan)
+        )
+
+
+@dataclass(frozen=True)
+class JointRowLayout:
+    """Byte offsets of the fields of a serialised joint measurement.
+
+    Attributes:
+        pose: x, y, z [m] and the quaternion x, y, z, w, each a float of 8 bytes; a multiple of 8.
+        native: Six native coordinates, of which the counted large rotation [rad] is the last, likewise.
+        covariance: 36 numbers, row by row, likewise.
+        state: ``State``, one byte.
+        size: Length of the row.
+
+    """
+
+    pose: int
+    native: int
+    covariance: int
+    state: int
+    size: int
+
+    @property
+    def record(self) -> RecordArray:
+        """The layout for the kernels, (1,) of ``ROW_LAYOUT``.
+
+        Raises:
+            ValueError: The offset of a number is not a multiple of 8.
+
+        """
+        if any(offset % 8 for offset in (self.pose, self.native, self.covariance)):
+            message = f"{self}: expected offsets of numbers that are multiples of 8"
+            raise ValueError(message)
+        return np.array([(self.pose // 8, self.native // 8, self.covariance // 8, self.state)], dtype=ROW_LAYOUT)
+
+
+class JointRows(NamedTuple):
+    """Serialised measurements of one scan, one row for each joint.
+
+    Attributes:
+        layouts: Where each row holds its fields, (j,) of ``ROW_LAYOUT``.
+        numbers: The rows as 8-byte floats, (j, w).
+        octets: The same memory as bytes, (j, 8 w).
+
+    """
+
+    layouts: RecordArray
+    numbers: FloatArray
+    octets: ByteArray
+
+    @classmethod
+    def allocate(cls, layouts: Sequence[JointRowLayout]) -> JointRows:
+        """Return empty rows of joints with these layouts."""
+        numbers = np.zeros((len(layouts), max((-(-layout.size // 8) for layout in layouts), default=0)))
+        records = [layout.record for layout in layouts]
+        return cls(np.concatenate(records) if records else np.empty(0, ROW_LAYOUT), numbers, numbers.view(np.uint8))
+
+
+@inlined
+def covariance_fault(covariance: FloatArray, scratch: FloatArray) -> int:
+    """Return what is wrong with a covariance (6, 6): a key of ``FAULT_TEXTS``, or zero. Writes ``scratch``, (6, 6)."""
+    finite = small = True
+    for i in range(6):
+        for j in range(6):
+            finite &= abs(covariance[i, j]) <= LARGEST_FLOAT  # no early exit: the compiler vectorises the loop
+        small &= abs(covariance[i, i]) <= MAX_VARIANCE
+    if not (finite and small):
+        return VARIANCE_TOO_LARGE if finite else COVARIANCE_NOT_FINITE
+    symmetric = True
+    for i in range(6):
+        for j in range(i):
+            difference, product = covariance[i, j] - covariance[j, i], covariance[i, i] * covariance[j, j]
+            symmetric &= difference * difference <= SYMMETRY_TOLERANCE * SYMMETRY_TOLERANCE * abs(product)
+    if not symmetric:
+        return COVARIANCE_NOT_SYMMETRIC
+    return 0 if is_positive_semidefinite(covariance, scratch) else COVARIANCE_NOT_POSITIVE
+
+
+@inlined
+def is_positive_semidefinite(covariance: FloatArray, scratch: FloatArray) -> bool:
+    """Return whether a symmetric matrix (6, 6) of small numbers is positive semi-definite, but for rounding.
+
+    It is factorised as L D L^T: ``scratch`` (6, 6) gets L below the diagonal and (L D)^T above. A pivot near zero must
+    belong to a column of zeros.
+    """
+    positive = True
+    for j in range(6):
+        pivot, tolerance = covariance[j, j], PIVOT_TOLERANCE * covariance[j, j]
+        for k in range(j):
+            pivot -= scratch[j, k] * scratch[k, j]
+        positive &= pivot >= -tolerance and tolerance >= 0.0
+        inverse = 1.0 / pivot if pivot > tolerance else 0.0
+        for i in range(j + 1, 6):
+            rest = covariance[j, i]
+            for k in range(j):
+                rest -= scratch[i, k] * scratch[k, j]
+            limit = 4.0 * PIVOT_TOLERANCE * abs(covariance[i, i] * covariance[j, j])
+            positive &= inverse > 0.0 or rest * rest <= limit
+            scratch[i, j], scratch[j, i] = rest * inverse, rest
+    return positive
+
+
+@inlined
+def measurement_fault(
+    pose: FloatArray, covariance: FloatArray, theta: float, origin: FloatArray, scratch: FloatArray
+) -> int:
+    """Return what is wrong with the measurement of a joint: a key of ``FAULT_TEXTS``, or zero.
+
+    Args:
+        pose: Target plate in receiving plate, (7,).
+        covariance: (6, 6).
+        theta: As in ``JointMeasurements.thetas``.
+        origin: Of the nominal joint in the receiving plate [m], (3,).
+        scratch: (6, 6), is written.
+
+    """
+    for i in range(7):
+        if not math.isfinite(pose[i]):
+            return POSE_NOT_FINITE
+    length = math.sqrt(pose[3] * pose[3] + pose[4] * pose[4] + pose[5] * pose[5] + pose[6] * pose[6])
+    if not abs(length - 1.0) <= UNIT_QUATERNION_TOLERANCE:
+        return QUATERNION_NOT_UNIT
+    x, y, z = pose[0] - origin[0], pose[1] - origin[1], pose[2] - origin[2]
+    if not x * x + y * y + z * z <= MAX_OFFSET * MAX_OFFSET:
+        return POSE_TOO_FAR
+    if math.isinf(theta):
+        return NATIVE_DISAGREES
+    return covariance_fault(covariance, scratch)
+
+
+@inlined
+def native_agrees(native: FloatArray, pose: FloatArray) -> bool:
+    """Return whether native coordinates (6,) are finite and those of a pose (7,) (``model.native_coordinates``)."""
+    rotation = rotation_of_pose(pose)
+    alpha, beta, theta = native[3], native[4], native[5]
+    off_beta = math.cos(beta) * rotation[0][2] - math.sin(beta) * rotation[2][2]
+    off_theta = math.cos(theta) * rotation[0][1] + math.sin(theta) * rotation[1][1]
+    largest = max(abs(math.sin(alpha) + rotation[1][2]), abs(off_beta), abs(off_theta))
+    same = largest <= NATIVE_TOLERANCE and math.cos(theta) * rotation[1][1] >= math.sin(theta) * rotation[0][1]
+    for k in range(3):
+        same &= native[k] == pose[k]
+        same &= abs(native[3 + k]) <= LARGEST_FLOAT
+    return same
+
+
+@inlined
+def read_row(layouts: RecordArray, joint: int, numbers: FloatArray, pose: FloatArray, covariance: FloatArray) -> float:
+    """Copy a row of numbers (w,) into ``pose`` (7,) and ``covariance`` (6, 6).
+
+    Returns:
+        Theta; infinite where the native coordinates do not agree with the pose.
+
+    """
+    layout = layouts[joint]
+    first_of_pose, first_of_covariance, first_of_native = layout["pose"], layout["covariance"], layout["native"]
+    for k in range(7):
+        pose[k] = numbers[first_of_pose + k]
+    entries = numbers[first_of_covariance : first_of_covariance + 36]
+    for i in range(6):
+        for k in range(6):
+            covariance[i, k] = entries[6 * i + k]
+    native = numbers[first_of_native : first_of_native + 6]
+    return float(native[5]) if native_agrees(native, pose) else math.inf

@@ -1,0 +1,234 @@
+"""The kinematic chain: POSORs as floating joints, measuring beams between them, the endpoint on the last one.
+
+Pinocchio reads the URDF and finds the elements on the way from the base to the endpoint. A beam of the beams file is a
+floating joint of its model too: its transform includes the sag under gravity in the present posture, its covariance is
+that of the beams file. ``chain.forward_kinematics`` computes the endpoint.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+
+from posor.chain.arm_geometry import ArmGeometry
+from posor.chain.beams_file import STANDARD_GRAVITY, load_beams
+from posor.chain.endpoint_estimator import EndpointEstimator
+from posor.chain.measuring_beam import MeasuringBeam
+from posor.chain.robot_model import FreeJoint, RobotModel
+from posor.errors import ChainError
+from posor.input_text import read_input_text
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from posor.chain.beams_file import BeamsFile
+    from posor.chain.forward_kinematics import Endpoints
+    from posor.chain.joint_measurements import JointRowLayout, MeasuredJoint
+    from posor.numerics.array_types import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """The endpoint in the chain's base frame.
+
+    Attributes:
+        T_base_endpoint: Its pose.
+        covariance: (6, 6) of x, y, z [m], about X, Y, Z [rad], axes of the base frame, the small turn applied on the
+            base's side at the endpoint (ROS order, REP-103).
+
+    """
+
+    T_base_endpoint: pin.SE3
+    covariance: FloatArray
+
+
+@dataclass(frozen=True)
+class FixedLink:
+    """Connection of two POSORs: from the target plate of one (or the base) to the receiving plate of the next.
+
+    Attributes:
+        before: From that plate to the start of the beam.
+        beam: The measuring beam; None: not in the beams file, straight and exact.
+        after: From the end of the beam to the next plate, or to the endpoint.
+
+    """
+
+    before: pin.SE3
+    beam: MeasuringBeam | None
+    after: pin.SE3
+
+    @property
+    def T_nominal(self) -> pin.SE3:
+        """The link without sag."""
+        return self.before * self.after if self.beam is None else self.before * self.beam.T_start_end * self.after
+
+
+class Chain:
+    """A URDF whose floating joints are measured by POSORs.
+
+    Attributes:
+        base_frame: The URDF's root link.
+        joints: The POSORs.
+        beams: The measuring beams of the beams file, in its order.
+        beam_joints: The joints of the URDF that they are, in the same order.
+        fixed_transforms: The fixed joints of the URDF that are no beams of the beams file.
+        urdf: The robot description (XML text).
+        gravity: [m/s^2], (3,), in the base frame.
+
+    """
+
+    def __init__(
+        self,
+        urdf: str,
+        endpoint_frame: str,
+        beams: BeamsFile | None = None,
+        *,
+        source: str = "the URDF",
+        beams_source: str = "the beams file",
+    ) -> None:
+        """Build the chain.
+
+        Args:
+            urdf: The robot description (XML text).
+            endpoint_frame: Link of the endpoint.
+            beams: Content of the beams file; None: all beams are straight and exact.
+            source: Name of the URDF in errors, such as its path.
+            beams_source: Name of the beams file in errors.
+
+        Raises:
+            ChainError: The URDF is invalid, has no floating joint, a moving joint of another type, or not this link; a
+                beam is not a fixed joint of the URDF, or its gimbals or plates are beyond its ends.
+
+        """
+        entries = [] if beams is None else beams.beams
+        self._robot = RobotModel(urdf, endpoint_frame, (beam.joint for beam in entries), source)
+        self.base_frame = self._robot.base_frame
+        self.joints = self._robot.joints
+        self.urdf = urdf
+        self.beam_joints = self._robot.freed
+        self.fixed_transforms = self._robot.fixed_transforms()
+        self.beams = tuple(
+            MeasuringBeam(beam, joint.T_parent_joint, beams_source)
+            for beam, joint in zip(entries, self.beam_joints, strict=True)
+        )
+        self.gravity: FloatArray = np.array([0.0, 0.0, -STANDARD_GRAVITY]) if beams is None else beams.gravity.array
+        self.links = self._links(source)
+        self._geometry = ArmGeometry.from_model(self._robot, self.beams, self.gravity)
+        self._estimator = self.estimator()
+
+    def _links(self, source: str) -> tuple[FixedLink, ...]:
+        beams = {joint.index: (beam, joint) for beam, joint in zip(self.beams, self.beam_joints, strict=True)}
+        joints = {joint.index: joint for joint in self.joints}
+        links: list[FixedLink] = []
+        before, beam, after = pin.SE3.Identity(), None, pin.SE3.Identity()
+        for index in self._robot.path():
+            if index in beams:
+                if beam is not None:
+                    raise ChainError(
+                        f"beams '{beam.name}' and '{beams[index][0].name}' follow each other without a POSOR between",
+                        where=source,
+                        expected="at most one beam between two POSORs",
+                    )
+                beam, joint = beams[index]
+                before = joint.T_before_parent
+                continue
+            after = joints[index].T_before_parent
+            links.append(FixedLink(before, beam, after))
+            before, beam = pin.SE3.Identity(), None
+        links.append(FixedLink(before, beam, self._robot.T_joint_endpoint))
+        return tuple(links)
+
+    def nominal_joint(self, name: str, angle: float) -> pin.SE3:
+        """Return T_parent_child of a POSOR without error motions at an angle [rad] about the Z axis of its origin.
+
+        ``EndpointEstimator.angles`` are the measured angles.
+        """
+        return self._joint(name).T_parent_joint * pin.SE3(pin.utils.rotate("z", angle), np.zeros(3))
+
+    def _joint(self, name: str) -> FreeJoint:
+        return next(joint for joint in self.joints if joint.name == name)
+
+    def nominal_endpoint(self, angles: Mapping[str, float]) -> pin.SE3:
+        """Return the endpoint without bending, sag and error motions, as from encoders alone.
+
+        Args:
+            angles: The angle of each joint [rad].
+
+        """
+        pose = self.links[0].T_nominal
+        names = [joint.name for joint in self.joints if joint.index in self._robot.path()]
+        for name, link in zip(names, self.links[1:], strict=True):
+            pose = pose * self.nominal_joint(name, angles[name]) * link.T_nominal
+        return pose
+
+    def estimate(
+        self, measured: Mapping[str, MeasuredJoint], accelerations: Mapping[str, FloatArray] | None = None
+    ) -> Endpoint:
+        """Return pose and covariance of the endpoint, corrected for the sag of the beams.
+
+        Args:
+            measured: Measurement of each floating joint, by joint name. Joints are taken as independent.
+            accelerations: Accelerations of beams [m/s^2], (3,), axes of the base, by name; a beam without is at rest.
+
+        Raises:
+            ChainError: The measurement of a joint is missing or invalid.
+
+        """
+        estimator, estimator.accelerations[:] = self._estimator, 0.0
+        for beam, row in zip(self.beams, estimator.accelerations, strict=True):
+            row[:] = (accelerations or {}).get(beam.name, 0.0)
+        estimator.set_measurements(measured)
+        if not estimator.estimate():
+            raise ChainError(estimator.fault_text(), where="the chain", expected="numbers that can be used")
+        return Endpoint(pin.XYZQUATToSE3(estimator.pose), estimator.covariance.copy())
+
+    def estimate_all(
+        self,
+        poses: FloatArray,
+        covariances: FloatArray,
+        stamps_ns: IntArray | None = None,
+        *,
+        acceleration_window: float = 0.0,
+    ) -> Endpoints:
+        """Return the endpoints of consecutive scans, see ``EndpointEstimator.estimate_all``."""
+        return self.estimator(acceleration_window).estimate_all(poses, covariances, stamps_ns)
+
+    def estimator(
+        self, acceleration_window: float = 0.0, row_layouts: Sequence[JointRowLayout] = ()
+    ) -> EndpointEstimator:
+        """Return a new estimator of this arm, for scans at servo rate or recorded scans.
+
+        Args:
+            acceleration_window: Time over which the accelerations of the beams are estimated [s], see
+                ``chain.beam_acceleration``; zero: the beams are at rest.
+            row_layouts: Layouts of the joints' serialised measurements, for ``EndpointEstimator.estimate_rows``.
+
+        """
+        names = tuple(joint.name for joint in self.joints)
+        return EndpointEstimator(self._geometry, names, acceleration_window, row_layouts)
+
+
+def load_chain(urdf: Path, endpoint_frame: str, beams: Path | None = None) -> Chain:
+    """Return the chain of a URDF file and a beams file.
+
+    Raises:
+        ChainError: The URDF is invalid, or the beams do not match it.
+        CalibrationError: The beams file is invalid.
+
+    """
+    try:
+        text = read_input_text(urdf)
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise ChainError(f"cannot be read: {reason}", where=f"URDF {urdf}", expected="a robot description") from error
+    return Chain(
+        text,
+        endpoint_frame,
+        None if beams is None else load_beams(beams),
+        source=f"URDF {urdf}",
+        beams_source=str(beams),
+    )

@@ -1,0 +1,114 @@
+"""A measuring beam: the bar between two POSORs, its sag on its gimbals, and its thermal expansion.
+
+The beam carries only its own weight and the plates of the POSORs at its ends. Its sag follows from its section and
+from the direction of gravity, and is corrected (thesis 6.2.1, 9.3.2). Sag is linear in the component of the specific
+force (gravity minus acceleration) across the beam. The temperature of the beam is not measured: the expansion is a
+bound, which only protection levels use (``uncertainty.protection_level``).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+
+from posor.chain.beam_bending import PointForce, Tube, on_gimbals
+from posor.errors import ChainError
+
+if TYPE_CHECKING:
+    from posor.chain.beams_file import BeamFile, SagFile
+    from posor.numerics.array_types import FloatArray
+
+
+class MeasuringBeam:
+    """One beam, from the frame at its start to the frame at its end.
+
+    Attributes:
+        name: Name of the fixed joint in the URDF.
+        T_start_end: The beam without sag.
+        covariance: (6, 6) of x, y, z [m], about X, Y, Z [rad] of the end, axes of the start, the small turn applied on
+            the start's side at the end's origin.
+        expansion: Largest change of the end's translation by the temperature, (3,) [m], axes of the start: coefficient
+            of expansion times deviation times translation; zero: not stated.
+        sag_sigma: Standard uncertainty of the sag, relative to the sag.
+        start_gain: (6, 3): translation [m] and rotation vector [rad] of the plate at the start, axes of the start, for
+            a specific force [m/s^2] in the same axes, counted from the line through the gimbals.
+        end_gain: (6, 3): the same of the plate at the end.
+
+    """
+
+    def __init__(self, entry: BeamFile, T_start_end: pin.SE3, source: str) -> None:
+        """Create the beam from its entries in the beams file and in the URDF.
+
+        Args:
+            entry: Its entry in the beams file.
+            T_start_end: Origin of its fixed joint.
+            source: Name of the beams file in errors.
+
+        Raises:
+            ChainError: A gimbal or plate is beyond the ends of the beam.
+
+        """
+        self.name = entry.joint
+        self.T_start_end = T_start_end
+        sigmas = np.concatenate([entry.uncertainty.position.array, entry.uncertainty.orientation.array])
+        self.covariance: FloatArray = np.diag(np.square(sigmas))
+        self.expansion: FloatArray = np.zeros(3)
+        if entry.temperature is not None:
+            strain = entry.temperature.coefficient.number * entry.temperature.deviation.number
+            self.expansion = strain * T_start_end.translation
+        self.start_gain: FloatArray = np.zeros((6, 3))
+        self.end_gain: FloatArray = np.zeros((6, 3))
+        self.sag_sigma = 0.0
+        if entry.sag is not None:
+            self.sag_sigma = entry.sag.uncertainty.number
+            self._compute_gains(entry.sag, f"{source}, beam '{entry.joint}'")
+
+    def _compute_gains(self, sag: SagFile, where: str) -> None:
+        length = float(np.linalg.norm(self.T_start_end.translation))
+        near, far = (float(at) for at in sag.gimbals.array)
+        positions = [("gimbal", near), ("gimbal", far)]
+        positions += [(f"plate '{plate.name}'", plate.at.number) for plate in sag.plates]
+        for name, at in positions:
+            if not 0.0 <= at <= length:
+                raise ChainError(f"{name} at {at:g} m", where=where, expected=f"0 to {length:g} m, the beam's length")
+        tube = Tube(
+            sag.tube.outer_diameter.number,
+            sag.tube.inner_diameter.number,
+            sag.tube.modulus.number,
+            sag.tube.density.number,
+        )
+        masses = [PointForce(plate.at.number, plate.mass.number) for plate in sag.plates]
+        # Masses in place of forces give the shape under a specific force of 1 m/s^2.
+        bent = on_gimbals(length, tube.bending_stiffness, tube.mass_per_length, masses, (near, far))
+        along = self.T_start_end.translation / length
+        across = np.eye(3) - np.outer(along, along)
+        for x, gain in ((0.0, self.start_gain), (length, self.end_gain)):
+            gain[:3] = bent.deflection(x) * across
+            gain[3:] = bent.slope(x) * pin.skew(along) @ across
+
+    def T_under(self, force: FloatArray) -> pin.SE3:
+        """Return start plate to end plate under a specific force [m/s^2], (3,), axes of the start."""
+        return _moved(pin.SE3.Identity(), self.start_gain @ force).inverse() * _moved(
+            self.T_start_end, self.end_gain @ force
+        )
+
+    def covariance_under(self, force: FloatArray) -> FloatArray:
+        """Return the covariance of ``T_under``, as the attribute ``covariance``, including that of the sag."""
+        if self.sag_sigma == 0.0:
+            return self.covariance
+        sag = self.sag_sigma * (self.sag_gain @ force)
+        return self.covariance + np.outer(sag, sag)
+
+    @property
+    def sag_gain(self) -> FloatArray:
+        """(6, 3): translation [m] and rotation vector [rad] of the end relative to the plate at the start, as above."""
+        gain = self.end_gain - self.start_gain
+        gain[:3] += pin.skew(self.T_start_end.translation) @ self.start_gain[3:]
+        return gain
+
+
+def _moved(T_start_plate: pin.SE3, motion: FloatArray) -> pin.SE3:
+    """Return a plate after a small motion in the axes of the beam's start, turned about its own origin."""
+    return pin.SE3(pin.exp3(motion[3:]) @ T_start_plate.rotation, T_start_plate.translation + motion[:3])

@@ -1,0 +1,212 @@
+"""An arm's URDF as a pinocchio model in which every POSOR and every uncertain beam is a floating joint."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+from xml.etree import ElementTree as ET
+
+import pinocchio as pin
+
+from posor.errors import ChainError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+
+class FixedTransform(NamedTuple):
+    """A fixed joint of the URDF: its child link in its parent link."""
+
+    parent: str
+    child: str
+    T_parent_child: pin.SE3
+
+
+@dataclass(frozen=True)
+class FreeJoint:
+    """A floating joint of the model.
+
+    Attributes:
+        name: Of the joint.
+        parent: Link that it starts from.
+        child: Link that moves with it.
+        index: Of the joint in the model.
+        T_parent_joint: The joint's origin, in its parent link.
+        T_before_parent: The parent link in the joint before, or in the base.
+
+    """
+
+    name: str
+    parent: str
+    child: str
+    index: int
+    T_parent_joint: pin.SE3
+    T_before_parent: pin.SE3
+
+
+class RobotModel:
+    """A pinocchio model with the data of its floating joints.
+
+    Attributes:
+        model: The model; ``createData`` gives a workspace for it.
+        base_frame: The URDF's root link.
+        endpoint: Index of the endpoint's frame.
+        endpoint_joint: Index of the joint that the endpoint's link moves with.
+        T_joint_endpoint: The endpoint in that joint.
+        joints: The floating joints of the URDF, the POSORs.
+        freed: The fixed joints that were converted to floating joints, in the given order.
+
+    """
+
+    def __init__(self, urdf: str, endpoint_frame: str, freed: Iterable[str], source: str) -> None:
+        """Build the model.
+
+        Args:
+            urdf: The robot description (XML text).
+            endpoint_frame: Link of the endpoint.
+            freed: Names of fixed joints to convert to floating joints, because they are not exact.
+            source: Name of the URDF in errors.
+
+        Raises:
+            ChainError: The URDF is invalid, or not an arm of POSORs.
+
+        """
+        names = tuple(freed)
+        root = _parse(urdf, source)
+        self.model = _build_model(_float_joints(urdf, root, names, source), source)
+        self.base_frame: str = self._links(0)[0]
+        self._check_all_joints(root, source)
+        if not self.model.existBodyName(endpoint_frame):
+            raise ChainError(
+                f"has no link '{endpoint_frame}'", where=source, expected=f"one of {', '.join(self._all_links())}"
+            )
+        self.endpoint = self.model.getFrameId(endpoint_frame, pin.FrameType.BODY)
+        joints = [self._free_joint(index, source) for index in range(1, self.model.njoints)]
+        by_name = {joint.name: joint for joint in joints}
+        self.freed = tuple(by_name[name] for name in names)
+        self.joints = tuple(joint for joint in joints if joint.name not in names)
+        if not self.joints:
+            raise ChainError("has no POSOR joint", where=source, expected="at least one joint of type 'floating'")
+        frame = self.model.frames[self.endpoint]
+        self.endpoint_joint: int = frame.parentJoint
+        self.T_joint_endpoint: pin.SE3 = frame.placement.copy()
+        moving = {joint.index for joint in self.joints}
+        if moving.isdisjoint(self.path()):
+            moved = [name for index in range(1, self.model.njoints) for name in self._links(index)]
+            raise ChainError(
+                f"no POSOR joint moves link '{endpoint_frame}'", where=source, expected=f"one of {', '.join(moved)}"
+            )
+
+    def _check_all_joints(self, root: ET.Element, source: str) -> None:
+        """Refuse joints that the parser left out: their links are not connected to the root link."""
+        for joint in root.findall("joint"):
+            if not self.model.existFrame(joint.get("name", "")):
+                raise ChainError(
+                    f"joint '{joint.get('name')}' is not connected to the root link '{self.base_frame}'",
+                    where=source,
+                    expected="one tree, in which each link but the root is the child of one joint",
+                )
+
+    def path(self) -> list[int]:
+        """Return the indices of the joints from the base to the endpoint."""
+        found: list[int] = []
+        index = self.endpoint_joint
+        while index > 0:
+            found.append(index)
+            index = self.model.parents[index]
+        return found[::-1]
+
+    def fixed_transforms(self) -> list[FixedTransform]:
+        """Return the fixed joints that were not converted, on the way to the endpoint or not."""
+        frames, found = self.model.frames, []
+        for link in frames:
+            joint = frames[link.parentFrame]
+            is_link = link.type == pin.FrameType.BODY and link.name != self.base_frame
+            if is_link and joint.type == pin.FrameType.FIXED_JOINT:
+                parent = frames[joint.parentFrame]
+                T_parent_child = parent.placement.inverse() * link.placement
+                found.append(FixedTransform(parent.name, link.name, T_parent_child))
+        return found
+
+    def _all_links(self) -> list[str]:
+        return [frame.name for frame in self.model.frames if frame.type == pin.FrameType.BODY]
+
+    def _links(self, joint: int) -> list[str]:
+        """Return the links that move with a joint, the nearest first."""
+        frames = self.model.frames
+        return [f.name for f in frames if f.type == pin.FrameType.BODY and f.parentJoint == joint]
+
+    def _free_joint(self, index: int, source: str) -> FreeJoint:
+        joint = self.model.joints[index]
+        name = self.model.names[index]
+        if joint.shortname() != "JointModelFreeFlyer":
+            raise ChainError(
+                f"joint '{name}' moves but is not floating",
+                where=source,
+                expected="type 'floating' (a POSOR) or 'fixed'",
+            )
+        frame = self.model.frames[self.model.getFrameId(name, pin.FrameType.JOINT)]
+        parent = self.model.frames[frame.parentFrame]
+        while parent.type != pin.FrameType.BODY:
+            parent = self.model.frames[parent.parentFrame]
+        T_before_parent = parent.placement.copy()
+        T_parent_joint = T_before_parent.inverse() * self.model.jointPlacements[index]
+        return FreeJoint(name, parent.name, self._links(index)[0], index, T_parent_joint, T_before_parent)
+
+
+def _parse(urdf: str, source: str) -> ET.Element:
+    try:
+        return ET.fromstring(urdf)  # noqa: S314  urdfdom parses the same text afterwards
+    except ET.ParseError as error:
+        raise ChainError(f"is not XML: {error}", where=source, expected="a robot description (URDF)") from error
+
+
+def _float_joints(urdf: str, root: ET.Element, names: tuple[str, ...], source: str) -> str:
+    """Return the URDF with some fixed joints converted to floating joints."""
+    if not names:
+        return urdf
+    fixed = {joint.get("name", ""): joint for joint in root.iter("joint") if joint.get("type") == "fixed"}
+    for name in names:
+        if name not in fixed:
+            raise ChainError(
+                f"has no fixed joint '{name}', which the beams file names",
+                where=source,
+                expected=f"one of {', '.join(fixed) or 'none, there is no fixed joint'}",
+            )
+        fixed[name].set("type", "floating")
+    return ET.tostring(root, encoding="unicode")
+
+
+def _build_model(urdf: str, source: str) -> pin.Model:
+    with _captured_output() as printed:
+        try:
+            return pin.buildModelFromXML(urdf)
+        except (ValueError, RuntimeError) as error:
+            failure = error
+    text = " ".join(line.strip() for line in printed if line.strip() and " at line " not in line)
+    reason = (text.removeprefix("Error:").strip() or str(failure)).rstrip(". ")
+    raise ChainError(f"cannot be read as a robot description: {reason}", where=source) from failure
+
+
+@contextmanager
+def _captured_output() -> Iterator[list[str]]:
+    """Capture stdout and stderr of the process, also of C++ code; the lines are complete after the ``with`` block."""
+    lines: list[str] = []
+    sys.stdout.flush()
+    sys.stderr.flush()
+    originals = [os.dup(1), os.dup(2)]
+    with tempfile.TemporaryFile() as file:
+        try:
+            for number in (1, 2):
+                os.dup2(file.fileno(), number)
+            yield lines
+        finally:
+            for number, original in zip((1, 2), originals, strict=True):
+                os.dup2(original, number)
+                os.close(original)
+            file.seek(0)
+            lines.extend(file.read().decode(errors="replace").splitlines())

@@ -1,0 +1,145 @@
+"""The error hierarchy of the POSOR stack.
+
+Each error prints one sentence: what is wrong, where, and what is expected. Place (file, line, key) and offending value
+are attributes as well, for callers.
+"""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from posor.model.fault import Fault
+
+
+class PosorError(Exception):
+    """Base of every error that this stack raises on purpose.
+
+    Attributes:
+        what: What is wrong, a clause without a full stop.
+        where: File, line, key, topic or parameter at fault; empty if the text names it.
+        expected: What is expected; empty if it is obvious.
+
+    """
+
+    exit_code = 1
+
+    def __init__(self, what: str, *, where: str = "", expected: str = "") -> None:
+        self.what = what
+        self.where = where
+        self.expected = expected
+        sentence = f"{where}: {what}" if where else what
+        if expected:
+            sentence += f"; expected {expected}"
+        super().__init__(sentence + ".")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the error with all attributes, for errors raised in worker processes."""
+        return _unpickle, (type(self), str(self), self.__dict__)
+
+
+def _unpickle(kind: type[PosorError], sentence: str, attributes: dict[str, Any]) -> PosorError:
+    error = kind.__new__(kind, sentence)
+    error.__dict__.update(attributes)
+    return error
+
+
+class ParameterError(PosorError):
+    """A node parameter or command-line option is wrong.
+
+    Attributes:
+        parameter: Name of the node parameter at fault; empty for an option, or if several parameters are at fault.
+
+    """
+
+    exit_code = 2
+
+    def __init__(self, what: str, *, where: str = "", expected: str = "", parameter: str = "") -> None:
+        super().__init__(what, where=where, expected=expected)
+        self.parameter = parameter
+
+
+class CalibrationError(PosorError):
+    """A calibration file cannot be read, or its content is invalid."""
+
+
+class DataFileError(PosorError):
+    """A recorded table cannot be read: missing file, missing column, or a cell that is not a number."""
+
+
+class BagError(PosorError):
+    """A rosbag2 bag cannot be read or written."""
+
+
+class OutputError(PosorError):
+    """Results cannot be written to their destination."""
+
+
+class TopicError(PosorError):
+    """A topic has an unexpected type or publisher, or a message on it cannot be decoded."""
+
+
+class NodeError(PosorError):
+    """A node has failed: the sentence of the error, the node's name, and its place in a file."""
+
+    def __init__(self, error: PosorError, node: str, place: str = "") -> None:
+        name = "" if node in str(error) else f"node {node}"
+        super().__init__(str(error).rstrip("."), where=", ".join(filter(None, (place, name))))
+        self.exit_code = error.exit_code
+
+
+class SystemRefusal(PosorError):
+    """The operating system refuses a request of the process: a priority, processors, memory."""
+
+
+class ChainError(PosorError):
+    """The kinematic chain (URDF, frames) does not match the POSORs that should measure it."""
+
+
+class ScanError(PosorError):
+    """The readings of a scan do not match the calibration: wrong count, not finite, no light.
+
+    Attributes:
+        fault: The flag of ``posor_msgs/JointTransform`` that reports it.
+
+    """
+
+    def __init__(self, what: str, *, fault: Fault, where: str = "", expected: str = "") -> None:
+        super().__init__(what, where=where, expected=expected)
+        self.fault = fault
+
+
+class FitError(PosorError):
+    """Data do not determine the fitted parameters, or contradict the model."""
+
+
+class DesignError(PosorError):
+    """No layout, or no allotment, meets a requirement; ``expected`` is the nearest requirement that can be met."""
+
+
+class TrackError(PosorError):
+    """A reference measurement cannot be used: no values, decreasing stamps, wrong unit or type."""
+
+
+class ShapeError(PosorError, ValueError):
+    """An array has the wrong shape."""
+
+    def __init__(self, field: str, *, received: tuple[int, ...], expected: str, where: str = "") -> None:
+        super().__init__(f"{field} has shape {received}", where=where, expected=expected)
+
+
+def similar_name(name: str, names: Iterable[str], otherwise: str, *, least: float = 0.6) -> str:
+    """Return what an unknown name may have meant, for ``expected`` of an error.
+
+    Args:
+        name: The unknown name.
+        names: The known names.
+        otherwise: The result if no known name is similar.
+        least: Similarity that is required, 0 to 1, as ``difflib`` measures it.
+
+    """
+    similar = get_close_matches(name, list(names), n=1, cutoff=least)
+    return f"perhaps '{similar[0]}'" if similar else otherwise

@@ -1,0 +1,369 @@
+"""The one order of steps from a raw scan to an estimate: linearise, predict, solve, covariance, test, update tracker.
+
+``estimate_scans`` takes the straight path for many scans. What is rare is left to the caller (``estimation.posor``),
+who uses the same steps: the start from a closed form, the retry of a failed scan, and sensors written in plain Python.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from posor.estimation.covariance import write_covariances
+from posor.estimation.frozen import NOT_FROZEN, count_repetitions
+from posor.estimation.linearise import linearise_scan
+from posor.estimation.parameter_effects import add_systematic_covariance, find_contributions
+from posor.estimation.residual_test import chi_square
+from posor.estimation.scan_checks import (
+    REGAINABLE_FAULTS,
+    begin_checks,
+    check_count,
+    check_home_mark,
+    check_motion,
+    check_reference,
+    check_residuals,
+    count_theta,
+    latch,
+    use_confirmation,
+)
+from posor.estimation.solver import CONVERGED, ILL_CONDITIONED, SINGULAR, solve_pose
+from posor.estimation.supply_and_temperature import add_unmeasured, environment_is_valid, unmeasured
+from posor.estimation.tracking import (
+    add_prior,
+    copy_pose,
+    follow_time,
+    forget_pose,
+    predict,
+    theta_of,
+    turn_about_z,
+    update_tracker,
+    wrapped,
+    write_start,
+)
+from posor.model.fault import Fault, State
+from posor.model.reading_rows import (
+    begin_scan,
+    differentiate_by_parameters,
+    pair_spots,
+    prepare_row,
+    turn_row,
+)
+from posor.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED, SATURATED
+from posor.numerics.compiled import in_place, inlined, without_lock
+from posor.numerics.matrix import matrix
+from posor.numerics.pose import write_pose
+from posor.numerics.vector import at, store
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from posor.estimation.workspace import Model
+
+DONE, START, RETRY = 0, 1, 2
+"""What is left to do for a scan: nothing; a start, because no pose is known; a retry from a closed form, because the
+solution from the previous pose failed."""
+
+OK, DEGRADED, LOST, UNCOUNTED = (int(state) for state in (State.OK, State.DEGRADED, State.LOST, State.UNCOUNTED))
+BAD_READING_FAULT, NOT_CONVERGED_FAULT = int(Fault.BAD_READING), int(Fault.NOT_CONVERGED)
+ILL_CONDITIONED_FAULT = int(Fault.ILL_CONDITIONED)
+SOURCE_FAULT, FROZEN_FAULT, ENVIRONMENT_FAULT = int(Fault.SOURCE), int(Fault.FROZEN), int(Fault.ENVIRONMENT)
+FLAGGED_FAULT, LATCHED_FAULT = int(Fault.FLAGGED), int(Fault.LATCHED)
+
+WEAK = 1e-4
+"""At a smaller pivot ratio the previous pose fills the blind direction: its uncertainty is 100 times the usual one."""
+
+
+@inlined
+def estimate_scan(model: Model, scan: Any, estimate: Any) -> int:
+    """Estimate the pose of one scan from the previous pose on; return DONE or what is left to do.
+
+    Args:
+        model: The POSOR.
+        scan: Record of dtype SCAN.
+        estimate: Record of dtype ESTIMATE to write; incomplete where the return value is START or RETRY.
+
+    """
+    workspace = model.workspace[0]
+    tracker = workspace.tracker
+    if not begin_scan_estimate(model, scan, estimate, linearise_scan(model, scan, estimate)):
+        return DONE
+    stamp = (scan.stamp_ns - tracker.epoch_ns) * 1e-9
+    if not tracker.initialised and not tracker.start_given:
+        return START
+    activate_rows(model)
+    write_start(workspace.settings, tracker, stamp, workspace.pose)
+    for i in range(workspace.reading_count):
+        for j in range(workspace.reading_count):
+            workspace.systematic_readings[i, j] = 0.0
+    return int(solve_and_check(model, stamp, scan, True, estimate))  # noqa: FBT003  kernels take no keywords
+
+
+@inlined
+def begin_scan_estimate(model: Model, scan: Any, estimate: Any, linearised: bool) -> bool:  # noqa: FBT001
+    """Begin the estimate of a scan; return whether its readings can be used, else it is LOST.
+
+    ``linearised``: whether the readings are valid; else ``estimate`` holds sensor, code and fault.
+    """
+    workspace = model.workspace[0]
+    tracker, settings = workspace.tracker, workspace.settings
+    estimate.number = scan.number
+    estimate.stamp_ns = scan.stamp_ns
+    if not tracker.epoch_known:
+        tracker.epoch_known, tracker.epoch_ns = 1, scan.stamp_ns
+    stamp = (scan.stamp_ns - tracker.epoch_ns) * 1e-9
+    frozen = NOT_FROZEN if workspace.again else count_repetitions(model, scan)
+    if linearised:
+        estimate.faults = 0
+        if not environment_is_valid(settings, scan):
+            estimate.faults = ENVIRONMENT_FAULT
+        elif frozen != NOT_FROZEN:
+            estimate.faults, estimate.code = FROZEN_FAULT, frozen
+    if estimate.faults == 0:
+        lacking = unmeasured(settings, scan)
+        if lacking != workspace.unmeasured:
+            workspace.unmeasured, workspace.rows_active = lacking, 0
+        if workspace.again or follow_time(tracker, stamp, scan.number):
+            if not _needs_acknowledgement(tracker):
+                return True
+        else:
+            estimate.faults, estimate.sensor = BAD_READING_FAULT, -1
+    tracker.reference_sigma = 0.0
+    faults, latched = estimate.faults, tracker.latch
+    if settings.max_velocity < math.inf and tracker.initialised and faults & (SOURCE_FAULT | FROZEN_FAULT):
+        latch(tracker, faults, 1 if faults == SOURCE_FAULT else 0, stamp - tracker.stamp)
+    estimate.residual = math.nan
+    write_lost(estimate, _with_latch(faults, latched) | _flagged(scan))
+    return False
+
+
+@inlined
+def _needs_acknowledgement(tracker: Any) -> bool:
+    """Return whether only an acknowledgement can release the latch; the scan is not solved then."""
+    known = tracker.initialised or tracker.start_given
+    return bool(not known and tracker.latch & REGAINABLE_FAULTS and not tracker.latch_about_theta)
+
+
+@inlined
+def _with_latch(faults: int, latched: int) -> int:
+    """Return the faults of a LOST scan, given what was latched before it."""
+    return int(faults | latched | LATCHED_FAULT) if latched else int(faults)
+
+
+@inlined
+def _flagged(scan: Any) -> int:
+    """Return the fault of a scan whose driver has marked a reading as saturated or filled in."""
+    return FLAGGED_FAULT if scan.status & (SATURATED | PROBES_ESTIMATED | DIODES_ESTIMATED) else 0
+
+
+@inlined
+def activate_rows(model: Model) -> None:
+    """Copy the selected rows of the pool into the workspace, unless they are there; make them ready for a new scan."""
+    workspace = model.workspace[0]
+    same = workspace.rows_active == 1
+    for r in range(workspace.reading_count):
+        same &= workspace.active_rows[r] == workspace.selected_rows[r]
+        begin_scan(workspace.rows[r])
+    if not same:
+        _copy_selected_rows(model)
+    elif workspace.settings.tilt_lags:
+        for r in range(workspace.reading_count):
+            turn_row(workspace.rows[r], 0.0)
+
+
+@in_place
+def _copy_selected_rows(model: Model) -> None:
+    workspace = model.workspace[0]
+    changed = 0
+    for r in range(workspace.reading_count):
+        if workspace.active_rows[r] != workspace.selected_rows[r]:
+            changed = 1
+        workspace.active_rows[r] = workspace.selected_rows[r]
+        workspace.rows[r] = model.pool[workspace.selected_rows[r]]
+        prepare_row(workspace.rows[r])
+    pair_spots(workspace.rows, workspace.reading_count)
+    find_contributions(model)
+    workspace.rows_active = 1
+    workspace.row_changes += changed
+
+
+@inlined
+def _solve(model: Model, stamp: float, extrapolate: bool) -> tuple[int, int]:  # noqa: FBT001  kernels take no keywords
+    """Solve the scan from ``workspace.pose`` on; return the solver's outcome and faults.
+
+    Where the readings are blind in some direction and the motion is limited, the previous pose, as uncertain as the
+    target can have moved since, fills that direction.
+    """
+    workspace = model.workspace[0]
+    settings, tracker = workspace.settings, workspace.tracker
+    m, elapsed = workspace.reading_count, stamp - tracker.stamp
+    tracked = tracker.initialised and not tracker.start_given  # a start may be anywhere
+    for r in range(m):
+        workspace.weights[r] = 1.0 / workspace.variances[r]
+    copy_pose(workspace.pose, workspace.start_pose)
+    lag_theta = math.nan
+    if extrapolate and tracked:
+        if settings.tilt_lags:
+            lag_theta = theta_of(tracker.pose.rotation)
+        predict(settings, tracker, elapsed, workspace.pose)
+    bridging = tracked and settings.max_velocity < math.inf
+    outcome = solve_pose(workspace, m, WEAK if bridging else SINGULAR, lag_theta)
+    if outcome != ILL_CONDITIONED or not bridging:
+        return outcome, 0
+    copy_pose(workspace.start_pose, workspace.pose)
+    add_prior(workspace, m, elapsed)
+    return solve_pose(workspace, m + 6, SINGULAR, lag_theta), ILL_CONDITIONED_FAULT
+
+
+@in_place
+def solve_and_check(
+    model: Model,
+    stamp: float,
+    scan: Any,
+    extrapolate: bool,  # noqa: FBT001  kernels take no keywords
+    estimate: Any,
+) -> int:
+    """Solve the active rows from ``workspace.pose`` on, find covariances, check the solution, and update the tracker.
+
+    Args:
+        model: The POSOR; ``systematic_readings`` hold what of the readings' systematic covariance does not come from
+            ``estimation.parameter_effects`` or ``estimation.supply_and_temperature``.
+        stamp: Time of the scan since the epoch [s].
+        scan: Record of dtype SCAN.
+        extrapolate: Whether the start may be moved on as the target moved before, and the tilts may lag.
+        estimate: Record of dtype ESTIMATE to write; of a LOST scan all numbers are NaN but the chi-square.
+
+    Returns:
+        DONE, or RETRY: the scan failed from the previous pose, and the tracker is unchanged.
+
+    """
+    workspace = model.workspace[0]
+    settings, tracker, pose, checks = workspace.settings, workspace.tracker, workspace.pose, workspace.checks
+    may_retry = tracker.initialised and not tracker.start_given and settings.bump_angle == 0.0
+    latched = tracker.latch
+    estimate.residual = math.nan
+    begin_checks(workspace, stamp)
+    outcome, checks.faults = _solve(model, stamp, extrapolate)
+    bridged = checks.faults != 0
+    if outcome == CONVERGED and settings.period > 0.0 and count_theta(workspace, theta_of(pose.rotation), scan.at_home):
+        turn_about_z(pose.rotation, -checks.marks_off * settings.bump_angle)
+        bridged, checks.faults = False, 0
+        outcome = solve_pose(workspace, workspace.reading_count, SINGULAR, math.nan)
+    if outcome != CONVERGED:
+        if may_retry and outcome != ILL_CONDITIONED:
+            return RETRY
+        _write_unsolved(workspace, outcome, _flagged(scan), estimate)
+        return DONE
+    differentiate_by_parameters(workspace.rows, workspace.reading_count, pose, model.by_row)
+    add_systematic_covariance(model)
+    if workspace.unmeasured != 0:
+        add_unmeasured(workspace)
+    write_covariances(workspace, estimate.random, estimate.systematic)
+    estimate.residual = 0.0
+    if workspace.redundant_count > 0 and not bridged:
+        estimate.residual = chi_square(workspace)
+    checks.contradictory = 0 if estimate.residual <= settings.residual_limit else 1
+    if checks.contradictory and may_retry:
+        return RETRY
+    theta = theta_of(pose.rotation)
+    check_residuals(workspace)
+    check_motion(workspace, theta, stamp, estimate)
+    check_count(workspace, theta)
+    check_home_mark(workspace, theta, scan.at_home)
+    check_reference(workspace, theta, estimate)
+    use_confirmation(workspace)
+    checks.faults |= _flagged(scan)
+    _end_start(settings, tracker)
+    theta = _keep_pose(workspace, stamp, theta)
+    if checks.contradictory or tracker.latch:
+        write_lost(estimate, _with_latch(checks.faults, latched))
+        return DONE
+    _write_pose(workspace, theta, estimate)
+    estimate.state, estimate.faults = DEGRADED if checks.faults else OK, checks.faults
+    if settings.period > 0.0 and not tracker.counted:
+        estimate.state = UNCOUNTED
+    return DONE
+
+
+@in_place
+def _write_unsolved(workspace: Any, outcome: int, flagged: int, estimate: Any) -> None:
+    """Write that a scan without a solution is LOST."""
+    settings, tracker = workspace.settings, workspace.tracker
+    faults = ILL_CONDITIONED_FAULT if outcome == ILL_CONDITIONED else NOT_CONVERGED_FAULT
+    latched = tracker.latch
+    if settings.period > 0.0 or not settings.max_velocity < math.inf:
+        forget_pose(tracker)
+    tracker.reference_sigma = 0.0
+    _end_start(settings, tracker)
+    write_lost(estimate, _with_latch(faults, latched) | flagged)
+
+
+@inlined
+def _keep_pose(workspace: Any, stamp: float, theta: float) -> float:
+    """Keep an accepted pose as the previous one, else as rejected; return theta, of an accepted one with its turns."""
+    tracker, checks = workspace.tracker, workspace.checks
+    if checks.contradictory:
+        return theta
+    if not checks.accepted:
+        tracker.rejected_known, tracker.rejected_stamp = 1, stamp
+        copy_pose(workspace.pose, tracker.rejected)
+        return theta
+    theta = tracker.theta + wrapped(theta - tracker.theta)
+    moved_from_previous = tracker.initialised and not checks.recounted
+    update_tracker(tracker, workspace.pose, stamp, theta, checks.elapsed if moved_from_previous else math.nan)
+    return theta
+
+
+@inlined
+def _end_start(settings: Any, tracker: Any) -> None:
+    """Use a given start for one scan only, but the one that knows a count until a scan has used it."""
+    if tracker.initialised or not (settings.bump_angle > 0.0 and tracker.counted):
+        tracker.start_given = 0
+
+
+@inlined
+def _write_pose(workspace: Any, theta: float, estimate: Any) -> None:
+    """Write the solution as rotation and translation, as quaternion, and in native coordinates, theta counted."""
+    pose = workspace.pose
+    rotation = pose.rotation
+    copy_pose(pose, estimate)
+    write_pose(matrix(rotation, 0), at(pose.translation, 0), estimate.pose)
+    store(estimate.native, 0, at(pose.translation, 0))
+    estimate.native[3] = math.asin(max(-1.0, min(1.0, -rotation[1, 2])))
+    estimate.native[4] = math.atan2(rotation[0, 2], rotation[2, 2])
+    estimate.native[5] = theta
+    estimate.redundancy = workspace.redundant_count
+
+
+@in_place
+def write_lost(estimate: Any, faults: int) -> None:
+    """Write that a scan is LOST: every number NaN but the chi-square, which may be the reason."""
+    estimate.state, estimate.faults, estimate.redundancy = LOST, faults, 0
+    for i in range(3):
+        estimate.translation[i] = math.nan
+        for j in range(3):
+            estimate.rotation[i, j] = math.nan
+    for i in range(7):
+        estimate.pose[i] = math.nan
+    for i in range(6):
+        estimate.native[i] = math.nan
+        for j in range(6):
+            estimate.random[i, j] = math.nan
+            estimate.systematic[i, j] = math.nan
+
+
+@without_lock
+def estimate_scans(
+    model: Model, scans: NDArray[np.void], estimates: NDArray[np.void], begin: int, end: int
+) -> tuple[int, int]:
+    """Estimate scans ``begin`` to ``end`` while nothing is left to do for one.
+
+    Returns:
+        Where the loop stopped, ``end`` or the scan in question, and what is left to do for that scan.
+
+    """
+    for n in range(begin, end):
+        left = estimate_scan(model, scans[n], estimates[n])
+        if left != DONE:
+            return n, left
+    return end, DONE

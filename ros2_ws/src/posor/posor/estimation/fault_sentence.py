@@ -1,0 +1,67 @@
+"""The sentence on the faults of an estimate: what is wrong with a scan, and what would be right."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from posor.estimation.frozen import ALL
+from posor.estimation.supply_and_temperature import ANY_FINITE
+from posor.model.fault import Fault
+
+if TYPE_CHECKING:
+    from posor.estimation.sensor_stack import Stack
+    from posor.model.scan import Scan
+
+RELEASE = (
+    "until the earlier motion is regained, the readings agree again, a reference confirms theta, "
+    "or ~/acknowledge is called"
+)
+"""What releases a latch."""
+
+
+def fault_sentence(stack: Stack, settings: Any, scan: Scan, estimate: Any) -> str:
+    """Return the sentence on the faults of a scan's estimate, empty where it has none.
+
+    Args:
+        stack: Sensors of the POSOR.
+        settings: Record of dtype ``workspace.SETTINGS``.
+        scan: The scan.
+        estimate: Record of dtype ESTIMATE.
+
+    """
+    faults = int(estimate["faults"])
+    if faults == 0:
+        return ""
+    if estimate["sensor"] >= 0:
+        return str(stack.sensors[estimate["sensor"]].explain(scan, int(estimate["code"])))
+    code = int(estimate["code"])
+    frozen = "every reading" if code == ALL else stack.reading_names[code]
+    sentences = {
+        Fault.BAD_READING: "its stamp does not come after that of the scan before",
+        Fault.NOT_CONVERGED: "the estimate did not converge",
+        Fault.ILL_CONDITIONED: "the readings do not determine all six freedoms",
+        Fault.RESIDUAL: f"the redundant readings contradict one another, chi-square {estimate['residual']:.3g}; "
+        f"expected at most {settings['residual_limit']:.3g}",
+        Fault.INNOVATION: "the pose is further from the previous pose than the target can have moved",
+        Fault.COUNT: "the count of theta is in doubt, or a home mark disagrees with it",
+        Fault.ENVIRONMENT: _environment_sentence(settings, scan),
+        Fault.FLAGGED: "the driver marked a reading as saturated or filled in",
+        Fault.FROZEN: f"{frozen} repeats to the last bit although it has noise",
+        Fault.ENCODER: "theta disagrees with the encoder",
+    }
+    found = [sentence for fault, sentence in sentences.items() if faults & fault]
+    if faults & Fault.LATCHED:
+        found = [f"latched after {Fault(faults & ~Fault.LATCHED).name}, {RELEASE}"]
+    return f"scan {scan.number}: {'; '.join(found)}." if found else ""
+
+
+def _environment_sentence(settings: Any, scan: Scan) -> str:
+    parts = (("supply voltage", scan.supply_voltage, "V"), ("temperature", scan.temperature, "K"))
+    invalid = [
+        f"{name} {value:g} {unit} is outside the calibration's range; expected "
+        + ("a finite number or NaN" if (low, high) == ANY_FINITE else f"{low:g} to {high:g} {unit}")
+        for (name, value, unit), (low, high) in zip(parts, settings["environment"], strict=True)
+        if not (math.isnan(value) or low <= value <= high)
+    ]
+    return "; ".join(invalid)

@@ -1,0 +1,157 @@
+"""From raw readings of a scan to linearised readings and the pool rows that they belong to, sensor by sensor."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from posor.model.diode import CODES, OUTSIDE_X, find_ratios
+from posor.model.readings import (
+    DIODE_CURRENTS,
+    GAP_VOLTAGES,
+    PYTHON,
+    VALID,
+    WRONG_COUNT,
+    WRONG_SOURCE,
+    WRONG_SOURCES,
+    fault_of_code,
+)
+from posor.model.scan import CONTACTS
+from posor.model.spot_map import INSIDE, spot_position
+from posor.model.voltage import linearise_voltage, voltage_code
+from posor.numerics.compiled import in_place, inlined
+from posor.numerics.vector import square
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from posor.estimation.workspace import Model
+    from posor.numerics.array_types import FloatArray, IntArray
+
+
+@inlined
+def _select_probe_rows(model: Model, sensor: Any, scan: Any) -> int:
+    """Write the pool rows of gap or ring probes; return VALID or a code."""
+    if (scan.gap_count if sensor.source == GAP_VOLTAGES else scan.ring_count) != sensor.count:
+        return WRONG_COUNT
+    for i in range(sensor.count):
+        model.workspace[0].selected_rows[sensor.first_reading + i] = sensor.first_pool_row + i
+    return VALID
+
+
+@inlined
+def _linearise_voltages(model: Model, sensor: Any, scan: Any) -> int:
+    """Linearise the voltages of gap or ring probes; return VALID or a code."""
+    workspace = model.workspace[0]
+    is_gap = sensor.source == GAP_VOLTAGES
+    code = _select_probe_rows(model, sensor, scan)
+    if code != VALID:
+        return code
+    for i in range(sensor.count):
+        r, channel = sensor.first_reading + i, model.channels[sensor.first_channel + i]
+        volt = (scan.gap_voltages[i] if is_gap else scan.ring_voltages[i]) + channel.zero_shift
+        code = voltage_code(channel, volt)
+        if code != VALID:
+            return code + 2 * i
+        workspace.values[r], workspace.variances[r] = linearise_voltage(
+            channel, volt, scan.supply_voltage, scan.temperature, model.by_channel[r]
+        )
+    return VALID
+
+
+@inlined
+def _select_spot_rows(model: Model, sensor: Any, scan: Any) -> int:
+    """Write the pool rows of the light sources lit; return VALID or a code."""
+    workspace = model.workspace[0]
+    if scan.current_count != CONTACTS * sensor.count:
+        return WRONG_COUNT
+    if scan.lit_count != sensor.count:
+        return WRONG_SOURCES
+    for i in range(sensor.count):
+        lit = scan.lit_sources[i]
+        if lit < 0 or lit >= sensor.light_sources:
+            return WRONG_SOURCE - i
+        for axis in range(2):
+            row = sensor.first_pool_row + 2 * (i * sensor.light_sources + lit) + axis
+            workspace.selected_rows[sensor.first_reading + 2 * i + axis] = row
+    return VALID
+
+
+@inlined
+def _linearise_spots(model: Model, sensor: Any, scan: Any) -> int:
+    """Linearise the contact currents of diodes; return VALID or a code."""
+    code = _select_spot_rows(model, sensor, scan)
+    if code != VALID:
+        return code
+    workspace = model.workspace[0]
+    spot = workspace.spot
+    for i in range(sensor.count):
+        d, r = sensor.first_channel + i, sensor.first_reading + 2 * i
+        diode = model.diodes[d]
+        code = find_ratios(scan.diode_currents, i, diode, spot)
+        if code != VALID:
+            return code + CODES * i
+        outcome = spot_position(diode, model.map_parameters[d], spot, model.by_map, r)
+        if outcome != INSIDE:
+            return OUTSIDE_X + outcome - 1 + CODES * i
+        for axis in range(2):
+            workspace.values[r + axis] = spot.position[axis]
+            by_x, by_y = spot.slope[axis, 0] * diode.noise[0], spot.slope[axis, 1] * diode.noise[1]
+            workspace.variances[r + axis] = square(by_x) + square(by_y)
+    return VALID
+
+
+@inlined
+def linearise_scan(model: Model, scan: Any, estimate: Any) -> bool:
+    """Linearise one scan; return whether all its readings are valid.
+
+    Values, variances, selected rows and the derivatives by the linearisation's parameters are written. The first sensor
+    with invalid readings ends it: ``estimate`` gets the sensor's number, its code, and the fault.
+    """
+    estimate.sensor = -1
+    estimate.code = VALID
+    for s in range(model.sensors.shape[0]):
+        sensor = model.sensors[s]
+        code = VALID
+        if sensor.source == DIODE_CURRENTS:
+            code = _linearise_spots(model, sensor, scan)
+        elif sensor.source != PYTHON:
+            code = _linearise_voltages(model, sensor, scan)
+        if code != VALID:
+            estimate.sensor = s
+            estimate.code = code
+            estimate.faults = fault_of_code(sensor.source, code)
+            return False
+    return True
+
+
+@in_place
+def linearise_scans(
+    model: Model,
+    scans: NDArray[np.void],
+    values: FloatArray,
+    variances: FloatArray,
+    selected: IntArray,
+    codes: IntArray,
+) -> None:
+    """Linearise many scans (n,): readings [m], variances [m^2] and pool rows (n, m), and each sensor's code (n, s).
+
+    Pool rows are also written for scans with invalid readings; they are -1 where the lit sources are unknown.
+    """
+    workspace = model.workspace[0]
+    estimate = workspace.estimate
+    for n in range(scans.shape[0]):
+        if linearise_scan(model, scans[n], estimate):
+            for r in range(values.shape[1]):
+                values[n, r], variances[n, r] = workspace.values[r], workspace.variances[r]
+        else:
+            codes[n, estimate.sensor] = estimate.code
+            for r in range(values.shape[1]):
+                workspace.selected_rows[r] = -1
+            for s in range(model.sensors.shape[0]):
+                if model.sensors[s].source == DIODE_CURRENTS:
+                    _select_spot_rows(model, model.sensors[s], scans[n])
+                elif model.sensors[s].source != PYTHON:
+                    _select_probe_rows(model, model.sensors[s], scans[n])
+        for r in range(values.shape[1]):
+            selected[n, r] = workspace.selected_rows[r]

@@ -1,0 +1,436 @@
+"""The estimator of a POSOR: turns raw scans into poses by inverting the model of its sensors, scan after scan."""
+
+from __future__ import annotations
+
+import copy
+import math
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.special import chdtri
+
+from posor.calibration.calibration_file import Calibration, Environment, TiltAngle
+from posor.calibration.parameter_covariance import CovarianceSquareRoot, stated_correlation
+from posor.errors import ParameterError, ShapeError
+from posor.estimation.estimate import ESTIMATE, Estimate, Estimates
+from posor.estimation.estimate_scan import DONE, START, estimate_scans
+from posor.estimation.fault_sentence import fault_sentence
+from posor.estimation.frozen import evidence_of_repetition
+from posor.estimation.linearise import linearise_scan
+from posor.estimation.plain_sensors import PlainSensors
+from posor.estimation.sensor_stack import Stack
+from posor.estimation.solver import CONVERGED, SINGULAR, solve_start
+from posor.estimation.start_poses import start_poses
+from posor.estimation.supply_and_temperature import ANY_FINITE
+from posor.estimation.tracking import wrapped
+from posor.model.fault import Fault
+from posor.model.native_coordinates import native_from_rotation
+from posor.model.readings import DIODE_CURRENTS, PYTHON
+from posor.model.scan import Scan, ScanBuffer, Scans
+from posor.numerics.compiled import compile_for, record_view
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import pinocchio as pin
+    from numpy.typing import NDArray
+
+    from posor.numerics.array_types import FloatArray
+
+PHASE_GUESSES = 8
+"""Starts within one bump that are tried where theta is unknown."""
+LIKELY_RUNOUT = 1e-4
+"""Of starts that fit alike, as three ring probes have several, the start of least runout is taken; scale [m]."""
+LARGEST_SIGMA = 0.1
+"""Largest standard uncertainty of a reference of theta, in periods: five of them are half a period."""
+COUNT_WINDOW = 0.52
+"""Largest distance of a solution from a theta that is known to half a bump, in bumps."""
+
+
+class Posor:
+    """Turns scans into poses, one after the other.
+
+    Each solution starts from the previous one; the first starts from a closed form. An invalid scan never raises: its
+    estimate is LOST and has a reason. One scan (``estimate``) and many (``estimate_all``) take the same steps, so both
+    give the same numbers.
+
+    Attributes:
+        calibration: The calibration, its session applied.
+        redundancy: Number of redundant readings.
+        stack: The sensors; for other parameters there is ``with_parameter_values``.
+
+    """
+
+    def __init__(self, calibration: Calibration, *, false_alarm: float = 1e-3) -> None:
+        """Build the sensors of a calibration.
+
+        Args:
+            calibration: The calibration of the POSOR, with its session already applied.
+            false_alarm: Probability that the chi-square test of the redundant readings rejects a sound scan; zero: the
+                test rejects no scan.
+
+        Raises:
+            ParameterError: ``false_alarm`` is not a probability below one.
+
+        """
+        if not 0.0 <= false_alarm < 1.0:
+            raise ParameterError(
+                f"false alarm probability {false_alarm:g}", where="Posor", expected="a probability from 0 to below 1"
+            )
+        self.calibration = calibration
+        self.stack = Stack([sensor.build() for sensor in calibration.sensors])
+        self.redundancy = max(self.stack.readings - 6, 0)
+        self._false_alarm = false_alarm
+        self._slip_angle = max(sensor.slip_angle for sensor in calibration.sensors)
+        correlated = any(record.covariances for record in calibration.fits)
+        self._square_root = CovarianceSquareRoot.of(
+            self.stack.parameter_sigmas, stated_correlation(calibration, calibration.session) if correlated else None
+        )
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """Lay the stack out for the kernels; the tracker is reset."""
+        self.model = self.stack.model(self._square_root)
+        self._plain = PlainSensors(self.stack, self.model, self.parameter_square_root)
+        self._known_theta: float | None = None
+        self._one = _OneScan(self)
+        settings, motion = self.settings, self.calibration.motion
+        settings["residual_limit"] = math.inf
+        if self.redundancy > 0 and self._false_alarm > 0.0:
+            settings["residual_limit"] = chdtri(self.redundancy, self._false_alarm)
+        limits = (motion.translation, motion.lean, motion.theta) if motion is not None else (None, None, None)
+        for name, limit in zip(("max_velocity", "max_lean_rate", "max_theta_rate"), limits, strict=True):
+            settings[name] = math.inf if limit is None else limit.number
+        for sensor in self.calibration.sensors:
+            if sensor.bump_angle > 0.0 and settings["bump_angle"] == 0.0:
+                settings["bump_angle"], settings["home_theta"] = sensor.bump_angle, sensor.home_theta
+        settings["period"] = settings["bump_angle"] or self._slip_angle
+        self._prepare_environment(settings)
+        self._prepare_frozen(settings)
+        settings["tilt_lags"] = self.calibration.tilt_angle is TiltAngle.PREVIOUS_SCAN
+
+    def _prepare_environment(self, settings: Any) -> None:
+        environment = self.calibration.environment or Environment()
+        for k, part in enumerate((environment.supply, environment.temperature)):
+            settings["environment"][k] = ANY_FINITE if part is None else part.range.array
+            settings["spreads"][k] = 0.0 if part is None else part.spread.number
+        workspace, channels = self.model.workspace[0], self.model.channels
+        for sensor in self.model.sensors:
+            if sensor["source"] not in {DIODE_CURRENTS, PYTHON}:
+                reading, channel, count = (int(sensor[name]) for name in ("first_reading", "first_channel", "count"))
+                for k, name in enumerate(("supply_sensitivity", "temperature_sensitivity")):
+                    by = channels[name][channel : channel + count]
+                    workspace["sensitivities"][reading : reading + count, k] = by
+
+    def _prepare_frozen(self, settings: Any) -> None:
+        """Write the evidence of each reading's repetition; none without the converter's steps."""
+        converter, model, workspace = self.calibration.converter, self.model, self.model.workspace[0]
+        if converter is None:
+            return
+        for sensor in model.sensors:
+            first, channel = int(sensor["first_reading"]), int(sensor["first_channel"])
+            for i in range(int(sensor["count"])):
+                if sensor["source"] == DIODE_CURRENTS:
+                    diode = model.diodes[channel + i]
+                    for axis, noise in enumerate(0.5 * diode["least_sum"] * diode["noise"]):
+                        workspace["evidence"][first + 2 * i + axis] = evidence_of_repetition(
+                            converter.current.number, float(noise)
+                        )
+                elif sensor["source"] != PYTHON:
+                    noise = float(model.channels[channel + i]["noise"])
+                    workspace["evidence"][first + i] = evidence_of_repetition(converter.voltage.number, noise)
+        settings["all_evidence"] = workspace["evidence"].sum()
+
+    def with_parameter_values(self, values: FloatArray) -> Posor:
+        """Return the same POSOR with another parameter vector of its stack (shape (p,)), and nothing remembered.
+
+        ``calibration`` stays the calibration that this POSOR was made of.
+
+        Raises:
+            ShapeError: The vector has another length.
+            ParameterError: A value is not finite.
+
+        """
+        if np.shape(values) != (self.stack.parameters,):
+            raise ShapeError("values", received=np.shape(values), expected=f"({self.stack.parameters},)")
+        if not np.isfinite(values).all():
+            raise ParameterError("a value is not finite", where="parameter values", expected="finite numbers")
+        other = copy.copy(self)
+        other.stack = self.stack.with_parameter_values(values)
+        other._prepare()  # noqa: SLF001  a copy of the same class
+        return other
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Posor:
+        """Return a POSOR that goes on from the same previous pose, with a workspace of its own."""
+        other = self.with_parameter_values(self.stack.parameter_values)
+        other.model.workspace["tracker"] = self.model.workspace["tracker"]
+        return other
+
+    @property
+    def settings(self) -> Any:
+        """Settings of tracker and tests, a record of dtype ``workspace.SETTINGS``."""
+        return self.model.workspace[0]["settings"]
+
+    @property
+    def tracker(self) -> Any:
+        """What is known from the previous scans, a record of dtype ``workspace.TRACKER``."""
+        return self.model.workspace[0]["tracker"]
+
+    @cached_property
+    def parameter_square_root(self) -> FloatArray:
+        """A square root of the covariance of the stack's parameters that the calibration states, (p, factors)."""
+        return self._square_root.dense()
+
+    @property
+    def has_plain_sensors(self) -> bool:
+        """Whether sensors written in plain Python take part."""
+        return self._plain.present
+
+    @property
+    def counts_bumps(self) -> bool:
+        """Whether theta is found within one bump and counted in bumps, from a home mark or another reference."""
+        return bool(self.settings["bump_angle"] > 0.0)
+
+    @property
+    def residual_limit(self) -> float:
+        """Largest chi-square of the redundant readings that passes."""
+        return float(self.settings["residual_limit"])
+
+    def reset(self) -> None:
+        """Forget the previous pose and the count; the next scan starts from a closed form."""
+        epoch_known, epoch_ns = self.tracker["epoch_known"], self.tracker["epoch_ns"]
+        self.model.workspace["tracker"] = np.zeros((), dtype=self.model.workspace["tracker"].dtype)
+        self.tracker["epoch_known"], self.tracker["epoch_ns"] = epoch_known, epoch_ns
+
+    def acknowledge(self) -> bool:
+        """Release the latch after a fault: the next scan starts anew, and a counted theta must be counted again.
+
+        Returns:
+            Whether there was a latch; without one nothing changes.
+
+        """
+        if not self.tracker["latch"]:
+            return False
+        kept = {name: self.tracker[name].copy() for name in ("theta", "last_raw", "repeats")}
+        self.reset()
+        for name, value in kept.items():
+            self.tracker[name] = value
+        return True
+
+    def confirm_theta(self, theta: float, sigma: float) -> None:
+        """Compare the theta of the next scan with that of an encoder or another reference.
+
+        Agreement within 5 standard deviations counts theta where needed, and releases a latch that is about
+        theta only. Disagreement is ``Fault.ENCODER``, latched.
+
+        Args:
+            theta: Large rotation at the next scan, modulo whole turns [rad].
+            sigma: Its standard uncertainty, motion until the next scan included [rad].
+
+        Raises:
+            ParameterError: A number is not finite, ``sigma`` is not positive, or it is too large to tell the periods of
+                an ambiguous theta apart.
+
+        """
+        if not (math.isfinite(theta) and math.isfinite(sigma) and sigma > 0.0):
+            raise ParameterError(
+                f"theta {theta:g}, sigma {sigma:g}", where="confirm_theta", expected="finite, sigma > 0"
+            )
+        period = float(self.settings["period"])
+        if period > 0.0 and sigma > LARGEST_SIGMA * period:
+            raise ParameterError(
+                f"sigma {sigma:g} rad",
+                where="confirm_theta",
+                expected=f"at most {LARGEST_SIGMA * period:.3g}; theta repeats after {period:.3g} rad",
+            )
+        self.tracker["reference_theta"], self.tracker["reference_sigma"] = theta, sigma
+
+    @property
+    def latched(self) -> Fault:
+        """Faults that keep the joint out until the earlier motion is regained, confirmed or acknowledged."""
+        return Fault(int(self.tracker["latch"]))
+
+    def continue_from(self, other: Posor, last: Scan | None = None) -> None:
+        """Start the next scan from the previous pose of another POSOR of the same kind, with its count and latch.
+
+        Args:
+            other: The other POSOR.
+            last: The scan of that pose. It is estimated once more, because the two calibrations may see one place
+                differently; None: the next scan skips the motion gate.
+
+        """
+        repeats = ["bump_angle", "period", "home_theta"]
+        if all(self.settings[name] == other.settings[name] for name in repeats):
+            self.model.workspace["tracker"] = other.model.workspace["tracker"]
+            if self.tracker["initialised"]:
+                self.tracker["start"] = self.tracker["pose"]
+                self.tracker["start_given"], self.tracker["initialised"] = 1, 0
+                for name in ("last_raw", "repeats", "signatures", "signature_count", "loop_repeats"):
+                    self.tracker[name] = 0
+                if last is not None:
+                    self.estimate(last)
+
+    def estimate(self, scan: Scan) -> Estimate:
+        """Return the pose of one scan, starting from the pose of the previous scan.
+
+        Raises:
+            ShapeError: A reading of the scan has the wrong shape.
+
+        """
+        return self._one.estimate(scan)
+
+    def estimate_all(self, scans: Scans) -> Estimates:
+        """Return the poses of many scans, one after the other: the same numbers as ``estimate`` of each."""
+        estimates = np.zeros(len(scans), dtype=ESTIMATE)
+        self.estimate_records(np.require(scans.records, requirements=["C", "W"]), estimates)
+        return Estimates(estimates)
+
+    def estimate_each(self, scans: Scans, thetas: FloatArray | None = None) -> Estimates:
+        """Return the poses of scans that are independent of one another: each starts from a closed form.
+
+        Args:
+            scans: The scans.
+            thetas: For a counted theta: its value to half a bump [rad], shape (n,); None: unknown.
+
+        Returns:
+            The estimates; the previous pose and the count are forgotten afterwards.
+
+        Raises:
+            ShapeError: There is not one theta for each scan.
+
+        """
+        if thetas is not None and np.shape(thetas) != (len(scans),):
+            raise ShapeError("thetas", received=np.shape(thetas), expected=f"({len(scans)},)")
+        estimates = np.zeros(len(scans), dtype=ESTIMATE)
+        records = np.require(scans.records, requirements=["C", "W"])
+        try:
+            for n in range(len(scans)):
+                self.reset()
+                self._known_theta = None if thetas is None else float(thetas[n])
+                self.estimate_records(records[n : n + 1], estimates[n : n + 1])
+        finally:
+            self._known_theta = None
+            self.reset()
+        return Estimates(estimates)
+
+    def estimate_records(self, scans: NDArray[np.void], estimates: NDArray[np.void]) -> None:
+        """Estimate scan records (n,), contiguous, dtype SCAN, into estimate records (n,), dtype ESTIMATE."""
+        scans, estimates = record_view(scans), record_view(estimates)
+        done, count = 0, len(scans)
+        while done < count:
+            done, left = self._estimate_scans(scans, estimates, done, count)
+            if left != DONE:
+                self.finish_scan(scans, estimates, done, left)
+                done += 1
+
+    def _estimate_scans(
+        self, scans: NDArray[np.void], estimates: NDArray[np.void], begin: int, end: int
+    ) -> tuple[int, int]:
+        if self._plain.present:
+            return self._plain.estimate_scans(scans, estimates, begin, end)
+        return estimate_scans(self.model, scans, estimates, begin, end)
+
+    def finish_scan(self, scans: NDArray[np.void], estimates: NDArray[np.void], n: int, left: int) -> None:
+        """Do what ``estimate_scans`` left to do for scan n: start from a closed form, or retry from there.
+
+        The arrays are those of ``estimate_records`` in the view for kernels (``numerics.compiled.record_view``).
+        """
+        if left == START and self.counts_bumps:
+            self.tracker["counted"] = 0  # a closed form does not know the count
+        self._start(scans, estimates, n)
+        self.model.workspace["again"] = 1
+        try:
+            self._estimate_scans(scans, estimates, n, n + 1)
+        finally:
+            self.model.workspace["again"] = 0
+
+    def _start(self, scans: NDArray[np.void], estimates: NDArray[np.void], n: int) -> None:
+        """Make the best closed-form start for scan n the start of the solver."""
+        self._linearise(scans, estimates, n)
+        workspace, m = self.model.workspace[0], self.stack.readings
+        rows, values, variances = workspace["rows"], workspace["values"][:m], workspace["variances"][:m]
+        selected = self.stack.pool[workspace["selected_rows"][:m]]
+        pose = workspace["pose"]
+        bump, known = float(self.settings["bump_angle"]), self._known_theta
+        guesses = [(known or 0.0) + bump * (i / PHASE_GUESSES - 0.5) for i in range(PHASE_GUESSES)]
+        workspace["rows_active"] = 0
+        best = math.inf
+        for start in start_poses(selected, values, guesses if self.counts_bumps else [0.0]):
+            rows[:m] = selected
+            self.stack.expand_plain_rows(rows, start.rotation, start.translation)
+            pose["rotation"], pose["translation"] = start.rotation, start.translation
+            settled = solve_start(self.model, SINGULAR) == CONVERGED
+            misfit = float((1.0 / variances) @ np.square(workspace["residuals"][:m])) if settled else math.inf
+            misfit += float(np.sum(np.square(pose["translation"][:2] / LIKELY_RUNOUT)))
+            if settled and self.counts_bumps and known is not None:
+                off = abs(wrapped(native_from_rotation(pose["rotation"])[2] - known))
+                misfit = misfit if off < COUNT_WINDOW * bump else math.inf
+            if misfit < best or math.isinf(best):
+                best = min(best, misfit)
+                if settled:
+                    self._set_start(pose["rotation"], pose["translation"])
+                else:
+                    self._set_start(start.rotation, start.translation)
+        if known is not None:
+            self.tracker["counted"] = 1
+
+    def _linearise(self, scans: NDArray[np.void], estimates: NDArray[np.void], n: int) -> None:
+        """Linearise the readings of scan n, which are valid, into the workspace."""
+        if self._plain.present:
+            self._plain.linearise(scans, estimates, n)
+        else:
+            linearise_scan(self.model, scans[n], estimates[n])
+
+    def _set_start(self, rotation: FloatArray, translation: FloatArray) -> None:
+        """Let the solver start the next scan from a pose."""
+        start = self.tracker["start"]
+        start["rotation"], start["translation"] = rotation, translation
+        self.tracker["start_given"] = 1
+
+    def predict(self, scan: Scan, T_R_T: pin.SE3) -> FloatArray:
+        """Return what every linearised reading of a scan would be at a pose [m], shape (m,).
+
+        The scan says only which rows are read (which light sources are lit).
+
+        Raises:
+            ScanError: The scan does not say so.
+
+        """
+        linearised = self.stack.linearise(Scans.of([scan]))
+        selected = linearised.selected[0]
+        if (selected < 0).any():
+            raise self.stack.invalid_scan(scan, linearised)
+        return self.stack.evaluate(selected, T_R_T.rotation, T_R_T.translation)[0]
+
+    def reason(self, scan: Scan, estimate: Any) -> str:
+        """Return the sentence on the fault of a scan's estimate (record of dtype ESTIMATE), empty where it has none."""
+        return fault_sentence(self.stack, self.settings, scan, estimate)
+
+
+class _OneScan:
+    """Estimates one scan at a time in memory that is allocated once."""
+
+    def __init__(self, posor: Posor) -> None:
+        self._posor = posor
+        self._buffer = ScanBuffer()
+        self._estimates = np.zeros(1, dtype=ESTIMATE)
+        self._found = Estimates(self._estimates)
+        self._faults = self._estimates["faults"]
+        self._arguments = posor.model, record_view(self._buffer.records), record_view(self._estimates), 0, 1
+        self._compiled: Callable[..., tuple[int, int]] | None = None
+
+    def estimate(self, scan: Scan) -> Estimate:
+        self._buffer.write(scan)
+        self._run()
+        return self._found.at(0, self._posor.reason(scan, self._estimates[0]) if self._faults[0] else "")
+
+    def _run(self) -> None:
+        if self._posor.has_plain_sensors:
+            self._posor.estimate_records(self._buffer.records, self._estimates)
+            return
+        if self._compiled is None:
+            self._compiled = compile_for(estimate_scans, self._arguments)
+        _, left = self._compiled(*self._arguments)
+        if left != DONE:
+            self._posor.finish_scan(*self._arguments[1:4], left)

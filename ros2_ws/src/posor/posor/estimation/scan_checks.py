@@ -1,0 +1,269 @@
+"""Checks between solution and tracker: residuals, motion gate, count of theta, home marks, reference; and the latch.
+
+A fault latches the joint. REGAINABLE_FAULTS hold the tracker at the last accepted pose. They are released where one of
+the next scans regains the extrapolated motion within the gate of one scan interval, by a jump back from the poses
+rejected meanwhile. Waiting does not widen this gate: later, only a reference of theta releases a latch that is about
+theta, or an operator any latch. Where a home mark or an encoder disagrees, the tracker goes on, and the reference
+releases the latch.
+
+Each check reads and writes ``workspace.checks`` and the tracker; ``estimation.estimate_scan`` calls them in order.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from posor.estimation.tracking import LONGEST_GAP, copy_pose, theta_of, turn_about_z, wrapped
+from posor.model.fault import Fault
+from posor.model.scan import STATED_HOME
+from posor.numerics.compiled import in_place, inlined
+from posor.numerics.vector import square
+
+if TYPE_CHECKING:
+    from posor.numerics.array_types import FloatArray
+
+REGAIN_GAP = 4.5
+"""Intervals after the last accepted pose within which the motion is regained: up to three bad scans in a row."""
+FIRST_GAP_S = 0.2
+"""The same after a scan that counted theta anew, whose motion is not known yet [s]."""
+MARKS = 6
+"""Consecutive scans with agreeing home marks that count theta; as many disagreeing marks are not taken for spurious."""
+RESIDUAL_RUN = 10
+"""Scans in a row that fail the residual test before the joint is latched, and that pass it before it is released."""
+REFERENCE_SIGMAS = 5.0
+"""Standard deviations within which a reference of theta agrees."""
+NOISE_ALLOWANCE = 5.0
+"""Standard deviations of noise that are added to the largest motion before a jump is a fault."""
+
+RESIDUAL, INNOVATION, COUNT, ENCODER = (
+    int(fault) for fault in (Fault.RESIDUAL, Fault.INNOVATION, Fault.COUNT, Fault.ENCODER)
+)
+REGAINABLE_FAULTS = int(Fault.INNOVATION | Fault.SOURCE | Fault.FROZEN)
+"""Faults whose latch a pose that goes on from the earlier motion releases."""
+
+
+@inlined
+def begin_checks(workspace: Any, stamp: float) -> None:
+    """Begin the checks of a scan at ``stamp`` [s]; give up a count that nobody followed."""
+    tracker, checks = workspace.tracker, workspace.checks
+    checks.elapsed = stamp - tracker.stamp
+    checks.faults, checks.contradictory, checks.accepted = 0, 0, 1
+    checks.recounted, checks.confirmed, checks.marks, checks.marks_off = 0, 0, 0, 0.0
+    limited = workspace.settings.max_velocity < math.inf
+    if limited and tracker.initialised and count_is_stale(workspace.settings, tracker, checks.elapsed):
+        tracker.counted = 0
+    checks.counted = tracker.counted
+
+
+@in_place
+def count_theta(workspace: Any, theta: float, at_home: int) -> bool:
+    """Count theta by a statement, enough home marks, or a reference; return whether it is periods off."""
+    settings, tracker, checks = workspace.settings, workspace.tracker, workspace.checks
+    if at_home == STATED_HOME or (at_home and not checks.counted):
+        checks.marks_off = periods_off(settings, theta)
+        goes_on = tracker.marks > 0 and checks.marks_off == tracker.marks_off
+        checks.marks = tracker.marks + 1 if goes_on else 1
+        checks.recounted = 1 if checks.marks >= MARKS or at_home == STATED_HOME else 0
+    elif tracker.reference_sigma > 0.0 and not checks.counted:
+        checks.marks_off = float(round(wrapped(theta - tracker.reference_theta) / settings.period))
+        checks.recounted = 1
+    if checks.recounted and checks.marks_off != 0.0 and settings.bump_angle == 0.0:
+        checks.faults |= COUNT  # the numbers of the light sources say something else
+        checks.recounted = 0
+    return bool(checks.recounted and checks.marks_off != 0.0)
+
+
+@in_place
+def check_residuals(workspace: Any) -> None:
+    """Latch the joint where readings contradict one another for long; release it where they have agreed for long."""
+    tracker, checks = workspace.tracker, workspace.checks
+    if checks.contradictory:
+        checks.faults |= RESIDUAL
+        checks.recounted = 0
+        if tracker.latch & RESIDUAL:
+            tracker.contradictions = RESIDUAL_RUN
+        else:
+            tracker.contradictions += 1
+            if workspace.settings.max_velocity < math.inf and tracker.contradictions >= RESIDUAL_RUN:
+                latch(tracker, RESIDUAL, 1, checks.elapsed)
+    elif tracker.contradictions > 0:
+        tracker.contradictions = tracker.contradictions - 1 if tracker.latch & RESIDUAL else 0
+        if tracker.contradictions == 0:
+            tracker.latch &= ~RESIDUAL
+    checks.confirmed = checks.recounted
+
+
+@in_place
+def check_motion(workspace: Any, theta: float, stamp: float, estimate: Any) -> None:
+    """Reject a pose further away than the target can have moved, and while latched one that does not regain it."""
+    settings, tracker, checks = workspace.settings, workspace.tracker, workspace.checks
+    if tracker.latch & REGAINABLE_FAULTS:
+        if not checks.contradictory and is_regained(workspace, stamp, estimate.random):
+            tracker.latch &= ~REGAINABLE_FAULTS
+        else:
+            checks.accepted = 0
+            if _position_jumped(workspace, stamp, estimate):
+                tracker.latch_about_theta = 0
+    elif tracker.initialised and settings.max_velocity < math.inf and not checks.recounted:
+        position, about_z = motion_gate(workspace, tracker.pose, checks.elapsed, estimate.random)
+        if max(position, about_z) > 1.0:
+            checks.faults |= INNOVATION
+            slipped = settings.period > 0.0 and abs(wrapped(theta - tracker.theta)) > 0.5 * settings.period
+            latch(tracker, INNOVATION, 1 if position <= 1.0 or slipped else 0, checks.elapsed)
+            checks.accepted = 0
+
+
+@in_place
+def _position_jumped(workspace: Any, stamp: float, estimate: Any) -> bool:
+    """Return whether position or inclination jumped during a latch."""
+    tracker, checks = workspace.tracker, workspace.checks
+    if tracker.initialised and _jumped_from(workspace, tracker.pose, checks.elapsed, estimate):
+        return True
+    if not tracker.rejected_known:
+        return False
+    return bool(_jumped_from(workspace, tracker.rejected, stamp - tracker.rejected_stamp, estimate))
+
+
+@in_place
+def _jumped_from(workspace: Any, previous: Any, elapsed: float, estimate: Any) -> bool:
+    """Return whether the position jumped without theta; a slip by a period changes both."""
+    turned = wrapped(theta_of(workspace.pose.rotation) - theta_of(previous.rotation))
+    if abs(turned) > 0.5 * workspace.settings.period > 0.0:
+        return False
+    position, _ = motion_gate(workspace, previous, elapsed, estimate.random)
+    return bool(position > 1.0)
+
+
+@in_place
+def check_count(workspace: Any, theta: float) -> None:
+    """Lose the count where theta has moved so far that it may be a period off."""
+    settings, tracker, checks = workspace.settings, workspace.tracker, workspace.checks
+    if settings.period == 0.0 or not tracker.initialised or checks.recounted:
+        return
+    if not checks.accepted or checks.contradictory:
+        return
+    predicted = tracker.theta + tracker.theta_rate * checks.elapsed
+    reach = max(abs(tracker.theta_rate) * checks.elapsed, abs(wrapped(theta - predicted)))
+    if reach > 0.25 * settings.period:
+        checks.faults |= COUNT
+        tracker.counted = 0
+        checks.marks = 0
+
+
+@in_place
+def check_home_mark(workspace: Any, theta: float, at_home: int) -> None:
+    """Compare a counted theta with the home mark; a mark that disagrees latches the joint."""
+    settings, tracker, checks = workspace.settings, workspace.tracker, workspace.checks
+    comparable = settings.period > 0.0 and checks.counted and not checks.recounted
+    if at_home and comparable and checks.accepted and not checks.contradictory:
+        checks.marks_off = periods_off(settings, theta)
+        if checks.marks_off == 0.0:
+            checks.marks = max(0, tracker.marks) + 1
+            checks.confirmed = 1 if checks.marks >= MARKS else 0
+        else:
+            checks.marks = min(0, tracker.marks) - 1
+            checks.faults |= COUNT
+            latch(tracker, COUNT, 1, checks.elapsed)
+    elif tracker.latch & COUNT and not at_home:
+        if -MARKS < tracker.marks < 0:
+            tracker.latch &= ~COUNT  # the disagreeing mark was spurious
+        else:
+            checks.marks = -MARKS
+    tracker.marks, tracker.marks_off = checks.marks, checks.marks_off
+
+
+@in_place
+def check_reference(workspace: Any, theta: float, estimate: Any) -> None:
+    """Compare theta with the reference of this scan, if there is one; disagreement latches the joint."""
+    tracker, checks = workspace.tracker, workspace.checks
+    if tracker.reference_sigma > 0.0 and not checks.contradictory:
+        difference = abs(wrapped(tracker.reference_theta - theta))
+        variance = square(tracker.reference_sigma) + estimate.random[5, 5] + estimate.systematic[5, 5]
+        checks.confirmed = 1 if difference <= REFERENCE_SIGMAS * math.sqrt(variance) else 0
+        if not checks.confirmed:
+            checks.faults |= ENCODER
+            latch(tracker, ENCODER, 1, checks.elapsed)
+    tracker.reference_sigma = 0.0
+
+
+@in_place
+def use_confirmation(workspace: Any) -> None:
+    """Count theta where marks or a reference have confirmed it, and release a latch that is about theta only."""
+    tracker, checks = workspace.tracker, workspace.checks
+    if not checks.confirmed or not (checks.accepted or tracker.latch_about_theta):
+        return
+    tracker.counted = 1
+    if tracker.latch_about_theta:
+        tracker.latch &= RESIDUAL
+        checks.faults &= ~(INNOVATION | COUNT)
+        if not checks.accepted:
+            checks.recounted, checks.accepted = 1, 1
+
+
+@inlined
+def motion_gate(workspace: Any, previous: Any, elapsed: float, covariance: FloatArray) -> tuple[float, float]:
+    """Return the distance of the pose from another one as a share of the largest possible motion: position, theta."""
+    settings, pose = workspace.settings, workspace.pose
+    largest = 0.0
+    for i in range(3):
+        allowed = settings.max_velocity * elapsed + NOISE_ALLOWANCE * math.sqrt(2.0 * covariance[i, i])
+        largest = max(largest, abs(pose.translation[i] - previous.translation[i]) / allowed)
+    for i in range(2):
+        leaned = abs(pose.rotation[i, 2] - previous.rotation[i, 2])
+        spread = covariance[4, 4] if i == 0 else covariance[3, 3]
+        allowed = settings.max_lean_rate * elapsed + NOISE_ALLOWANCE * math.sqrt(2.0 * spread)
+        largest = max(largest, leaned / allowed)
+    turned = abs(wrapped(theta_of(pose.rotation) - theta_of(previous.rotation)))
+    allowed = settings.max_theta_rate * elapsed + NOISE_ALLOWANCE * math.sqrt(2.0 * covariance[5, 5])
+    return largest, turned / allowed
+
+
+@in_place
+def latch(tracker: Any, faults: int, about_theta: int, elapsed: float) -> None:
+    """Keep the joint out; ``elapsed`` [s] since the last accepted pose, ``about_theta``: a reference may release it."""
+    if faults & REGAINABLE_FAULTS and tracker.latch & REGAINABLE_FAULTS == 0:
+        tracker.latch_interval = tracker.interval
+        if elapsed > 0.0 and (tracker.interval <= 0.0 or elapsed < tracker.interval):
+            tracker.latch_interval = elapsed
+        tracker.rejected_known = 0
+    if tracker.latch == 0:
+        tracker.latch_about_theta = 1
+    tracker.latch |= faults
+    tracker.latch_about_theta &= about_theta
+
+
+@inlined
+def count_is_stale(settings: Any, tracker: Any, elapsed: float) -> bool:
+    """Return whether theta can be half a period off, for want of a recent motion: UNCOUNTED, no fault."""
+    followed_for = REGAIN_GAP * tracker.interval if tracker.interval > 0.0 else FIRST_GAP_S
+    return bool(elapsed > followed_for and settings.max_theta_rate * elapsed > 0.5 * settings.period)
+
+
+@inlined
+def is_regained(workspace: Any, stamp: float, covariance: FloatArray) -> bool:
+    """Return whether the pose goes on from the last accepted pose, and not from one that was rejected since."""
+    tracker, centre = workspace.tracker, workspace.start_pose
+    elapsed, interval = stamp - tracker.stamp, tracker.latch_interval
+    if not tracker.initialised or elapsed > REGAIN_GAP * interval:
+        return False
+    if tracker.rejected_known:
+        position, theta = motion_gate(workspace, tracker.rejected, stamp - tracker.rejected_stamp, covariance)
+        if max(position, theta) <= 1.0:
+            return False
+    copy_pose(tracker.pose, centre)
+    if tracker.interval > 0.0:
+        moved = min(elapsed, LONGEST_GAP * interval)
+        turn_about_z(centre.rotation, tracker.theta_rate * moved)
+        for i in range(3):
+            centre.translation[i] += tracker.velocity[i] * moved
+    position, theta = motion_gate(workspace, centre, interval, covariance)
+    return bool(max(position, theta) <= 1.0)
+
+
+@in_place
+def periods_off(settings: Any, theta: float) -> float:
+    """Return by how many whole periods theta misses the home mark's; whole turns count as no miss."""
+    per_turn = round(2.0 * math.pi / settings.period)
+    off = float(round((theta - settings.home_theta) / settings.period))
+    return float(off - per_turn * math.floor(off / per_turn + 0.5))

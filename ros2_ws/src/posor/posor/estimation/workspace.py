@@ -1,0 +1,227 @@
+"""What the compiled estimator works on: the model of one POSOR, its tracker, and memory for one scan, by name.
+
+``WORKSPACE`` describes memory of fixed capacity, bounded by ``posor_msgs/RawScan``. ``Model`` groups it with the arrays
+whose size depends on the calibration; kernels take one ``Model`` and read ``model.pool`` or ``workspace.jacobian``.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from posor.estimation.estimate import ESTIMATE
+from posor.model.diode import SPOT_POSITION
+from posor.model.reading_rows import POSE, ROW
+from posor.model.scan import MAX_DIODES, MAX_GAP_PROBES, MAX_RING_PROBES, SCAN
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from posor.numerics.array_types import FloatArray, IntArray
+
+LONGEST_LOOP = 64
+"""Loops of fewer scans are detected."""
+READINGS = MAX_GAP_PROBES + MAX_RING_PROBES + 2 * MAX_DIODES + 8
+"""Capacity for linearised readings: all of a raw scan, and 8 of sensors written in plain Python."""
+ROWS = READINGS + 6
+"""Capacity for rows: the readings, and one row of prior for each freedom."""
+
+SETTINGS = np.dtype(
+    [
+        ("residual_limit", "f8"),  # largest chi-square of the redundant readings
+        ("max_velocity", "f8"),  # of the target along X, Y and Z each [m/s]; infinite: not limited
+        ("max_lean_rate", "f8"),  # [rad/s]
+        ("max_theta_rate", "f8"),  # [rad/s]
+        ("bump_angle", "f8"),  # after which the readings repeat [rad]; zero: never
+        ("period", "f8"),  # after which theta is ambiguous: the bump angle, or the pitch of even light sources [rad]
+        ("home_theta", "f8"),  # theta at the home mark [rad]
+        ("environment", "f8", (2, 2)),  # lowest and highest supply voltage [V] and temperature [K]
+        ("spreads", "f8", (2,)),  # standard uncertainty of both where they are not measured
+        ("all_evidence", "f8"),  # that readings are frozen, of one repetition of all
+        ("tilt_lags", "i8"),  # 1: the tilts are turned by the theta of the previous scan (program of 1985)
+    ],
+    align=True,
+)
+"""Settings of the tracker and of the tests."""
+
+TRACKER = np.dtype(
+    [
+        ("initialised", "i8"),  # 1 where there is a previous pose
+        ("start_given", "i8"),  # 1 where the solver starts the next scan from ``start`` instead of the previous pose
+        ("counted", "i8"),  # 1 where theta is counted from the home mark, or needs no count
+        ("epoch_known", "i8"),
+        ("epoch_ns", "i8"),  # origin of ``stamp`` [ns]
+        ("stamp", "f8"),  # time of the previous pose [s]
+        ("theta", "f8"),  # its theta, turns counted [rad]
+        ("theta_rate", "f8"),  # [rad/s]
+        ("velocity", "f8", (3,)),  # of the translation [m/s]
+        ("interval", "f8"),  # time over which rate and velocity were found [s]; zero: unknown
+        ("pose", POSE),
+        ("start", POSE),
+        ("latch", "i8"),  # faults that keep the joint out
+        ("latch_about_theta", "i8"),  # 1 where all of them are about theta only, which a reference can confirm
+        ("latch_interval", "f8"),  # one scan interval at the time of the latch [s]
+        ("rejected_known", "i8"),  # 1 where a pose was rejected since the latch
+        ("rejected_stamp", "f8"),
+        ("rejected", POSE),  # the last one
+        ("marks", "i8"),  # home marks in a row: positive, consistent ones; negative, such as disagree with the count
+        ("marks_off", "f8"),  # periods by which the last one was off
+        ("contradictions", "i8"),  # scans in a row that fail the residual test, at most RESIDUAL_RUN
+        ("reference_theta", "f8"),  # theta from an encoder for the next scan [rad]
+        ("reference_sigma", "f8"),  # its standard uncertainty [rad]; zero: there is none
+        ("last_raw", "f8", (READINGS, 2)),  # raw readings of the scan before, two of each diode axis [V], [A]
+        ("repeats", "i8", (READINGS,)),  # how often each has repeated without a break
+        ("signatures", "f8", (LONGEST_LOOP,)),  # of all raw readings of the last scans, by number modulo LONGEST_LOOP
+        ("signature_count", "i8"),
+        ("loop_repeats", "i8", (LONGEST_LOOP,)),  # scans in a row that equal the one 1, 2, ... scans before
+        ("number", "u8"),  # of the last scan
+    ],
+    align=True,
+)
+"""What is known from the previous scans."""
+
+CHECKS = np.dtype(
+    [
+        ("elapsed", "f8"),  # since the previous pose [s]
+        ("faults", "i8"),  # found so far
+        ("contradictory", "i8"),  # 1: the redundant readings fail the residual test
+        ("accepted", "i8"),  # 1: the pose is where the target can have moved
+        ("counted", "i8"),  # 1: theta was counted before this scan
+        ("recounted", "i8"),  # 1: this scan counts theta anew
+        ("confirmed", "i8"),  # 1: home marks or a reference confirm theta
+        ("marks", "i8"),  # as in the tracker, with this scan
+        ("marks_off", "f8"),
+    ],
+    align=True,
+)
+"""What the checks of one scan have found (``estimation.scan_checks``)."""
+
+WORKSPACE = np.dtype(
+    [
+        ("settings", SETTINGS),
+        ("tracker", TRACKER),
+        ("checks", CHECKS),
+        ("scan", SCAN),  # the scan of a stream
+        ("estimate", ESTIMATE),  # its estimate
+        ("reading_count", "i8"),
+        ("redundant_count", "i8"),
+        ("again", "i8"),  # 1: the scan is estimated once more, from a start
+        ("unmeasured", "i8"),  # see estimation.supply_and_temperature
+        ("sensitivities", "f8", (READINGS, 2)),  # of each reading to supply and temperature [m/V], [m/K]
+        ("evidence", "f8", (READINGS,)),  # of one repetition of each reading, see estimation.frozen
+        # Linearised readings; the entries behind the readings belong to the prior.
+        ("values", "f8", (ROWS,)),  # [m]; unit of the sensor for plain sensors
+        ("variances", "f8", (ROWS,)),  # of the noise [m^2]
+        ("weights", "f8", (ROWS,)),
+        ("residuals", "f8", (ROWS,)),
+        ("selected_rows", "i8", (READINGS,)),  # row of the pool of each reading of this scan
+        ("active_rows", "i8", (READINGS,)),  # those of the last scan that was solved; -1: none
+        ("rows_active", "i8"),  # whether ``rows`` hold the ``active_rows``
+        ("row_changes", "i8"),  # how often ``active_rows`` have changed
+        ("rows", ROW, (ROWS,)),
+        ("spot", SPOT_POSITION),
+        # Solver.
+        ("pose", POSE),  # start and solution
+        ("start_pose", POSE),
+        ("jacobian", "f8", (ROWS, 6)),
+        ("step_sum", "f8", (6,)),
+        ("factors", "f8", (7, 3)),  # of the normal matrix, see numerics.symmetric
+        # Covariance.
+        ("gain", "f8", (READINGS, 6)),  # change of the pose for a unit of each reading
+        ("systematic_readings", "f8", (READINGS, READINGS)),  # systematic covariance of the readings [m^2]
+        ("first_correlated", "i8", (READINGS,)),  # readings that each reading is correlated with: first, behind last
+        ("end_correlated", "i8", (READINGS,)),
+        ("alone_count", "i8"),  # see parameter_effects
+        ("contribution_count", "i8"),
+        ("block_count", "i8"),
+        # Residual test.
+        ("residual_space", "f8", (READINGS, READINGS)),
+        ("residual_components", "f8", (READINGS,)),
+        ("residual_covariance", "f8", (READINGS, READINGS)),
+    ],
+    align=True,
+)
+"""Memory of fixed capacity for one POSOR."""
+
+SENSOR = np.dtype(
+    [
+        ("source", "i8"),  # see model.readings
+        ("first_reading", "i8"),
+        ("first_channel", "i8"),  # or first diode
+        ("count", "i8"),  # of channels or diodes
+        ("first_pool_row", "i8"),
+        ("light_sources", "i8"),  # that each diode can see
+    ],
+    align=True,
+)
+"""Where a sensor's readings come from and where they go."""
+
+PARAMETER_FACTORS = np.dtype([("first_factor", "i8"), ("count", "i8"), ("begin", "i8")], align=True)
+"""Standard normal factors of one parameter: number of the first, how many, where their coefficients begin."""
+
+CONTRIBUTION = np.dtype(
+    [
+        ("derivative", "i8"),  # index into ``derivatives``
+        ("reading", "i8"),
+        ("column", "i8"),  # of ``effects``
+        ("count", "i8"),  # of factors
+        ("assigns", "i8"),  # 1: the first to reach its cells of ``effects``, which it overwrites
+    ],
+    align=True,
+)
+"""One derivative times the factors of its parameter, and where the product goes."""
+
+BLOCK = np.dtype([("column", "i8"), ("count", "i8"), ("first_reading", "i8"), ("last_reading", "i8")], align=True)
+"""Columns of ``effects`` that reach the same readings."""
+
+FACTOR_USE = np.dtype([("uses", "i8"), ("column", "i8"), ("last_reading", "i8")], align=True)
+"""Of a factor: how many contributions it has, its column of ``effects`` (-1: none), the last reading it reaches."""
+
+
+class Model(NamedTuple):
+    """One POSOR for the kernels. K pool rows, C channels, D diodes, m readings, P parameters, F factors.
+
+    Attributes:
+        workspace: Memory of fixed capacity, shape (1,), dtype WORKSPACE.
+        sensors: Shape (sensors,), dtype SENSOR.
+        pool: Every row that a scan can read, shape (K,), dtype ROW.
+        pool_parameters: Which parameter each entry of a pool row is, negative: none, shape (K, PARAMETERS).
+        channels: Shape (C,), dtype CHANNEL.
+        diodes: Shape (D,), dtype DIODE.
+        map_parameters: Of each diode's map, shape (D, longest).
+        linearisation_parameters: Which parameter each derivative of a reading's linearisation belongs to, (m, L).
+        derivatives: Derivatives of prediction minus reading by all parameters: ``by_row``, then ``by_map``,
+            whose first columns are ``by_channel``.
+        by_row: The same memory by the parameters of the rows, shape (m,), dtype ROW_DERIVATIVES.
+        by_channel: The same memory by the parameters of the channels, shape (m,), dtype CHANNEL_DERIVATIVES.
+        by_map: The same memory by the parameters of the maps, shape (m, longest).
+        parameter_factors: Shape (P,), dtype PARAMETER_FACTORS.
+        coefficients: Coefficients of all parameters' factors (``calibration.parameter_covariance``).
+        effects: What each shared factor does to each reading, shape (m, shared factors).
+        contributions: dtype CONTRIBUTION; first those that reach one reading only.
+        contribution_coefficients: The coefficients in the order of the contributions.
+        blocks: dtype BLOCK.
+        factor_uses: Shape (F,), dtype FACTOR_USE.
+
+    """
+
+    workspace: NDArray[np.void]
+    sensors: NDArray[np.void]
+    pool: NDArray[np.void]
+    pool_parameters: IntArray
+    channels: NDArray[np.void]
+    diodes: NDArray[np.void]
+    map_parameters: FloatArray
+    linearisation_parameters: IntArray
+    derivatives: FloatArray
+    by_row: NDArray[np.void]
+    by_channel: NDArray[np.void]
+    by_map: FloatArray
+    parameter_factors: NDArray[np.void]
+    coefficients: FloatArray
+    effects: FloatArray
+    contributions: NDArray[np.void]
+    contribution_coefficients: FloatArray
+    blocks: NDArray[np.void]
+    factor_uses: NDArray[np.void]

@@ -1,0 +1,67 @@
+"""Estimates and scans as named columns: the tables of ``reprocess`` and of the Python API."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from posor.messages.estimate_arrays import EndpointEstimates, JointEstimates
+    from posor.model.scan import Scans
+    from posor.numerics.array_types import FloatArray, IntArray
+
+POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+NATIVE = tuple(f"native_{name}" for name in ("x", "y", "gap", "alpha", "beta", "theta"))
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+COVARIANCE = tuple(f"cov_{row}_{column}" for row in AXES for column in AXES)
+"""Covariance of x, y, z [m] and small turns about X, Y, Z [rad], row by row (``posor_msgs/JointTransform``)."""
+JOINT_COLUMNS = {
+    "scan": "scans",
+    "residual": "residuals",
+    "redundancy": "redundancies",
+    "state": "states",
+    "faults": "faults",
+    "scan_status": "scan_statuses",
+}
+"""Columns of a joint and the attributes of ``JointEstimates`` that hold them."""
+
+
+def joint_columns(estimates: JointEstimates) -> dict[str, Any]:
+    """Return the columns of a joint's table by name."""
+    columns: dict[str, Any] = {"log_time_ns": estimates.log_times_ns, "stamp_ns": estimates.stamps_ns}
+    columns |= {name: getattr(estimates, attribute) for name, attribute in JOINT_COLUMNS.items()}
+    columns |= _split(POSE, estimates.poses)
+    columns |= _split(NATIVE, estimates.natives)
+    columns |= _split(COVARIANCE, estimates.covariances.reshape(-1, 36))
+    return columns
+
+
+def endpoint_columns(estimates: EndpointEstimates, joints: Sequence[str] = ()) -> dict[str, Any]:
+    """Return the columns of the endpoint's table by name; ``joints``: names of the chain's joints, else numbers."""
+    joints = joints or [str(n) for n in range(estimates.angles.shape[1])]
+    columns: dict[str, Any] = {"log_time_ns": estimates.log_times_ns, "stamp_ns": estimates.stamps_ns}
+    columns |= _split(POSE, estimates.poses)
+    columns |= _split(COVARIANCE, estimates.covariances.reshape(-1, 36))
+    columns |= _split([f"angle_{joint}" for joint in joints], estimates.angles)
+    return columns
+
+
+def scan_columns(scans: Scans) -> dict[str, Any]:
+    """Return the columns of a table of raw scans by name; readings are numbered from 0, diode currents per diode."""
+    columns: dict[str, Any] = {"stamp_ns": scans.stamps_ns, "scan": scans.numbers}
+    columns |= _split([f"gap_voltage_{n}" for n in range(scans.gap_voltages.shape[1])], scans.gap_voltages)
+    columns |= _split([f"ring_voltage_{n}" for n in range(scans.ring_voltages.shape[1])], scans.ring_voltages)
+    _, diodes, contacts = scans.diode_currents.shape
+    names = [f"diode_current_{diode}_{contact}" for diode in range(diodes) for contact in "abcd"[:contacts]]
+    columns |= _split(names, scans.diode_currents.reshape(len(scans), diodes * contacts))
+    columns |= _split([f"lit_source_{n}" for n in range(scans.lit_sources.shape[1])], scans.lit_sources)
+    columns |= {"supply_voltage": scans.supply_voltages, "temperature": scans.temperatures}
+    return columns | {"at_home": scans.at_home.astype(np.bool_)}
+
+
+def _split(names: Sequence[str], numbers: FloatArray | IntArray) -> dict[str, FloatArray | IntArray]:
+    """Return the columns of an array (n, k) by name."""
+    return dict(zip(names, np.ascontiguousarray(numbers.T), strict=True))

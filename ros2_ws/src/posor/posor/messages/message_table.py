@@ -1,0 +1,127 @@
+"""Many messages with the same layout as one numpy table: a row of bytes for each, a named column for each field."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from posor.messages.byte_kernels import gather_rows
+from posor.messages.cdr_schema import Kind, Schema
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from posor.numerics.array_types import BoolArray, ByteArray, FloatArray, IntArray
+
+LEAD = 4
+"""Bytes before the message in its row. The message body begins four bytes later and so is aligned in memory too."""
+ALL_BITS = 0xFF
+
+
+@dataclass(frozen=True)
+class TableLayout:
+    """Field offsets of messages with the same strings, and with sequences of the same lengths.
+
+    Attributes:
+        size: Bytes of such a message.
+        row: Row of the example message, shape (bytes,).
+        fixed: Bits that every row of this layout shares with ``row``: encapsulation, lengths, characters.
+        strings: The strings by path, such as ``header.frame_id``; lists of strings are left out.
+        dtype: Of a row: every number by its path, such as ``header.stamp.sec``.
+
+    """
+
+    size: int
+    row: ByteArray
+    fixed: ByteArray
+    strings: Mapping[str, str]
+    dtype: np.dtype[np.void]
+
+    @staticmethod
+    def of(data: bytes, schema: Schema) -> TableLayout:
+        """Return the layout of an example message.
+
+        Args:
+            data: The message in plain CDR, little endian (``Schema.normal``).
+            schema: Of its type.
+
+        Raises:
+            TopicError: Invalid bytes.
+
+        """
+        layout = schema.layout(data)
+        stride = -(-(LEAD + layout.size) // 8) * 8
+        row, fixed = np.zeros(stride, dtype=np.uint8), np.zeros(stride, dtype=np.uint8)
+        row[LEAD : LEAD + layout.size] = np.frombuffer(data, dtype=np.uint8)[: layout.size]
+        for offset, expected in layout.decisive.items():
+            fixed[LEAD + offset : LEAD + offset + len(expected)] = ALL_BITS
+        strings: dict[str, str] = {}
+        names, formats, offsets = [], [], []
+        for path, span in layout.spans.items():
+            field = schema.by_path[path]
+            if field.code == "s":
+                fixed[LEAD + span.part.start : LEAD + span.part.stop + 1] = ALL_BITS  # with the zero at its end
+                strings[path] = data[span.part].decode("utf-8", "replace")
+                continue
+            names.append(path)
+            formats.append((f"<{field.code}", () if field.kind is Kind.ONE else (span.length,)))
+            offsets.append(LEAD + span.offset)
+        form: Any = {"names": names, "formats": formats, "offsets": offsets, "itemsize": stride}
+        return TableLayout(layout.size, row, fixed, strings, np.dtype(form))
+
+    def read(self, data: ByteArray, starts: IntArray, lengths: IntArray) -> MessageTable:
+        """Return messages up to the first of another layout, by their offsets in ``data`` and their lengths."""
+        rows = np.empty((len(starts), len(self.row)), dtype=np.uint8)
+        layout = np.stack([self.row, self.fixed]).view(np.uint64)
+        count = gather_rows(data, starts, lengths, layout, rows.view(np.uint64), rows[:, LEAD : LEAD + self.size])
+        return MessageTable(self, rows[:count])
+
+    def copies(self, count: int) -> MessageTable:
+        """Return a table of copies of the example message."""
+        return MessageTable(self, np.tile(self.row, (count, 1)))
+
+    def offset(self, path: str) -> int:
+        """Return the byte of a message at which a field begins."""
+        fields: Any = self.dtype.fields
+        return int(fields[path][1]) - LEAD
+
+
+@dataclass(frozen=True)
+class MessageTable:
+    """Messages with the same layout, n of them.
+
+    Attributes:
+        layout: Of all rows.
+        rows: One message each, with padding before and after it, shape (n, bytes).
+
+    """
+
+    layout: TableLayout
+    rows: ByteArray
+
+    def __len__(self) -> int:
+        """Return the number of messages."""
+        return len(self.rows)
+
+    def __getitem__(self, path: str) -> Any:
+        """Return the numbers of a field, shape (n,) or (n, k), as a view."""
+        return self.rows.view(self.layout.dtype)[path][:, 0]
+
+    def __setitem__(self, path: str, numbers: Any) -> None:
+        """Write the numbers of a field."""
+        self[path][...] = numbers
+
+    def span(self, first: str, count: int) -> FloatArray:
+        """Return successive float64 numbers that begin with field ``first``, shape (n, count), as a view."""
+        begin = (LEAD + self.layout.offset(first)) // 8
+        return self.rows.view(np.float64)[:, begin : begin + count]
+
+    @property
+    def messages(self) -> ByteArray:
+        """The bytes of the messages, shape (n, size)."""
+        return self.rows[:, LEAD : LEAD + self.layout.size]
+
+    def select(self, which: BoolArray | IntArray | slice) -> MessageTable:
+        """Return some of the messages."""
+        return MessageTable(self.layout, self.rows[which])

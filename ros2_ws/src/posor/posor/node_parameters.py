@@ -1,0 +1,226 @@
+"""The parameters of every node, of posor_node and of chain_node; documentation and checks follow from these fields.
+
+This module imports no ROS. Drivers declare their parameters in ``posor_drivers.driver_parameters``, since those depend
+on the source.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal, TypeVar
+
+from pydantic import Field, field_validator, model_validator
+
+from posor.parameter_model import ChangeableAtRunTime, ParameterGroup
+
+CovarianceKind = Literal["random", "systematic", "total"]
+"""Which part of a covariance a message carries."""
+COVARIANCE_KINDS: dict[CovarianceKind, int] = {"random": 0, "systematic": 1, "total": 2}
+"""The constants ``COVARIANCE_...`` of ``posor_msgs/JointTransform``."""
+MIN_TF_RATE = 0.01
+MIN_ZERO_SCANS = 10
+"""Scans below which their scatter is unknown."""
+HOME_COORDINATES = ("gap", "alpha", "beta")
+"""Elements of the parameter ``home_pose``."""
+
+_Limit = Annotated[float, Field(gt=0.0, allow_inf_nan=True), ChangeableAtRunTime()]
+
+
+class LimitParameters(ParameterGroup):
+    """Timing figures beyond which the diagnostics warn."""
+
+    latency: _Limit = Field(
+        default=math.inf, description="warn where a scan was published later than this after its stamp [s]; .inf: never"
+    )
+    jitter: _Limit = Field(
+        default=math.inf,
+        description="warn where the time between two publications differed from its mean by more than this [s]; "
+        ".inf: never",
+    )
+    pause: _Limit = Field(
+        default=math.inf,
+        description="warn where the garbage collector stopped the process for longer than this [s]; .inf: never",
+    )
+
+
+class FreshnessParameters(ParameterGroup):
+    """How fresh the inputs of a node must be."""
+
+    max_silence: Annotated[float, Field(ge=0.05, allow_inf_nan=True)] = Field(
+        default=0.2,
+        description="longest time without input [s], or ten periods where these are longer; then the diagnostics show "
+        "an error; .inf: never",
+    )
+    max_age: Annotated[float, Field(gt=0.0, allow_inf_nan=True)] = Field(
+        default=1.0, description="greatest age of a stamp [s]; an older scan is not used; .inf: any, for a recording"
+    )
+    max_future: Annotated[float, Field(gt=0.0, allow_inf_nan=True)] = Field(
+        default=0.1,
+        description="how far a stamp may be ahead of ROS time [s]; .inf: any, for a recording",
+    )
+    deadline: Annotated[float, Field(ge=0.0, le=60.0)] = Field(
+        default=0.0,
+        description="DDS deadline of the sensor topics [s]: publishers offer and subscriptions request it, with "
+        "liveliness; set it at both ends, other publishers do not match; 0: none",
+    )
+
+
+class RealtimeParameters(ParameterGroup):
+    """Requests of the whole process to the operating system, for all of its threads."""
+
+    priority: Annotated[int, Field(ge=0, le=99)] = Field(
+        default=0, description="real-time priority (SCHED_FIFO) of the process; 0: normal scheduling"
+    )
+    cpus: tuple[int, ...] = Field(
+        default=(), description="processors that the process may run on, counted from 0; empty: all"
+    )
+    lock_memory: bool = Field(default=False, description="keep all memory of the process from being swapped out")
+    required: bool = Field(
+        default=False, description="do not start if the system refuses any of this; false: warn in the diagnostics"
+    )
+
+    @field_validator("cpus", mode="before")
+    @classmethod
+    def _to_tuple(cls, cpus: object) -> object:
+        return tuple(cpus) if isinstance(cpus, list) else cpus
+
+    @field_validator("cpus")
+    @classmethod
+    def _check_cpus(cls, cpus: tuple[int, ...]) -> tuple[int, ...]:
+        if any(cpu < 0 for cpu in cpus):
+            message = f"{list(cpus)} is wrong; expected numbers of processors, at least 0"
+            raise ValueError(message)
+        return cpus
+
+
+class NodeParameters(ParameterGroup):
+    """Parameters that every node has."""
+
+    autostart: bool = Field(
+        default=True, description="configure and activate at start; false: wait for the lifecycle services"
+    )
+    allow_changes: bool = Field(
+        default=True,
+        description="open the services that change state: ~/reload, ~/zero, ~/home, ~/acknowledge, ~/set_home, those "
+        "that set parameters, and those of the lifecycle; false: they do not exist",
+    )
+    hardware_id: str = Field(
+        default="", description="hardware named in the diagnostics; empty: the node's namespace, or its name"
+    )
+    lossless: bool = Field(
+        default=False,
+        description="publish and subscribe reliably and keep all messages, so that a fast publisher waits for a slow "
+        "subscription: for replays; set it for all nodes; qos_overrides.* changes single topics",
+    )
+    freshness: FreshnessParameters = FreshnessParameters()
+    limits: LimitParameters = LimitParameters()
+    realtime: RealtimeParameters = RealtimeParameters()
+
+    @model_validator(mode="after")
+    def _check_changes(self) -> NodeParameters:
+        if not (self.autostart or self.allow_changes):
+            text = (
+                "'autostart' and 'allow_changes' are both false, so that nothing can start the node; "
+                "expected one of them true"
+            )
+            raise ValueError(text)
+        return self
+
+
+RECORDING: dict[str, float] = {"freshness.max_age": math.inf, "freshness.max_future": math.inf}
+"""Parameters of nodes that receive the stamps of a recording."""
+
+
+ParametersT = TypeVar("ParametersT", bound=NodeParameters)
+
+
+class AlarmParameters(NodeParameters):
+    """Parameters of the nodes that judge scans."""
+
+    alarm_count: Annotated[int, Field(ge=1, le=1000)] = Field(
+        default=5,
+        description="scans without a pose in a row that the diagnostics show as an error; fewer are a warning, unless "
+        "there are more than false alarms explain",
+    )
+
+
+class EncoderParameters(ParameterGroup):
+    """Encoder of the joint (sensor_msgs/JointState), a coarse measurement of theta."""
+
+    sigma: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
+        default=0.0, description="standard uncertainty of the encoder's angle as theta [rad]; 0: no encoder"
+    )
+    joint: str = Field(
+        default="", description="name of the joint in the encoder's messages; empty: they hold one position only"
+    )
+    topic: str = Field(default="encoder", description="topic of the encoder, relative to the node's namespace")
+
+
+class PosorParameters(AlarmParameters):
+    """Parameters of posor_node."""
+
+    calibration: str = Field(description="path of the calibration file (YAML) of this joint's POSOR")
+    session: str = Field(
+        default="", description="session of the calibration file whose zero shifts and maps apply; empty: none"
+    )
+    covariance: CovarianceKind = Field(
+        default="total",
+        description="which uncertainty to publish: of the readings' noise, of the calibration, or of both",
+    )
+    false_alarm: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(
+        default=1e-3, description="probability that the chi-square test of the redundant readings rejects a sound scan"
+    )
+    home_pose: tuple[float, ...] = Field(
+        default=(),
+        description="gap [m], alpha and beta [rad] of the pose that ~/zero makes home; empty: no such service",
+    )
+    zero_scans: Annotated[int, Field(ge=MIN_ZERO_SCANS, le=100_000)] = Field(
+        default=100, description="number of most recent scans whose mean ~/zero uses"
+    )
+    encoder: EncoderParameters = EncoderParameters()
+
+    @field_validator("home_pose")
+    @classmethod
+    def _check_home_pose(cls, home: tuple[float, ...]) -> tuple[float, ...]:
+        if len(home) not in (0, len(HOME_COORDINATES)):
+            message = f"{len(home)} numbers; expected 3: {', '.join(HOME_COORDINATES)}, or none"
+            raise ValueError(message)
+        return home
+
+
+class ChainParameters(AlarmParameters):
+    """Parameters of chain_node."""
+
+    urdf: str = Field(description="path of the arm's URDF; its floating joints are the POSORs")
+    endpoint_frame: str = Field(default="endpoint", description="link of the URDF whose pose is published")
+    beams: str = Field(
+        default="",
+        description="path of the beams file: uncertainty, sag, temperature of the beams; empty: straight and exact",
+    )
+    acceleration_window: Annotated[float, Field(ge=0.0, le=10.0)] = Field(
+        default=0.0,
+        description="motion [s] from which the beams' accelerations are estimated, for their sag; 0: assume rest",
+    )
+    max_wait: Annotated[float, Field(gt=0.0, le=60.0)] = Field(
+        default=0.1,
+        description="how long the first transform of a scan waits for the others [s]; then there is no pose",
+    )
+    false_alarm: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(
+        default=1e-3, description="probability that a posor_node rejects a sound scan, as stated there"
+    )
+    reference: Literal["absolute", "home"] = Field(
+        default="absolute",
+        description="publish the endpoint in the URDF's base frame, or relative to its pose at home: at the first "
+        "pose, or at the last call of ~/set_home",
+    )
+    tf_rate: Annotated[float, Field(ge=0.0, le=1000.0)] = Field(
+        default=30.0, description="how often /tf is published [1/s], with the stamp of the last pose; 0: not at all"
+    )
+
+    @field_validator("tf_rate")
+    @classmethod
+    def _check_tf_rate(cls, rate: float) -> float:
+        if 0.0 < rate < MIN_TF_RATE:
+            message = f"{rate:g} is wrong; expected 0, or at least {MIN_TF_RATE:g}"
+            raise ValueError(message)
+        return rate

@@ -1,0 +1,39 @@
+"""Stamps of messages as times."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from posor.numerics.compiled import inlined
+
+if TYPE_CHECKING:
+    from posor.numerics.array_types import IntArray
+
+NS = 1_000_000_000
+NO_TIME = "is zero, or its nanoseconds are a second or more"
+"""What is wrong with a stamp of which there is no time."""
+
+
+def time_ns(seconds: int, nanoseconds: int) -> int:
+    """Return the time of a stamp [ns]; 0 (invalid) if its nanoseconds are a second or more."""
+    return seconds * NS + nanoseconds if nanoseconds < NS else 0
+
+
+time_in_kernel = inlined(time_ns)
+"""The same, for kernels."""
+
+
+def is_accepted_age(age_ns: int, youngest_ns: float, oldest_ns: float) -> bool:
+    """Return whether an age [ns] is between two others; a negative age is ahead of time."""
+    return youngest_ns <= age_ns <= oldest_ns
+
+
+accepted_in_kernel = inlined(is_accepted_age)
+"""The same, for kernels."""
+
+
+def times_ns(seconds: IntArray, nanoseconds: IntArray) -> IntArray:
+    """Return the times of stamps [ns], (n,), likewise."""
+    return np.where(nanoseconds < NS, seconds * NS + nanoseconds, 0)

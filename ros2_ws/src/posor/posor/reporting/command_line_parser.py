@@ -1,0 +1,34 @@
+"""Command-line parser that reports a wrong command line as a ParameterError."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any, NoReturn
+
+from posor.errors import ParameterError
+
+
+class CommandLineParser(argparse.ArgumentParser):
+    """An argument parser that raises instead of exiting.
+
+    Attributes:
+        help_call: The command that lists the options.
+
+    """
+
+    def __init__(self, *arguments: Any, help_call: str = "", **named: Any) -> None:
+        """Create a parser.
+
+        Args:
+            arguments: Of ``argparse.ArgumentParser``.
+            help_call: The command that lists the options; default: the program's name with ``--help``.
+            named: Of ``argparse.ArgumentParser``.
+
+        """
+        super().__init__(*arguments, **named)
+        self.help_call = help_call or f"{self.prog} --help"
+
+    def error(self, message: str) -> NoReturn:
+        """Raise a ParameterError with argparse's message, which names the program as other errors do."""
+        where = self.prog.removeprefix("posor ")
+        raise ParameterError(message, where=where, expected=f"options as '{self.help_call}' lists them")

@@ -1,0 +1,28 @@
+"""Errors of programs: one sentence on standard error, and an exit code."""
+
+from __future__ import annotations
+
+import sys
+from functools import wraps
+from typing import TYPE_CHECKING, ParamSpec
+
+from posor.errors import PosorError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+P = ParamSpec("P")
+
+
+def reports_errors(main: Callable[P, int]) -> Callable[P, int]:
+    """Decorate the function of a program: a PosorError is written to standard error, and its exit code returned."""
+
+    @wraps(main)
+    def run(*arguments: P.args, **named: P.kwargs) -> int:
+        try:
+            return main(*arguments, **named)
+        except PosorError as error:
+            sys.stderr.write(f"{error}\n")
+            return error.exit_code
+
+    return run

@@ -1,0 +1,1 @@
+"""Sensor types. Each is found through the entry-point group ``posor.sensors``."""

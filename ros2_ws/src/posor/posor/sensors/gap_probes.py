@@ -1,0 +1,99 @@
+"""Gap probes looking at a target plane: impedance, capacitance or any other probe with a voltage for a distance.
+
+Source: thesis 5.3.1; voltage to gap, table 7.10; the tilt of the target plane, 8.3.1.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field
+
+from posor.calibration.file_model import FrozenModel
+from posor.calibration.quantity import Quantity, measured
+from posor.errors import CalibrationError
+from posor.model.reading_rows import GAP, ROW
+from posor.model.readings import GAP_VOLTAGES
+from posor.sensors.base import SensorCalibration, no_parameters
+from posor.sensors.probe import ProbeCalibration, ProbeSensor
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from posor.calibration.session import Session
+    from posor.model.scan import Scans
+    from posor.numerics.array_types import FloatArray
+
+
+class TargetPlaneCalibration(FrozenModel):
+    """The surface that the probes see, in the frame of the target plate T.
+
+    ``tilt`` are two angles about the axes X and Y of T: the normal toward the probes is ``Rx(tilt[0]) Ry(tilt[1])
+    (0, 0, -1)``. They turn with the target: at another theta the same surface leans another way.
+    """
+
+    point: Annotated[Quantity, measured("m", 3)]
+    tilt: Annotated[Quantity, measured("rad", 2)]
+
+
+class GapProbesCalibration(SensorCalibration):
+    """Any number of probes that look at one target plane."""
+
+    type: Literal["gap_probes"]
+    target_plane: TargetPlaneCalibration
+    probes: Annotated[list[ProbeCalibration], Field(min_length=1, max_length=8)]
+
+    def build(self) -> GapProbes:
+        """Return the sensor."""
+        return GapProbes(self)
+
+    def for_session(self, session: Session) -> Self:
+        """Return the calibration with the session's zero shifts.
+
+        Raises:
+            CalibrationError: The session has another number of shifts than there are probes.
+
+        """
+        shifts = session.zero_shifts
+        if shifts is None:
+            return self
+        if shifts.array.shape != (len(self.probes),):
+            raise CalibrationError(
+                f"{shifts.array.size} values",
+                where="zero_shifts of the session",
+                expected=f"{len(self.probes)}, one for each gap probe",
+            )
+        probes = [
+            probe.model_copy(update={"zero_shift": Quantity(value=float(value), sigma=float(sigma), unit="V")})
+            for probe, value, sigma in zip(self.probes, shifts.array, shifts.sigmas, strict=True)
+        ]
+        return self.model_copy(update={"probes": probes})
+
+
+class GapProbes(ProbeSensor):
+    """Gap probes and the target plane that they see."""
+
+    KIND, VOLTAGES = "gap", GAP_VOLTAGES
+
+    def __init__(self, calibration: GapProbesCalibration) -> None:
+        """Take the parameters out of a validated calibration."""
+        plane = calibration.target_plane
+        super().__init__(
+            calibration.probes,
+            {"plane_point": plane.point.array, "plane_tilt": plane.tilt.array},
+            {"plane_point": plane.point.sigmas, "plane_tilt": plane.tilt.sigmas},
+        )
+
+    def _layout(self) -> NDArray[np.void]:
+        rows = np.zeros(len(self._probes), dtype=ROW)
+        rows["kind"] = GAP
+        of_row = no_parameters(len(rows))
+        of_row["tip"], of_row["axis"] = self.parameter_ids("tips"), self.parameter_ids("axes")
+        of_row["plane_point"], of_row["tilt"] = self.parameter_ids("plane_point"), self.parameter_ids("plane_tilt")
+        self.row_parameters = of_row["parameters"]
+        return rows
+
+    def gap_sigmas(self, scans: Scans) -> FloatArray:
+        """Return the standard uncertainties (n, p) [m] of the gaps of fit scans from their linearisation."""
+        return self._channels.sigmas(scans.gap_voltages, scans, self._sigmas)

@@ -1,0 +1,53 @@
+"""Find sensor types through the entry-point group ``posor.sensors``.
+
+The value of an entry point is the sensor's calibration class (a ``SensorCalibration``); its name is the ``type`` that
+calibration files use.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.metadata import entry_points
+from typing import get_args
+
+from posor.errors import CalibrationError
+from posor.sensors.base import SensorCalibration
+
+GROUP = "posor.sensors"
+
+
+@cache
+def sensor_types() -> dict[str, type[SensorCalibration]]:
+    """Return the calibration class of each installed sensor type.
+
+    Raises:
+        CalibrationError: An installed entry point does not load, is not a sensor, does not declare its name as its
+            ``type``, or has the name of another.
+
+    """
+    found: dict[str, type[SensorCalibration]] = {}
+    for entry in entry_points(group=GROUP):
+        where = f"sensor type '{entry.name}' ({entry.value})"
+        try:
+            loaded = entry.load()
+        except Exception as error:
+            # Somebody else's module: anything can go wrong in it.
+            reason = str(error).partition("\n")[0]
+            raise CalibrationError(f"cannot be loaded: {reason}", where=where) from error
+        if not (isinstance(loaded, type) and issubclass(loaded, SensorCalibration)):
+            raise CalibrationError("is not a sensor", where=where, expected="a subclass of SensorCalibration")
+        declared = loaded.model_fields.get("type")
+        if declared is None or get_args(declared.annotation) != (entry.name,):
+            raise CalibrationError(
+                "does not declare its name",
+                where=where,
+                expected=f"the field type: Literal['{entry.name}'] in the class",
+            )
+        if found.setdefault(entry.name, loaded) is not loaded:
+            other = found[entry.name]
+            raise CalibrationError(
+                f"is there twice, also as {other.__module__}:{other.__qualname__}",
+                where=where,
+                expected="one package for each type",
+            )
+    return found

@@ -1,0 +1,133 @@
+"""Pose of a budget: from native coordinates, or with all sensors in the middle of their ranges."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+
+from posor.errors import ParameterError
+from posor.estimation.forward import empty_scans, scans_at
+from posor.model.native_coordinates import rotation_from_native
+from posor.model.reading_rows import GAP, SPOT_X, SPOT_Y
+from posor.sensors.base import RowSensor
+from posor.sensors.bumpy_ring import BumpyRingCalibration
+from posor.sensors.diodes import DiodesCalibration
+from posor.sensors.gap_probes import GapProbesCalibration
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from posor.estimation.posor import Posor
+    from posor.model.scan import Scan, Scans
+    from posor.numerics.array_types import FloatArray, IntArray
+
+POSE_TOLERANCE = (1e-4, 1e-4, 1e-2, 0.1, 0.1, 0.1)
+"""Weight of x, y, z [m] and rotations [rad] near zero in the search for the middle of the ranges, as sigmas."""
+READING_TOLERANCE = 1e-4
+"""Weight of a reading at the middle of its range [m], as sigma."""
+STEPS = 20
+
+
+def pose_from_native(native: Sequence[float]) -> pin.SE3:
+    """Return ``T_R_T`` of native coordinates x, y, gap [m], alpha, beta, theta [rad]."""
+    return pin.SE3(rotation_from_native(*native[3:6]), np.array(native[:3], dtype=float))
+
+
+def scan_at(posor: Posor, T_R_T: pin.SE3) -> Scan:
+    """Return the readings of a POSOR at a pose, without noise.
+
+    Raises:
+        ParameterError: A sensor has no forward model, or is out of range at this pose.
+
+    """
+    for sensor in posor.stack.sensors:
+        if not isinstance(sensor, RowSensor):
+            raise ParameterError(
+                f"{type(sensor).__name__} has no forward model",
+                where=f"calibration '{posor.calibration.name}'",
+                expected="sensors with a forward model (RowSensor)",
+            )
+    scans = scans_at(posor.stack, T_R_T.rotation[None], T_R_T.translation[None], np.zeros(1, dtype=np.int64))
+    scan = scans[0]
+    for kind, readings in (
+        ("gap probe", scan.gap_voltages),
+        ("ring probe", scan.ring_voltages),
+        ("diode", scan.diode_currents.sum(axis=1)),
+    ):
+        out_of_range = np.flatnonzero(~np.isfinite(readings))
+        if out_of_range.size:
+            raise ParameterError(
+                f"{kind} {out_of_range[0] + 1} is out of its calibrated range at this pose",
+                where=f"calibration '{posor.calibration.name}'",
+                expected="a pose (x, y, gap, alpha, beta, theta) in the range of every sensor",
+            )
+    supply, temperature = _references(posor)
+    return replace(scan, supply_voltage=supply, temperature=temperature)
+
+
+def _references(posor: Posor) -> tuple[float, float]:
+    """Return the common reference of the probes' supply voltage [V] and temperature [K]; NaN without a common one.
+
+    With these as measured values, the uncertainty of a reference acts on a draw as on the derivatives.
+    """
+    probes = [
+        probe
+        for sensor in posor.calibration.sensors
+        if isinstance(sensor, GapProbesCalibration | BumpyRingCalibration)
+        for probe in sensor.probes
+    ]
+    supplies = {probe.supply.reference.number for probe in probes if probe.supply is not None}
+    temperatures = {probe.temperature.reference.number for probe in probes if probe.temperature is not None}
+    return _single_value(supplies), _single_value(temperatures)
+
+
+def _single_value(levels: set[float]) -> float:
+    return next(iter(levels)) if len(levels) == 1 else math.nan
+
+
+def middle_pose(posor: Posor) -> pin.SE3:
+    """Return the pose near zero at which gap probes and diodes are in the middle of their calibrated ranges.
+
+    Rings are ignored: theta and the runouts stay near zero.
+    """
+    values = posor.stack.linearise(_middle_scans(posor)).values[0]
+    pose = pin.SE3.Identity()
+    prior = np.diag(1.0 / np.square(POSE_TOLERANCE))
+    for _ in range(STEPS):
+        rotation, translation = pose.rotation.copy(), pose.translation.copy()
+        selected = _selected_rows(posor, pose)
+        predicted, jacobian = posor.stack.evaluate(selected, rotation, translation)
+        residuals = values - predicted
+        weights = np.isin(posor.stack.pool["kind"][selected], (GAP, SPOT_X, SPOT_Y)) / READING_TOLERANCE**2
+        offset = np.concatenate([translation, pin.log3(rotation)])
+        normal = jacobian.T @ (weights[:, None] * jacobian) + prior
+        step = np.linalg.solve(normal, jacobian.T @ (weights * residuals) - prior @ offset)
+        pose = pin.SE3(rotation @ pin.exp3(step[3:]), translation + rotation @ step[:3])
+    return pose
+
+
+def _selected_rows(posor: Posor, pose: pin.SE3) -> IntArray:
+    """Return the indices of the stack's rows that are active at a pose, shape (m,)."""
+    scans = scans_at(posor.stack, pose.rotation[None], pose.translation[None], np.zeros(1, dtype=np.int64))
+    selected: IntArray = posor.stack.linearise(scans).selected[0]
+    return selected
+
+
+def _middle_scans(posor: Posor) -> Scans:
+    """Return one scan with every reading in the middle of its calibrated range."""
+    fields: dict[str, FloatArray] = {}
+    for sensor in posor.calibration.sensors:
+        if isinstance(sensor, GapProbesCalibration | BumpyRingCalibration):
+            name = "gap_voltages" if isinstance(sensor, GapProbesCalibration) else "ring_voltages"
+            fields[name] = np.array([[p.range.array.mean() - p.zero_shift.number for p in sensor.probes]])
+        elif isinstance(sensor, DiodesCalibration):
+            ratios = np.array([spot_map.domain.array.mean(axis=1) for spot_map in sensor.maps[sensor.map]])
+            sums = np.array([2.0 * diode.sums[0] for diode in sensor.diodes])[:, None]
+            fields["diode_currents"] = 0.5 * np.hstack([sums * (1.0 + ratios), sums * (1.0 - ratios)])[None]
+            fields["lit_sources"] = np.zeros((1, len(sensor.diodes)))
+    scans = empty_scans(np.zeros(1, dtype=np.int64)).with_fields(fields)
+    return scans.with_fields({"lit_sources": scans.lit_sources.astype(np.int64)})

@@ -1,0 +1,226 @@
+"""Error budget of an arm's endpoint: contributions of each POSOR and of the measuring beams.
+
+First order (JCGM 100) from the covariance of the chain, and by drawing errors through the exact chain (JCGM 101).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+from scipy.constants import inch
+
+from posor.calibration.designs import PROBE_ACCURACY, SMALLEST_DIAMETER
+from posor.chain.joint_measurements import MeasuredJoint
+from posor.errors import ChainError, ParameterError
+from posor.estimation.forward import scans_at
+from posor.estimation.posor import Posor
+from posor.model.fault import Fault, State
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from posor.calibration.calibration_file import Calibration
+    from posor.chain.kinematic_chain import Chain
+    from posor.numerics.array_types import FloatArray
+
+BEAMS = "measuring beams"
+"""Name of the contribution of all beams."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Standard uncertainties of the endpoint, k = 1, axes of the base.
+
+    Attributes:
+        orientation: About X, Y, Z [rad], (3,).
+        displacement: Along X, Y, Z [m], (3,).
+
+    """
+
+    orientation: FloatArray
+    displacement: FloatArray
+
+    @staticmethod
+    def of(covariance: FloatArray) -> Spread:
+        """Return the spread of a covariance (6, 6) in ROS order."""
+        sigmas = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+        return Spread(sigmas[3:], sigmas[:3])
+
+    @property
+    def total(self) -> float:
+        """Root sum square of the displacements [m]."""
+        return float(np.linalg.norm(self.displacement))
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """Contribution of one POSOR, or of all measuring beams, if everything else were exact."""
+
+    name: str
+    spread: Spread
+
+
+@dataclass(frozen=True)
+class EndpointBudget:
+    """Standard uncertainties of the endpoint and their contributions.
+
+    Attributes:
+        spread: Total of all contributions.
+        contributions: Of each joint, and of the beams unless they are exact; in decreasing order of displacement.
+
+    """
+
+    spread: Spread
+    contributions: tuple[Contribution, ...]
+
+
+def endpoint_budget(chain: Chain, angles: Mapping[str, float], covariances: Mapping[str, FloatArray]) -> EndpointBudget:
+    """Return the budget of an arm at rest.
+
+    Args:
+        chain: The arm, with the uncertainty of its beams.
+        angles: Angle of each joint [rad], by name.
+        covariances: Covariance of each POSOR's transform, (6, 6) in ROS order, by name.
+
+    """
+    none = np.zeros((6, 6))
+    exact = dict.fromkeys(covariances, none)
+    beams = _covariance(chain, angles, exact)
+    parts = [
+        Contribution(joint.name, Spread.of(_covariance(chain, angles, {**exact, joint.name: own}) - beams))
+        for joint in chain.joints
+        for own in (covariances[joint.name],)
+    ]
+    if beams.any():
+        parts.append(Contribution(BEAMS, Spread.of(beams)))
+    parts.sort(key=lambda part: part.spread.total, reverse=True)
+    return EndpointBudget(Spread.of(_covariance(chain, angles, covariances)), tuple(parts))
+
+
+def _covariance(chain: Chain, angles: Mapping[str, float], covariances: Mapping[str, FloatArray]) -> FloatArray:
+    measured = {
+        joint.name: MeasuredJoint(chain.nominal_joint(joint.name, angles[joint.name]), covariances[joint.name])
+        for joint in chain.joints
+    }
+    return chain.estimate(measured).covariance
+
+
+def monte_carlo(
+    chain: Chain, angles: Mapping[str, float], covariances: Mapping[str, FloatArray], draws: int, seed: int
+) -> Spread:
+    """Return the spread of the endpoint over drawn errors of joints and beams, each through the exact chain.
+
+    Args:
+        chain: The arm.
+        angles: See ``endpoint_budget``.
+        covariances: See ``endpoint_budget``.
+        draws: Number of draws; relative uncertainty of the spread: 1 / sqrt(2 draws).
+        seed: Seed of the draws.
+
+    """
+    random = np.random.default_rng(seed)
+    exact = {joint.name: chain.nominal_joint(joint.name, angles[joint.name]) for joint in chain.joints}
+    beams = _beams(chain, exact)
+    none = np.zeros((6, 6))
+    nominal = chain.estimate({name: MeasuredJoint(pose, none) for name, pose in exact.items()}).T_base_endpoint
+    joint_errors = {name: _drawn(random, covariances[name], draws) for name in exact}
+    beam_errors = [_drawn(random, covariance, draws) for _, covariance, _ in beams]
+    errors = np.empty((draws, 6))
+    for n in range(draws):
+        # The error of a beam is applied to the measurement of the next joint.
+        extra = [
+            after.inverse() * link.inverse() * disturbed(link, drawn[n]) * after
+            for (link, _, after), drawn in zip(beams, beam_errors, strict=True)
+        ]
+        measured = {
+            name: MeasuredJoint(before * disturbed(exact[name], joint_errors[name][n]), none)
+            for before, name in zip(extra, exact, strict=False)
+        }
+        end = chain.estimate(measured).T_base_endpoint * extra[-1]
+        errors[n, :3] = end.translation - nominal.translation
+        errors[n, 3:] = pin.log3(end.rotation @ nominal.rotation.T)
+    return Spread.of(errors.T @ errors / draws)
+
+
+def _beams(chain: Chain, exact: Mapping[str, pin.SE3]) -> list[tuple[pin.SE3, FloatArray, pin.SE3]]:
+    """Return for each link its sagging beam, the beam's covariance, and the transform after the beam."""
+    beams = []
+    pose = pin.SE3.Identity()
+    for link, joint in zip(chain.links, [*exact.values(), pin.SE3.Identity()], strict=True):
+        pose *= link.before
+        if link.beam is None:
+            beam, covariance = pin.SE3.Identity(), np.zeros((6, 6))
+        else:
+            force = pose.rotation.T @ chain.gravity
+            beam, covariance = link.beam.T_under(force), link.beam.covariance_under(force)
+        beams.append((beam, covariance, link.after))
+        pose = pose * beam * link.after * joint
+    return beams
+
+
+def _drawn(random: np.random.Generator, covariance: FloatArray, draws: int) -> FloatArray:
+    return random.multivariate_normal(np.zeros(6), covariance, draws, method="eigh")
+
+
+def disturbed(T_parent_child: pin.SE3, error: FloatArray) -> pin.SE3:
+    """Return a transform with an error (x, y, z [m], about X, Y, Z [rad]) in the axes of the parent."""
+    return pin.SE3(pin.exp3(error[3:]) @ T_parent_child.rotation, T_parent_child.translation + error[:3])
+
+
+def thesis_covariance(outside_diameter: float) -> FloatArray:
+    """Return the covariance (6, 6), ROS order, of a POSOR of an outside diameter [m] by section 9.3.1.
+
+    Small rotations: 5 microinch over 0.75 (D - 1 in). Large rotation: 5 microinch over the radius of the ring, half of
+    D - 2 in; the formula of the section has D - 2 in, but all its figures are those of the radius. Translations: zero.
+
+    Raises:
+        ParameterError: The diameter is too small for a ring.
+
+    """
+    if not outside_diameter >= SMALLEST_DIAMETER:
+        raise ParameterError(f"outside diameter {outside_diameter:g} m", expected=f"at least {SMALLEST_DIAMETER:g} m")
+    small = PROBE_ACCURACY / (0.75 * (outside_diameter - inch))
+    large = PROBE_ACCURACY / (0.5 * (outside_diameter - 2.0 * inch))
+    return np.diag(np.square([0.0, 0.0, 0.0, small, small, large]))
+
+
+def model_covariances(
+    calibrations: Mapping[str, Calibration], chain: Chain, angles: Mapping[str, float]
+) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+    """Return the covariances of the POSORs' sensor models, by joint.
+
+    Returns:
+        Random covariances (noise) and systematic covariances (calibration), (6, 6) each, ROS order.
+
+    Raises:
+        ChainError: A POSOR has no valid pose at its angle.
+
+    """
+    random, systematic = {}, {}
+    for joint in chain.joints:
+        pose = chain.nominal_joint(joint.name, angles[joint.name])
+        posor = Posor(calibrations[joint.name])
+        scans = scans_at(posor.stack, pose.rotation[None], pose.translation[None], np.zeros(1, dtype=np.int64))
+        estimates = posor.estimate_each(scans, np.array([angles[joint.name]]))
+        if estimates.states[0] != State.OK:
+            fault = Fault(int(estimates.faults[0])).name or "no pose"
+            raise ChainError(
+                f"has no valid pose at {math.degrees(angles[joint.name]):g} degrees ({fault})",
+                where=f"joint '{joint.name}'",
+                expected="an angle in the range of its sensors",
+            )
+        random[joint.name], systematic[joint.name] = (
+            estimates.covariances_random[0],
+            estimates.covariances_systematic[0],
+        )
+    return random, systematic
+
+
+def configurations(names: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Return joint angles [rad] as in section 9.3.1: ``extended``, all zero; ``bent``, the last one a right angle."""
+    extended = dict.fromkeys(names, 0.0)
+    return {"extended": extended, "bent": {**extended, names[-1]: 0.5 * math.pi}}

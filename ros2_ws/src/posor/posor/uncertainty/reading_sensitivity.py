@@ -1,0 +1,102 @@
+"""What an error of each reading does to the pose, and to the chi-square of the redundant readings."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple, Self
+
+import numpy as np
+
+from posor.model.scan import Scans
+
+if TYPE_CHECKING:
+    import pinocchio as pin
+
+    from posor.estimation.posor import Posor
+    from posor.model.scan import Scan
+    from posor.numerics.array_types import FloatArray
+
+
+class ReadingSensitivity(NamedTuple):
+    """What a shift of each of the m linearised readings does.
+
+    Attributes:
+        gain: Change of the pose, (6, m), ROS order, axes of R [m/m, rad/m].
+        chi_square: Chi-square for a square metre of shift, (m,).
+        redundancy_numbers: Share of a shift that the reading's own residual shows, (m,), from 0 to 1; their sum is the
+            number of redundant readings.
+
+    """
+
+    gain: FloatArray
+    chi_square: FloatArray
+    redundancy_numbers: FloatArray
+
+    @classmethod
+    def of(
+        cls, gain: FloatArray, jacobian: FloatArray, rotation: FloatArray, chi_square: FloatArray
+    ) -> ReadingSensitivity:
+        """Return it from gain and derivatives of the readings in the local tangent, (m, 6) each."""
+        turned = np.concatenate([rotation @ gain[:, :3].T, rotation @ gain[:, 3:].T])
+        return cls(turned, chi_square, 1.0 - (jacobian * gain).sum(axis=1))
+
+
+def sensitivity_at(posor: Posor, scan: Scan, T_R_T: pin.SE3) -> ReadingSensitivity:
+    """Return the sensitivity at a pose; the readings of the scan are used for their variances only.
+
+    Raises:
+        ScanError: A reading of the scan is invalid.
+
+    """
+    stack, rotation, translation = posor.stack, T_R_T.rotation, T_R_T.translation
+    linearised = stack.linearise(Scans.of([scan]))
+    if not linearised.valid[0]:
+        raise stack.invalid_scan(scan, linearised)
+    variances = linearised.variances[0]
+    jacobian = stack.evaluate(linearised.selected[0], rotation, translation)[1]
+    weights = 1.0 / variances
+    gain = np.linalg.solve(jacobian.T @ (weights[:, None] * jacobian), (weights[:, None] * jacobian).T)
+    parameters = stack.residual_jacobian(scan, rotation, translation) @ posor.parameter_square_root
+    spreads = np.where(np.isnan([scan.supply_voltage, scan.temperature]), posor.settings["spreads"], 0.0)
+    unmeasured = posor.model.workspace[0]["sensitivities"][: stack.readings] * spreads
+    systematic = parameters @ parameters.T + unmeasured @ unmeasured.T
+    whole = np.linalg.inv(np.diag(variances) + systematic)
+    seen = whole - whole @ jacobian @ np.linalg.solve(jacobian.T @ whole @ jacobian, jacobian.T @ whole)
+    return ReadingSensitivity.of(gain.T, jacobian, rotation, np.diagonal(seen).copy())
+
+
+class EstimateMatrices(NamedTuple):
+    """Copies of the matrices of a POSOR's last estimate, which is not LOST and for which the m readings sufficed.
+
+    Nodes compute the sensitivity from them, between two scans; ``sensitivity_at`` is too slow for that.
+
+    Attributes:
+        gain: Change of the pose by each reading, in the local tangent, (m, 6).
+        jacobian: Derivatives of the readings in the local tangent, (m, 6).
+        rotation: Of the target in R, (3, 3).
+        residual_space: Combinations of the readings that the pose does not change, (r, m), r the redundancy.
+        residual_covariance: Cholesky factor of their covariance, (r, r); its upper triangle is not used.
+
+    """
+
+    gain: FloatArray
+    jacobian: FloatArray
+    rotation: FloatArray
+    residual_space: FloatArray
+    residual_covariance: FloatArray
+
+    @classmethod
+    def of(cls, posor: Posor) -> Self:
+        """Copy the matrices."""
+        workspace, m, r = posor.model.workspace[0], posor.stack.readings, posor.redundancy
+        return cls(
+            workspace["gain"][:m].copy(),
+            workspace["jacobian"][:m].copy(),
+            workspace["pose"]["rotation"].copy(),
+            workspace["residual_space"][:r, :m].copy(),
+            workspace["residual_covariance"][:r, :r].copy(),
+        )
+
+    def sensitivity(self) -> ReadingSensitivity:
+        """Return the sensitivity at that estimate."""
+        components = np.linalg.solve(np.tril(self.residual_covariance), self.residual_space)
+        return ReadingSensitivity.of(self.gain, self.jacobian, self.rotation, np.square(components).sum(axis=0))

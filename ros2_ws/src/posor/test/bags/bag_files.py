@@ -1,0 +1,77 @@
+"""Writes bags of arbitrary bytes chunk by chunk, and reads them with rosbags and with the block reader."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from posor.bags.bag_reader import opened_bag
+from posor.bags.block_reader import read_blocks
+from posor.messages.message_definitions import MessageTypes
+from posor.ros_names import RAW_SCAN
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+from rosbags.rosbag2.storage_mcap import McapWriter
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+    from pathlib import Path
+
+TOPICS = ("/one/raw", "/two/raw", "/other/raw")
+WANTED = list(TOPICS[:2])
+Record = tuple[str, int, bytes]
+"""Topic, log time [ns], message."""
+
+
+def write(
+    path: Path,
+    chunks: Iterable[Sequence[Record]],
+    storage: StoragePlugin = StoragePlugin.MCAP,
+    mode: CompressionMode = CompressionMode.NONE,
+) -> None:
+    """Write messages into a bag; where the storage has chunks, into these."""
+    types = MessageTypes()
+    text, type_hash = types.definition(RAW_SCAN)
+    writer = Writer(path, version=9, storage_plugin=storage)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        connections = {topic: writer.add_connection(topic, RAW_SCAN, msgdef=text, rihs01=type_hash) for topic in TOPICS}
+        for chunk in chunks:
+            for topic, time_ns, data in chunk:
+                writer.write(connections[topic], time_ns, data)
+            if isinstance(writer.storage, McapWriter):
+                writer.storage.close_chunk()
+
+
+def in_chunks(records: Sequence[Record], size: int) -> Iterator[list[Record]]:
+    """Yield messages as a recorder would put them into chunks of so many bytes, about."""
+    chunk: list[Record] = []
+    for record in records:
+        chunk.append(record)
+        if sum(len(data) for _, _, data in chunk) >= size:
+            yield chunk
+            chunk = []
+    if chunk:
+        yield chunk
+
+
+def damaged(path: Path, at: int, data: bytes) -> None:
+    """Replace bytes of a file."""
+    whole = bytearray(path.read_bytes())
+    whole[at : at + len(data)] = data
+    path.write_bytes(whole)
+
+
+def by_rosbags(path: Path) -> list[Record]:
+    """Return the messages of the wanted topics, as a replay takes them."""
+    with Reader(path) as reader:
+        chosen = [connection for connection in reader.connections if connection.topic in WANTED]
+        return [(connection.topic, time_ns, bytes(data)) for connection, time_ns, data in reader.messages(chosen)]
+
+
+def by_blocks(path: Path) -> Iterator[Record]:
+    """Yield the messages of the wanted topics, as the block reader reads them."""
+    with opened_bag(path) as reader:
+        for block in read_blocks(reader, WANTED, str(path)):
+            for topic, time_ns, start, length in zip(
+                block.topics, block.times_ns, block.starts, block.lengths, strict=True
+            ):
+                yield WANTED[topic], int(time_ns), block.data[start : start + length].tobytes()

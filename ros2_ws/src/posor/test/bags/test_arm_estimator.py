@@ -1,0 +1,106 @@
+"""Joints estimated block after block: each joint's numbers are those of its scans one by one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import yaml
+from posor.bags.arm_estimator import ArmEstimator
+from posor.bags.reprocess_task import JointSettings, Settings
+from posor.calibration.designs import design
+from posor.estimation.forward import scans_at
+from posor.estimation.posor import Posor
+from posor.messages.estimate_arrays import JointEstimates, estimate_joint
+from posor.messages.raw_scan_unpacking import RecordedScans
+from posor.model.fault import Fault, State
+from posor.model.native_coordinates import rotation_from_native
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from posor.calibration.calibration_file import Calibration
+    from posor.calibration.designs import DesignName
+
+DESIGNS: tuple[DesignName, ...] = ("triad_diodes", "triad_bumpy_ring", "triad_diodes")
+
+
+def recorded_scans(calibration: Calibration, begin: int, count: int) -> RecordedScans:
+    """Return scans of a target that turns, recorded a millisecond apart."""
+    ticks = np.arange(begin + 1, begin + count + 1)
+    rotations = np.array([rotation_from_native(1e-4, -2e-4, 1e-4 * tick) for tick in ticks])
+    translations = np.tile([2e-5, 1e-5, 0.7e-3], (count, 1))
+    scans = scans_at(Posor(calibration).stack, rotations, translations, ticks * 1_000_000)
+    stamps = np.column_stack(np.divmod(scans.stamps_ns, 1_000_000_000))
+    return RecordedScans(ticks, ticks, scans, stamps, np.zeros(count, dtype=np.int64), calibration.frames.parent)
+
+
+@pytest.fixture
+def settings(tmp_path: Path) -> Settings:
+    joints = {}
+    for n, name in enumerate(DESIGNS):
+        path = tmp_path / f"joint_{n}.yaml"
+        path.write_text(yaml.safe_dump(design(name).model_dump(mode="json", exclude_defaults=True)), encoding="utf-8")
+        joints[f"joint_{n}"] = JointSettings(path)
+    return Settings(joints)
+
+
+def test_each_joint_gets_the_poses_of_its_scans_one_by_one(settings: Settings) -> None:
+    estimator = ArmEstimator(settings)
+    posors = {name: Posor(joint.load()) for name, joint in settings.joints.items()}
+    for block in range(3):
+        begin = 40 * block
+        # The first joint has fewer scans, the second has scans in three parts, the third none for a while.
+        bounds = {
+            "joint_0": [begin, begin + 37],
+            "joint_1": [begin, begin + 20, begin + 21, begin + 40],
+            "joint_2": [begin] if block == 1 else [begin, begin + 40],
+        }
+        scans = {
+            name: [recorded_scans(posors[name].calibration, a, b - a) for a, b in pairwise(cuts)]
+            for name, cuts in bounds.items()
+        }
+        found = estimator.estimate_block(scans)
+        assert len(found.endpoint) == 0
+        for name, posor in posors.items():
+            expected = [posor.estimate(part.scans[n]) for part in scans[name] for n in range(len(part))]
+            joint = found.joints[name]
+            assert joint.states.tolist() == [each.state for each in expected]
+            assert joint.scans.tolist() == [each.scan for each in expected]
+            for n, each in enumerate(expected):
+                total = each.covariance_random + each.covariance_systematic
+                assert joint.covariances[n].tobytes() == total.tobytes()
+                np.testing.assert_allclose(joint.natives[n], each.native, rtol=0.0, atol=1e-14)
+                assert joint.residuals[n] == each.residual or np.isnan(each.residual)
+    summary, endpoint = estimator.summarise()
+    assert endpoint is None
+    assert [joint.scans for joint in summary.values()] == [111, 120, 80]
+
+
+@pytest.mark.parametrize("kind", ["random", "systematic"])
+def test_scans_of_another_frame_or_without_a_stamp_are_lost_and_the_others_are_as_without_them(kind: str) -> None:
+    calibration = design("triad_diodes")
+    scans = recorded_scans(calibration, 0, 30)
+    spoilt = recorded_scans(calibration, 0, 30)
+    without = np.zeros(30, dtype=np.bool_)
+    without[[0, 7, 8]] = True
+    spoilt.scans.stamps_ns[without] = 0
+    found = estimate_joint(Posor(calibration), spoilt, kind)  # type: ignore[arg-type]
+    expected = estimate_joint(Posor(calibration), scans.select(~without), kind)  # type: ignore[arg-type]
+    kept = found.select(~without)
+    assert kept.poses.tobytes() == expected.poses.tobytes()
+    assert kept.covariances.tobytes() == expected.covariances.tobytes()
+    lost = found.select(without)
+    assert set(lost.states) == {State.LOST}
+    assert set(lost.faults) == {Fault.BAD_READING}
+    assert np.isnan(lost.poses).all()
+    assert np.isnan(lost.covariances).all()
+    other = replace(scans, frame="elsewhere")
+    assert set(estimate_joint(Posor(calibration), other, "total").states) == {State.LOST}
+
+
+def test_no_estimates_can_be_concatenated() -> None:
+    assert len(JointEstimates.concatenate([JointEstimates.none(), JointEstimates.none()])) == 0

@@ -1,0 +1,175 @@
+"""Bags read and written in bulk are, message by message, what rosbags reads and writes."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from posor.bags import block_reader
+from posor.bags.bag_reader import opened_bag
+from posor.bags.block_reader import read_blocks
+from posor.bags.chunk_writer import ChunkedBagWriter, TopicMessages
+from posor.bags.topic_reader import TopicReader
+from posor.errors import BagError
+from posor.messages.message_definitions import MessageTypes
+from posor.messages.message_table import TableLayout
+from posor.ros_names import RAW_SCAN
+from posor_msgs.msg import RawScan
+from posor_ros.message_classes import schema_of_class
+from rclpy.serialization import deserialize_message, serialize_message
+from rosbags.rosbag2 import CompressionMode, Reader, StoragePlugin
+
+from .bag_files import TOPICS, WANTED, Record, by_blocks, by_rosbags, damaged, in_chunks, write
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from posor.messages.message_table import MessageTable
+    from posor.numerics.array_types import IntArray
+
+RANDOM = np.random.default_rng(11)
+
+
+def scan(number: int, *, frame: str = "plate", diodes: int = 2) -> RawScan:
+    message = RawScan(scan=number, samples=1, status=number % 7)
+    message.header.frame_id = frame
+    message.header.stamp.sec, message.header.stamp.nanosec = number // 1000, number % 1000 + 1
+    message.gap_voltages = RANDOM.normal(size=3)
+    message.diode_currents = RANDOM.normal(size=4 * diodes)
+    message.lit_sources = list(range(diodes))
+    message.temperature = float("nan") if number % 3 else 293.0
+    return message
+
+
+def records(count: int) -> list[Record]:
+    """Return messages of all topics whose log times sometimes do not increase."""
+    times = np.cumsum(RANDOM.integers(-3, 9, count)) + 1000
+    return [(TOPICS[n % 3], int(times[n]), serialize_message(scan(n))) for n in range(count)]
+
+
+@pytest.mark.parametrize("block", [8 << 20, 30_000], ids=["one block", "many blocks"])
+@pytest.mark.parametrize(
+    ("storage", "mode"),
+    [
+        (StoragePlugin.MCAP, CompressionMode.NONE),
+        (StoragePlugin.MCAP, CompressionMode.STORAGE),
+        (StoragePlugin.MCAP, CompressionMode.MESSAGE),
+        (StoragePlugin.MCAP, CompressionMode.FILE),
+        (StoragePlugin.SQLITE3, CompressionMode.NONE),
+    ],
+    ids=lambda value: value.name.lower(),
+)
+def test_blocks_hold_the_messages_that_rosbags_reads_in_the_same_order(
+    storage: StoragePlugin, mode: CompressionMode, block: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(block_reader, "BLOCK_BYTES", block)
+    monkeypatch.setattr(block_reader, "BLOCK_MESSAGES", 333)
+    write(tmp_path / "bag", in_chunks(records(1000), 20_000), storage, mode)
+    assert list(by_blocks(tmp_path / "bag")) == by_rosbags(tmp_path / "bag")
+
+
+def test_a_file_without_an_index_is_read_too(tmp_path: Path) -> None:
+    ordered = sorted(records(60), key=lambda one: one[1])
+    write(tmp_path / "bag", [ordered])
+    path = tmp_path / "bag" / "bag.mcap"
+    whole = path.read_bytes()
+    summary = struct.unpack("<Q", whole[-28:-20])[0]
+    path.write_bytes(whole[:summary] + whole[-37:-28] + bytes(20) + whole[-8:])
+    assert list(by_blocks(path)) == by_rosbags(path) == [one for one in ordered if one[0] in WANTED]
+
+
+def test_a_record_beyond_the_end_of_its_chunk_is_refused(tmp_path: Path) -> None:
+    write(tmp_path / "bag", [records(90)])
+    path = tmp_path / "bag" / "bag.mcap"
+    begin = path.read_bytes().index(by_rosbags(path)[5][2]) - 31
+    damaged(path, begin + 1, struct.pack("<Q", 10**6))
+    with pytest.raises(BagError, match=r"bag: a chunk holds a record that runs beyond its end, after the message logg"):
+        list(by_blocks(tmp_path / "bag"))
+
+
+def test_fewer_messages_than_in_the_index_are_refused(tmp_path: Path) -> None:
+    write(tmp_path / "bag", [records(90)])
+    path = tmp_path / "bag" / "bag.mcap"
+    damaged(path, path.read_bytes().index(by_rosbags(path)[5][2]) - 31, b"\x7f")
+    with pytest.raises(BagError, match=r"holds 59 messages of /one/raw, /two/raw; expected 60, as its index says\."):
+        list(by_blocks(tmp_path / "bag"))
+
+
+def read_tables(path: Path) -> list[tuple[IntArray, IntArray, MessageTable]]:
+    with opened_bag(path) as reader:
+        of_topic = TopicReader(0, WANTED[0], schema_of_class(RawScan), "the bag")
+        return [table for block in read_blocks(reader, WANTED, str(path)) for table in of_topic.read_tables(block)]
+
+
+def big_endian(message: RawScan) -> bytes:
+    """Return a message that another machine has written."""
+    types = MessageTypes()
+    types.definition(RAW_SCAN)
+    store: Any = types._store
+    own = store.deserialize_cdr(schema_of_class(RawScan).serialize(message), RAW_SCAN)
+    return bytes(store.serialize_cdr(own, RAW_SCAN, little_endian=False))
+
+
+def test_tables_of_any_layout_hold_the_values_that_rclpy_reads(tmp_path: Path) -> None:
+    kinds: list[dict[str, Any]] = [{}, {"frame": "another plate"}, {"diodes": 0}, {"diodes": 4}]
+    messages = [scan(n, **kinds[int(RANDOM.integers(4)) if 20 < n < 40 else 0]) for n in range(60)]
+    given = [
+        (WANTED[0], 100 + n, big_endian(message) if n in (0, 45) else serialize_message(message) + bytes(n % 2))
+        for n, message in enumerate(messages)
+    ]
+    write(tmp_path / "bag", [given])
+    found = read_tables(tmp_path / "bag")
+    assert len(found) < 30
+    n = 0
+    for times_ns, _, whole in found:
+        for row in range(len(whole)):
+            message, table = messages[n], whole.select(slice(row, row + 1))
+            assert times_ns[row] == 100 + n
+            assert table.layout.strings == {"header.frame_id": message.header.frame_id}
+            again = deserialize_message(table.messages.tobytes(), RawScan)
+            assert schema_of_class(RawScan).serialize(again) == schema_of_class(RawScan).serialize(message)
+            assert table["header.stamp.nanosec"][0] == message.header.stamp.nanosec
+            assert table["diode_currents"][0].tolist() == list(message.diode_currents)
+            assert table["lit_sources"][0].tolist() == list(message.lit_sources)
+            n += 1
+    assert n == len(messages)
+
+
+@pytest.mark.parametrize("cut", [0, 3, 30, 150])
+def test_the_error_of_a_truncated_message_names_topic_and_time(cut: int, tmp_path: Path) -> None:
+    given = [(WANTED[0], 100 + n, serialize_message(scan(n))) for n in range(20)]
+    given[7] = (*given[7][:2], given[7][2][:cut])
+    write(tmp_path / "bag", [given])
+    with pytest.raises(BagError, match=r"^the bag, topic /one/raw, logged at 107 ns: .*; expected a message that is"):
+        read_tables(tmp_path / "bag")
+
+
+def test_chunks_written_in_bulk_are_read_by_rosbags(tmp_path: Path) -> None:
+    types = MessageTypes()
+    text, type_hash = types.definition(RAW_SCAN)
+    schema = schema_of_class(RawScan)
+    layout = TableLayout.of(schema.serialize(scan(1)), schema)
+    expected: list[Record] = []
+    with ChunkedBagWriter(tmp_path / "bag") as writer:
+        connections = [writer.add_connection(topic, RAW_SCAN, msgdef=text, rihs01=type_hash) for topic in WANTED]
+        for begin in range(0, 300, 100):
+            parts = []
+            for connection in connections:
+                table, times = layout.copies(50), begin + 2 * np.arange(50) + connection.id
+                table["scan"] = times
+                parts.append(TopicMessages(connection, times, table.messages))
+                expected += [
+                    (connection.topic, int(time_ns), data.tobytes())
+                    for time_ns, data in zip(times, table.messages, strict=True)
+                ]
+            writer.write_messages(parts)
+        writer.write_messages([TopicMessages(connections[0], np.empty(0, dtype=np.int64), layout.copies(0).messages)])
+    assert by_rosbags(tmp_path / "bag") == sorted(expected, key=lambda one: one[1])
+    assert list(by_blocks(tmp_path / "bag")) == by_rosbags(tmp_path / "bag")
+    with Reader(tmp_path / "bag") as reader:
+        assert {connection.topic: connection.msgcount for connection in reader.connections} == dict.fromkeys(
+            WANTED, 150
+        )
+        assert (reader.start_time, reader.message_count) == (1, 300)

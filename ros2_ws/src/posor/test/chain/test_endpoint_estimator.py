@@ -1,0 +1,295 @@
+"""EndpointEstimator: single scans and many, compared with pinocchio and with each other."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from posor.chain.beam_acceleration import INITIAL_CAPACITY, MINIMUM_SCANS
+from posor.chain.joint_measurements import JointRowLayout
+from posor.chain.kinematic_chain import Chain, Endpoint
+from posor.model.fault import State
+from posor.model.native_coordinates import native_from_rotation
+
+from .six_axis_arm import FOLDER, JOINTS, PERIOD_NS, SCANS, WINDOW_S, assert_bits, six_axis_chain, swinging
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from posor.chain.forward_kinematics import Endpoints
+    from posor.numerics.array_types import FloatArray, IntArray
+
+
+@pytest.fixture(scope="module")
+def chain() -> Chain:
+    return six_axis_chain()
+
+
+@pytest.fixture(scope="module")
+def straight() -> Chain:
+    """The same arm with straight and exact beams."""
+    return Chain((FOLDER / "six_axis.urdf").read_text(encoding="utf-8"), "endpoint")
+
+
+@pytest.fixture
+def poses(random_rotation: Callable[[], FloatArray], rng: np.random.Generator) -> FloatArray:
+    return np.array(
+        [
+            [pin.SE3ToXYZQUAT(pin.SE3(random_rotation(), rng.uniform(-0.01, 0.01, 3))) for _ in range(JOINTS)]
+            for _ in range(SCANS)
+        ]
+    )
+
+
+@pytest.fixture
+def covariances(rng: np.random.Generator) -> FloatArray:
+    root = rng.normal(size=(SCANS, JOINTS, 6, 6)) * 1e-6
+    return np.asarray(root @ np.swapaxes(root, -1, -2))
+
+
+def pinocchio_endpoint(
+    chain: Chain, poses: FloatArray, covariances: FloatArray, accelerations: FloatArray | None = None
+) -> Endpoint:
+    """Return the endpoint by pinocchio's model of the arm: forward kinematics, and the Jacobian of the endpoint.
+
+    First with beams that do not sag, which tells how they lie; then with the sag of ``MeasuringBeam``.
+    """
+    robot = chain._robot
+    model, data = robot.model, robot.model.createData()
+    q, covariance = pin.neutral(model), np.zeros((model.nv, model.nv))
+
+    def put(index: int, motion: pin.SE3, turn: FloatArray, own: FloatArray) -> None:
+        joint = model.joints[index]
+        q[joint.idx_q : joint.idx_q + 7] = pin.SE3ToXYZQUAT(motion)
+        local = np.kron(np.eye(2), turn.T)
+        block = slice(joint.idx_v, joint.idx_v + 6)
+        covariance[block, block] = local @ own @ local.T
+
+    for joint, pose, own in zip(robot.joints, poses, covariances, strict=True):
+        measured = pin.XYZQUATToSE3(pose)
+        put(joint.index, joint.T_parent_joint.inverse() * measured, measured.rotation, own)
+    pin.forwardKinematics(model, data, q)
+    starts = [data.oMi[model.parents[joint.index]].rotation @ joint.T_before_parent.rotation for joint in robot.freed]
+    for number, (beam, joint, start) in enumerate(zip(chain.beams, robot.freed, starts, strict=True)):
+        force = start.T @ (chain.gravity - (0.0 if accelerations is None else accelerations[number]))
+        under = beam.T_under(force)
+        put(joint.index, joint.T_parent_joint.inverse() * under, under.rotation, beam.covariance_under(force))
+    jacobian = pin.computeFrameJacobian(model, data, q, robot.endpoint, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+    pose = pin.updateFramePlacement(model, data, robot.endpoint)
+    return Endpoint(pin.SE3(pose), jacobian @ covariance @ jacobian.T)
+
+
+def one_by_one(
+    chain: Chain, poses: FloatArray, covariances: FloatArray, stamps: IntArray, window_s: float = 0.0
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    estimator = chain.estimator(window_s)
+    found = []
+    for pose, covariance, stamp in zip(poses, covariances, stamps, strict=True):
+        estimator.poses[:], estimator.covariances[:] = pose, covariance
+        estimator.estimate(int(stamp))
+        found.append((estimator.pose.copy(), estimator.covariance.copy(), estimator.angles.copy()))
+    first, second, third = (np.array(each) for each in zip(*found, strict=True))
+    return first, second, third
+
+
+@pytest.mark.parametrize("which", ["chain", "straight"])
+def test_pose_and_covariance_agree_with_pinocchio(
+    which: str, request: pytest.FixtureRequest, poses: FloatArray, covariances: FloatArray
+) -> None:
+    arm: Chain = request.getfixturevalue(which)
+    found = arm.estimate_all(poses, covariances)
+    for n in range(SCANS):
+        expected = pinocchio_endpoint(arm, poses[n], covariances[n])
+        T = expected.T_base_endpoint
+        np.testing.assert_allclose(found.poses[n], pin.SE3ToXYZQUAT(T), rtol=0.0, atol=3e-15)
+        scale = np.sqrt(np.diag(expected.covariance))
+        np.testing.assert_allclose(
+            found.covariances[n] / np.outer(scale, scale),
+            expected.covariance / np.outer(scale, scale),
+            rtol=0.0,
+            atol=1e-12,
+        )
+        np.testing.assert_array_equal(found.covariances[n], found.covariances[n].T)
+
+
+def test_sag_changes_pose_and_covariance(
+    chain: Chain, straight: Chain, poses: FloatArray, covariances: FloatArray
+) -> None:
+    sound, stiff = (arm.estimate_all(poses, covariances) for arm in (chain, straight))
+    assert np.abs(sound.poses[:, :3] - stiff.poses[:, :3]).max() > 1e-5
+    assert np.all(np.linalg.det(sound.covariances) > np.linalg.det(stiff.covariances))
+
+
+def test_a_link_between_two_joints_can_be_the_endpoint(poses: FloatArray, covariances: FloatArray) -> None:
+    """Joints beyond the link are checked but do not contribute."""
+    text = (FOLDER / "six_axis.urdf").read_text(encoding="utf-8")
+    link = Chain(text, "endpoint").joints[3].parent
+    arm = Chain(text, link)
+    found = arm.estimate_all(poses, covariances)
+    expected = pinocchio_endpoint(arm, poses[0], covariances[0])
+    np.testing.assert_allclose(found.poses[0], pin.SE3ToXYZQUAT(expected.T_base_endpoint), rtol=0.0, atol=3e-15)
+    others = poses.copy()
+    others[:, 3:] = poses[::-1, 3:]
+    assert_bits(arm.estimate_all(others, covariances).covariances, found.covariances)
+
+
+@pytest.mark.parametrize("window_s", [0.0, WINDOW_S])
+def test_many_scans_give_the_bits_of_single_scans(chain: Chain, covariances: FloatArray, window_s: float) -> None:
+    poses, stamps = swinging(chain, SCANS)
+    found = chain.estimate_all(poses, covariances, stamps, acceleration_window=window_s)
+    alone = one_by_one(chain, poses, covariances, stamps, window_s)
+    for together, single in zip((found.poses, found.covariances, found.angles), alone, strict=True):
+        assert_bits(together, single)
+    assert found.usable.all()
+
+
+def test_chunks_continue_the_motion_of_the_chunk_before(chain: Chain) -> None:
+    """Chunks of all sizes, also shorter than MINIMUM_SCANS, with stamps that start over."""
+    poses, stamps = swinging(chain, SCANS)
+    poses, stamps = np.tile(poses, (2, 1, 1)), np.tile(stamps, 2)
+    covariances = np.zeros((2 * SCANS, JOINTS, 6, 6))
+    whole = chain.estimate_all(poses, covariances, stamps, acceleration_window=WINDOW_S)
+    estimator = chain.estimator(WINDOW_S)
+    chunks: list[Endpoints] = []
+    begin = 0
+    for size in (1, 2, MINIMUM_SCANS, 13, 30, 2 * SCANS):
+        end = min(begin + size, 2 * SCANS)
+        chunks.append(estimator.estimate_all(poses[begin:end], covariances[begin:end], stamps[begin:end]))
+        begin = end
+    assert_bits(np.concatenate([chunk.poses for chunk in chunks]), whole.poses)
+    assert_bits(whole.poses[:SCANS], whole.poses[SCANS:])  # the history was emptied in between
+
+
+def test_a_window_of_more_scans_than_the_initial_capacity(chain: Chain) -> None:
+    scans = 2 * INITIAL_CAPACITY + MINIMUM_SCANS
+    poses, stamps = swinging(chain, scans)
+    covariances = np.zeros((scans, JOINTS, 6, 6))
+    window_s = 1.5 * INITIAL_CAPACITY * PERIOD_NS * 1e-9
+    assert_bits(
+        chain.estimate_all(poses, covariances, stamps, acceleration_window=window_s).poses,
+        one_by_one(chain, poses, covariances, stamps, window_s)[0],
+    )
+
+
+def test_scans_close_together_give_no_acceleration(chain: Chain) -> None:
+    """Their noise would pass for acceleration: 30 stamps 0.1 ms apart moved the endpoint by millimetres."""
+    poses, _ = swinging(chain, 1)
+    chance = np.random.default_rng(5)
+    estimator = chain.estimator(WINDOW_S)
+    for n in range(30):
+        estimator.poses[:] = poses[0]
+        estimator.poses[:, :3] += chance.normal(scale=1e-7, size=(JOINTS, 3))
+        assert estimator.estimate(1 + n * 100_000)
+        assert not estimator.accelerations.any()
+
+
+def test_accelerations_of_the_beams_change_their_sag(chain: Chain) -> None:
+    poses, stamps = swinging(chain, SCANS)
+    covariances = np.zeros((SCANS, JOINTS, 6, 6))
+    estimator = chain.estimator(WINDOW_S)
+    for n in range(SCANS):
+        estimator.poses[:] = poses[n]
+        assert estimator.estimate(int(stamps[n]))
+        expected = pinocchio_endpoint(chain, poses[n], covariances[n], estimator.accelerations)
+        np.testing.assert_allclose(estimator.pose, pin.SE3ToXYZQUAT(expected.T_base_endpoint), rtol=0.0, atol=3e-15)
+        spans_half = n > 0 and 2 * (stamps[n - 1] - stamps[0]) >= WINDOW_S * 1e9
+        assert estimator.accelerations.any() == (n >= MINIMUM_SCANS and spans_half)
+    assert np.abs(estimator.accelerations).max() > 1.0
+    still = chain.estimate_all(poses, covariances).poses
+    assert np.abs(estimator.pose - still[-1])[:3].max() > 1e-7
+
+
+def test_angles_are_counted_with_theta(chain: Chain, poses: FloatArray, covariances: FloatArray) -> None:
+    rotations = [[pin.XYZQUATToSE3(pose).rotation for pose in scan] for scan in poses]
+    own = np.array([[native_from_rotation(rotation)[2] for rotation in scan] for scan in rotations])
+    uncounted = chain.estimator().estimate_all(poses, covariances).angles
+    counted = chain.estimator().estimate_all(poses, covariances, thetas=own + 6.0 * math.pi).angles
+    for column, joint in enumerate(chain.joints):
+        seen = [native_from_rotation(joint.T_parent_joint.rotation.T @ scan[column])[2] for scan in rotations]
+        np.testing.assert_allclose(uncounted[:, column], seen, rtol=0.0, atol=1e-13)
+        turns = (counted[:, column] - 6.0 * math.pi - uncounted[:, column]) / (2.0 * math.pi)
+        np.testing.assert_allclose(turns, np.round(turns), rtol=0.0, atol=1e-13)
+
+
+def test_pose_and_covariance_relative_to_home(chain: Chain, poses: FloatArray, covariances: FloatArray) -> None:
+    found = chain.estimate_all(poses, covariances)
+    home = found.poses[0].copy()
+    relative, own = found.relative_to(home)
+    back = pin.XYZQUATToSE3(home).inverse()
+    turn = np.kron(np.eye(2), back.rotation)
+    estimator = chain.estimator()
+    for n in range(SCANS):
+        expected = pin.SE3ToXYZQUAT(back * pin.XYZQUATToSE3(found.poses[n]))
+        np.testing.assert_allclose(relative[n], expected, rtol=0.0, atol=3e-15)
+        scale = np.abs(own[n]).max()
+        np.testing.assert_allclose(own[n], turn @ found.covariances[n] @ turn.T, rtol=0.0, atol=1e-14 * scale)
+        estimator.poses[:], estimator.covariances[:] = poses[n], covariances[n]
+        estimator.estimate()
+        estimator.estimate_relative_to(home)
+        assert_bits(estimator.relative_pose, relative[n])
+        assert_bits(estimator.relative_covariance, own[n])
+    np.testing.assert_allclose(relative[0], [0, 0, 0, 0, 0, 0, 1], rtol=0.0, atol=1e-15)
+
+
+def test_a_quaternion_slightly_off_unit_length_is_normalised(chain: Chain, poses: FloatArray) -> None:
+    """As from a sender of single precision."""
+    covariances = np.zeros((SCANS, JOINTS, 6, 6))
+    longer = poses.copy()
+    longer[..., 3:] *= 1.0 + 0.9e-6
+    np.testing.assert_allclose(
+        chain.estimate_all(longer, covariances).poses,
+        chain.estimate_all(poses, covariances).poses,
+        rtol=0.0,
+        atol=3e-15,
+    )
+
+
+def test_read_only_arrays_are_accepted(chain: Chain, poses: FloatArray, covariances: FloatArray) -> None:
+    """As views of the bytes of a bag."""
+    expected = chain.estimate_all(poses, covariances).poses
+    for array in (poses, covariances):
+        array.flags.writeable = False
+    assert_bits(chain.estimate_all(poses, covariances).poses, expected)
+
+
+def test_serialised_rows_give_the_bits_of_arrays(chain: Chain, covariances: FloatArray) -> None:
+    """With a window above the initial capacity, and different offsets in each row."""
+    scans = INITIAL_CAPACITY + 40
+    poses, stamps = swinging(chain, scans)
+    columns = [
+        JointRowLayout(pose=8 * (j + 1), native=8 * (j + 8), covariance=8 * (j + 14), state=3, size=440)
+        for j in range(JOINTS)
+    ]
+    estimator, other = (chain.estimator(scans * PERIOD_NS * 1e-9, columns) for _ in range(2))
+    numbers = estimator.rows.view(np.float64)
+    turns = 2.0 * math.pi * np.round(np.linspace(-3.0, 3.0, scans))
+    natives = np.array(
+        [[[*pose[:3], *native_from_rotation(pin.XYZQUATToSE3(pose).rotation)] for pose in row] for row in poses]
+    )
+    natives[..., 5] += turns[:, None]
+    for n in range(scans):
+        states = [int(State.DEGRADED) if n % 7 == j else int(State.OK) for j in range(JOINTS)]
+        bad = n in (20, 21, 22)
+        states[1] = {20: int(State.LOST), 21: int(State.UNCOUNTED)}.get(n, states[1])
+        for j in range(JOINTS):
+            row = numbers[j]
+            row[j + 1 : j + 8], row[j + 8 : j + 14] = poses[n, j], natives[n, j]
+            row[j + 14 : j + 50] = covariances[n % len(covariances), j].ravel()
+            estimator.rows[j, 3] = states[j]
+        if n == 22:
+            numbers[0, 1] = math.nan
+        worst = estimator.estimate_rows(int(stamps[n]))
+        if bad:
+            assert worst < 0
+            assert bool(estimator.faults.any()) == (n == 22)
+            continue
+        assert worst == max(states)
+        other.poses[:], other.covariances[:] = poses[n], covariances[n % len(covariances)]
+        other.thetas[:] = natives[n, :, 5]
+        assert other.estimate(int(stamps[n]))
+        for name in ("pose", "covariance", "angles", "accelerations"):
+            assert_bits(getattr(estimator, name), getattr(other, name))
+    assert other.accelerations.any()

@@ -1,0 +1,236 @@
+"""Run every kind of kernel on the same random inputs and save what comes out: ``kernel_outputs.py FILE.npz``.
+
+A program of its own, since whether kernels are compiled is decided when they are imported (POSOR_COMPILE).
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, get_args
+
+import numpy as np
+from posor.calibration.designs import DesignName, design
+from posor.chain.arm_geometry import BEAM, ELEMENT, ArmGeometry
+from posor.chain.beam_acceleration import BeamHistory
+from posor.chain.forward_kinematics import Endpoints, estimate_endpoints
+from posor.chain.joint_measurements import JointMeasurements
+from posor.estimation import solver
+from posor.estimation.forward import scans_at
+from posor.estimation.posor import Posor
+from posor.estimation.workspace import WORKSPACE
+from posor.messages.message_stream import MessageEstimator
+from posor.model.native_coordinates import rotation_from_native
+from posor.model.reading_rows import (
+    GAP,
+    RING,
+    ROW,
+    SPOT_X,
+    SPOT_Y,
+    differentiate_rows,
+    evaluate_rows,
+    prepare_rows,
+)
+from posor.model.scan import STATED_HOME
+from posor.numerics import cholesky, compiled, symmetric, vector
+from posor.numerics.compiled import in_place, record_view
+from posor.numerics.summary_statistics import FIGURES, figures_of
+from posor.warm_up import example_stream
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+    from posor.numerics.array_types import FloatArray
+
+CASES = 100
+HARMONICS = ((1.0, 1e-5), (36.0, 2e-4), (72.0, 1e-5))
+
+
+def random_pose(rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Return rotation and translation: any turn, small leans."""
+    rotation, translation = np.eye(3), np.zeros(3)
+    turn = np.array([0.0, 0.0, 0.0, 0.0, 0.0, rng.uniform(-math.pi, math.pi)])
+    vector.apply_tangent(rotation, translation, turn)
+    vector.apply_tangent(rotation, translation, rng.uniform(-1e-2, 1e-2, 6))
+    return rotation, translation
+
+
+def random_rows(rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the parameters of a gap probe, of a diode with its source, and of a ring probe."""
+    probe = np.concatenate(
+        [rng.uniform(-0.08, 0.08, 3), rng.normal([0, 0, 1], 0.01), rng.normal(0, 1e-3, 3), rng.normal(0, 0.03, 3)]
+    )
+    diode = np.concatenate(
+        [
+            *(rng.uniform(-0.05, 0.05, 3), rng.normal([1, 0, 0], 0.01), rng.normal([0, 1, 0], 0.01)),
+            *(rng.uniform(-0.05, 0.05, 3), rng.normal([0, 0, -1], 0.01), rng.normal(0, 0.1, 1)),
+        ]
+    )
+    around = rng.uniform(-math.pi, math.pi)
+    outward = np.array([math.cos(around), math.sin(around), 0.0])
+    profile = np.ravel([[k, *rng.uniform(-size, size, 2)] for k, size in HARMONICS])
+    ring_probe = np.array([*(0.052 * outward), *(rng.normal(0, 0.01, 3) - outward), 0.0508, len(HARMONICS), *profile])
+    return probe, diode, ring_probe
+
+
+def kernel_values(rng: np.random.Generator) -> list[float]:
+    """Return the outputs of the kernels of one row, of the pose and of the factorisation."""
+    out: list[float] = []
+    rotation, translation = random_pose(rng)
+    probe, diode, ring_probe = random_rows(rng)
+    rows = make_rows((GAP, SPOT_X, SPOT_Y, RING), (probe, diode, diode, ring_probe))
+    readings, jacobian = evaluate_rows(rows, rotation, translation)
+    out += [*readings, *jacobian.ravel(), *differentiate_rows(rows, rotation, translation).ravel()]
+    for size in (1e-6, 1e-2, 1.0):
+        vector.apply_tangent(rotation, translation, rng.uniform(-size, size, 6))
+        vector.orthonormalise(rotation)
+        out += [*rotation.ravel(), *translation]
+    matrix = np.cov(rng.normal(size=(6, 20)))
+    right = rng.normal(size=6)
+    weights, nothing = rng.uniform(0.5, 2.0, 8), np.zeros((8, 6))
+    for jacobian in (rng.normal(size=(8, 6)), np.eye(8, 6), nothing):  # the last determines no unknown
+        out.append(symmetric.factorise(symmetric.normal_matrix(jacobian, weights, 8))[1])
+    out.append(cholesky.cholesky_factorise(matrix, 6))
+    cholesky.solve_lower_triangular(matrix, 6, right)
+    return [*out, *np.tril(matrix).ravel(), *right]
+
+
+@in_place
+def solve_workspace(memory: NDArray[np.void], count: int) -> int:
+    """Run the solver; compiled code takes records in arrays only."""
+    return solver.solve_pose(memory[0], count, 1e-7, math.nan)
+
+
+def make_rows(kinds: Sequence[int], parameters: Sequence[FloatArray]) -> NDArray[np.void]:
+    """Return prepared rows; a ring probe has three harmonics behind its eight first parameters."""
+    rows = np.zeros(len(kinds), dtype=ROW)
+    rows["kind"] = kinds
+    for row, kind, numbers in zip(rows, kinds, parameters, strict=True):
+        row["parameters"][: min(len(numbers), 8 if kind == RING else 16)] = numbers[: 8 if kind == RING else 16]
+        if kind == RING:
+            row["orders"][:3], row["cosines"][:3], row["sines"][:3] = numbers[8:].reshape(-1, 3).T
+    prepare_rows(record_view(rows))
+    return rows
+
+
+def solved_scan(rng: np.random.Generator) -> list[float]:
+    """Return the outcome of the solver for one scan with noise."""
+    kinds = [GAP, GAP, GAP, SPOT_X, SPOT_Y, SPOT_X, SPOT_Y, RING]
+    drawn = [random_rows(rng) for _ in kinds]
+    parameters = [row[0 if kind == GAP else 2 if kind == RING else 1] for kind, row in zip(kinds, drawn, strict=True)]
+    parameters[4], parameters[6] = parameters[3], parameters[5]
+    memory = np.zeros(1, dtype=WORKSPACE)
+    workspace, count = memory[0], len(kinds)
+    workspace["rows"][:count] = make_rows(kinds, parameters)
+    rotation, translation = random_pose(rng)
+    workspace["pose"]["rotation"], workspace["pose"]["translation"] = rotation, translation
+    workspace["values"][:count] = rng.normal(0, 1e-4, count)
+    workspace["weights"][:count] = rng.uniform(0.5, 2.0, count) * 1e12
+    outcome = solve_workspace(record_view(memory), count)
+    pose = workspace["pose"]
+    arrays = (pose["rotation"], pose["translation"], workspace["jacobian"][:count], workspace["residuals"][:count])
+    return [outcome, *(number for array in (*arrays, workspace["step_sum"]) for number in array.ravel().tolist())]
+
+
+def arm(rng: np.random.Generator) -> list[float]:
+    """Return the endpoints of a moving arm of two joints, and a beam that sags on either side of the second."""
+    scans = 12
+    rotations = np.array([random_pose(rng)[0] for _ in range(7)])
+    elements, beams = np.zeros(5, dtype=ELEMENT), np.zeros(2, dtype=BEAM)
+    elements["joint"], elements["beam"] = (0, -1, 1, -1, -1), (-1, 0, -1, 1, -1)
+    elements["rotation"], elements["translation"] = rotations[:5], rng.uniform(-1.0, 1.0, (5, 3))
+    beams["rotation"], beams["translation"] = rotations[5:], rng.uniform(-1.0, 1.0, (2, 3))
+    for gain in ("shift_gain", "start_turn_gain", "end_turn_gain", "sigma_shift_gain", "sigma_turn_gain"):
+        beams[gain] = rng.uniform(-1e-4, 1e-4, (2, 3, 3))
+    quaternions = rng.normal(size=(scans, 2, 4))
+    quaternions /= np.linalg.norm(quaternions, axis=2, keepdims=True)
+    poses = np.concatenate([rng.uniform(-1e-3, 1e-3, (scans, 2, 3)), quaternions], axis=2)
+    poses[scans // 2, 1, 4] = math.nan
+    roots = rng.normal(size=(scans + 1, 2, 6, 6)) * 1e-6
+    covariances = roots @ np.swapaxes(roots, 2, 3)
+    beams["covariance"] = covariances[-1]
+    stamps = np.cumsum(rng.integers(1, 1000, scans))
+    thetas = rng.uniform(-9.0, 9.0, (scans, 2))
+    endpoints = Endpoints.allocate(scans, 2)
+    estimate_endpoints(
+        ArmGeometry(elements, beams, rotations[:2], np.zeros((2, 3)), np.array([0.1, 0.2, -9.8])),
+        BeamHistory.allocate(3e-6, 2),
+        JointMeasurements(stamps, poses, covariances[:-1], thetas),
+        endpoints,
+        0,
+    )
+    outputs = *endpoints, *endpoints.relative_to(endpoints.poses[0])
+    return [number for each in outputs for number in each.ravel().tolist()]
+
+
+def raw_scans(name: DesignName) -> FloatArray:
+    """Return all that is made of noisy raw scans of a design, from voltages and currents to covariances."""
+    posor = Posor(design(name, motion=True))
+    count = 6
+    rotations = np.array([rotation_from_native(1e-4, -2e-4, 2e-3 * n) for n in range(count)])
+    translations = np.tile([2e-5, 1e-5, 0.7e-3], (count, 1))
+    stamps = np.arange(1, count + 1, dtype=np.int64) * 1_000_000
+    scans = scans_at(posor.stack, rotations, translations, stamps, noise=np.random.default_rng(8))
+    scans.at_home[0] = STATED_HOME
+    found = posor.estimate_all(scans)
+    arrays = (
+        found.rotations,
+        found.covariances_random,
+        found.covariances_systematic,
+        found.poses,
+        found.natives,
+        found.residuals,
+    )
+    return np.concatenate([array.reshape(count, -1) for array in arrays], axis=1)
+
+
+def messages(name: DesignName) -> FloatArray:
+    """Return the transforms of serialised raw scans, and the summary of their times."""
+    posor = Posor(design(name, motion=True))
+    count, stamps = 6, np.arange(1, 7, dtype=np.int64) * 1_000_000
+    rotations = np.array([rotation_from_native(1e-4, -2e-4, 2e-3 * n) for n in range(count)])
+    scans = scans_at(posor.stack, rotations, np.tile([2e-5, 1e-5, 0.7e-3], (count, 1)), stamps)
+    stream = example_stream(count)
+    layout, raw = stream.raw_layout[0], stream.raw
+    stream.status["readings_usable"] = 1
+    for sequence, size in (("gap_voltages", "gap_count"), ("ring_voltages", "ring_count")):
+        readings = getattr(scans, sequence)
+        layout[size] = readings.shape[1]
+        raw.floats[:, layout[sequence] // 8 :][:, : readings.shape[1]] = readings
+    currents = scans.diode_currents.reshape(count, -1)
+    layout["current_count"], layout["lit_count"] = currents.shape[1], scans.lit_sources.shape[1]
+    raw.floats[:, layout["diode_currents"] // 8 :][:, : currents.shape[1]] = currents
+    raw.octets[:, layout["lit_sources"] :][:, : scans.lit_sources.shape[1]] = scans.lit_sources
+    for field, numbers in (("supply_voltage", scans.supply_voltages), ("temperature", scans.temperatures)):
+        raw.floats[:, layout[field] // 8] = numbers
+    raw.words[:, layout["stamp"] // 4 + 1] = stamps
+    raw.floats[3, layout["gap_voltages"] // 8] = math.nan
+    raw.words[4, layout["stamp"] // 4 :][:2] = 0
+    assert MessageEstimator(posor, stream).estimate_rows()
+    times = np.empty(FIGURES)
+    counted = figures_of(stamps // 1000, 2**62, times)
+    return np.concatenate([stream.transforms.floats.ravel(), [counted], times])
+
+
+def main(file: Path) -> None:
+    """Save the outputs, and whether the kernels were compiled."""
+    rng = np.random.default_rng(1985)
+    rows = [kernel_values(rng) for _ in range(CASES)]
+    scans = [solved_scan(rng) for _ in range(CASES)]
+    arms = [arm(rng) for _ in range(CASES)]
+    raw = [raw_scans(name) for name in get_args(DesignName)]
+    of_messages = [messages(name) for name in get_args(DesignName)]
+    outputs = {
+        "rows": np.array(rows),
+        "scans": np.array(scans),
+        "arms": np.array(arms),
+        "raw": np.array(raw),
+        "messages": np.array(of_messages),
+    }
+    np.savez(file, allow_pickle=False, compiling=np.array(compiled.COMPILING), **outputs)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,93 @@
+"""Sensor types from entry points: packages as importlib.metadata finds them, sound and unsound."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from posor.errors import CalibrationError
+from posor.sensors.registry import GROUP, sensor_types
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+MODULE = """
+from typing import Literal
+
+from posor.sensors.base import SensorCalibration
+
+
+class Sound(SensorCalibration):
+    type: Literal["lever"]
+
+    def build(self):
+        raise RuntimeError
+
+
+class Nameless(SensorCalibration):
+    def build(self):
+        raise RuntimeError
+
+
+class Foreign:
+    pass
+"""
+
+
+@pytest.fixture(autouse=True)
+def _fresh() -> Iterator[None]:
+    sensor_types.cache_clear()
+    yield
+    sensor_types.cache_clear()
+
+
+def install(site: Path, package: str, entry_point: str, module: str = MODULE) -> None:
+    """Install a package of one module into a folder."""
+    (site / f"{package}.py").write_text(module, encoding="utf-8")
+    info = site / f"{package}-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n", encoding="utf-8")
+    (info / "entry_points.txt").write_text(f"[{GROUP}]\n{entry_point}\n", encoding="utf-8")
+
+
+def test_our_own_and_a_third_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    install(tmp_path, "posor_lever", "lever = posor_lever:Sound")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    found = sensor_types()
+    assert set(found) == {"gap_probes", "diodes", "bumpy_ring", "lever"}
+    assert found["lever"].__module__ == "posor_lever"
+
+
+@pytest.mark.parametrize(
+    ("package", "entry_point", "module", "sentence"),
+    [
+        (
+            "lever_a",
+            "lever = lever_a:Missing",
+            MODULE,
+            "sensor type 'lever' (lever_a:Missing): cannot be loaded: module 'lever_a' has no attribute 'Missing'.",
+        ),
+        ("lever_b", "lever = lever_b:Sound", "1 / 0\n", "(lever_b:Sound): cannot be loaded: division by zero."),
+        ("lever_c", "lever = lever_c:Foreign", MODULE, "is not a sensor; expected a subclass of SensorCalibration."),
+        ("lever_d", "arm = lever_d:Sound", MODULE, "expected the field type: Literal['arm'] in the class."),
+        ("lever_e", "lever = lever_e:Nameless", MODULE, "does not declare its name"),
+    ],
+)
+def test_an_unsound_package_is_named_in_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str, entry_point: str, module: str, sentence: str
+) -> None:
+    install(tmp_path, package, entry_point, module)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(CalibrationError) as refused:
+        sensor_types()
+    assert sentence in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_two_packages_with_one_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for package in ("lever_f", "lever_g"):
+        install(tmp_path, package, f"lever = {package}:Sound")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(CalibrationError, match=r"is there twice, also as lever_.:Sound; expected one package"):
+        sensor_types()

@@ -1,0 +1,197 @@
+"""The endpoint's error budget: against sums by hand, against drawn errors, and what it refuses."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from posor.calibration.designs import design, sized_design
+from posor.chain.beams_file import BeamsFile
+from posor.chain.kinematic_chain import Chain
+from posor.errors import ChainError, ParameterError
+from posor.uncertainty.endpoint_budget import (
+    BEAMS,
+    Spread,
+    configurations,
+    disturbed,
+    endpoint_budget,
+    model_covariances,
+    monte_carlo,
+    thesis_covariance,
+)
+
+INCH = 0.0254
+DRAWS = 4_000
+# Two joints, about Z and about Y of the base, with arms of 2 m and 0.5 m to the tip when extended along X.
+TWO_JOINTS = """<robot name="two">
+  <link name="base"/><link name="turn_r"/><link name="turn_t"/><link name="lift_r"/><link name="lift_t"/>
+  <link name="tip"/>
+  <joint name="mount" type="fixed"><parent link="base"/><child link="turn_r"/><origin xyz="0 0 0.4"/></joint>
+  <joint name="turn" type="floating"><parent link="turn_r"/><child link="turn_t"/><origin xyz="0 0 0.000735"/></joint>
+  <joint name="beam" type="fixed"><parent link="turn_t"/><child link="lift_r"/>
+    <origin xyz="1.5 0 0" rpy="-1.5707963267948966 0 0"/></joint>
+  <joint name="lift" type="floating"><parent link="lift_r"/><child link="lift_t"/><origin xyz="0 0 0.000735"/></joint>
+  <joint name="hand" type="fixed"><parent link="lift_t"/><child link="tip"/><origin xyz="0.5 0 0"/></joint>
+</robot>
+"""
+BEND = {
+    "tube": {
+        "outer_diameter": {"value": 0.05, "unit": "m"},
+        "inner_diameter": {"value": 0.04, "unit": "m"},
+        "modulus": {"value": 69e9, "unit": "Pa"},
+        "density": {"value": 2700.0, "unit": "kg/m^3"},
+    },
+    "gimbals": {"value": [0.3, 1.2], "unit": "m"},
+    "uncertainty": {"value": 0.3, "unit": "1"},
+}
+BEAM_SIGMA, BEAM_LEAN = 2e-6, 3e-6
+STILL = {"turn": 0.0, "lift": 0.0}
+
+
+def beams(*, bend: bool) -> BeamsFile:
+    exact = {
+        "position": {"value": [BEAM_SIGMA] * 3, "unit": "m"},
+        "orientation": {"value": [BEAM_LEAN] * 3, "unit": "rad"},
+    }
+    return BeamsFile.model_validate(
+        {
+            "format": "posor_beams",
+            "version": 1,
+            "name": "two",
+            "provenance": {"source": "assumed", "method": "by hand", "date": "none"},
+            "beams": [
+                {"joint": "beam", "uncertainty": exact, **({"sag": BEND} if bend else {})},
+                {"joint": "hand", "uncertainty": exact},
+            ],
+        }
+    )
+
+
+@pytest.fixture
+def straight() -> Chain:
+    return Chain(TWO_JOINTS, "tip")
+
+
+@pytest.fixture
+def accuracies() -> dict[str, np.ndarray]:
+    return {"turn": thesis_covariance(8.0 * INCH), "lift": thesis_covariance(6.0 * INCH)}
+
+
+def test_the_thesis_accuracies_are_those_of_section_931() -> None:
+    """8 in: 1.67 and 0.95 urad; 4 in: 5.0 and 2.22 urad; no translations."""
+    for diameter_in, large, small in ((8.0, 1.67, 0.95), (4.0, 5.0, 2.22)):
+        covariance = thesis_covariance(diameter_in * INCH)
+        assert np.count_nonzero(covariance) == 3
+        np.testing.assert_allclose(np.sqrt(np.diagonal(covariance))[3:] * 1e6, [small, small, large], atol=0.005)
+
+
+@pytest.mark.parametrize("diameter", [0.0, 2.0 * INCH, math.nan])
+def test_a_diameter_without_room_for_a_ring_is_refused(diameter: float) -> None:
+    with pytest.raises(ParameterError, match=r"outside diameter .* m; expected at least 0\.0762 m\."):
+        thesis_covariance(diameter)
+
+
+def test_the_budget_of_an_extended_arm_is_as_by_hand(straight: Chain, accuracies: dict[str, np.ndarray]) -> None:
+    spread = endpoint_budget(straight, STILL, accuracies).spread
+    turn_small, turn_large = np.sqrt(np.diagonal(accuracies["turn"]))[[3, 5]]
+    lift_small, lift_large = np.sqrt(np.diagonal(accuracies["lift"]))[[3, 5]]
+    rss = math.hypot
+    np.testing.assert_allclose(
+        spread.orientation, [rss(turn_small, lift_small), rss(turn_small, lift_large), rss(turn_large, lift_small)]
+    )
+    # 0.735 mm, the distance of the second target plate before its receiving plate, is all that is left along X.
+    assert spread.displacement[0] < 1e-3 * 2.5e-6
+    np.testing.assert_allclose(
+        spread.displacement[1:],
+        [rss(2.0 * turn_large, 0.5 * lift_small), rss(2.0 * turn_small, 0.5 * lift_large)],
+        rtol=1e-6,
+    )
+    assert spread.total == pytest.approx(float(np.linalg.norm(spread.displacement)))
+
+
+def test_the_contributions_add_up_and_the_largest_comes_first(accuracies: dict[str, np.ndarray]) -> None:
+    chain = Chain(TWO_JOINTS, "tip", beams(bend=True))
+    budget = endpoint_budget(chain, {"turn": 0.4, "lift": -0.7}, accuracies)
+    assert sorted(part.name for part in budget.contributions) == sorted([BEAMS, "turn", "lift"])
+    for figure in ("orientation", "displacement"):
+        squares = sum(np.square(getattr(part.spread, figure)) for part in budget.contributions)
+        np.testing.assert_allclose(np.square(getattr(budget.spread, figure)), squares, rtol=1e-9)
+    totals = [part.spread.total for part in budget.contributions]
+    assert totals == sorted(totals, reverse=True)
+
+
+def test_exact_beams_do_not_contribute(straight: Chain, accuracies: dict[str, np.ndarray]) -> None:
+    assert [part.name for part in endpoint_budget(straight, STILL, accuracies).contributions] == ["turn", "lift"]
+
+
+def test_the_contribution_of_beams_agrees_with_a_hand_calculation() -> None:
+    chain = Chain(TWO_JOINTS, "tip", beams(bend=False))
+    [part] = [
+        part
+        for part in endpoint_budget(chain, STILL, dict.fromkeys(STILL, np.zeros((6, 6)))).contributions
+        if part.name == BEAMS
+    ]
+    shift, lean = math.sqrt(2.0) * BEAM_SIGMA, math.sqrt(2.0) * BEAM_LEAN
+    np.testing.assert_allclose(part.spread.orientation, lean)
+    np.testing.assert_allclose(part.spread.displacement[1:], math.hypot(shift, 0.5 * BEAM_LEAN), rtol=1e-6)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("angles", [STILL, {"turn": 0.4, "lift": -1.2}], ids=["extended", "bent"])
+@pytest.mark.parametrize("kind", ["exact", "uncertain", "sagging"])
+def test_monte_carlo_agrees_with_the_budget(
+    kind: str, angles: dict[str, float], accuracies: dict[str, np.ndarray]
+) -> None:
+    """JCGM 101 beside JCGM 100: 4000 draws know a spread to 1.1 %; 5 % are allowed, the figures near zero left out."""
+    chain = Chain(TWO_JOINTS, "tip", None if kind == "exact" else beams(bend=kind == "sagging"))
+    linear = endpoint_budget(chain, angles, accuracies).spread
+    drawn = monte_carlo(chain, angles, accuracies, DRAWS, 7)
+    np.testing.assert_allclose(drawn.orientation, linear.orientation, rtol=0.05)
+    np.testing.assert_allclose(drawn.displacement, linear.displacement, rtol=0.05, atol=1e-8)
+    assert drawn.total == pytest.approx(linear.total, rel=0.05)
+
+
+def test_the_same_seed_draws_the_same(straight: Chain, accuracies: dict[str, np.ndarray]) -> None:
+    first, again, other = (monte_carlo(straight, STILL, accuracies, 50, seed).total for seed in (3, 3, 4))
+    assert first == again != other
+
+
+def test_errors_are_in_the_axes_of_the_parent() -> None:
+    pose = pin.SE3(pin.utils.rotate("z", 0.5 * math.pi), np.array([1.0, 2.0, 3.0]))
+    moved = disturbed(pose, np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.2]))
+    np.testing.assert_allclose(moved.translation, [1.1, 2.0, 3.0])
+    np.testing.assert_allclose(moved.rotation, pin.utils.rotate("z", 0.5 * math.pi + 0.2), atol=1e-15)
+
+
+def test_a_spread_is_the_square_root_of_the_diagonal() -> None:
+    spread = Spread.of(np.diag([1.0, 4.0, 4.0, 9.0, 16.0, 25.0]))
+    assert (spread.displacement.tolist(), spread.orientation.tolist()) == ([1.0, 2.0, 2.0], [3.0, 4.0, 5.0])
+    assert spread.total == 3.0
+
+
+def test_the_configurations_are_extended_and_bent_at_the_last_joint() -> None:
+    assert configurations(["turn", "lift"]) == {"extended": STILL, "bent": {"turn": 0.0, "lift": 0.5 * math.pi}}
+
+
+def test_model_covariances_are_split_into_noise_and_calibration(straight: Chain) -> None:
+    calibrations = {
+        name: sized_design("triad_bumpy_ring", 6.0 * INCH, frames=(f"{name}_r", f"{name}_t"), title=name)
+        for name in STILL
+    }
+    random, systematic = model_covariances(calibrations, straight, {"turn": 2.0, "lift": -1.0})
+    assert set(random) == set(systematic) == set(STILL)
+    for covariance in (*random.values(), *systematic.values()):
+        assert np.all(np.linalg.eigvalsh(covariance) > 0.0)
+        assert np.all(np.sqrt(np.diagonal(covariance)) < 10e-6)
+
+
+def test_a_joint_without_a_valid_pose_is_named(straight: Chain) -> None:
+    calibrations = {
+        "turn": sized_design("triad_bumpy_ring", 6.0 * INCH, frames=("turn_r", "turn_t"), title="turn"),
+        "lift": design("triad_diodes", frames=("lift_r", "lift_t")),
+    }
+    model_covariances(calibrations, straight, STILL)
+    with pytest.raises(ChainError, match=r"^joint 'lift': has no valid pose at 90 degrees .*of its sensors\.$"):
+        model_covariances(calibrations, straight, {"turn": 0.0, "lift": 0.5 * math.pi})

@@ -1,0 +1,57 @@
+"""Sensitivity of the pose to each reading: of the last estimate, and at any pose."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from posor.calibration.designs import design
+from posor.errors import ScanError
+from posor.estimation.forward import scans_at
+from posor.estimation.posor import Posor
+from posor.model.native_coordinates import rotation_from_native
+from posor.model.scan import NO_SOURCE
+from posor.uncertainty.reading_sensitivity import EstimateMatrices, sensitivity_at
+from posor_lab.harness.random_poses import STACKS, TICK_NS
+
+if TYPE_CHECKING:
+    from posor.calibration.designs import DesignName
+    from posor.model.scan import Scans
+
+THETAS = np.linspace(0.05, 0.06, 5)
+TRANSLATION = np.array([2e-5, 1e-5, 0.7e-3])
+
+
+def turning(posor: Posor) -> Scans:
+    rotations = np.array([rotation_from_native(1e-4, -2e-4, theta) for theta in THETAS])
+    translations = np.tile(TRANSLATION, (len(THETAS), 1))
+    return scans_at(posor.stack, rotations, translations, np.arange(1, len(THETAS) + 1) * TICK_NS)
+
+
+@pytest.mark.parametrize("temperature", [math.nan, 293.15])
+@pytest.mark.parametrize("stack", STACKS)
+def test_the_sensitivity_of_the_last_estimate_is_that_at_its_pose(stack: DesignName, temperature: float) -> None:
+    posor = Posor(design(stack))
+    scans = turning(posor)
+    for n in range(len(scans)):
+        scan = replace(scans[n], temperature=temperature)
+        pose = posor.estimate(scan).T_R_T
+        assert pose is not None
+        last = EstimateMatrices.of(posor).sensitivity()
+        for found, expected in zip(last, sensitivity_at(posor, scan, pose), strict=True):
+            np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
+
+
+def test_sensitivity_needs_valid_readings() -> None:
+    posor = Posor(design("triad_diodes"))
+    scan = turning(posor)[0]
+    pose = pin.SE3(rotation_from_native(1e-4, -2e-4, THETAS[0]), TRANSLATION)
+    dark = replace(scan, lit_sources=(NO_SOURCE,) * len(scan.lit_sources))
+    without_voltage = replace(scan, gap_voltages=np.full_like(scan.gap_voltages, np.nan))
+    for invalid in (dark, without_voltage):
+        with pytest.raises(ScanError):
+            sensitivity_at(posor, invalid, pose)

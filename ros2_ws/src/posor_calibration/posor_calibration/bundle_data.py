@@ -1,0 +1,130 @@
+"""Data of a bundle fit from a recording: scans with approximate poses, and the pose reference if there is one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+from posor.bags.recording import POSE, unpack_poses
+from posor.errors import FitError
+from posor.estimation.posor import Posor
+from posor.model.fault import USABLE_STATES, State
+from posor.model.native_coordinates import native_from_rotation
+from posor.numerics.stamps import NS
+
+from posor_calibration.bundle_problem import BundleData, PoseReference
+from posor_calibration.data_checks import READING_KINDS, check_axis, check_channels_vary, check_unit
+from posor_calibration.dwells import average_dwells, find_dwells, scans_with_reference
+
+if TYPE_CHECKING:
+    from posor.bags.recording import Recording, Track
+    from posor.calibration.calibration_file import Calibration
+    from posor.numerics.array_types import FloatArray
+
+AXES = ("x", "y", "z", "alpha", "beta")
+CLEAR_TRAVEL = 20.0
+"""Travel along an axis, over the uncertainty of the calibration, above which it is compared with the reference's."""
+MIN_COMPARED = 4
+
+
+@dataclass(frozen=True)
+class Matching:
+    """How scans and reference are matched."""
+
+    least_dwell_s: float  # shortest dwell; each dwell is one mean scan [s]; 0: every scan, reference interpolated
+    still: float  # tolerance of a dwell [m], and of the quaternion
+    settle_s: float  # left out at the beginning of each dwell [s]
+    longest_gap_s: float  # no interpolation between reference values further apart [s]
+    at_most: int  # more scans are thinned out evenly
+    mounting_sigmas: FloatArray  # see PoseReference, (12,)
+
+
+def make_bundle_data(
+    recording: Recording, calibration: Calibration, topic: str | None, matching: Matching
+) -> BundleData:
+    """Return the data of a bundle fit.
+
+    Substituted and saturated scans are already left out of the recording, the session is applied to the calibration.
+    ``topic`` is that of the pose reference; empty: the only one; None: fit without a reference.
+
+    Raises:
+        FitError: No scan is left.
+        TrackError: The reference is unusable, or does not move as this POSOR.
+
+    """
+    check_channels_vary(recording.scans, READING_KINDS, recording.source)
+    # The estimator must not reject scans: the fit judges them.
+    posor = Posor(calibration.model_copy(update={"motion": None}), false_alarm=0.0)
+    if topic is None:
+        estimates = posor.estimate_all(recording.scans)
+        found = np.flatnonzero(np.isin(estimates.states, USABLE_STATES))
+        poses = [pin.SE3(estimates.rotations[i], estimates.translations[i]) for i in found]
+        left_out = len(recording.scans) - len(found)
+        data = BundleData(recording.scans.select(found), np.ones(len(found)), poses, None, left_out)
+        return _thin_out(data, matching, recording.source)
+    track = recording.find_track(topic, POSE)
+    if matching.least_dwell_s > 0.0:
+        dwells = find_dwells(
+            track, matching.still, int(matching.least_dwell_s * NS), settle_ns=int(matching.settle_s * NS)
+        )
+        means = average_dwells(recording.scans, track, dwells, source=recording.source)
+        scans, counts, left_out = means.scans, means.counts.astype(float), 0
+        values, sigmas, warnings = means.reference, means.reference_sigmas, means.warnings
+    else:
+        scans, values = scans_with_reference(recording.scans, track, int(matching.longest_gap_s * NS))
+        counts, left_out = np.ones(len(scans)), len(recording.scans) - len(scans)
+        sigmas, warnings = np.tile(track.sigmas, (len(scans), 1)), ()
+    poses = [pin.SE3(r, t) for r, t in zip(*unpack_poses(values), strict=True)]
+    reference = PoseReference(poses, _tangent_sigmas(poses, sigmas), matching.mounting_sigmas)
+    data = BundleData(scans, counts, poses, reference, left_out, warnings)
+    valid = np.flatnonzero(posor.stack.linearise(data.scans).valid)
+    data = _thin_out(data.select(valid), matching, recording.source)
+    _check_motion(posor, data, track)
+    return data
+
+
+def _thin_out(data: BundleData, matching: Matching, source: str) -> BundleData:
+    """Return at most ``at_most`` scans; raise FitError if there are none."""
+    if not len(data):
+        raise FitError(
+            "no scan is left to fit: all are out of the calibrated range or give no pose",
+            where=source,
+            expected="scans of the POSOR that the calibration file describes",
+        )
+    if len(data) <= matching.at_most:
+        return data
+    return data.select(np.round(np.linspace(0, len(data) - 1, matching.at_most)).astype(np.int64))
+
+
+def _tangent_sigmas(poses: list[pin.SE3], sigmas: FloatArray) -> FloatArray:
+    """Return standard uncertainties along and about the target's axes (n, 6) of those of pose tracks (n, 7)."""
+    along = np.array([np.square(pose.rotation.T) @ np.square(s[:3]) for pose, s in zip(poses, sigmas, strict=True)])
+    # A small rotation is twice the change of the quaternion's vector part.
+    about = 2.0 * np.sqrt(np.mean(np.square(sigmas[:, 3:]), axis=1))
+    return np.column_stack([np.sqrt(along), np.tile(about[:, None], 3)])
+
+
+def _check_motion(posor: Posor, data: BundleData, track: Track) -> None:
+    """Raise TrackError if the reference has a wrong unit or swapped axes, by the poses of the present calibration."""
+    thetas = np.array([np.arctan2(-pose.rotation[0, 1], pose.rotation[1, 1]) for pose in data.poses])
+    estimates = posor.estimate_each(data.scans, thetas)
+    valid = estimates.states != int(State.LOST)
+    if np.count_nonzero(valid) < MIN_COMPARED:
+        return
+    systematic = np.diagonal(estimates.covariances_systematic[valid], axis1=1, axis2=2)
+    sigmas = np.sqrt(np.median(systematic, axis=0))
+    found = [pin.SE3(r, t) for r, t in zip(estimates.rotations[valid], estimates.translations[valid], strict=True)]
+    expected = [data.poses[i] for i in np.flatnonzero(valid)]
+    # Without theta, from which the search of the pose begins.
+    measured, reference = (
+        np.array([[*pose.translation, *native_from_rotation(pose.rotation)[:2]] for pose in poses])
+        for poses in (found, expected)
+    )
+    for names, unit in ((AXES[:3], "m"), (AXES[3:], "rad")):
+        columns = [AXES.index(name) for name in names]
+        for axis, name in zip(columns, names, strict=True):
+            if np.ptp(measured[:, axis]) > CLEAR_TRAVEL * sigmas[axis]:
+                check_axis(measured[:, axis], reference[:, columns], axis - columns[0], names, track.source)
+                check_unit(measured[:, axis], reference[:, axis], f"{track.source}, {name}", unit)

@@ -1,0 +1,167 @@
+"""Write the outcome of a procedure into a calibration: new values, and a fit record of their origin."""
+
+from __future__ import annotations
+
+import datetime as dt
+from dataclasses import dataclass
+from pathlib import PurePath
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from posor.calibration.calibration_file import VERSION, calibration_from, parse_calibration
+from posor.calibration.edit import edit_document, parse_key_path
+from posor.calibration.file_model import first_problem
+from posor.calibration.fit_record import (
+    CovarianceRecord,
+    FitRecord,
+    Instrument,
+    RecordedData,
+    Residuals,
+)
+from posor.calibration.quantity import Quantity
+from posor.errors import CalibrationError
+from pydantic import ValidationError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from posor.bags.recording import Recording
+    from posor.calibration.calibration_file import Calibration
+
+    from posor_calibration.procedure import Outcome
+
+SIGNIFICANT_DIGITS = 12
+"""Digits that are written: more than any sensor has, and still readable."""
+
+
+@dataclass(frozen=True)
+class FitContext:
+    """What a fit record states besides the outcome."""
+
+    procedure: str
+    options: Mapping[str, str]
+    instruments: Sequence[Instrument]
+    date: dt.datetime
+
+
+def update_text(text: str, source: str, outcome: Outcome, recording: Recording, context: FitContext) -> str:
+    """Return the text of a calibration file with the outcome of a procedure.
+
+    Args:
+        text: The file that the procedure began from; whatever is not replaced stays, comments too.
+        source: Name of the file for error messages.
+        outcome: What the procedure found; it must replace something.
+        recording: The data.
+        context: Procedure, options, instruments and date.
+
+    Raises:
+        CalibrationError: The file has no such key, or the new values are invalid.
+
+    """
+    result = edit_document(text, source, _list_changes(parse_calibration(text, source), outcome, recording, context))
+    parse_calibration(result, f"{source} with the result of {context.procedure}")
+    return result
+
+
+def update_calibration(
+    calibration: Calibration, outcome: Outcome, recording: Recording, context: FitContext
+) -> Calibration:
+    """Return a calibration with the outcome of a procedure, as ``update_text`` writes it; raises the same errors."""
+    content: Any = calibration.model_dump(mode="json", exclude_defaults=True)
+    for key, new in _list_changes(calibration, outcome, recording, context).items():
+        *path, last = parse_key_path(key)
+        part = content
+        for step in path:
+            part = part[step]
+        part[last] = new
+    try:
+        return calibration_from(content)
+    except ValidationError as error:
+        raise _refusal(error, context.procedure) from None
+
+
+def _list_changes(
+    calibration: Calibration, outcome: Outcome, recording: Recording, context: FitContext
+) -> dict[str, Any]:
+    """Return the new content of the file by key."""
+    changes: dict[str, Any] = {"version": VERSION}
+    for new in outcome.replacements:
+        unit = _find_quantity(calibration, new.key).unit
+        quantity = {"value": _to_yaml(new.value), "sigma": _to_yaml(new.sigma), "unit": unit}
+        try:
+            Quantity.model_validate(quantity)
+        except ValidationError as error:
+            raise _refusal(error, new.key) from None
+        changes[new.key] = quantity
+    for part in outcome.parts:
+        changes[part.key] = _to_yaml(part.content)
+    fits = [*calibration.fits, _make_record(calibration, outcome, recording, context)]
+    changes["fits"] = [fit.model_dump(mode="json", exclude_defaults=True) for fit in fits]
+    return changes
+
+
+def _find_quantity(calibration: Calibration, key: str) -> Quantity:
+    """Return the quantity at a key path; raise CalibrationError if there is none."""
+    part: Any = calibration
+    where = f"calibration '{calibration.name}', {key}"
+    for step in parse_key_path(key):
+        try:
+            container: Any = part  # mypy accepts integer indices only
+            part = container[step] if isinstance(part, dict | list | tuple) else getattr(part, str(step))
+        except (AttributeError, LookupError, TypeError):
+            raise CalibrationError("there is no such key", where=where) from None
+    if not isinstance(part, Quantity):
+        raise CalibrationError("is not a quantity", where=where)
+    return part
+
+
+def _refusal(error: ValidationError, where: str) -> CalibrationError:
+    complaint = first_problem(error)
+    return CalibrationError(complaint.what, where=where, expected=complaint.expected)
+
+
+def _make_record(calibration: Calibration, outcome: Outcome, recording: Recording, context: FitContext) -> FitRecord:
+    return FitRecord(
+        procedure=context.procedure,
+        method=outcome.method,
+        date=context.date.astimezone(dt.UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        recording=RecordedData(name=PurePath(recording.source).name, sha256=recording.sha256),
+        former=calibration.content_hash,
+        options=dict(context.options),
+        instruments=list(context.instruments),
+        replaced=[*(new.key for new in outcome.replacements), *(part.key for part in outcome.parts)],
+        residuals={
+            what: Residuals(
+                readings=len(fit.residuals),
+                parameters=len(fit.names),
+                freedoms=fit.freedoms,
+                spread=_round(fit.spread),
+                probability=_round(fit.probability),
+                outliers=int(np.count_nonzero(fit.outliers())),
+            )
+            for what, fit in outcome.fits.items()
+        },
+        covariances=[
+            CovarianceRecord(
+                entries=list(joint.entries),
+                rows=[[_round(value) for value in row[: index + 1]] for index, row in enumerate(joint.matrix)],
+            )
+            for joint in outcome.covariances
+        ],
+        warnings=list(outcome.warnings),
+    )
+
+
+def _to_yaml(content: Any) -> Any:
+    """Return content as plain mappings, lists and rounded numbers."""
+    if isinstance(content, dict):
+        return {str(key): _to_yaml(value) for key, value in content.items()}
+    if isinstance(content, np.ndarray | np.generic):
+        return _to_yaml(content.tolist())
+    if isinstance(content, list | tuple):
+        return [_to_yaml(value) for value in content]
+    return _round(content) if isinstance(content, float) else content
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.{SIGNIFICANT_DIGITS}g}")

@@ -1,0 +1,215 @@
+"""Sensitivity of the gaps to supply voltage or temperature, from a recording in which it varies and the target rests.
+
+Each level of the quantity is a dwell. A slow drift counts as many short dwells.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from posor.bags.recording import Track
+from posor.errors import FitError
+from posor.model.scan import PROBES_ESTIMATED, SATURATED
+from posor.numerics.stamps import NS
+from posor.sensors.gap_probes import GapProbesCalibration
+from pydantic import Field
+
+from posor_calibration.calibration_parameters import (
+    FixedParameters,
+    find_sensor,
+    first_parameter,
+    parameter_indices,
+)
+from posor_calibration.data_checks import check_channels_vary, check_count
+from posor_calibration.dwells import Settle, average_dwells, find_dwells
+from posor_calibration.fit_report import describe_enlargement, describe_rejected, enlarge_if_improbable
+from posor_calibration.gap_probe_data import MICRO, SingleProbe, list_probes
+from posor_calibration.least_squares import Fit, fit_linear
+from posor_calibration.procedure import Figure, LossOption, Options, Outcome, Part, Table
+
+if TYPE_CHECKING:
+    from posor.bags.recording import Recording
+    from posor.calibration.calibration_file import Calibration
+    from posor.numerics.array_types import FloatArray
+    from posor.sensors.probe import SupplyCalibration, TemperatureCalibration
+
+    from posor_calibration.dwells import DwellMeans
+
+MIN_LEVELS = 4
+
+
+@dataclass(frozen=True)
+class Environment:
+    """A quantity of the environment on which the gaps depend."""
+
+    procedure: str
+    title: str  # for messages, such as "supply voltage"
+    short_title: str
+    field: Literal["supply_voltages", "temperatures"]  # of the scans
+    part: Literal["supply", "temperature"]  # of a probe in the file
+    unit: str
+    source: str  # section or table of the thesis
+
+    def values(self, scans: Any) -> FloatArray:
+        """Return the quantity in each scan, (n,)."""
+        values: FloatArray = getattr(scans, self.field)
+        return values
+
+    def present(self, probe: SingleProbe) -> SupplyCalibration | TemperatureCalibration | None:
+        """Return what the calibration states for a probe."""
+        found: SupplyCalibration | TemperatureCalibration | None = getattr(probe.calibration, self.part)
+        return found
+
+
+class EnvironmentOptions(Options):
+    """Options that the procedures share; each states those without a default in its unit."""
+
+    still: float
+    least_dwell: float
+    settle: Settle = 0.05
+    span: float
+    variation: float
+    reference: float | None
+    reference_sigma: float = Field(
+        default=0.0, ge=0.0, description="standard uncertainty of ``reference``, in its unit"
+    )
+    loss: LossOption = "linear"
+
+
+def find_sensitivity(
+    recording: Recording, calibration: Calibration, options: EnvironmentOptions, environment: Environment
+) -> Outcome:
+    """Fit the slope of each probe's gap over the quantity; raises as ``Procedure.identify``."""
+    levels = _average_levels(recording, options, environment)
+    values = environment.values(levels.scans)
+    probes = list_probes(calibration)
+    at, _ = find_sensor(calibration, GapProbesCalibration, environment.procedure)
+    names = [f"{environment.part}[{probe.index},{i}]" for probe in probes for i in range(2)]
+    fixed = FixedParameters(calibration, parameter_indices(calibration, at, names))
+    fits, warnings = {}, levels.warnings
+    for probe in probes:
+        name, effects = probe.name, fixed.effects(_gap_derivatives(calibration, at, probe, levels))
+        fits[name] = _fit_probe(probe, levels, options, environment, effects)
+        if options.loss != "linear":
+            warnings += describe_rejected(fits[name].outliers(), [f"level {n + 1}" for n in range(len(levels))], name)
+        warnings += describe_enlargement(fits[name], name)
+    return Outcome(
+        method=f"straight line through {len(levels)} levels of the {environment.short_title}, {values.min():.4g} to "
+        f"{values.max():.4g} {environment.unit}, target at rest (thesis {environment.source})",
+        fits=fits,
+        parts=tuple(
+            Part(
+                f"{probe.key}.{environment.part}",
+                _file_entry(probe, fits[probe.name], float(values.mean()), options, environment),
+            )
+            for probe in probes
+        ),
+        covariances=tuple(
+            fixed.joint_covariance((f"{probe.key}.{environment.part}.sensitivity",), fits[probe.name])
+            for probe in probes
+        ),
+        tables=(_tabulate(probes, fits, options, environment),),
+        warnings=warnings,
+        figures=tuple(
+            Figure(
+                f"{probe.name}: gap over {environment.title}",
+                f"{environment.short_title} [{environment.unit}]",
+                "gap less its mean [µm]",
+                {"levels": (values, MICRO * (gaps - gaps.mean()))},
+            )
+            for probe in probes
+            for gaps in (probe.gaps(levels.scans, without=environment.part),)
+        ),
+    )
+
+
+def _average_levels(recording: Recording, options: EnvironmentOptions, environment: Environment) -> DwellMeans:
+    """Return the mean scans at each level; raise FitError if the quantity was not measured or not varied enough."""
+    title, source = environment.title, recording.source
+    scans = recording.without_status(PROBES_ESTIMATED | SATURATED).scans
+    known = np.asarray(np.isfinite(environment.values(scans)))
+    if not known.any():
+        raise FitError(f"the {title} was not measured", where=source, expected="scans that hold it")
+    scans = scans.select(known)
+    check_channels_vary(scans, ("gap_voltages",), source)
+    track = Track(scans.stamps_ns, environment.values(scans)[:, None], np.zeros(1), f"{source}, {title}")
+    dwells = find_dwells(track, options.still, round(options.least_dwell * NS), settle_ns=round(options.settle * NS))
+    check_count(len(dwells), MIN_LEVELS, f"levels of the {title}", source)
+    levels = average_dwells(scans, track, dwells, source=source, kinds=("gap_voltages",))
+    span = float(np.ptp(environment.values(levels.scans)))
+    if span < options.span:
+        what, unit = f"the {title} spans {span:.3g} {environment.unit}", environment.unit
+        raise FitError(what, where=source, expected=f"at least {options.span:g} {unit}")
+    return levels
+
+
+def _gap_derivatives(calibration: Calibration, at: int, probe: SingleProbe, levels: DwellMeans) -> FloatArray:
+    """Return d(gap of one probe)/d(parameter of the stack) at the levels, (d, p); the pose does not matter."""
+    sensor, first = calibration.sensors[at].build(), first_parameter(calibration, at)
+    out = np.zeros((len(levels), first_parameter(calibration, len(calibration.sensors))))
+    for n in range(len(levels)):
+        block = sensor.residual_jacobian(levels.scans[n], np.eye(3), np.zeros(3))
+        out[n, first : first + block.shape[1]] = block[probe.index]
+    return out
+
+
+def _fit_probe(
+    probe: SingleProbe, levels: DwellMeans, options: EnvironmentOptions, environment: Environment, effects: FloatArray
+) -> Fit:
+    """Return the fit of ``sensitivity`` [m per unit] and ``gap`` at the mean of the quantity [m] of one probe.
+
+    The sensitivity is what is added to the linearised gap per unit, so the gap without it falls by as much. ``effects``
+    of fixed parameters on the gaps [m], (d, q).
+    """
+    gaps = probe.gaps(levels.scans, without=environment.part)
+    slopes = probe.slopes(levels.scans)
+    values = environment.values(levels.scans)
+    sigmas = slopes * levels.sigmas("gap_voltages")[:, probe.index]
+    if not np.all(sigmas > 0.0):
+        sigmas = slopes * probe.calibration.noise.number / np.sqrt(levels.counts)
+    steepest = max(float(np.ptp(gaps)), float(np.max(sigmas))) / float(np.ptp(values))
+    found = fit_linear(
+        np.column_stack([values.mean() - values, np.ones(len(gaps))]),
+        gaps,
+        sigmas,
+        np.array([0.0, float(np.median(gaps))]),
+        ("sensitivity", "gap"),
+        (f"m/{environment.unit}", "m"),
+        np.array([steepest, float(np.mean(gaps))]),
+        fixed_effects=effects,
+        loss=options.loss,
+        what=f"{environment.procedure} of {probe.name}",
+    )
+    return enlarge_if_improbable(found) if options.loss == "linear" else found
+
+
+def _file_entry(
+    probe: SingleProbe, found: Fit, mean: float, options: EnvironmentOptions, environment: Environment
+) -> dict[str, Any]:
+    present = environment.present(probe)
+    reference, sigma = (mean, 0.0) if present is None else (present.reference.number, present.reference.sigma)
+    if options.reference is not None:
+        reference, sigma = options.reference, options.reference_sigma
+    unit = environment.unit
+    return {
+        "sensitivity": {"value": found.value("sensitivity"), "sigma": found.sigma("sensitivity"), "unit": f"m/{unit}"},
+        "reference": {"value": reference, "sigma": sigma, "unit": unit},
+    }
+
+
+def _tabulate(
+    probes: list[SingleProbe], fits: dict[str, Fit], options: EnvironmentOptions, environment: Environment
+) -> Table:
+    rows = []
+    for probe in probes:
+        value, sigma = (MICRO * figure("sensitivity") for figure in (fits[probe.name].value, fits[probe.name].sigma))
+        rows.append((probe.calibration.name, value, sigma, abs(value) * options.variation))
+    unit = environment.unit
+    return Table(
+        f"sensitivity to the {environment.title}",
+        ("probe", "sensitivity", "sigma", f"effect of {options.variation:g} {unit}"),
+        ("", f"µm/{unit}", f"µm/{unit}", "µm"),
+        tuple(rows),
+    )

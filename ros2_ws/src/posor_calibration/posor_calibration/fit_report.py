@@ -1,0 +1,154 @@
+"""Tables, warnings and refusals that the fits of all procedures share."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from posor.errors import FitError
+
+from posor_calibration.data_checks import MOST_OUTLIERS
+from posor_calibration.least_squares import weak_directions
+from posor_calibration.procedure import Table
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from posor.numerics.array_types import BoolArray, FloatArray
+
+    from posor_calibration.least_squares import Fit
+
+HIGH_CORRELATION = 0.9
+"""Correlation above which two parameters are hard to separate."""
+NAMED_OUTLIERS = 5
+IMPROBABLE = 1e-3
+"""Probability of chi-square below which the stated uncertainties are not believed."""
+MOST_SPREAD = 10.0
+"""Residuals over the stated uncertainties beyond which data and model do not belong together."""
+
+
+def table_row(name: str | int, numbers: Iterable[float]) -> tuple[float | int | str, ...]:
+    """Return a row of a table: a name and numbers."""
+    return name, *map(float, numbers)
+
+
+def parameter_table(title: str, fit: Fit, before: FloatArray, count: int) -> Table:
+    """Return the first ``count`` parameters of a fit with their values before the fit, (count,)."""
+    rows = tuple(
+        (
+            *table_row(fit.names[i], (before[i], fit.values[i], fit.sigmas[i])),
+            fit.units[i],
+            float((fit.values[i] - before[i]) / fit.sigmas[i]),
+        )
+        for i in range(count)
+    )
+    return Table(title, ("parameter", "before", "found", "sigma", "unit", "change / sigma"), ("",) * 6, rows)
+
+
+def correlation_table(fit: Fit, count: int) -> Table:
+    """Return the correlations of the first ``count`` parameters of a fit."""
+    correlations = fit.correlations
+    rows = tuple(table_row(fit.names[i], correlations[i, :count]) for i in range(count))
+    return Table("correlations", ("", *fit.names[:count]), ("",) * (count + 1), rows)
+
+
+def enlarge_if_improbable(fit: Fit) -> Fit:
+    """Return a fit without prior, its uncertainty enlarged if the residuals exceed the stated uncertainties."""
+    if fit.probability >= IMPROBABLE:
+        return fit
+    covariance, cross_covariance = fit.covariance * fit.spread**2, fit.cross_covariance * fit.spread
+    return replace(fit, covariance=covariance, cross_covariance=cross_covariance)
+
+
+def describe_fit(fit: Fit, scales: FloatArray, count: int, readings: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return warnings of weakly determined parameters, correlations, outliers, and wrong stated uncertainties.
+
+    Args:
+        fit: The fit.
+        scales: Prior standard uncertainty of each parameter, (p,).
+        count: How many parameters, the first ones, are the procedure's result; the others are auxiliary.
+        readings: Name of each residual, (n,); empty: outliers are only counted.
+
+    """
+    sentences = [
+        f"The data hardly determine {' and '.join(direction.names)}: along this combination "
+        f"{direction.remaining:.2g} of the prior uncertainty remains."
+        for direction in weak_directions(np.sqrt(fit.weights)[:, None] * fit.jacobian * scales, fit.names)
+    ]
+    correlations = fit.correlations
+    sentences += [
+        f"{fit.names[j]} and {fit.names[i]} are strongly correlated: {correlations[i, j]:.3f}."
+        for i in range(count)
+        for j in range(i)
+        if abs(correlations[i, j]) > HIGH_CORRELATION
+    ]
+    return (*sentences, *describe_residuals(fit, readings))
+
+
+def describe_residuals(fit: Fit, readings: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return warnings of outliers and of wrong stated uncertainties; ``readings`` as in ``describe_fit``."""
+    sentences = []
+    outliers = np.flatnonzero(fit.outliers())
+    if outliers.size:
+        named = [readings[i] for i in outliers[:NAMED_OUTLIERS]] if readings else []
+        more = ", ..." if len(outliers) > len(named) else ""
+        where = f" ({', '.join(named)}{more})" if named else ""
+        sentences.append(
+            f"{outliers.size} of {len(fit.residuals)} readings are outliers{where}, "
+            f"the worst {np.max(np.abs(fit.residuals)):.1f} sigmas off."
+        )
+    return (*sentences, *describe_spread(fit))
+
+
+def describe_spread(fit: Fit) -> tuple[str, ...]:
+    """Return a warning if the residuals exceed the stated uncertainties."""
+    if fit.probability >= IMPROBABLE:
+        return ()
+    sentence = (
+        f"The residuals are {fit.spread:.2g} times as large as the stated uncertainties explain: these are too small, "
+        "or the model is incomplete."
+    )
+    return (sentence,)
+
+
+def describe_enlargement(fit: Fit, where: str) -> tuple[str, ...]:
+    """Return a warning that the uncertainties were enlarged because the residuals exceed the stated ones, or none."""
+    if fit.probability >= IMPROBABLE:
+        return ()
+    said = f"the residuals are {fit.spread:.3g} times as large as the stated uncertainties explain"
+    return (f"{where}: {said}; the uncertainties of the result are enlarged by this factor.",)
+
+
+def describe_rejected(rejected: BoolArray, names: Sequence[str], where: str) -> tuple[str, ...]:
+    """Return the sentence that names the data that were left out as outliers, or none.
+
+    ``rejected`` (n,) are the outliers among data with ``names`` (n,).
+
+    Raises:
+        FitError: More than a tenth are outliers.
+
+    """
+    count = int(rejected.sum())
+    if count > MOST_OUTLIERS * len(rejected):
+        raise FitError(
+            f"{count} of {len(rejected)} readings do not fit, such as {names[int(np.argmax(rejected))]}",
+            where=where,
+            expected=f"at most {100 * MOST_OUTLIERS:g} % outliers",
+        )
+    listed = ", ".join(name for name, out in zip(names, rejected, strict=True) if out)
+    return (f"{where}: left out {listed}, which do not fit the others.",) if count else ()
+
+
+def check_spread(fit: Fit, readings: Sequence[str], where: str) -> None:
+    """Raise FitError if the residuals are far beyond the stated uncertainties.
+
+    ``readings``: name of each residual, (n,); empty: the worst is not named.
+    """
+    if fit.spread > MOST_SPREAD and fit.probability < IMPROBABLE:
+        worst = f", the worst is {readings[int(np.argmax(np.abs(fit.residuals)))]}" if readings else ""
+        raise FitError(
+            f"the residuals are {fit.spread:.3g} times as large as the stated uncertainties explain{worst}",
+            where=where,
+            expected=f"at most {MOST_SPREAD:g} times; state a larger uncertainty of the reference if it has one",
+        )

@@ -1,0 +1,116 @@
+"""Sections of beams: round tubes, and boxes with walls of one thickness."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from posor.chain.beam_bending import Tube
+from posor.errors import ParameterError
+
+from posor_design.checks import require_finite, require_non_negative, require_positive
+
+if TYPE_CHECKING:
+    from posor_design.units import Metre
+
+
+@dataclass(frozen=True)
+class BeamSection:
+    """A section of a beam that bends in the plane of its height.
+
+    Attributes:
+        height: Outer height [m].
+        area: [m^2].
+        second_moment: Second moment of area about the axis across the plane of bending [m^4].
+        polar_moment: Polar second moment of area [m^4].
+        torsion_constant: Saint-Venant's torsion constant [m^4].
+        breadth_ratio: Width over height between the centre lines of the walls of a box; None: a tube.
+        bore_ratio: Inner over outer diameter of a tube.
+
+    """
+
+    height: float
+    area: float
+    second_moment: float
+    polar_moment: float
+    torsion_constant: float
+    breadth_ratio: float | None = None
+    bore_ratio: float = 0.0
+
+    def shear_coefficient(self, poisson: float) -> float:
+        """Return Timoshenko's shear coefficient (Cowper 1966, hollow circle and thin-walled box)."""
+        nu = poisson
+        if self.breadth_ratio is None:
+            m = self.bore_ratio**2
+            ring = (1.0 + m) ** 2
+            return 6.0 * (1.0 + nu) * ring / ((7.0 + 6.0 * nu) * ring + (20.0 + 12.0 * nu) * m)
+        n = m = self.breadth_ratio  # m: area of the flanges over the area of the webs, n for equal walls
+        webs = 12.0 + 72.0 * m + 150.0 * m**2 + 90.0 * m**3
+        webs += nu * (11.0 + 66.0 * m + 135.0 * m**2 + 90.0 * m**3)
+        flanges = 10.0 * n**2 * ((3.0 + nu) * m + 3.0 * m**2)
+        return 10.0 * (1.0 + nu) * (1.0 + 3.0 * m) ** 2 / (webs + flanges)
+
+
+def make_section(shape: Literal["tube", "box"], height: Metre, width: Metre, wall: Metre) -> BeamSection:
+    """Return the section of a tube or a box.
+
+    Args:
+        shape: Round tube, or box.
+        height: Outer height in the plane of bending; the outer diameter of a tube.
+        width: Outer width of a box; 0 for a tube.
+        wall: Thickness of the walls.
+
+    Raises:
+        ParameterError: A dimension is not finite or not positive, the walls leave no hole, or a tube has a width.
+
+    """
+    require_positive(height=height, wall=wall)
+    if shape == "tube":
+        require_finite(width=width)
+        if width != 0.0:
+            raise ParameterError(f"a tube with width {width:g} m", where="width", expected="no width, or shape 'box'")
+        _require_hole(wall, height)
+        tube = make_tube(height, height - 2.0 * wall, "wall")
+        polar = 2.0 * tube.second_moment
+        return BeamSection(height, tube.area, tube.second_moment, polar, polar, bore_ratio=tube.inner_diameter / height)
+    require_positive(width=width)
+    _require_hole(wall, min(height, width))
+    inner_height, inner_width = height - 2.0 * wall, width - 2.0 * wall
+    upright = (width * height**3 - inner_width * inner_height**3) / 12.0
+    sideways = (height * width**3 - inner_height * inner_width**3) / 12.0
+    h, b = height - wall, width - wall
+    return BeamSection(
+        height,
+        area=height * width - inner_height * inner_width,
+        second_moment=upright,
+        polar_moment=upright + sideways,
+        torsion_constant=2.0 * wall * (b * h) ** 2 / (b + h),  # Bredt
+        breadth_ratio=b / h,
+    )
+
+
+def make_tube(outer_diameter: float, inner_diameter: float, inner_name: str) -> Tube:
+    """Return the geometry of a tube; modulus and density are 1.
+
+    Args:
+        outer_diameter: [m].
+        inner_diameter: [m]; 0: a solid round.
+        inner_name: Name of the inner diameter, for errors.
+
+    Raises:
+        ParameterError: The inner diameter is not finite or negative, or leaves no wall.
+
+    """
+    require_non_negative(**{inner_name: inner_diameter})
+    if inner_diameter >= outer_diameter:
+        raise ParameterError(
+            f"{inner_diameter:g} m leaves no wall",
+            where=inner_name,
+            expected=f"less than the outside diameter, {outer_diameter:g} m",
+        )
+    return Tube(outer_diameter, inner_diameter, modulus=1.0, density=1.0)
+
+
+def _require_hole(wall: float, side: float) -> None:
+    if wall >= 0.5 * side:
+        raise ParameterError(f"{wall:g} m leaves no hole", where="wall", expected=f"less than {0.5 * side:g} m")

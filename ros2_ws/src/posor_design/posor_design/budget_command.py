@@ -1,0 +1,253 @@
+"""Program ``budget``: error budget of a calibration file as tables, CSV, JSON and a page with charts."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from posor.calibration.calibration_file import load_calibration
+from posor.chain.arm_file import load_arm
+from posor.errors import ParameterError
+from posor.estimation.posor import Posor
+from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.program_errors import reports_errors
+from posor.reporting.report_console import report_console
+from posor.uncertainty.budget_poses import middle_pose, pose_from_native, scan_at
+from posor.uncertainty.budget_quantities import NATIVE, PlatePoint
+from posor.uncertainty.first_order import Kind, error_budget
+from posor.uncertainty.protection_level import arm_reliability
+from posor.uncertainty.reliability import joint_reliability
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from posor_design.budget_page import render_budget_page
+from posor_design.budget_report import VALIDATION_HEADER, BudgetReport, heading
+from posor_design.monte_carlo import BATCH, COVERAGE, monte_carlo, validate
+from posor_design.reliability_report import (
+    ARM_HEADER,
+    RELIABILITY_HEADER,
+    arm_rows,
+    protection_note,
+    reliability_note,
+    reliability_rows,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from posor.uncertainty.protection_level import ArmReliability
+
+SEED = 1985
+OUTPUT_FILES = ("budget.csv", "budget.json", "budget.html")
+
+
+def _numbers(names: Sequence[str]) -> Callable[[str], tuple[float, ...]]:
+    """Return a parser of as many numbers as names, separated by commas."""
+
+    def parse_numbers(text: str) -> tuple[float, ...]:
+        try:
+            numbers = tuple(float(part) for part in text.split(","))
+        except ValueError:
+            numbers = ()
+        if len(numbers) != len(names) or not all(map(math.isfinite, numbers)):
+            raise argparse.ArgumentTypeError(f"'{text}' is not {len(names)} numbers {','.join(names)}")
+        return numbers
+
+    return parse_numbers
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"'{text}' is not a seed (a whole number of at least 0)")
+    return int(text)
+
+
+def _draws(text: str) -> int:
+    if not text.isdecimal() or int(text) < 2 * BATCH:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a number of draws (at least {2 * BATCH})")
+    return int(text)
+
+
+def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Return the options.
+
+    Raises:
+        ParameterError: An option is unknown, or its value is invalid.
+
+    """
+    parser = CommandLineParser(prog="posor budget", description="Error budget of a POSOR from its calibration file.")
+    parser.add_argument("calibration", type=Path, metavar="CALIBRATION.yaml")
+    parser.add_argument("--session", default="", help="session of the calibration file to apply")
+    names = [name for name, _ in NATIVE]
+    parser.add_argument(
+        "--pose",
+        type=_numbers(names),
+        metavar=",".join(names),
+        help="in m and rad, written --pose=...; default: all sensors in the middle of their ranges",
+    )
+    parser.add_argument(
+        "--point",
+        type=_numbers(("x", "y")),
+        action="append",
+        default=[],
+        metavar="x,y",
+        help="point of the receiving plate [m] whose gap is an output too, written --point=...; may be repeated",
+    )
+    parser.add_argument("--output", type=Path, metavar="FOLDER", help="default: build/budget/<name of the calibration>")
+    parser.add_argument("--draws", type=_draws, default=10 * BATCH, help="largest number of Monte Carlo draws")
+    parser.add_argument("--seed", type=_seed, default=SEED, help=f"seed of the draws (default: {SEED})")
+    parser.add_argument("--arm", type=Path, metavar="ARM.yaml", help="arm whose endpoint gets a protection level")
+    parser.add_argument(
+        "--angles", type=_angles, metavar="a,b,...", help="of the arm's joints in rad, written --angles=...; default: 0"
+    )
+    options = parser.parse_args(arguments)
+    if options.angles is not None and options.arm is None:
+        parser.error("--angles without --arm")
+    options.output = options.output or Path("build/budget") / options.calibration.stem
+    return options
+
+
+def _angles(text: str) -> tuple[float, ...]:
+    return _numbers([f"angle {number + 1}" for number in range(text.count(",") + 1)])(text)
+
+
+def _arm_reliability(path: Path, given: Sequence[float] | None) -> ArmReliability:
+    """Return the reliability of an arm at the given angles of its joints [rad]; None: all zero."""
+    arm = load_arm(path)
+    chain = arm.chain()
+    names = [joint.name for joint in chain.joints]
+    angles = [0.0] * len(names) if given is None else given
+    if len(angles) != len(names):
+        raise ParameterError(
+            f"{len(angles)} angles", where="budget, --angles", expected=f"{len(names)}: {','.join(names)}"
+        )
+    calibrations = {name: arm.calibration(name) for name in names}
+    return arm_reliability(chain, calibrations, dict(zip(names, angles, strict=True)))
+
+
+def compute_budget(options: argparse.Namespace, progress: Progress) -> BudgetReport:
+    """Compute the budget for these options; create the folder of the results before the draws, which take long.
+
+    Raises:
+        PosorError: The calibration is invalid, or cannot be used at this pose, or the folder cannot be created.
+
+    """
+    calibration = load_calibration(options.calibration).for_session(options.session)
+    posor = Posor(calibration)
+    pose = middle_pose(posor) if options.pose is None else pose_from_native(options.pose)
+    scan = scan_at(posor, pose)
+    points = [PlatePoint(*point) for point in options.point]
+    budget = error_budget(posor, scan, pose, points)
+    reliability = joint_reliability(posor, scan, pose)
+    arm = None if options.arm is None else _arm_reliability(options.arm, options.angles)
+    _create_folder(options.output)
+    task = progress.add_task("draws", total=options.draws)
+    drawn = monte_carlo(
+        posor,
+        scan,
+        pose,
+        points,
+        seed=options.seed,
+        max_draws=options.draws,
+        progress=lambda done: progress.update(task, completed=done),
+    )
+    return BudgetReport(
+        calibration=calibration.name,
+        content_hash=calibration.content_hash,
+        session=options.session,
+        budget=budget,
+        drawn=drawn,
+        validations=validate(budget, drawn),
+        seed=options.seed,
+        reliability=reliability,
+        arm=arm,
+    )
+
+
+def _create_folder(folder: Path) -> None:
+    """Create the folder for the results."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ParameterError(
+            f"cannot be created: {error.strerror}", where=f"budget, --output, {folder}", expected="a writable folder"
+        ) from error
+
+
+def write_budget(report: BudgetReport, folder: Path) -> None:
+    """Write table, figures and page into an existing folder."""
+    csv_file, json_file, page_file = (folder / name for name in OUTPUT_FILES)
+    report.write_csv(csv_file)
+    json_file.write_text(json.dumps(report.as_json(), indent=2) + "\n", encoding="utf-8")
+    page_file.write_text(render_budget_page(report), encoding="utf-8")
+
+
+def print_budget(report: BudgetReport, console: Console) -> None:
+    """Print contributions, totals and validation as tables."""
+    session = f", session {report.session}" if report.session else ""
+    console.print(f"Error budget of '{report.calibration}'{session}")
+    console.print(f"at {report.pose_text}; standard uncertainties, k = 1")
+    table = Table(title="What to improve first: uncertainty and share of the variance", title_justify="left")
+    table.add_column("quantity", overflow="fold")
+    table.add_column("kind")
+    for output in report.budget.outputs:
+        table.add_column(heading(output), justify="right")
+    for name, kind, cells in report.contribution_rows():
+        if name == f"all {Kind.RANDOM}":
+            table.add_section()
+        table.add_row(name, kind, *cells)
+    console.print(table)
+    title = f"First order against draws: ends of the {100 * COVERAGE:g} % intervals (JCGM 101, clause 8)"
+    table = Table(title=title, title_justify="left")
+    for name in VALIDATION_HEADER:
+        table.add_column(name, justify="left" if name == "quantity" else "right")
+    for row in report.validation_rows():
+        table.add_row(*row)
+    console.print(table)
+    _print_reliability(report, console)
+    for note in (report.verdict, report.correlation_note, report.exact_note):
+        if note:
+            console.print(note)
+    if report.drawn.lost:
+        console.print(f"{report.drawn.lost} of {report.drawn.trials + report.drawn.lost} draws gave no pose.")
+
+
+def _print_reliability(report: BudgetReport, console: Console) -> None:
+    """Print the minimal detectable biases, and the protection level of an arm's endpoint."""
+    tables = [
+        ("Minimal detectable biases", RELIABILITY_HEADER, reliability_rows(report.reliability)),
+        *([("Protection level of the endpoint", ARM_HEADER, arm_rows(report.arm))] if report.arm else []),
+    ]
+    for title, header, rows in tables:
+        table = Table(title=title, title_justify="left")
+        for name in header:
+            table.add_column(name, justify="left" if name in {"joint", "reading"} else "right")
+        for row in rows:
+            table.add_row(*row)
+        console.print(table)
+    console.print(reliability_note(report.reliability))
+    if report.arm:
+        console.print(protection_note(report.arm))
+
+
+@reports_errors
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; exit code 0: the budget has been computed."""
+    options = parse_options(arguments)
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        report = compute_budget(options, progress)
+    write_budget(report, options.output)
+    console = report_console(160)
+    print_budget(report, console)
+    console.print(f"page and files: {options.output}", soft_wrap=True, markup=False)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

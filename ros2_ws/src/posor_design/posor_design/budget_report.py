@@ -1,0 +1,221 @@
+"""Results of an error budget in words, tables, CSV and JSON."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from posor.model.native_coordinates import native_from_rotation
+from posor.uncertainty.budget_quantities import NATIVE
+from posor.uncertainty.first_order import Kind
+
+from posor_design.reliability_report import arm_json, reliability_json
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from posor.numerics.array_types import FloatArray
+    from posor.uncertainty.budget_quantities import Output
+    from posor.uncertainty.first_order import ErrorBudget
+    from posor.uncertainty.protection_level import ArmReliability
+    from posor.uncertainty.reliability import Reliability
+
+    from posor_design.monte_carlo import MonteCarlo, Validation
+
+DISPLAY_UNITS: Mapping[str, tuple[float, str]] = {"m": (1e6, "µm"), "rad": (1e6, "µrad")}
+"""Factor and name of the unit in which quantities of an SI unit are displayed."""
+SUMMARISED_SHARE = 0.01
+"""Contributions with smaller shares in all outputs are summed in one line."""
+NEGLIGIBLE_SHARE = 1e-4
+"""Smaller shares of a contribution in one output are not displayed."""
+CSV_COLUMNS = ("rank", "contribution", "kind", "quantity", "unit", "standard_uncertainty", "share_of_variance")
+VALIDATION_HEADER = ("quantity", "numerical tolerance", "d low", "d high", "stable", "first order")
+
+
+def heading(output: Output) -> str:
+    """Return the name of an output with its display unit."""
+    return f"{output.name} [{DISPLAY_UNITS[output.unit][1]}]"
+
+
+def format_number(value: float, output: Output) -> str:
+    """Return a value [m, rad] in the display unit with three digits."""
+    scaled = value * DISPLAY_UNITS[output.unit][0]
+    return f"{scaled:#.3g}".rstrip(".") if scaled < 1e3 else f"{scaled:.0f}"  # noqa: PLR2004  three digits
+
+
+@dataclass(frozen=True)
+class BudgetReport:
+    """Everything that tables, files and page of a budget display.
+
+    Attributes:
+        calibration: Name of the calibration.
+        content_hash: Hash of its content.
+        session: Name of the applied session; empty: none.
+        budget: First-order budget.
+        drawn: Monte Carlo result.
+        validations: Validation of the first order by the draws, for each output.
+        seed: Seed of the draws.
+        reliability: Minimal detectable biases of the readings.
+        arm: Reliability of an arm and protection level of its endpoint; None: no arm is given.
+
+    """
+
+    calibration: str
+    content_hash: str
+    session: str
+    budget: ErrorBudget
+    drawn: MonteCarlo
+    validations: tuple[Validation, ...]
+    seed: int
+    reliability: Reliability
+    arm: ArmReliability | None = None
+
+    @property
+    def holds(self) -> bool:
+        """Whether the first order is valid for every output."""
+        return all(validation.holds for validation in self.validations)
+
+    @property
+    def verdict(self) -> str:
+        """Result of the validation (JCGM 101, clause 8) in words."""
+        failing = [validation.name for validation in self.validations if not validation.holds]
+        unstable = [validation.name for validation in self.validations if not validation.stable]
+        if failing:
+            sentence = f"First order and draws differ by more than the numerical tolerance in {', '.join(failing)}."
+        else:
+            sentence = "First order and draws agree within the numerical tolerance (JCGM 101, clause 8)."
+        if unstable:
+            sentence += f" The draws are not yet stable to a fifth of it in {', '.join(unstable)}: use more draws."
+        return sentence
+
+    @property
+    def correlation_note(self) -> str:
+        """Meaning of the contributions of correlated quantities; empty if there are none."""
+        names = self.budget.correlated
+        if not names:
+            return ""
+        return (
+            f"The calibration states correlations of {len(names)} quantities, such as {names[0]}. Each contribution is "
+            "that of one quantity with all others exact; correlated contributions do not add up to the full "
+            "covariance, and large ones may cancel."
+        )
+
+    @property
+    def exact_note(self) -> str:
+        """Names of the quantities without a stated uncertainty; empty if there are none."""
+        names = self.budget.without_uncertainty
+        return f"Taken as exact, no uncertainty is stated: {', '.join(names)}." if names else ""
+
+    @property
+    def pose_text(self) -> str:
+        """The pose in native coordinates."""
+        T = self.budget.T_R_T
+        x, y, gap = (f"{1e3 * value:.4f}" for value in T.translation)
+        alpha, beta, theta = (f"{1e3 * value:.3f}" for value in native_from_rotation(T.rotation))
+        return f"x {x}, y {y}, gap {gap} mm; alpha {alpha}, beta {beta}, theta {theta} mrad"
+
+    def contribution_rows(self) -> list[tuple[str, str, list[str]]]:
+        """Return name, kind and cells of each contribution, of the summary of small ones, and of the totals."""
+        budget = self.budget
+
+        def cells(effects: FloatArray, shares: FloatArray | None = None) -> list[str]:
+            numbers = [format_number(effect, output) for effect, output in zip(effects, budget.outputs, strict=True)]
+            if shares is None:
+                return numbers
+            return [
+                "-" if share < NEGLIGIBLE_SHARE else f"{cell} {100.0 * share:3.0f} %"
+                for cell, share in zip(numbers, shares, strict=True)
+            ]
+
+        rows, small = [], []
+        for part, share in zip(budget.contributions, budget.shares(), strict=True):
+            if share.max() < SUMMARISED_SHARE:
+                small.append((part.effects, share))
+            else:
+                rows.append((part.name, str(part.kind), cells(part.effects, share)))
+        if small:
+            effects, shares = (np.array(column) for column in zip(*small, strict=True))
+            total = np.sqrt(np.sum(np.square(effects), axis=0))
+            rows.append((f"{len(small)} more, each below 1 %", "", cells(total, np.sum(shares, axis=0))))
+        rows.extend((f"all {kind}", str(kind), cells(budget.root_sum_square(kind))) for kind in Kind)
+        rows.append(("root sum square", "total", cells(budget.root_sum_square())))
+        rows.append(("full covariance", "total", cells(budget.sigmas)))
+        rows.append((f"Monte Carlo, {self.drawn.trials} draws", "total", cells(self.drawn.sigmas)))
+        return rows
+
+    def validation_rows(self) -> list[list[str]]:
+        """Return a row of ``VALIDATION_HEADER`` for each output."""
+        return [
+            [
+                heading(output),
+                *(format_number(value, output) for value in (each.tolerance, each.low, each.high)),
+                "yes" if each.stable else "not yet",
+                "holds" if each.holds else "differs",
+            ]
+            for output, each in zip(self.budget.outputs, self.validations, strict=True)
+        ]
+
+    def write_csv(self, path: Path) -> None:
+        """Write the contributions in order of rank, SI units."""
+        with path.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow(CSV_COLUMNS)
+            parts = zip(self.budget.contributions, self.budget.shares(), strict=True)
+            for rank, (part, shares) in enumerate(parts, start=1):
+                for output, effect, share in zip(self.budget.outputs, part.effects, shares, strict=True):
+                    row = (rank, part.name, part.kind, output.name, output.unit, f"{effect:.9g}", f"{share:.9g}")
+                    writer.writerow(row)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return everything by name, SI units."""
+        budget, drawn = self.budget, self.drawn
+        native = [*budget.T_R_T.translation, *native_from_rotation(budget.T_R_T.rotation)]
+        quantities = {
+            output.name: {
+                "unit": output.unit,
+                "value": float(budget.values[i]),
+                "random": float(budget.root_sum_square(Kind.RANDOM)[i]),
+                "systematic": float(budget.root_sum_square(Kind.SYSTEMATIC)[i]),
+                "root_sum_square": float(budget.root_sum_square()[i]),
+                "full_covariance": float(budget.sigmas[i]),
+                "monte_carlo": {
+                    "mean": float(drawn.means[i]),
+                    "standard_uncertainty": float(drawn.sigmas[i]),
+                    "interval_95": [float(drawn.low[i]), float(drawn.high[i])],
+                },
+                "validation": {
+                    "numerical_tolerance": validation.tolerance,
+                    "d_low": validation.low,
+                    "d_high": validation.high,
+                    "stable": validation.stable,
+                    "holds": validation.holds,
+                },
+            }
+            for i, (output, validation) in enumerate(zip(budget.outputs, self.validations, strict=True))
+        }
+        names = [output.name for output in budget.outputs]
+        return {
+            "calibration": self.calibration,
+            "content_hash": self.content_hash,
+            "session": self.session,
+            "pose": dict(zip((name for name, _ in NATIVE), map(float, native), strict=True)),
+            "quantities": quantities,
+            "covariance": budget.covariance.tolist(),
+            "contributions": [
+                {
+                    "rank": rank,
+                    "name": part.name,
+                    "kind": str(part.kind),
+                    "standard_uncertainty": dict(zip(names, part.effects.tolist(), strict=True)),
+                }
+                for rank, part in enumerate(budget.contributions, start=1)
+            ],
+            "taken_as_exact": list(budget.without_uncertainty),
+            "vary_together": list(budget.correlated),
+            "draws": {"seed": self.seed, "used": drawn.trials, "without_a_pose": drawn.lost},
+            "reliability": reliability_json(self.reliability),
+            "arm": None if self.arm is None else arm_json(self.arm),
+        }

@@ -1,0 +1,204 @@
+"""Contact stress of curved bodies, and of the balls of a bearing, by Hertz theory."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from posor.errors import ParameterError
+from scipy.optimize import brentq, minimize_scalar
+from scipy.special import ellipe, ellipk, elliprd, elliprf
+
+from posor_design.checks import require_poisson_ratio, require_positive
+
+if TYPE_CHECKING:
+    from posor_design.units import Metre, Newton, Number, Pascal, PerMetre
+
+_FLATTEST = 1e-5
+"""Smallest ratio of the half axes that is solved."""
+_DEEPEST = 2.0
+"""Depth over the small half axis above which the greatest shear stress lies: at most 0.79, or at the surface."""
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Contact of two elastic bodies.
+
+    Attributes:
+        large_half_axis: Large half axis of the contact ellipse.
+        small_half_axis: Small half axis of the contact ellipse.
+        stress: Greatest compressive stress, at the centre of the ellipse.
+        shear_stress: Greatest shear stress at and under this centre, in the first body.
+        shear_depth: Depth of the greatest shear stress.
+        approach: Approach of the two bodies.
+
+    """
+
+    large_half_axis: Metre
+    small_half_axis: Metre
+    stress: Pascal
+    shear_stress: Pascal
+    shear_depth: Metre
+    approach: Metre
+
+
+def hertz_contact(
+    load: Newton,
+    curvature_x: PerMetre,
+    curvature_y: PerMetre,
+    modulus: Pascal,
+    poisson_ratio: Number,
+    other_modulus: Pascal,
+    other_poisson_ratio: Number,
+) -> Contact:
+    """Stress, size and approach of the contact of two elastic bodies.
+
+    The contact is an ellipse without friction, small beside the radii. A curvature is the inverse of a radius; that of
+    a hollow surface is negative. The sums of the curvatures of both bodies in the two principal directions are enough.
+
+    Args:
+        load: Force between the bodies.
+        curvature_x: Sum of the curvatures of both bodies in the first principal direction.
+        curvature_y: Sum of the curvatures of both bodies in the second principal direction.
+        modulus: Modulus of elasticity of the first body.
+        poisson_ratio: Poisson's ratio of the first body, 0 to 0.5.
+        other_modulus: Modulus of elasticity of the second body.
+        other_poisson_ratio: Poisson's ratio of the second body, 0 to 0.5.
+
+    Raises:
+        ParameterError: An argument is not finite or not positive, a ratio exceeds 0.5, or the curvatures differ so much
+            that the contact is a line.
+
+    Source: Johnson, Contact Mechanics (1985), 4.2; Boresi and Schmidt, Advanced Mechanics of Materials (2003), 17.4;
+        thesis 6.2.3.3 and appendix 6B (CONTACT.FOR, after Timoshenko).
+
+    Example:
+        posor design hertz-contact --load '10 N' --curvature-x '500 1/m' --curvature-y '500 1/m' --modulus '206 GPa'
+        --poisson-ratio .3 --other-modulus '206 GPa' --other-poisson-ratio .3
+
+    """
+    require_positive(load=load, curvature_x=curvature_x, curvature_y=curvature_y)
+    require_positive(modulus=modulus, other_modulus=other_modulus)
+    require_poisson_ratio(poisson_ratio=poisson_ratio, other_poisson_ratio=other_poisson_ratio)
+    contact_modulus = 1.0 / ((1.0 - poisson_ratio**2) / modulus + (1.0 - other_poisson_ratio**2) / other_modulus)
+    k = _axis_ratio(curvature_x, curvature_y)
+    first_kind, second_kind = float(ellipk(1.0 - k**2)), float(ellipe(1.0 - k**2))
+    curvature = curvature_x + curvature_y
+    large = math.cbrt(3.0 * load * second_kind / (math.pi * k**2 * contact_modulus * curvature))
+    stress = 1.5 * load / (math.pi * k * large**2)
+    interior = minimize_scalar(
+        lambda depth: -_shear_stress(depth, k, poisson_ratio), bounds=(0.0, _DEEPEST), options={"xatol": 1e-9}
+    )
+    depth = max(0.0, float(interior.x), key=lambda depth: _shear_stress(depth, k, poisson_ratio))
+    return Contact(
+        large_half_axis=large,
+        small_half_axis=k * large,
+        stress=stress,
+        shear_stress=_shear_stress(depth, k, poisson_ratio) * stress,
+        shear_depth=depth * k * large,
+        approach=1.5 * load * first_kind / (math.pi * contact_modulus * large),
+    )
+
+
+def _axis_ratio(curvature_x: float, curvature_y: float) -> float:
+    """Return the small half axis over the large one."""
+    target = max(curvature_x, curvature_y) / min(curvature_x, curvature_y)
+
+    def excess(k: float) -> float:
+        return _curvature_ratio(k) - target
+
+    if excess(_FLATTEST) < 0.0:
+        raise ParameterError(
+            f"the ratio of the curvatures is {target:.3g}: the contact is a line",
+            where="curvature_x, curvature_y",
+            expected=f"a ratio of at most {_curvature_ratio(_FLATTEST):.3g}",
+        )
+    return 1.0 if excess(1.0) >= 0.0 else float(brentq(excess, _FLATTEST, 1.0, xtol=1e-15, rtol=1e-14))
+
+
+def _curvature_ratio(k: float) -> float:
+    """Return the ratio of the curvatures that belongs to a ratio of the half axes; Carlson's forms hold at k = 1."""
+    along = elliprd(0.0, 1.0, k**2) / 3.0
+    across = elliprd(0.0, k**2, 1.0) / 3.0
+    return float(along / across)
+
+
+def _shear_stress(depth: float, k: float, poisson_ratio: float) -> float:
+    """Return the greatest shear stress on the normal through the centre, over the greatest compressive stress.
+
+    Carlson's forms of the elliptic integrals hold for a circle (k = 1) too.
+
+    Args:
+        depth: Depth over the small half axis.
+        k: Small half axis over the large one.
+        poisson_ratio: Poisson's ratio of the body.
+
+    """
+    t = k * depth
+    sine, cosine = 1.0 / math.hypot(1.0, t), t / math.hypot(1.0, t)
+    root_squared = (k**2 + t**2) * sine**2
+    root = math.sqrt(root_squared)
+    sine_integral = sine**3 * float(elliprd(cosine**2, root_squared, 1.0)) / 3.0
+    cosine_integral = sine * float(elliprf(cosine**2, root_squared, 1.0)) - sine_integral
+    q = sine**2 / (1.0 + root)
+    across = (q - 1.0 + t * cosine_integral) / k**2
+    along_x = -0.5 * q + t * sine_integral + poisson_ratio * across
+    along_y = across + 0.5 * q / root + poisson_ratio * (t * sine_integral - q)
+    stresses = (2.0 * k * along_x, 2.0 * k * along_y, -k * sine**2 / root)
+    return 0.5 * (max(stresses) - min(stresses))
+
+
+def ball_race_contact(
+    load: Newton,
+    ball_diameter: Metre,
+    pitch_diameter: Metre,
+    conformity: Number,
+    ball_modulus: Pascal,
+    ball_poisson_ratio: Number,
+    race_modulus: Pascal,
+    race_poisson_ratio: Number,
+    race: Literal["inner", "outer"] = "inner",
+) -> Contact:
+    """Contact of a ball with the groove of a radial ball bearing.
+
+    Args:
+        load: Force of the ball.
+        ball_diameter: Diameter of the ball.
+        pitch_diameter: Diameter of the circle through the centres of the balls.
+        conformity: Radius of the groove over the diameter of the ball, more than 0.5.
+        ball_modulus: Modulus of elasticity of the ball.
+        ball_poisson_ratio: Poisson's ratio of the ball.
+        race_modulus: Modulus of elasticity of the race.
+        race_poisson_ratio: Poisson's ratio of the race.
+        race: Race that the ball touches.
+
+    Raises:
+        ParameterError: An argument is not finite or not positive, the conformity is at most 0.5, the pitch diameter is
+            at most the ball diameter, or a ratio of Poisson exceeds 0.5.
+
+    Source: thesis 6.2.3.3 and appendix 6B (CONTACT.FOR); curvatures: Harris, Rolling Bearing Analysis (2001), 2.6.
+
+    Example:
+        posor design ball-race-contact --load '2.2 lbf' --ball-diameter '5/32 in' --pitch-diameter '.625 in'
+        --conformity .515 --ball-modulus '30e6 psi' --ball-poisson-ratio .3 --race-modulus '30e6 psi'
+        --race-poisson-ratio .3
+
+    """
+    require_positive(ball_diameter=ball_diameter, pitch_diameter=pitch_diameter, conformity=conformity)
+    if conformity <= 0.5:  # noqa: PLR2004 - the groove has the radius of the ball
+        raise ParameterError(f"{conformity:g} is too small", where="conformity", expected="more than 0.5")
+    if pitch_diameter <= ball_diameter:
+        raise ParameterError(
+            f"{pitch_diameter:g} m is not greater than the ball", where="pitch_diameter", expected="more than the ball"
+        )
+    side = 1.0 if race == "inner" else -1.0
+    return hertz_contact(
+        load,
+        2.0 / ball_diameter + side * 2.0 / (pitch_diameter - side * ball_diameter),
+        2.0 / ball_diameter - 1.0 / (conformity * ball_diameter),
+        ball_modulus,
+        ball_poisson_ratio,
+        race_modulus,
+        race_poisson_ratio,
+    )

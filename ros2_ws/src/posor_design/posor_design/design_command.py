@@ -1,0 +1,171 @@
+"""design: runs a design calculator with quantities in the units of the user.
+
+``posor design`` lists the calculators; ``posor design NAME --help`` describes one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+
+from posor.errors import OutputError, ParameterError, similar_name
+from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.program_errors import reports_errors
+
+from posor_design.calculator_signature import read_signature
+from posor_design.calculators import CALCULATORS
+from posor_design.design_page import render_design_page
+from posor_design.value_kinds import format_value, name_kind, parse_value, summarise_value, unit_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from posor_design.calculator_signature import CalculatorSignature, Value
+
+
+class DesignProgram(NamedTuple):
+    """A subcommand that is a program of its own: its module, its function, and one line about it."""
+
+    module: str
+    function: str
+    summary: str
+
+
+PROGRAMS: dict[str, DesignProgram] = {
+    "posor": DesignProgram(
+        "posor_design_command", "design_posor_main", "Lay out a POSOR for a requirement, and write files that run"
+    ),
+    "arm": DesignProgram(
+        "arm_design_command", "design_arm_main", "Allot the required uncertainty of an endpoint to joints and beams"
+    ),
+}
+_VALUES = """\
+VALUE is a number with a unit, such as '60 in' or '10.6e6 psi', or several with commas between them; without a unit it
+has the unit in brackets. Write a negative value as --name=-3."""
+
+
+class CalculatorParser(CommandLineParser):
+    """Parser of the arguments of a calculator, which may be negative quantities."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise a ParameterError; argparse takes ``-2in`` for an option."""
+        option, found, _ = message.removeprefix("argument ").partition(": expected one argument")
+        if found:
+            where = self.prog.removeprefix("posor ")
+            expected = f"a value; a negative one such as {option}=-2in"
+            raise ParameterError(f"{option} has no value", where=where, expected=expected)
+        super().error(message)
+
+
+@reports_errors
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; exit code 0: the calculator has a result."""
+    name, *others = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    if name in PROGRAMS:
+        program = PROGRAMS[name]
+        function = getattr(import_module(f"posor_design.{program.module}"), program.function)
+        return int(function(others))
+    if name in {"-h", "--help"}:
+        print(list_calculators(), end="")
+    elif name not in CALCULATORS:
+        expected = similar_name(name, [*PROGRAMS, *CALCULATORS], "a name that 'posor design' lists")
+        raise ParameterError(f"there is no calculator '{name}'", where="design", expected=expected)
+    else:
+        run_calculator(read_signature(name), others)
+    return 0
+
+
+def list_calculators() -> str:
+    """Return the names of all programs and calculators with their summaries."""
+    names = {name: program.summary for name, program in PROGRAMS.items()}
+    names |= {name: read_signature(name).summary for name in CALCULATORS}
+    width = max(map(len, names), default=0)
+    return (
+        "usage: posor design NAME [--ARGUMENT 'NUMBER UNIT' ...] [--json FILE] [--html FILE]\n\n"
+        + "".join(f"  {name:<{width}}  {summary}\n" for name, summary in names.items())
+        + "\n'posor design NAME --help' lists the arguments of a calculator.\n"
+    )
+
+
+def run_calculator(signature: CalculatorSignature, arguments: Sequence[str]) -> None:
+    """Run a calculator, print its result, and write the files that the command line names.
+
+    Raises:
+        PosorError: The command line is wrong, the calculator refuses an argument, or a file cannot be written.
+
+    """
+    options = vars(build_parser(signature).parse_args(arguments))
+    values = {each.name: options[each.name] for each in signature.arguments}
+    result = signature.function(**values)
+    results = {each.name: getattr(result, each.name) for each in signature.results}
+    _print_values(signature.results, results)
+    if options["json"]:
+        content = {
+            "calculator": signature.name,
+            "arguments": _json_values(signature.arguments, values),
+            "result": _json_values(signature.results, results),
+        }
+        _write(options["json"], json.dumps(content, indent=2) + "\n")
+    if options["html"]:
+        _write(options["html"], render_design_page(signature, values, results))
+
+
+def build_parser(signature: CalculatorSignature) -> CalculatorParser:
+    """Return the parser of the arguments of a calculator."""
+    results = "\n".join(
+        f"  {each.name}: {each.description.rstrip('.')} [{name_kind(each.kind)}]" for each in signature.results
+    )
+    parser = CalculatorParser(
+        prog=f"posor design {signature.name}",
+        description=f"{signature.summary}.\n\n{signature.description}".rstrip(),
+        epilog=f"{_VALUES}\n\nresults:\n{results}\n\nSource: {signature.source}\n\nExample:\n  {signature.example}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    for each in signature.arguments:
+        parser.add_argument(
+            each.option,
+            dest=each.name,
+            type=partial(parse_value, each.kind, where=f"design {signature.name}, {each.option}"),
+            required=each.required,
+            default=None if each.required else each.default,
+            metavar="VALUE",
+            help=_help_text(each).replace("%", "%%"),
+        )
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write arguments and results in SI units")
+    parser.add_argument("--html", type=Path, metavar="FILE", help="write a page")
+    return parser
+
+
+def _help_text(argument: Value) -> str:
+    default = "" if argument.required else format_value(argument.kind, argument.default)
+    text = f"{argument.description.rstrip('.')} [{name_kind(argument.kind)}]"
+    return f"{text}; default: {default}" if default else text
+
+
+def _print_values(fields: Sequence[Value], values: dict[str, Any]) -> None:
+    width = max(len(each.name) for each in fields)
+    for each in fields:
+        print(f"{each.name:<{width}}  {summarise_value(each.kind, values[each.name])}")
+
+
+def _json_values(fields: Sequence[Value], values: dict[str, Any]) -> dict[str, Any]:
+    return {each.name: {"value": values[each.name], "unit": unit_of(each.kind)} for each in fields}
+
+
+def _write(path: Path, text: str) -> None:
+    if not path.parent.exists():
+        raise OutputError(f"the folder {path.parent} does not exist", where=str(path), expected="an existing folder")
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"cannot be written: {error.strerror}", where=str(path)) from error
+
+
+if __name__ == "__main__":
+    sys.exit(main())

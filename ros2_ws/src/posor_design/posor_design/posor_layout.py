@@ -1,0 +1,209 @@
+"""A layout of a POSOR: where its sensors are and what they are, and the calibration that it would have.
+
+The uncertainties of the parts are those of ``calibration.designs.sized_design``: calibrated as assembled. Those that
+are a share of a sensor's range change with the range.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+from posor.calibration.design_parts import (
+    CHORD_MIDDLE,
+    DiodeKind,
+    ProbeKind,
+    RingShape,
+    bumpy_ring,
+    coded_places,
+    diodes,
+    gap_probes,
+    light_ring,
+)
+from posor.calibration.designs import (
+    GAP_OF_VOLT,
+    SIZED_DIODE,
+    SIZED_GAP_PROBE,
+    SIZED_RING_PROBE,
+    SIZED_TILT_SIGMA,
+    STANDOFF,
+    converter_steps,
+    design_calibration,
+    environment_ranges,
+    velocity_limits,
+)
+
+if TYPE_CHECKING:
+    from posor.calibration.calibration_file import Calibration
+
+    from posor_design.requirement import Requirement
+
+ThetaSensor = Literal["diodes", "light_ring", "bumpy_ring"]
+REFERENCE_RATE = 1e3
+"""Scan rate [Hz] at which a layout of noise 1 has the noise of the sized designs: 1 / 11 000 of a probe's range."""
+BITS = (16, 18, 20, 24)
+VOLTAGE_SPAN, CURRENT_SPAN, MIDDLE_CURRENT = 14.0, 1.5e-4, 8.5e-5
+"""Ranges of the converter [V], [A], and the current sum of a diode in the middle of its range [A]."""
+DIODE_SLOPE = 6.0 / 5.5
+"""Slope of a diode's map over the half width of its calibrated surface."""
+BUMP_SLOPE = 0.4 / 3.32
+"""Amplitude of the bumps over their pitch, as that of the sized designs."""
+NOMINAL_RANGE = 0.6e-3
+"""Motion to either side that the probes of ``designs`` (range 1) measure from their middle [m], with a reserve."""
+SPEED_RESERVE = 1.5
+"""Limits of velocity of the calibration over the required speed, and over what the motion of the range has with it."""
+_LEAST_LIMITS = (0.02, 0.02)
+"""Of translation [m/s] and lean [rad/s]."""
+_STEP_NOISE = math.sqrt(1.0 / 12.0)
+"""Standard deviation of the rounding error of a converter, in its steps."""
+
+
+@dataclass(frozen=True)
+class PosorLayout:
+    """Positions and kinds of the sensors.
+
+    Attributes:
+        theta_sensor: What measures theta and the two runouts: fixed light sources with diodes, a coded ring of light
+            sources with diodes, or a bumpy ring with probes.
+        theta_probes: Number of diodes, or of probes of the bumpy ring.
+        gap_azimuths: Azimuths of the gap probes [rad].
+        outside_diameter: That the layout needs [m].
+        probe_circle: Radius of the circle of the gap probes [m].
+        probe_range: Range of the gap probes over that of the probes of ``designs``.
+        ring_radius: Of diodes and light sources, or mean radius of the bumpy ring [m].
+        ring_size: Half width of a diode's calibrated surface, or pitch of the bumps [m].
+        ring_range: Range of the ring probes over that of the gap probes of ``designs``; without meaning for diodes.
+        marks: Number of light sources, or of bumps.
+        noise: Noise of the electronics over the reference at the same scan rate.
+
+    """
+
+    theta_sensor: ThetaSensor
+    theta_probes: int
+    gap_azimuths: tuple[float, ...]
+    outside_diameter: float
+    probe_circle: float
+    probe_range: float
+    ring_radius: float
+    ring_size: float
+    ring_range: float
+    marks: int
+    noise: float
+
+    @property
+    def gap(self) -> float:
+        """Gap in the middle of the range of the probes [m]."""
+        return self.probe_range * STANDOFF
+
+    @property
+    def diode_azimuths(self) -> tuple[float, ...]:
+        """Azimuths of the diodes [rad]; of a bumpy ring: none."""
+        return () if self.theta_sensor == "bumpy_ring" else coded_places(self.theta_probes)
+
+    def scan_noise(self, rate: float) -> float:
+        """Return the noise of one scan over that of the sized designs; white noise in half the rate [Hz]."""
+        return self.noise * math.sqrt(rate / REFERENCE_RATE)
+
+    def bits(self, rate: float) -> int:
+        """Return the fewest bits of a converter whose steps do not exceed the noise of a scan.
+
+        With larger steps, readings at rest repeat and look like frozen electronics (``estimation.frozen``).
+        """
+        noise = self.scan_noise(rate)
+        volts = SIZED_GAP_PROBE.noise * noise / VOLTAGE_SPAN
+        amperes = 0.5 * MIDDLE_CURRENT * SIZED_DIODE.noise * noise / CURRENT_SPAN
+        least = volts if self.theta_sensor == "bumpy_ring" else min(volts, amperes)
+        return next((bits for bits in BITS if 2.0**-bits <= least), BITS[-1])
+
+    def calibration(self, requirement: Requirement, frames: tuple[str, str] = ("receiving", "target")) -> Calibration:
+        """Return the calibration of this layout at the scan rate of a requirement."""
+        rate = requirement.scan_rate.number
+        bits = self.bits(rate)
+        tips = [
+            [self.probe_circle * math.cos(azimuth), self.probe_circle * math.sin(azimuth), 0.0]
+            for azimuth in self.gap_azimuths
+        ]
+        ring = self._bumpy_ring(rate, bits) if self.theta_sensor == "bumpy_ring" else self._diodes(rate, bits)
+        sensors = [gap_probes(self._probe(SIZED_GAP_PROBE, self.probe_range, rate, bits), tips, SIZED_TILT_SIGMA), ring]
+        return design_calibration(
+            requirement.name,
+            f"designed for the requirement '{requirement.name}'",
+            (
+                "assumed: uncertainties of the parts, calibrated as assembled, as those of sized_design",
+                "assumed: linearisation of the probes, tilt of the target plane, ranges of supply and temperature",
+                f"noise of one scan at {rate:g} Hz, {self.noise:g} times the reference; converters of {bits} bits",
+            ),
+            frames,
+            _velocity_limits(requirement),
+            environment_ranges(SIZED_GAP_PROBE.supply_sigma),
+            converter_steps(bits),
+            sensors,
+        )
+
+    def _probe(self, kind: ProbeKind, scale: float, rate: float, bits: int) -> ProbeKind:
+        """Return a kind of probe with another range; its noise is a share of the range."""
+        offset, *slopes = kind.volts_to_gap_sigmas
+        noise = SIZED_GAP_PROBE.noise * self.scan_noise(rate)
+        return replace(
+            kind,
+            volts_to_gap=tuple(scale * coefficient for coefficient in GAP_OF_VOLT),
+            volts_to_gap_sigmas=(offset, *(scale * slope for slope in slopes)),
+            noise=math.hypot(noise, _STEP_NOISE * VOLTAGE_SPAN / 2**bits),
+        )
+
+    def _bumpy_ring(self, rate: float, bits: int) -> dict[str, object]:
+        amplitude = BUMP_SLOPE * self.ring_size
+        shape = RingShape(
+            bumps=self.marks,
+            mean_radius=self.ring_radius,
+            cos=(-4e-6, 0.0, amplitude, 1.25e-3 * amplitude, 0.025 * amplitude),
+            sin=(0.0, -5e-6, 0.0, -0.025 * amplitude, 0.0),
+            radius_sigma=20e-9,
+            amplitude_sigma=20e-9,
+            tip_radius=self.ring_radius + self.ring_range * STANDOFF,
+        )
+        return bumpy_ring(self._probe(SIZED_RING_PROBE, self.ring_range, rate, bits), shape, self.theta_probes)
+
+    def _diodes(self, rate: float, bits: int) -> dict[str, object]:
+        step = math.sqrt(2.0) * CURRENT_SPAN / 2**bits / MIDDLE_CURRENT
+        reference = SIZED_DIODE
+        size = DIODE_SLOPE * self.ring_size / reference.scale
+        kind: DiodeKind = replace(
+            reference,
+            noise=math.hypot(reference.noise * self.scan_noise(rate), _STEP_NOISE * step),
+            map_sigma=reference.map_sigma * size,
+            scale=reference.scale * size,
+        )
+        if self.theta_sensor == "light_ring":
+            return light_ring(kind, self.ring_radius, self.marks, count=self.theta_probes)
+        places = [
+            (self.ring_radius * math.cos(azimuth), self.ring_radius * math.sin(azimuth))
+            for azimuth in self.diode_azimuths
+        ]
+        return diodes(kind, places, places)
+
+
+def _velocity_limits(requirement: Requirement) -> dict[str, object]:
+    """Return the limits of velocity: error motions of once a turn over the whole range have twice its half width."""
+    limits, speed = requirement.range, SPEED_RESERVE * requirement.speed.number
+    shift, tilt = max(limits.runout.number, limits.gap.number), limits.tilt.number
+    translation, lean = (
+        max(least, 2.0 * half * speed) for least, half in zip(_LEAST_LIMITS, (shift, tilt), strict=True)
+    )
+    return velocity_limits(translation, lean, speed)
+
+
+def gap_azimuths(count: int, obstacles: tuple[float, ...]) -> tuple[float, ...]:
+    """Return evenly spaced azimuths [rad] of gap probes, as far from those of the diodes as possible."""
+    pitch = 2.0 * math.pi / count
+
+    def clearance(offset: float) -> float:
+        return min(
+            (abs(math.remainder(offset + k * pitch - each, 2.0 * math.pi)) for k in range(count) for each in obstacles),
+            default=0.0,
+        )
+
+    offsets = [CHORD_MIDDLE + pitch * step / 12.0 for step in range(12)]
+    best = max(offsets, key=lambda offset: round(clearance(offset), 9))
+    return tuple(best + k * pitch for k in range(count))

@@ -1,0 +1,247 @@
+"""The files of a designed POSOR: an arm of one joint that ``posor bringup`` starts, its requirement and its budget."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from posor.calibration.document_text import document_text
+from posor.errors import OutputError, ParameterError
+
+from posor_design.layout_search import objectives
+from posor_design.posor_design_page import render_posor_page
+from posor_design.posor_layout import CURRENT_SPAN, SPEED_RESERVE, VOLTAGE_SPAN
+from posor_design.requirement import FREEDOMS
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from posor_design.layout_evaluation import Candidate
+    from posor_design.layout_search import SearchResult
+    from posor_design.posor_layout import PosorLayout
+    from posor_design.requirement import Requirement
+
+JOINT = "joint1"
+FRAMES = (f"{JOINT}_receiving", f"{JOINT}_target")
+CALIBRATION = f"calibrations/{JOINT}.yaml"
+ARM_FILE, URDF, SCENARIO, REQUIREMENT = "arm.yaml", "posor.urdf", "scenario.yaml", "requirement.yaml"
+PAGE, FIGURES = "design.html", "design.json"
+MADE_BY = "Made by posor design posor; SI units throughout."
+PLATE_THICKNESS = 0.0127
+"""Of the plates in the URDF, assumed [m]."""
+_SPLINE_TURNS = 12.0
+"""Duration of the motion to either side and back, in times that theta takes from the middle to one side."""
+_PART_OF_RANGE = 0.5
+"""Error motions of the simulated bearing over the required range."""
+_PART_OF_ROTATION = 0.9
+"""Waypoints of theta over the required rotation: between them a spline goes further."""
+
+_URDF = """\
+<?xml version="1.0"?>
+<!-- {comment} -->
+<robot name="{name}">
+  <material name="receiving_plate"><color rgba="0.35 0.45 0.60 1"/></material>
+  <material name="target_plate"><color rgba="0.80 0.55 0.25 1"/></material>
+
+  <link name="{parent}">
+    <visual>
+      <origin xyz="0 0 {below}"/>
+      <geometry><cylinder radius="{radius}" length="{thickness}"/></geometry>
+      <material name="receiving_plate"/>
+    </visual>
+  </link>
+
+  <joint name="{joint}" type="floating">
+    <parent link="{parent}"/>
+    <child link="{child}"/>
+    <origin xyz="0 0 {gap}"/>
+  </joint>
+
+  <link name="{child}">
+    <visual>
+      <origin xyz="0 0 {above}"/>
+      <geometry><cylinder radius="{radius}" length="{thickness}"/></geometry>
+      <material name="target_plate"/>
+    </visual>
+  </link>
+
+  <joint name="tip" type="fixed">
+    <parent link="{child}"/>
+    <child link="endpoint"/>
+  </joint>
+
+  <link name="endpoint"/>
+</robot>
+"""
+
+
+def output_files(result: SearchResult, chosen: Candidate) -> dict[str, str]:
+    """Return the texts of all files but the budget, by their paths in the folder."""
+    requirement, layout = result.requirement, chosen.layout
+    calibration = layout.calibration(requirement, FRAMES)
+    return {
+        REQUIREMENT: requirement_text(requirement),
+        CALIBRATION: document_text(calibration.model_dump(mode="json"), MADE_BY),
+        URDF: urdf_text(requirement.name, layout),
+        SCENARIO: document_text(_scenario(requirement, layout), MADE_BY),
+        ARM_FILE: document_text(_arm(requirement), f"{MADE_BY} Paths are relative to this file."),
+        FIGURES: json.dumps(figures(result, chosen), indent=2) + "\n",
+        PAGE: render_posor_page(result, chosen),
+    }
+
+
+def output_folder(text: str | None, name: str, first: str, *, force: bool) -> Path:
+    """Return the folder of a design, checked before the search.
+
+    Args:
+        text: Option ``--output``; None: ``build/design/<name>``.
+        name: Name of the arm.
+        first: File that an earlier design left in its folder.
+        force: Whether an earlier design is replaced.
+
+    Raises:
+        ParameterError: The option is empty.
+        OutputError: The folder cannot be written, or holds an earlier design.
+
+    """
+    if text is not None and not text.strip():
+        raise ParameterError(f"'{text}'", where="--output", expected="a folder")
+    folder = Path("build/design") / name if text is None else Path(text)
+    try:
+        nearest = next(each for each in (folder, *folder.absolute().parents) if each.exists())
+        if not nearest.is_dir() or not os.access(nearest, os.W_OK | os.X_OK):
+            raise OutputError(f"cannot be written below {nearest}", where=str(folder), expected="a writable folder")
+        if (folder / first).exists() and not force:
+            raise OutputError(f"{first} exists already", where=str(folder), expected="another folder, or --force")
+    except OSError as error:
+        raise OutputError(f"cannot be written: {error.strerror}", where=str(folder)) from error
+    return folder
+
+
+def write_files(folder: Path, texts: Mapping[str, str], *, force: bool = False) -> None:
+    """Write files into a folder.
+
+    Raises:
+        OutputError: A file exists and ``force`` is false, or it cannot be written.
+
+    """
+    existing = [name for name in texts if (folder / name).exists()]
+    if existing and not force:
+        raise OutputError(f"{existing[0]} exists already", where=str(folder), expected="another folder, or --force")
+    try:
+        for name, text in texts.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"cannot be written: {error.strerror}", where=str(folder)) from error
+
+
+def requirement_text(requirement: Requirement) -> str:
+    """Return the text of a requirement file."""
+    return document_text(requirement.model_dump(mode="json"), "A requirement for posor design posor; SI units.")
+
+
+def urdf_text(name: str, layout: PosorLayout) -> str:
+    """Return the URDF of a POSOR whose receiving plate is the base."""
+    return _URDF.format(
+        comment="Made by posor design posor. To use the joint in another arm, copy its two links and the joint.",
+        name=name,
+        joint=JOINT,
+        parent=FRAMES[0],
+        child=FRAMES[1],
+        radius=f"{0.5 * layout.outside_diameter:.6g}",
+        thickness=f"{PLATE_THICKNESS:g}",
+        below=f"{-0.5 * PLATE_THICKNESS:g}",
+        above=f"{0.5 * PLATE_THICKNESS:g}",
+        gap=f"{layout.gap:.9g}",
+    )
+
+
+def _provenance(what: str) -> dict[str, Any]:
+    return {"source": what, "method": "posor design posor", "date": "none"}
+
+
+def _arm(requirement: Requirement) -> dict[str, Any]:
+    return {
+        "format": "posor_arm",
+        "version": 1,
+        "name": requirement.name,
+        "provenance": _provenance(f"designed for {REQUIREMENT}"),
+        "urdf": URDF,
+        "endpoint_frame": "endpoint",
+        "joints": {JOINT: {"calibration": CALIBRATION}},
+        "driver": {"source": "simulated"},
+        "scenario": SCENARIO,
+    }
+
+
+def _scenario(requirement: Requirement, layout: PosorLayout) -> dict[str, Any]:
+    """Return a scenario in which the joint turns through its whole rotation, with error motions of half the range."""
+    limits, rotation = requirement.range, _PART_OF_ROTATION * requirement.rotation
+    rest = 0.5
+    turning = float(math.ceil(_SPLINE_TURNS * rotation / requirement.speed.number))
+
+    def entry(value: Any, unit: str) -> dict[str, Any]:
+        return {"value": value, "unit": unit}
+
+    bearing = {
+        "orders": [1],
+        "radial": entry([_PART_OF_RANGE * limits.runout.number], "m"),
+        "axial": entry([_PART_OF_RANGE * limits.gap.number], "m"),
+        "tilt": entry([_PART_OF_RANGE * limits.tilt.number], "rad"),
+    }
+    return {
+        "format": "posor_scenario",
+        "version": 1,
+        "name": requirement.name,
+        "provenance": _provenance("assumed: error motions of half the required range, once a turn"),
+        "seed": 1985,
+        "rate": entry(requirement.scan_rate.number, "Hz"),
+        "duration": entry(turning + 2.0 * rest, "s"),
+        "joints": {JOINT: {"bearing": bearing}},
+        "motion": [
+            {"kind": "rest", "duration": entry(rest, "s")},
+            {
+                "kind": "spline",
+                "duration": entry(turning, "s"),
+                "joints": [JOINT],
+                "through": entry([[rotation], [-rotation], [0.0]], "rad"),
+            },
+            {"kind": "rest", "duration": entry(rest, "s")},
+        ],
+        "electronics": {
+            "converter": {
+                "bits": layout.bits(requirement.scan_rate.number),
+                "probes": entry([-0.5 * VOLTAGE_SPAN, 0.5 * VOLTAGE_SPAN], "V"),
+                "diodes": entry([0.0, CURRENT_SPAN], "A"),
+            }
+        },
+    }
+
+
+def figures(result: SearchResult, chosen: Candidate) -> dict[str, Any]:
+    """Return requirement, chosen layout and trade-off, SI units."""
+    return {
+        "requirement": result.requirement.model_dump(mode="json"),
+        "chosen": _candidate(result.requirement, chosen),
+        "trade_off": [_candidate(result.requirement, each) for each in result.trade_off],
+        "layouts_evaluated": result.evaluations,
+        "layouts_that_meet_the_requirement": len(result.feasible),
+        "largest_speed_of_the_calibration_rad_s": SPEED_RESERVE * result.requirement.speed.number,
+    }
+
+
+def _candidate(requirement: Requirement, candidate: Candidate) -> dict[str, Any]:
+    return {
+        "kind": candidate.kind.name,
+        **asdict(candidate.layout),
+        "gap_in_the_middle": candidate.layout.gap,
+        "bits": candidate.layout.bits(requirement.scan_rate.number),
+        "standard_uncertainty": dict(zip(FREEDOMS, map(float, candidate.sigmas), strict=True)),
+        "share_of_required_uncertainty": objectives(requirement, candidate)["accuracy"],
+        "minimal_detectable_fault": candidate.fault if math.isfinite(candidate.fault) else None,
+    }

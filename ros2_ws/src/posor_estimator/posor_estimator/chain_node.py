@@ -1,0 +1,382 @@
+"""chain_node: computes the endpoint of an arm from the transforms of its joints.
+
+Subscribes to ``<joint>/transform`` (posor_msgs/JointTransform) for every floating joint of the URDF. Publishes
+``endpoint/pose``, ``endpoint/pose_with_covariance`` and ``joint_states``, the angles about the joints' nominal axes.
+/tf has the frames of the arm with the stamp of the last pose; /tf_static and ``robot_description`` have what is fixed.
+Transforms are joined by equal stamps. Without a usable transform of every joint in time there is no pose.
+``endpoint/state`` (posor_msgs/EndpointState) is published for every scan, for every transform that is refused, and
+every 0.08 s during a silence of the input; it and the diagnostics name the joint and the reason.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import time
+from functools import partial
+from pathlib import Path
+from threading import RLock
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from posor.chain.arm_parameters import CHAIN_NODE
+from posor.chain.kinematic_chain import load_chain
+from posor.chain.time_synchroniser import MAX_OPEN_SCANS, TimeSynchroniser
+from posor.errors import TopicError
+from posor.messages.cdr_schema import STAMP
+from posor.messages.message_table import LEAD
+from posor.model.fault import State
+from posor.node_parameters import ChainParameters
+from posor.numerics.stamps import NO_TIME, NS
+from posor.ros_names import (
+    ENDPOINT_COVARIANCE_TOPIC,
+    ENDPOINT_STATE_TOPIC,
+    ENDPOINT_TOPIC,
+    JOINT_STATES_TOPIC,
+    RELIABILITY_TOPIC,
+    TRANSFORM_TOPIC,
+)
+from posor_estimator.alarm_rate import AlarmRate
+from posor_estimator.cdr_endpoint import EndpointStateWriter, EndpointWriter
+from posor_estimator.endpoint_protection import ProtectionLevel
+from posor_estimator.endpoint_verdict import SOUND, JointStatus, Verdict, degraded_verdict, unusable_verdict
+from posor_estimator.frame_publisher import FramePublisher, StampedPoses
+from posor_msgs.msg import EndpointState, JointReliability, JointTransform
+from posor_ros.cdr_transform import JOINT_TRANSFORM, JointTransformFormat, stamp_ns_of
+from posor_ros.diagnostics import Level
+from posor_ros.freshness import InputMonitor
+from posor_ros.idle_scheduler import run_when_idle
+from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
+from posor_ros.lifecycle_node import PosorNode
+from posor_ros.node_program import run_node
+from posor_ros.qos import RELIABLE_QOS, result_qos, sensor_subscription_qos, state_qos
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from sensor_msgs.msg import JointState
+
+if TYPE_CHECKING:
+    from posor.chain.endpoint_estimator import EndpointEstimator
+    from posor.chain.robot_model import FreeJoint
+    from posor.numerics.array_types import FloatArray
+    from posor_ros.diagnostics import Value
+    from std_srvs.srv import Trigger
+
+
+_STAMP = struct.Struct("<iI")
+LATE_CHECK_S = 0.5
+"""Longest time between two checks for late joints; each takes the interpreter lock from the thread of the scans."""
+
+
+class ChainNode(PosorNode[ChainParameters]):
+    """Computes the endpoint of an arm from the transforms of its joints.
+
+    Transforms, timers and service calls may come in different threads; a lock protects their common state.
+    """
+
+    NAME = CHAIN_NODE
+    Parameters = ChainParameters
+    USES_KERNELS = True
+
+    _estimator: EndpointEstimator
+    _synchroniser: TimeSynchroniser[bytes]
+    _kinds: dict[str, JointTransformFormat]
+    _home: FloatArray | None
+    _frames: FramePublisher
+    _pose_stamp: bytes  # of the last complete scan; empty: it has no pose
+    _reported: object
+    _alarms: AlarmRate
+
+    def __init__(self, **options: Any) -> None:
+        """Create the node; ``options`` are passed to rclpy."""
+        super().__init__(**options)
+        self._lock = RLock()
+        self._status = self.diagnostics.add_status("endpoint", logged=True)
+        self._inputs = InputMonitor(self, self._on_inputs_checked)
+        self._poses = self._scans_refused = self._scans_incomplete = 0
+        self._refusals: dict[str, tuple[float, str]] = {}  # by joint: monotonic time [s] and reason of the latest
+        self._reported = None
+        self._last_stamp = bytes(8)
+        self._state_published = self._has_alarm = False
+        self.diagnostics.add_refresh(self._refresh_status)
+        self.diagnostics.add_refresh(self._update_protection_level)
+
+    def configure(self) -> None:
+        """Read the URDF and open the topics."""
+        path, beams = Path(self.parameters.urdf), self.parameters.beams
+        chain = load_chain(path, self.parameters.endpoint_frame, Path(beams) if beams else None)
+        names = tuple(joint.name for joint in chain.joints)
+        # With keep-all topics one joint may be ahead of another by a whole replay.
+        max_open = math.inf if self.parameters.lossless else MAX_OPEN_SCANS
+        self._synchroniser = TimeSynchroniser(names, max_open, self.parameters.max_wait)
+        self._kinds = {joint.name: JointTransformFormat(joint.parent, joint.child) for joint in chain.joints}
+        layouts = [self._kinds[name].row_layout for name in names]
+        self._estimator = chain.estimator(self.parameters.acceleration_window, layouts)
+        self._buffers = [
+            (name, self._kinds[name].size, row[LEAD : LEAD + self._kinds[name].size].data)
+            for name, row in zip(names, self._estimator.rows, strict=True)
+        ]
+        self._home, self._pose_stamp, self._reported = None, b"", None
+        self._reliabilities: list[IntraProcessSubscription] = []
+        self._poses = self._scans_refused = self._scans_incomplete = 0
+        self._refusals.clear()
+        self._last_stamp, self._has_alarm = bytes(8), False
+        false_alarm = 1.0 - (1.0 - self.parameters.false_alarm) ** len(names)
+        self._alarms = AlarmRate(false_alarm, self.parameters.alarm_count)
+        self._status.report(
+            Level.STALE, "no complete scan yet", {"joints": ", ".join(names), "urdf": str(path), "beams": beams}
+        )
+        self._is_relative = self.parameters.reference == "home"
+        frame = f"{self.parameters.endpoint_frame}_home" if self._is_relative else chain.base_frame
+        self._writer = EndpointWriter(self._estimator, frame, relative=self._is_relative)
+        endpoint = self.parameters.endpoint_frame
+        self._state_writer = EndpointStateWriter(self._estimator, frame, endpoint, relative=self._is_relative)
+        if self.parameters.tf_rate:
+            self._frames = FramePublisher(self, chain, self.parameters.tf_rate, self._newest_frames)
+        self._protection = ProtectionLevel(chain)
+        self._pose = self._create_publisher(PoseStamped, ENDPOINT_TOPIC)
+        self._pose_with_covariance = self._create_publisher(PoseWithCovarianceStamped, ENDPOINT_COVARIANCE_TOPIC)
+        self._joint_states = self._create_publisher(JointState, JOINT_STATES_TOPIC)
+        self._endpoint_state = IntraProcessPublisher(
+            self, EndpointState, ENDPOINT_STATE_TOPIC, state_qos(self.parameters)
+        )
+        self.add_cleanup(self._inputs.clear)
+        self._joint_of_topic: dict[str, str] = {}
+        for joint in chain.joints:
+            self._subscribe(joint)
+        steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        period_s = min(self.parameters.max_wait, LATE_CHECK_S)
+        self.add_cleanup(self.destroy_timer, self.create_timer(period_s, self._close_late_scans, clock=steady_clock))
+        self.add_change_service("set_home", self._on_set_home)
+
+    def _create_publisher(self, message_type: type[Any], topic: str) -> IntraProcessPublisher:
+        return IntraProcessPublisher(self, message_type, topic, result_qos(self.parameters), count_listeners=True)
+
+    def _subscribe(self, joint: FreeJoint) -> None:
+        """Subscribe to the transforms of a joint and watch them."""
+        topic, qos = f"{joint.name}/{TRANSFORM_TOPIC}", sensor_subscription_qos(self.parameters)
+        callback = partial(self._on_transform, joint, self._kinds[joint.name])
+        subscription = IntraProcessSubscription(self, JointTransform, topic, qos, callback)
+        self._inputs.add(subscription)
+        self._joint_of_topic[subscription.topic_name] = joint.name
+
+        topic, callback = f"{joint.name}/{RELIABILITY_TOPIC}", partial(self._protection.receive, joint.name)
+        self._reliabilities.append(IntraProcessSubscription(self, JointReliability, topic, RELIABLE_QOS, callback))
+
+    def activate(self) -> None:
+        """Expect transforms with present stamps from now on."""
+        self._inputs.start()
+
+    def deactivate(self) -> None:
+        """Expect no transforms; the arm may move before the next."""
+        self._inputs.stop()
+        with self._lock:
+            self._pose_stamp = b""
+
+    def _refresh_status(self) -> None:
+        """Update the counts, once a second."""
+        with self._lock:
+            self._status.update(self._counts())
+
+    def _update_protection_level(self) -> None:
+        """Update the protection level of the endpoint, once a second."""
+        with self._lock:
+            if not self._poses:
+                return
+            protection, estimator = self._protection, self._estimator
+            poses, axes = estimator.poses.copy(), np.eye(3)
+            covariance = (estimator.relative_covariance if self._is_relative else estimator.covariance).copy()
+            if self._is_relative and self._home is not None:
+                axes = pin.XYZQUATToSE3(self._home).rotation
+        level = protection.compute(poses, covariance, axes)
+        for subscription in self._reliabilities:
+            run_when_idle(subscription.find_publishers)
+        if any(subscription.publishers > 1 for subscription in self._reliabilities):
+            level[:] = math.nan
+        with self._lock:
+            self._state_writer.protection_level[:] = level
+
+    def _on_inputs_checked(self, is_new: bool) -> None:  # noqa: FBT001  a callback
+        """Report that no transform arrives, and publish the state while there is no scan."""
+        with self._lock:
+            silent = self._inputs.silent
+            if silent and is_new:
+                self._pose_stamp = b""
+                self._report_no_pose(silent, ("silent",))
+            if silent and not self._state_published:
+                joint = self._joint_of_topic[self._inputs.silent_names[0]]
+                verdict = Verdict(EndpointState.STATE_STALE, 0, joint, silent)
+                self._publish_state(self._last_stamp, stamp_ns_of(self._last_stamp), verdict)
+            self._state_published = False
+
+    def _publish_state(self, stamp: bytes, stamp_ns: int, verdict: Verdict) -> None:
+        """Publish the state of a scan; a stamp of zero: there is no scan yet."""
+        self._state_published = True
+        if self._endpoint_state.has_subscriptions:
+            age_s = (self.timing.now_ns() - stamp_ns) / NS if stamp_ns else math.nan
+            self._endpoint_state.publish(self._state_writer.write(stamp, age_s, verdict))
+
+    def _on_transform(self, joint: FreeJoint, kind: JointTransformFormat, data: bytes) -> None:
+        """Add a transform of one joint to its scan; publish the endpoint once the scan is complete."""
+        with self._lock:
+            if not self.may_publish:
+                return
+            if not kind.matches(data) and not (data := self._normalise(joint, data)):
+                return
+            stamp_ns = stamp_ns_of(data[STAMP])
+            if stamp_ns == 0:  # the synchroniser would take it for a time that has gone back
+                reason = f"the stamp of a transform {NO_TIME}; expected the time of exposure"
+                self._refuse_transform(joint, reason, data[STAMP])
+                return
+            scan = self._synchroniser.add(joint.name, stamp_ns, data, time.monotonic())
+            if self._synchroniser.incomplete:
+                self._report_incomplete_scans()
+            if scan is not None:
+                self._publish_endpoint(scan, stamp_ns)
+
+    def _normalise(self, joint: FreeJoint, data: bytes) -> bytes:
+        """Return a transform in plain CDR; refuse an invalid transform or wrong frames and return empty bytes."""
+        try:
+            data = JOINT_TRANSFORM.normal(data)
+            values = JOINT_TRANSFORM.values(data)
+        except TopicError as error:
+            self._refuse_transform(joint, str(error), bytes(8))
+            return b""
+        frames = (str(values["header.frame_id"]), str(values["child_frame_id"]))
+        if frames == (joint.parent, joint.child):
+            return data
+        reason = (
+            f"transforms from '{frames[0]}' to '{frames[1]}' arrive; "
+            f"expected '{joint.parent}' to '{joint.child}', as in the URDF"
+        )
+        self._refuse_transform(joint, reason, data[STAMP])
+        return b""
+
+    def _refuse_transform(self, joint: FreeJoint, reason: str, stamp: bytes) -> None:
+        """Report that a transform does not enter a scan; if its stamp is invalid, as of the last complete scan."""
+        self._scans_refused += 1
+        text = f"{joint.name}: {reason}"
+        self._refusals[joint.name] = time.monotonic(), text
+        stamp = stamp if stamp_ns_of(stamp) else self._last_stamp
+        self._publish_state(stamp, stamp_ns_of(stamp), Verdict(EndpointState.STATE_LOST, 0, joint.name, text))
+        self._report_no_pose(text)
+
+    def _close_late_scans(self) -> None:
+        """Close scans that have waited for longer than ``max_wait``."""
+        with self._lock:
+            self._synchroniser.close_before(time.monotonic() - self.parameters.max_wait)
+            self._report_incomplete_scans()
+
+    def _why_missing(self, joints: tuple[str, ...]) -> str:
+        """Return why an incomplete scan lacks the transforms of these joints."""
+        oldest_s = time.monotonic() - self.parameters.max_wait - LATE_CHECK_S
+        recent = {name: text for name, (refused_s, text) in self._refusals.items() if refused_s > oldest_s}
+        reasons = [recent[name] for name in joints if name in recent]
+        if absent := ", ".join(name for name in joints if name not in recent):
+            reasons.append(f"{absent}: transform missing from a scan that the other joints sent")
+        return "; ".join(reasons)
+
+    def _report_incomplete_scans(self) -> None:
+        for stamp_ns, missing in self._synchroniser.take_incomplete().items():
+            self._scans_incomplete += 1
+            reason = self._why_missing(missing)
+            if too_old := self._inputs.stamp_limits.fault(stamp_ns):
+                reason = f"{reason}; {too_old}"
+            verdict = Verdict(EndpointState.STATE_LOST, 0, missing[0], reason)
+            self._publish_state(_STAMP.pack(*divmod(stamp_ns, NS)), stamp_ns, verdict)
+            if not self._inputs.silent:
+                self._report_refused_scan(verdict)
+
+    def _publish_endpoint(self, scan: dict[str, bytes], stamp_ns: int) -> None:
+        """Publish the endpoint of a complete scan, unless a transform is unusable."""
+        for name, size, row in self._buffers:
+            data = scan[name]
+            row[:] = data if len(data) == size else data[:size]
+        estimator = self._estimator
+        stamp = self._last_stamp = data[STAMP]
+        refusal = self._inputs.refusal(stamp_ns)
+        if refusal:
+            self._refuse_scan(stamp, stamp_ns, Verdict(EndpointState.STATE_LOST, 0, "", refusal))
+            return
+        if (worst := estimator.estimate_rows(stamp_ns)) < 0:
+            self._refuse_scan(stamp, stamp_ns, unusable_verdict(self._joints_of(scan)))
+            return
+        self._pose_stamp = stamp
+        if self._is_relative:
+            self._home = estimator.pose.copy() if self._home is None else self._home
+            estimator.estimate_relative_to(self._home)
+        writer = self._writer
+        self._pose.publish(writer.pose.write(stamp))
+        if self._pose_with_covariance.has_subscriptions:
+            self._pose_with_covariance.publish(writer.pose_with_covariance.write(stamp))
+        if self._joint_states.has_subscriptions:
+            self._joint_states.publish(writer.joint_states.write(stamp))
+        verdict = SOUND if worst == State.OK else degraded_verdict(self._joints_of(scan))
+        self._publish_state(stamp, stamp_ns, verdict)
+        self.timing.record(stamp_ns)
+        self._poses += 1
+        excess = self._alarms.excess(self._scan_number()) if self._has_alarm else ""
+        if self._reported != (key := (verdict, excess)):
+            text = verdict.reason or "ok"
+            level = Level.ERROR if excess else Level.WARN if verdict.reason else Level.OK
+            self._status.report(level, f"{text}; {excess}" if excess else text, self._counts())
+            self._reported, self._has_alarm = key, bool(excess)
+
+    def _newest_frames(self) -> StampedPoses | None:
+        """Return the poses of joints and beams of the last complete scan; None: it has no pose."""
+        with self._lock:
+            if not self.may_publish or not self._pose_stamp:
+                return None
+            poses = np.concatenate([self._estimator.poses, self._estimator.beam_transforms])
+            return StampedPoses(stamp_ns_of(self._pose_stamp), poses)
+
+    def _refuse_scan(self, stamp: bytes, stamp_ns: int, verdict: Verdict) -> None:
+        """Publish and report that a complete scan gives no endpoint."""
+        self._scans_refused += 1
+        self._pose_stamp = b""
+        self._publish_state(stamp, stamp_ns, verdict)
+        self._report_refused_scan(verdict)
+
+    def _joints_of(self, scan: dict[str, bytes]) -> list[JointStatus]:
+        """Return the status of each joint of a complete scan after the estimate, in the chain's order."""
+        codes = zip(self._estimator.joints, self._estimator.faults.tolist(), strict=True)
+        return [JointStatus(name, *self._kinds[name].read_state(scan[name]), code) for name, code in codes]
+
+    def _scan_number(self) -> int:
+        return self._poses + self._scans_refused + self._scans_incomplete
+
+    def _report_refused_scan(self, verdict: Verdict) -> None:
+        """Report a scan without a pose if the reason has changed: as an error if false alarms do not explain it."""
+        number = self._scan_number()
+        self._has_alarm = not verdict.is_waiting and self._alarms.add(number)
+        if self._reported != (key := (verdict, self._has_alarm)):
+            self._reported = key
+            excess = "" if verdict.is_waiting else self._alarms.excess(number)
+            text = f"no pose: {verdict.reason}" + (f"; {excess}" if excess else "")
+            self._status.report(Level.ERROR if self._has_alarm else Level.WARN, text, self._counts())
+
+    def _report_no_pose(self, reason: str, key: object = None) -> None:
+        """Report why there is no pose; ``key`` identifies the reason, so that the same text is not formatted again."""
+        self._status.report(Level.ERROR, f"no pose: {reason}", self._counts())
+        self._reported = key
+
+    def _counts(self) -> dict[str, Value]:
+        return {"poses": self._poses, "scans_refused": self._scans_refused, "scans_incomplete": self._scans_incomplete}
+
+    def _on_set_home(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Use the last pose as home."""
+        with self._lock:
+            if not self._is_relative:
+                response.message = "reference is 'absolute'; start the node with reference:=home for relative poses"
+            elif not self._pose_stamp:
+                response.message = "there is no pose now to take as home"
+            else:
+                self._home = self._estimator.pose.copy()
+                response.success, response.message = True, "home is the endpoint's last pose"
+        return response
+
+
+def main() -> int:
+    """Run the node as a program."""
+    return run_node(ChainNode)

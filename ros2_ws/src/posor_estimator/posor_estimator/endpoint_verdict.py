@@ -1,0 +1,107 @@
+"""Verdicts on the endpoint of a scan: whether there is an endpoint, which joint decides, and why."""
+
+from __future__ import annotations
+
+from functools import reduce
+from operator import or_
+from typing import TYPE_CHECKING, NamedTuple
+
+from posor.chain.joint_measurements import FAULT_TEXTS
+from posor.model.fault import Fault, State
+from posor_msgs.msg import EndpointState
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+ALL_FAULTS = sum(int(flag) for flag in Fault)
+NOT_COUNTED = "waiting for the home mark or another reference"
+"""Said of a joint without a fault whose large rotation is not counted."""
+_STATE_TEXTS = {int(state): f"is {state.name.lower()}" for state in State}
+
+
+class Verdict(NamedTuple):
+    """Whether there is an endpoint, and why not; the fields of ``posor_msgs/EndpointState``."""
+
+    state: int
+    faults: int = 0
+    joint: str = ""
+    reason: str = ""
+    is_waiting: bool = False  # each joint that gives no pose has no fault and only waits to be counted; no field there
+
+    @property
+    def has_pose(self) -> bool:
+        """Whether the endpoint's numbers are valid."""
+        return self.state <= int(EndpointState.STATE_DEGRADED)
+
+
+SOUND = Verdict(EndpointState.STATE_OK)
+
+
+class JointStatus(NamedTuple):
+    """State of a joint in one scan, from its transform and from the checks of the chain.
+
+    Attributes:
+        name: Of the joint.
+        state: ``State`` of the transform, or an unknown number.
+        faults: ``Fault`` of the transform.
+        code: Why the chain cannot use the transform, a key of ``FAULT_TEXTS``; zero: no reason.
+
+    """
+
+    name: str
+    state: int
+    faults: int
+    code: int = 0
+
+
+def waits_to_be_counted(state: int, faults: int) -> bool:
+    """Return whether a joint has no fault and only waits for its home mark or another reference."""
+    return state == State.UNCOUNTED and not faults
+
+
+def degraded_verdict(joints: Sequence[JointStatus]) -> Verdict:
+    """Return the verdict on a scan with an endpoint and at least one degraded joint."""
+    degraded = [joint for joint in joints if joint.state]
+    reason = ", ".join(f"{joint.name}{_fault_names(joint.faults)}" for joint in degraded)
+    return Verdict(EndpointState.STATE_DEGRADED, _all_faults(degraded), degraded[0].name, f"degraded: {reason}")
+
+
+def unusable_verdict(joints: Sequence[JointStatus]) -> Verdict:
+    """Return the verdict on a scan without an endpoint: UNCOUNTED if all unusable joints are, else LOST."""
+    unusable = [joint for joint in joints if joint.state > State.DEGRADED or joint.code]
+    if not unusable:
+        return Verdict(EndpointState.STATE_LOST, _all_faults(joints), "", "the endpoint is not finite")
+    lost = [joint for joint in unusable if joint.state != State.UNCOUNTED]
+    state = EndpointState.STATE_LOST if lost else EndpointState.STATE_UNCOUNTED
+    names: dict[str, list[str]] = {}  # of the joints with the same reason: the text has to fit into the message
+    for joint in unusable:
+        names.setdefault(_reason(joint), []).append(joint.name)
+    reason = "; ".join(f"{_listed(each)} {text}" for text, each in names.items())
+    is_waiting = all(waits_to_be_counted(joint.state, joint.faults) and not joint.code for joint in unusable)
+    return Verdict(state, _all_faults(joints), (lost or unusable)[0].name, reason, is_waiting)
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return names as the subject of a singular verb."""
+    return names[0] if len(names) == 1 else f"each of {', '.join(names)}"
+
+
+def _reason(joint: JointStatus) -> str:
+    if joint.code:
+        return FAULT_TEXTS[joint.code]
+    if waits_to_be_counted(joint.state, joint.faults):
+        return f"is {NOT_COUNTED}"
+    return _STATE_TEXTS.get(joint.state, f"has the unknown state {joint.state}") + _fault_names(joint.faults)
+
+
+def _all_faults(joints: Sequence[JointStatus]) -> int:
+    return reduce(or_, (joint.faults for joint in joints), 0)
+
+
+def _fault_names(faults: int) -> str:
+    """Return the names of faults in parentheses after a space; empty without faults."""
+    # Not Fault(faults): enum keeps a member of every value for ever, and damaged messages have any value.
+    names = [str(flag.name) for flag in Fault if flag & faults]
+    if unknown := faults & ~ALL_FAULTS:
+        names.append(f"unknown faults {unknown}")
+    return f" ({'|'.join(names)})" if faults else ""

@@ -1,0 +1,422 @@
+"""posor_node: estimates six-degree-of-freedom transforms from the raw scans of one joint.
+
+Subscribes to ``raw`` (posor_msgs/RawScan) and publishes ``transform`` (posor_msgs/JointTransform) for every scan. A
+scan without a pose is published with the state LOST and NaN in every number; the diagnostics give the reason.
+
+Services (std_srvs/Trigger): ``~/reload`` reads the calibration file again; ``~/zero`` shifts the zero of the gap probes
+so that the present pose is home; ``~/home`` counts theta from its home mark; ``~/acknowledge`` ends a latched fault. A
+refused request changes nothing. With ``allow_changes: false`` these services do not exist.
+
+With an encoder, ``encoder`` (sensor_msgs/JointState) confirms theta.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from functools import partial
+from pathlib import Path
+from threading import RLock
+from typing import TYPE_CHECKING, Any
+
+from posor.calibration.calibration_file import load_calibration
+from posor.errors import CalibrationError, ParameterError, PosorError, TopicError
+from posor.estimation.posor import Posor
+from posor.model.fault import Fault, State
+from posor.model.scan import Scans
+from posor.node_parameters import PosorParameters
+from posor.ros_names import RAW_TOPIC, RELIABILITY_TOPIC, TRANSFORM_TOPIC
+from posor.uncertainty.reading_sensitivity import EstimateMatrices
+from posor_calibration.digital_zero import find_digital_zero
+from posor_estimator.alarm_rate import AlarmRate
+from posor_estimator.endpoint_verdict import NOT_COUNTED, waits_to_be_counted
+from posor_estimator.raw_scan_stream import RawScanStream
+from posor_estimator.reliability_message import has_reliability, reliability_fields
+from posor_msgs.msg import JointReliability, JointTransform, RawScan
+from posor_ros.cdr_scan import RAW_SCAN, scan_of
+from posor_ros.diagnostics import Level
+from posor_ros.freshness import REPEATED, InputMonitor, ScanOrder
+from posor_ros.idle_scheduler import run_when_idle
+from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
+from posor_ros.lifecycle_node import PosorNode
+from posor_ros.message_classes import schema_of_class
+from posor_ros.message_conversion import stamp_ns as stamp_ns_of
+from posor_ros.node_program import run_node
+from posor_ros.qos import RELIABLE_QOS, input_qos, sensor_publisher_qos, sensor_subscription_qos
+from sensor_msgs.msg import JointState
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from posor.calibration.calibration_file import Calibration
+    from posor_estimator.raw_scan_stream import EstimatedScan
+    from posor_ros.diagnostics import StatusText, Value
+    from std_srvs.srv import Trigger
+
+
+LOST = int(State.LOST)
+LEVELS = {State.OK: Level.OK, State.DEGRADED: Level.WARN, State.LOST: Level.WARN}
+"""Level of the diagnostics by state; ERROR for all other states, and where ``AlarmRate`` finds a fault."""
+
+
+class PosorEstimatorNode(PosorNode[PosorParameters]):
+    """Estimates the pose of one POSOR's target plate from each raw scan.
+
+    Scans and service calls may come in different threads; a lock protects their common state.
+    """
+
+    NAME = "posor_node"
+    Parameters = PosorParameters
+    USES_KERNELS = True
+
+    _calibration: Calibration
+    _posor: Posor
+    _reliability: IntraProcessPublisher | None
+    _stream: RawScanStream | None
+    _last_stream: RawScanStream | None
+    _recent_scans: deque[bytes]
+    _reported: tuple[int, int, bool] | None
+    _alarms: AlarmRate
+    _order: ScanOrder
+
+    def __init__(self, **options: Any) -> None:
+        """Create the node; ``options`` are passed to rclpy."""
+        super().__init__(**options)
+        self._lock = RLock()
+        self._status = self.diagnostics.add_status("estimate", logged=True)
+        self._last_stream = None
+        self._inputs = InputMonitor(self, self._on_inputs_checked)
+        self.diagnostics.add_refresh(self._refresh_status)
+        self.diagnostics.add_refresh(self._publish_reliability)
+
+    def configure(self) -> None:
+        """Read the calibration file, report its identity and open the topics and services."""
+        self._scans = self._scans_lost = self._messages_refused = 0
+        self._recent_scans = deque(maxlen=self.parameters.zero_scans if self.parameters.home_pose else 0)
+        self._source_changes = 0
+        self._count_from_next = self._is_lost = False
+        self._reported = self._last_stream = None
+        self._alarms = AlarmRate(self.parameters.false_alarm, self.parameters.alarm_count)
+        self._order = ScanOrder()
+        self._apply_calibration(*self._load_calibration())
+        self._status.report(Level.STALE, "no scan yet")
+        qos = sensor_publisher_qos(self.parameters)
+        self._publisher = IntraProcessPublisher(self, JointTransform, TRANSFORM_TOPIC, qos, count_listeners=True)
+        self._reliability = None
+        if self.parameters.covariance == "total":  # the chain adds it to the biases that the reliability is about
+            self._reliability = IntraProcessPublisher(self, JointReliability, RELIABILITY_TOPIC, RELIABLE_QOS)
+        self.add_cleanup(self._forget_scans)
+        self.add_cleanup(self._inputs.clear)
+        qos = sensor_subscription_qos(self.parameters)
+        self._inputs.add(IntraProcessSubscription(self, RawScan, RAW_TOPIC, qos, self._on_raw_scan))
+        if self.parameters.encoder.sigma:
+            topic = self.parameters.encoder.topic
+            encoder = self.create_subscription(JointState, topic, self._on_encoder, input_qos(self.parameters))
+            self.add_cleanup(self.destroy_subscription, encoder)
+        services = {
+            "reload": self._reload_calibration,
+            "home": self._count_from_home,
+            "acknowledge": self._acknowledge_fault,
+        }
+        if self.parameters.home_pose:
+            services["zero"] = self._zero_gap_probes
+        for name, action in services.items():
+            self.add_change_service(name, partial(self._on_request, action))
+
+    def activate(self) -> None:
+        """Expect scans with present stamps from now on."""
+        self._inputs.start()
+
+    def deactivate(self) -> None:
+        """Expect no scans."""
+        self._inputs.stop()
+
+    def _on_inputs_checked(self, is_new: bool) -> None:  # noqa: FBT001  a callback
+        """Report that no scan arrives; the next one is reported again."""
+        if is_new and self._inputs.silent:
+            with self._lock:
+                self._reported = None
+                self._status.report(Level.ERROR, f"no estimate: {self._inputs.silent}", self._counts())
+
+    def _forget_scans(self) -> None:
+        """Discard the estimator's streams after the present scan."""
+        with self._lock:
+            self._stream = self._last_stream = None
+
+    def _load_calibration(self) -> tuple[Calibration, Calibration]:
+        """Return the calibration of the file, and the same with the session applied."""
+        calibration = load_calibration(Path(self.parameters.calibration))
+        return calibration, calibration.for_session(self.parameters.session)
+
+    def _apply_calibration(self, calibration: Calibration, session_calibration: Calibration) -> None:
+        """Use a loaded calibration and report its identity."""
+        self._use_calibration(session_calibration)
+        path = self.parameters.calibration
+        self._status.update(
+            {
+                "calibration": calibration.name,
+                "calibration_file": path,
+                "calibration_hash": calibration.content_hash,
+                "session": self.parameters.session,
+                "zero": "as in the file",
+            }
+        )
+        self.get_logger().info(f"calibration '{calibration.name}' from {path}, hash {calibration.content_hash}")
+
+    def _use_calibration(self, calibration: Calibration) -> None:
+        """Use a calibration from the next scan on; the new estimator starts from the last pose, if any."""
+        posor = Posor(calibration, false_alarm=self.parameters.false_alarm)
+        with self._lock:
+            if self._last_stream is not None:
+                last = None if self._is_lost else self._last_stream.last_scan()
+                posor.continue_from(self._posor, None if last is None else scan_of(last.data))
+            self._posor, self._calibration, self._stream = posor, calibration, None
+            self._source_changes = 0  # the first scan of the new estimator discards the kept scans
+
+    def _on_request(
+        self, action: Callable[[], str], _request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        """Run the action of a service; a refusal changes nothing."""
+        try:
+            response.message = action()
+        except PosorError as error:
+            response.message = str(error)
+            self.get_logger().error(response.message)
+        else:
+            response.success = True
+        return response
+
+    def _reload_calibration(self) -> str:
+        calibration, session_calibration = self._load_calibration()
+        frames = self._calibration.frames
+        if session_calibration.frames != frames:
+            raise CalibrationError(
+                f"its frames are {session_calibration.frames.parent} and {session_calibration.frames.child}",
+                where=f"calibration file {self.parameters.calibration}",
+                expected=f"{frames.parent} and {frames.child} as before, or a restart of the node",
+            )
+        self._apply_calibration(calibration, session_calibration)
+        return f"calibration '{calibration.name}', hash {calibration.content_hash}"
+
+    def _count_from_home(self) -> str:
+        if not self._posor.counts_bumps:
+            raise ParameterError(
+                "theta is not counted",
+                where=f"calibration '{self._calibration.name}'",
+                expected="a bumpy ring; ~/set_home of the chain makes poses relative to home",
+            )
+        with self._lock:
+            if refusal := self._inputs.silent or ("the last scan is LOST" if self._is_lost else ""):
+                raise ParameterError(refusal, where="home", expected="sound scans while the joint is at the home mark")
+            self._count_from_next = True
+            if self._stream is not None:
+                self._stream.count_from_next()
+        return "theta is counted from the next scan, which is taken to be within half a bump of the home mark"
+
+    def _forget_home(self) -> None:
+        """Forget that theta is to be counted from the next scan: by now the joint may be elsewhere."""
+        self._count_from_next = False
+        if self._stream is not None:
+            self._stream.count_from_next(stated=False)
+        self._inputs.note("home", "the call of ~/home is void, because no sound scan followed it at once")
+
+    def _zero_gap_probes(self) -> str:
+        """Shift the zero of the gap probes by the most recent scans (thesis 8.3.1)."""
+        with self._lock:
+            recent = list(self._recent_scans)
+        if len(recent) < self.parameters.zero_scans:
+            raise ParameterError(
+                f"{len(recent)} sound scans so far", where="zero", expected=f"{self.parameters.zero_scans}"
+            )
+        gap, alpha, beta = self.parameters.home_pose
+        zero = find_digital_zero(self._calibration, Scans.of([scan_of(data) for data in recent]), (gap, alpha, beta))
+        self._use_calibration(zero.calibration)
+        values, sigmas = _format_numbers(zero.shifts.array), _format_numbers(zero.shifts.sigmas)
+        shifts = f"zero_shifts: {{value: {values}, sigma: {sigmas}, unit: V}}"
+        self._status.update({"zero": shifts})
+        text = f"{shifts}, changed by {_format_numbers(zero.changes)} V; in force until the calibration is read again"
+        self.get_logger().info(text)
+        return text
+
+    def _acknowledge_fault(self) -> str:
+        with self._lock:
+            was_latched = self._posor.acknowledge()
+        return "the fault is released; the next scan starts anew" if was_latched else "there is no latched fault"
+
+    def _on_encoder(self, message: JointState) -> None:
+        """Confirm theta of the next scan by the encoder; a message that cannot be used is reported."""
+        if not self.may_publish:
+            return
+        try:
+            theta = self._encoder_position(message)
+            if fault := self._inputs.stamp_limits.fault(stamp_ns_of(message)):
+                raise TopicError(fault)
+            with self._lock:
+                self._posor.confirm_theta(theta, self.parameters.encoder.sigma)
+        except PosorError as error:
+            self._inputs.note("encoder", f"{self.parameters.encoder.topic}: {error}")
+
+    def _encoder_position(self, message: JointState) -> float:
+        """Return the position of the encoder's joint [rad].
+
+        Raises:
+            TopicError: The message does not hold it.
+
+        """
+        names, joint = list(message.name), self.parameters.encoder.joint
+        if joint and joint not in names:
+            raise TopicError(f"no joint '{joint}' among {', '.join(names)}")
+        if not joint and len(message.position) != 1:
+            raise TopicError(f"{len(message.position)} positions", expected="one, or the parameter 'encoder.joint'")
+        index = names.index(joint) if joint else 0
+        if index >= len(message.position):
+            raise TopicError(f"no position of joint '{joint}'")
+        return float(message.position[index])
+
+    def _on_raw_scan(self, data: bytes) -> None:
+        """Estimate the transform of a raw scan and publish it."""
+        with self._lock:
+            if not self.may_publish:
+                return
+            if self._count_from_next and self._inputs.silent:
+                self._forget_home()
+            transform = self._estimate_expected(data)
+            if transform is None:
+                transform = self._estimate_scan(data)
+            if transform is None:
+                data = self._open_stream(data)
+                transform = self._estimate_scan(data)
+            if transform and self._stream is not None:
+                self._publisher.publish(transform)
+                self._update_counts(self._stream, data)
+
+    def _estimate_expected(self, data: bytes) -> bytes | None:
+        """Return the transform of a scan that passes all checks; None for any other, which changes nothing."""
+        inputs, stream = self._inputs, self._stream
+        if stream is None or inputs.several:
+            return None
+        return stream.estimate_message(data, inputs.stamp_limits.now_ns())
+
+    def _estimate_scan(self, data: bytes) -> bytes | None:
+        """Return the transform of a scan, empty for a repeated one; None if there is no stream for it."""
+        stream = self._stream
+        if stream is None or (identity := stream.identity(data)) is None:
+            return None
+        if last := stream.last_identity():
+            kind, text = self._order.describe(identity, last)
+            if kind:
+                self._inputs.note(kind, text)
+            if kind == REPEATED:
+                return b""
+        refusal = self._inputs.refusal(identity[0])
+        return stream.refuse_message(data, refusal) if refusal else stream.estimate_message(data)
+
+    def _open_stream(self, data: bytes) -> bytes:
+        """Make a stream for a scan of another layout; return the scan in plain CDR, empty if it is invalid."""
+        try:
+            data = RAW_SCAN.normal(data)
+            stream = RawScanStream(self._posor, data, self.parameters.covariance)
+        except TopicError as error:
+            self._messages_refused += 1
+            self._reported = None
+            self._status.report(Level.ERROR, f"no estimate: {error}", {"messages_refused": self._messages_refused})
+            return b""
+        if self._stream is not None:
+            self._recent_scans.clear()
+        self._stream = stream
+        limits = self._inputs.stamp_limits
+        stream.accept_ages(limits.youngest_ns, limits.oldest_ns)
+        if self._count_from_next:
+            stream.count_from_next()
+        return data
+
+    def _update_counts(self, stream: RawScanStream, data: bytes) -> None:
+        """Count an answered scan, keep a sound one for the digital zero, and report a change of the status."""
+        stamp_ns, changed = stream.stamp_and_change()
+        if stamp_ns:
+            self.timing.record(stamp_ns)
+        self._scans += 1
+        if changed or self._is_lost or self._reported is None:
+            self._update_status(stream)
+        if not self._is_lost:
+            self._recent_scans.append(data)
+        if self._count_from_next:
+            if self._is_lost:
+                self._forget_home()
+            self._count_from_next = stream.counts_from_next
+
+    def _update_status(self, stream: RawScanStream) -> None:
+        """Handle a scan that is LOST, or whose state, faults or light source differ from those of the scan before.
+
+        The digital zero needs consecutive scans of one light source: a LOST scan or another source discards kept scans.
+        """
+        state, faults, source_changes = (stream.status[name].item() for name in ("state", "faults", "row_changes"))
+        self._last_stream, self._is_lost = stream, state == LOST
+        if self._is_lost or source_changes != self._source_changes:
+            self._recent_scans.clear()
+            self._source_changes = source_changes
+        self._scans_lost += self._is_lost
+        is_alarm = self._is_lost and self._alarms.add(self._scans)
+        is_waiting = waits_to_be_counted(state, faults)
+        excess = "" if is_waiting else self._alarms.excess(self._scans)
+        if (key := (state, faults, is_alarm or bool(excess))) != self._reported:
+            self._reported = key
+            level = Level.ERROR if key[2] else Level.WARN if is_waiting else LEVELS.get(State(state), Level.ERROR)
+            formatter = partial(_format_status, state, faults, excess, self._counts(), stream.last_scan())
+            self._status.report_status_change(level, formatter)
+
+    def _counts(self) -> dict[str, Value]:
+        return {"scans": self._scans, "scans_lost": self._scans_lost}
+
+    def _refresh_status(self) -> None:
+        """Update the values of the status line, once a second."""
+        with self._lock:
+            if self._last_stream is None:
+                return
+            counts, last = self._counts(), self._last_stream.last_scan()
+            if self._reported is not None and self._reported[2]:
+                self._reported = None  # the rate of alarms may have become normal
+        self._inputs.update(self._order.counts)
+        self._status.update(_status_values(counts, last))
+
+    def _publish_reliability(self) -> None:
+        """Publish the reliability at the last pose, once a second, if there is a pose and somebody listens."""
+        publisher = self._reliability
+        with self._lock:
+            if not self.may_publish or publisher is None or not publisher.has_subscriptions:
+                return
+            if self._stream is None or self._stream is not self._last_stream:
+                return  # a new estimator has seen no scan yet
+            posor, last = self._posor, self._stream.last_scan()
+            if not has_reliability(last):
+                return
+            matrices = EstimateMatrices.of(posor)
+        fields = reliability_fields(posor, matrices, last.stamp_ns)  # without the lock: no scan waits for it
+        data = schema_of_class(JointReliability).encode(fields)
+        run_when_idle(partial(publisher.publish, data))  # a piece of work of its own
+
+
+def _format_status(state: int, faults: int, excess: str, counts: dict[str, Value], scan: EstimatedScan) -> StatusText:
+    fault_names = str(Fault(faults).name) if faults else "none"
+    state_text = NOT_COUNTED if waits_to_be_counted(state, faults) else f"{State(state).name.lower()}: {fault_names}"
+    text = "; ".join(filter(None, (state_text, excess)))
+    return text, {"faults": fault_names, **_status_values(counts, scan)}
+
+
+def _status_values(counts: dict[str, Value], scan: EstimatedScan) -> dict[str, Value]:
+    """Return the values of a scan in the diagnostics, except for state and faults."""
+    return {
+        **counts,
+        "last_scan": scan.number,
+        "reason": scan.reason,
+        "residual": scan.residual,
+        "redundancy": scan.redundancy,
+    }
+
+
+def _format_numbers(numbers: Iterable[float]) -> str:
+    return f"[{', '.join(f'{number:.6g}' for number in numbers)}]"
+
+
+def main() -> int:
+    """Run the node as a program."""
+    return run_node(PosorEstimatorNode)

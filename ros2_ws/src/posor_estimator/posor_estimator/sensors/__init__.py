@@ -1,1 +1,0 @@
-"""Sensor types. Each is found through the entry-point group ``posor_estimator.sensors``."""

@@ -1,0 +1,267 @@
+"""chain_node as a program: its endpoint, refusals and diagnostics."""
+
+from __future__ import annotations
+
+import math
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from posor_estimator.chain_node import ChainNode
+from posor_lab.harness.graph import Graph, set_stamp, stamp_seconds, values_of
+from posor_lab.harness.in_process_nodes import run_refused_node
+from posor_msgs.msg import EndpointState, JointTransform
+from std_srvs.srv import Trigger
+
+from .chain_program import LOSSLESS, TURN, ChainRig, chain_node, lost_transform, transform_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+pytestmark = pytest.mark.usefixtures("ros_domain")
+
+URDF = Path(__file__).resolve().parents[2] / "posor_bringup" / "urdf" / "slocum1985_rig.urdf"
+BEAM_M = 0.84836
+
+
+def test_a_missing_parameter_ends_the_program_with_one_sentence() -> None:
+    with chain_node() as node:
+        sentence = (
+            "node /chain_node, parameter 'urdf': is not set; expected a string: "
+            "path of the arm's URDF; its floating joints are the POSORs."
+        )
+        assert (node.wait(), node.stderr, node.stdout) == (2, [sentence], [])
+
+
+def test_an_invalid_urdf_or_parameter_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    missing, blind, cut = (tmp_path / name for name in ("none.urdf", "blind.urdf", "cut.urdf"))
+    text = URDF.read_text(encoding="utf-8")
+    blind.write_text(text.replace('type="floating"', 'type="fixed"'), encoding="utf-8")
+    cut.write_text(text.replace("</robot>", ""), encoding="utf-8")
+    links = "machining_centre, posor_receiving, posor_target, endpoint"
+    for parameters, code, sentence in (
+        (
+            {"urdf": str(missing)},
+            1,
+            f"URDF {missing}: cannot be read: No such file or directory; expected a robot description.",
+        ),
+        (
+            {"urdf": str(tmp_path)},
+            1,
+            f"URDF {tmp_path}: cannot be read: Is a directory; expected a robot description.",
+        ),
+        (
+            {"urdf": str(blind)},
+            1,
+            f"URDF {blind}: has no POSOR joint; expected at least one joint of type 'floating'.",
+        ),
+        (
+            {"urdf": str(cut)},
+            1,
+            (
+                f"URDF {cut}: is not XML: no element found: line {text.count(chr(10)) + 1}, column 0; "
+                "expected a robot description (URDF)."
+            ),
+        ),
+        (
+            {"urdf": str(URDF), "endpoint_frame": "hand"},
+            1,
+            f"URDF {URDF}: has no link 'hand'; expected one of {links}.",
+        ),
+        (
+            {"urdf": str(URDF), "reference": "relative"},
+            2,
+            "node /chain_node, parameter 'reference': 'relative' is wrong; expected one of 'absolute', 'home'.",
+        ),
+    ):
+        assert run_refused_node(ChainNode, parameters, capfd) == (code, [sentence])
+
+
+class SingleJointRig(ChainRig):
+    """A chain_node with one joint, shared by several tests; stamps rise from test to test."""
+
+    def __init__(self, graph: Graph) -> None:
+        super().__init__(graph)
+        self.publisher = self.joint_publisher("joint1")
+        self.start_s = 0
+
+    def send(self, message: Any, second: int) -> None:
+        """Publish a transform with a stamp in seconds after the start of this test."""
+        self.publisher.publish(set_stamp(message, self.start_s + second))
+
+    def has_seconds(self, expected: list[int]) -> bool:
+        """Return whether the stamps of all received messages are these seconds of this test."""
+        topics = (self.poses, self.with_covariance, self.joint_states)
+        return all(stamp_seconds(messages) == [self.start_s + second for second in expected] for messages in topics)
+
+
+@pytest.fixture(scope="module")
+def shared_rig() -> Iterator[SingleJointRig]:
+    """One node for all tests without parameters of their own."""
+    with chain_node(urdf=str(URDF), **LOSSLESS) as node, Graph() as graph:
+        yield SingleJointRig(graph)
+        assert node.end() == 0
+
+
+@pytest.fixture
+def rig(shared_rig: SingleJointRig) -> SingleJointRig:
+    shared_rig.clear()
+    shared_rig.start_s += 100
+    return shared_rig
+
+
+def test_the_endpoint_has_the_scans_stamp_its_frames_and_its_covariance(rig: SingleJointRig) -> None:
+    turn = pin.SE3(pin.utils.rotate("z", 0.01), np.array([1e-4, 2e-4, 3e-4]))
+    rig.send(transform_of(7, turn), 7)
+    rig.wait_for_poses(1)
+    [pose], [with_covariance], [joints] = rig.poses, rig.with_covariance, rig.joint_states
+    for message in (pose, with_covariance, joints):
+        assert (message.header.stamp.sec, message.header.stamp.nanosec) == (rig.start_s + 7, 250_000_000)
+    assert pose.header.frame_id == with_covariance.header.frame_id == "machining_centre"
+    # The rig's Z is -Y of the machining centre; the beam is along -X of the target.
+    x, y, z = 1e-4 - BEAM_M * math.cos(0.01), 2e-4 - BEAM_M * math.sin(0.01), 3e-4
+    position = pose.pose.position
+    np.testing.assert_allclose([position.x, position.y, position.z], [x, -z, y], rtol=0.0, atol=1e-12)
+    orientation = pose.pose.orientation
+    expected = pin.Quaternion(pin.utils.rotate("x", math.pi / 2.0) @ pin.utils.rotate("z", 0.01)).coeffs()
+    got = np.array([orientation.x, orientation.y, orientation.z, orientation.w])
+    np.testing.assert_allclose(got * np.sign(got[3]), expected * np.sign(expected[3]), rtol=0.0, atol=1e-12)
+    assert with_covariance.pose.pose == pose.pose
+    covariance = np.reshape(with_covariance.pose.covariance, (6, 6))
+    # Theta's 2 urad at the joint are a turn about -Y of the machining centre, and move the beam's end along its Z.
+    assert covariance[4, 4] == pytest.approx(4e-12, rel=1e-9)
+    assert covariance[2, 2] == pytest.approx((1.0 + 4.0 * (BEAM_M * math.cos(0.01)) ** 2) * 1e-12, rel=1e-9)
+    assert (list(joints.name), list(joints.position)) == (["joint1"], [pytest.approx(TURN + 0.01)])
+    status = rig.graph.wait_for_status("/chain_node: endpoint", "ok")
+    assert values_of(status)["joints"] == "joint1"
+
+
+def test_a_lost_joint_gives_no_pose_and_is_reported_with_its_fault(rig: SingleJointRig) -> None:
+    rig.send(transform_of(1), 1)
+    rig.wait_for_poses(1)
+    before = rig.count_of("scans_refused")
+    rig.send(lost_transform(2, JointTransform.FAULT_DARK_DIODE), 2)
+    assert rig.wait_for_message("no pose: joint1 is lost (DARK_DIODE)").level == b"\x02"
+    rig.send(transform_of(3), 3)
+    rig.wait_for_poses(2)
+    assert rig.has_seconds([1, 3])
+    assert rig.count_of("scans_refused") == before + 1
+
+
+def test_a_degraded_joint_gives_a_pose_and_a_warning(rig: SingleJointRig) -> None:
+    degraded = transform_of(1)
+    degraded.state = JointTransform.STATE_DEGRADED
+    rig.send(degraded, 1)
+    rig.wait_for_poses(1)
+    assert rig.graph.wait_for_status("/chain_node: endpoint", "degraded: joint1").level == b"\x01"
+
+
+def test_an_uncounted_joint_gives_no_pose(rig: SingleJointRig) -> None:
+    uncounted = transform_of(1)
+    uncounted.state, uncounted.faults = JointTransform.STATE_UNCOUNTED, JointTransform.FAULT_COUNT
+    rig.send(uncounted, 1)
+    rig.wait_for_message("no pose: joint1 is uncounted (COUNT)")
+    rig.send(transform_of(2), 2)
+    rig.wait_for_poses(1)
+    assert rig.has_seconds([2])
+
+
+def test_a_joint_that_waits_for_its_home_mark_is_a_warning_however_long(rig: SingleJointRig) -> None:
+    waiting = transform_of(1)
+    waiting.state = JointTransform.STATE_UNCOUNTED
+    sentence = "no pose: joint1 is waiting for the home mark"
+    for second in (1, 2, 3):
+        rig.send(waiting, second)
+        assert rig.wait_for_message(sentence).level == b"\x01"
+    rig.send(transform_of(4), 4)
+    rig.wait_for_poses(1)
+    rig.graph.wait_for_status("/chain_node: endpoint", "ok")
+    levels = {status.level for status in rig.graph.diagnostics if status.message.startswith(sentence)}
+    assert levels == {b"\x01"}
+
+
+def nan_position(message: Any) -> None:
+    message.pose.position.y = math.nan
+
+
+def zero_quaternion(message: Any) -> None:
+    message.pose.orientation.w = 0.0
+
+
+def infinite_covariance(message: Any) -> None:
+    message.covariance[7] = math.inf
+
+
+@pytest.mark.parametrize("spoil", [nan_position, zero_quaternion, infinite_covariance])
+def test_invalid_numbers_give_no_pose_whatever_the_state(rig: SingleJointRig, spoil: Callable[[Any], None]) -> None:
+    broken = transform_of(1)
+    spoil(broken)
+    rig.send(broken, 1)
+    rig.send(transform_of(2), 2)
+    rig.wait_for_poses(1)
+    assert rig.has_seconds([2])
+
+    def is_reported() -> bool:
+        return any("joint1" in status.message and "no pose" in status.message for status in rig.graph.diagnostics)
+
+    rig.graph.wait_until(is_reported, "the reason")
+
+
+def test_transforms_between_other_frames_are_refused(rig: SingleJointRig) -> None:
+    rig.send(transform_of(1, plates=("posor_receiving", "another_plate")), 1)
+    rig.wait_for_message(
+        "no pose: joint1: transforms from 'posor_receiving' to 'another_plate' arrive; "
+        "expected 'posor_receiving' to 'posor_target', as in the URDF"
+    )
+    rig.send(transform_of(2), 2)
+    rig.wait_for_poses(1)
+    assert rig.has_seconds([2])
+
+
+def call_set_home(graph: Graph) -> tuple[bool, str]:
+    answer = graph.call(Trigger, "/chain_node/set_home", Trigger.Request())
+    return answer.success, answer.message
+
+
+def test_poses_are_relative_to_the_first_pose_or_to_the_last_set_home() -> None:
+    with chain_node(urdf=str(URDF), reference="home", **LOSSLESS), Graph() as graph:
+        chain = ChainRig(graph)
+        joint = chain.joint_publisher("joint1")
+        assert call_set_home(graph) == (False, "there is no pose now to take as home")
+        up = pin.SE3(np.eye(3), np.array([0.0, 1e-3, 0.0]))
+        joint.publish(transform_of(1))
+        joint.publish(transform_of(2, up))
+        chain.wait_for_poses(2)
+        assert {pose.header.frame_id for pose in chain.poses} == {"endpoint_home"}
+        heights = [[p.pose.position.x, p.pose.position.y, p.pose.position.z] for p in chain.poses]
+        # The endpoint's axes at home are those of the target plate: Y of the plate is up.
+        np.testing.assert_allclose(heights, [[0.0, 0.0, 0.0], [0.0, 1e-3, 0.0]], rtol=0.0, atol=1e-15)
+        assert call_set_home(graph) == (True, "home is the endpoint's last pose")
+        joint.publish(transform_of(3, up))
+        joint.publish(transform_of(4))
+        chain.wait_for_poses(4)
+        heights = [[p.pose.position.x, p.pose.position.y, p.pose.position.z] for p in chain.poses[2:]]
+        np.testing.assert_allclose(heights, [[0.0, 0.0, 0.0], [0.0, -1e-3, 0.0]], rtol=0.0, atol=1e-15)
+        for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE):
+            request = ChangeState.Request(transition=Transition(id=transition))
+            assert graph.call(ChangeState, "/chain_node/change_state", request).success
+            assert call_set_home(graph) == (False, "there is no pose now to take as home")  # the arm may have moved
+        states = graph.collect(EndpointState, "endpoint/state")
+        stamps = count(5)
+        graph.wait_until(  # the new subscription may not have matched at the first transform
+            lambda: any(s.state == EndpointState.STATE_LOST for s in states),
+            "the loss",
+            lambda: joint.publish(lost_transform(next(stamps), JointTransform.FAULT_RESIDUAL)),
+        )
+        assert call_set_home(graph) == (False, "there is no pose now to take as home")
+
+
+def test_set_home_is_refused_for_absolute_poses(rig: SingleJointRig) -> None:
+    success, message = call_set_home(rig.graph)
+    assert not success
+    assert message == "reference is 'absolute'; start the node with reference:=home for relative poses"

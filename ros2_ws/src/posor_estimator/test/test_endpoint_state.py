@@ -1,0 +1,318 @@
+"""EndpointState of chain_node, as a plain subscriber sees it, and checks of the transforms that it receives."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from posor_lab.harness.graph import Graph, wait_for_value
+from posor_lab.harness.program import Program, installed, ros_arguments
+from posor_msgs.msg import EndpointState, JointTransform
+from posor_ros.cdr_transform import stamp_ns_of
+from posor_ros.message_conversion import stamp_ns
+from rclpy.qos import QoSProfile
+
+from .chain_program import PLATES, lost_transform, transform_of
+from .live_topics import BRINGUP, PERIOD_S, POSOR, ScanSender
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+pytestmark = pytest.mark.usefixtures("ros_domain")
+
+CHAIN = {"urdf": str(BRINGUP / "urdf" / "slocum1985_rig.urdf"), "lossless": True}
+NS = 1_000_000_000
+SOUND_COVARIANCE = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 4.0]) * 1e-12
+
+
+class Rig:
+    """A chain_node with the limits of a live source, and a subscriber to its state."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.graph = graph
+        self.states: list[Any] = []
+        self.arrivals: list[float] = []
+        graph.node.create_subscription(EndpointState, "endpoint/state", self._on_state, QoSProfile(depth=10))
+        graph.watch_diagnostics()
+        self.publisher = graph.publisher(JointTransform, "joint1/transform")
+        graph.wait_until(lambda: bool(self.states), "a state")
+
+    def _on_state(self, state: Any) -> None:
+        self.states.append(state)
+        self.arrivals.append(time.monotonic())
+
+    def send(self, message: Any, age_s: float = 0.0) -> int:
+        """Publish a transform with a stamp of this age; return the stamp [ns]."""
+        now_ns = time.time_ns() - round(age_s * NS)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(now_ns, NS)
+        self.publisher.publish(message)
+        return now_ns
+
+    def state_of(self, message: Any, age_s: float = 0.0) -> Any:
+        """Return the state of a scan that consists of one transform."""
+        wanted = self.send(message, age_s)
+        self.graph.wait_until(lambda: any(stamp_ns(state) == wanted for state in self.states), "the state")
+        return next(state for state in self.states if stamp_ns(state) == wanted)
+
+    def wait_for_state(self, state: int) -> Any:
+        """Return the next state of a kind."""
+        self.states.clear()
+        self.graph.wait_until(lambda: any(each.state == state for each in self.states), f"state {state}")
+        return next(each for each in self.states if each.state == state)
+
+
+@pytest.fixture(scope="module")
+def rig() -> Iterator[Rig]:
+    command = [*installed("posor_estimator", "chain_node"), *ros_arguments(CHAIN)]
+    with Program(command) as node, Graph() as graph:
+        yield Rig(graph)
+        assert node.end() == 0
+
+
+def has_pose(state: Any) -> bool:
+    """Return whether the numbers of a state are all finite; all NaN otherwise."""
+    position, orientation = state.pose.position, state.pose.orientation
+    numbers = np.array([position.x, position.y, position.z, orientation.x, orientation.w, *state.covariance])
+    assert np.isfinite(numbers).all() or np.isnan(numbers).all()
+    return bool(np.isfinite(numbers[0]))
+
+
+def test_before_the_first_scan_the_state_is_stale_without_an_age(rig: Rig) -> None:
+    state = rig.wait_for_state(EndpointState.STATE_STALE)
+    assert (state.header.stamp.sec, state.joint, state.faults) == (0, "joint1", 0)
+    assert (state.header.frame_id, state.child_frame_id) == ("machining_centre", "endpoint")
+    assert state.reason.startswith("no input on /joint1/transform since activation")
+    assert math.isnan(state.age)
+    assert not has_pose(state)
+    assert np.isnan(state.protection_level).all()
+
+
+def test_a_sound_scan_has_a_pose_an_age_and_no_reason(rig: Rig) -> None:
+    state = rig.state_of(transform_of(1))
+    assert (state.state, state.faults, state.joint, state.reason) == (EndpointState.STATE_OK, 0, "", "")
+    assert has_pose(state)
+    assert 0.0 <= state.age < 1.0
+    assert state.pose.position.x == pytest.approx(-0.84836)
+    assert np.reshape(state.covariance, (6, 6))[2, 2] > 0.0
+
+
+def test_a_single_lost_scan_is_a_warning_and_several_in_a_row_an_error(rig: Rig) -> None:
+    """Runs before the other tests have lost more scans than false alarms explain."""
+
+    def send_after_sound_scan(lost: int, level: bytes) -> set[bytes]:
+        rig.state_of(transform_of(1))
+        rig.graph.wait_for_status("/chain_node: endpoint", "ok")
+        rig.graph.diagnostics.clear()
+        for _ in range(lost):
+            rig.send(lost_transform(1, JointTransform.FAULT_RESIDUAL))
+            time.sleep(0.001)
+        name, text = "/chain_node: endpoint", "no pose: joint1 is lost (RESIDUAL)"
+
+        def levels() -> set[bytes]:
+            return {s.level for s in rig.graph.diagnostics if s.name == name and text in s.message}
+
+        rig.graph.wait_until(lambda: level in levels(), f"level {level!r}")
+        rig.state_of(transform_of(1))
+        return levels()
+
+    assert send_after_sound_scan(1, b"\x01") == {b"\x01"}
+    assert b"\x02" in send_after_sound_scan(5, b"\x02")
+
+
+def test_a_degraded_joint_shows_with_its_faults(rig: Rig) -> None:
+    degraded = transform_of(1)
+    degraded.state, degraded.faults = JointTransform.STATE_DEGRADED, JointTransform.FAULT_FLAGGED
+    state = rig.state_of(degraded)
+    assert (state.state, state.faults) == (EndpointState.STATE_DEGRADED, JointTransform.FAULT_FLAGGED)
+    assert (state.joint, state.reason) == ("joint1", "degraded: joint1 (FLAGGED)")
+    assert has_pose(state)
+
+
+@pytest.mark.parametrize(
+    ("joint_state", "expected", "reason"),
+    [
+        (JointTransform.STATE_LOST, EndpointState.STATE_LOST, "joint1 is lost (SOURCE|LATCHED)"),
+        (JointTransform.STATE_UNCOUNTED, EndpointState.STATE_UNCOUNTED, "joint1 is uncounted (SOURCE|LATCHED)"),
+        (200, EndpointState.STATE_LOST, "joint1 has the unknown state 200 (SOURCE|LATCHED)"),
+    ],
+)
+def test_an_unusable_joint_is_named_with_its_faults(rig: Rig, joint_state: int, expected: int, reason: str) -> None:
+    faults = JointTransform.FAULT_SOURCE | JointTransform.FAULT_LATCHED
+    message = lost_transform(1, faults)
+    message.state = joint_state
+    state = rig.state_of(message)
+    assert (state.state, state.faults, state.joint, state.reason) == (expected, faults, "joint1", reason)
+    assert not has_pose(state)
+
+
+@pytest.mark.parametrize(("age_s", "reason"), [(3600.0, "s old; expected"), (-3600.0, "s ahead of ROS time")])
+def test_a_scan_that_is_too_old_or_ahead_gives_no_pose(rig: Rig, age_s: float, reason: str) -> None:
+    state = rig.state_of(transform_of(1), age_s)
+    assert state.state == EndpointState.STATE_LOST
+    assert reason in state.reason
+    assert not has_pose(state)
+
+
+def test_a_transform_between_other_frames_is_refused_in_the_state(rig: Rig) -> None:
+    wrong = transform_of(1, plates=("posor_receiving", "another_plate"))
+    state = rig.state_of(wrong)
+    assert (state.state, state.faults, state.joint) == (EndpointState.STATE_LOST, 0, "joint1")
+    assert state.reason == (
+        "joint1: transforms from 'posor_receiving' to 'another_plate' arrive; "
+        "expected 'posor_receiving' to 'posor_target', as in the URDF"
+    )
+    assert 0.0 <= state.age < 1.0
+    assert not has_pose(state)
+    for _ in range(20):  # longer than max_silence: wrong transforms do not conceal themselves
+        rig.send(wrong)
+        time.sleep(PERIOD_S)
+    newest = rig.send(wrong)
+    rig.graph.wait_until(lambda: stamp_ns(rig.states[-1]) == newest, "the latest state")
+    assert (rig.states[-1].state, rig.states[-1].reason) == (EndpointState.STATE_LOST, state.reason)
+    assert rig.state_of(transform_of(1)).state == EndpointState.STATE_OK
+
+
+@pytest.mark.parametrize(
+    ("plates", "reason"),
+    [
+        (
+            PLATES,
+            "joint1: the stamp of a transform is zero, or its nanoseconds are a second or more; expected",
+        ),
+        (("posor_receiving", "x"), "joint1: transforms from 'posor_receiving' to 'x' arrive; expected"),
+    ],
+)
+def test_a_transform_without_a_stamp_is_refused_in_the_state(rig: Rig, plates: tuple[str, str], reason: str) -> None:
+    """The state has the stamp of the last complete scan."""
+    complete = stamp_ns(rig.state_of(transform_of(1)))
+    rig.states.clear()
+    unstamped = transform_of(0, plates=plates)
+    unstamped.header.stamp.nanosec = 0
+    rig.publisher.publish(unstamped)
+    state = rig.wait_for_state(EndpointState.STATE_LOST)
+    assert (stamp_ns(state), state.joint) == (complete, "joint1")
+    assert state.reason.startswith(reason)
+    assert 0.0 < state.age < 2.0
+    assert not has_pose(state)
+
+
+def with_covariance(change: Callable[[Any], None]) -> Any:
+    message, covariance = transform_of(1), SOUND_COVARIANCE.copy()
+    change(covariance)
+    message.covariance = covariance.ravel()
+    return message
+
+
+def set_entries(*entries: tuple[int, int, float]) -> Callable[[Any], None]:
+    def change(covariance: Any) -> None:
+        for i, j, value in entries:
+            covariance[i, j] = value
+
+    return change
+
+
+def moved(x: float) -> Any:
+    message = transform_of(1)
+    message.pose.position.x = x
+    return message
+
+
+def nan_native() -> Any:
+    message = transform_of(1)
+    message.native[3] = math.nan
+    return message
+
+
+@pytest.mark.parametrize(
+    ("message", "reason"),
+    [
+        (with_covariance(set_entries((0, 0, -1e-12))), "has a covariance that is not positive semi-definite"),
+        (
+            with_covariance(set_entries((0, 1, 2e-12), (1, 0, 2e-12))),
+            "has a covariance that is not positive semi-definite",
+        ),
+        (with_covariance(set_entries((0, 5, 1e-13))), "has a covariance that is not symmetric"),
+        (with_covariance(set_entries((3, 3, 1e300))), "has a variance above 100 m^2 or rad^2"),
+        (with_covariance(set_entries((0, 1, math.nan))), "has a covariance that is not finite"),
+        (moved(1e300), "is further than 0.02 m from the nominal joint of the URDF"),
+        (moved(0.2), "is further than 0.02 m from the nominal joint of the URDF"),
+        (moved(math.inf), "has a pose that is not finite"),
+        (nan_native(), "has native coordinates that are not finite or do not agree with its pose"),
+        (moved(0.001), "has native coordinates that are not finite or do not agree with its pose"),
+    ],
+)
+def test_numbers_that_cannot_be_are_refused_and_named(rig: Rig, message: Any, reason: str) -> None:
+    state = rig.state_of(message)
+    assert (state.state, state.joint, state.reason) == (EndpointState.STATE_LOST, "joint1", f"joint1 {reason}")
+    assert not has_pose(state)
+
+
+@pytest.mark.parametrize("change", [set_entries(), lambda covariance: covariance.fill(0.0)])
+def test_a_singular_covariance_is_accepted(rig: Rig, change: Callable[[Any], None]) -> None:
+    """Rank one: a rotation about one axis only is uncertain."""
+    message = with_covariance(change)
+    assert rig.state_of(message).state == EndpointState.STATE_OK
+    lever = np.array([1.0, -2.0, 0.0, 0.0, 3.0, 1.0])
+    message.covariance = (1e-12 * np.outer(lever, lever)).ravel()
+    assert rig.state_of(message).state == EndpointState.STATE_OK
+
+
+def test_two_publishers_of_a_joint_give_no_pose(rig: Rig) -> None:
+    impostor = rig.graph.node.create_publisher(JointTransform, "joint1/transform", rig.publisher.qos_profile)
+    try:
+        rig.graph.wait_until(lambda: impostor.get_subscription_count() == 1, "the match")
+        wait_for_error = "2 publishers on /joint1/transform; expected one"
+        assert rig.graph.wait_for_status("/chain_node: input", wait_for_error).level == b"\x02"
+        state = rig.state_of(transform_of(1))
+        assert (state.state, state.reason) == (EndpointState.STATE_LOST, wait_for_error)
+    finally:
+        rig.graph.node.destroy_publisher(impostor)
+    rig.graph.wait_until(lambda: rig.state_of(transform_of(1)).state == EndpointState.STATE_OK, "a pose")
+
+
+def test_without_scans_the_state_is_stale_at_ten_hertz(rig: Rig) -> None:
+    for _ in range(20):
+        rig.state_of(transform_of(1))
+        time.sleep(PERIOD_S / 2.0)
+    state = rig.wait_for_state(EndpointState.STATE_STALE)
+    assert 0.2 < state.age < 0.5
+    assert state.reason.startswith("no input on /joint1/transform for 0.")
+    assert state.header.stamp.sec > 0
+    assert not has_pose(state)
+    rig.arrivals.clear()
+    began = time.monotonic()
+    rig.graph.wait_until(lambda: len(rig.arrivals) >= 20, "20 states")
+    assert time.monotonic() - began < 4.0  # 1.6 s on an idle host
+    assert rig.states[-1].age > state.age
+
+
+def test_a_killed_posor_node_is_known_soon() -> None:
+    """The whole way over DDS: scans, posor_node, chain_node, and a plain subscriber to the state."""
+    reliable = {"lossless": True}
+    posor = [*installed("posor_estimator", "posor_node"), *ros_arguments({**POSOR, **reliable}, "/joint1")]
+    chain = [*installed("posor_estimator", "chain_node"), *ros_arguments(CHAIN)]
+    with Program(chain), Program(posor) as victim, Graph() as graph:
+        states: list[Any] = graph.collect(EndpointState, "endpoint/state", QoSProfile(depth=10))
+        graph.watch_diagnostics()
+        wait_for_value(graph, "/joint1/posor_node: listeners", "transform", "1")
+        sender = ScanSender(graph, "joint1/raw")
+
+        def send() -> None:
+            time.sleep(PERIOD_S)
+            sender.send()
+
+        graph.wait_until(lambda: bool(states) and states[-1].state == EndpointState.STATE_OK, "a pose", send)
+        sender.send_for(0.5)
+        victim.process.kill()
+        killed_ns = time.time_ns()
+        states.clear()
+        graph.wait_until(lambda: any(s.state == EndpointState.STATE_STALE for s in states), "stale", send)
+        stale = next(s for s in states if s.state == EndpointState.STATE_STALE)
+        assert stale.age < 2.0  # 0.5 s where the host is not loaded: "make faults"
+        assert stale.joint == "joint1"
+        assert "/joint1/transform" in stale.reason
+        assert all(stamp_ns(s) <= killed_ns for s in states)
+        assert stamp_ns_of(bytes(8)) == 0

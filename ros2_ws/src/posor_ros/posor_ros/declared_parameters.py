@@ -1,0 +1,149 @@
+"""Declares a parameter model on an rclpy node, with descriptors, and validates changes at run time."""
+
+from __future__ import annotations
+
+from math import inf
+from typing import TYPE_CHECKING, Generic
+
+from posor.errors import PosorError
+from posor.node_parameters import ParametersT
+from posor.parameter_model import ParameterSpec, parameter_specs, parameter_value, validate_parameters
+from posor.ros_names import ROS_OWN_PARAMETERS
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.parameter import Parameter
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from rclpy.node import Node
+
+_TYPES = {
+    bool: (Parameter.Type.BOOL, Parameter.Type.BOOL_ARRAY),
+    int: (Parameter.Type.INTEGER, Parameter.Type.INTEGER_ARRAY),
+    float: (Parameter.Type.DOUBLE, Parameter.Type.DOUBLE_ARRAY),
+    str: (Parameter.Type.STRING, Parameter.Type.STRING_ARRAY),
+}
+"""ROS types of a scalar and of a list."""
+
+
+def take_overrides(node: Node) -> dict[str, object]:
+    """Return the user's values by name, and undeclare them on a node that declared them automatically.
+
+    The node must have been created with ``automatically_declare_parameters_from_overrides``: this is rclpy's only
+    public way to see an override that nobody declares, such as a misspelt one. rclpy's own parameters stay declared.
+    """
+    names = [name for name in node.get_parameters_by_prefix("") if not name.startswith(ROS_OWN_PARAMETERS)]
+    overrides = {name: node.get_parameter(name).value for name in names}
+    for name in overrides:
+        node.undeclare_parameter(name)
+    return overrides
+
+
+def descriptor_of(spec: ParameterSpec) -> ParameterDescriptor:
+    """Return the ROS descriptor of a declared parameter."""
+    descriptor = ParameterDescriptor(
+        name=spec.name,
+        type=_ros_type(spec).value,
+        description=str(spec.field.description),
+        additional_constraints=spec.constraint,
+        read_only=spec.read_only,
+    )
+    low, high = spec.bound("ge", "gt"), spec.bound("le", "lt")
+    if (low, high) == (None, None) or spec.is_list:
+        return descriptor
+    if spec.element_type is int:
+        first, last = -(2**63) if low is None else int(low), 2**63 - 1 if high is None else int(high)
+        descriptor.integer_range = [IntegerRange(from_value=first, to_value=last, step=0)]
+    elif spec.element_type is float:
+        least, greatest = -inf if low is None else float(low), inf if high is None else float(high)
+        descriptor.floating_point_range = [FloatingPointRange(from_value=least, to_value=greatest, step=0.0)]
+    return descriptor
+
+
+def _ros_type(spec: ParameterSpec) -> Parameter.Type:
+    return _TYPES[spec.element_type][spec.is_list]
+
+
+class DeclaredParameters(Generic[ParametersT]):
+    """The parameters of one node: declared at construction, then kept up to date.
+
+    Attributes:
+        current: The values in force; a new frozen model after each accepted change.
+
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        model: type[ParametersT],
+        overrides: dict[str, object],
+        *,
+        accept: Callable[[ParametersT], None],
+        on_change: Callable[[ParametersT], None],
+    ) -> None:
+        """Validate ``overrides`` and declare every parameter of ``model``.
+
+        Args:
+            node: The node to declare on.
+            model: Declaration of the parameters.
+            overrides: The user's values by name, see ``take_overrides``.
+            accept: Called with new values before a change; may raise a PosorError to refuse them.
+            on_change: Called with the new values after a change.
+
+        Raises:
+            ParameterError: A value is wrong or missing, or a name is unknown.
+
+        """
+        self._model = model
+        self._node = node.get_fully_qualified_name()
+        self._specs = {spec.name: spec for spec in parameter_specs(model)}
+        self._accept = accept
+        self._on_change = on_change
+        self.current = validate_parameters(model, overrides, node=self._node)
+        for spec in self._specs.values():
+            _declare(node, spec, parameter_value(self.current, spec.name))
+        node.add_pre_set_parameters_callback(self._integers_to_floats)
+        node.add_on_set_parameters_callback(self._check)
+        node.add_post_set_parameters_callback(self._apply)
+
+    def _changed_model(self, changes: Sequence[Parameter]) -> ParametersT:
+        values = {name: parameter_value(self.current, name) for name in self._specs}
+        values |= {parameter.name: parameter.value for parameter in changes if parameter.name in self._specs}
+        return validate_parameters(self._model, values, node=self._node)
+
+    def _integers_to_floats(self, changes: list[Parameter]) -> list[Parameter]:
+        """Accept an integer for a float, as at the start: ``ros2 param set`` sends 2 for 2.0."""
+        return [
+            Parameter(change.name, value=float(change.value))
+            if change.type_ == Parameter.Type.INTEGER and self._is_float(change.name)
+            else change
+            for change in changes
+        ]
+
+    def _is_float(self, name: str) -> bool:
+        spec = self._specs.get(name)
+        return spec is not None and spec.element_type is float and not spec.is_list
+
+    def _check(self, changes: list[Parameter]) -> SetParametersResult:
+        try:
+            self._accept(self._changed_model(changes))
+        except PosorError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _apply(self, changes: list[Parameter]) -> None:
+        new = self._changed_model(changes)
+        if new != self.current:
+            self.current = new
+            self._on_change(new)
+
+
+def _declare(node: Node, spec: ParameterSpec, value: object) -> None:
+    descriptor = descriptor_of(spec)
+    if value != ():
+        node.declare_parameter(spec.name, value, descriptor, ignore_override=True)
+        return
+    # rclpy takes an empty list for a byte array: declare by type, set while still writable, then make it read-only.
+    node.declare_parameter(spec.name, _ros_type(spec), ParameterDescriptor(), ignore_override=True)
+    node.set_parameters([Parameter(spec.name, _ros_type(spec), [])])
+    node.set_descriptor(spec.name, descriptor)

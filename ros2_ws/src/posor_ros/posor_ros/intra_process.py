@@ -1,0 +1,387 @@
+"""Serialised topics: intra-process delivery between nodes of one process, DDS to other processes.
+
+Where both ends of a topic live in one rclpy context, `IntraProcessPublisher.publish` passes the published bytes to the
+callback of each `IntraProcessSubscription`, in the publisher's thread, and these subscriptions do not use DDS. A DDS
+subscription is created as soon as the context has no publisher of the topic left. A node receives the same bytes either
+way. Messages are handed to DDS only where a DDS subscription has matched.
+
+Intra-process delivery loses and reorders nothing, whatever the quality of service; ``publish`` returns when the
+callbacks are done. Publishers in other processes are ignored while this process publishes the same topic.
+
+Both ends are destroyed with the cleanup of their node, unless they were destroyed before. If a callback raises, its
+node requests the end of the program with that exception and receives nothing more; the publisher and other nodes
+continue.
+"""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from threading import RLock
+from typing import TYPE_CHECKING, Any, ClassVar
+from weakref import WeakKeyDictionary
+
+from posor.errors import TopicError
+from rclpy.duration import Duration, Infinite
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.qos import HistoryPolicy
+
+from posor_ros.input_watch import InputWatch
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rclpy.context import Context
+    from rclpy.qos import QoSProfile
+
+    from posor_ros.lifecycle_node import PosorNode
+
+DESTROY_TIMEOUT_S = 5.0
+"""How long a keep-all publisher waits for acknowledgements when it is destroyed.
+
+Longer than Fast DDS takes by itself to request them, 3 s."""
+ACK_POLL_S = 2e-3
+"""Time between two checks of the acknowledgements."""
+PUBLISH_TIMEOUT_S = 60.0
+"""How long a full history may block a keep-all publisher. DDS drops a dead subscription sooner."""
+
+
+class IntraProcessPublisher:
+    """A publisher of serialised messages that is silent while its node is inactive."""
+
+    def __init__(
+        self,
+        node: PosorNode[Any],
+        message_type: type[Any],
+        topic: str,
+        qos: QoSProfile,
+        *,
+        count_listeners: bool = False,
+        cancelled: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Create the publisher.
+
+        Args:
+            node: The publishing node.
+            message_type: Class of the messages.
+            topic: Topic name, relative to the node's namespace.
+            qos: Quality of service of the DDS publisher.
+            count_listeners: Whether the node's diagnostics count the subscriptions, see `PosorNode.report_listeners`.
+            cancelled: Polled while a subscription blocks ``publish``; true gives the message up.
+
+        Raises:
+            TopicError: This process uses the topic with another type.
+
+        """
+        self.topic_name: str = node.resolve_topic_name(topic)
+        self.message_type = message_type
+        self._node = node
+        self._topic = topic
+        self._cancelled = cancelled
+        self._dds_subscriptions = 0
+        self._subscriptions: tuple[IntraProcessSubscription, ...] = ()
+        self._manager = IntraProcessManager.of(node.context)
+        self._manager.check_type(self)
+        self._count_listeners = count_listeners
+        events = PublisherEventCallbacks(matched=self._on_matched) if count_listeners else None
+        self._publisher = node.create_publisher(message_type, topic, qos, event_callbacks=events)
+        self._keeps_all = self._publisher.qos_profile.history == HistoryPolicy.KEEP_ALL
+        self._handle = self._publisher.handle
+        # Entered once: rclpy enters and leaves the handle in every call, which costs more than the call itself.
+        self._handle_in_use = ExitStack()
+        self._handle_in_use.enter_context(self._handle)
+        self._report_count()
+        self._manager.add(self)
+        self._is_open = True
+        node.add_cleanup(self.destroy)
+
+    @property
+    def subscription_count(self) -> int:
+        """Number of subscriptions, over DDS and within this process."""
+        return int(self._handle.get_subscription_count()) + len(self._subscriptions)
+
+    @property
+    def has_subscriptions(self) -> bool:
+        """Whether there is any subscription; else a message need not be serialised."""
+        return bool(self._subscriptions) or bool(self._handle.get_subscription_count())
+
+    def publish(self, data: bytes) -> bool:
+        """Deliver a serialised message within this process, then publish it over DDS.
+
+        Returns:
+            Whether the message was delivered or sent to all subscriptions.
+
+        Raises:
+            TopicError: A reliable subscription has blocked the publisher for too long.
+
+        """
+        if not self._node.may_publish:
+            return False
+        for subscription in self._subscriptions:
+            subscription.receive(data)
+        return not self._handle.get_subscription_count() or self._publish_over_dds(data)
+
+    def _publish_over_dds(self, data: bytes) -> bool:
+        """Publish over DDS; retry while the full history of a keep-all publisher blocks."""
+        blocked_since = None
+        while blocked_since is None or not self._cancelled():
+            try:
+                self._handle.publish_raw(data)
+            except RuntimeError:
+                if not self._keeps_all:
+                    raise
+                blocked_since = blocked_since or time.monotonic()
+                if time.monotonic() - blocked_since > PUBLISH_TIMEOUT_S:
+                    raise TopicError(
+                        f"a subscription has taken nothing for {PUBLISH_TIMEOUT_S:g} s",
+                        where=f"topic {self.topic_name}",
+                        expected="one that keeps up, or the parameter 'lossless' false",
+                    ) from None
+                if not self._node.may_publish:
+                    return False
+            else:
+                return True
+        return False
+
+    def wait_for_all_acked(self, timeout_s: float, cancelled: Callable[[], bool] = lambda: False) -> bool:
+        """Wait until every reliable DDS subscription has acknowledged all messages; return whether they have.
+
+        Other threads continue meanwhile, unlike during rclpy's own call with a timeout.
+
+        Args:
+            timeout_s: Longest wait [s].
+            cancelled: Polled; true ends the wait.
+
+        """
+        deadline = time.monotonic() + timeout_s
+        while not self._publisher.wait_for_all_acked(Duration()):
+            if cancelled() or time.monotonic() > deadline:
+                return False
+            time.sleep(ACK_POLL_S)
+        return True
+
+    def destroy(self) -> None:
+        """Close the topic; subscriptions of this process then subscribe over DDS.
+
+        A keep-all publisher first waits for the acknowledgements of reliable subscriptions.
+        """
+        if not self._is_open:
+            return
+        self._is_open = False
+        self._manager.remove(self)
+        self.connect(())
+        if self._keeps_all and not self.wait_for_all_acked(DESTROY_TIMEOUT_S):
+            self._node.get_logger().warning(f"not all messages of {self.topic_name} were received")
+        self._handle_in_use.close()
+        self._node.destroy_publisher(self._publisher)
+
+    def connect(self, subscriptions: tuple[IntraProcessSubscription, ...]) -> None:
+        """Deliver to these subscriptions of this process from now on."""
+        if subscriptions != self._subscriptions:
+            self._subscriptions = subscriptions
+            self._report_count()
+
+    def _on_matched(self, event: Any) -> None:
+        self._dds_subscriptions = event.current_count
+        self._report_count()
+
+    def _report_count(self) -> None:
+        if self._count_listeners:
+            self._node.report_listeners(self._topic, self._dds_subscriptions + len(self._subscriptions))
+
+
+class IntraProcessSubscription:
+    """A subscription to serialised messages of this process or, if it has no publisher, of other processes.
+
+    Attributes:
+        topic_name: Full name of the topic.
+        watch: Arrivals of messages.
+        publishers: Number of publishers of the topic, without those whose liveliness is lost; as of the last message or
+            call of ``find_publishers``.
+        on_publishers: Called when that number has changed.
+        on_event: Called when a deadline was missed or a liveliness has changed; only with a deadline in the profile.
+
+    """
+
+    def __init__(
+        self,
+        node: PosorNode[Any],
+        message_type: type[Any],
+        topic: str,
+        qos: QoSProfile,
+        callback: Callable[[bytes], None],
+    ) -> None:
+        """Subscribe.
+
+        Args:
+            node: The subscribing node.
+            message_type: Class of the messages.
+            topic: Topic name, relative to the node's namespace.
+            qos: Quality of service of the DDS subscription, if one is needed.
+            callback: Called with each message by the executor, or in the thread of a publisher of this process.
+
+        Raises:
+            TopicError: This process uses the topic with another type.
+
+        """
+        self.topic_name: str = node.resolve_topic_name(topic)
+        self.message_type = message_type
+        self.watch = InputWatch(self.topic_name)
+        self.publishers = 0
+        self.on_publishers: Callable[[], None] = lambda: None
+        self.on_event: Callable[[], None] = lambda: None
+        self._node = node
+        self._topic = topic
+        self._qos = qos
+        self._callback = callback
+        self._dds_subscription: Any = None
+        self._handle: Any = None
+        self._has_deadline = qos.deadline not in (Duration(), Infinite)
+        self._local = self._dead = self._deadlines_missed = 0
+        self._closed = False
+        node.qos_overrides.options("subscription", self.topic_name)
+        self._manager = IntraProcessManager.of(node.context)
+        self._manager.check_type(self)
+        self._manager.add(self)
+        node.add_cleanup(self.destroy)
+
+    def find_publishers(self) -> None:
+        """Count the publishers, also those in other processes that are ignored while this process has one."""
+        if self._handle is not None:
+            self._count_matched()
+        else:
+            with (handle := self._node.handle):  # ``Node.count_publishers`` would parse the full name each time
+                self._set_publishers(max(self._local, int(handle.get_count_publishers(self.topic_name))))
+
+    def _count_matched(self) -> None:
+        """Count the publishers over DDS; takes a microsecond."""
+        self._set_publishers(int(self._handle.get_publisher_count()) - self._dead)
+
+    def _set_publishers(self, count: int) -> None:
+        if count != self.publishers:
+            self.publishers = count
+            self.on_publishers()
+
+    def take_missed_deadlines(self) -> int:
+        """Return how many deadlines DDS has reported as missed since the last call; needs a deadline in the profile."""
+        missed, self._deadlines_missed = self._deadlines_missed, 0
+        return missed
+
+    def receive(self, data: bytes) -> None:
+        """Handle a message of a publisher of this process."""
+        if self._closed:
+            return
+        self.watch.record(time.monotonic())
+        try:
+            self._callback(data)
+        except Exception as error:  # noqa: BLE001  it ends the program, from the main thread
+            self._closed = True
+            self._node.request_exit(error)
+
+    def connect(self, publishers: int) -> None:
+        """Receive from this number of publishers of this process or, if there is none, over DDS."""
+        self._use_dds(needed=not publishers)
+        self._local = publishers
+        self._set_publishers(publishers)
+
+    def _use_dds(self, *, needed: bool) -> None:
+        """Create the DDS subscription if it is needed, else destroy it."""
+        if needed and self._handle is None:
+            self._dead = 0
+            self._dds_subscription = self._node.create_subscription(
+                self.message_type, self._topic, self._on_message, self._qos, raw=True, event_callbacks=self._events()
+            )
+            self._handle = self._dds_subscription.handle
+            self._handle.__enter__()  # once, as for publishers
+        elif not needed and self._handle is not None:
+            self._handle.__exit__(None, None, None)
+            self._handle = None
+            self._node.destroy_subscription(self._dds_subscription)
+
+    def _on_message(self, data: bytes) -> None:
+        """Handle a message of another process."""
+        if self._handle is not None:
+            self._count_matched()
+            self.watch.record(time.monotonic())
+            self._callback(data)
+
+    def _events(self) -> SubscriptionEventCallbacks:
+        """Return the callbacks of a DDS subscription, which has events only with a deadline."""
+        if not self._has_deadline:
+            return SubscriptionEventCallbacks()
+        return SubscriptionEventCallbacks(liveliness=self._on_liveliness, deadline=self._on_deadline)
+
+    def _on_liveliness(self, event: Any) -> None:
+        self._dead = event.not_alive_count
+        self.on_event()
+
+    def _on_deadline(self, event: Any) -> None:
+        self._deadlines_missed += event.total_count_change
+        self.on_event()
+
+    def destroy(self) -> None:
+        """Receive nothing more, not even a message that is being published."""
+        self._closed = True
+        self._manager.remove(self)
+        self._use_dds(needed=False)
+
+
+class IntraProcessManager:
+    """Connects the publishers and subscriptions of one context whenever one is added or removed."""
+
+    _managers: ClassVar[WeakKeyDictionary[Context, IntraProcessManager]] = WeakKeyDictionary()
+    _managers_lock = RLock()
+
+    def __init__(self) -> None:
+        """Create a manager without topics."""
+        self._ends: dict[str, tuple[IntraProcessPublisher | IntraProcessSubscription, ...]] = {}
+        self._lock = RLock()
+
+    @classmethod
+    def of(cls, context: Context) -> IntraProcessManager:
+        """Return the manager of a context."""
+        with cls._managers_lock:
+            return cls._managers.setdefault(context, cls())
+
+    def check_type(self, end: IntraProcessPublisher | IntraProcessSubscription) -> None:
+        """Compare the message type of a new publisher or subscription with that of its topic.
+
+        Raises:
+            TopicError: This process uses the topic with another type.
+
+        """
+        for other in self._ends.get(end.topic_name, ()):
+            if other.message_type is not end.message_type:
+                raise TopicError(
+                    f"is of type {_type_name(end.message_type)} here",
+                    where=f"topic {end.topic_name}",
+                    expected=f"{_type_name(other.message_type)}, as another node of this process has it",
+                )
+
+    def add(self, end: IntraProcessPublisher | IntraProcessSubscription) -> None:
+        """Connect a publisher or subscription with the opposite ends of its topic."""
+        with self._lock:
+            self._ends[end.topic_name] = (*self._ends.get(end.topic_name, ()), end)
+            self._connect(end.topic_name)
+
+    def remove(self, end: IntraProcessPublisher | IntraProcessSubscription) -> None:
+        """Disconnect a publisher or subscription; subscriptions without a publisher then use DDS."""
+        with self._lock:
+            ends = self._ends.get(end.topic_name, ())
+            self._ends[end.topic_name] = tuple(other for other in ends if other is not end)
+            self._connect(end.topic_name)
+
+    def _connect(self, topic: str) -> None:
+        ends = self._ends[topic]
+        publishers = [end for end in ends if isinstance(end, IntraProcessPublisher)]
+        subscriptions = tuple(end for end in ends if isinstance(end, IntraProcessSubscription))
+        for subscription in subscriptions:
+            subscription.connect(len(publishers))
+        for publisher in publishers:
+            publisher.connect(subscriptions)
+
+
+def _type_name(message_type: type[Any]) -> str:
+    """Return the ROS name of a message class, for instance ``posor_msgs/msg/RawScan``."""
+    package, kind, *_ = message_type.__module__.split(".")
+    return f"{package}/{kind}/{message_type.__name__}"

@@ -1,0 +1,98 @@
+"""Conversion between ROS messages and the types of the numerical packages."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from geometry_msgs.msg import Pose
+from posor.model.fault import USABLE_STATES
+from posor.model.scan import Scan, split_by_diode
+from posor.node_parameters import COVARIANCE_KINDS
+from posor.numerics.stamps import time_ns
+from posor_msgs.msg import EndpointState, JointTransform, RawScan
+
+if TYPE_CHECKING:
+    import pinocchio as pin
+    from posor.estimation.estimate import Estimate
+    from posor.node_parameters import CovarianceKind
+    from posor.numerics.array_types import FloatArray
+    from sensor_msgs.msg import JointState
+
+
+def scan_from_message(message: RawScan) -> Scan:
+    """Return a raw scan as a scan of the numerical packages."""
+    currents = np.array(message.diode_currents, dtype=float)
+    return Scan(
+        number=message.scan,
+        stamp_ns=stamp_ns(message),
+        gap_voltages=np.array(message.gap_voltages, dtype=float),
+        ring_voltages=np.array(message.ring_voltages, dtype=float),
+        diode_currents=split_by_diode(currents),
+        lit_sources=tuple(message.lit_sources),
+        supply_voltage=message.supply_voltage,
+        temperature=message.temperature,
+        at_home=bool(message.status & RawScan.STATUS_HOME_BUMP),
+        status=message.status,
+    )
+
+
+def pose_message(pose: pin.SE3 | None) -> Pose:
+    """Return a transform as a pose [m, unit quaternion]; NaN in every number for None, the pose of a lost joint."""
+    import pinocchio as pin  # noqa: PLC0415  50 MB that a node does not need
+
+    message = Pose()
+    p, q = message.position, message.orientation
+    numbers = [math.nan] * 7 if pose is None else pin.SE3ToXYZQUAT(pose).tolist()
+    p.x, p.y, p.z, q.x, q.y, q.z, q.w = numbers
+    return message
+
+
+def pose_from_message(message: Pose) -> pin.SE3:
+    """Return a pose message as a transform."""
+    import pinocchio as pin  # noqa: PLC0415  50 MB that a node does not need
+
+    p, q = message.position, message.orientation
+    return pin.XYZQUATToSE3(np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w]))
+
+
+def select_covariance(estimate: Estimate, kind: CovarianceKind) -> FloatArray:
+    """Return the part of the covariance that ``kind`` selects, (6, 6)."""
+    if kind == "random":
+        return estimate.covariance_random
+    if kind == "systematic":
+        return estimate.covariance_systematic
+    return estimate.covariance_random + estimate.covariance_systematic
+
+
+def transform_message(
+    raw: RawScan, estimate: Estimate, parent: str, child: str, kind: CovarianceKind
+) -> JointTransform:
+    """Return the joint transform of an estimate and its raw scan."""
+    message = JointTransform()
+    message.header.stamp = raw.header.stamp
+    message.header.frame_id = parent
+    message.child_frame_id = child
+    message.scan = raw.scan
+    message.pose = pose_message(estimate.T_R_T)
+    message.covariance = select_covariance(estimate, kind).ravel()
+    message.covariance_kind = COVARIANCE_KINDS[kind]
+    message.native = estimate.native
+    message.residual = estimate.residual
+    message.redundancy = estimate.redundancy
+    message.state = int(estimate.state)
+    message.faults = int(estimate.faults)
+    message.scan_status = raw.status
+    return message
+
+
+def is_usable(message: JointTransform | EndpointState) -> bool:
+    """Return whether the state of a transform or endpoint says that its pose may be used."""
+    return message.state in USABLE_STATES
+
+
+def stamp_ns(message: RawScan | JointTransform | JointState) -> int:
+    """Return the header's stamp in nanoseconds; 0 if the stamp is invalid."""
+    stamp = message.header.stamp
+    return time_ns(stamp.sec, stamp.nanosec)

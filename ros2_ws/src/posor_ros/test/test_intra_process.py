@@ -1,0 +1,263 @@
+"""Topics within one process and between processes; nodes of two contexts communicate over DDS, as two processes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from posor.errors import ParameterError, TopicError
+from posor.node_parameters import NodeParameters
+from posor_lab.harness.graph import Graph, values_of
+from posor_lab.harness.in_process_nodes import NodeProcess
+from posor_lab.harness.program import wait_until
+from posor_msgs.msg import JointTransform, RawScan
+from posor_ros import intra_process
+from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
+from posor_ros.lifecycle_node import LISTENERS_STATUS, PosorNode
+from posor_ros.qos import KEEP_ALL_QOS
+from rclpy.serialization import serialize_message
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+pytestmark = pytest.mark.usefixtures("ros_domain")
+
+TOPIC = "/joint/raw"
+MESSAGES = [bytes(serialize_message(RawScan(scan=number, samples=1))) for number in range(3)]
+
+
+class IdleNode(PosorNode[NodeParameters]):
+    """A node without topics of its own, whose hooks fail on request."""
+
+    NAME = "idle"
+    Parameters = NodeParameters
+
+    failure: Exception | None = None
+
+    def activate(self) -> None:
+        if self.failure is not None:
+            raise self.failure
+
+    deactivate = activate
+
+
+@pytest.fixture
+def process() -> Iterator[NodeProcess]:
+    with NodeProcess() as process:
+        yield process
+
+
+def publish_from(node: IdleNode, topic: str = TOPIC, **options: Any) -> IntraProcessPublisher:
+    return IntraProcessPublisher(node, RawScan, topic, KEEP_ALL_QOS, **options)
+
+
+def subscribe(process: NodeProcess, callback: Callable[[bytes], None]) -> IntraProcessSubscription:
+    """Subscribe from a node of its own."""
+    node = process.start(IdleNode, f"/subscriber{len(process.nodes)}")
+    return IntraProcessSubscription(node, RawScan, TOPIC, KEEP_ALL_QOS, callback)
+
+
+@pytest.mark.parametrize("first", ["subscription", "publisher"])
+def test_the_published_object_is_delivered_within_a_process(process: NodeProcess, first: str) -> None:
+    node, subscriber = process.start(IdleNode, "/joint"), process.start(IdleNode, "/posor")
+    received: list[bytes] = []
+    if first == "publisher":
+        publisher = publish_from(node, "raw")
+    IntraProcessSubscription(subscriber, RawScan, TOPIC, KEEP_ALL_QOS, received.append)
+    if first == "subscription":
+        publisher = publish_from(node, "raw")
+    assert publisher.topic_name == TOPIC
+    wait_until(lambda: publisher.subscription_count == 1, "the end of the DDS subscription", process.spin_once)
+    for data in MESSAGES:
+        publisher.publish(data)
+    assert [a is b for a, b in zip(received, MESSAGES, strict=True)] == [True] * 3
+    assert not [each for each in subscriber.subscriptions if each.topic_name == TOPIC]
+
+
+def test_other_processes_receive_the_same_messages(process: NodeProcess) -> None:
+    publisher = publish_from(process.start(IdleNode, "/joint"))
+    with Graph() as graph:
+        received_over_dds = graph.collect(RawScan, TOPIC, raw=True)
+        graph.wait_until(lambda: publisher.subscription_count == 1, "the subscription")
+        received: list[bytes] = []
+        subscription = subscribe(process, received.append)
+        assert publisher.subscription_count == 2
+        assert publisher.publish(MESSAGES[0])
+        subscription.destroy()
+        assert publisher.subscription_count == 1
+        assert publisher.publish(MESSAGES[1])
+        graph.wait_until(lambda: len(received_over_dds) == 2, "both messages")
+    assert received_over_dds == MESSAGES[:2]
+    assert received == MESSAGES[:1]
+
+
+def test_a_blocking_subscription_is_awaited_and_then_named(
+    process: NodeProcess, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    polls: list[None] = []
+    cancel = False
+
+    def cancelled() -> bool:
+        polls.append(None)
+        return cancel
+
+    def publish_until_blocked() -> None:
+        while True:
+            assert publisher.publish(MESSAGES[0])
+
+    publisher = publish_from(process.start(IdleNode, "/joint"), cancelled=cancelled)
+    monkeypatch.setattr(intra_process, "PUBLISH_TIMEOUT_S", 0.5)
+    with Graph() as graph:
+        graph.node.create_subscription(RawScan, TOPIC, print, KEEP_ALL_QOS)
+        graph.wait_until(lambda: publisher.subscription_count == 1, "the subscription")
+        with pytest.raises(
+            TopicError, match=r"topic /joint/raw: a subscription has taken nothing for 0\.5 s; expected"
+        ):
+            publish_until_blocked()
+        assert polls
+        cancel = True
+        polls.clear()
+        assert not publisher.publish(MESSAGES[0])
+        assert len(polls) == 1
+        answers = iter([False, False, True])
+        assert not publisher.wait_for_all_acked(60.0, lambda: next(answers))
+        assert list(answers) == []
+        monkeypatch.setattr(intra_process, "DESTROY_TIMEOUT_S", 0.1)
+        publisher.destroy()
+        assert "not all messages of /joint/raw were received" in capfd.readouterr().err
+
+
+def test_a_subscription_uses_dds_while_its_process_has_no_publisher(process: NodeProcess) -> None:
+    received: list[bytes] = []
+    subscription = subscribe(process, received.append)
+    assert subscription.publishers == 0
+    with Graph() as graph:
+        remote = graph.node.create_publisher(RawScan, TOPIC, KEEP_ALL_QOS)
+
+        def wait_for_subscriptions(count: int) -> None:
+            graph.wait_until(lambda: remote.get_subscription_count() == count, "the subscriptions", process.spin_once)
+
+        wait_for_subscriptions(1)
+        remote.publish(MESSAGES[0])
+        graph.wait_until(lambda: received == MESSAGES[:1], "a message over DDS", process.spin_once)
+        publisher = publish_from(process.start(IdleNode, "/joint"))
+        wait_for_subscriptions(0)
+        assert subscription.publishers == 1
+        graph.wait_until(lambda: subscription.publishers == 2, "both", subscription.find_publishers)
+        publisher.publish(MESSAGES[1])
+        assert received == MESSAGES[:2]
+        publisher.destroy()
+        wait_for_subscriptions(1)
+        remote.publish(MESSAGES[2])
+        graph.wait_until(lambda: received == MESSAGES, "a message over DDS again", process.spin_once)
+        assert subscription.publishers == 1
+        subscription.destroy()
+        wait_for_subscriptions(0)
+
+
+def test_topics_close_with_their_nodes() -> None:
+    with Graph() as graph:
+
+        def has_ends(count: int) -> bool:
+            return graph.node.count_publishers("/published") == graph.node.count_subscribers(TOPIC) == count
+
+        with NodeProcess() as process:
+            publish_from(process.start(IdleNode, "/joint"), "/published")
+            subscribe(process, print)
+            graph.wait_until(lambda: has_ends(1), "both")
+        graph.wait_until(lambda: has_ends(0), "neither")
+
+
+def test_an_inactive_node_publishes_nothing(process: NodeProcess) -> None:
+    received: list[bytes] = []
+    node = process.start(IdleNode, "/joint")
+    publisher = publish_from(node)
+    subscribe(process, received.append)
+    with Graph() as graph:
+        received_over_dds = graph.collect(RawScan, TOPIC, raw=True)
+        graph.wait_until(lambda: publisher.subscription_count == 2, "the subscription")
+        node.trigger_deactivate()
+        assert not publisher.publish(MESSAGES[0])
+        node.trigger_activate()
+        assert publisher.publish(MESSAGES[1])
+        graph.wait_until(lambda: bool(received_over_dds), "the message of the active node")
+    assert received == received_over_dds == [MESSAGES[1]]
+
+
+@pytest.mark.parametrize("failure", [ParameterError("refused"), ZeroDivisionError("a bug")])
+@pytest.mark.parametrize("hook", ["activate", "deactivate"])
+def test_a_node_with_a_failed_hook_publishes_only_if_it_stays_active(
+    process: NodeProcess, hook: str, failure: Exception
+) -> None:
+    received: list[bytes] = []
+    node = process.start(IdleNode, "/joint")
+    publisher = publish_from(node)
+    subscribe(process, received.append)
+    if hook == "activate":
+        node.trigger_deactivate()
+    node.failure = failure
+    getattr(node, f"trigger_{hook}")()
+    stays_active = hook == "deactivate" and isinstance(failure, ParameterError)
+    assert publisher.publish(MESSAGES[0]) == stays_active
+    assert received == MESSAGES[:stays_active]
+    node.failure = None
+
+
+def test_the_diagnostics_count_the_subscriptions_in_any_process(process: NodeProcess) -> None:
+    node = process.start(IdleNode, "/joint")
+    publisher = publish_from(node, count_listeners=True)
+    name = f"/joint/idle: {LISTENERS_STATUS}"
+    with Graph() as observer:
+        observer.watch_diagnostics()
+
+        def wait_for_count(count: int) -> None:
+            def has_count() -> bool:
+                latest = observer.latest(name)
+                return latest is not None and values_of(latest).get(TOPIC) == str(count)
+
+            observer.wait_until(has_count, f"{count} subscriptions", process.spin_once)
+            assert publisher.subscription_count == count
+            assert publisher.has_subscriptions == (count > 0)
+
+        wait_for_count(0)
+        subscription = subscribe(process, print)
+        wait_for_count(1)
+        with Graph() as graph:
+            graph.collect(RawScan, TOPIC)
+            wait_for_count(2)
+            subscription.destroy()
+            wait_for_count(1)
+        wait_for_count(0)
+
+
+def test_the_ends_of_a_topic_must_have_the_same_type(process: NodeProcess) -> None:
+    node = process.start(IdleNode, "/joint")
+    publish_from(node, "raw")
+    with pytest.raises(TopicError) as caught:
+        IntraProcessSubscription(node, JointTransform, "raw", KEEP_ALL_QOS, print)
+    assert str(caught.value) == (
+        "topic /joint/raw: is of type posor_msgs/msg/JointTransform here; "
+        "expected posor_msgs/msg/RawScan, as another node of this process has it."
+    )
+
+
+def test_an_exception_in_a_callback_ends_its_program_but_not_the_publisher(process: NodeProcess) -> None:
+    received: list[bytes] = []
+    received_by_broken: list[bytes] = []
+
+    def fail(data: bytes) -> None:
+        received_by_broken.append(data)
+        raise TopicError(f"{len(data)} bytes are too many", where="topic /joint/raw")
+
+    subscribe(process, fail)
+    subscribe(process, received.append)
+    publisher = publish_from(process.start(IdleNode, "/joint"))
+    for data in MESSAGES:
+        publisher.publish(data)
+    assert received == MESSAGES
+    assert received_by_broken == MESSAGES[:1]
+    assert [node.exit_requested for node in process.nodes] == [True, False, False]
+    broken = process.nodes[0]
+    broken.request_exit(TopicError("is a later failure", where="topic /joint/raw"))
+    with pytest.raises(TopicError, match="bytes are too many"):
+        broken.raise_failure()

@@ -1,0 +1,263 @@
+"""A node as a program: start, refusals, signals, lifecycle services, parameters, diagnostics."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+
+import pytest
+from lifecycle_msgs.msg import Transition
+from posor.errors import ParameterError
+from posor_lab.harness.graph import Graph, values_of
+from posor_lab.harness.program import Program, ros_arguments, script
+from posor_ros.node_program import non_ros_arguments
+from rcl_interfaces.msg import ParameterDescriptor, ParameterType
+from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
+from rclpy.parameter import Parameter
+
+pytestmark = pytest.mark.usefixtures("ros_domain")
+
+EXAMPLE = script(Path(__file__).with_name("example_node.py"))
+HOOKS_TO_ACTIVE = ["configure", "activate, publisher active: True"]
+HOOKS_TO_END = ["deactivate, publisher active: True", "cleanup"]
+
+
+def start_example(namespace: str = "", **parameters: object) -> Program:
+    return Program([*EXAMPLE, *ros_arguments(parameters, namespace)])
+
+
+def run_to_end(*arguments: str) -> tuple[int, list[str], list[str]]:
+    with Program([*EXAMPLE, *arguments]) as program:
+        return program.wait(), program.errors, program.stdout
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_an_active_node_cleanly(number: signal.Signals) -> None:
+    with start_example() as node:
+        node.wait_for_line("activate")
+        assert node.end(number) == 0
+        assert node.stdout == HOOKS_TO_ACTIVE + HOOKS_TO_END
+        assert node.errors == []
+
+
+def test_a_wrong_parameter_ends_the_program_with_one_sentence() -> None:
+    assert run_to_end("--ros-args", "-p", "count:=10") == (
+        2,
+        ["node /example, parameter 'count': 10 is wrong; expected an integer at least 1 and at most 9."],
+        [],
+    )
+    assert run_to_end("--ros-args", "-r", "__ns:=/joint1", "-p", "gian:=1.0") == (
+        2,
+        ["node /joint1/example, parameter 'gian': there is no such parameter; expected perhaps 'gain'."],
+        [],
+    )
+
+
+def test_parameter_file_is_checked_in_the_same_way(tmp_path: Path) -> None:
+    file = tmp_path / "parameters.yaml"
+    file.write_text("example:\n  ros__parameters:\n    names: [a, b]\n    count: 0\n", encoding="utf-8")
+    assert run_to_end("--ros-args", "--params-file", str(file))[:2] == (
+        2,
+        ["node /example, parameter 'count': 0 is wrong; expected an integer at least 1 and at most 9."],
+    )
+
+
+def test_a_refusing_hook_ends_the_program_with_its_sentence_and_exit_code() -> None:
+    assert run_to_end("--ros-args", "-p", "fail:=configure") == (
+        1,
+        ["some.yaml: is wrong; expected a right one."],
+        ["configure"],
+    )
+    code, stderr, stdout = run_to_end("--ros-args", "-p", "fail:=activate")
+    assert (code, stderr) == (1, ["some.yaml: is wrong."])
+    assert stdout == [*HOOKS_TO_ACTIVE, "cleanup"]
+
+
+def test_an_exception_in_a_hook_shows_its_traceback() -> None:
+    code, stderr, _ = run_to_end("--ros-args", "-p", "fail:=bug")
+    assert code == 1
+    assert stderr[-1] == "KeyError: 'a bug'"
+
+
+def test_unknown_arguments_are_refused() -> None:
+    code, stderr, _ = run_to_end("--calibration", "x.yaml")
+    assert (code, stderr) == (2, ["example: argument '--calibration' is unknown; expected --ros-args -p name:=value."])
+    for arguments in (["-p"], ["--params-file", "nowhere.yaml"], ["-x"]):
+        code, stderr, _ = run_to_end("--ros-args", *arguments)
+        assert code == 2
+        assert len(stderr) == 1
+        assert stderr[0].startswith("ROS arguments: cannot be understood, ")
+
+
+@pytest.mark.parametrize(
+    ("option", "given", "expected"),
+    [
+        ("-p", "gain=1.0", "NAME:=VALUE, the value in YAML"),
+        ("--param", "gain", "NAME:=VALUE, the value in YAML"),
+        ("-p", "gain:=[1", "NAME:=VALUE, the value in YAML"),
+        ("-r", "__ns=/joint1", "OLD:=NEW"),
+    ],
+)
+def test_an_invalid_ros_argument_is_named(option: str, given: str, expected: str) -> None:
+    with pytest.raises(ParameterError) as caught:
+        non_ros_arguments(["example", "--ros-args", option, given])
+    assert str(caught.value) == f"ROS argument {option}: '{given}' cannot be understood; expected {expected}."
+
+
+def test_an_invalid_namespace_is_refused() -> None:
+    code, stderr, _ = run_to_end("--ros-args", "-r", "__ns:=/joint1/")
+    assert code == 2
+    assert "namespace" in stderr[-1]
+    assert "Traceback" not in "".join(stderr)
+
+
+def test_help_lists_the_parameters() -> None:
+    code, stderr, stdout = run_to_end("--help")
+    assert (code, stderr) == (0, [])
+    assert stdout[0] == "example: An example."
+    assert "  gain: a number at least 0.0 and at most 5.0 (default: 1.0)" in stdout
+
+
+def test_lifecycle_services_control_a_node_without_autostart() -> None:
+    with start_example(autostart=False) as node, Graph() as graph:
+        assert graph.state("/example") == "unconfigured"
+        for transition, state in (
+            (Transition.TRANSITION_CONFIGURE, "inactive"),
+            (Transition.TRANSITION_ACTIVATE, "active"),
+            (Transition.TRANSITION_DEACTIVATE, "inactive"),
+            (Transition.TRANSITION_CLEANUP, "unconfigured"),
+            (Transition.TRANSITION_CONFIGURE, "inactive"),
+            (Transition.TRANSITION_ACTIVATE, "active"),
+        ):
+            assert graph.change_state("/example", transition)
+            assert graph.state("/example") == state
+        assert graph.change_state("/example", Transition.TRANSITION_ACTIVE_SHUTDOWN)
+        assert node.wait() == 0
+        assert node.stdout == (HOOKS_TO_ACTIVE + HOOKS_TO_END) * 2
+
+
+def test_an_impossible_transition_is_refused_without_effect() -> None:
+    with start_example() as node, Graph() as graph:
+        node.wait_for_line("activate")
+        assert not graph.change_state("/example", Transition.TRANSITION_CLEANUP)
+        assert not graph.change_state("/example", 99)
+        assert graph.state("/example") == "active"
+        assert node.end() == 0
+
+
+def test_a_refused_transition_leaves_the_node_in_its_former_state() -> None:
+    with start_example(autostart=False, fail="configure") as node, Graph() as graph:
+        graph.watch_diagnostics()
+        assert not graph.change_state("/example", Transition.TRANSITION_CONFIGURE)
+        assert graph.state("/example") == "unconfigured"
+        status = graph.wait_for_status("/example: lifecycle", "some.yaml: is wrong; expected a right one.")
+        assert status.level == b"\x02"
+        node.wait_for_line("some.yaml: is wrong; expected a right one.")
+        assert node.end() == 0
+
+
+def test_a_refused_configuration_is_cleaned_up() -> None:
+    with start_example(autostart=False, fail="late") as node, Graph() as graph:
+        for _ in range(2):
+            assert not graph.change_state("/example", Transition.TRANSITION_CONFIGURE)
+            graph.wait_until(lambda: graph.node.count_publishers("/output") == 0, "the publisher's end")
+        assert node.end() == 0
+        assert node.stdout == ["configure", "cleanup"] * 2
+
+
+def test_an_exception_in_a_hook_is_followed_by_cleanup() -> None:
+    with start_example(autostart=False, fail="active bug") as node, Graph() as graph:
+        for _ in range(2):
+            assert graph.change_state("/example", Transition.TRANSITION_CONFIGURE)
+            assert not graph.change_state("/example", Transition.TRANSITION_ACTIVATE)
+            assert graph.state("/example") == "unconfigured"
+            graph.wait_until(lambda: graph.node.count_publishers("/output") == 0, "the publisher's end")
+        assert node.end() == 0
+        assert [line for line in node.stdout if line == "cleanup"] == ["cleanup"] * 2
+
+
+def test_a_refused_activation_leaves_no_publisher_active() -> None:
+    with start_example(autostart=False, fail="activate") as node, Graph() as graph:
+        assert graph.change_state("/example", Transition.TRANSITION_CONFIGURE)
+        assert not graph.change_state("/example", Transition.TRANSITION_ACTIVATE)
+        assert graph.state("/example") == "inactive"
+        assert node.end() == 0
+        assert node.stdout == [*HOOKS_TO_ACTIVE, "cleanup"]
+
+
+def test_descriptors_have_type_description_range_and_read_only_mark() -> None:
+    with start_example(), Graph() as graph:
+        names = ["gain", "names", "count", "fail"]
+        gain, names_, count, fail = graph.call(
+            DescribeParameters, "/example/describe_parameters", DescribeParameters.Request(names=names)
+        ).descriptors
+        expected = ParameterDescriptor(
+            name="gain",
+            type=ParameterType.PARAMETER_DOUBLE,
+            description="a gain",
+            additional_constraints="a number at least 0.0 and at most 5.0",
+        )
+        (span,) = gain.floating_point_range
+        assert (span.from_value, span.to_value, span.step) == (0.0, 5.0, 0.0)
+        gain.floating_point_range = []
+        assert gain == expected
+        assert (names_.type, names_.read_only) == (ParameterType.PARAMETER_STRING_ARRAY, True)
+        (span,) = count.integer_range
+        assert (span.from_value, span.to_value, count.read_only) == (1, 9, True)
+        assert fail.additional_constraints == "one of 'never', 'configure', 'late', 'activate', 'bug', 'active bug'"
+
+
+def test_parameter_changes_at_run_time() -> None:
+    with start_example(gain=2) as node, Graph() as graph:
+
+        def set_parameter(name: str, value: object) -> tuple[bool, str]:
+            request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+            (result,) = graph.call(SetParameters, "/example/set_parameters", request).results
+            return result.successful, result.reason
+
+        def gain() -> float:
+            request = GetParameters.Request(names=["gain"])
+            return float(graph.call(GetParameters, "/example/get_parameters", request).values[0].double_value)
+
+        assert gain() == 2.0
+        assert set_parameter("gain", 3.0) == (True, "")
+        assert set_parameter("gain", 1) == (True, "")
+        assert gain() == 1.0
+        node.wait_for_line("gain is now 1.0")
+        assert set_parameter("gain", 4.0) == (False, "gain: four is not wanted.")
+        for name, value in (("gain", 6.0), ("gain", float("nan")), ("gain", "high"), ("count", 3), ("gian", 1.0)):
+            successful, reason = set_parameter(name, value)
+            assert not successful
+            assert reason
+        assert gain() == 1.0
+        assert node.end() == 0
+        assert [line for line in node.stdout if "gain" in line] == ["gain is now 3.0", "gain is now 1.0"]
+
+
+def test_diagnostics_are_published_at_each_change_and_once_a_second() -> None:
+    with Graph() as graph, start_example("/joint1", autostart=False):
+        graph.watch_diagnostics()
+        graph.wait_for_status("/joint1/example: lifecycle", "unconfigured")
+        assert graph.change_state("/joint1/example", Transition.TRANSITION_CONFIGURE)
+        assert graph.change_state("/joint1/example", Transition.TRANSITION_ACTIVATE)
+        graph.wait_for_status("/joint1/example: work", "third")
+        work = [status for status in graph.diagnostics if status.name == "/joint1/example: work"]
+        changes = [status.message for status in work if status.message != "no report yet"]
+        assert list(dict.fromkeys(changes)) == ["first", "second", "third"]
+        assert {status.hardware_id for status in work} == {"joint1"}
+        first = next(status for status in work if status.message == "first")
+        assert first.level == b"\x01"
+        assert {key: values_of(first)[key] for key in ("number", "flag", "real")} == {
+            "number": "1",
+            "flag": "true",
+            "real": "0.1",
+        }
+        assert values_of(work[-1])["number"] == "2"
+        lifecycle = graph.latest("/joint1/example: lifecycle")
+        assert lifecycle is not None
+        assert lifecycle.message == "active"
+        before = int(values_of(work[-1]).get("refreshed", "0"))
+        graph.wait_until(
+            lambda: int(values_of(graph.latest("/joint1/example: work")).get("refreshed", "0")) >= before + 2,
+            "periodic diagnostics",
+        )
