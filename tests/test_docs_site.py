@@ -77,7 +77,7 @@ def test_the_reference_has_every_message_and_every_public_name(site: Path) -> No
     for file in MESSAGES.glob("*.msg"):
         assert file.read_text(encoding="utf-8").strip() in messages, file.name
     api = (site / "reference" / "python_api.html").read_text(encoding="utf-8")
-    missing = [name for name in posor.__all__ if f'id="posor_estimator.{name}"' not in api]
+    missing = [name for name in posor.__all__ if f'id="posor.{name}"' not in api]
     assert not missing
 
 

@@ -1,4 +1,4 @@
-"""Imports between modules: without cycles, only from higher layers to lower ones, and ROS only where nodes live."""
+"""Imports: down the rooms and layers only, without cycles, and ROS only where nodes live."""
 
 from __future__ import annotations
 
@@ -10,26 +10,30 @@ import grimp
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("posor_estimator", "posor_drivers", "posor_bringup", "posor_lab")
-LAYERS = (  # lowest first; packages of one line may import each other
-    ("errors", "input_text", "lazy_program", "estimator_programs", "reporting", "ros_names"),
+ROOMS = (  # lowest first; rooms of one line do not import each other
+    ("posor",),
+    ("posor_ros",),
+    ("posor_drivers", "posor_estimator", "posor_calibration", "posor_design"),
+    ("posor_bringup",),
+    ("posor_lab",),
+)
+WITHOUT_ROS = {"posor", "posor_calibration", "posor_design"}
+ROS_LIBRARIES = {"posor_msgs", "rclpy", "ament_index_python", "launch", "rosidl_parser", "tf2_msgs"}
+LAYERS_OF_POSOR = (  # lowest first; parts of one line may import each other
+    ("errors", "input_text", "lazy_program", "library_programs", "reporting", "ros_names"),
     ("numerics", "compilation"),
     ("model",),
     ("calibration", "sensors", "node_parameters", "parameter_model"),
     ("estimation",),
     ("chain",),
-    ("identification", "uncertainty"),
-    ("bags", "design", "warm_up"),
-    ("__init__",),  # the public Python API
-    ("ros",),
-    ("testing",),
-    ("posor_drivers",),
-    ("posor_bringup",),
-    ("posor_lab",),
+    ("uncertainty",),
+    ("messages",),
+    ("bags", "warm_up"),
+    ("",),  # posor itself: the public Python API
 )
-LEVELS = {name: level for level, names in enumerate(LAYERS) for name in names}
-ROS_LIBRARIES = {"rclpy", "ament_index_python", "launch", "rosidl_parser", "rosidl_runtime_py", "tf2_msgs"}
-ROS_PACKAGES = {"ros", "testing"}  # the only parts of posor_estimator that may import rclpy
+PACKAGES = [room for rooms in ROOMS for room in rooms]
+FLOOR = {room: floor for floor, rooms in enumerate(ROOMS) for room in rooms}
+LAYER = {f"posor.{part}".rstrip("."): layer for layer, parts in enumerate(LAYERS_OF_POSOR) for part in parts}
 
 
 def build_graph(*, for_type_checkers: bool) -> grimp.ImportGraph:
@@ -48,16 +52,19 @@ def graph() -> grimp.ImportGraph:
     return build_graph(for_type_checkers=False)
 
 
-def own_modules(graph: grimp.ImportGraph) -> list[str]:
-    return sorted(module for module in graph.modules if module.partition(".")[0] in PACKAGES)
+def room_of(module: str) -> str:
+    return module.partition(".")[0]
 
 
-def layer_of(module: str) -> str:
-    """Return the name in ``LAYERS`` that a module belongs to."""
-    package, *inner = module.split(".")
-    if package != "posor_estimator":
-        return package
-    return inner[0] if inner else "__init__"
+def layer_of(module: str) -> int:
+    """Return the layer of a module of ``posor``."""
+    return LAYER[".".join(module.split(".")[:2])]
+
+
+def own_imports(graph: grimp.ImportGraph) -> list[tuple[str, str]]:
+    """Return pairs of our modules: the importer and the imported one."""
+    own = [module for module in graph.modules if room_of(module) in PACKAGES]
+    return [(a, b) for a in sorted(own) for b in sorted(graph.find_modules_directly_imported_by(a)) if b in own]
 
 
 def describe_import(graph: grimp.ImportGraph, importer: str, imported: str) -> str:
@@ -65,40 +72,51 @@ def describe_import(graph: grimp.ImportGraph, importer: str, imported: str) -> s
     return f"{importer}, line {detail['line_number']}: {detail['line_contents']}"
 
 
-def test_every_module_has_a_layer(graph: grimp.ImportGraph) -> None:
-    assert {layer_of(module) for module in own_modules(graph)} <= set(LEVELS)
+def test_every_part_of_the_library_has_a_layer(graph: grimp.ImportGraph) -> None:
+    parts = {".".join(module.split(".")[:2]) for module in graph.modules if room_of(module) == "posor"}
+    assert parts == set(LAYER)
 
 
 def test_no_import_cycles() -> None:
-    graph = build_graph(for_type_checkers=True)
-    own = set(own_modules(graph))
-    TopologicalSorter({module: graph.find_modules_directly_imported_by(module) & own for module in own}).prepare()
+    imports: dict[str, set[str]] = {}
+    for importer, imported in own_imports(build_graph(for_type_checkers=True)):
+        imports.setdefault(importer, set()).add(imported)
+    TopologicalSorter(imports).prepare()
 
 
-def test_imports_go_from_higher_layers_to_lower_ones(graph: grimp.ImportGraph) -> None:
-    upwards = [
+def test_imports_go_down_the_rooms(graph: grimp.ImportGraph) -> None:
+    wrong = [
         describe_import(graph, importer, imported)
-        for importer in own_modules(graph)
+        for importer, imported in own_imports(graph)
+        if room_of(importer) != room_of(imported) and FLOOR[room_of(imported)] >= FLOOR[room_of(importer)]
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_imports_go_down_the_layers_of_the_library(graph: grimp.ImportGraph) -> None:
+    wrong = [
+        describe_import(graph, importer, imported)
+        for importer, imported in own_imports(graph)
+        if room_of(importer) == room_of(imported) == "posor" and layer_of(imported) > layer_of(importer)
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_only_rooms_of_nodes_import_ros(graph: grimp.ImportGraph) -> None:
+    wrong = [
+        describe_import(graph, importer, imported)
+        for importer in sorted(graph.modules)
+        if room_of(importer) in WITHOUT_ROS
         for imported in sorted(graph.find_modules_directly_imported_by(importer))
-        if imported.partition(".")[0] in PACKAGES and LEVELS[layer_of(imported)] > LEVELS[layer_of(importer)]
+        if imported in ROS_LIBRARIES or room_of(imported) == "posor_ros"
     ]
-    assert not upwards, "\n".join(upwards)
-
-
-def test_only_nodes_import_ros(graph: grimp.ImportGraph) -> None:
-    offenders = [
-        describe_import(graph, importer, imported)
-        for importer in own_modules(graph)
-        if importer.startswith("posor_estimator") and layer_of(importer) not in ROS_PACKAGES
-        for imported in sorted(graph.find_modules_directly_imported_by(importer) & ROS_LIBRARIES)
-    ]
-    assert not offenders, "\n".join(offenders)
+    assert not wrong, "\n".join(wrong)
 
 
 def test_file_names_are_unique() -> None:
     """Two files of one name cannot be distinguished in a search, an editor's tab or a traceback."""
     required_by_frameworks = {"__init__.py", "conftest.py", "setup.py"}
-    folders = [ROOT / name for name in ("bags", "data", "examples", "tests", "tools")]
-    folders += [ROOT / "ros2_ws" / "src" / package for package in PACKAGES]
+    folders = [ROOT / name for name in ("bags", "data", "examples", "lab", "tests", "tools")]
+    folders += [ROOT / "ros2_ws" / "src" / room for room in PACKAGES if room != "posor_lab"]
     names = Counter(path.name for folder in folders for path in folder.rglob("*.py"))
     assert not {name for name, count in names.items() if count > 1} - required_by_frameworks

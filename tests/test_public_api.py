@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from posor.chain.arm_file import ParameterValue
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGE = ROOT / "ros2_ws" / "src" / "posor_estimator"
+PACKAGE = ROOT / "ros2_ws" / "src" / "posor"
 EXAMPLE = ROOT / "examples" / "estimate_bag.py"
 BAG = ROOT / "bags" / "five_axis"
 MAX_EXAMPLE_LINES = 15
@@ -50,13 +50,13 @@ print(time.perf_counter() - begin, "numpy" in sys.modules)
 
 @pytest.fixture(scope="module")
 def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the Python of a virtual environment with nothing but posor_estimator and what it requires.
+    """Return the Python of a virtual environment with nothing but posor and what it requires.
 
     The pip of the workspace installs. Libraries that no test imports are not compiled to bytecode.
     """
     folder = tmp_path_factory.mktemp("plain")
     ignored = shutil.ignore_patterns("*.egg-info", "build", "__pycache__", "test")
-    source = shutil.copytree(PACKAGE, folder / "posor_estimator", ignore=ignored)  # pip builds in the folder
+    source = shutil.copytree(PACKAGE, folder / "posor", ignore=ignored)  # pip builds in the folder
     subprocess.run([sys.executable, "-I", "-m", "venv", "--without-pip", str(folder / "venv")], check=True)
     python = folder / "venv" / "bin" / "python"
     pip = [sys.executable, "-I", "-m", "pip", "--python", str(python), "--quiet", "--disable-pip-version-check"]
@@ -112,10 +112,10 @@ def test_the_example_is_short_and_uses_public_names_only() -> None:
 
 
 def test_every_public_name_exists_and_others_do_not() -> None:
-    assert dir(posor_estimator) == sorted(posor.__all__)
+    assert dir(posor) == sorted(posor.__all__)
     for name in posor.__all__:
-        assert getattr(posor_estimator, name).__name__ == name
-    with pytest.raises(AttributeError, match=r"^module 'posor_estimator' has no attribute 'estimate_bag'$"):
+        assert getattr(posor, name).__name__ == name
+    with pytest.raises(AttributeError, match=r"^module 'posor' has no attribute 'estimate_bag'$"):
         _ = posor.estimate_bag
 
 
@@ -145,7 +145,7 @@ def test_an_arm_is_estimated_with_the_parameters_of_its_file() -> None:
     ends = [np.trace(each.joints["elbow"].covariances[-1]) for each in (estimates, usual)]
     assert ends[0] < ends[1]
     np.testing.assert_array_equal(estimates.joints["shoulder"].covariances, usual.joints["shoulder"].covariances)
-    with pytest.raises(posor_estimator.PosorError, match=r"covariance: 'none' is unknown; expected random, "):
+    with pytest.raises(posor.PosorError, match=r"covariance: 'none' is unknown; expected random, "):
         arm.estimate(BAG, covariance="none")  # type: ignore[arg-type]
 
 
@@ -162,11 +162,11 @@ def test_scans_of_a_bag_are_estimated_one_by_one_or_all_at_once() -> None:
 )
 def test_a_missing_library_is_named(function: str, library: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(posor_estimator.ParameterError) as caught:
-        getattr(posor_estimator, function)(posor.read_scans(BAG, "/five_axis/elbow/raw"))
+    with pytest.raises(posor.ParameterError) as caught:
+        getattr(posor, function)(posor.read_scans(BAG, "/five_axis/elbow/raw"))
     assert str(caught.value) == f"{function}: the Python library '{library}' is not installed; expected {library}."
 
 
 def test_data_that_cannot_be_a_table_are_refused() -> None:
-    with pytest.raises(posor_estimator.ParameterError, match=r"^data of type list cannot be a table; expected ArmEst"):
+    with pytest.raises(posor.ParameterError, match=r"^data of type list cannot be a table; expected ArmEst"):
         posor.to_arrow([])  # type: ignore[arg-type]

@@ -81,10 +81,8 @@ def test_another_version_of_the_software_is_named_and_a_bag_without_hashes_is_no
 ) -> None:
     arm = str(find_arm("five_axis"))
     own = provenance_of(None)[SOFTWARE]
-    bag = write_bag(tmp_path / "bag", {SOFTWARE: "posor_estimator 0.0.1"})
-    assert warnings(capsys, str(bag), "--arm", arm) == [
-        f"this software: {own}; the bag was recorded with posor_estimator 0.0.1"
-    ]
+    bag = write_bag(tmp_path / "bag", {SOFTWARE: "posor 0.0.1"})
+    assert warnings(capsys, str(bag), "--arm", arm) == [f"this software: {own}; the bag was recorded with posor 0.0.1"]
     assert warnings(capsys, str(write_bag(tmp_path / "plain", {})), "--arm", arm) == []
     assert warnings(capsys, str(bag / "bag.mcap"), "--arm", arm) == []
 

@@ -42,7 +42,7 @@ def stack_of(block: str, **changes: object) -> Stack:
 
 def test_every_built_in_type_has_an_example() -> None:
     shown = [yaml.safe_load(block)[0]["type"] for block in blocks(SENSORS, "yaml")]
-    ours = [name for name, found in sensor_types().items() if found.__module__.startswith("posor_estimator.")]
+    ours = [name for name, found in sensor_types().items() if found.__module__.startswith("posor.")]
     assert sorted(shown) == sorted(ours)
     for name in shown:
         assert f": `{name}`\n" in SENSORS  # the heading
@@ -75,7 +75,7 @@ def test_excerpts_occur_in_the_example() -> None:
 
 
 def test_files_named_in_the_page_exist() -> None:
-    package = ROOT / "ros2_ws/src/posor/posor_estimator"
+    package = ROOT / "ros2_ws/src/posor/posor"
     names = re.findall(r"`([\w./]+\.py|[\w]+/[\w./]+)`", ADDING)
     assert len(names) > 5
     for name in names:

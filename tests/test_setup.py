@@ -92,7 +92,7 @@ def test_this_checkout_is_up_to_date() -> None:
     ],
 )
 def test_changed_kernels_are_compiled_by_the_set_up(tmp_path: Path, name: str, imports: str, *, rebuilds: bool) -> None:
-    file = tmp_path / "ros2_ws/src/posor/posor_estimator" / name
+    file = tmp_path / "ros2_ws/src/posor/posor" / name
     file.parent.mkdir(parents=True)
     inputs = []
     for number in (1, 2):

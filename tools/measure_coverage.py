@@ -24,8 +24,8 @@ PACKAGES = ("numerics", "model", "sensors", "estimation", "chain", "calibration"
 LEAST_PERCENT = 95.0
 FILE_LIMIT_S = 60.0
 NO_TESTS = 5  # pytest's exit code
-SOURCE = THIS.ros2 / "src" / "posor_estimator" / "posor_estimator"
-TESTS = THIS.ros2 / "src" / "posor_estimator" / "test"
+SOURCE = THIS.ros2 / "src" / "posor" / "posor"
+TESTS = THIS.ros2 / "src" / "posor" / "test"
 OTHER_FILES = (TESTS / "ros" / "test_raw_scan_stream.py", THIS.root / "tests" / "test_calibrate_command.py")
 """Tests outside the folders of the packages, of a stream of messages and of the reports on a calibration."""
 COVERAGE = (str(THIS.python), "-m", "coverage")

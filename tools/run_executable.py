@@ -20,7 +20,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 USAGE = "usage: ./run PACKAGE EXECUTABLE [arguments]"
-LAZY_PACKAGES = ("posor_bringup", "posor_drivers", "posor_estimator", "posor_lab")
+LAZY_PACKAGES = (
+    *("posor", "posor_bringup", "posor_calibration", "posor_design", "posor_drivers", "posor_estimator", "posor_lab"),
+)
 """Packages whose programs may start with SIGINT and SIGTERM blocked: they allow both when they have their handlers
 (``posor.lazy_program``). A signal before that would end Python itself with a traceback."""
 

@@ -35,16 +35,15 @@ SINGLE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}  # numpy and scipy; the caller's o
 FAILURE_LENGTH = 1000  # last characters of a failure, in the summary; the whole is printed when its job ends
 REPORTS = THIS.root / "build" / "test"
 WITHOUT_ROS = tuple(  # folders whose tests make no ROS context and share a process
-    THIS.ros2 / "src" / package / "test" / folder
-    for package, folders in {
-        "posor_drivers": ("simulator",),
-        "posor_estimator": (
-            *("numerics", "model", "sensors", "estimation", "chain", "calibration", "identification", "uncertainty"),
-            *("bags", "design", "reporting"),
-        ),
-        "posor_lab": ("accuracy", "benchmark", "campaign", "thesis_budgets", "thesis_table"),
-    }.items()
-    for folder in folders
+    THIS.root / folder
+    for folder in (
+        *(f"ros2_ws/src/posor/test/{part}" for part in ("numerics", "model", "sensors", "estimation", "chain")),
+        *(f"ros2_ws/src/posor/test/{part}" for part in ("calibration", "uncertainty", "messages", "bags", "reporting")),
+        *(f"ros2_ws/src/{package}/test" for package in ("posor_calibration", "posor_design")),
+        "ros2_ws/src/posor_drivers/test/simulator",
+        *(f"lab/posor_lab/test/{part}" for part in ("accuracy", "benchmark", "campaign")),
+        *(f"lab/posor_lab/test/{part}" for part in ("thesis_budgets", "thesis_table")),
+    )
 )
 
 
@@ -99,7 +98,10 @@ def find_test_files(paths: list[str]) -> list[Path]:
         SetupError: A path does not exist.
 
     """
-    roots = [Path(path).resolve() for path in paths] or [THIS.root / "tests", *sorted(THIS.ros2.glob("src/*/test"))]
+    roots = [Path(path).resolve() for path in paths] or [
+        *(THIS.root / "tests", THIS.root / "lab"),
+        *sorted(THIS.ros2.glob("src/*/test")),
+    ]
     for root in roots:
         if not root.exists():
             raise SetupError(f"{root}: no such test file or folder.")

@@ -21,8 +21,11 @@ BUILD_FILES = {"CMakeLists.txt", "package.xml", "setup.cfg", "setup.py"}
 INTERFACE_SUFFIXES = {".action", ".idl", ".msg", ".srv"}
 SOURCES_CHANGED = "sources changed"
 KERNEL_FILES = tuple(
-    f"src/posor_estimator/posor_estimator/{pattern}"
-    for pattern in ("numerics/*.py", "model/*.py", "estimation/*.py", "chain/*.py", "bags/byte_kernels.py")
+    f"src/posor/posor/{pattern}"
+    for pattern in (
+        *("numerics/*.py", "model/*.py", "estimation/*.py", "chain/*.py"),
+        *("messages/byte_kernels.py", "messages/message_stream.py"),
+    )
 )  # as in posor.numerics.compiled
 
 
@@ -59,7 +62,7 @@ def kernel_files(workspace: Workspace) -> list[Path]:
 
 def source_packages(workspace: Workspace, *, official: bool) -> list[Path]:
     """Return the folders of the ROS packages. The name of each folder is the name of its package."""
-    folders = [workspace.ros2 / "src", *([] if official else [workspace.wheel_packages])]
+    folders = [workspace.ros2 / "src", workspace.root / "lab", *([] if official else [workspace.wheel_packages])]
     return [manifest.parent for folder in folders for manifest in sorted(folder.glob("*/package.xml"))]
 
 
@@ -69,8 +72,8 @@ def is_installed_as_links(workspace: Workspace, package: Path) -> bool:
 
 
 def package_files(package: Path) -> Iterator[Path]:
-    """Yield the files of a ROS package outside its Python package and its tests."""
-    excluded = {package / package.name, package / "test"}
+    """Yield the files of a ROS package outside its Python package, its tests and what pip and Python leave there."""
+    excluded = {package / name for name in (package.name, "test", "build", f"{package.name}.egg-info")}
     for folder, folders, names in os.walk(package):
         here = Path(folder)
         folders[:] = sorted(name for name in folders if name != "__pycache__" and here / name not in excluded)

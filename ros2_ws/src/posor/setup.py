@@ -1,23 +1,16 @@
-"""Packaging of posor_estimator for colcon (ament_python)."""
+"""Packaging of posor for colcon (ament_python)."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from setuptools import find_packages, setup
 
-PACKAGE = "posor_estimator"
-
-
-def files(folder: str) -> list[str]:
-    """Return the data files of a folder of this package, in a fixed order."""
-    return sorted(str(path) for path in Path(folder).glob("*.*"))
+PACKAGE = "posor"
 
 
 setup(
     name=PACKAGE,
     version="0.1.0",
-    description="Sensor models, estimator, chain and calibration of the POSOR stack, and their ROS 2 nodes",
+    description="Library of the POSOR stack: measurement model, estimator, chain, calibration files, bags; no ROS",
     license="Apache-2.0",
     maintainer="POSOR maintainers",
     maintainer_email="maintainers@posor.invalid",
@@ -26,7 +19,6 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
-        (f"share/{PACKAGE}/config", files("config")),
     ],
     python_requires=">=3.11",
     # The lower bounds of requirements/base.in. colcon does not install them: there they come from rosdep or pip.
@@ -48,18 +40,8 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            "posor_node = posor_estimator.estimator_programs:posor_node",
-            "chain_node = posor_estimator.estimator_programs:chain_node",
-            "compose = posor_estimator.estimator_programs:compose",
-            "budget = posor_estimator.estimator_programs:budget",
-            "calibrate = posor_estimator.estimator_programs:calibrate",
-            "design = posor_estimator.estimator_programs:design",
-            "reprocess = posor_estimator.estimator_programs:reprocess",
-            "recover = posor_estimator.estimator_programs:recover",
-        ],
-        "posor_estimator.nodes": [
-            "chain_node = posor_estimator.chain_node:ChainNode",
-            "posor_node = posor_estimator.posor_node:PosorEstimatorNode",
+            "reprocess = posor.library_programs:reprocess",
+            "recover = posor.library_programs:recover",
         ],
         "posor.sensors": [
             "gap_probes = posor.sensors.gap_probes:GapProbesCalibration",

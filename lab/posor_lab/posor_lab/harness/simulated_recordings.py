@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from posor.bags.recording import Recording, Track
-from posor.calibration.calibration_file import calibration_from
+from posor.calibration.calibration_file import calibration_from, find_sensor
 from posor.calibration.designs import STANDOFF, design
 from posor.calibration.quantity import Quantity
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.sensors.gap_probes import GapProbesCalibration
-from posor_calibration.calibration_parameters import find_sensor
 from scipy.spatial.transform import Rotation
 
 if TYPE_CHECKING:

@@ -6,9 +6,11 @@ import sys
 from typing import TYPE_CHECKING, NamedTuple
 
 from posor.errors import ParameterError, similar_name
+from posor.library_programs import recover, reprocess
 from posor.reporting.program_errors import reports_errors
+from posor_calibration.calibration_programs import calibrate
+from posor_design.design_programs import budget, design
 from posor_drivers.driver_programs import instruments, record
-from posor_estimator.estimator_programs import budget, calibrate, design, recover, reprocess
 
 from posor_bringup.bringup_programs import bringup, view
 

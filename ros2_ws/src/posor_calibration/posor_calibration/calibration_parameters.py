@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from itertools import groupby
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 from posor.calibration.parameter_covariance import (
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
     from posor.calibration.calibration_file import Calibration
     from posor.numerics.array_types import FloatArray, IntArray
-    from posor.sensors.base import SensorCalibration
 
     from posor_calibration.least_squares import Fit
 
@@ -35,23 +34,6 @@ UNIT_LENGTH_TOLERANCE = 1e-6
 LEAST_VARIANCE = 1e-9
 """Share of a variance that is at least left open, however strong the correlations in a file are."""
 LISTED_KEYS = 12
-
-SensorKind = TypeVar("SensorKind", bound="SensorCalibration")
-
-
-def find_sensor(calibration: Calibration, kind: type[SensorKind], what: str) -> tuple[int, SensorKind]:
-    """Return the only sensor of a kind and its index among the calibration's sensors; ``what`` needs it.
-
-    Raises:
-        FitError: There is none, or there are several.
-
-    """
-    found = [(i, sensor) for i, sensor in enumerate(calibration.sensors) if isinstance(sensor, kind)]
-    if len(found) != 1:
-        count, name = str(len(found) or "no"), kind.model_fields["type"].annotation.__args__[0]  # type: ignore[union-attr]
-        message = f"calibration '{calibration.name}' has {count} sensors of the type {name}"
-        raise FitError(message, where=what, expected="one")
-    return found[0]
 
 
 def first_parameter(calibration: Calibration, sensor: int) -> int:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from posor.bags.recording import Track
+from posor.calibration.calibration_file import find_sensor
 from posor.errors import FitError
 from posor.model.scan import PROBES_ESTIMATED, SATURATED
 from posor.numerics.stamps import NS
@@ -18,7 +19,6 @@ from pydantic import Field
 
 from posor_calibration.calibration_parameters import (
     FixedParameters,
-    find_sensor,
     first_parameter,
     parameter_indices,
 )

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from posor.bags.recording import POINT, POSE, SCALAR, unpack_poses
+from posor.calibration.calibration_file import find_sensor
 from posor.calibration.quantity import Quantity
 from posor.errors import FitError
 from posor.estimation.forward import empty_scans, readings_at
@@ -15,7 +16,6 @@ from posor.model.scan import PROBES_ESTIMATED, SATURATED
 from posor.sensors.gap_probes import GapProbesCalibration
 from pydantic import Field
 
-from posor_calibration.calibration_parameters import find_sensor
 from posor_calibration.data_checks import check_axis, check_channels_move, check_count, check_unit
 from posor_calibration.dwells import DwellOptions, average_recording
 

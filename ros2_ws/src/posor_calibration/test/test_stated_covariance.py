@@ -16,6 +16,7 @@ from posor.calibration.parameter_covariance import (
 )
 from posor.calibration.quantity import Quantity
 from posor.calibration.session import Session
+from posor.estimation.digital_zero import find_digital_zero
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.native_coordinates import native_jacobian
@@ -23,7 +24,6 @@ from posor.model.scan import Scans
 from posor.uncertainty.budget_poses import pose_from_native, scan_at
 from posor.uncertainty.first_order import error_budget, sensitivities
 from posor.uncertainty.reading_sensitivity import sensitivity_at
-from posor_calibration.digital_zero import find_digital_zero
 from posor_design.monte_carlo import BATCH, monte_carlo
 from posor_lab.harness.random_poses import TICK_NS
 

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
-from posor_estimator.cdr_writer import MessageWriter
 from posor_msgs.msg import EndpointState
 from sensor_msgs.msg import JointState
 
+from posor_estimator.cdr_writer import MessageWriter
+
 if TYPE_CHECKING:
     from posor.chain.endpoint_estimator import EndpointEstimator
+
     from posor_estimator.endpoint_verdict import Verdict
 
 MAX_JOINT, MAX_REASON = 128, 255

@@ -38,11 +38,6 @@ from posor.ros_names import (
     RELIABILITY_TOPIC,
     TRANSFORM_TOPIC,
 )
-from posor_estimator.alarm_rate import AlarmRate
-from posor_estimator.cdr_endpoint import EndpointStateWriter, EndpointWriter
-from posor_estimator.endpoint_protection import ProtectionLevel
-from posor_estimator.endpoint_verdict import SOUND, JointStatus, Verdict, degraded_verdict, unusable_verdict
-from posor_estimator.frame_publisher import FramePublisher, StampedPoses
 from posor_msgs.msg import EndpointState, JointReliability, JointTransform
 from posor_ros.cdr_transform import JOINT_TRANSFORM, JointTransformFormat, stamp_ns_of
 from posor_ros.diagnostics import Level
@@ -55,6 +50,12 @@ from posor_ros.qos import RELIABLE_QOS, result_qos, sensor_subscription_qos, sta
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from sensor_msgs.msg import JointState
+
+from posor_estimator.alarm_rate import AlarmRate
+from posor_estimator.cdr_endpoint import EndpointStateWriter, EndpointWriter
+from posor_estimator.endpoint_protection import ProtectionLevel
+from posor_estimator.endpoint_verdict import SOUND, JointStatus, Verdict, degraded_verdict, unusable_verdict
+from posor_estimator.frame_publisher import FramePublisher, StampedPoses
 
 if TYPE_CHECKING:
     from posor.chain.endpoint_estimator import EndpointEstimator

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 from posor.errors import NodeError, ParameterError, PosorError
 from posor.reporting.program_errors import reports_errors
-from posor_estimator.composition_file import error_location, load_composition, registered_nodes
 from posor_ros.node_program import NodeGroup, non_ros_arguments, ros_context
+
+from posor_estimator.composition_file import error_location, load_composition, registered_nodes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -20,17 +20,13 @@ from typing import TYPE_CHECKING, Any
 
 from posor.calibration.calibration_file import load_calibration
 from posor.errors import CalibrationError, ParameterError, PosorError, TopicError
+from posor.estimation.digital_zero import find_digital_zero
 from posor.estimation.posor import Posor
 from posor.model.fault import Fault, State
 from posor.model.scan import Scans
 from posor.node_parameters import PosorParameters
 from posor.ros_names import RAW_TOPIC, RELIABILITY_TOPIC, TRANSFORM_TOPIC
 from posor.uncertainty.reading_sensitivity import EstimateMatrices
-from posor_calibration.digital_zero import find_digital_zero
-from posor_estimator.alarm_rate import AlarmRate
-from posor_estimator.endpoint_verdict import NOT_COUNTED, waits_to_be_counted
-from posor_estimator.raw_scan_stream import RawScanStream
-from posor_estimator.reliability_message import has_reliability, reliability_fields
 from posor_msgs.msg import JointReliability, JointTransform, RawScan
 from posor_ros.cdr_scan import RAW_SCAN, scan_of
 from posor_ros.diagnostics import Level
@@ -44,13 +40,19 @@ from posor_ros.node_program import run_node
 from posor_ros.qos import RELIABLE_QOS, input_qos, sensor_publisher_qos, sensor_subscription_qos
 from sensor_msgs.msg import JointState
 
+from posor_estimator.alarm_rate import AlarmRate
+from posor_estimator.endpoint_verdict import NOT_COUNTED, waits_to_be_counted
+from posor_estimator.raw_scan_stream import RawScanStream
+from posor_estimator.reliability_message import has_reliability, reliability_fields
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from posor.calibration.calibration_file import Calibration
-    from posor_estimator.raw_scan_stream import EstimatedScan
     from posor_ros.diagnostics import StatusText, Value
     from std_srvs.srv import Trigger
+
+    from posor_estimator.raw_scan_stream import EstimatedScan
 
 
 LOST = int(State.LOST)

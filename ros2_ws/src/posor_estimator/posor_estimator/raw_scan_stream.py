@@ -10,8 +10,9 @@ from posor.messages.message_stream import UNCHECKED, MessageEstimator
 from posor.messages.message_table import LEAD, TableLayout
 from posor.model.fault import State
 from posor.numerics.stamps import NO_TIME, NS
-from posor_estimator.stream_layout import message_stream, transform_layout
 from posor_ros.cdr_scan import RAW_SCAN, scan_of
+
+from posor_estimator.stream_layout import message_stream, transform_layout
 
 if TYPE_CHECKING:
     from posor.estimation.posor import Posor

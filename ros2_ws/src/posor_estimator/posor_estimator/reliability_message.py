@@ -11,6 +11,7 @@ from posor.uncertainty.reliability import reliability
 if TYPE_CHECKING:
     from posor.estimation.posor import Posor
     from posor.uncertainty.reading_sensitivity import EstimateMatrices
+
     from posor_estimator.raw_scan_stream import EstimatedScan
 
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from posor.calibration.calibration_file import load_calibration
+from posor.estimation.digital_zero import MIN_SCANS
 from posor.node_parameters import MIN_ZERO_SCANS
-from posor_calibration.digital_zero import MIN_SCANS
 from posor_estimator.posor_node import PosorEstimatorNode
 from posor_lab.harness.graph import Graph, set_stamp, values_of, wait_for_value
 from posor_lab.harness.in_process_nodes import run_refused_node

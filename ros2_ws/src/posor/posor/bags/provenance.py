@@ -76,7 +76,7 @@ def custom_data(bag: Path) -> dict[str, str]:
 
 
 def _software() -> str:
-    return f"posor_estimator {version('posor_estimator')}"
+    return f"posor {version('posor')}"
 
 
 def _of_metadata(text: str) -> dict[str, Any]:

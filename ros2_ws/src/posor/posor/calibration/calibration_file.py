@@ -13,7 +13,7 @@ import hashlib
 import json
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, Union
 
 from pydantic import Field, PrivateAttr, SerializeAsAny, create_model, field_validator, model_validator
 
@@ -22,7 +22,7 @@ from posor.calibration.fit_record import FitRecord
 from posor.calibration.quantity import Quantity, measured
 from posor.calibration.session import Session
 from posor.calibration.yaml_document import parse_document, read_text
-from posor.errors import CalibrationError
+from posor.errors import CalibrationError, FitError
 from posor.sensors.base import SensorCalibration
 from posor.sensors.registry import sensor_types
 
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 FILE_KIND = "calibration file"
 VERSION = 3
 FORMER_VERSIONS = (1, 2)
+
+SensorKind = TypeVar("SensorKind", bound=SensorCalibration)
 
 
 class Provenance(FrozenModel):
@@ -246,3 +248,18 @@ def calibration_from(content: Mapping[str, Any]) -> Calibration:
         sensors=(Annotated[list[union], Field(min_length=1)], ...),
     )
     return model.model_validate(content)
+
+
+def find_sensor(calibration: Calibration, kind: type[SensorKind], what: str) -> tuple[int, SensorKind]:
+    """Return the only sensor of a kind and its index among the calibration's sensors; ``what`` needs it.
+
+    Raises:
+        FitError: There is none, or there are several.
+
+    """
+    found = [(i, sensor) for i, sensor in enumerate(calibration.sensors) if isinstance(sensor, kind)]
+    if len(found) != 1:
+        count, name = str(len(found) or "no"), kind.model_fields["type"].annotation.__args__[0]  # type: ignore[union-attr]
+        message = f"calibration '{calibration.name}' has {count} sensors of the type {name}"
+        raise FitError(message, where=what, expected="one")
+    return found[0]

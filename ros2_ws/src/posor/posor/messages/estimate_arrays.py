@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray  # noqa: TC002  read by dataclasses
+
 from posor.model.fault import Fault, State
 from posor.numerics.array_types import FloatArray, IntArray  # noqa: TC001  read by dataclasses
 

@@ -9,11 +9,12 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from posor.errors import BagError
-from posor.messages.cdr_schema import Field, Kind, Schema, code_of_type
 from rosbags.interfaces import MessageDefinitionFormat, Nodetype
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
+
+from posor.errors import BagError
+from posor.messages.cdr_schema import Field, Kind, Schema, code_of_type
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

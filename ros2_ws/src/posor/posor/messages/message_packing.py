@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+
 from posor.messages.message_table import TableLayout
 from posor.node_parameters import COVARIANCE_KINDS
 from posor.numerics.stamps import NS

@@ -11,6 +11,7 @@ import math
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+
 from posor.estimation.estimate_scan import DONE, LOST, estimate_scan, write_lost
 from posor.model.fault import Fault
 from posor.model.scan import HOME_BUMP, STATED_HOME
@@ -19,6 +20,7 @@ from posor.numerics.stamps import accepted_in_kernel, time_in_kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
     from posor.estimation.posor import Posor
     from posor.estimation.workspace import Model
     from posor.numerics.array_types import ByteArray, FloatArray, WordArray

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
 from posor.messages.byte_kernels import gather_rows
 from posor.messages.cdr_schema import Kind, Schema
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+
 from posor.errors import BagError
 from posor.messages.message_table import MessageTable  # noqa: TC001  read by dataclasses
 from posor.model.scan import HOME_BUMP, Scans

@@ -78,7 +78,7 @@ print(evaluate_rows(row, np.eye(3), np.zeros(3))[0][0])
 @pytest.mark.long
 def test_copies_of_the_package_share_machine_code_until_a_kernel_that_it_calls_changes(tmp_path: Path) -> None:
     """After an update of the package no process may go on with yesterday's formula."""
-    copy, cache = tmp_path / "posor_estimator", tmp_path / "cache"
+    copy, cache = tmp_path / "posor", tmp_path / "cache"
     shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
     environ = {name: value for name, value in os.environ.items() if name != "POSOR_COMPILE"}
 

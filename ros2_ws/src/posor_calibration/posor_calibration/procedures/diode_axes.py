@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from posor.bags.recording import POINT
+from posor.calibration.calibration_file import find_sensor
 from posor.errors import FitError
 from posor.sensors.diodes import DiodesCalibration
 from pydantic import Field
 
-from posor_calibration.calibration_parameters import FixedParameters, find_sensor, parameter_indices
+from posor_calibration.calibration_parameters import FixedParameters, parameter_indices
 from posor_calibration.diode_spots import (
     DwellSpots,
     SingleDiode,

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from posor.bags.recording import POINT
+from posor.calibration.calibration_file import find_sensor
 from posor.errors import FitError
 from posor.sensors.diodes import DiodesCalibration
 from pydantic import Field
 
-from posor_calibration.calibration_parameters import find_sensor
 from posor_calibration.curve_interpolation import (
     FEWEST_CURVES,
     doubled_grid_errors,

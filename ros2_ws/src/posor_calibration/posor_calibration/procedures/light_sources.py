@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from posor.bags.recording import POINT, POSE, unpack_poses
+from posor.calibration.calibration_file import find_sensor
 from posor.errors import FitError, TrackError
 from posor.model.native_coordinates import native_from_rotation, rotation_from_native
 from posor.sensors.diodes import DiodesCalibration
 from pydantic import Field
 
-from posor_calibration.calibration_parameters import FixedParameters, find_sensor, parameter_indices
+from posor_calibration.calibration_parameters import FixedParameters, parameter_indices
 from posor_calibration.diode_spots import (
     DwellSpots,
     SingleDiode,

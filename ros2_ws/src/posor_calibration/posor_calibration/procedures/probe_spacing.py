@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from posor.bags.recording import POSE, unpack_poses
+from posor.calibration.calibration_file import find_sensor
 from posor.errors import FitError, TrackError
 from posor.estimation.forward import readings_at
 from posor.estimation.sensor_stack import Stack
@@ -23,7 +24,6 @@ from scipy.spatial.transform import Rotation
 
 from posor_calibration.calibration_parameters import (
     FixedParameters,
-    find_sensor,
     first_parameter,
     parameter_indices,
     replace_values,

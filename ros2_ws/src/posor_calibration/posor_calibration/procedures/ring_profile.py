@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 from posor.bags.recording import SCALAR
+from posor.calibration.calibration_file import find_sensor
 from posor.calibration.quantity import Quantity
 from posor.errors import FitError, TrackError
 from posor.estimation.posor import Posor
@@ -36,7 +37,7 @@ from posor_calibration.bundle_problem import (
     OutOfRangeError,
     PoseReference,
 )
-from posor_calibration.calibration_parameters import FreeParameters, find_sensor
+from posor_calibration.calibration_parameters import FreeParameters
 from posor_calibration.data_checks import check_channels_move, check_count
 from posor_calibration.fit_report import check_spread, describe_residuals
 from posor_calibration.least_squares import WEAK, Fit, fit_parameters

@@ -12,6 +12,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from posor.calibration.calibration_file import find_sensor
 from posor.model.scan import PROBES_ESTIMATED, SATURATED
 from posor.sensors.gap_probes import GapProbesCalibration
 from pydantic import Field
@@ -22,7 +23,7 @@ from posor_calibration.attitude_fit import (
     fit_attitude,
     read_reference_attitude,
 )
-from posor_calibration.calibration_parameters import find_sensor, parameter_indices
+from posor_calibration.calibration_parameters import parameter_indices
 from posor_calibration.data_checks import check_count
 from posor_calibration.fit_report import correlation_table, describe_fit, parameter_table
 from posor_calibration.procedure import (

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from posor.calibration.calibration_file import find_sensor
 from posor.calibration.fit_record import FitRecord, RecordedData
 from posor.calibration.quantity import Quantity
 from posor.calibration.session import Session
@@ -20,8 +22,6 @@ from posor.model.native_coordinates import rotation_from_native
 from posor.model.scan import Scan, Scans
 from posor.sensors.base import RowSensor
 from posor.sensors.gap_probes import GapProbesCalibration
-
-from posor_calibration.calibration_parameters import find_sensor
 
 if TYPE_CHECKING:
     from posor.calibration.calibration_file import Calibration

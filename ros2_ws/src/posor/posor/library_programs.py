@@ -1,0 +1,8 @@
+"""Entry points of setup.py; each program is imported when it is called."""
+
+from __future__ import annotations
+
+from posor.lazy_program import LazyProgram
+
+reprocess = LazyProgram("reprocess", "posor.bags.reprocess_command")
+recover = LazyProgram("recover", "posor.bags.recover_command")

@@ -1,0 +1,7 @@
+"""Entry points of setup.py; each program is imported when it is called."""
+
+from __future__ import annotations
+
+from posor.lazy_program import LazyProgram
+
+calibrate = LazyProgram("calibrate", "posor_calibration.calibrate_command")

@@ -1,0 +1,8 @@
+"""Entry points of setup.py; each program is imported when it is called."""
+
+from __future__ import annotations
+
+from posor.lazy_program import LazyProgram
+
+budget = LazyProgram("budget", "posor_design.budget_command")
+design = LazyProgram("design", "posor_design.design_command")

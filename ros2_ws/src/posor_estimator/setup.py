@@ -1,0 +1,37 @@
+"""Packaging of posor_estimator for colcon (ament_python)."""
+
+from __future__ import annotations
+
+from setuptools import find_packages, setup
+
+PACKAGE = "posor_estimator"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="Nodes of the POSOR stack: raw scans to joint transforms to the endpoint; composition in one process",
+    license="Apache-2.0",
+    maintainer="POSOR maintainers",
+    maintainer_email="maintainers@posor.invalid",
+    packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
+    package_data={PACKAGE: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+    ],
+    python_requires=">=3.11",
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            "posor_node = posor_estimator.estimator_programs:posor_node",
+            "chain_node = posor_estimator.estimator_programs:chain_node",
+            "compose = posor_estimator.estimator_programs:compose",
+        ],
+        "posor_estimator.nodes": [
+            "chain_node = posor_estimator.chain_node:ChainNode",
+            "posor_node = posor_estimator.posor_node:PosorEstimatorNode",
+        ],
+    },
+)
