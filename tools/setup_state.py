@@ -24,7 +24,7 @@ KERNEL_FILES = tuple(
     f"src/posor/posor/{pattern}"
     for pattern in (
         *("numerics/*.py", "model/*.py", "estimation/*.py", "chain/*.py"),
-        *("messages/byte_kernels.py", "messages/message_stream.py"),
+        "messages/*.py",
     )
 )  # as in posor.numerics.compiled
 

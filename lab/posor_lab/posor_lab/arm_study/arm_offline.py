@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from posor.bags.arm_estimator import ArmEstimator
 from posor.bags.reprocess_task import Settings
-from posor.messages.raw_scan_unpacking import RecordedScans
+from posor.messages.raw_scan import RecordedScans
 from posor.model.scan import Scans
 from posor_ros.message_conversion import scan_from_message
 

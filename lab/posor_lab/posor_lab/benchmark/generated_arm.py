@@ -16,7 +16,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import yaml
 from posor.chain.arm_file import Arm, load_arm
-from posor.messages.message_definitions import MessageTypes
+from posor.messages.message_definitions import MessageTypes, installed_schema
 from posor.node_parameters import NodeParameters
 from posor.ros_names import RAW_SCAN, RAW_TOPIC
 from posor_bringup.arms import load_checked_arm
@@ -24,7 +24,6 @@ from posor_drivers.bag_writer import BagWriter
 from posor_drivers.simulated_messages import SimulatedMessages
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
-from posor_ros.cdr_scan import RAW_SCAN as RAW_SCAN_SCHEMA
 from posor_ros.qos import sensor_publisher_qos
 
 if TYPE_CHECKING:
@@ -110,7 +109,7 @@ def record_scans(arm: Arm, path: Path, fault_interval: int = 0) -> None:
 def _without_a_reading(data: bytes) -> bytes:
     """Return a raw scan with NaN as its first gap voltage."""
     faulty = bytearray(data)
-    struct.pack_into("<d", faulty, RAW_SCAN_SCHEMA.layout(data)["gap_voltages"].offset, math.nan)
+    struct.pack_into("<d", faulty, installed_schema(RAW_SCAN).layout(data)["gap_voltages"].offset, math.nan)
     return bytes(faulty)
 
 

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 
 STAGES = (
     ("posor_drivers.tick_scheduler", "TickTask", "run_tick", "driver: schedule the ticks, other"),
-    ("posor_ros.cdr_scan", "ScanTemplate", "at", "driver: stamp into the scan"),
+    ("posor.messages.raw_scan", "ScanTemplate", "at", "driver: stamp into the scan"),
     ("posor_estimator.posor_node", "PosorEstimatorNode", "_on_raw_scan", "posor_node: other"),
     (
-        "posor_estimator.raw_scan_stream",
+        "posor.messages.message_stream",
         "RawScanStream",
         "estimate_message",
         "posor_node: bytes of the scan and the transform",

@@ -15,7 +15,7 @@ from posor.reporting.html_page import (
     render_page,
     table,
 )
-from posor.uncertainty.first_order import Kind
+from posor.uncertainty.first_order import ContributionKind
 
 from posor_lab.campaign.campaign_plots import plot_budgets, plot_residuals, plot_truth
 from posor_lab.campaign.campaign_report import all_findings
@@ -186,7 +186,7 @@ def _budget_table(report: CampaignReport) -> Markup:
     budget, rms = report.budget, report.validation.root_mean_squares()
     header = ("standard uncertainty, root mean square", *(f"{freedom} [µ{unit}]" for freedom, unit in FREEDOMS.items()))
     lines = (
-        ("budget in the middle of the range: noise", budget.root_sum_square(Kind.RANDOM)[:6]),
+        ("budget in the middle of the range: noise", budget.root_sum_square(ContributionKind.RANDOM)[:6]),
         ("budget in the middle: calibration, with its correlations", report.calibration_sigmas),
         ("budget in the middle: total", budget.sigmas[:6]),
         ("budget at the validation poses", rms["budget"]),

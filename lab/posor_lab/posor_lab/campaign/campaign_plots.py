@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from posor.reporting.figure_style import BLUE, GREEN, GREY, LIGHT_BLUE, ORANGE
 from posor.reporting.plot import Plot
-from posor.uncertainty.first_order import Kind
+from posor.uncertainty.first_order import ContributionKind
 from scipy.stats import chi2, norm
 
 from posor_lab.accuracy.consistency import REGION_LIMIT
@@ -149,7 +149,7 @@ def _plot_parameter_errors(report: CampaignReport) -> Plot:
 
 
 def _plot_budget(report: CampaignReport, freedom: int) -> Plot:
-    noises = {part.name: part.effects for part in report.budget.contributions if part.kind is Kind.RANDOM}
+    noises = {part.name: part.effects for part in report.budget.contributions if part.kind is ContributionKind.RANDOM}
     loudest = max(effects[freedom] for effects in noises.values())
     noises = {name: effects for name, effects in noises.items() if effects[freedom] > FAINT * loudest}
     systematic, total = 1e6 * report.calibration_sigmas[freedom], 1e6 * report.budget.sigmas[freedom]

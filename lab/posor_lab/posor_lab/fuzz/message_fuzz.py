@@ -17,18 +17,19 @@ import numpy as np
 import pinocchio as pin
 from posor.errors import TopicError
 from posor.estimation.posor import Posor
-from posor.messages.message_definitions import MessageTypes
+from posor.messages.joint_transform import JointTransformFormat
+from posor.messages.message_definitions import MessageTypes, installed_schema
+from posor.messages.message_stream import RawScanStream
 from posor.messages.message_table import LEAD
+from posor.messages.raw_scan import scan_of
 from posor.model.fault import USABLE_STATES
+from posor.ros_names import JOINT_TRANSFORM, RAW_SCAN
 from posor.uncertainty.protection_level import endpoint_protection_level
 from posor.uncertainty.reliability import joint_reliability
 from posor_drivers.simulated_messages import SimulatedMessages
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_drivers.simulator.pose_array import PoseArray
-from posor_estimator.raw_scan_stream import RawScanStream
-from posor_ros.cdr_scan import RAW_SCAN, scan_of
-from posor_ros.cdr_transform import JOINT_TRANSFORM, JointTransformFormat
 
 from posor_lab.faults.pose_judge import SIGMAS, small_errors
 from posor_lab.faults.storm import sensor_shifts
@@ -163,7 +164,7 @@ class ScanFuzz:
         stream = recording.stream
         if stream.identity(data) is None or stream.estimate_message(data) is None:
             try:
-                data = RAW_SCAN.normal(data)
+                data = installed_schema(RAW_SCAN).normal(data)
                 stream = RawScanStream(recording.posor, data, "total")
             except TopicError:
                 return None
@@ -265,7 +266,7 @@ class TransformFuzz:
             plain = data
             if not kind.matches(data):
                 try:
-                    plain = JOINT_TRANSFORM.normal(data)
+                    plain = installed_schema(JOINT_TRANSFORM).normal(data)
                 except TopicError:
                     return None
                 if not kind.matches(plain):

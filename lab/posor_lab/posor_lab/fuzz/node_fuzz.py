@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 from posor.messages.cdr_schema import STAMP
+from posor.messages.joint_transform import stamp_ns_of
 from posor.model.fault import USABLE_STATES
 from posor.node_parameters import RECORDING
 from posor.numerics.stamps import NS
@@ -20,7 +21,6 @@ from posor.ros_names import ENDPOINT_TOPIC, RAW_TOPIC, TRANSFORM_TOPIC
 from posor_bringup.arm_programs import arm_programs
 from posor_bringup.supervisor import Supervisor
 from posor_msgs.msg import JointTransform, RawScan
-from posor_ros.cdr_transform import stamp_ns_of
 from posor_ros.message_conversion import pose_from_message
 from rclpy.serialization import deserialize_message
 

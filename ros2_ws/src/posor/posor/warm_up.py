@@ -18,14 +18,10 @@ from posor.chain.kinematic_chain import Chain
 from posor.compilation import completion_mark
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
-from posor.messages.message_stream import (
-    RAW_SCAN_LAYOUT,
-    STATUS,
-    TRANSFORM_LAYOUT,
-    MessageEstimator,
-    MessageRows,
-    MessageStream,
-)
+from posor.messages.joint_transform import TRANSFORM_LAYOUT
+from posor.messages.message_stream import STATUS, MessageEstimator, MessageStream
+from posor.messages.message_table import MessageRows
+from posor.messages.raw_scan import RAW_SCAN_LAYOUT, unpack_rows
 from posor.model.fault import State
 from posor.numerics.compiled import record_view
 from posor.numerics.summary_statistics import FIGURES, figures_of
@@ -56,7 +52,9 @@ def warm_up() -> None:
         if State.LOST in states:
             message = f"design {name} does not estimate its own scans"
             raise AssertionError(message)
-        MessageEstimator(posor, example_stream()).estimate_rows()
+        stream = example_stream()
+        MessageEstimator(posor, stream).estimate_rows()
+        unpack_rows(stream.raw, stream.raw_layout, posor.model.workspace["scan"])
     warm_up_chain()
     figures_of(np.array([1, 2]), 3, np.empty(FIGURES))
 

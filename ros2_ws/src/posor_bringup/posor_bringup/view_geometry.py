@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from posor.chain.arm_file import Arm
     from posor.numerics.array_types import FloatArray
 
-    from posor_bringup.view_observation import Endpoint, Scan
+    from posor_bringup.view_observation import ArmScan, EndpointView
 
 DEFAULT_COLOUR = (0.6, 0.6, 0.6)
 
@@ -90,7 +90,7 @@ class ArmGeometry:
         self.bodies = list(_bodies(self._chain.urdf))
         self.at_zero = self._nominal(np.zeros(len(self.joints)))
 
-    def draw(self, scan: Scan, endpoint: Endpoint) -> DrawnArm:
+    def draw(self, scan: ArmScan, endpoint: EndpointView) -> DrawnArm:
         """Return the arm of a scan."""
         estimator = self._estimator
         estimator.poses[:], estimator.covariances[:], estimator.thetas[:] = scan.poses, scan.covariances, scan.thetas

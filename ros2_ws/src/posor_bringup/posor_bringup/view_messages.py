@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from posor.bags.bag_reader import checked_type, opened_bag
 from posor.errors import ParameterError, TopicError
 from posor.messages.cdr_schema import STAMP
+from posor.messages.joint_transform import stamp_ns_of
 from posor.messages.message_definitions import MessageTypes
 from posor.numerics.stamps import NS
 from posor.ros_names import (
@@ -28,7 +29,6 @@ from posor.ros_names import (
     POSE_WITH_COVARIANCE_STAMPED,
     TRANSFORM_TOPIC,
 )
-from posor_ros.cdr_transform import stamp_ns_of
 from posor_ros.message_classes import message_class, schema_of_class
 from posor_ros.qos import SENSOR_QOS
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -76,7 +76,7 @@ class Message(NamedTuple):
     data: bytes
 
 
-class Status(NamedTuple):
+class StatusLine(NamedTuple):
     """A status of the diagnostics."""
 
     arrival_s: float
@@ -139,7 +139,7 @@ class MessageStore:
         self._schemas = {topic: schema_of_class(message_class(name)) for topic, name in types.items()}
         self._messages: dict[str, deque[Message]] = {topic: deque(maxlen=KEPT) for topic in types}
         self.since_s: float | None = None
-        self.statuses: dict[str, Status] = {}
+        self.statuses: dict[str, StatusLine] = {}
         self.refused = ""
 
     def clear(self, since_s: float | None = None) -> None:
@@ -158,7 +158,7 @@ class MessageStore:
                 for status in _decode(self._schemas[topic], data)["status"]:
                     if status["name"].startswith(self._prefix):
                         level = int.from_bytes(status["level"], "little")
-                        self.statuses[status["name"]] = Status(arrival_s, level, status["message"])
+                        self.statuses[status["name"]] = StatusLine(arrival_s, level, status["message"])
                 return
         except TopicError as error:
             self.refused = f"{topic}: {error}"

@@ -47,7 +47,7 @@ class Health:
 
 
 @dataclass(frozen=True)
-class Endpoint:
+class EndpointView:
     """The newest endpoint.
 
     Attributes:
@@ -71,7 +71,7 @@ class Endpoint:
 
 
 @dataclass(frozen=True)
-class Scan:
+class ArmScan:
     """The joints at the newest stamp of which all have a transform.
 
     Attributes:
@@ -107,8 +107,8 @@ class Observation:
 
     is_fresh: bool
     overall: Health
-    endpoint: Endpoint | None = None
-    scan: Scan | None = None
+    endpoint: EndpointView | None = None
+    scan: ArmScan | None = None
     joints: Mapping[str, Health] = field(default_factory=dict)
 
 
@@ -161,10 +161,10 @@ class Observer:
         reports = self._diagnostics(f"{self._prefix}/chain_node", now_s)
         return Health(_state_name(values["state"]), (*reason, *reports, *refused))
 
-    def _endpoint(self, values: Mapping[str, Any], message: Message) -> Endpoint:
+    def _endpoint(self, values: Mapping[str, Any], message: Message) -> EndpointView:
         pose = "pose.pose" if "pose.pose.position.x" in values else "pose"
         covariance = values.get("covariance") or values.get("pose.covariance") or [np.nan] * 36
-        return Endpoint(
+        return EndpointView(
             message.stamp_ns,
             (message.received_ns - message.stamp_ns) / NS,
             values.get("age", np.nan),
@@ -209,7 +209,7 @@ class Observer:
                 found[f"{node}: {status.text}"] = None
         return tuple(found)
 
-    def _scan(self, now_s: float) -> Scan | None:
+    def _scan(self, now_s: float) -> ArmScan | None:
         """Return the newest scan of which every joint has a transform that is not too old."""
         topics = [self._topics.transforms[name] for name in self._joints]
         by_stamp = [{each.stamp_ns: each for each in self._store.messages(topic)} for topic in topics]
@@ -221,7 +221,7 @@ class Observer:
         joints = [values for values in found if values is not None]
         if len(joints) < len(topics):
             return None
-        return Scan(
+        return ArmScan(
             stamp_ns,
             np.array([_usable_pose(values) for values in joints]),
             np.array([values["covariance"] for values in joints]).reshape(-1, 6, 6),

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
     from posor_bringup.view_geometry import ArmGeometry, DrawnArm
-    from posor_bringup.view_observation import Endpoint, Health, Observation
+    from posor_bringup.view_observation import EndpointView, Health, Observation
 
 HOST = "127.0.0.1"
 CHART_PERIOD_S, TEXT_PERIOD_S = 0.25, 0.2
@@ -333,7 +333,7 @@ class ViewPage:
             f'<table id="endpoint" style="width:97%;font-size:13px;text-align:right">{numbers}</table>'
         )
 
-    def _add_points(self, observation: Observation, endpoint: Endpoint, drawn: DrawnArm | None) -> None:
+    def _add_points(self, observation: Observation, endpoint: EndpointView, drawn: DrawnArm | None) -> None:
         deviation, residuals, latency = self._charts
         if observation.scan is not None and drawn is not None:
             time_s = observation.scan.stamp_ns / NS
@@ -359,7 +359,7 @@ def _health_row(name: str, health: Health, colour: tuple[int, int, int]) -> str:
     return f'<tr id="joint-{name}" style="border-bottom:1px solid #ddd">{cells}</tr>'
 
 
-def _numbers(endpoint: Endpoint | None, drawn: DrawnArm | None) -> str:
+def _numbers(endpoint: EndpointView | None, drawn: DrawnArm | None) -> str:
     """Return the rows on the six coordinates of the endpoint."""
     columns = np.full((4, 6), np.nan)
     if drawn is not None:

@@ -5,10 +5,10 @@ import pinocchio as pin
 import pytest
 from posor_bringup.arms import load_checked_arm
 from posor_bringup.view_geometry import ArmGeometry, ellipsoid, enlarge
-from posor_bringup.view_observation import Endpoint, Scan
+from posor_bringup.view_observation import ArmScan, EndpointView
 
 ANGLES = {"base_swivel": 0.3, "shoulder": -0.2, "elbow": 0.4, "wrist_roll": 0.1, "wrist_yaw": -0.3}
-NAN_ENDPOINT = Endpoint(0, 0.0, 0.0, "base", np.full(7, np.nan), np.full((6, 6), np.nan), np.full(6, np.nan))
+NAN_ENDPOINT = EndpointView(0, 0.0, 0.0, "base", np.full(7, np.nan), np.full((6, 6), np.nan), np.full(6, np.nan))
 
 
 @pytest.fixture(scope="module")
@@ -16,12 +16,12 @@ def geometry() -> ArmGeometry:
     return ArmGeometry(load_checked_arm("five_axis"))
 
 
-def scan_of(poses: list[pin.SE3], encoders: list[float]) -> Scan:
+def scan_of(poses: list[pin.SE3], encoders: list[float]) -> ArmScan:
     count = len(poses)
     rows = np.array([pin.SE3ToXYZQUAT(pose) for pose in poses])
     covariances = np.tile(1e-12 * np.eye(6), (count, 1, 1))
     thetas = np.full(count, np.nan)
-    return Scan(1, rows, covariances, thetas, np.zeros(count), np.array(encoders))
+    return ArmScan(1, rows, covariances, thetas, np.zeros(count), np.array(encoders))
 
 
 def nominal_poses(angles: dict[str, float]) -> list[pin.SE3]:

@@ -33,7 +33,7 @@ COLOURS = (BLUE, ORANGE, GREEN, LIGHT_BLUE, GREY)
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ProcedureVerdict:
     """What a user has to know about an outcome."""
 
     holds: bool  # whether the residuals agree with the stated uncertainties
@@ -60,7 +60,7 @@ def _wrap(sentences: Sequence[str]) -> list[str]:
     return [line for sentence in sentences for line in textwrap.wrap(sentence, WIDTH, subsequent_indent="  ")]
 
 
-def judge_outcome(name: str, outcome: Outcome, changes: Comparison | None) -> Verdict:
+def judge_outcome(name: str, outcome: Outcome, changes: Comparison | None) -> ProcedureVerdict:
     """Return the verdict on the outcome of the procedure ``name``; ``changes``: of the calibration file, if any."""
     what, worst = max(outcome.fits.items(), key=lambda item: item[1].spread)
     holds = all(fit.probability >= IMPROBABLE for fit in outcome.fits.values())
@@ -73,7 +73,7 @@ def judge_outcome(name: str, outcome: Outcome, changes: Comparison | None) -> Ve
     )
     of_file = _describe_changes(changes) if changes else ["The calibration file is not changed."]
     findings = (residuals, *of_file)
-    return Verdict(holds, f"{name}: {usable}.", findings, outcome.warnings)
+    return ProcedureVerdict(holds, f"{name}: {usable}.", findings, outcome.warnings)
 
 
 def _count_outliers(fit: Fit) -> int:
@@ -113,7 +113,7 @@ def _describe_changes(changes: Comparison) -> list[str]:
     return sentences
 
 
-def render_outcome_page(title: str, verdict: Verdict, outcome: Outcome) -> str:
+def render_outcome_page(title: str, verdict: ProcedureVerdict, outcome: Outcome) -> str:
     """Return the page with verdict, fits, notes, charts and all tables."""
     header = (
         "fit",
@@ -139,7 +139,7 @@ def render_outcome_page(title: str, verdict: Verdict, outcome: Outcome) -> str:
     ]
     notes = [Section("Notes", bullet_list(verdict.notes))] if verdict.notes else []
     sections = [
-        Section("Verdict", bullet_list(verdict.findings)),
+        Section("ProcedureVerdict", bullet_list(verdict.findings)),
         *notes,
         *([Section("Charts", Markup(""), [_plot(each) for each in outcome.figures])] if outcome.figures else []),
         Section("Fits", paragraph(f"Method: {outcome.method}.") + table(header, rows)),
@@ -158,7 +158,7 @@ def _plot(chart: Figure) -> Plot:
     return plot
 
 
-def outcome_json(name: str, verdict: Verdict, outcome: Outcome) -> str:
+def outcome_json(name: str, verdict: ProcedureVerdict, outcome: Outcome) -> str:
     """Return the numbers of the page as JSON; a number that is not finite is null."""
     content = {
         "procedure": name,

@@ -18,7 +18,7 @@ from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor.uncertainty.budget_poses import middle_pose, pose_from_native, scan_at
 from posor.uncertainty.budget_quantities import NATIVE, PlatePoint
-from posor.uncertainty.first_order import Kind, error_budget
+from posor.uncertainty.first_order import ContributionKind, error_budget
 from posor.uncertainty.protection_level import arm_reliability
 from posor.uncertainty.reliability import joint_reliability
 from rich.console import Console
@@ -198,7 +198,7 @@ def print_budget(report: BudgetReport, console: Console) -> None:
     for output in report.budget.outputs:
         table.add_column(heading(output), justify="right")
     for name, kind, cells in report.contribution_rows():
-        if name == f"all {Kind.RANDOM}":
+        if name == f"all {ContributionKind.RANDOM}":
             table.add_section()
         table.add_row(name, kind, *cells)
     console.print(table)

@@ -14,7 +14,7 @@ from posor.reporting.html_page import (
     table,
 )
 from posor.reporting.plot import Plot
-from posor.uncertainty.first_order import Kind
+from posor.uncertainty.first_order import ContributionKind
 
 from posor_design.budget_report import DISPLAY_UNITS, VALIDATION_HEADER, heading
 from posor_design.reliability_report import (
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
 BARS = 8
 """Number of contributions drawn for each output."""
-COLOURS = {Kind.RANDOM: ORANGE, Kind.SYSTEMATIC: BLUE}
-NAMES = {Kind.RANDOM: "noise (random)", Kind.SYSTEMATIC: "calibration (systematic)"}
+COLOURS = {ContributionKind.RANDOM: ORANGE, ContributionKind.SYSTEMATIC: BLUE}
+NAMES = {ContributionKind.RANDOM: "noise (random)", ContributionKind.SYSTEMATIC: "calibration (systematic)"}
 
 DIFFERS = "the model is not linear over this uncertainty: use the interval of the draws, interval_95 in budget.json"
 NOT_STABLE = "too few draws for this tolerance: use more, --draws"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from posor.model.native_coordinates import native_from_rotation
 from posor.uncertainty.budget_quantities import NATIVE
-from posor.uncertainty.first_order import Kind
+from posor.uncertainty.first_order import ContributionKind
 
 from posor_design.reliability_report import arm_json, reliability_json
 
@@ -140,7 +140,7 @@ class BudgetReport:
             effects, shares = (np.array(column) for column in zip(*small, strict=True))
             total = np.sqrt(np.sum(np.square(effects), axis=0))
             rows.append((f"{len(small)} more, each below 1 %", "", cells(total, np.sum(shares, axis=0))))
-        rows.extend((f"all {kind}", str(kind), cells(budget.root_sum_square(kind))) for kind in Kind)
+        rows.extend((f"all {kind}", str(kind), cells(budget.root_sum_square(kind))) for kind in ContributionKind)
         rows.append(("root sum square", "total", cells(budget.root_sum_square())))
         rows.append(("full covariance", "total", cells(budget.sigmas)))
         rows.append((f"Monte Carlo, {self.drawn.trials} draws", "total", cells(self.drawn.sigmas)))
@@ -177,8 +177,8 @@ class BudgetReport:
             output.name: {
                 "unit": output.unit,
                 "value": float(budget.values[i]),
-                "random": float(budget.root_sum_square(Kind.RANDOM)[i]),
-                "systematic": float(budget.root_sum_square(Kind.SYSTEMATIC)[i]),
+                "random": float(budget.root_sum_square(ContributionKind.RANDOM)[i]),
+                "systematic": float(budget.root_sum_square(ContributionKind.SYSTEMATIC)[i]),
                 "root_sum_square": float(budget.root_sum_square()[i]),
                 "full_covariance": float(budget.sigmas[i]),
                 "monte_carlo": {

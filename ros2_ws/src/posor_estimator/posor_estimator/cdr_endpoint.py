@@ -15,7 +15,7 @@ from posor_estimator.cdr_writer import MessageWriter
 if TYPE_CHECKING:
     from posor.chain.endpoint_estimator import EndpointEstimator
 
-    from posor_estimator.endpoint_verdict import Verdict
+    from posor_estimator.endpoint_verdict import EndpointVerdict
 
 MAX_JOINT, MAX_REASON = 128, 255
 """Bounds of the strings in ``posor_msgs/EndpointState`` [bytes]."""
@@ -70,7 +70,7 @@ class EndpointStateWriter:
         nothing = {name: np.full(numbers.shape, np.nan) for name, numbers in endpoint.items()}
 
         @lru_cache(maxsize=WRITERS)
-        def writer_of(verdict: Verdict) -> MessageWriter:
+        def writer_of(verdict: EndpointVerdict) -> MessageWriter:
             joint, reason = (
                 text.encode()[:limit].decode(errors="ignore")
                 for text, limit in ((verdict.joint, MAX_JOINT), (verdict.reason, MAX_REASON))
@@ -83,7 +83,7 @@ class EndpointStateWriter:
 
         self._writer_of = writer_of
 
-    def write(self, stamp: bytes, age_s: float, verdict: Verdict) -> bytes:
+    def write(self, stamp: bytes, age_s: float, verdict: EndpointVerdict) -> bytes:
         """Return the message.
 
         Args:

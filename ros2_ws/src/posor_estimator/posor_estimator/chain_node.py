@@ -26,6 +26,7 @@ from posor.chain.kinematic_chain import load_chain
 from posor.chain.time_synchroniser import MAX_OPEN_SCANS, TimeSynchroniser
 from posor.errors import TopicError
 from posor.messages.cdr_schema import STAMP
+from posor.messages.joint_transform import JointTransformFormat, stamp_ns_of
 from posor.messages.message_table import LEAD
 from posor.model.fault import State
 from posor.node_parameters import ChainParameters
@@ -39,12 +40,12 @@ from posor.ros_names import (
     TRANSFORM_TOPIC,
 )
 from posor_msgs.msg import EndpointState, JointReliability, JointTransform
-from posor_ros.cdr_transform import JOINT_TRANSFORM, JointTransformFormat, stamp_ns_of
 from posor_ros.diagnostics import Level
 from posor_ros.freshness import InputMonitor
 from posor_ros.idle_scheduler import run_when_idle
 from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_ros.lifecycle_node import PosorNode
+from posor_ros.message_classes import schema_of_class
 from posor_ros.node_program import run_node
 from posor_ros.qos import RELIABLE_QOS, result_qos, sensor_subscription_qos, state_qos
 from rclpy.clock import Clock
@@ -54,7 +55,7 @@ from sensor_msgs.msg import JointState
 from posor_estimator.alarm_rate import AlarmRate
 from posor_estimator.cdr_endpoint import EndpointStateWriter, EndpointWriter
 from posor_estimator.endpoint_protection import ProtectionLevel
-from posor_estimator.endpoint_verdict import SOUND, JointStatus, Verdict, degraded_verdict, unusable_verdict
+from posor_estimator.endpoint_verdict import SOUND, EndpointVerdict, JointStatus, degraded_verdict, unusable_verdict
 from posor_estimator.frame_publisher import FramePublisher, StampedPoses
 
 if TYPE_CHECKING:
@@ -207,11 +208,11 @@ class ChainNode(PosorNode[ChainParameters]):
                 self._report_no_pose(silent, ("silent",))
             if silent and not self._state_published:
                 joint = self._joint_of_topic[self._inputs.silent_names[0]]
-                verdict = Verdict(EndpointState.STATE_STALE, 0, joint, silent)
+                verdict = EndpointVerdict(EndpointState.STATE_STALE, 0, joint, silent)
                 self._publish_state(self._last_stamp, stamp_ns_of(self._last_stamp), verdict)
             self._state_published = False
 
-    def _publish_state(self, stamp: bytes, stamp_ns: int, verdict: Verdict) -> None:
+    def _publish_state(self, stamp: bytes, stamp_ns: int, verdict: EndpointVerdict) -> None:
         """Publish the state of a scan; a stamp of zero: there is no scan yet."""
         self._state_published = True
         if self._endpoint_state.has_subscriptions:
@@ -239,8 +240,8 @@ class ChainNode(PosorNode[ChainParameters]):
     def _normalise(self, joint: FreeJoint, data: bytes) -> bytes:
         """Return a transform in plain CDR; refuse an invalid transform or wrong frames and return empty bytes."""
         try:
-            data = JOINT_TRANSFORM.normal(data)
-            values = JOINT_TRANSFORM.values(data)
+            data = schema_of_class(JointTransform).normal(data)
+            values = schema_of_class(JointTransform).values(data)
         except TopicError as error:
             self._refuse_transform(joint, str(error), bytes(8))
             return b""
@@ -260,7 +261,7 @@ class ChainNode(PosorNode[ChainParameters]):
         text = f"{joint.name}: {reason}"
         self._refusals[joint.name] = time.monotonic(), text
         stamp = stamp if stamp_ns_of(stamp) else self._last_stamp
-        self._publish_state(stamp, stamp_ns_of(stamp), Verdict(EndpointState.STATE_LOST, 0, joint.name, text))
+        self._publish_state(stamp, stamp_ns_of(stamp), EndpointVerdict(EndpointState.STATE_LOST, 0, joint.name, text))
         self._report_no_pose(text)
 
     def _close_late_scans(self) -> None:
@@ -284,7 +285,7 @@ class ChainNode(PosorNode[ChainParameters]):
             reason = self._why_missing(missing)
             if too_old := self._inputs.stamp_limits.fault(stamp_ns):
                 reason = f"{reason}; {too_old}"
-            verdict = Verdict(EndpointState.STATE_LOST, 0, missing[0], reason)
+            verdict = EndpointVerdict(EndpointState.STATE_LOST, 0, missing[0], reason)
             self._publish_state(_STAMP.pack(*divmod(stamp_ns, NS)), stamp_ns, verdict)
             if not self._inputs.silent:
                 self._report_refused_scan(verdict)
@@ -298,7 +299,7 @@ class ChainNode(PosorNode[ChainParameters]):
         stamp = self._last_stamp = data[STAMP]
         refusal = self._inputs.refusal(stamp_ns)
         if refusal:
-            self._refuse_scan(stamp, stamp_ns, Verdict(EndpointState.STATE_LOST, 0, "", refusal))
+            self._refuse_scan(stamp, stamp_ns, EndpointVerdict(EndpointState.STATE_LOST, 0, "", refusal))
             return
         if (worst := estimator.estimate_rows(stamp_ns)) < 0:
             self._refuse_scan(stamp, stamp_ns, unusable_verdict(self._joints_of(scan)))
@@ -332,7 +333,7 @@ class ChainNode(PosorNode[ChainParameters]):
             poses = np.concatenate([self._estimator.poses, self._estimator.beam_transforms])
             return StampedPoses(stamp_ns_of(self._pose_stamp), poses)
 
-    def _refuse_scan(self, stamp: bytes, stamp_ns: int, verdict: Verdict) -> None:
+    def _refuse_scan(self, stamp: bytes, stamp_ns: int, verdict: EndpointVerdict) -> None:
         """Publish and report that a complete scan gives no endpoint."""
         self._scans_refused += 1
         self._pose_stamp = b""
@@ -347,7 +348,7 @@ class ChainNode(PosorNode[ChainParameters]):
     def _scan_number(self) -> int:
         return self._poses + self._scans_refused + self._scans_incomplete
 
-    def _report_refused_scan(self, verdict: Verdict) -> None:
+    def _report_refused_scan(self, verdict: EndpointVerdict) -> None:
         """Report a scan without a pose if the reason has changed: as an error if false alarms do not explain it."""
         number = self._scan_number()
         self._has_alarm = not verdict.is_waiting and self._alarms.add(number)

@@ -19,7 +19,7 @@ NOT_COUNTED = "waiting for the home mark or another reference"
 _STATE_TEXTS = {int(state): f"is {state.name.lower()}" for state in State}
 
 
-class Verdict(NamedTuple):
+class EndpointVerdict(NamedTuple):
     """Whether there is an endpoint, and why not; the fields of ``posor_msgs/EndpointState``."""
 
     state: int
@@ -34,7 +34,7 @@ class Verdict(NamedTuple):
         return self.state <= int(EndpointState.STATE_DEGRADED)
 
 
-SOUND = Verdict(EndpointState.STATE_OK)
+SOUND = EndpointVerdict(EndpointState.STATE_OK)
 
 
 class JointStatus(NamedTuple):
@@ -59,18 +59,18 @@ def waits_to_be_counted(state: int, faults: int) -> bool:
     return state == State.UNCOUNTED and not faults
 
 
-def degraded_verdict(joints: Sequence[JointStatus]) -> Verdict:
+def degraded_verdict(joints: Sequence[JointStatus]) -> EndpointVerdict:
     """Return the verdict on a scan with an endpoint and at least one degraded joint."""
     degraded = [joint for joint in joints if joint.state]
     reason = ", ".join(f"{joint.name}{_fault_names(joint.faults)}" for joint in degraded)
-    return Verdict(EndpointState.STATE_DEGRADED, _all_faults(degraded), degraded[0].name, f"degraded: {reason}")
+    return EndpointVerdict(EndpointState.STATE_DEGRADED, _all_faults(degraded), degraded[0].name, f"degraded: {reason}")
 
 
-def unusable_verdict(joints: Sequence[JointStatus]) -> Verdict:
+def unusable_verdict(joints: Sequence[JointStatus]) -> EndpointVerdict:
     """Return the verdict on a scan without an endpoint: UNCOUNTED if all unusable joints are, else LOST."""
     unusable = [joint for joint in joints if joint.state > State.DEGRADED or joint.code]
     if not unusable:
-        return Verdict(EndpointState.STATE_LOST, _all_faults(joints), "", "the endpoint is not finite")
+        return EndpointVerdict(EndpointState.STATE_LOST, _all_faults(joints), "", "the endpoint is not finite")
     lost = [joint for joint in unusable if joint.state != State.UNCOUNTED]
     state = EndpointState.STATE_LOST if lost else EndpointState.STATE_UNCOUNTED
     names: dict[str, list[str]] = {}  # of the joints with the same reason: the text has to fit into the message
@@ -78,7 +78,7 @@ def unusable_verdict(joints: Sequence[JointStatus]) -> Verdict:
         names.setdefault(_reason(joint), []).append(joint.name)
     reason = "; ".join(f"{_listed(each)} {text}" for text, each in names.items())
     is_waiting = all(waits_to_be_counted(joint.state, joint.faults) and not joint.code for joint in unusable)
-    return Verdict(state, _all_faults(joints), (lost or unusable)[0].name, reason, is_waiting)
+    return EndpointVerdict(state, _all_faults(joints), (lost or unusable)[0].name, reason, is_waiting)
 
 
 def _listed(names: Sequence[str]) -> str:

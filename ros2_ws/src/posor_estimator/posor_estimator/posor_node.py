@@ -22,13 +22,14 @@ from posor.calibration.calibration_file import load_calibration
 from posor.errors import CalibrationError, ParameterError, PosorError, TopicError
 from posor.estimation.digital_zero import find_digital_zero
 from posor.estimation.posor import Posor
+from posor.messages.message_stream import RawScanStream
+from posor.messages.raw_scan import scan_of
 from posor.model.fault import Fault, State
 from posor.model.scan import Scans
 from posor.node_parameters import PosorParameters
 from posor.ros_names import RAW_TOPIC, RELIABILITY_TOPIC, TRANSFORM_TOPIC
 from posor.uncertainty.reading_sensitivity import EstimateMatrices
 from posor_msgs.msg import JointReliability, JointTransform, RawScan
-from posor_ros.cdr_scan import RAW_SCAN, scan_of
 from posor_ros.diagnostics import Level
 from posor_ros.freshness import REPEATED, InputMonitor, ScanOrder
 from posor_ros.idle_scheduler import run_when_idle
@@ -42,17 +43,15 @@ from sensor_msgs.msg import JointState
 
 from posor_estimator.alarm_rate import AlarmRate
 from posor_estimator.endpoint_verdict import NOT_COUNTED, waits_to_be_counted
-from posor_estimator.raw_scan_stream import RawScanStream
 from posor_estimator.reliability_message import has_reliability, reliability_fields
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from posor.calibration.calibration_file import Calibration
+    from posor.messages.message_stream import EstimatedScan
     from posor_ros.diagnostics import StatusText, Value
     from std_srvs.srv import Trigger
-
-    from posor_estimator.raw_scan_stream import EstimatedScan
 
 
 LOST = int(State.LOST)
@@ -315,7 +314,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
     def _open_stream(self, data: bytes) -> bytes:
         """Make a stream for a scan of another layout; return the scan in plain CDR, empty if it is invalid."""
         try:
-            data = RAW_SCAN.normal(data)
+            data = schema_of_class(RawScan).normal(data)
             stream = RawScanStream(self._posor, data, self.parameters.covariance)
         except TopicError as error:
             self._messages_refused += 1

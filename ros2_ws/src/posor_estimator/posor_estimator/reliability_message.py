@@ -10,9 +10,8 @@ from posor.uncertainty.reliability import reliability
 
 if TYPE_CHECKING:
     from posor.estimation.posor import Posor
+    from posor.messages.message_stream import EstimatedScan
     from posor.uncertainty.reading_sensitivity import EstimateMatrices
-
-    from posor_estimator.raw_scan_stream import EstimatedScan
 
 
 def has_reliability(last: EstimatedScan) -> bool:

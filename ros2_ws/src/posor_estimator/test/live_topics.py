@@ -6,9 +6,9 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from posor.messages.raw_scan import ScanTemplate
 from posor_lab.harness.graph import LOSSLESS
 from posor_msgs.msg import RawScan
-from posor_ros.cdr_scan import ScanTemplate
 from rosbags.rosbag2 import Reader
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from posor.messages.joint_transform import stamp_ns_of
 from posor_lab.harness.graph import Graph, wait_for_value
 from posor_lab.harness.program import Program, installed, ros_arguments
 from posor_msgs.msg import EndpointState, JointTransform
-from posor_ros.cdr_transform import stamp_ns_of
 from posor_ros.message_conversion import stamp_ns
 from rclpy.qos import QoSProfile
 

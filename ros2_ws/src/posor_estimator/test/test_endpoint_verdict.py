@@ -5,7 +5,13 @@ from __future__ import annotations
 import pytest
 from posor.chain.joint_measurements import POSE_TOO_FAR
 from posor.model.fault import Fault, State
-from posor_estimator.endpoint_verdict import NOT_COUNTED, JointStatus, Verdict, degraded_verdict, unusable_verdict
+from posor_estimator.endpoint_verdict import (
+    NOT_COUNTED,
+    EndpointVerdict,
+    JointStatus,
+    degraded_verdict,
+    unusable_verdict,
+)
 from posor_msgs.msg import EndpointState
 
 SOUND_JOINT = JointStatus("base", State.OK, 0)
@@ -74,7 +80,7 @@ def test_a_degraded_scan_names_its_degraded_joints() -> None:
     verdict = degraded_verdict([SOUND_JOINT, FLAGGED, other])
     faults = Fault.FLAGGED | Fault.OUT_OF_RANGE
     reason = "degraded: wrist (FLAGGED), tool (OUT_OF_RANGE)"
-    assert verdict == Verdict(EndpointState.STATE_DEGRADED, faults, "wrist", reason)
+    assert verdict == EndpointVerdict(EndpointState.STATE_DEGRADED, faults, "wrist", reason)
     assert verdict.has_pose
 
 

@@ -13,14 +13,14 @@ from posor.chain.joint_measurements import JointMeasurements, read_row
 from posor.errors import TopicError
 from posor.estimation.estimate import Estimate
 from posor.messages.cdr_schema import STAMP
+from posor.messages.joint_transform import JointTransformFormat, stamp_ns_of
 from posor.messages.message_table import LEAD
+from posor.messages.raw_scan import ScanTemplate
 from posor.model.fault import Fault, State
 from posor.model.native_coordinates import native_from_rotation
 from posor.numerics.stamps import NS
 from posor_estimator.cdr_writer import MessageWriter
-from posor_msgs.msg import RawScan
-from posor_ros.cdr_scan import RAW_SCAN, ScanTemplate
-from posor_ros.cdr_transform import JOINT_TRANSFORM, JointTransformFormat, stamp_ns_of
+from posor_msgs.msg import JointTransform, RawScan
 from posor_ros.message_classes import schema_of_class
 from posor_ros.message_conversion import scan_from_message, transform_message
 from rclpy.serialization import deserialize_message, serialize_message
@@ -29,6 +29,8 @@ from sensor_msgs.msg import JointState
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+RAW_SCAN = schema_of_class(RawScan)
+JOINT_TRANSFORM = schema_of_class(JointTransform)
 SHAPES = [(3, 0, 8), (0, 4, 0), (8, 8, 16), (1, 0, 4), (0, 0, 0)]
 """Numbers of gap voltages, ring voltages and currents."""
 

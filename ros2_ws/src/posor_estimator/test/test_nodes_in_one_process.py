@@ -13,6 +13,7 @@ import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from posor.messages.cdr_schema import STAMP
 from posor.messages.message_definitions import MessageTypes
+from posor.messages.raw_scan import ScanTemplate
 from posor.node_parameters import NodeParameters
 from posor.ros_names import RAW_SCAN as RAW_SCAN_TYPE
 from posor_estimator.chain_node import ChainNode
@@ -22,11 +23,10 @@ from posor_lab.harness.in_process_nodes import NodeProcess
 from posor_lab.harness.program import HAND_FED, wait_until
 from posor_msgs.msg import JointTransform, RawScan
 from posor_ros import diagnostics
-from posor_ros.cdr_scan import RAW_SCAN, ScanTemplate
-from posor_ros.cdr_transform import JOINT_TRANSFORM
 from posor_ros.diagnostics import Diagnostics
 from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_ros.lifecycle_node import PosorNode
+from posor_ros.message_classes import schema_of_class
 from posor_ros.qos import KEEP_ALL_QOS
 from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader
@@ -36,6 +36,8 @@ from std_srvs.srv import Trigger
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+RAW_SCAN = schema_of_class(RawScan)
+JOINT_TRANSFORM = schema_of_class(JointTransform)
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
 BRINGUP = Path(__file__).resolve().parents[2] / "posor_bringup"

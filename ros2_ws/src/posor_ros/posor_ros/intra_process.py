@@ -15,8 +15,11 @@ continue.
 
 from __future__ import annotations
 
+import math
 import time
+from collections import deque
 from contextlib import ExitStack
+from statistics import median
 from threading import RLock
 from typing import TYPE_CHECKING, Any, ClassVar
 from weakref import WeakKeyDictionary
@@ -26,8 +29,6 @@ from rclpy.duration import Duration, Infinite
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.qos import HistoryPolicy
 
-from posor_ros.input_watch import InputWatch
-
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -35,6 +36,53 @@ if TYPE_CHECKING:
     from rclpy.qos import QoSProfile
 
     from posor_ros.lifecycle_node import PosorNode
+
+
+SILENT_PERIODS = 10
+"""Median periods without input that count as silence, unless ``max_silence`` is longer."""
+PERIODS = 5
+"""Number of last measured periods whose median is used, so that neither a pause nor a burst changes it."""
+
+
+class InputWatch:
+    """Arrivals of one input.
+
+    Attributes:
+        name: Topic or source, for the reports.
+
+    """
+
+    __slots__ = ("_arrivals", "_arrived_s", "_counted", "_counted_s", "_periods", "name")
+
+    def __init__(self, name: str) -> None:
+        """Create a watch; ``restart`` starts it."""
+        self.name = name
+        self._periods: deque[float] = deque(maxlen=PERIODS)
+        self.restart(-math.inf)
+
+    def restart(self, now_s: float) -> None:
+        """Forget all arrivals; silence begins at a steady time [s]."""
+        self._arrivals = self._counted = 0
+        self._arrived_s = self._counted_s = now_s
+        self._periods.clear()
+
+    def record(self, now_s: float) -> None:
+        """Record an arrival at a steady time [s]; takes a fraction of a microsecond."""
+        self._arrivals += 1
+        self._arrived_s = now_s
+
+    def silence(self, now_s: float, limit_s: float) -> str:
+        """Return the sentence on a silence that exceeds the limit [s] and ``SILENT_PERIODS``; else empty."""
+        arrivals, arrived_s = self._arrivals, self._arrived_s
+        if arrivals > self._counted:
+            if self._counted:
+                self._periods.append((arrived_s - self._counted_s) / (arrivals - self._counted))
+            self._counted, self._counted_s = arrivals, arrived_s
+        age_s = now_s - arrived_s
+        if age_s <= limit_s or (self._periods and age_s <= SILENT_PERIODS * median(self._periods)):
+            return ""
+        return f"no input on {self.name} {'for' if arrivals else 'since activation,'} {age_s:.2f} s"
+
 
 DESTROY_TIMEOUT_S = 5.0
 """How long a keep-all publisher waits for acknowledgements when it is destroyed.

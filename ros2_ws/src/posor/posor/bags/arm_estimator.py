@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from posor.calibration.calibration_file import Calibration
     from posor.chain.forward_kinematics import Endpoints
     from posor.chain.kinematic_chain import Chain
-    from posor.messages.raw_scan_unpacking import RecordedScans
+    from posor.messages.raw_scan import RecordedScans
     from posor.node_parameters import ChainParameters, CovarianceKind
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from posor.bags.bag_reader import check_filled, checked_type, opened_bag
 from posor.errors import BagError
 from posor.messages.message_definitions import schema_of_connection
-from posor.messages.raw_scan_unpacking import check_raw_scan_schema
+from posor.messages.raw_scan import check_raw_scan_schema
 from posor.ros_names import RAW_SCAN, RAW_TOPIC, TRANSFORM_TOPIC
 
 if TYPE_CHECKING:

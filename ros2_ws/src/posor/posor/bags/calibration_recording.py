@@ -16,7 +16,7 @@ from posor.bags.topic_reader import TopicReader
 from posor.chain.joint_measurements import UNIT_QUATERNION_TOLERANCE
 from posor.errors import BagError, TopicError, TrackError
 from posor.messages.message_definitions import schema_of_connection
-from posor.messages.raw_scan_unpacking import RecordedScans, check_raw_scan_schema, unpack_scans
+from posor.messages.raw_scan import RecordedScans, check_raw_scan_schema
 from posor.model.scan import CONTACTS
 from posor.numerics.stamps import time_ns
 from posor.ros_names import POINT_STAMPED, POSE_STAMPED, RAW_SCAN, REFERENCE_READING
@@ -133,7 +133,7 @@ def _read_recorded_scans(reader: Reader, topic: str, where: str) -> RecordedScan
     check_raw_scan_schema(schema, place)
     topic_reader = TopicReader(0, topic, schema, where)
     parts = [
-        unpack_scans(*table)
+        RecordedScans.unpack(*table)
         for block in read_blocks(reader, [topic], where)
         for table in topic_reader.read_tables(block)
     ]

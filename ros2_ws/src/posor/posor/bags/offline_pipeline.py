@@ -18,7 +18,7 @@ from posor.bags.reprocess_task import Summary, Task
 from posor.bags.result_folder import new_result_folder, writing
 from posor.bags.topic_reader import TopicReader
 from posor.errors import BagError
-from posor.messages.raw_scan_unpacking import unpack_scans
+from posor.messages.raw_scan import RecordedScans
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from posor.bags.bag_topics import BagTopics
     from posor.bags.message_block import MessageBlock
     from posor.messages.estimate_arrays import ArmEstimates
-    from posor.messages.raw_scan_unpacking import RecordedScans
 
     class Output(Protocol):
         """Receives the estimates of a bag, block after block."""
@@ -103,7 +102,10 @@ def read_recorded_scans(bag: Path, topics: BagTopics) -> Iterator[Mapping[str, S
         for number, (joint, topic) in enumerate(topics.raw.items())
     }
     for block in _read_blocks(bag, list(topics.raw.values())):
-        yield {joint: [unpack_scans(*part) for part in reader.read_tables(block)] for joint, reader in readers.items()}
+        yield {
+            joint: [RecordedScans.unpack(*part) for part in reader.read_tables(block)]
+            for joint, reader in readers.items()
+        }
 
 
 def _read_blocks(bag: Path, topics: Sequence[str]) -> Iterator[MessageBlock]:

@@ -26,8 +26,17 @@ from posor.chain.endpoint_covariance import (
 from posor.chain.joint_measurements import ENDPOINT_NOT_FINITE, measurement_fault, read_row
 from posor.model.fault import USABLE_STATES
 from posor.numerics.compiled import in_place, inlined
-from posor.numerics.matrix import Matrix, applied, matrix, product, row_times, transposed, turned_by
-from posor.numerics.pose import rotation_of_pose, write_pose
+from posor.numerics.matrix import (
+    Matrix,
+    applied,
+    matrix,
+    product,
+    rotation_of_pose,
+    row_times,
+    transposed,
+    turned_by,
+    write_pose,
+)
 from posor.numerics.vector import Vector, at, minus, plus, times, within
 
 if TYPE_CHECKING:

@@ -4,7 +4,11 @@ With the rows' derivatives J, the readings' variances R (random, diagonal) and G
 
 * random covariance ``(J' R^-1 J)^-1`` (JCGM 100, 5.1 for a linear model of uncorrelated readings);
 * systematic covariance ``G S G'`` where S is the readings' covariance from the calibration parameters
-  (``estimation.parameter_effects``; JCGM 100, 5.2: parameters shared by readings correlate them).
+  (JCGM 100, 5.2: parameters shared by readings correlate them). Each parameter is a sum of standard normal factors: one
+  of its own where the calibration states only its standard uncertainty, all those of its block where it states a
+  covariance (``calibration.parameter_covariance``). Then S = B B', with B the derivatives of the readings with respect
+  to the factors. A factor that reaches only one reading adds to the variance of that reading and needs no column of B.
+  Which products are needed is found once for the selected rows and holds as long as the scans read the same rows.
 
 Both are turned from the local tangent into ROS order: x, y, z, about X, Y, Z along the axes of R, the small turn
 applied on the parent's side at the origin of T.
@@ -14,24 +18,26 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from posor.numerics.compiled import inlined
-from posor.numerics.matrix import matrix, row_times
-from posor.numerics.symmetric import (
+from posor.model.reading_rows import PARAMETERS
+from posor.numerics.compiled import in_place, inlined
+from posor.numerics.matrix import (
     ZERO_MATRIX,
     ZERO_VECTOR,
     add_outer,
     fill_upper_triangle,
     invert,
     load_factors,
+    matrix,
     multiply_vector,
     product_transposed,
+    row_times,
 )
 from posor.numerics.vector import plus, put, times, within
 
 if TYPE_CHECKING:
+    from posor.estimation.workspace import Model
     from posor.numerics.array_types import FloatArray
-    from posor.numerics.matrix import Matrix
-    from posor.numerics.symmetric import Symmetric
+    from posor.numerics.matrix import Matrix, Symmetric
 
 
 @inlined
@@ -75,3 +81,160 @@ def _write_in_parent_axes(local: Symmetric, axes: Matrix, out: FloatArray) -> No
         put(out, 3 + i, 0, b[i])
         put(out, i, 3, (b[0][i], b[1][i], b[2][i]))
         put(out, 3 + i, 3, d[i])
+
+
+@inlined
+def _parameter_of(model: Model, reading: int, k: int) -> int:
+    """Return the parameter of derivative k of a reading, first those of its row, or -1 where it has no uncertainty."""
+    if k < PARAMETERS:
+        parameter = model.pool_parameters[model.workspace[0].active_rows[reading], k]
+    else:
+        parameter = model.linearisation_parameters[reading, k - PARAMETERS]
+    if parameter >= 0 and model.parameter_factors[parameter].count == 0:
+        parameter = -1
+    return int(parameter)
+
+
+@in_place
+def find_contributions(model: Model) -> None:  # noqa: C901  loops over plain numbers
+    """Find which derivatives count for the active rows, what each adds to, and which readings become correlated."""
+    workspace = model.workspace[0]
+    m, length = workspace.reading_count, PARAMETERS + model.linearisation_parameters.shape[1]
+    for f in range(model.factor_uses.shape[0]):
+        model.factor_uses[f].uses = 0
+        model.factor_uses[f].column = -1
+    for r in range(m):
+        for k in range(length):
+            parameter = _parameter_of(model, r, k)
+            if parameter >= 0:
+                use = model.factor_uses[model.parameter_factors[parameter].first_factor]
+                use.uses += 1
+                use.last_reading = r
+    for r in range(m):
+        for column in range(model.effects.shape[1]):
+            model.effects[r, column] = 0.0
+    workspace.contribution_count = 0
+    workspace.block_count = 0
+    next_coefficient = _add_contributions(model, False, 0)  # noqa: FBT003  kernels take no keywords
+    workspace.alone_count = workspace.contribution_count
+    _add_contributions(model, True, next_coefficient)  # noqa: FBT003
+    for r in range(m):
+        workspace.first_correlated[r], workspace.end_correlated[r] = r, r + 1
+        for b in range(workspace.block_count):
+            block = model.blocks[b]
+            if block.first_reading <= r <= block.last_reading:
+                workspace.first_correlated[r] = min(workspace.first_correlated[r], block.first_reading)
+                workspace.end_correlated[r] = max(workspace.end_correlated[r], block.last_reading + 1)
+        if workspace.unmeasured != 0:  # see estimation.linearise
+            workspace.first_correlated[r], workspace.end_correlated[r] = 0, m
+
+
+@in_place
+def _add_contributions(model: Model, shared: bool, next_coefficient: int) -> int:  # noqa: FBT001  kernels take no keywords
+    """Add the contributions of factors that reach one reading, or of those that are shared."""
+    workspace = model.workspace[0]
+    next_column = 0
+    for r in range(workspace.reading_count):
+        for k in range(PARAMETERS + model.linearisation_parameters.shape[1]):
+            parameter = _parameter_of(model, r, k)
+            if parameter < 0:
+                continue
+            factors = model.parameter_factors[parameter]
+            use = model.factor_uses[factors.first_factor]
+            if shared == (factors.count == 1 and use.uses == 1):
+                continue
+            contribution = model.contributions[workspace.contribution_count]
+            contribution.reading, contribution.column = r, -1
+            contribution.count, contribution.assigns = factors.count, 0
+            contribution.derivative = r * PARAMETERS + k
+            if k >= PARAMETERS:
+                columns = model.linearisation_parameters.shape[1]
+                contribution.derivative = workspace.reading_count * PARAMETERS + r * columns + k - PARAMETERS
+            if shared:
+                if use.column < 0:
+                    use.column = next_column
+                    next_column += factors.count
+                    _extend_blocks(model, use, r, factors.count)
+                contribution.column = use.column
+                if model.effects[r, use.column] == 0.0:
+                    contribution.assigns = 1
+                    model.effects[r, use.column] = 1.0
+            for f in range(factors.count):
+                model.contribution_coefficients[next_coefficient + f] = model.coefficients[factors.begin + f]
+            next_coefficient += factors.count
+            workspace.contribution_count += 1
+    return next_coefficient
+
+
+@inlined
+def _extend_blocks(model: Model, use: Any, reading: int, count: int) -> None:
+    """Add new columns to the last block where they reach the same readings, else to a new block."""
+    workspace = model.workspace[0]
+    found = workspace.block_count
+    if (
+        found == 0
+        or model.blocks[found - 1].first_reading != reading
+        or model.blocks[found - 1].last_reading != use.last_reading
+    ):
+        block = model.blocks[found]
+        block.column, block.count = use.column, 0
+        block.first_reading, block.last_reading = reading, use.last_reading
+        found += 1
+        workspace.block_count = found
+    model.blocks[found - 1].count += count
+
+
+@inlined
+def add_systematic_covariance(model: Model) -> None:  # noqa: C901, PLR0912  loops over plain numbers
+    """Add the readings' covariance from the calibration parameters to ``systematic_readings`` [m^2].
+
+    ``derivatives`` hold the derivatives of the predictions minus the readings at the pose.
+    """
+    workspace = model.workspace[0]
+    out = workspace.systematic_readings
+    total, reading = 0.0, -1
+    for c in range(workspace.alone_count):
+        contribution = model.contributions[c]
+        if contribution.reading != reading:
+            if reading >= 0:
+                out[reading, reading] += total
+            total, reading = 0.0, contribution.reading
+        effect = model.derivatives[contribution.derivative] * model.contribution_coefficients[c]
+        total += effect * effect
+    if reading >= 0:
+        out[reading, reading] += total
+    first = workspace.alone_count
+    for c in range(workspace.alone_count, workspace.contribution_count):
+        contribution = model.contributions[c]
+        derivative = model.derivatives[contribution.derivative]
+        r, column = contribution.reading, contribution.column
+        if contribution.assigns:
+            for f in range(contribution.count):
+                model.effects[r, column + f] = derivative * model.contribution_coefficients[first + f]
+        else:
+            for f in range(contribution.count):
+                model.effects[r, column + f] += derivative * model.contribution_coefficients[first + f]
+        first += contribution.count
+    for b in range(workspace.block_count):
+        block = model.blocks[b]
+        for i in range(block.first_reading, block.last_reading + 1):
+            for j in range(block.first_reading, i + 1):
+                total = _row_product(model.effects, i, j, block.column, block.count)
+                out[i, j] += total
+                if i != j:
+                    out[j, i] += total
+
+
+@inlined
+def _row_product(effects: FloatArray, i: int, j: int, first: int, count: int) -> float:
+    """Return the scalar product of parts of two rows; four sums side by side, since each waits for its last term."""
+    a = b = c = d = 0.0
+    whole = first + count - count % 4
+    for k in range(first, whole, 4):
+        a += effects[i, k] * effects[j, k]
+        b += effects[i, k + 1] * effects[j, k + 1]
+        c += effects[i, k + 2] * effects[j, k + 2]
+        d += effects[i, k + 3] * effects[j, k + 3]
+    for k in range(whole, first + count):
+        a += effects[i, k] * effects[j, k]
+    return (a + b) + (c + d)

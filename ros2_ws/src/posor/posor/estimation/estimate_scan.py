@@ -9,11 +9,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from posor.estimation.covariance import write_covariances
+from posor.estimation.covariance import add_systematic_covariance, find_contributions, write_covariances
 from posor.estimation.frozen import NOT_FROZEN, count_repetitions
-from posor.estimation.linearise import linearise_scan
-from posor.estimation.parameter_effects import add_systematic_covariance, find_contributions
-from posor.estimation.residual_test import chi_square
+from posor.estimation.linearise import add_unmeasured, environment_is_valid, linearise_scan, unmeasured
 from posor.estimation.scan_checks import (
     REGAINABLE_FAULTS,
     begin_checks,
@@ -22,12 +20,12 @@ from posor.estimation.scan_checks import (
     check_motion,
     check_reference,
     check_residuals,
+    chi_square,
     count_theta,
     latch,
     use_confirmation,
 )
 from posor.estimation.solver import CONVERGED, ILL_CONDITIONED, SINGULAR, solve_pose
-from posor.estimation.supply_and_temperature import add_unmeasured, environment_is_valid, unmeasured
 from posor.estimation.tracking import (
     add_prior,
     copy_pose,
@@ -50,8 +48,7 @@ from posor.model.reading_rows import (
 )
 from posor.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED, SATURATED
 from posor.numerics.compiled import in_place, inlined, without_lock
-from posor.numerics.matrix import matrix
-from posor.numerics.pose import write_pose
+from posor.numerics.matrix import matrix, write_pose
 from posor.numerics.vector import at, store
 
 if TYPE_CHECKING:

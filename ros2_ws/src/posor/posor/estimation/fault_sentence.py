@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from posor.estimation.frozen import ALL
-from posor.estimation.supply_and_temperature import ANY_FINITE
+from posor.estimation.linearise import ANY_FINITE
 from posor.model.fault import Fault
 
 if TYPE_CHECKING:

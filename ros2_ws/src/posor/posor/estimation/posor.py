@@ -17,12 +17,11 @@ from posor.estimation.estimate import ESTIMATE, Estimate, Estimates
 from posor.estimation.estimate_scan import DONE, START, estimate_scans
 from posor.estimation.fault_sentence import fault_sentence
 from posor.estimation.frozen import evidence_of_repetition
-from posor.estimation.linearise import linearise_scan
+from posor.estimation.linearise import ANY_FINITE, linearise_scan
 from posor.estimation.plain_sensors import PlainSensors
 from posor.estimation.sensor_stack import Stack
 from posor.estimation.solver import CONVERGED, SINGULAR, solve_start
 from posor.estimation.start_poses import start_poses
-from posor.estimation.supply_and_temperature import ANY_FINITE
 from posor.estimation.tracking import wrapped
 from posor.model.fault import Fault
 from posor.model.native_coordinates import native_from_rotation

@@ -6,6 +6,11 @@ rejected meanwhile. Waiting does not widen this gate: later, only a reference of
 theta, or an operator any latch. Where a home mark or an encoder disagrees, the tracker goes on, and the reference
 releases the latch.
 
+The chi-square of the redundant readings takes their whole uncertainty into account. The residuals e of the fit lie, as
+far as no pose explains them, in the residual space (parity space) Z of the readings, ``J' Z = 0``, which has as many
+directions as readings are redundant. There they have the covariance ``Z' (R + S) Z``, so chi-square is ``u' (Z' (R + S)
+Z)^-1 u`` with ``u = Z' e`` (R random, S systematic covariance).
+
 Each check reads and writes ``workspace.checks`` and the tracker; ``estimation.estimate_scan`` calls them in order.
 """
 
@@ -18,17 +23,20 @@ from posor.estimation.tracking import LONGEST_GAP, copy_pose, theta_of, turn_abo
 from posor.model.fault import Fault
 from posor.model.scan import STATED_HOME
 from posor.numerics.compiled import in_place, inlined
-from posor.numerics.vector import square
+from posor.numerics.matrix import ZERO_VECTOR, cholesky_factorise, solve_lower_triangular
+from posor.numerics.vector import dot, square, within
 
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
+    from posor.numerics.vector import Vector
+
 
 REGAIN_GAP = 4.5
 """Intervals after the last accepted pose within which the motion is regained: up to three bad scans in a row."""
 FIRST_GAP_S = 0.2
 """The same after a scan that counted theta anew, whose motion is not known yet [s]."""
 MARKS = 6
-"""Consecutive scans with agreeing home marks that count theta; as many disagreeing marks are not taken for spurious."""
+"""Consecutive scans with agreeing home marks that count theta; so many disagreeing marks are a fault."""
 RESIDUAL_RUN = 10
 """Scans in a row that fail the residual test before the joint is latched, and that pass it before it is released."""
 REFERENCE_SIGMAS = 5.0
@@ -40,7 +48,7 @@ RESIDUAL, INNOVATION, COUNT, ENCODER = (
     int(fault) for fault in (Fault.RESIDUAL, Fault.INNOVATION, Fault.COUNT, Fault.ENCODER)
 )
 REGAINABLE_FAULTS = int(Fault.INNOVATION | Fault.SOURCE | Fault.FROZEN)
-"""Faults whose latch a pose that goes on from the earlier motion releases."""
+"""Faults whose latch is released by a pose that continues the motion before the fault."""
 
 
 @inlined
@@ -267,3 +275,68 @@ def periods_off(settings: Any, theta: float) -> float:
     per_turn = round(2.0 * math.pi / settings.period)
     off = float(round((theta - settings.home_theta) / settings.period))
     return float(off - per_turn * math.floor(off / per_turn + 0.5))
+
+
+@inlined
+def chi_square(workspace: Any) -> float:
+    """Return the chi-square of the solution in the workspace, NaN where the residual space cannot be found."""
+    m, redundant = workspace.reading_count, workspace.redundant_count
+    space, components = workspace.residual_space, workspace.residual_components
+    covariance, systematic = workspace.residual_covariance, workspace.systematic_readings
+    if not _find_residual_space(workspace):
+        return math.nan
+    for t in range(redundant):
+        components[t] = 0.0
+        for s in range(t):
+            covariance[t, s] = 0.0
+        covariance[t, t] = 1.0
+        for r in range(m):
+            components[t] += space[t, r] * workspace.residuals[r]
+            pushed = 0.0
+            for q in range(workspace.first_correlated[r], workspace.end_correlated[r]):
+                pushed += systematic[r, q] * space[t, q]
+            for s in range(t + 1):
+                covariance[t, s] += space[s, r] * pushed
+    if not cholesky_factorise(covariance, redundant):
+        return math.nan
+    solve_lower_triangular(covariance, redundant, components)
+    out = 0.0
+    for t in range(redundant):
+        out += components[t] * components[t]
+    return out
+
+
+@inlined
+def _find_residual_space(workspace: Any) -> bool:
+    """Write directions Z with ``J' Z = 0`` and ``Z' R Z = 1`` into ``residual_space``; return whether there are enough.
+
+    The columns of ``R^-1 (R - J (J' R^-1 J)^-1 J')`` are such directions; the pivoted Cholesky factorisation selects
+    those that differ most.
+    """
+    jacobian, weights, gain, space = workspace.jacobian, workspace.weights, workspace.gain, workspace.residual_space
+    m = workspace.reading_count
+    for t in range(workspace.redundant_count):
+        largest, pivot, v, w = 0.0, 0, ZERO_VECTOR, ZERO_VECTOR
+        for r in range(m):
+            own_v, own_w = within(jacobian, r, 0), within(jacobian, r, 3)
+            rest = 1.0 - _explained(own_v, own_w, gain, r)
+            for s in range(t):
+                rest -= space[s, r] * space[s, r] / weights[r]
+            if rest > largest:
+                largest, pivot, v, w = rest, r, own_v, own_w
+        if not largest > 0.0:
+            return False
+        weight = weights[pivot]
+        scale = math.sqrt(weight / largest)
+        for r in range(m):
+            rest = (1.0 if r == pivot else 0.0) - _explained(v, w, gain, r)
+            for s in range(t):
+                rest -= space[s, r] * space[s, pivot] / weight
+            space[t, r] = scale * rest
+    return True
+
+
+@inlined
+def _explained(v: Vector, w: Vector, gain: FloatArray, r: int) -> float:
+    """Return an entry of ``J G``: how a reading with derivatives v, w follows a change of reading r."""
+    return dot(v, within(gain, r, 0)) + dot(w, within(gain, r, 3))

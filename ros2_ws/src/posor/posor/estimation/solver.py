@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from posor.estimation.tracking import theta_of, wrapped
 from posor.model.reading_rows import predict_readings, prepare_row, turn_row
 from posor.numerics.compiled import in_place, inlined
-from posor.numerics.symmetric import ZERO_VECTOR, factorise, normal_matrix, solve, store_factors
+from posor.numerics.matrix import ZERO_VECTOR, factorise, normal_matrix, solve, store_factors
 from posor.numerics.vector import dot, move, orthonormalise, plus, times, within
 
 if TYPE_CHECKING:

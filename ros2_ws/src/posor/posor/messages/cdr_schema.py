@@ -4,8 +4,8 @@ A message begins with four bytes that name its encapsulation. The fields follow,
 from the end of those four bytes; a string or a sequence is a length (uint32) and its content. All offsets follow from
 the lengths, so one `Layout` serves every message with the same lengths.
 
-A `Schema` is made of a list of fields. ``bags.message_definitions`` makes one from the definition that a bag stores,
-``ros.message_classes`` from the Python class of an installed message type.
+A `Schema` is made of a list of fields, which ``messages.message_definitions`` reads from a definition that a bag stores
+or that is installed.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ CODES = {
 """``struct`` codes of the basic types, by their names in messages and in IDL; ``s`` for a string."""
 
 
-class Kind(Enum):
+class FieldKind(Enum):
     """Number of elements of a field."""
 
     ONE = "one"
@@ -79,17 +79,17 @@ class Field:
 
     path: str
     code: str
-    kind: Kind = Kind.ONE
+    kind: FieldKind = FieldKind.ONE
     count: int | None = None
     parts: tuple[Field, ...] = ()
 
     @property
     def default(self) -> Value:
         """Zero, zeros, an empty string or an empty list."""
-        if self.kind is Kind.SEQUENCE:
+        if self.kind is FieldKind.SEQUENCE:
             return []
         zero: Value = {"s": "", "c": b"\x00", "": {}}.get(self.code, 0)
-        return [zero] * (self.count or 0) if self.kind is Kind.ARRAY else zero
+        return [zero] * (self.count or 0) if self.kind is FieldKind.ARRAY else zero
 
 
 class Span(NamedTuple):
@@ -236,8 +236,8 @@ class Schema:
             self._encode_field(out, field, field.default if value is None else value)
 
     def _encode_field(self, out: bytearray, field: Field, value: Value) -> None:
-        elements = [value] if field.kind is Kind.ONE else value
-        if field.kind is Kind.SEQUENCE:
+        elements = [value] if field.kind is FieldKind.ONE else value
+        if field.kind is FieldKind.SEQUENCE:
             if field.count is not None and len(elements) > field.count:
                 raise TopicError(
                     f"a message has {len(elements)} {field.path}", where=self.name, expected=f"at most {field.count}"
@@ -273,9 +273,9 @@ class _Walk:
 
     def _read_field(self, field: Field) -> Value:
         count = 1
-        if field.kind is Kind.ARRAY:
+        if field.kind is FieldKind.ARRAY:
             count = field.count or 0
-        elif field.kind is Kind.SEQUENCE:
+        elif field.kind is FieldKind.SEQUENCE:
             count = self._read_length(field)
             if count > (math.inf if field.count is None else field.count):
                 raise TopicError(
@@ -287,7 +287,7 @@ class _Walk:
             return [self._read_message(field.parts) for _ in range(count)]
         if field.code != "s":
             return self._read_numbers(field, count)
-        if field.kind is not Kind.ONE:
+        if field.kind is not FieldKind.ONE:
             return [self._read_string(field)[1] for _ in range(count)]
         self.spans[field.path], text = self._read_string(field)
         return text
@@ -308,7 +308,7 @@ class _Walk:
         self._move_to(begin + count * size, field)
         self.spans[field.path] = Span(begin, count, size)
         numbers = struct.unpack_from(f"{self._order}{count}{field.code}", self._data, begin)
-        return numbers[0] if field.kind is Kind.ONE else list(numbers)
+        return numbers[0] if field.kind is FieldKind.ONE else list(numbers)
 
     def _read_string(self, field: Field) -> tuple[Span, str]:
         length = self._read_length(field)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from posor.estimation.estimate import Estimates
     from posor.estimation.posor import Posor
-    from posor.messages.raw_scan_unpacking import RecordedScans
+    from posor.messages.raw_scan import RecordedScans
     from posor.node_parameters import CovarianceKind
     from posor.numerics.array_types import BoolArray
 

@@ -6,6 +6,7 @@ This module needs rosbags, and no ROS: the definitions of a sourced ROS are foun
 from __future__ import annotations
 
 import os
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,7 +15,7 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_
 from rosbags.typesys.store import Typestore
 
 from posor.errors import BagError
-from posor.messages.cdr_schema import Field, Kind, Schema, code_of_type
+from posor.messages.cdr_schema import Field, FieldKind, Schema, code_of_type
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -79,6 +80,18 @@ class MessageTypes:
                     self._register(part)
 
 
+@cache
+def installed_schema(name: str) -> Schema:
+    """Return the schema of the installed message type ``name``, such as ``posor_msgs/msg/RawScan``.
+
+    Raises:
+        BagError: The type is unknown here.
+        TypeError: A field's type is not supported.
+
+    """
+    return MessageTypes().schema(name)
+
+
 def schema_of_connection(connection: Connection, where: str) -> Schema:
     """Return the schema of a recorded topic, from the definition that its bag stores.
 
@@ -130,7 +143,7 @@ def _fields_of_definition(types: Mapping[str, Any], name: str, prefix: str) -> I
             yield Field(path, code_of_type(path, detail[0]))
         else:
             (element, inner), count = detail
-            kind, number = (Kind.ARRAY, count) if node == Nodetype.ARRAY else (Kind.SEQUENCE, count or None)
+            kind, number = (FieldKind.ARRAY, count) if node == Nodetype.ARRAY else (FieldKind.SEQUENCE, count or None)
             if element == Nodetype.NAME:
                 yield Field(path, "", kind, number, tuple(_fields_of_definition(types, inner, "")))
             else:

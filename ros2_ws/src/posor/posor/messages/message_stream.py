@@ -1,73 +1,38 @@
-"""From serialised raw scans to serialised joint transforms: unpack, estimate, pack, in one compiled call.
+"""Streams of messages: raw scans to joint transforms, unpacked, estimated and packed in one compiled call.
 
-A message is a row of bytes whose numbers lie at multiples of their size. RAW_SCAN_LAYOUT and TRANSFORM_LAYOUT hold the
-byte offset of each field in its row; they follow from the message definitions (``ros.stream_layout``) and are the
-same for all messages whose strings and sequences have the same lengths.
+A message is a row of bytes whose numbers lie at multiples of their size. The layouts (``messages.raw_scan``,
+``messages.joint_transform``) hold the byte offset of each field in its row; they are the same for all messages whose
+strings and sequences have the same lengths.
 """
 
 from __future__ import annotations
 
 import math
+import struct
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from posor.estimation.estimate_scan import DONE, LOST, estimate_scan, write_lost
-from posor.model.fault import Fault
-from posor.model.scan import HOME_BUMP, STATED_HOME
+from posor.messages.cdr_schema import STAMP
+from posor.messages.joint_transform import pack_estimate, packing_layout
+from posor.messages.message_definitions import installed_schema
+from posor.messages.message_packing import joint_transform_layout
+from posor.messages.message_table import LEAD, MessageRows, TableLayout
+from posor.messages.raw_scan import raw_scan_layout, scan_of, unpack_scan
+from posor.model.fault import Fault, State
+from posor.model.scan import STATED_HOME
 from posor.numerics.compiled import compile_for, in_place, inlined, record_view
-from posor.numerics.stamps import accepted_in_kernel, time_in_kernel
+from posor.numerics.stamps import NO_TIME, NS, accepted_in_kernel
+from posor.ros_names import JOINT_TRANSFORM, RAW_SCAN
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from posor.estimation.posor import Posor
     from posor.estimation.workspace import Model
+    from posor.node_parameters import CovarianceKind
     from posor.numerics.array_types import ByteArray, FloatArray, WordArray
-
-RAW_SCAN_LAYOUT = np.dtype(
-    [
-        (name, "i8")
-        for name in (
-            "stamp",  # seconds, then nanoseconds, four bytes each
-            "number",
-            "status",
-            "gap_voltages",
-            "gap_count",  # the counts are not offsets either
-            "ring_voltages",
-            "ring_count",
-            "diode_currents",
-            "current_count",
-            "lit_sources",  # one byte each
-            "lit_count",
-            "supply_voltage",
-            "temperature",
-        )
-    ]
-)
-"""Byte offsets of the fields of ``posor_msgs/RawScan`` in its row."""
-
-TRANSFORM_LAYOUT = np.dtype(
-    [
-        (name, "i8")
-        for name in (
-            "stamp",
-            "number",
-            "status",
-            "redundancy",  # one byte, followed by the state
-            "faults",
-            "pose",
-            "native",
-            "residual",
-            "covariance",
-            "covariance_kind",  # RANDOM, SYSTEMATIC or TOTAL; not an offset
-        )
-    ]
-)
-"""Byte offsets of the fields of ``posor_msgs/JointTransform`` in its row."""
-
-RANDOM, SYSTEMATIC, TOTAL = 0, 1, 2
-"""Kinds of covariance, as in ``posor_msgs/JointTransform``."""
 
 STATUS = np.dtype(
     [
@@ -94,17 +59,8 @@ USABLE, UNUSABLE = 0, 1
 BAD_READING = int(Fault.BAD_READING)
 
 
-class MessageRows(NamedTuple):
-    """Messages in rows: the same memory as bytes, as words of four bytes, and as floats; shape (n, row length)."""
-
-    octets: ByteArray
-    words: WordArray
-    floats: FloatArray
-
-    @staticmethod
-    def of(rows: ByteArray) -> MessageRows:
-        """Return views of rows of bytes, whose length is a multiple of eight."""
-        return MessageRows(rows, rows.view(np.int32), rows.view(np.float64))
+EVERY_LAYOUT = np.zeros(0, dtype=np.int32)
+"""For rows that are known to have the layout of the stream."""
 
 
 class MessageStream(NamedTuple):
@@ -131,6 +87,39 @@ class MessageStream(NamedTuple):
     template: FloatArray
     status: NDArray[np.void]
 
+    @staticmethod
+    def of(
+        raw: TableLayout,
+        transforms: TableLayout,
+        raw_rows: ByteArray,
+        transform_rows: ByteArray,
+        *,
+        check: bool = False,
+    ) -> MessageStream:
+        """Return a stream of raw scans and of transforms, rows (n, bytes) each.
+
+        Args:
+            raw: Layout of the raw scans.
+            transforms: Layout of the transforms.
+            raw_rows: Raw scans.
+            transform_rows: Transforms to write.
+            check: Whether rows of another layout may come.
+
+        """
+        status = np.zeros(1, dtype=STATUS)
+        status["state"], status["youngest_ns"], status["oldest_ns"] = -1, -math.inf, math.inf
+        status["readings_usable"] = raw.strings["header.frame_id"] == transforms.strings["header.frame_id"]
+        return MessageStream(
+            raw=MessageRows.of(raw_rows),
+            raw_layout=record_view(raw_scan_layout(raw)),
+            expected=raw.row.view(np.int32) if check else EVERY_LAYOUT,
+            decisive=raw.fixed.view(np.int32) if check else EVERY_LAYOUT,
+            transforms=MessageRows.of(transform_rows),
+            transform_layout=record_view(packing_layout(transforms)),
+            template=transforms.row.view(np.float64),
+            status=record_view(status),
+        )
+
 
 @inlined
 def _has_layout(stream: MessageStream, n: int) -> bool:
@@ -139,51 +128,6 @@ def _has_layout(stream: MessageStream, n: int) -> bool:
     for k in range(stream.decisive.shape[0]):
         differs |= (stream.raw.words[n, k] ^ stream.expected[k]) & stream.decisive[k]
     return differs == 0
-
-
-@inlined
-def unpack_scan(rows: MessageRows, n: int, layout: Any, scan: Any) -> None:
-    """Write the raw scan in row n into a record of dtype SCAN; the stamp is 0 where it is invalid."""
-    words, floats = rows.words, rows.floats
-    scan.stamp_ns = time_in_kernel(int(words[n, layout.stamp // 4]), int(words[n, layout.stamp // 4 + 1]) & 0xFFFFFFFF)
-    number = layout.number // 4
-    scan.number = int(words[n, number]) & 0xFFFFFFFF | (int(words[n, number + 1]) & 0xFFFFFFFF) << 32
-    scan.status = int(words[n, layout.status // 4]) & 0xFFFFFFFF
-    scan.at_home = 1 if scan.status & HOME_BUMP else 0
-    scan.gap_count, scan.ring_count = layout.gap_count, layout.ring_count
-    scan.current_count, scan.lit_count = layout.current_count, layout.lit_count
-    for i in range(layout.gap_count):
-        scan.gap_voltages[i] = floats[n, layout.gap_voltages // 8 + i]
-    for i in range(layout.ring_count):
-        scan.ring_voltages[i] = floats[n, layout.ring_voltages // 8 + i]
-    for i in range(layout.current_count):
-        scan.diode_currents[i] = floats[n, layout.diode_currents // 8 + i]
-    for i in range(layout.lit_count):
-        scan.lit_sources[i] = rows.octets[n, layout.lit_sources + i]
-    scan.supply_voltage = floats[n, layout.supply_voltage // 8]
-    scan.temperature = floats[n, layout.temperature // 8]
-
-
-@inlined
-def pack_estimate(estimate: Any, layout: Any, template: FloatArray, rows: MessageRows, n: int) -> None:
-    """Write an estimate (record of dtype ESTIMATE) into row n, but for stamp, number and status of its scan."""
-    words, floats = rows.words, rows.floats
-    for k in range(template.shape[0]):
-        floats[n, k] = template[k]
-    words[n, layout.redundancy // 4] = estimate.redundancy | estimate.state << 8
-    words[n, layout.faults // 4] = estimate.faults
-    for k in range(7):
-        floats[n, layout.pose // 8 + k] = estimate.pose[k]
-    for k in range(6):
-        floats[n, layout.native // 8 + k] = estimate.native[k]
-    floats[n, layout.residual // 8] = math.nan if estimate.state == LOST else estimate.residual
-    covariance, kind = layout.covariance // 8, layout.covariance_kind
-    for i in range(6):
-        for j in range(6):
-            value = estimate.systematic[i, j] if kind == SYSTEMATIC else estimate.random[i, j]
-            if kind == TOTAL:
-                value += estimate.systematic[i, j]
-            floats[n, covariance + 6 * i + j] = value
 
 
 @inlined
@@ -316,3 +260,160 @@ class MessageEstimator:
         if self.estimate[0]["state"] != LOST:
             self._stream.status["count_from_next"] = 0
         end_message(self._posor.model, self._stream, n)
+
+
+class RawScanStream:
+    """Estimates the raw scans of one layout: the same frame, the same numbers of readings.
+
+    Attributes:
+        frame: Frame of the scans.
+        status: Status of the stream, shape (1,), dtype ``message_stream.STATUS``.
+
+    """
+
+    def __init__(self, posor: Posor, example: bytes, kind: CovarianceKind) -> None:
+        """Prepare.
+
+        Args:
+            posor: The estimator.
+            example: A raw scan of the layout, in plain CDR.
+            kind: Which part of the covariance to write.
+
+        Raises:
+            TopicError: The example is not a raw scan.
+
+        """
+        frames = posor.calibration.frames
+        raw = TableLayout.of(example, installed_schema(RAW_SCAN))
+        transform = joint_transform_layout(installed_schema(JOINT_TRANSFORM), frames.parent, frames.child, kind)
+        self._posor, self._parent, self.frame = posor, frames.parent, raw.strings["header.frame_id"]
+        row, out = raw.row[None].copy(), transform.row[None].copy()
+        self._estimator = MessageEstimator(posor, MessageStream.of(raw, transform, row, out, check=True))
+        self._estimate_rows, self.status = self._estimator.estimate_rows, self._estimator.status
+        self._stamp_ns, self._changed = self.status["stamp_ns"], self.status["changed"]
+        self._size = raw.size
+        self._refusal = ""
+        number = raw.offset("scan")
+        self._unpack_identity = struct.Struct(f"<iI{number - STAMP.stop}xQ").unpack_from
+        self._frame_bytes = example[STAMP.stop : STAMP.stop + 5 + len(self.frame.encode())]
+        self._raw = row[0, LEAD : LEAD + raw.size].data
+        self._transform = out[0, LEAD : LEAD + transform.size].data.tobytes
+        self._last = example
+
+    def identity(self, data: bytes) -> tuple[int, int] | None:
+        """Return stamp [ns], which is not checked, and number of a raw scan; None: its frame or length is another."""
+        if len(data) < self._size or not data.startswith(self._frame_bytes, STAMP.stop):
+            return None
+        seconds, nanoseconds, number = self._unpack_identity(data, STAMP.start)
+        return seconds * NS + nanoseconds, number
+
+    def last_identity(self) -> tuple[int, int] | None:
+        """Return stamp and number of the last scan, as ``identity``; None: there was none."""
+        return None if self.status["state"] < 0 else self.identity(self._last)
+
+    def number_of(self, data: bytes) -> int:
+        """Return the number of a raw scan of this layout."""
+        return int(self._unpack_identity(data, STAMP.start)[2])
+
+    def refuse_message(self, data: bytes, refusal: str) -> bytes | None:
+        """Return a LOST transform of a raw scan that must not be used, as ``estimate_message`` does.
+
+        Args:
+            data: The scan, which the estimator does not see.
+            refusal: Sentence on the reason.
+
+        """
+        usable = self.status["readings_usable"].item()
+        self.status["readings_usable"] = 0
+        try:
+            return self.estimate_message(data)
+        finally:
+            self.status["readings_usable"] = usable
+            self._refusal = refusal
+
+    def accept_ages(self, youngest_ns: float, oldest_ns: float) -> None:
+        """Set the least and the greatest age of expected scans [ns]; at first all are expected."""
+        self.status["youngest_ns"], self.status["oldest_ns"] = youngest_ns, oldest_ns
+
+    def estimate_message(self, data: bytes, now_ns: int = UNCHECKED) -> bytes | None:
+        """Return the transform of a raw scan; None where the scan has another layout, which changes nothing.
+
+        With the present time [ns], that is also the return value where the scan is unexpected: its number does not
+        follow that of the last scan, there is no last scan, or its age is not accepted.
+        """
+        if len(data) < self._size:
+            return None
+        self._refusal = ""
+        self._raw[:] = data if len(data) == self._size else data[: self._size]
+        if not self._estimate_rows(now_ns):
+            return None
+        self._last = data
+        return self._transform()
+
+    def stamp_and_change(self) -> tuple[int, int]:
+        """Return the stamp of the last scan [ns] (0: invalid), and whether its status differs from the scan before."""
+        return self._stamp_ns.item(), self._changed.item()
+
+    def count_from_next(self, *, stated: bool = True) -> None:
+        """State, or with ``stated=False`` no longer state, that the next scan is at the home mark."""
+        self.status["count_from_next"] = int(stated)
+
+    @property
+    def counts_from_next(self) -> bool:
+        """Whether that scan has yet to come."""
+        return bool(self.status["count_from_next"][0])
+
+    def last_scan(self) -> EstimatedScan:
+        """Return the last scan and its estimate."""
+        status = self.status[0]
+        refusal = self._refusal
+        if not status["readings_usable"]:
+            refusal = f"comes from frame '{self.frame}'; expected '{self._parent}', as in the calibration"
+        return EstimatedScan(self, self._last, int(status["stamp_ns"]), refusal, self._estimator.estimate[0].copy())
+
+    def reason(self, scan: EstimatedScan) -> str:
+        """Return the sentence on the fault of a scan, empty where it has none; may be called in any thread."""
+        if not scan.refusal and scan.stamp_ns and scan.estimate["faults"] == 0:
+            return ""
+        raw = scan_of(scan.data)
+        refusal = scan.refusal if scan.stamp_ns else f"the stamp {NO_TIME}; expected the time of exposure"
+        return f"scan {raw.number}: {refusal}." if refusal else self._posor.reason(raw, scan.estimate)
+
+
+class EstimatedScan(NamedTuple):
+    """A scan of a stream and its estimate.
+
+    Attributes:
+        stream: The stream.
+        data: The scan as a serialised message.
+        stamp_ns: Its stamp [ns]; 0: invalid.
+        refusal: Why its readings were not used; empty: they were.
+        estimate: Record of dtype ESTIMATE.
+
+    """
+
+    stream: RawScanStream
+    data: bytes
+    stamp_ns: int
+    refusal: str
+    estimate: Any
+
+    @property
+    def number(self) -> int:
+        """The scan's number."""
+        return self.stream.number_of(self.data)
+
+    @property
+    def reason(self) -> str:
+        """The sentence on its fault, empty where it has none."""
+        return self.stream.reason(self)
+
+    @property
+    def residual(self) -> float:
+        """Chi-square of the redundant readings; NaN where the scan is LOST."""
+        return float("nan") if self.estimate["state"] == State.LOST else float(self.estimate["residual"])
+
+    @property
+    def redundancy(self) -> int:
+        """Degrees of freedom of the residual; zero of a LOST scan."""
+        return int(self.estimate["redundancy"])

@@ -3,21 +3,34 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from posor.messages.byte_kernels import gather_rows
-from posor.messages.cdr_schema import Kind, Schema
+from posor.messages.cdr_schema import FieldKind, Schema
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from posor.numerics.array_types import BoolArray, ByteArray, FloatArray, IntArray
+    from posor.numerics.array_types import BoolArray, ByteArray, FloatArray, IntArray, WordArray
 
 LEAD = 4
 """Bytes before the message in its row. The message body begins four bytes later and so is aligned in memory too."""
 ALL_BITS = 0xFF
+
+
+class MessageRows(NamedTuple):
+    """Messages in rows: the same memory as bytes, as words of four bytes, and as floats; shape (n, row length)."""
+
+    octets: ByteArray
+    words: WordArray
+    floats: FloatArray
+
+    @staticmethod
+    def of(rows: ByteArray) -> MessageRows:
+        """Return views of rows of bytes, whose length is a multiple of eight."""
+        return MessageRows(rows, rows.view(np.int32), rows.view(np.float64))
 
 
 @dataclass(frozen=True)
@@ -66,7 +79,7 @@ class TableLayout:
                 strings[path] = data[span.part].decode("utf-8", "replace")
                 continue
             names.append(path)
-            formats.append((f"<{field.code}", () if field.kind is Kind.ONE else (span.length,)))
+            formats.append((f"<{field.code}", () if field.kind is FieldKind.ONE else (span.length,)))
             offsets.append(LEAD + span.offset)
         form: Any = {"names": names, "formats": formats, "offsets": offsets, "itemsize": stride}
         return TableLayout(layout.size, row, fixed, strings, np.dtype(form))

@@ -32,7 +32,7 @@ Kernel = TypeVar("Kernel", bound="Callable[..., Any]")
 PACKAGE = Path(__file__).resolve().parent.parent
 KERNEL_FILES = (
     *("numerics/*.py", "model/*.py", "estimation/*.py", "chain/*.py"),
-    *("messages/byte_kernels.py", "messages/message_stream.py"),
+    "messages/*.py",
 )
 """Files of the package that hold kernels and the constants that they are compiled with."""
 

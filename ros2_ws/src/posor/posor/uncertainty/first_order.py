@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from posor.uncertainty.budget_quantities import PlatePoint
 
 
-class Kind(StrEnum):
+class ContributionKind(StrEnum):
     """Kind of a contribution: new in every scan, or the same in all scans of one calibration."""
 
     RANDOM = "random"
@@ -50,7 +50,7 @@ class Contribution:
     """
 
     name: str
-    kind: Kind
+    kind: ContributionKind
     effects: FloatArray
 
 
@@ -83,7 +83,7 @@ class ErrorBudget:
         """Standard uncertainty of each output from the full covariance, shape (k,)."""
         return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
 
-    def root_sum_square(self, kind: Kind | None = None) -> FloatArray:
+    def root_sum_square(self, kind: ContributionKind | None = None) -> FloatArray:
         """Return the root sum square of all contributions, or of those of one kind, shape (k,)."""
         effects = [part.effects for part in self.contributions if kind is None or part.kind is kind]
         return np.sqrt(np.sum(np.square(effects), axis=0)) if effects else np.zeros(len(self.outputs))
@@ -173,7 +173,7 @@ def error_budget(
     root = posor.parameter_square_root
     noise = found.by_reading * found.noise
     parts = [
-        Contribution(f"{name}: noise", Kind.RANDOM, np.abs(effect))
+        Contribution(f"{name}: noise", ContributionKind.RANDOM, np.abs(effect))
         for name, effect in zip(posor.stack.reading_names, noise.T, strict=True)
     ]
     without_uncertainty, correlated = [], []
@@ -187,7 +187,9 @@ def error_budget(
             continue
         if np.any(np.delete(root, where, axis=0)[:, np.any(root[where], axis=0)]):
             correlated.append(quantity.name)
-        parts.append(Contribution(quantity.name, Kind.SYSTEMATIC, np.linalg.norm(own @ root[where], axis=1)))
+        parts.append(
+            Contribution(quantity.name, ContributionKind.SYSTEMATIC, np.linalg.norm(own @ root[where], axis=1))
+        )
     largest = _shares(np.array([part.effects for part in parts])).max(axis=1)
     order = sorted(range(len(parts)), key=lambda i: largest[i], reverse=True)
     systematic = found.by_parameter @ root

@@ -15,7 +15,7 @@ from posor.calibration.designs import design
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.messages.estimate_arrays import JointEstimates, estimate_joint
-from posor.messages.raw_scan_unpacking import RecordedScans
+from posor.messages.raw_scan import RecordedScans
 from posor.model.fault import Fault, State
 from posor.model.native_coordinates import rotation_from_native
 

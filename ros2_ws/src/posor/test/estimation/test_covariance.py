@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from posor.estimation.covariance import write_covariances
-from posor.estimation.residual_test import chi_square
+from posor.estimation.scan_checks import chi_square
 from posor.estimation.workspace import WORKSPACE
 from posor.numerics.compiled import in_place, record_view
-from posor.numerics.symmetric import factorise, normal_matrix, store_factors
+from posor.numerics.matrix import factorise, normal_matrix, store_factors
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 

@@ -11,7 +11,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformStamped
 from posor.errors import TopicError
-from posor.messages.cdr_schema import Field, Kind, code_of_type
+from posor.messages.cdr_schema import Field, FieldKind, code_of_type
 from posor.messages.message_definitions import MessageTypes
 from posor_msgs.msg import EndpointState, JointReliability, JointTransform, RawScan
 from posor_ros.message_classes import schema_of_class
@@ -37,10 +37,10 @@ def random_value(field: Field, chance: np.random.Generator) -> Any:
             return (*DOUBLES, chance.normal())[chance.integers(len(DOUBLES) + 1)]
         return int.from_bytes(chance.bytes(BYTES[field.code]), "little", signed=field.code == "i")
 
-    if field.kind is Kind.ONE:
+    if field.kind is FieldKind.ONE:
         return element()
     most = field.count if field.count is not None else 7
-    return [element() for _ in range(most if field.kind is Kind.ARRAY else int(chance.integers(most + 1)))]
+    return [element() for _ in range(most if field.kind is FieldKind.ARRAY else int(chance.integers(most + 1)))]
 
 
 def random_message(message_type: type[Any], chance: np.random.Generator) -> Any:
@@ -67,7 +67,7 @@ def said_by(message: Any) -> dict[str, Any]:
         value = message
         for name in field.path.split("."):
             value = getattr(value, name)
-        said[field.path] = repr(value if field.kind is Kind.ONE else np.asarray(value).tolist())
+        said[field.path] = repr(value if field.kind is FieldKind.ONE else np.asarray(value).tolist())
     return said
 
 

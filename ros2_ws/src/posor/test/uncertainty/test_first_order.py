@@ -15,7 +15,7 @@ from posor.model.native_coordinates import native_from_rotation, native_jacobian
 from posor.model.scan import Scans
 from posor.uncertainty.budget_poses import middle_pose, pose_from_native, scan_at
 from posor.uncertainty.budget_quantities import Outputs, PlatePoint, physical_quantities
-from posor.uncertainty.first_order import Kind, error_budget, sensitivities
+from posor.uncertainty.first_order import ContributionKind, error_budget, sensitivities
 from posor_lab.harness.random_poses import STACKS
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def test_the_budget_agrees_with_the_covariance_of_the_estimator(stack: DesignNam
     stated = by_motion @ (found.covariances_random[0] + found.covariances_systematic[0]) @ by_motion.T
     np.testing.assert_allclose(budget.covariance, stated, rtol=1e-6, atol=1e-9 * np.abs(stated).max())
     random = by_motion @ found.covariances_random[0] @ by_motion.T
-    np.testing.assert_allclose(budget.root_sum_square(Kind.RANDOM), np.sqrt(np.diagonal(random)), rtol=1e-6)
+    np.testing.assert_allclose(budget.root_sum_square(ContributionKind.RANDOM), np.sqrt(np.diagonal(random)), rtol=1e-6)
     np.testing.assert_allclose(budget.root_sum_square(), budget.sigmas, rtol=1e-9)
     np.testing.assert_allclose(budget.shares().sum(axis=0), 1.0, rtol=1e-9)
     np.testing.assert_allclose(budget.values[ANGLES], native_from_rotation(pose.rotation))

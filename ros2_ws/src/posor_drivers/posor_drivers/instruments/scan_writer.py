@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from posor.messages.message_definitions import installed_schema
 from posor.messages.message_table import TableLayout
 from posor.model.scan import HOME_BUMP, NO_SOURCE, SATURATED
 from posor.numerics.stamps import NS
 from posor.ros_names import RAW_SCAN
-from posor_ros.cdr_scan import RAW_SCAN as SCHEMA
 
 from posor_drivers.instruments.instruments_file import READINGS, JointEntry, ReadingEntry
 from posor_drivers.message_builder import raw_scan
@@ -51,7 +51,7 @@ class ScanWriter:
         arrays = {name: np.zeros(parts[name].stop - parts[name].start) for name in FIELDS if name not in SCALARS}
         arrays["lit_sources"] = arrays["lit_sources"].astype(np.uint8)
         example = types.serialize(raw_scan(types, 0, joint.frame_id, scan=0, **arrays), RAW_SCAN)
-        self._message = message = TableLayout.of(SCHEMA.normal(example), SCHEMA).copies(1)
+        self._message = message = TableLayout.of(example, installed_schema(RAW_SCAN)).copies(1)
         self._seconds, self._nanoseconds = message["header.stamp.sec"], message["header.stamp.nanosec"]
         self._number, self._status = message["scan"], message["status"]
         self._pairs = [

@@ -220,7 +220,7 @@ def _repeat(published: SimulatedScans, which: IntArray, placed: PlacedFault, fir
     return _with_fields(repeated, which, numbers=first.numbers[0], stamps_ns=first.stamps_ns[0])
 
 
-class Kind(NamedTuple):
+class FaultBehaviour(NamedTuple):
     """What a kind of fault does.
 
     Attributes:
@@ -237,25 +237,25 @@ class Kind(NamedTuple):
     unit: str
 
 
-KINDS: dict[FaultKind, Kind] = {
-    "off": Kind(_off, of_channel=False, sized=False, unit=""),
-    "late": Kind(_late, of_channel=False, sized=True, unit="s"),
-    "stuck": Kind(_stuck, of_channel=True, sized=False, unit=""),
-    "frozen": Kind(_frozen, of_channel=False, sized=False, unit=""),
-    "frozen_diodes": Kind(_frozen_diodes, of_channel=False, sized=False, unit=""),
-    "garbage": Kind(_garbage, of_channel=True, sized=True, unit=""),
-    "nan": Kind(_nan, of_channel=True, sized=False, unit=""),
-    "offset": Kind(_offset, of_channel=True, sized=True, unit=""),
-    "value": Kind(_value, of_channel=True, sized=True, unit=""),
-    "dark": Kind(_dark, of_channel=True, sized=False, unit=""),
-    "slip": Kind(_slip, of_channel=False, sized=True, unit="1"),
-    "supply": Kind(_supply, of_channel=False, sized=True, unit="V"),
-    "temperature": Kind(_temperature, of_channel=False, sized=True, unit="K"),
-    "status": Kind(_status, of_channel=False, sized=True, unit="1"),
-    "home": Kind(_home, of_channel=False, sized=False, unit=""),
-    "clock": Kind(_clock, of_channel=False, sized=True, unit="s"),
-    "number": Kind(_number, of_channel=False, sized=True, unit="1"),
-    "repeat": Kind(_repeat, of_channel=False, sized=False, unit=""),
+KINDS: dict[FaultKind, FaultBehaviour] = {
+    "off": FaultBehaviour(_off, of_channel=False, sized=False, unit=""),
+    "late": FaultBehaviour(_late, of_channel=False, sized=True, unit="s"),
+    "stuck": FaultBehaviour(_stuck, of_channel=True, sized=False, unit=""),
+    "frozen": FaultBehaviour(_frozen, of_channel=False, sized=False, unit=""),
+    "frozen_diodes": FaultBehaviour(_frozen_diodes, of_channel=False, sized=False, unit=""),
+    "garbage": FaultBehaviour(_garbage, of_channel=True, sized=True, unit=""),
+    "nan": FaultBehaviour(_nan, of_channel=True, sized=False, unit=""),
+    "offset": FaultBehaviour(_offset, of_channel=True, sized=True, unit=""),
+    "value": FaultBehaviour(_value, of_channel=True, sized=True, unit=""),
+    "dark": FaultBehaviour(_dark, of_channel=True, sized=False, unit=""),
+    "slip": FaultBehaviour(_slip, of_channel=False, sized=True, unit="1"),
+    "supply": FaultBehaviour(_supply, of_channel=False, sized=True, unit="V"),
+    "temperature": FaultBehaviour(_temperature, of_channel=False, sized=True, unit="K"),
+    "status": FaultBehaviour(_status, of_channel=False, sized=True, unit="1"),
+    "home": FaultBehaviour(_home, of_channel=False, sized=False, unit=""),
+    "clock": FaultBehaviour(_clock, of_channel=False, sized=True, unit="s"),
+    "number": FaultBehaviour(_number, of_channel=False, sized=True, unit="1"),
+    "repeat": FaultBehaviour(_repeat, of_channel=False, sized=False, unit=""),
 }
 """All kinds: what is published instead of the scan."""
 

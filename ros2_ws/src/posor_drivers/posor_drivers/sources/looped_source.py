@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from posor.bags.bag_reader import check_filled, checked_type, counted_messages, opened_bag, scan_topic
 from posor.errors import BagError, TopicError
+from posor.messages.raw_scan import ScanTemplate
 from posor.ros_names import RAW_SCAN, RAW_TOPIC
-from posor_ros.cdr_scan import ScanTemplate
 from pydantic import Field
 
 from posor_drivers.scan_clock import tick_stamp_ns

@@ -13,17 +13,16 @@ from posor.errors import TopicError
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.estimation.scan_checks import MARKS
-from posor.messages.message_stream import MessageEstimator
+from posor.messages.message_packing import joint_transform_layout
+from posor.messages.message_stream import MessageEstimator, MessageStream, RawScanStream
 from posor.messages.message_table import TableLayout
+from posor.messages.raw_scan import ScanTemplate, scan_of
 from posor.model.fault import Fault, State
 from posor.model.native_coordinates import rotation_from_native
 from posor.numerics.stamps import NS
-from posor_estimator.raw_scan_stream import RawScanStream
-from posor_estimator.stream_layout import message_stream, transform_layout
 from posor_lab.harness.random_poses import STACKS, TICK_NS
 from posor_msgs.msg import JointTransform, RawScan
-from posor_ros.cdr_scan import RAW_SCAN, ScanTemplate, scan_of
-from posor_ros.cdr_transform import JOINT_TRANSFORM
+from posor_ros.message_classes import schema_of_class
 from posor_ros.message_conversion import transform_message
 from rclpy.serialization import deserialize_message
 
@@ -34,6 +33,8 @@ if TYPE_CHECKING:
     from posor.model.scan import Scan
     from posor.node_parameters import CovarianceKind
 
+RAW_SCAN = schema_of_class(RawScan)
+JOINT_TRANSFORM = schema_of_class(JointTransform)
 COUNT = 30
 KINDS: tuple[CovarianceKind, ...] = ("random", "systematic", "total")
 BUMP = 2.0 * math.pi / BUMPS
@@ -123,11 +124,14 @@ def test_many_rows_at_once_are_the_bytes_of_one_after_the_other(stack: DesignNam
     raw = [RAW_SCAN.serialize(message) for message in moving(Posor(calibration))]
     stream = RawScanStream(Posor(calibration), raw[0], "total")
     wanted = [stream.estimate_message(data) for data in raw]
-    layout, transforms = TableLayout.of(raw[0], RAW_SCAN), transform_layout("receiving", "target", "total")
+    layout, transforms = (
+        TableLayout.of(raw[0], RAW_SCAN),
+        joint_transform_layout(JOINT_TRANSFORM, "receiving", "target", "total"),
+    )
     starts = np.arange(COUNT) * len(raw[0])
     rows = layout.read(np.frombuffer(b"".join(raw), dtype=np.uint8), starts, np.full(COUNT, len(raw[0])))
     out = transforms.copies(COUNT)
-    rows_stream = message_stream(layout, transforms, rows.rows, out.rows)
+    rows_stream = MessageStream.of(layout, transforms, rows.rows, out.rows)
     assert MessageEstimator(Posor(calibration), rows_stream).estimate_rows()
     assert [message.tobytes() for message in out.messages] == wanted
 

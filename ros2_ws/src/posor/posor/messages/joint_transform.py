@@ -1,0 +1,129 @@
+"""Joint transforms (``posor_msgs/JointTransform``): packed from estimates, checked without decoding the messages."""
+
+from __future__ import annotations
+
+import math
+import struct
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from posor.chain.joint_measurements import JointRowLayout
+from posor.estimation.estimate_scan import LOST
+from posor.messages.cdr_schema import LITTLE_ENDIAN, STAMP
+from posor.messages.message_definitions import installed_schema
+from posor.messages.message_table import LEAD, MessageRows, TableLayout
+from posor.numerics.compiled import inlined
+from posor.numerics.stamps import time_ns
+from posor.ros_names import JOINT_TRANSFORM
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from posor.numerics.array_types import FloatArray
+
+FIELDS = {
+    "stamp": "header.stamp.sec",
+    "number": "scan",
+    "status": "scan_status",
+    "redundancy": "redundancy",  # one byte, followed by the state
+    "faults": "faults",
+    "pose": "pose.position.x",
+    "native": "native",
+    "residual": "residual",
+    "covariance": "covariance",
+}
+"""Fields that an estimate fills, by their names in TRANSFORM_LAYOUT."""
+TRANSFORM_LAYOUT = np.dtype([(name, "i8") for name in (*FIELDS, "covariance_kind")])
+"""Byte offsets of the fields in a row of bytes, and the kind of covariance: RANDOM, SYSTEMATIC or TOTAL."""
+RANDOM, SYSTEMATIC, TOTAL = 0, 1, 2
+"""Kinds of covariance, as in ``posor_msgs/JointTransform``."""
+
+_STAMP = struct.Struct("<iI")
+_FAULTS = struct.Struct("<I")
+
+
+def packing_layout(transforms: TableLayout) -> NDArray[np.void]:
+    """Return the record of dtype TRANSFORM_LAYOUT, shape (1,), of messages with a layout."""
+    layout = np.zeros(1, dtype=TRANSFORM_LAYOUT)
+    for name, path in FIELDS.items():
+        layout[name] = LEAD + transforms.offset(path)
+    layout["covariance_kind"] = transforms.row[LEAD + transforms.offset("covariance_kind")]
+    return layout
+
+
+@inlined
+def pack_estimate(estimate: Any, layout: Any, template: FloatArray, rows: MessageRows, n: int) -> None:
+    """Write an estimate (record of dtype ESTIMATE) into row n, but for stamp, number and status of its scan."""
+    words, floats = rows.words, rows.floats
+    for k in range(template.shape[0]):
+        floats[n, k] = template[k]
+    words[n, layout.redundancy // 4] = estimate.redundancy | estimate.state << 8
+    words[n, layout.faults // 4] = estimate.faults
+    for k in range(7):
+        floats[n, layout.pose // 8 + k] = estimate.pose[k]
+    for k in range(6):
+        floats[n, layout.native // 8 + k] = estimate.native[k]
+    floats[n, layout.residual // 8] = math.nan if estimate.state == LOST else estimate.residual
+    covariance, kind = layout.covariance // 8, layout.covariance_kind
+    for i in range(6):
+        for j in range(6):
+            value = estimate.systematic[i, j] if kind == SYSTEMATIC else estimate.random[i, j]
+            if kind == TOTAL:
+                value += estimate.systematic[i, j]
+            floats[n, covariance + 6 * i + j] = value
+
+
+@lru_cache(maxsize=16)
+def stamp_ns_of(stamp: bytes) -> int:
+    """Return a serialised stamp, ``data[STAMP]``, in nanoseconds; 0 for an invalid stamp.
+
+    Cached, because the messages of all joints for one scan have the same stamp.
+    """
+    return time_ns(*_STAMP.unpack(stamp))
+
+
+def row_layout_of(layout: TableLayout) -> JointRowLayout:
+    """Return the offsets of the fields that the chain reads from rows of transforms."""
+    return JointRowLayout(
+        pose=LEAD + layout.offset("pose.position.x"),
+        native=LEAD + layout.offset("native"),
+        covariance=LEAD + layout.offset("covariance"),
+        state=LEAD + layout.offset("state"),
+        size=LEAD + layout.size,
+    )
+
+
+class JointTransformFormat:
+    """Format of serialised transforms between two plates.
+
+    Attributes:
+        size: Of a message [bytes]; surplus bytes at its end are ignored.
+        row_layout: Offsets of the fields in a row with the message.
+
+    """
+
+    def __init__(self, parent: str, child: str) -> None:
+        """Prepare for transforms from the plate ``parent`` to the plate ``child``."""
+        schema = installed_schema(JOINT_TRANSFORM)
+        example = schema.encode({"header.frame_id": parent, "child_frame_id": child})
+        layout = schema.layout(example)
+        self.row_layout = row_layout_of(TableLayout.of(example, schema))
+        self.size = layout.size
+        self._frames = example[STAMP.stop : layout["scan"].offset]
+        self._unpack = layout.unpacker(("header.frame_id", "child_frame_id")).unpack_from
+        self._unpacked_frames = self._unpack(example)
+        self._state, self._faults = layout["state"].offset, layout["faults"].offset
+
+    def matches(self, data: bytes) -> bool:
+        """Return whether a message is a transform between these plates."""
+        if len(data) < self.size:
+            return False
+        if data.startswith(self._frames, STAMP.stop) and data.startswith(LITTLE_ENDIAN):
+            return True
+        return bool(self._unpack(data) == self._unpacked_frames)  # the padding after the names is arbitrary
+
+    def read_state(self, data: bytes) -> tuple[int, int]:
+        """Return ``State`` and ``Fault`` of a message as plain numbers."""
+        return data[self._state], int(_FAULTS.unpack_from(data, self._faults)[0])
