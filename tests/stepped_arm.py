@@ -13,10 +13,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Self
 
 from geometry_msgs.msg import PoseStamped, Vector3Stamped
-from posor.numerics.stamps import NS
+from posor.numerics.stamps import NS, tick_stamp_ns
 from posor_bringup.arm_programs import arm_programs
 from posor_bringup.arms import load_checked_arm
-from posor_drivers.scan_clock import tick_stamp_ns
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_lab.arm_study.tick_outcomes import Dropouts
 from posor_lab.harness.graph import LOSSLESS, wait_for_value

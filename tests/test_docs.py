@@ -37,8 +37,9 @@ def test_links_lead_to_files(page: Path) -> None:
 @pytest.mark.parametrize("name", ["ARCHITECTURE.md", "how_to/find_your_way.md", "reference/errors_and_diagnostics.md"])
 def test_named_source_files_exist(name: str) -> None:
     page = (THIS.root / "docs" / name).read_text(encoding="utf-8")
-    packages = [package / package.name for package in THIS.ros2.glob("src/posor_*")]
-    folders = [THIS.root, THIS.ros2 / "src", *packages, *(package.parent for package in packages)]
+    sources = [*THIS.ros2.glob("src/posor*"), *THIS.root.glob("lab/*")]
+    packages = [package / package.name for package in sources]
+    folders = [THIS.root, THIS.ros2 / "src", *sources, *packages]
     missing = [
         path
         for path in re.findall(r"`([\w./]+/[\w.]+\.(?:py|msg|xml))`", page)

@@ -15,8 +15,9 @@ import pinocchio as pin
 import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Vector3Stamped
 from posor_lab.harness.graph import Graph, values_of, wait_for_value
-from posor_lab.harness.program import Program, ros_arguments, script
+from posor_lab.harness.program import Program, script
 from posor_ros.message_conversion import pose_message, stamp_ns
+from posor_ros.ros_arguments import ros_arguments
 
 from tests.stepped_arm import SteppedArm
 

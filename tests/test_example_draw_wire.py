@@ -19,10 +19,11 @@ from posor.model.fault import Fault, State
 from posor.model.native_coordinates import rotation_from_native
 from posor.sensors.registry import sensor_types
 from posor_lab.harness.graph import Graph
-from posor_lab.harness.program import HAND_FED, Program, installed, ros_arguments
+from posor_lab.harness.program import HAND_FED, Program, installed
 from posor_lab.harness.random_poses import errors_in_parent
 from posor_msgs.msg import JointTransform, RawScan
 from posor_ros.message_conversion import pose_from_message
+from posor_ros.ros_arguments import ros_arguments
 from scipy.stats import chi2
 
 from tests.draw_wire_example import EXAMPLE, WIRES, Overlay, built, fourth_order, one_scan, poses, read_by, wires_of

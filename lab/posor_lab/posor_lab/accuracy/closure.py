@@ -15,10 +15,10 @@ from posor.calibration.designs import BUMPS, DesignName, design
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.fault import State
-from posor.model.native_coordinates import rotation_from_native
+from posor.model.native_coordinates import rotation_from_native, thetas_of
 from posor.model.reading_rows import GAP, RING, SPOT_X
 
-from posor_lab.harness.random_poses import errors_in_parent, readable_poses, thetas_of
+from posor_lab.harness.random_poses import errors_in_parent, readable_poses
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -10,9 +10,10 @@ from posor.calibration.calibration_file import Environment
 from posor.calibration.designs import DesignName, design
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
+from posor.model.native_coordinates import thetas_of
 from scipy.stats import chi2
 
-from posor_lab.harness.random_poses import errors_in_parent, readable_poses, thetas_of
+from posor_lab.harness.random_poses import errors_in_parent, readable_poses
 
 if TYPE_CHECKING:
     from posor.model.scan import Scans

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Vector3Stamped
 from posor.model.fault import Fault, State
-from posor.numerics.stamps import NS
+from posor.numerics.stamps import NS, tick_stamp_ns
 from posor.ros_names import ENDPOINT_COVARIANCE_TOPIC, TRANSFORM_TOPIC
-from posor_drivers.scan_clock import tick_stamp_ns
 from posor_drivers.simulated_messages import SimulatedTopics
 from posor_msgs.msg import JointTransform
 from posor_ros.lifecycle_node import LISTENERS_STATUS as LISTENERS

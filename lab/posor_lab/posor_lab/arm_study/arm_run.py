@@ -11,9 +11,9 @@ import time
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from posor.numerics.stamps import tick_stamp_ns
 from posor_bringup.arm_programs import arm_programs
 from posor_bringup.supervisor import ProcessError, Program, RunningProgram
-from posor_drivers.scan_clock import tick_stamp_ns
 
 from posor_lab.arm_study.tick_outcomes import Dropouts, NodeCounters
 from posor_lab.reports.graph_receiver import GraphWatch

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from posor.numerics.stamps import first_tick_after, tick_stamp_ns
 from posor_drivers.ros_clock import WallClock, disable_timer_slack
-from posor_drivers.scan_clock import first_tick_after, tick_stamp_ns
 from posor_ros.node_program import StopSignal, non_ros_arguments
 
 from posor_lab.benchmark.host_state import stolen_s

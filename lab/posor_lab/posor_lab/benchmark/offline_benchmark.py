@@ -19,9 +19,8 @@ from posor.bags.chunk_writer import ChunkedBagWriter, TopicMessages
 from posor.bags.topic_reader import TopicReader
 from posor.messages.message_definitions import MessageTypes
 from posor.messages.message_table import MessageTable
-from posor.numerics.stamps import NS
+from posor.numerics.stamps import NS, tick_stamp_ns
 from posor.ros_names import RAW_SCAN, RAW_TOPIC
-from posor_drivers.scan_clock import tick_stamp_ns
 from posor_msgs.msg import RawScan
 from posor_ros.message_classes import schema_of_class
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from posor.errors import PosorError
-from posor_drivers.scan_clock import first_tick_after, tick_stamp_ns
+from posor.numerics.stamps import first_tick_after, tick_stamp_ns
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

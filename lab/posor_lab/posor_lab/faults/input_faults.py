@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from posor.messages.message_definitions import MessageTypes
 from posor.model.native_coordinates import native_from_rotation
-from posor.numerics.stamps import NS
+from posor.numerics.stamps import NS, first_tick_after, tick_stamp_ns
 from posor.ros_names import RAW_TOPIC, TRANSFORM_TOPIC
 from posor_bringup.arm_programs import arm_programs
 from posor_bringup.supervisor import Supervisor
-from posor_drivers.scan_clock import first_tick_after, tick_stamp_ns
 from posor_drivers.simulated_messages import SimulatedMessages
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_msgs.msg import JointTransform, RawScan

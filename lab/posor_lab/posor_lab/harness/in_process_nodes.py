@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 import rclpy
 from posor_ros.lifecycle_node import PosorNode
 from posor_ros.node_program import leave_executor, run_node
+from posor_ros.ros_arguments import ros_arguments
 from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.parameter import Parameter
-
-from posor_lab.harness.program import ros_arguments
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import signal
@@ -36,17 +35,6 @@ def installed(package: str, executable: str) -> list[str]:
 def script(path: Path) -> list[str]:
     """Return the command of a Python file."""
     return [sys.executable, str(path)]
-
-
-def ros_arguments(parameters: Mapping[str, object], namespace: str = "") -> list[str]:
-    """Return the command-line arguments that give a node its parameters and its namespace."""
-    arguments = ["--ros-args"]
-    if namespace:
-        arguments += ["-r", f"__ns:={namespace}"]
-    for name, value in parameters.items():
-        text = ".inf" if value == math.inf else json.dumps(value)  # JSON is YAML, except for infinity
-        arguments += ["-p", f"{name}:={text}"]
-    return arguments
 
 
 class Program:

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from posor.calibration.designs import THETA_OF_TWO_SOURCES, DesignName
 from posor.estimation.forward import scans_at
-from posor.model.native_coordinates import native_from_rotation, rotation_from_native
+from posor.model.native_coordinates import rotation_from_native
 
 if TYPE_CHECKING:
     from posor.estimation.posor import Posor
@@ -58,11 +58,6 @@ def readable_poses(
         rotations = np.concatenate([rotations, more_rotations[good]])
         translations = np.concatenate([translations, more_translations[good]])
     return rotations[:count], translations[:count]
-
-
-def thetas_of(rotations: FloatArray) -> FloatArray:
-    """Return theta [rad] of each rotation, shape (n,)."""
-    return np.array([native_from_rotation(rotation)[2] for rotation in rotations])
 
 
 def errors_in_parent(

@@ -22,13 +22,12 @@ from posor_lab.harness.random_poses import STACKS, TICK_NS
 if TYPE_CHECKING:
     from posor.calibration.designs import DesignName
 
-SOURCES = Path(__file__).resolve().parents[2]
+CASES = Path(__file__).resolve().parents[4] / "ros2_ws" / "src" / "posor" / "test" / "data" / "posor_cases.jsonl"
 SEED = 7
 
 
 def test_ray_traced_cases() -> None:
-    (cases,) = (SOURCES / "posor_estimator" / "test").rglob("posor_cases.jsonl")
-    for stack, errors in largest_errors(cases).items():
+    for stack, errors in largest_errors(CASES).items():
         assert errors["prediction_m"] < 1e-12, stack
         assert errors["translation_m"] < 1e-9, stack
         assert errors["rotation_rad"] < 1e-9, stack

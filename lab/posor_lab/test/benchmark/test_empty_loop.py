@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from posor_drivers.scan_clock import tick_stamp_ns
+from posor.numerics.stamps import tick_stamp_ns
 from posor_lab.benchmark.empty_loop import measure_lateness
 
 RATE = 2000

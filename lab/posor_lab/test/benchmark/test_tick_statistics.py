@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from posor.errors import PosorError
-from posor_drivers.scan_clock import tick_stamp_ns
+from posor.numerics.stamps import tick_stamp_ns
 from posor_lab.benchmark.tick_statistics import (
     COUNTERS,
     MeasuredRun,

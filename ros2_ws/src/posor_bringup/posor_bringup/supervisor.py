@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Self
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from posor.errors import PosorError
 from posor.lazy_program import EXIT_INTERRUPTED, interrupts_blocked
-from posor_estimator.composition_file import yaml_text
+from posor_ros.ros_arguments import ros_arguments
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -61,11 +61,8 @@ class Program:
             ProcessError: The package or its executable is not installed, or the Python file is missing.
 
         """
-        ros_arguments = ["--ros-args", *(["-r", f"__ns:={self.namespace}"] if self.namespace else [])]
-        ros_arguments += ["--enclave", self.enclave] if self.enclave else []
-        for name, value in self.parameters.items():
-            ros_arguments += ["-p", f"{name}:={yaml_text(value)}"]
-        return [*self._interpreter_and_path(), *self.arguments, *ros_arguments]
+        own = ros_arguments(self.parameters, self.namespace, enclave=self.enclave)
+        return [*self._interpreter_and_path(), *self.arguments, *own]
 
     def _interpreter_and_path(self) -> list[str]:
         """Return the executable's path, preceded by the interpreter if it is a Python file."""

@@ -11,7 +11,7 @@ from posor.bags.recording import POSE, unpack_poses
 from posor.errors import FitError
 from posor.estimation.posor import Posor
 from posor.model.fault import USABLE_STATES, State
-from posor.model.native_coordinates import native_from_rotation
+from posor.model.native_coordinates import native_from_rotation, thetas_of
 from posor.numerics.stamps import NS
 
 from posor_calibration.bundle_problem import BundleData, PoseReference
@@ -108,7 +108,7 @@ def _tangent_sigmas(poses: list[pin.SE3], sigmas: FloatArray) -> FloatArray:
 
 def _check_motion(posor: Posor, data: BundleData, track: Track) -> None:
     """Raise TrackError if the reference has a wrong unit or swapped axes, by the poses of the present calibration."""
-    thetas = np.array([np.arctan2(-pose.rotation[0, 1], pose.rotation[1, 1]) for pose in data.poses])
+    thetas = thetas_of(np.array([pose.rotation for pose in data.poses]))
     estimates = posor.estimate_each(data.scans, thetas)
     valid = estimates.states != int(State.LOST)
     if np.count_nonzero(valid) < MIN_COMPARED:

@@ -14,8 +14,8 @@ from posor_msgs.msg import RawScan
 from rclpy.serialization import deserialize_message
 
 from posor_drivers.sample_average import SampleAverage, average_samples
-from posor_drivers.scheduled_publication import Pause
 from posor_drivers.sources.source import SourceMessage
+from posor_drivers.tick_scheduler import Pause
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

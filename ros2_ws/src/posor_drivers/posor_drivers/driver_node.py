@@ -33,8 +33,8 @@ from posor_drivers.driver_parameters import (
 )
 from posor_drivers.live_publisher import LivePublisher, MissedTicks, PaceReport, schedule_ticks
 from posor_drivers.replay_publisher import ReplayPublisher, schedule_replay
-from posor_drivers.scheduled_publication import RunState
 from posor_drivers.sources.source import LiveSource, RecordedSource, load_source_class, registered_sources
+from posor_drivers.tick_scheduler import RunState
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -42,8 +42,8 @@ if TYPE_CHECKING:
     from posor_ros.diagnostics import Status
 
     from posor_drivers.ros_clock import TickClock
-    from posor_drivers.scheduled_publication import Pause
     from posor_drivers.sources.source import Input, Source, SourceMessage
+    from posor_drivers.tick_scheduler import Pause
 
 DELIVERY_TIMEOUT_S = 10.0
 """Longest wait, after the last message, for slow reliable subscribers before the program ends."""

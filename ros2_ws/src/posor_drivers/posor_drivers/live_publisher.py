@@ -12,8 +12,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
 from posor_drivers.ros_clock import is_simulated
-from posor_drivers.scheduled_publication import SUBSCRIBER_POLL_S, Pause, RunState
-from posor_drivers.tick_scheduler import TickScheduler, TickTask
+from posor_drivers.tick_scheduler import SUBSCRIBER_POLL_S, Pause, RunState, TickScheduler, TickTask
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -13,8 +13,8 @@ from posor.numerics.stamps import NS
 from posor.ros_names import RAW_TOPIC
 from rclpy.serialization import deserialize_message
 
-from posor_drivers.scheduled_publication import SUBSCRIBER_POLL_S, RunState
 from posor_drivers.sources.source import SourceMessage
+from posor_drivers.tick_scheduler import SUBSCRIBER_POLL_S, RunState
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

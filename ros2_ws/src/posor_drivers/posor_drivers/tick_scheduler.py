@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
+from enum import Enum
 from threading import Lock, Thread
 from typing import TYPE_CHECKING
 
@@ -11,7 +13,6 @@ from posor_ros.publication_timing import NEVER_NS, TimestampLog
 from posor_ros.realtime_process import SWITCH_INTERVAL_S
 
 from posor_drivers.ros_clock import SimulatedClock, TickClock, WallClock, disable_timer_slack, is_simulated
-from posor_drivers.scheduled_publication import Pause
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterator
@@ -19,6 +20,27 @@ if TYPE_CHECKING:
     from rclpy.clock import Clock
 
     from posor_drivers.sources.source import SourceMessage
+
+
+SUBSCRIBER_POLL_S = 0.02
+"""Time between two checks whether enough subscribers are connected."""
+
+
+@dataclass(slots=True)
+class Pause:
+    """Nothing is published before a ROS time [ns]."""
+
+    until_ns: int
+
+
+class RunState(Enum):
+    """State of the publication of a source."""
+
+    WAITING = "waiting"
+    RUNNING = "running"
+    ENDED = "ended"
+    FAILED = "failed"
+
 
 SWITCH_AT_TICK_S = 2e-5
 """Switch interval of Python while this thread waits: how long another thread may delay a tick."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from posor_lab.harness.program import Program, installed, ros_arguments
+from posor_lab.harness.program import Program, installed
+from posor_ros.ros_arguments import ros_arguments
 
 LOSSLESS: dict[str, Any] = {"lossless": True}
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 from posor.messages.message_definitions import MessageTypes
 from posor.parameter_model import ParameterGroup
 from posor_drivers.live_publisher import MissedTicks, schedule_ticks
-from posor_drivers.scheduled_publication import Pause
 from posor_drivers.sources.source import LiveSource, SourceMessage
+from posor_drivers.tick_scheduler import Pause
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

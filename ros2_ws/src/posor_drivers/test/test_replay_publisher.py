@@ -11,9 +11,9 @@ from posor.errors import BagError, ParameterError
 from posor.messages.message_definitions import MessageTypes
 from posor_drivers.driver_parameters import ReplayParameters
 from posor_drivers.replay_publisher import ReplayPublisher, schedule_replay
-from posor_drivers.scheduled_publication import RunState
 from posor_drivers.sources.bag_source import BagParameters, BagSource
 from posor_drivers.sources.source import SourceMessage
+from posor_drivers.tick_scheduler import RunState
 from posor_msgs.msg import RawScan
 from posor_ros.message_classes import message_class
 from rclpy.serialization import deserialize_message

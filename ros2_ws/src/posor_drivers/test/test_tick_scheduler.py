@@ -6,9 +6,8 @@ from threading import Event, get_ident
 from typing import TYPE_CHECKING
 
 import pytest
-from posor_drivers.scheduled_publication import Pause
 from posor_drivers.sources.source import SourceMessage
-from posor_drivers.tick_scheduler import TickScheduler, TickTask
+from posor_drivers.tick_scheduler import Pause, TickScheduler, TickTask
 from posor_ros.idle_scheduler import run_when_idle
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType

@@ -9,8 +9,6 @@ Versions of the format:
 
 from __future__ import annotations
 
-import json
-import math
 import re
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
@@ -20,6 +18,7 @@ from posor.calibration.yaml_document import load_document
 from posor.errors import ParameterError
 from posor.node_parameters import RealtimeParameters
 from posor_ros.lifecycle_node import PosorNode
+from posor_ros.ros_arguments import ros_arguments
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 if TYPE_CHECKING:
@@ -117,14 +116,7 @@ class NodeEntry(FrozenModel):
 
     def arguments(self) -> list[str]:
         """Return the command line of a process of this node alone, so that rclpy parses both in the same way."""
-        arguments = ["--ros-args", "-r", f"__ns:={self.namespace}"]
-        if self.name:
-            arguments += ["-r", f"__node:={self.name}"]
-        for old, new in self.remappings.items():
-            arguments += ["-r", f"{old}:={new}"]
-        for name, value in self.parameters.items():
-            arguments += ["-p", f"{name}:={yaml_text(value)}"]
-        return arguments
+        return ros_arguments(self.parameters, self.namespace, name=self.name, remappings=self.remappings)
 
     def create_node(self) -> PosorNode[Any]:
         """Create the node.
@@ -134,15 +126,6 @@ class NodeEntry(FrozenModel):
 
         """
         return load_node_class(self.node)(cli_args=self.arguments())
-
-
-def yaml_text(value: object) -> str:
-    """Return a value as YAML: as JSON, except for numbers that are not finite."""
-    if isinstance(value, list):
-        return f"[{', '.join(map(yaml_text, value))}]"
-    if isinstance(value, float) and not math.isfinite(value):
-        return ".nan" if math.isnan(value) else f"{'-' if value < 0.0 else ''}.inf"
-    return json.dumps(value)
 
 
 class Composition(FrozenModel):

@@ -10,8 +10,9 @@ import pinocchio as pin
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from posor.model.native_coordinates import native_from_rotation
 from posor_lab.harness.graph import Graph, set_stamp, values_of, wait_for_value
-from posor_lab.harness.program import HAND_FED, Program, installed, ros_arguments
+from posor_lab.harness.program import HAND_FED, Program, installed
 from posor_msgs.msg import JointTransform
+from posor_ros.ros_arguments import ros_arguments
 from sensor_msgs.msg import JointState
 
 if TYPE_CHECKING:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 from posor_lab.harness.graph import Graph
-from posor_lab.harness.program import HAND_FED, Program, installed, ros_arguments
+from posor_lab.harness.program import HAND_FED, Program, installed
 from posor_msgs.msg import JointTransform
+from posor_ros.ros_arguments import ros_arguments
 
 from .live_topics import POSOR, ScanSender
 

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from posor.node_parameters import FreshnessParameters, NodeParameters
 from posor_lab.harness.graph import LOSSLESS, Graph, values_of, wait_for_value
-from posor_lab.harness.program import Program, installed, ros_arguments
+from posor_lab.harness.program import Program, installed
 from posor_msgs.msg import JointTransform, RawScan
 from posor_ros.freshness import ScanOrder, StampLimits
 from posor_ros.intra_process import InputWatch
 from posor_ros.qos import sensor_publisher_qos
+from posor_ros.ros_arguments import ros_arguments
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 

@@ -15,8 +15,9 @@ from posor.node_parameters import MIN_ZERO_SCANS
 from posor_estimator.posor_node import PosorEstimatorNode
 from posor_lab.harness.graph import Graph, set_stamp, values_of, wait_for_value
 from posor_lab.harness.in_process_nodes import run_refused_node
-from posor_lab.harness.program import HAND_FED, Program, installed, ros_arguments
+from posor_lab.harness.program import HAND_FED, Program, installed
 from posor_msgs.msg import JointTransform, RawScan
+from posor_ros.ros_arguments import ros_arguments
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -18,8 +18,9 @@ from posor.model.native_coordinates import rotation_from_native
 from posor_estimator.posor_node import PosorEstimatorNode
 from posor_lab.harness.graph import Graph, values_of, wait_for_value
 from posor_lab.harness.in_process_nodes import run_refused_node
-from posor_lab.harness.program import HAND_FED, Program, installed, ros_arguments
+from posor_lab.harness.program import HAND_FED, Program, installed
 from posor_msgs.msg import JointTransform, RawScan
+from posor_ros.ros_arguments import ros_arguments
 from std_srvs.srv import Trigger
 
 if TYPE_CHECKING:

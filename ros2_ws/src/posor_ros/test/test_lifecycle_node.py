@@ -9,8 +9,9 @@ import pytest
 from lifecycle_msgs.msg import Transition
 from posor.errors import ParameterError
 from posor_lab.harness.graph import Graph, values_of
-from posor_lab.harness.program import Program, ros_arguments, script
+from posor_lab.harness.program import Program, script
 from posor_ros.node_program import non_ros_arguments
+from posor_ros.ros_arguments import ros_arguments
 from rcl_interfaces.msg import ParameterDescriptor, ParameterType
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
 from rclpy.parameter import Parameter

@@ -32,13 +32,12 @@ from posor.estimation.tracking import (
     follow_time,
     forget_pose,
     predict,
-    theta_of,
     turn_about_z,
     update_tracker,
-    wrapped,
     write_start,
 )
 from posor.model.fault import Fault, State
+from posor.model.native_coordinates import theta_in_kernel
 from posor.model.reading_rows import (
     begin_scan,
     differentiate_by_parameters,
@@ -49,7 +48,7 @@ from posor.model.reading_rows import (
 from posor.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED, SATURATED
 from posor.numerics.compiled import in_place, inlined, without_lock
 from posor.numerics.matrix import matrix, write_pose
-from posor.numerics.vector import at, store
+from posor.numerics.vector import at, store, wrapped
 
 if TYPE_CHECKING:
     import numpy as np
@@ -201,7 +200,7 @@ def _solve(model: Model, stamp: float, extrapolate: bool) -> tuple[int, int]:  #
     lag_theta = math.nan
     if extrapolate and tracked:
         if settings.tilt_lags:
-            lag_theta = theta_of(tracker.pose.rotation)
+            lag_theta = theta_in_kernel(tracker.pose.rotation)
         predict(settings, tracker, elapsed, workspace.pose)
     bridging = tracked and settings.max_velocity < math.inf
     outcome = solve_pose(workspace, m, WEAK if bridging else SINGULAR, lag_theta)
@@ -242,7 +241,11 @@ def solve_and_check(
     begin_checks(workspace, stamp)
     outcome, checks.faults = _solve(model, stamp, extrapolate)
     bridged = checks.faults != 0
-    if outcome == CONVERGED and settings.period > 0.0 and count_theta(workspace, theta_of(pose.rotation), scan.at_home):
+    if (
+        outcome == CONVERGED
+        and settings.period > 0.0
+        and count_theta(workspace, theta_in_kernel(pose.rotation), scan.at_home)
+    ):
         turn_about_z(pose.rotation, -checks.marks_off * settings.bump_angle)
         bridged, checks.faults = False, 0
         outcome = solve_pose(workspace, workspace.reading_count, SINGULAR, math.nan)
@@ -262,7 +265,7 @@ def solve_and_check(
     checks.contradictory = 0 if estimate.residual <= settings.residual_limit else 1
     if checks.contradictory and may_retry:
         return RETRY
-    theta = theta_of(pose.rotation)
+    theta = theta_in_kernel(pose.rotation)
     check_residuals(workspace)
     check_motion(workspace, theta, stamp, estimate)
     check_count(workspace, theta)

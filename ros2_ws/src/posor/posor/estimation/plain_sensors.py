@@ -14,15 +14,13 @@ import numpy as np
 from posor.estimation.estimate_scan import DONE, LOST, START, begin_scan_estimate, solve_and_check, write_lost
 from posor.estimation.linearise import linearise_scan
 from posor.estimation.solver import ITERATIONS, LENGTH, TOLERANCE
-from posor.estimation.tracking import (
-    theta_of,
-    turn_about_z,
-    wrapped,
-)
+from posor.estimation.tracking import turn_about_z
 from posor.model.fault import Fault, State
+from posor.model.native_coordinates import theta_in_kernel
 from posor.model.reading_rows import AFFINE, prepare_rows, turn_rows
 from posor.model.scan import Scans
 from posor.numerics.compiled import record_view
+from posor.numerics.vector import wrapped
 
 if TYPE_CHECKING:
     import pinocchio as pin
@@ -117,7 +115,7 @@ class PlainSensors:
             before = pin.SE3(pose["rotation"], pose["translation"])
             self._stack.expand_plain_rows(rows, before.rotation, before.translation)
             if lagging:
-                turn_rows(record_view(rows), wrapped(former_theta - theta_of(before.rotation)))
+                turn_rows(record_view(rows), wrapped(former_theta - theta_in_kernel(before.rotation)))
             effects = self._stack.residual_jacobian(scan, before.rotation, before.translation) @ self._square_root
             systematic = effects @ effects.T
             left, updated = solve_once()
@@ -166,7 +164,7 @@ class PlainSensors:
         """Return by how many whole bumps the first solution of a scan was turned since ``before`` [rad]."""
         workspace = self._model.workspace[0]
         bump = float(workspace["settings"]["bump_angle"])
-        turned = wrapped(theta_of(np.ascontiguousarray(workspace["pose"]["rotation"])) - theta_of(before))
+        turned = wrapped(theta_in_kernel(np.ascontiguousarray(workspace["pose"]["rotation"])) - theta_in_kernel(before))
         return bump * round(turned / bump) if bump > 0.0 and abs(turned) > 0.5 * bump else 0.0
 
 

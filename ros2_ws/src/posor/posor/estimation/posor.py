@@ -22,12 +22,12 @@ from posor.estimation.plain_sensors import PlainSensors
 from posor.estimation.sensor_stack import Stack
 from posor.estimation.solver import CONVERGED, SINGULAR, solve_start
 from posor.estimation.start_poses import start_poses
-from posor.estimation.tracking import wrapped
 from posor.model.fault import Fault
 from posor.model.native_coordinates import native_from_rotation
 from posor.model.readings import DIODE_CURRENTS, PYTHON
 from posor.model.scan import Scan, ScanBuffer, Scans
 from posor.numerics.compiled import compile_for, record_view
+from posor.numerics.vector import wrapped
 
 if TYPE_CHECKING:
     from collections.abc import Callable

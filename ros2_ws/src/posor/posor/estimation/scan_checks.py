@@ -19,12 +19,13 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from posor.estimation.tracking import LONGEST_GAP, copy_pose, theta_of, turn_about_z, wrapped
+from posor.estimation.tracking import LONGEST_GAP, copy_pose, turn_about_z
 from posor.model.fault import Fault
+from posor.model.native_coordinates import theta_in_kernel
 from posor.model.scan import STATED_HOME
 from posor.numerics.compiled import in_place, inlined
 from posor.numerics.matrix import ZERO_VECTOR, cholesky_factorise, solve_lower_triangular
-from posor.numerics.vector import dot, square, within
+from posor.numerics.vector import dot, square, within, wrapped
 
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
@@ -136,7 +137,7 @@ def _position_jumped(workspace: Any, stamp: float, estimate: Any) -> bool:
 @in_place
 def _jumped_from(workspace: Any, previous: Any, elapsed: float, estimate: Any) -> bool:
     """Return whether the position jumped without theta; a slip by a period changes both."""
-    turned = wrapped(theta_of(workspace.pose.rotation) - theta_of(previous.rotation))
+    turned = wrapped(theta_in_kernel(workspace.pose.rotation) - theta_in_kernel(previous.rotation))
     if abs(turned) > 0.5 * workspace.settings.period > 0.0:
         return False
     position, _ = motion_gate(workspace, previous, elapsed, estimate.random)
@@ -222,7 +223,7 @@ def motion_gate(workspace: Any, previous: Any, elapsed: float, covariance: Float
         spread = covariance[4, 4] if i == 0 else covariance[3, 3]
         allowed = settings.max_lean_rate * elapsed + NOISE_ALLOWANCE * math.sqrt(2.0 * spread)
         largest = max(largest, leaned / allowed)
-    turned = abs(wrapped(theta_of(pose.rotation) - theta_of(previous.rotation)))
+    turned = abs(wrapped(theta_in_kernel(pose.rotation) - theta_in_kernel(previous.rotation)))
     allowed = settings.max_theta_rate * elapsed + NOISE_ALLOWANCE * math.sqrt(2.0 * covariance[5, 5])
     return largest, turned / allowed
 

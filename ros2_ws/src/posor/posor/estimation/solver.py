@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from posor.estimation.tracking import theta_of, wrapped
+from posor.model.native_coordinates import theta_in_kernel
 from posor.model.reading_rows import predict_readings, prepare_row, turn_row
 from posor.numerics.compiled import in_place, inlined
 from posor.numerics.matrix import ZERO_VECTOR, factorise, normal_matrix, solve, store_factors
-from posor.numerics.vector import dot, move, orthonormalise, plus, times, within
+from posor.numerics.vector import dot, move, orthonormalise, plus, times, within, wrapped
 
 if TYPE_CHECKING:
     from posor.estimation.workspace import Model
@@ -120,7 +120,7 @@ def solve_pose(workspace: Any, count: int, least_ratio: float, lag_theta: float)
         outcome = iterate(workspace, count, least_ratio)
         if outcome != CONVERGED or not math.isfinite(lag_theta):
             return outcome
-        change = wrapped(lag_theta - theta_of(workspace.pose.rotation)) - turn
+        change = wrapped(lag_theta - theta_in_kernel(workspace.pose.rotation)) - turn
         if abs(change) < TURN_TOLERANCE:
             return outcome
         turn += change

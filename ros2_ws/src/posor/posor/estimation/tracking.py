@@ -18,18 +18,6 @@ LONGEST_GAP = 3.5
 """Longest extrapolation of the motion, in intervals of the previous scans."""
 
 
-@inlined
-def wrapped(angle: float) -> float:
-    """Return the angle [rad] in [-pi, pi)."""
-    return angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
-
-
-@inlined
-def theta_of(rotation: FloatArray) -> float:
-    """Return the heading of the Y axis of T in R [rad] (``model.native_coordinates``)."""
-    return math.atan2(-rotation[0, 1], rotation[1, 1])
-
-
 @in_place
 def turn_about_z(rotation: FloatArray, angle: float) -> None:
     """Turn a rotation about the target's own Z by ``angle`` [rad], in place."""

@@ -13,8 +13,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from posor.numerics.compiled import inlined
+
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
+
+
+def theta_of(rotation: FloatArray) -> float:
+    """Return theta [rad] of ``R_R_T``, in (-pi, pi]."""
+    return math.atan2(-rotation[0, 1], rotation[1, 1])
+
+
+theta_in_kernel = inlined(theta_of)
+"""The same, for kernels."""
+
+
+def thetas_of(rotations: FloatArray) -> FloatArray:
+    """Return theta [rad] of each ``R_R_T``, shape (n, 3, 3), in (-pi, pi], shape (n,)."""
+    return np.asarray(np.arctan2(-rotations[:, 0, 1], rotations[:, 1, 1]))
 
 
 def rotation_from_native(alpha: float, beta: float, theta: float) -> FloatArray:
@@ -30,8 +46,7 @@ def native_from_rotation(rotation: FloatArray) -> tuple[float, float, float]:
     """Return (alpha, beta, theta) [rad] of ``R_R_T``; theta in (-pi, pi], leans below a right angle."""
     alpha = math.asin(max(-1.0, min(1.0, -rotation[1, 2])))
     beta = math.atan2(rotation[0, 2], rotation[2, 2])
-    theta = math.atan2(-rotation[0, 1], rotation[1, 1])
-    return alpha, beta, theta
+    return alpha, beta, theta_of(rotation)
 
 
 def native_jacobian(rotation: FloatArray) -> FloatArray:

@@ -1,19 +1,18 @@
-"""Stamps of messages as times."""
+"""Stamps of messages as times, and the scan clock: tick k is at k / rate seconds of the ROS clock on every host."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TypeVar
 
 import numpy as np
 
+from posor.numerics.array_types import IntArray
 from posor.numerics.compiled import inlined
-
-if TYPE_CHECKING:
-    from posor.numerics.array_types import IntArray
 
 NS = 1_000_000_000
 NO_TIME = "is zero, or its nanoseconds are a second or more"
 """What is wrong with a stamp of which there is no time."""
+TickT = TypeVar("TickT", int, IntArray)
 
 
 def time_ns(seconds: int, nanoseconds: int) -> int:
@@ -37,3 +36,17 @@ accepted_in_kernel = inlined(is_accepted_age)
 def times_ns(seconds: IntArray, nanoseconds: IntArray) -> IntArray:
     """Return the times of stamps [ns], (n,), likewise."""
     return np.where(nanoseconds < NS, seconds * NS + nanoseconds, 0)
+
+
+def tick_stamp_ns(tick: TickT, rate: int) -> TickT:
+    """Return the time [ns] of a tick, or of ticks (n,), at a rate in whole hertz."""
+    seconds, rest = divmod(tick, rate)
+    return seconds * NS + rest * NS // rate
+
+
+def first_tick_after(time_ns: int, rate: int) -> int:
+    """Return the first tick later than a time [ns]."""
+    tick = time_ns * rate // NS
+    while tick_stamp_ns(tick, rate) <= time_ns:
+        tick += 1
+    return tick

@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, TypeAlias
 
+import numpy as np
+
 from posor.numerics.compiled import in_place, inlined
 
 if TYPE_CHECKING:
@@ -71,6 +73,17 @@ def minus(a: Vector, b: Vector) -> Vector:
 def times(factor: float, a: Vector) -> Vector:
     """Return factor a."""
     return factor * a[0], factor * a[1], factor * a[2]
+
+
+@inlined
+def wrapped(angle: float) -> float:
+    """Return an angle [rad] in [-pi, pi)."""
+    return angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
+
+
+def wrapped_angles(angles: FloatArray) -> FloatArray:
+    """Return angles [rad] in [-pi, pi), of any shape."""
+    return np.asarray(np.mod(angles + np.pi, 2.0 * np.pi) - np.pi)
 
 
 @inlined

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from posor.estimation.tracking import LONGEST_GAP, predict, theta_of, turn_about_z, update_tracker
+from posor.estimation.tracking import LONGEST_GAP, predict, turn_about_z, update_tracker
 from posor.estimation.workspace import WORKSPACE
+from posor.model.native_coordinates import theta_of
 from posor.numerics.compiled import record_view
 
 if TYPE_CHECKING:

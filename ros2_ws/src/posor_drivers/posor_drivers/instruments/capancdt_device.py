@@ -47,7 +47,7 @@ from pydantic import Field, model_validator
 from posor_drivers.instruments.device import DeviceSettings, Frames, Port, refuse_repeated_numbers
 from posor_drivers.instruments.packet_device import PacketDevice
 from posor_drivers.instruments.tcp_connection import TcpConnection
-from posor_drivers.simulator.scenario_limits import POSITIVE
+from posor_drivers.quantity_limits import POSITIVE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -27,7 +27,7 @@ from posor.calibration.quantity import Quantity, measured
 from posor.errors import PosorError
 from pydantic import Field
 
-from posor_drivers.simulator.scenario_limits import NOT_NEGATIVE, POSITIVE
+from posor_drivers.quantity_limits import NOT_NEGATIVE, POSITIVE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

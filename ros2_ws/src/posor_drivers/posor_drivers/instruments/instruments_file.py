@@ -34,8 +34,8 @@ from pydantic import Field, model_validator
 
 from posor_drivers.instruments.device import Device, DeviceSettings, registered_devices
 from posor_drivers.instruments.reference_entry import MeasuredQuantity, ReferenceEntry
+from posor_drivers.quantity_limits import NOT_NEGATIVE
 from posor_drivers.simulator.scenario import MAX_RATE_HZ
-from posor_drivers.simulator.scenario_limits import NOT_NEGATIVE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

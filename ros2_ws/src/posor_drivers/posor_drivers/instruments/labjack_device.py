@@ -35,7 +35,7 @@ from posor_drivers.instruments.labjack_registers import (
     LabJackRegisters,
 )
 from posor_drivers.instruments.polled_device import PolledDevice, PolledSettings
-from posor_drivers.simulator.scenario_limits import POSITIVE
+from posor_drivers.quantity_limits import POSITIVE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

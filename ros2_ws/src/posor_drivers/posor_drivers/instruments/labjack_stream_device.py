@@ -40,7 +40,7 @@ from pydantic import Field
 from posor_drivers.instruments.device import DeviceError, DeviceSettings, Frames, Port, analogue_readings
 from posor_drivers.instruments.labjack_registers import LONG_REGISTERS, NEGATIVE_INPUT, RANGE, LabJackRegisters
 from posor_drivers.instruments.packet_device import PacketDevice
-from posor_drivers.simulator.scenario_limits import POSITIVE
+from posor_drivers.quantity_limits import POSITIVE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -26,7 +26,7 @@ from posor.calibration.quantity import Quantity, measured
 from pydantic import Field
 
 from posor_drivers.instruments.device import Device, DeviceError, DeviceSettings, Frames, analogue_readings
-from posor_drivers.simulator.scenario_limits import POSITIVE
+from posor_drivers.quantity_limits import POSITIVE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

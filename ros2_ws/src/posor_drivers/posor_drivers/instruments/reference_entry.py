@@ -34,7 +34,7 @@ from posor.calibration.quantity import Quantity, measured
 from posor.uncertainty.interferometer import AbbeOffset, AirQuantities, Expansion, Input, Interferometer
 from pydantic import Field, model_validator
 
-from posor_drivers.simulator.scenario_limits import NOT_NEGATIVE, POSITIVE
+from posor_drivers.quantity_limits import NOT_NEGATIVE, POSITIVE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

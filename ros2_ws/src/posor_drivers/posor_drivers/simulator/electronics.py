@@ -8,11 +8,12 @@ import numpy as np
 from posor.errors import CalibrationError
 from posor.estimation.forward import scans_at
 from posor.estimation.sensor_stack import Stack
+from posor.model.native_coordinates import thetas_of
 from posor.model.scan import HOME_BUMP, SATURATED, SIMULATED
-from posor.numerics.stamps import NS
+from posor.numerics.stamps import NS, tick_stamp_ns
+from posor.numerics.vector import wrapped_angles
 from posor.sensors.base import RowSensor
 
-from posor_drivers.scan_clock import tick_stamp_ns
 from posor_drivers.simulator.random_stream import RandomStream
 from posor_drivers.simulator.simulated_scans import (
     DIODE_FIELD,
@@ -88,8 +89,7 @@ class JointElectronics:
         if self._home is None:
             return np.zeros(len(rotations), dtype=bool)
         bump, home = self._home
-        theta = np.arctan2(-rotations[:, 0, 1], rotations[:, 1, 1])
-        distance = np.mod(theta - home + np.pi, 2.0 * np.pi) - np.pi
+        distance = wrapped_angles(thetas_of(rotations) - home)
         return np.asarray(np.abs(distance) < HOME_MARK * bump)
 
     def latency_ns(self, tick: int) -> int:

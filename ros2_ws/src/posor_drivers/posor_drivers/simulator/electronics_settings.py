@@ -8,7 +8,7 @@ from posor.calibration.file_model import EntryError, FrozenModel, format_value
 from posor.calibration.quantity import Quantity, measured
 from pydantic import Field, model_validator
 
-from posor_drivers.simulator.scenario_limits import INTERVAL, NOT_NEGATIVE, POSITIVE, PROBABILITY, Seconds
+from posor_drivers.quantity_limits import INTERVAL, NOT_NEGATIVE, POSITIVE, PROBABILITY, Seconds
 
 Voltage = Annotated[Quantity, measured("V"), POSITIVE]
 Amplitude = Annotated[Quantity, measured("V"), NOT_NEGATIVE]

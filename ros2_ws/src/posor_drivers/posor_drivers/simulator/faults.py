@@ -18,8 +18,8 @@ from posor.numerics.stamps import NS
 from posor.sensors.diodes import DiodesCalibration
 from pydantic import Field, model_validator
 
+from posor_drivers.quantity_limits import NOT_NEGATIVE, POSITIVE
 from posor_drivers.simulator.random_stream import RandomStream
-from posor_drivers.simulator.scenario_limits import NOT_NEGATIVE, POSITIVE
 from posor_drivers.simulator.simulated_scans import DIODE_FIELD, find_channel
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from posor.errors import CalibrationError
 from pydantic import Field, model_validator
 from scipy.interpolate import CubicSpline
 
-from posor_drivers.simulator.scenario_limits import NOT_NEGATIVE, POSITIVE, Seconds
+from posor_drivers.quantity_limits import NOT_NEGATIVE, POSITIVE, Seconds
 
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray

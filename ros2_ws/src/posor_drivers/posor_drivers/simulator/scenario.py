@@ -20,10 +20,10 @@ from posor.chain.beams_file import TubeFile
 from posor.errors import ParameterError
 from pydantic import Field, model_validator
 
+from posor_drivers.quantity_limits import NOT_NEGATIVE, POSITIVE, Seconds
 from posor_drivers.simulator.electronics_settings import Contamination, ElectronicsSettings
 from posor_drivers.simulator.faults import SimulatedFault
 from posor_drivers.simulator.motion_phases import Phase, Rest, Spline
-from posor_drivers.simulator.scenario_limits import NOT_NEGATIVE, POSITIVE, Seconds
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from posor.errors import ParameterError
-from posor.numerics.stamps import NS
+from posor.numerics.stamps import NS, tick_stamp_ns
 from posor.parameter_model import ParameterGroup
 from posor.ros_names import RAW_SCAN, RAW_TOPIC
 from pydantic import Field
@@ -23,7 +23,6 @@ from posor_drivers.instruments.instruments_file import WHOLE_NUMBERS, Instrument
 from posor_drivers.instruments.reference_reading import ReferenceReading
 from posor_drivers.instruments.scan_writer import LitSourceError, ScanWriter
 from posor_drivers.instruments.shared_readers import shared_reader
-from posor_drivers.scan_clock import tick_stamp_ns
 from posor_drivers.sources.source import LiveSource, SourceMessage, SourceStatus, Topic
 
 if TYPE_CHECKING:

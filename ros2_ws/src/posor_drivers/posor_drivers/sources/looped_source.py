@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Annotated
 from posor.bags.bag_reader import check_filled, checked_type, counted_messages, opened_bag, scan_topic
 from posor.errors import BagError, TopicError
 from posor.messages.raw_scan import ScanTemplate
+from posor.numerics.stamps import tick_stamp_ns
 from posor.ros_names import RAW_SCAN, RAW_TOPIC
 from pydantic import Field
 
-from posor_drivers.scan_clock import tick_stamp_ns
 from posor_drivers.sources.bag_source import RecordedTopicParameters
 from posor_drivers.sources.source import LiveSource, SourceMessage, Topic
 

@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from posor.chain.arm_file import load_arm
 from posor.errors import ParameterError
-from posor.numerics.stamps import time_ns
+from posor.numerics.stamps import tick_stamp_ns, time_ns
 from posor.parameter_model import ParameterGroup
 from posor.ros_names import RAW_SCAN, RAW_TOPIC
 from pydantic import Field
 
-from posor_drivers.scan_clock import tick_stamp_ns
 from posor_drivers.simulated_messages import SimulatedMessages
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections

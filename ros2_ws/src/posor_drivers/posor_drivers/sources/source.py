@@ -20,9 +20,8 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from posor.errors import ParameterError
+from posor.numerics.stamps import first_tick_after, tick_stamp_ns
 from posor.parameter_model import ParameterGroup
-
-from posor_drivers.scan_clock import first_tick_after, tick_stamp_ns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -123,7 +122,7 @@ class RecordedSource(Source[ParametersT]):
 
 
 class LiveSource(Source[ParametersT]):
-    """A source with one scan at each tick of the ROS clock: tick k is at k / rate seconds, see ``scan_clock``.
+    """A source with one scan at each tick of the ROS clock: tick k is at k / rate seconds, see ``numerics.stamps``.
 
     A subclass must define ``rate`` and ``read_tick``. All methods but ``inputs`` and ``statuses`` are called in one
     thread, which drivers of the same rate share, so a slow source delays the other drivers.

@@ -11,8 +11,8 @@ import pinocchio as pin
 import pytest
 from posor.chain.joint_measurements import MeasuredJoint
 from posor.estimation.posor import Posor
-from posor.estimation.tracking import theta_of
 from posor.model.fault import State
+from posor.model.native_coordinates import theta_of
 from posor.model.scan import SCAN_FIELDS
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_drivers.simulator.mechanics import LinkCompliance, bend_links

@@ -1,4 +1,4 @@
-"""Fixtures that the tests of several subpackages share."""
+"""Fixtures that the tests of several packages share."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
 GOLDEN_CASES = 100
-RIG_CALIBRATIONS = Path(__file__).resolve().parents[2] / "posor_bringup" / "config"
+SOURCES = Path(__file__).resolve().parent
+RIG_CALIBRATIONS = SOURCES / "posor_bringup" / "config"
 STEP = 1e-5
 """Step of central differences."""
 
@@ -30,8 +31,8 @@ def rng() -> np.random.Generator:
 
 @pytest.fixture(scope="session")
 def golden_cases() -> list[dict[str, Any]]:
-    """Ray-traced cases, see data/README.md."""
-    lines = (Path(__file__).with_name("data") / "posor_cases.jsonl").read_text(encoding="utf-8").splitlines()
+    """Ray-traced cases, see posor/test/data/README.md."""
+    lines = (SOURCES / "posor" / "test" / "data" / "posor_cases.jsonl").read_text(encoding="utf-8").splitlines()
     assert len(lines) == GOLDEN_CASES
     return [json.loads(line) for line in lines]
 

@@ -1,4 +1,4 @@
-"""Range checks for the quantities of a scenario file."""
+"""Range checks for quantities of scenario and instruments files."""
 
 from __future__ import annotations
 
