@@ -73,7 +73,7 @@ __all__ = [
 _MODULES = {
     "bags.calibration_recording": ("read_scans",),
     "bags.data_frames": ("to_arrow", "to_dataframe"),
-    "bags.estimate_arrays": ("ArmEstimates", "EndpointEstimates", "JointEstimates"),
+    "messages.estimate_arrays": ("ArmEstimates", "EndpointEstimates", "JointEstimates"),
     "bags.offline_arm": ("Arm", "load_arm"),
     "calibration.calibration_file": ("Calibration", "load_calibration"),
     "estimation.estimate": ("Estimate", "Estimates"),

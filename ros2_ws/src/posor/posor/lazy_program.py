@@ -33,7 +33,7 @@ SHORTAGES = {
     errno.ENOSPC: "free space on the disk",
     errno.EDQUOT: "a larger quota on the disk",
 }
-"""What is expected after errors of the system that are no fault of the program."""
+"""Remedies of errors of the system."""
 
 
 @contextmanager

@@ -251,7 +251,7 @@ class ViewPage:
         )
 
     def replay_position(self, period_s: float) -> float:
-        """Return the position in the bag [s]: that of the slider, which goes on by a period while the bag plays."""
+        """Return the position of the slider in the bag [s], advanced by a period while the bag plays."""
         slider, play = self._slider, self._play
         if play.value:
             # A slider that was moved by hand differs from the position before.

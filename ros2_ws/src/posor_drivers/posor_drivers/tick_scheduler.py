@@ -87,7 +87,7 @@ class TickTask:
         self._ended = False
 
     def run_tick(self, now_ns: int) -> bool:
-        """Publish what is due; return whether the task goes on."""
+        """Publish the messages that are due; return whether the task continues."""
         with self._lock:
             if self._ended:
                 return False

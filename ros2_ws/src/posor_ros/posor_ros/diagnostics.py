@@ -49,7 +49,7 @@ class Level(Enum):
 
 
 SEVERITY = {Level.OK: 0, Level.STALE: 0, Level.WARN: 1, Level.ERROR: 2}
-"""Order of the levels; missing data is no fault."""
+"""Order of the levels; missing data are not a fault."""
 
 Value = str | bool | int | float
 StatusText = tuple[str, "Mapping[str, Value]"]

@@ -152,7 +152,7 @@ class InputMonitor:
         self._find_several()
 
     def add_source(self, name: str) -> InputWatch:
-        """Watch an input that is no subscription until ``clear``; the caller records the arrivals."""
+        """Watch an input without a subscription until ``clear``; the caller records the arrivals."""
         watch = InputWatch(name)
         self._watches.append(watch)
         return watch

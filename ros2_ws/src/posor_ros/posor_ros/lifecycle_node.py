@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 INPUT_CHECK_S = 0.08
 """Time between two checks of the inputs."""
 GRAPH_CHECK_EVERY = 4
-"""With every so many of these checks the node also takes the events of its publishers and subscriptions and counts the
+"""Number of these checks after which the node also takes the events of its publishers and subscriptions and counts the
 publishers of its topics. These are calls into ROS, after which the thread waits for the interpreter lock."""
 STATUS_CHANGES = ("total_count_change", "current_count_change", "alive_count_change", "not_alive_count_change")
 """Fields of the events, not zero after a change."""

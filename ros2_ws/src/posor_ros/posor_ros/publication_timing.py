@@ -112,7 +112,7 @@ class Timing:
         self.restart()
 
     def restart(self) -> None:
-        """Discard the record: the time without publications that ends now is no period."""
+        """Discard the record: the pause that ends now is not a period."""
         # Where ROS time is system time, time_ns() is the same clock, without the detour through rclpy.
         simulated = isinstance(self._clock, ROSClock) and self._clock.ros_time_is_active
         self.now_ns = self._log.now_ns = self._simulated_ns if simulated else time_ns

@@ -25,7 +25,7 @@ RecordArray: TypeAlias = NDArray[np.void]
 MAX_OFFSET = 0.02
 """Largest distance of a target plate's origin from the nominal joint in the URDF [m]; a POSOR measures millimetres."""
 MAX_VARIANCE = 100.0
-"""Largest variance of a measurement [m^2], [rad^2]; a greater one tells nothing and may overflow along the arm."""
+"""Largest variance of a measurement [m^2], [rad^2]; a greater variance is useless and may overflow along the arm."""
 POSE_NOT_FINITE, QUATERNION_NOT_UNIT, COVARIANCE_NOT_FINITE, NATIVE_DISAGREES, POSE_TOO_FAR = 1, 2, 3, 4, 5
 VARIANCE_TOO_LARGE, COVARIANCE_NOT_SYMMETRIC, COVARIANCE_NOT_POSITIVE, ENDPOINT_NOT_FINITE = 6, 7, 8, 9
 FAULT_TEXTS = {

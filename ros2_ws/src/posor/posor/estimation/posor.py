@@ -161,7 +161,7 @@ class Posor:
         return other
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Posor:
-        """Return a POSOR that goes on from the same previous pose, with a workspace of its own."""
+        """Return a POSOR that continues from the same previous pose, with its own workspace."""
         other = self.with_parameter_values(self.stack.parameter_values)
         other.model.workspace["tracker"] = self.model.workspace["tracker"]
         return other

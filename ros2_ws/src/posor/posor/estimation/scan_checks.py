@@ -251,7 +251,7 @@ def count_is_stale(settings: Any, tracker: Any, elapsed: float) -> bool:
 
 @inlined
 def is_regained(workspace: Any, stamp: float, covariance: FloatArray) -> bool:
-    """Return whether the pose goes on from the last accepted pose, and not from one that was rejected since."""
+    """Return whether the pose continues the motion of the last accepted pose, not that of a pose rejected since."""
     tracker, centre = workspace.tracker, workspace.start_pose
     elapsed, interval = stamp - tracker.stamp, tracker.latch_interval
     if not tracker.initialised or elapsed > REGAIN_GAP * interval:

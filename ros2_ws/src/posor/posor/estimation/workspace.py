@@ -65,7 +65,7 @@ TRACKER = np.dtype(
         ("rejected_known", "i8"),  # 1 where a pose was rejected since the latch
         ("rejected_stamp", "f8"),
         ("rejected", POSE),  # the last one
-        ("marks", "i8"),  # home marks in a row: positive, consistent ones; negative, such as disagree with the count
+        ("marks", "i8"),  # consecutive home marks: positive if they agree with the count, negative if they disagree
         ("marks_off", "f8"),  # periods by which the last one was off
         ("contradictions", "i8"),  # scans in a row that fail the residual test, at most RESIDUAL_RUN
         ("reference_theta", "f8"),  # theta from an encoder for the next scan [rad]

@@ -360,7 +360,7 @@ class RawScanStream:
 
     @property
     def counts_from_next(self) -> bool:
-        """Whether that scan has yet to come."""
+        """Whether that scan has not arrived yet."""
         return bool(self.status["count_from_next"][0])
 
     def last_scan(self) -> EstimatedScan:

@@ -15,7 +15,7 @@ class State(IntEnum):
 
 
 USABLE_STATES = (State.OK, State.DEGRADED)
-"""Of estimates whose pose may be used."""
+"""States in which the pose of an estimate may be used."""
 
 
 class Fault(IntFlag):

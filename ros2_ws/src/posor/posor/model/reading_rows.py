@@ -104,7 +104,7 @@ POSE = np.dtype([("rotation", "f8", (3, 3)), ("translation", "f8", (3,))], align
 
 @in_place
 def prepare_row(row: Any) -> None:
-    """Write what of a row does not depend on the pose."""
+    """Write the fields of a row that do not depend on the pose."""
     if row.kind == GAP:
         prepare_gap(row)
     elif row.kind in (SPOT_X, SPOT_Y, SPOT_PAIR, PAIRED):

@@ -11,7 +11,7 @@ from posor.numerics.compiled import inlined
 
 NS = 1_000_000_000
 NO_TIME = "is zero, or its nanoseconds are a second or more"
-"""What is wrong with a stamp of which there is no time."""
+"""Why a stamp is invalid."""
 TickT = TypeVar("TickT", int, IntArray)
 
 

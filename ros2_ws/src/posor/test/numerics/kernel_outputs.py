@@ -33,7 +33,8 @@ from posor.model.reading_rows import (
     prepare_rows,
 )
 from posor.model.scan import STATED_HOME
-from posor.numerics import cholesky, compiled, symmetric, vector
+from posor.numerics import compiled, vector
+from posor.numerics import matrix as matrices
 from posor.numerics.compiled import in_place, record_view
 from posor.numerics.summary_statistics import FIGURES, figures_of
 from posor.warm_up import example_stream
@@ -91,9 +92,9 @@ def kernel_values(rng: np.random.Generator) -> list[float]:
     right = rng.normal(size=6)
     weights, nothing = rng.uniform(0.5, 2.0, 8), np.zeros((8, 6))
     for jacobian in (rng.normal(size=(8, 6)), np.eye(8, 6), nothing):  # the last determines no unknown
-        out.append(symmetric.factorise(symmetric.normal_matrix(jacobian, weights, 8))[1])
-    out.append(cholesky.cholesky_factorise(matrix, 6))
-    cholesky.solve_lower_triangular(matrix, 6, right)
+        out.append(matrices.factorise(matrices.normal_matrix(jacobian, weights, 8))[1])
+    out.append(matrices.cholesky_factorise(matrix, 6))
+    matrices.solve_lower_triangular(matrix, 6, right)
     return [*out, *np.tril(matrix).ravel(), *right]
 
 

@@ -59,14 +59,14 @@ LEAST_RATE_HZ, GREATEST_RATE_HZ = 2.5, 3906.25
 US = 1_000_000
 PREAMBLES = (b"MEAS", b"SAEM")
 LONGEST_GAP = 1 << 20
-"""A wrapped counter may have lost up to so many frames, 4.5 minutes at the greatest rate; otherwise it went back."""
+"""Most frames that a wrapped counter may have lost, 4.5 minutes at the greatest rate; beyond, the counter went back."""
 _HEADER = struct.Struct("<4siiQiHHI")
 _COUNTER_RANGE = 1 << 32
 _VALUE_BYTES = 4
 _MAX_CHANNELS = 32
 MOST_SENSORS = 4
 _SENSOR = "1"
-"""State of a channel in the answer to ``$CHS``: 0 is no module, 2 a math function."""
+"""State of a channel in the answer to ``$CHS``: 0: no module, 2: a math function."""
 
 
 class CapaNcdtChannel(FrozenModel):
@@ -207,7 +207,7 @@ class CapaNcdtDevice(PacketDevice[CapaNcdtSettings]):
         return Frames(self._unwrapped(counter, count) + np.arange(count), values)
 
     def _unwrapped(self, counter: int, count: int) -> int:
-        """Return the number of the first of ``count`` frames, which goes on where the counter wraps."""
+        """Return the number of the first of ``count`` frames, which keeps counting where the counter wraps."""
         number = counter
         if self._last is not None:
             step = (counter - self._last) % _COUNTER_RANGE

@@ -156,10 +156,10 @@ class Device(ABC, Generic[SettingsT]):
         """Return the frames that have come since the last call; wait for the first one.
 
         Returns:
-            The frames; None where none came within the time.
+            The frames; None if no frame arrived within the time.
 
         Raises:
-            DeviceError: The connection was lost, or what came is no frame.
+            DeviceError: The connection was lost, or the received data are not a frame.
 
         """
 

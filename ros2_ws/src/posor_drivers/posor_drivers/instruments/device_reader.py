@@ -44,7 +44,7 @@ class DeviceState(NamedTuple):
     """State of a device for the diagnostics."""
 
     fault: str
-    """Why there are no frames; empty: they come."""
+    """Why frames are missing; empty while frames arrive."""
     text: str
     """What the device says it is."""
     values: dict[str, float | int]

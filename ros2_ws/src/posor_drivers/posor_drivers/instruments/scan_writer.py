@@ -26,7 +26,7 @@ SCALARS = ("supply_voltage", "temperature")
 
 
 class LitSourceError(ValueError):
-    """The number of a lit source is no whole number in its range."""
+    """The number of a lit source is not a whole number, or is out of range."""
 
 
 class ScanWriter:

@@ -148,7 +148,7 @@ class StreamDevice(Device[StreamSettings]):
         return self._frames(data[:whole], arrived_ns) if whole else None
 
     def _receive_datagrams(self, port: socket.socket) -> bytes:
-        """Return the content of all datagrams that have come, of which there is at least one."""
+        """Return the content of all datagrams received so far; waits for the first."""
         data = b""
         while select.select([port], [], [], 0.0)[0]:
             datagram = port.recv(MAX_DATAGRAM)
@@ -170,7 +170,7 @@ class StreamDevice(Device[StreamSettings]):
         return Frames(counters, values, arrived_ns=arrived_ns)
 
     def _unwrapped(self, counter: int) -> int:
-        """Return a counter that goes on where that of the device begins again at zero."""
+        """Return a counter that keeps counting where the counter of the device restarts at zero."""
         self._last = counter if self._last < 0 else self._last + _step(self._last, counter, self._wrap)
         return self._last
 
