@@ -14,15 +14,9 @@ from posor.chain.kinematic_chain import load_chain
 from posor.errors import ChainError, ParameterError
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
-from posor.uncertainty.endpoint_budget import (
-    Spread,
-    configurations,
-    endpoint_budget,
-    model_covariances,
-    monte_carlo,
-    thesis_covariance,
-)
+from posor.uncertainty.budget_poses import model_covariances
 from posor_bringup.installed import share
+from posor_design.endpoint_budget import Spread, configurations, endpoint_budget, monte_carlo, thesis_covariance
 from rich.console import Console
 from rich.table import Table
 

@@ -11,7 +11,7 @@ from posor.calibration.designs import PROBE_ACCURACY
 from posor.chain.arm_file import load_arm
 from posor.reporting.figure_style import BLUE
 from posor.reporting.plot import Plot
-from posor.uncertainty.endpoint_budget import thesis_covariance
+from posor_design.endpoint_budget import thesis_covariance
 from scipy.constants import inch
 
 from posor_lab.arm_study.arm_budget_command import FIGURES, THESIS, WHOLE, arm_budget, thesis_arm_path

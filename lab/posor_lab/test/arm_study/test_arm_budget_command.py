@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from posor.chain.arm_file import load_arm
 from posor.errors import DataFileError, PosorError
-from posor.uncertainty.endpoint_budget import thesis_covariance
 from posor_bringup.installed import share
+from posor_design.endpoint_budget import thesis_covariance
 from posor_lab.arm_study.arm_budget_command import FIGURES, NOISE, THESIS, WHOLE, arm_budget, main
 from posor_lab.arm_study.thesis_robot import ENDPOINT_FILE, JOINTS_FILE, read_endpoint, read_joints
 from posor_lab.thesis_data import data_path

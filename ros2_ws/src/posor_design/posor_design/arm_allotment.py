@@ -24,8 +24,10 @@ import numpy as np
 from posor.chain.beams_file import load_beams
 from posor.chain.kinematic_chain import Chain
 from posor.errors import DesignError, FitError, ParameterError
-from posor.uncertainty.endpoint_budget import BEAMS, endpoint_budget, model_covariances
+from posor.uncertainty.budget_poses import model_covariances
 from scipy.optimize import NonlinearConstraint, minimize
+
+from posor_design.endpoint_budget import BEAMS, endpoint_budget
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -33,7 +35,8 @@ if TYPE_CHECKING:
     from posor.chain.arm_file import Arm
     from posor.chain.beams_file import BeamFile, BeamsFile
     from posor.numerics.array_types import FloatArray
-    from posor.uncertainty.endpoint_budget import Spread
+
+    from posor_design.endpoint_budget import Spread
 
 AXES = ("x", "y", "z", "about X", "about Y", "about Z")
 """Axes of the base in the order of all arrays, (6,)."""

@@ -11,7 +11,6 @@ from posor.chain.arm_file import load_arm
 from posor.errors import ParameterError
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.report_console import report_console
-from posor.uncertainty.endpoint_budget import configurations
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
@@ -34,6 +33,7 @@ from posor_design.arm_output import (
     arm_files,
     joint_requirements,
 )
+from posor_design.endpoint_budget import configurations
 from posor_design.layout_search import LayoutSearch
 from posor_design.nearest_requirement import refuse
 from posor_design.posor_output import output_folder, requirement_text, write_files

@@ -12,10 +12,11 @@ from posor.chain.arm_file import Arm, load_arm
 from posor.chain.beams_file import load_beams
 from posor.chain.kinematic_chain import Chain
 from posor.errors import DesignError
-from posor.uncertainty.endpoint_budget import configurations, endpoint_budget, model_covariances, monte_carlo
+from posor.uncertainty.budget_poses import model_covariances
 from posor_design.arm_allotment import Allotment, EndpointWeights, allot, beams_with
 from posor_design.arm_output import joint_requirements, urdf_with_gaps
 from posor_design.design_command import main
+from posor_design.endpoint_budget import configurations, endpoint_budget, monte_carlo
 from posor_design.requirement import load_requirement
 
 ARM_FILE = Path(__file__).resolve().parents[2] / "posor_bringup" / "arms" / "five_axis" / "arm.yaml"

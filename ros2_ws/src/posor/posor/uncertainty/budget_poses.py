@@ -1,4 +1,7 @@
-"""Pose of a budget: from native coordinates, or with all sensors in the middle of their ranges."""
+"""Poses of a budget, and the covariances of the sensor models there.
+
+A pose comes from native coordinates, or has all sensors in the middle of their ranges.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from posor.errors import ParameterError
+from posor.errors import ChainError, ParameterError
 from posor.estimation.forward import empty_scans, scans_at
+from posor.estimation.posor import Posor
+from posor.model.fault import Fault, State
 from posor.model.native_coordinates import rotation_from_native
 from posor.model.reading_rows import GAP, SPOT_X, SPOT_Y
 from posor.sensors.base import RowSensor
@@ -19,9 +24,10 @@ from posor.sensors.diodes import DiodesCalibration
 from posor.sensors.gap_probes import GapProbesCalibration
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
-    from posor.estimation.posor import Posor
+    from posor.calibration.calibration_file import Calibration
+    from posor.chain.kinematic_chain import Chain
     from posor.model.scan import Scan, Scans
     from posor.numerics.array_types import FloatArray, IntArray
 
@@ -131,3 +137,35 @@ def _middle_scans(posor: Posor) -> Scans:
             fields["lit_sources"] = np.zeros((1, len(sensor.diodes)))
     scans = empty_scans(np.zeros(1, dtype=np.int64)).with_fields(fields)
     return scans.with_fields({"lit_sources": scans.lit_sources.astype(np.int64)})
+
+
+def model_covariances(
+    calibrations: Mapping[str, Calibration], chain: Chain, angles: Mapping[str, float]
+) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+    """Return the covariances of the POSORs' sensor models, by joint.
+
+    Returns:
+        Random covariances (noise) and systematic covariances (calibration), (6, 6) each, ROS order.
+
+    Raises:
+        ChainError: A POSOR has no valid pose at its angle.
+
+    """
+    random, systematic = {}, {}
+    for joint in chain.joints:
+        pose = chain.nominal_joint(joint.name, angles[joint.name])
+        posor = Posor(calibrations[joint.name])
+        scans = scans_at(posor.stack, pose.rotation[None], pose.translation[None], np.zeros(1, dtype=np.int64))
+        estimates = posor.estimate_each(scans, np.array([angles[joint.name]]))
+        if estimates.states[0] != State.OK:
+            fault = Fault(int(estimates.faults[0])).name or "no pose"
+            raise ChainError(
+                f"has no valid pose at {math.degrees(angles[joint.name]):g} degrees ({fault})",
+                where=f"joint '{joint.name}'",
+                expected="an angle in the range of its sensors",
+            )
+        random[joint.name], systematic[joint.name] = (
+            estimates.covariances_random[0],
+            estimates.covariances_systematic[0],
+        )
+    return random, systematic

@@ -26,8 +26,7 @@ from scipy.special import ndtri
 
 from posor.chain.joint_measurements import MeasuredJoint
 from posor.estimation.posor import Posor
-from posor.uncertainty.budget_poses import scan_at
-from posor.uncertainty.endpoint_budget import model_covariances
+from posor.uncertainty.budget_poses import model_covariances, scan_at
 from posor.uncertainty.reliability import joint_reliability, transformed
 
 if TYPE_CHECKING:

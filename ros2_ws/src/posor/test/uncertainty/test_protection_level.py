@@ -16,7 +16,6 @@ from posor.chain.kinematic_chain import Chain
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.fault import State
-from posor.uncertainty.endpoint_budget import disturbed
 from posor.uncertainty.protection_level import (
     COVERAGE_FACTOR,
     INTEGRITY_RISK,
@@ -26,6 +25,7 @@ from posor.uncertainty.protection_level import (
     expansion_shifts,
 )
 from posor.uncertainty.reliability import joint_reliability
+from posor_design.endpoint_budget import disturbed
 from scipy.special import ndtr
 
 from .biased_readings import biased_scans, drawn_stack

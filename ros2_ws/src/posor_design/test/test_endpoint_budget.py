@@ -11,13 +11,13 @@ from posor.calibration.designs import design, sized_design
 from posor.chain.beams_file import BeamsFile
 from posor.chain.kinematic_chain import Chain
 from posor.errors import ChainError, ParameterError
-from posor.uncertainty.endpoint_budget import (
+from posor.uncertainty.budget_poses import model_covariances
+from posor_design.endpoint_budget import (
     BEAMS,
     Spread,
     configurations,
     disturbed,
     endpoint_budget,
-    model_covariances,
     monte_carlo,
     thesis_covariance,
 )

@@ -11,19 +11,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
-from scipy.constants import inch
-
 from posor.calibration.designs import PROBE_ACCURACY, SMALLEST_DIAMETER
 from posor.chain.joint_measurements import MeasuredJoint
-from posor.errors import ChainError, ParameterError
-from posor.estimation.forward import scans_at
-from posor.estimation.posor import Posor
-from posor.model.fault import Fault, State
+from posor.errors import ParameterError
+from scipy.constants import inch
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from posor.calibration.calibration_file import Calibration
     from posor.chain.kinematic_chain import Chain
     from posor.numerics.array_types import FloatArray
 
@@ -186,38 +181,6 @@ def thesis_covariance(outside_diameter: float) -> FloatArray:
     small = PROBE_ACCURACY / (0.75 * (outside_diameter - inch))
     large = PROBE_ACCURACY / (0.5 * (outside_diameter - 2.0 * inch))
     return np.diag(np.square([0.0, 0.0, 0.0, small, small, large]))
-
-
-def model_covariances(
-    calibrations: Mapping[str, Calibration], chain: Chain, angles: Mapping[str, float]
-) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
-    """Return the covariances of the POSORs' sensor models, by joint.
-
-    Returns:
-        Random covariances (noise) and systematic covariances (calibration), (6, 6) each, ROS order.
-
-    Raises:
-        ChainError: A POSOR has no valid pose at its angle.
-
-    """
-    random, systematic = {}, {}
-    for joint in chain.joints:
-        pose = chain.nominal_joint(joint.name, angles[joint.name])
-        posor = Posor(calibrations[joint.name])
-        scans = scans_at(posor.stack, pose.rotation[None], pose.translation[None], np.zeros(1, dtype=np.int64))
-        estimates = posor.estimate_each(scans, np.array([angles[joint.name]]))
-        if estimates.states[0] != State.OK:
-            fault = Fault(int(estimates.faults[0])).name or "no pose"
-            raise ChainError(
-                f"has no valid pose at {math.degrees(angles[joint.name]):g} degrees ({fault})",
-                where=f"joint '{joint.name}'",
-                expected="an angle in the range of its sensors",
-            )
-        random[joint.name], systematic[joint.name] = (
-            estimates.covariances_random[0],
-            estimates.covariances_systematic[0],
-        )
-    return random, systematic
 
 
 def configurations(names: Sequence[str]) -> dict[str, dict[str, float]]:
