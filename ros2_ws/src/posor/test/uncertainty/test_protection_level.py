@@ -25,7 +25,6 @@ from posor.uncertainty.protection_level import (
     expansion_shifts,
 )
 from posor.uncertainty.reliability import joint_reliability
-from posor_design.endpoint_budget import disturbed
 from scipy.special import ndtr
 
 from .biased_readings import biased_scans, drawn_stack
@@ -47,6 +46,11 @@ BEAMS = {"f1": ("0.2 0.1 0.6", 23e-6, 5.0), "f2": ("0.1 0 0.4", 12e-6, 2.0)}
 """Beams of the arm: origin in the URDF, coefficient of expansion [1/K], largest deviation [K]."""
 NONE = np.zeros((6, 6))
 DRAWS = 600
+
+
+def disturbed(pose: pin.SE3, error: FloatArray) -> pin.SE3:
+    """Return a transform with an error (x, y, z [m], about X, Y, Z [rad]) in the axes of the parent."""
+    return pin.SE3(pin.exp3(error[3:]) @ pose.rotation, pose.translation + error[:3])
 
 
 @pytest.fixture(scope="module")
