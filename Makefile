@@ -57,17 +57,17 @@ arm:
 calibrate-demo:
 	@./run posor_lab calibrate_demo --campaigns $(CAMPAIGNS) --posor $(POSOR)
 
-faults: setup
-	@$(IN_WORKSPACE) -m posor_lab.faults.faults_command $(FAULTS)
+faults:
+	@./run posor_lab faults $(FAULTS)
 
-fuzz: setup
-	@$(IN_WORKSPACE) -m posor_lab.fuzz.fuzz_command $(FUZZ)
+fuzz:
+	@./run posor_lab fuzz $(FUZZ)
 
-instruments: setup
-	@$(IN_WORKSPACE) -m posor_lab.instruments.trials_command $(INSTRUMENTS)
+instruments:
+	@./run posor_lab instruments_trials $(INSTRUMENTS)
 
-soak: setup
-	@$(IN_WORKSPACE) -m posor_lab.soak.soak_command $(SOAK)
+soak:
+	@./run posor_lab soak $(SOAK)
 
 test: setup
 	@.venv/bin/python -E tools/run_tests.py $(TESTS)
@@ -87,8 +87,8 @@ budgets:
 thesis:
 	@./run posor_lab thesis --output build/thesis.json
 
-bench: setup
-	@$(IN_WORKSPACE) -m posor_lab.benchmark.benchmark_command $(BENCH)
+bench:
+	@./run posor_lab bench $(BENCH)
 
 bench-core:
 	@./run posor_lab bench_core --output build/bench_core.json

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from posor.lazy_program import handle_interrupts
 from posor_ros.ros_domain import leased_domain
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 
 def pytest_configure(config: pytest.Config) -> None:
     """Lease a ROS domain for the session, used by tests without the ``ros_domain`` fixture."""
+    handle_interrupts()  # also of the programs that tests start: pytest may run in the background of a script
     lease = ExitStack()
     os.environ["ROS_DOMAIN_ID"] = str(lease.enter_context(leased_domain()))
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 from posor.lazy_program import LazyProgram, interrupts_blocked
-from posor_lab.harness.program import Program, installed, script
+from posor_lab.harness.program import Program, in_background, installed, script
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from importlib.metadata import EntryPoint
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -68,8 +69,24 @@ def test_an_interrupt_during_the_start_of_python_waits_for_the_program(path: str
         assert running.stderr == ["chain_node: interrupted."]
 
 
-def test_an_interrupt_while_run_replaces_itself_waits_for_the_program() -> None:
-    with Program([str(ROOT / "run"), "posor_estimator", "chain_node"]) as running:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_background_job_is_interrupted_but_does_not_hang_up(path: str, number: signal.Signals) -> None:
+    with Program(in_background(installed("posor_estimator", "chain_node")), {"PYTHONPATH": path}) as running:
+        running.wait_for_line("loading")
+        running.process.send_signal(signal.SIGHUP)
+        assert running.end(number) == 130
+        assert running.stderr == ["chain_node: interrupted."]
+
+
+def test_a_script_in_the_background_is_interruptible() -> None:
+    code = "import signal; print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)"
+    with Program(in_background([*script(ROOT / "tools" / "in_workspace.py"), "-c", code])) as running:
+        running.wait_for_line("True")
+
+
+@pytest.mark.parametrize("start", [list, in_background])
+def test_an_interrupt_while_run_replaces_itself_waits_for_the_program(start: Callable[[list[str]], list[str]]) -> None:
+    with Program(start([str(ROOT / "run"), "posor_estimator", "chain_node"])) as running:
         command = Path(f"/proc/{running.process.pid}/cmdline")
         while b"lib/posor_estimator/chain_node" not in command.read_bytes():
             assert running.process.poll() is None

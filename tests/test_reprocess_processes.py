@@ -42,13 +42,9 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def program(bags: Path, names: tuple[str, ...], output: Path) -> Program:
-    """Start the program on some bags, two at a time, as a shell does: in the foreground, where Ctrl-C is heard."""
+    """Start the program on some bags, two at a time."""
     given = [*(str(bags / name) for name in names), *ARM, "--output", str(output), "--jobs", "2"]
-    former = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        return Program(["setsid", *installed("posor", "reprocess"), *given])
-    finally:
-        signal.signal(signal.SIGINT, former)
+    return Program(["setsid", *installed("posor", "reprocess"), *given])
 
 
 def children(run: Program) -> list[int]:

@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 from environment import THIS
+from posor_lab.harness.program import in_background
 from run_tests import WITHOUT_ROS, make_test_jobs
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
 RUNNER = [sys.executable, str(THIS.root / "tools" / "run_tests.py")]
@@ -107,8 +109,12 @@ def test_no_such_path(tmp_path: Path) -> None:
     assert done.stderr == f"make test: {tmp_path}/nowhere: no such test file or folder.\n"
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_interruption_ends_the_tests_at_work(tmp_path: Path, number: signal.Signals) -> None:
+@pytest.mark.parametrize(
+    ("start", "number"), [(list, signal.SIGINT), (list, signal.SIGTERM), (in_background, signal.SIGINT)]
+)
+def test_interruption_ends_the_tests_at_work(
+    tmp_path: Path, start: Callable[[list[str]], list[str]], number: signal.Signals
+) -> None:
     fifo = tmp_path / "fifo"
     os.mkfifo(fifo)
     write_test_files(
@@ -129,7 +135,7 @@ def test_interruption_ends_the_tests_at_work(tmp_path: Path, number: signal.Sign
         """,
     )
     with subprocess.Popen(
-        [*RUNNER, str(tmp_path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        start([*RUNNER, str(tmp_path)]), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as runner:
         with fifo.open() as output:
             assert output.readline() == "begun\n"

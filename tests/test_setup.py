@@ -170,7 +170,7 @@ def test_interrupted_by_the_user(checkout: Miniature) -> None:
         os.killpg(process.pid, signal.SIGINT)
         _, err = process.communicate()
     assert process.returncode == 130
-    assert err.endswith("posor set-up: interrupted; the next call continues.\n")
+    assert err.endswith("posor set-up: interrupted.\n")
     assert checkout.set_up().returncode == 0
 
 

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import json
 import os
+import signal
+import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
 PATH_LISTS = (
     "AMENT_PREFIX_PATH",
@@ -166,3 +168,28 @@ def with_variables(environ: Mapping[str, str], added: Mapping[str, Any]) -> dict
         result[name] = os.pathsep.join([*own, *others])
     result.update(added["set"])
     return result
+
+
+def exit_with(name: str, main: Callable[[], int]) -> NoReturn:
+    """Run the function of a tool and end the process with its exit code.
+
+    A SetupError is one sentence, exit code 2. SIGINT and SIGTERM end the tool with one line and exit code 130, also in
+    a background job of a shell, which starts with SIGINT ignored, as do the programs that it starts
+    (``posor.lazy_program.handle_interrupts``, which tools cannot import before the set-up).
+
+    Args:
+        name: Name of the tool, for messages.
+        main: Returns the exit code.
+
+    """
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
+    try:
+        code = main()
+    except SetupError as error:
+        sys.stderr.write(f"{name}: {error}\n")
+        code = 2
+    except KeyboardInterrupt:
+        sys.stderr.write(f"{name}: interrupted.\n")
+        code = 130
+    sys.exit(code)

@@ -18,7 +18,7 @@ from collections import defaultdict
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from environment import THIS, SetupError, workspace_environment
+from environment import THIS, exit_with, workspace_environment
 
 PACKAGES = ("numerics", "model", "sensors", "estimation", "chain", "calibration", "identification", "uncertainty")
 LEAST_PERCENT = 95.0
@@ -92,11 +92,7 @@ def print_table() -> float:
 
 def main() -> int:
     """Run the tests, print the table and return the exit code."""
-    try:
-        passed = run_tests()
-    except SetupError as error:
-        sys.stderr.write(f"make coverage: {error}\n")
-        return 2
+    passed = run_tests()
     least = print_table()
     if least < LEAST_PERCENT:
         sys.stderr.write(f"make coverage: each package must be covered by at least {LEAST_PERCENT:.0f} %.\n")
@@ -104,4 +100,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    exit_with("make coverage", main)

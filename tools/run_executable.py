@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from environment import THIS, SetupError, is_official_ros_sourced, split_paths, workspace_environment
+from environment import THIS, SetupError, exit_with, is_official_ros_sourced, split_paths, workspace_environment
 from setup_state import reasons_to_set_up
 
 if TYPE_CHECKING:
@@ -74,15 +74,9 @@ def main() -> int:
                 return code
         environ = workspace_environment()
         executable = find_executable(package, name, environ)
-    except SetupError as error:
-        sys.stderr.write(f"posor run: {error}\n")
-        return 2
     except OSError as error:
         sys.stderr.write(f"posor run: {error.filename}: {error.strerror}.\n")
         return 2
-    except KeyboardInterrupt:
-        sys.stderr.write("posor run: interrupted.\n")
-        return 130
     ros2 = shutil.which("ros2")
     program = [ros2, "run", package, name] if ros2 else [str(executable)]
     if package in LAZY_PACKAGES and not ros2:
@@ -91,4 +85,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    exit_with("posor run", main)

@@ -16,7 +16,6 @@ import contextlib
 import os
 import signal
 import subprocess
-import sys
 import textwrap
 import time
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -24,7 +23,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from environment import THIS, SetupError, workspace_environment
+from environment import THIS, SetupError, exit_with, workspace_environment
 
 PROCESSES = min(2, os.cpu_count() or 1)  # of each priority
 LOW_PRIORITY = 4  # nice value
@@ -233,24 +232,14 @@ def main() -> int:
     parser.add_argument("--long", action="store_true", help="only the tests that are left out otherwise")
     parser.add_argument("paths", nargs="*", help="files or folders; default: all tests, and the linters")
     options = parser.parse_args()
-    try:
-        jobs = make_test_jobs(find_test_files(options.paths), "long" if options.long else "not long")
-        environ = workspace_environment()
-    except SetupError as error:
-        sys.stderr.write(f"make test: {error}\n")
-        return 2
+    jobs = make_test_jobs(find_test_files(options.paths), "long" if options.long else "not long")
     if not options.paths and not options.long:
         jobs.insert(0, Job("make lint", ["make", "--no-print-directory", "lint"], low_priority=True))
     REPORTS.mkdir(parents=True, exist_ok=True)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        Runner(environ).run_jobs(jobs)
-    except KeyboardInterrupt:
-        sys.stderr.write("make test: interrupted.\n")
-        return 130
+    Runner(workspace_environment()).run_jobs(jobs)
     print_summary(jobs)
     return 0 if jobs and not any(job.failed for job in jobs) else 1
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    exit_with("make test", main)

@@ -25,6 +25,7 @@ from environment import (
     SetupError,
     Workspace,
     added_variables,
+    exit_with,
     is_official_ros_sourced,
     read_stamp,
     ros_environment,
@@ -265,11 +266,8 @@ def main() -> int:
     except OSError as error:
         sys.stderr.write(f"posor set-up: {error.filename}: {error.strerror}; correct this and call again.\n")
         return 1
-    except KeyboardInterrupt:
-        sys.stderr.write("posor set-up: interrupted; the next call continues.\n")
-        return 130
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    exit_with("posor set-up", main)

@@ -26,14 +26,13 @@ class PlainController(Node):
         if len(messages) > KEPT:
             del messages[next(iter(messages))]
 
-    def on_state(self, measured):
-        stamp = measured.header.stamp.sec * 10**9 + measured.header.stamp.nanosec
+    def on_state(self, message):
+        stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
         age_s = (self.get_clock().now().nanoseconds - stamp) * 1e-9
-        usable = measured.state == EndpointState.STATE_OK and abs(age_s) <= MAX_AGE_S
-        unusable = measured.reason or f"state {measured.state}, {age_s:.3f} s old"
-        self.reason = "nothing to command" if usable else unusable
+        usable = message.state == EndpointState.STATE_OK and abs(age_s) <= MAX_AGE_S
+        self.reason = "nothing to command" if usable else message.reason or f"state {message.state}, {age_s:.3f} s old"
         if usable and stamp in self.targets and stamp in self.positions:
-            self.command(measured.pose, self.targets[stamp].pose.position, self.positions[stamp])
+            self.command(message.pose, self.targets[stamp].pose.position, self.positions[stamp])
 
     def command(self, measured, target, stage):
         """Command R^T (target - measured) + stage: the position of the stage that would have removed the error."""
@@ -55,6 +54,7 @@ class PlainController(Node):
 if __name__ == "__main__":
     rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)  # its own ends a context in use
     signals, controller = [], PlainController()
-    signal.signal(signal.SIGINT, lambda number, _: signals.append(number))
+    for each in signal.SIGINT, signal.SIGTERM:
+        signal.signal(each, lambda number, _: signals.append(number))
     while not signals:
         rclpy.spin_once(controller, timeout_sec=0.1)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
 from posor.errors import ParameterError
-from posor.lazy_program import INTERRUPT_SIGNALS
+from posor.lazy_program import interrupts_handled
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.report_console import report_console
 from posor_bringup.bringup_options import prepare_output_folder
@@ -157,15 +157,12 @@ def _note_signals() -> Iterator[Callable[[], None]]:
         if interrupted:
             raise KeyboardInterrupt
 
-    handlers = {number: signal.signal(number, interrupt) for number in INTERRUPT_SIGNALS}
     try:
-        yield check
-        check()
+        with interrupts_handled(interrupt):
+            yield check
+            check()
     except KeyboardInterrupt:
         raise InterruptedRunError("interrupted", where="calibrate_demo") from None
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
 
 
 def _run(options: argparse.Namespace, check: Callable[[], None]) -> Findings:

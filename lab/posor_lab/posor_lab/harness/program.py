@@ -37,6 +37,11 @@ def script(path: Path) -> list[str]:
     return [sys.executable, str(path)]
 
 
+def in_background(command: Sequence[str]) -> list[str]:
+    """Return a command that starts another one as a script does with ``nohup`` and ``&``: SIGHUP, SIGINT ignored."""
+    return ["sh", "-c", 'trap "" HUP INT; exec "$@"', "sh", *command]
+
+
 class Program:
     """A running program; leaving the ``with`` block kills a program that has not ended."""
 

@@ -15,7 +15,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, NoReturn
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from types import FrameType
 
 EXIT_INTERRUPTED = 130
@@ -34,6 +34,29 @@ SHORTAGES = {
     errno.EDQUOT: "a larger quota on the disk",
 }
 """Remedies of errors of the system."""
+
+
+def handle_interrupts(
+    handler: Callable[[int, FrameType | None], object] | signal.Handlers = signal.default_int_handler,
+) -> None:
+    """Give SIGINT and SIGTERM one handler; the default one raises KeyboardInterrupt.
+
+    Every program calls this function first: a shell or ``nohup`` starts a background job with SIGINT ignored, Python
+    then installs no handler, and the programs that this one starts would ignore SIGINT, too.
+    """
+    for number in INTERRUPT_SIGNALS:
+        signal.signal(number, handler)
+
+
+@contextmanager
+def interrupts_handled(handler: Callable[[int, FrameType | None], object]) -> Iterator[None]:
+    """Handle SIGINT and SIGTERM in a ``with`` block; the former handlers are restored at its end."""
+    former = {number: signal.signal(number, handler) for number in INTERRUPT_SIGNALS}
+    try:
+        yield
+    finally:
+        for number, previous in former.items():
+            signal.signal(number, previous)
 
 
 @contextmanager
@@ -68,26 +91,22 @@ class LazyProgram:
 
         During the import a signal ends the process at once: libraries may catch or convert an exception that a handler
         raises in them, and there is nothing to clean up yet. Afterwards a signal raises KeyboardInterrupt, unless the
-        program sets its own handlers. When the program has ended, signals are ignored: Python would restore the default
-        action while it ends. Signals that the process was started to ignore, as a background job of a shell is, stay
-        ignored, except in a process that leads a session, as the supervisor starts it.
+        program sets its own handlers. When the program has ended, both signals are ignored: Python would restore the
+        default action while it ends. A background job of a shell is interrupted in the same way
+        (``handle_interrupts``).
 
         A limit of the process that is too low, and a lack of descriptors, memory or disk, are one sentence and exit
         code 1.
         """
+        handle_interrupts(self._exit_at_once)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, INTERRUPT_SIGNALS)  # see ``interrupts_blocked``
         for limit, least, what in LEAST_LIMITS:
             allowed, _ = resource.getrlimit(limit)
             if allowed != resource.RLIM_INFINITY and allowed < least:
                 return self._fail(f"the process is limited to {allowed} {what}; expected at least {least}")
-        leads = os.getsid(0) == os.getpid()
-        handled = [each for each in INTERRUPT_SIGNALS if leads or signal.getsignal(each) is not signal.SIG_IGN]
-        for number in handled:
-            signal.signal(number, self._exit_at_once)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, INTERRUPT_SIGNALS)  # see ``interrupts_blocked``
         try:
             program = import_module(self.module).main
-            for number in handled:
-                signal.signal(number, signal.default_int_handler)
+            handle_interrupts()
             return int(program())
         except KeyboardInterrupt:
             sys.stderr.write(self._message)
@@ -99,8 +118,7 @@ class LazyProgram:
             where = f"{error.filename}: " if isinstance(error, OSError) and error.filename else ""
             return self._fail(f"{where}{os.strerror(code).lower()}; expected {SHORTAGES[code]}")
         finally:
-            for number in handled:
-                signal.signal(number, signal.SIG_IGN)
+            handle_interrupts(signal.SIG_IGN)
 
     def _fail(self, reason: str) -> int:
         sys.stderr.write(f"{self.name}: {reason}.\n")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 from posor_bringup import supervisor as module
 from posor_bringup.supervisor import ProcessError, Program, RunningProgram, Supervisor
+from posor_lab.harness.program import in_background
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -145,6 +146,32 @@ def test_end_reports_a_program_that_does_not_end_well(
         supervisor.end([running])
     assert str(caught.value) == message
     assert running.has_ended
+
+
+SUPERVISE = """\
+import sys
+from pathlib import Path
+from posor.lazy_program import LazyProgram
+from posor_bringup.supervisor import Program, Supervisor
+
+def main():
+    with Supervisor(Path(sys.argv[1])) as supervisor:
+        child = supervisor.start(Program("child", "", sys.argv[2]))
+        while "started" not in child.log.read_text():
+            assert not child.has_ended
+    print(child.process.returncode)
+    return 0
+
+sys.exit(LazyProgram("supervise", "__main__")())
+"""
+
+
+def test_programs_of_a_supervisor_in_the_background_end_on_sigint(tmp_path: Path) -> None:
+    (tmp_path / "supervise.py").write_text(SUPERVISE, encoding="utf-8")
+    (tmp_path / "child.py").write_text("import signal\nprint('started', flush=True)\nsignal.pause()\n")
+    command = [sys.executable, str(tmp_path / "supervise.py"), str(tmp_path), str(tmp_path / "child.py")]
+    done = subprocess.run(in_background(command), check=True, capture_output=True, text=True)
+    assert done.stdout == "-2\n"
 
 
 def test_end_of_the_programs_does_not_replace_the_first_error(folder: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -24,7 +23,7 @@ from posor.bags.reprocess_task import FORMATS, JointSettings, Settings, Summary,
 from posor.bags.result_folder import check_outside_of_bags, check_replaceable, clear_unfinished
 from posor.chain.arm_file import load_arm
 from posor.errors import ParameterError
-from posor.lazy_program import EXIT_INTERRUPTED, INTERRUPT_SIGNALS
+from posor.lazy_program import EXIT_INTERRUPTED, handle_interrupts, interrupts_handled
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 
@@ -72,7 +71,7 @@ def parser() -> CommandLineParser:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; the exit code is 0 if all bags were reprocessed."""
     try:
-        with _interruptible():
+        with interrupts_handled(_interrupt_once):
             _run(parser().parse_args(arguments))
     except KeyboardInterrupt:
         sys.stderr.write("reprocess: interrupted; what was not finished is not there.\n")
@@ -80,27 +79,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-@contextmanager
-def _interruptible() -> Iterator[None]:
-    """Raise KeyboardInterrupt on the first SIGINT or SIGTERM, and ignore later ones, until the end of the block.
-
-    Signals that the program was started to ignore, as by a shell in the background, stay ignored.
-    """
-
-    def interrupt(_number: int, _frame: object) -> None:
-        for number in INTERRUPT_SIGNALS:
-            signal.signal(number, signal.SIG_IGN)
-        raise KeyboardInterrupt
-
-    former = {number: signal.getsignal(number) for number in INTERRUPT_SIGNALS}
-    try:
-        for number, handler in former.items():
-            if handler is not signal.SIG_IGN:
-                signal.signal(number, interrupt)
-        yield
-    finally:
-        for number, handler in former.items():
-            signal.signal(number, handler)
+def _interrupt_once(_number: int, _frame: object) -> None:
+    """Raise KeyboardInterrupt; later signals must not disturb the clean-up."""
+    handle_interrupts(signal.SIG_IGN)
+    raise KeyboardInterrupt
 
 
 def _run(options: argparse.Namespace) -> None:
