@@ -101,6 +101,43 @@ def test_changed_kernels_are_compiled_by_the_set_up(tmp_path: Path, name: str, i
     assert (inputs[0] != inputs[1]) == rebuilds
 
 
+@pytest.mark.parametrize(
+    ("name", "rebuilds"),
+    [
+        ("config/more.yaml", True),
+        ("package.xml", True),
+        ("notes.txt", False),
+        ("config/.more.yaml.swp", False),
+        ("config/more.yaml~", False),
+        (".pytest_cache/README.md", False),
+        ("build/lib/miniature/programs.py", False),
+        ("miniature.egg-info/PKG-INFO", False),
+        ("test/data.yaml", False),
+    ],
+)
+def test_only_sources_start_a_build(tmp_path: Path, name: str, *, rebuilds: bool) -> None:
+    miniature = Miniature(tmp_path)
+    miniature.fill()
+    before = build_inputs(miniature, official=False)
+    miniature.write(f"ros2_ws/src/miniature/{name}", "new")
+    assert (build_inputs(miniature, official=False) != before) == rebuilds
+
+
+def test_pip_leaves_the_sources_clean(tmp_path: Path) -> None:
+    packages = [setup.parent for setup in [*THIS.ros2.glob("src/*/setup.py"), *THIS.root.glob("lab/*/setup.py")]]
+    official = json.loads(THIS.environment_stamp.read_text())["official"]
+
+    def sources() -> set[Path]:
+        return {path for package in packages for path in package.rglob("*") if "__pycache__" not in path.parts}
+
+    before = sources()
+    pip = [str(THIS.python), "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
+    subprocess.run([*pip, "--wheel-dir", str(tmp_path), *map(str, packages)], check=True)
+    assert len(list(tmp_path.glob("*.whl"))) == len(packages)
+    assert sources() == before
+    assert not any(reasons_to_set_up(THIS, {}, official=official))
+
+
 @pytest.mark.long
 def test_python_and_data_files_need_no_build(checkout: Miniature) -> None:
     installed = checkout.install / "miniature" / "share" / "miniature" / "config" / "numbers.txt"

@@ -72,12 +72,18 @@ def is_installed_as_links(workspace: Workspace, package: Path) -> bool:
 
 
 def package_files(package: Path) -> Iterator[Path]:
-    """Yield the files of a ROS package outside its Python package, its tests and what pip and Python leave there."""
-    excluded = {package / name for name in (package.name, "test", "build", f"{package.name}.egg-info")}
+    """Yield the files that a build reads: its own at the top, and those of all folders but Python package and tests."""
     for folder, folders, names in os.walk(package):
         here = Path(folder)
-        folders[:] = sorted(name for name in folders if name != "__pycache__" and here / name not in excluded)
-        yield from (here / name for name in names)
+        excluded = {package.name, "test", "build"} if here == package else set()
+        folders[:] = [name for name in folders if name not in excluded and not is_leftover(name)]
+        sources = BUILD_FILES.intersection(names) if here == package else names
+        yield from (here / name for name in sources if not is_leftover(name))
+
+
+def is_leftover(name: str) -> bool:
+    """Return whether a file or folder is a cache, a copy of an editor, or a result of pip."""
+    return name == "__pycache__" or name.startswith((".", "#")) or name.endswith(("~", ".egg-info"))
 
 
 def reasons_to_set_up(workspace: Workspace, environ: Mapping[str, str], *, official: bool) -> tuple[str, str]:

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import sys
+from tempfile import TemporaryDirectory
+
 from setuptools import setup
 
 PACKAGE = "posor_draw_wire"
+SCRATCH = TemporaryDirectory()  # pip builds there: the source folder stays clean; colcon has a build folder
+OPTIONS = {"build": {"build_base": SCRATCH.name}, "egg_info": {"egg_base": SCRATCH.name}}
 ENTRY_POINTS = {"posor.sensors": ["draw_wire = posor_draw_wire.draw_wire:DrawWireCalibration"]}
 
 setup(
@@ -24,5 +29,6 @@ setup(
     python_requires=">=3.11",
     install_requires=["setuptools"],
     zip_safe=False,
+    options={} if "develop" in sys.argv else OPTIONS,
     entry_points=ENTRY_POINTS,
 )

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from setuptools import find_packages, setup
 
 PACKAGE = "posor_bringup"
+SCRATCH = TemporaryDirectory()  # pip builds there: the source folder stays clean; colcon has a build folder
+OPTIONS = {"build": {"build_base": SCRATCH.name}, "egg_info": {"egg_base": SCRATCH.name}}
 
 
 def data_files(*roots: str) -> list[tuple[str, list[str]]]:
@@ -33,6 +37,7 @@ setup(
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
+    options={} if "develop" in sys.argv else OPTIONS,
     entry_points={
         "console_scripts": [
             "bringup = posor_bringup.bringup_programs:bringup",

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import sys
+from tempfile import TemporaryDirectory
+
 from setuptools import find_packages, setup
 
 PACKAGE = "posor_calibration"
+SCRATCH = TemporaryDirectory()  # pip builds there: the source folder stays clean; colcon has a build folder
+OPTIONS = {"build": {"build_base": SCRATCH.name}, "egg_info": {"egg_base": SCRATCH.name}}
 
 setup(
     name=PACKAGE,
@@ -23,6 +28,7 @@ setup(
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
+    options={} if "develop" in sys.argv else OPTIONS,
     entry_points={
         "console_scripts": [
             "calibrate = posor_calibration.calibration_programs:calibrate",

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import sys
+from tempfile import TemporaryDirectory
+
 from setuptools import setup
 
 PACKAGE = "posor_ros2_control"
+SCRATCH = TemporaryDirectory()  # pip builds there: the source folder stays clean; colcon has a build folder
+OPTIONS = {"build": {"build_base": SCRATCH.name}, "egg_info": {"egg_base": SCRATCH.name}}
 
 setup(
     name=PACKAGE,
@@ -20,4 +25,5 @@ setup(
         (f"share/{PACKAGE}/config", ["config/five_axis.ros2_control.xacro", "config/controllers.yaml"]),
     ],
     zip_safe=False,
+    options={} if "develop" in sys.argv else OPTIONS,
 )
