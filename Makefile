@@ -1,7 +1,7 @@
 # POSOR for ROS 2. Every target sets the workspace up first; this takes a fraction of a second if nothing has changed.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup audit demo arm calibrate-demo faults fuzz instruments soak test test-long coverage accuracy budgets thesis bench bench-core data docs lint words lines lock clean
+.PHONY: help setup audit demo arm calibrate-demo faults fuzz instruments soak test test-long coverage accuracy budgets thesis bench bench-core data docs lint words lines rooms lock clean
 
 BAG ?= ymo
 CAL ?= printed
@@ -33,6 +33,7 @@ help:
 	@echo "make bench [BENCH='--quick ...']                       latency, lost ticks and cost of the graph, offline speed"
 	@echo "make bench-core                                        speed of the numerical core"
 	@echo "make lines                                             lines of source, tests and documentation of each package"
+	@echo "make rooms                                             draw the packages and the imports between them"
 	@echo "make data                                              regenerate bags and calibrations from tables and designs"
 	@echo "make docs                                              pages of parameters and calculators, and the site build/docs/index.html"
 	@echo "make setup                                             virtual environment, ROS 2 Jazzy, colcon build"
@@ -117,6 +118,9 @@ words:
 
 lines: setup
 	@.venv/bin/python -E tools/count_lines.py
+
+rooms: setup
+	@$(IN_WORKSPACE) tools/draw_rooms.py
 
 lock:
 	@tools/python.sh tools/lock_requirements.py

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from graphlib import TopologicalSorter
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import grimp
 import pytest
+from draw_rooms import FLOOR, PACKAGES, PICTURE, build_graph, count_imports, room_of
+
+if TYPE_CHECKING:
+    import grimp
 
 ROOT = Path(__file__).resolve().parents[1]
-ROOMS = (  # lowest first; rooms of one line do not import each other
-    ("posor",),
-    ("posor_ros",),
-    ("posor_drivers", "posor_estimator", "posor_calibration", "posor_design"),
-    ("posor_bringup",),
-    ("posor_lab",),
-)
 WITHOUT_ROS = {"posor", "posor_calibration", "posor_design"}
 ROS_LIBRARIES = {"posor_msgs", "rclpy", "ament_index_python", "launch", "rosidl_parser", "tf2_msgs"}
 LAYERS_OF_POSOR = (  # lowest first; parts of one line may import each other
@@ -31,29 +29,13 @@ LAYERS_OF_POSOR = (  # lowest first; parts of one line may import each other
     ("bags", "warm_up"),
     ("",),  # posor itself: the public Python API
 )
-PACKAGES = [room for rooms in ROOMS for room in rooms]
-FLOOR = {room: floor for floor, rooms in enumerate(ROOMS) for room in rooms}
 LAYER = {f"posor.{part}".rstrip("."): layer for layer, parts in enumerate(LAYERS_OF_POSOR) for part in parts}
-
-
-def build_graph(*, for_type_checkers: bool) -> grimp.ImportGraph:
-    """Return every import of our packages, also those inside functions."""
-    return grimp.build_graph(
-        *PACKAGES,
-        include_external_packages=True,
-        exclude_type_checking_imports=not for_type_checkers,
-        cache_dir=None,
-    )
 
 
 @pytest.fixture(scope="module")
 def graph() -> grimp.ImportGraph:
     """Every import but those for type checkers only."""
     return build_graph(for_type_checkers=False)
-
-
-def room_of(module: str) -> str:
-    return module.partition(".")[0]
 
 
 def layer_of(module: str) -> int:
@@ -88,9 +70,14 @@ def test_imports_go_down_the_rooms(graph: grimp.ImportGraph) -> None:
     wrong = [
         describe_import(graph, importer, imported)
         for importer, imported in own_imports(graph)
-        if room_of(importer) != room_of(imported) and FLOOR[room_of(imported)] >= FLOOR[room_of(importer)]
+        if room_of(importer) != room_of(imported) and FLOOR[room_of(imported)] <= FLOOR[room_of(importer)]
     ]
     assert not wrong, "\n".join(wrong)
+
+
+def test_the_picture_of_the_rooms_shows_every_arrow() -> None:
+    drawn = re.findall(r"<title>(\w+) imports (\w+)</title>", PICTURE.read_text(encoding="utf-8"))
+    assert set(drawn) == set(count_imports(build_graph(for_type_checkers=True))), "call 'make rooms'"
 
 
 def test_imports_go_down_the_layers_of_the_library(graph: grimp.ImportGraph) -> None:

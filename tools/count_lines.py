@@ -1,4 +1,4 @@
-"""Print the lines of source, tests and documentation of each package: ``make lines``."""
+"""Print the lines of source, tests and documentation of each package, and their sums: ``make lines``."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from pathlib import Path
 from environment import THIS
 
 KINDS = ("source", "tests", "docs")
+PRODUCT = "ros2_ws/src"
 
 
 def classify_file(path: Path) -> tuple[str, str] | None:
     """Return the package and the kind of a tracked file, or None for a file that does not count."""
     parts = path.parts
-    package = parts[2] if parts[:2] == ("ros2_ws", "src") else parts[0] if len(parts) > 1 else "."
+    package = "/".join(parts[:3]) if path.is_relative_to(PRODUCT) else parts[0] if len(parts) > 1 else "."
     if path.suffix == ".md":
         return package, "docs"
     if path.suffix in {".py", ".sh", ".msg"}:
@@ -22,8 +23,8 @@ def classify_file(path: Path) -> tuple[str, str] | None:
     return None
 
 
-def main() -> None:
-    """Count the lines of all tracked files that exist."""
+def count_lines() -> Counter[tuple[str, str]]:
+    """Return the lines of all tracked files that exist, by package and kind."""
     listing = subprocess.run(["git", "ls-files", "-z"], cwd=THIS.root, capture_output=True, text=True, check=True)  # noqa: S607
     lines: Counter[tuple[str, str]] = Counter()
     for name in filter(None, listing.stdout.split("\0")):
@@ -31,11 +32,24 @@ def main() -> None:
         file = THIS.root / name
         if key and file.is_file():
             lines[key] += file.read_bytes().count(b"\n")
-    print(f"{'package':<20}" + "".join(f"{kind:>10}" for kind in KINDS))
+    return lines
+
+
+def main() -> None:
+    """Print the table and the sums."""
+    lines = count_lines()
+
+    def total(kind: str, folder: str = "") -> int:
+        return sum(n for (package, other), n in lines.items() if other == kind and package.startswith(folder))
+
+    print(f"{'package':<32}" + "".join(f"{kind:>10}" for kind in KINDS))
     for package in sorted({package for package, _ in lines}):
-        print(f"{package:<20}" + "".join(f"{lines[package, kind]:>10,}" for kind in KINDS))
-    totals = [sum(count for (_, other), count in lines.items() if other == kind) for kind in KINDS]
-    print(f"{'all':<20}" + "".join(f"{total:>10,}" for total in totals))
+        print(f"{package:<32}" + "".join(f"{lines[package, kind]:>10,}" for kind in KINDS))
+    print(f"{'all':<32}" + "".join(f"{total(kind):>10,}" for kind in KINDS))
+    print(f"product: source of {PRODUCT} {total('source', PRODUCT):>11,}")
+    print(f"lab: source of lab {total('source', 'lab'):>23,}")
+    print(f"tests of all folders {total('tests'):>21,}")
+    print(f"tools: source of tools {total('source', 'tools'):>19,}")
 
 
 if __name__ == "__main__":
