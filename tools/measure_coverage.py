@@ -14,19 +14,26 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections import defaultdict
+from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from environment import THIS, exit_with, workspace_environment
+from run_tests import NO_TESTS
 
-PACKAGES = ("numerics", "model", "sensors", "estimation", "chain", "calibration", "identification", "uncertainty")
 LEAST_PERCENT = 95.0
 FILE_LIMIT_S = 60.0
-NO_TESTS = 5  # pytest's exit code
-SOURCE = THIS.ros2 / "src" / "posor" / "posor"
-TESTS = THIS.ros2 / "src" / "posor" / "test"
-OTHER_FILES = (TESTS / "ros" / "test_raw_scan_stream.py", THIS.root / "tests" / "test_calibrate_command.py")
+SOURCE = THIS.ros2 / "src"
+PARTS = ("numerics", "model", "sensors", "estimation", "chain", "calibration", "uncertainty")
+PACKAGES = {
+    **{SOURCE / "posor" / "posor" / part: SOURCE / "posor" / "test" / part for part in PARTS},
+    SOURCE / "posor_calibration" / "posor_calibration": SOURCE / "posor_calibration" / "test",
+}
+"""Folders of the numerical packages, and those of their tests."""
+OTHER_FILES = (
+    SOURCE / "posor_estimator" / "test" / "test_raw_scan_stream.py",
+    THIS.root / "tests" / "test_calibrate_command.py",
+)
 """Tests outside the folders of the packages, of a stream of messages and of the reports on a calibration."""
 COVERAGE = (str(THIS.python), "-m", "coverage")
 REPORT = THIS.root / "build" / "coverage.json"
@@ -64,7 +71,7 @@ def run_test_file(file: Path, environ: dict[str, str]) -> bool:
 
 def run_tests() -> bool:
     """Run the tests of the numerical packages and write the report; return whether no test failed."""
-    files = [file for package in PACKAGES for file in sorted((TESTS / package).rglob("test_*.py"))]
+    files = [file for tests in PACKAGES.values() for file in sorted(tests.rglob("test_*.py"))]
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(os.cpu_count()) as pool:
         environ = workspace_environment() | {"OPENBLAS_NUM_THREADS": "1", "COVERAGE_FILE": str(Path(folder, "data"))}
         passed = list(pool.map(lambda file: run_test_file(file, environ), [*OTHER_FILES, *files]))
@@ -75,18 +82,16 @@ def run_tests() -> bool:
 
 def print_table() -> float:
     """Print the covered percentage of each package and return the smallest."""
-    covered: defaultdict[str, int] = defaultdict(int)
-    lines: defaultdict[str, int] = defaultdict(int)
+    covered, lines = Counter[Path](), Counter[Path]()
     for name, entry in json.loads(REPORT.read_text(encoding="utf-8"))["files"].items():
-        package = (THIS.root / name).resolve().relative_to(SOURCE).parts[0]
-        if package not in PACKAGES:
-            continue
-        covered[package] += entry["summary"]["covered_lines"]
-        lines[package] += entry["summary"]["num_statements"]
-    percentages = {package: 100 * covered[package] / lines[package] for package in PACKAGES if lines[package]}
+        for package in PACKAGES:
+            if (THIS.root / name).resolve().is_relative_to(package):
+                covered[package] += entry["summary"]["covered_lines"]
+                lines[package] += entry["summary"]["num_statements"]
+    percentages = {package: 100 * covered[package] / lines[package] for package in lines}
     for package, percentage in percentages.items():
-        print(f"{package:<16}{lines[package]:>7,} lines {percentage:>7.2f} %")
-    print(f"{'all':<16}{sum(lines.values()):>7,} lines {100 * sum(covered.values()) / sum(lines.values()):>7.2f} %")
+        print(f"{package.name:<18}{lines[package]:>7,} lines {percentage:>7.2f} %")
+    print(f"{'all':<18}{lines.total():>7,} lines {100 * covered.total() / lines.total():>7.2f} %")
     return min(percentages.values())
 
 
