@@ -47,7 +47,7 @@ setup:
 	@tools/python.sh tools/setup_workspace.py
 
 audit: setup
-	@.venv/bin/python -I tools/audit_requirements.py
+	@.venv/bin/python -E -s tools/audit_requirements.py
 
 demo:
 	@./run posor_lab demo --bag $(BAG) --calibration $(CAL)

@@ -13,10 +13,11 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parent.parent
-REQUIREMENTS = ROOT / "requirements"
+from environment import THIS, exit_with
+
+REQUIREMENTS = THIS.root / "requirements"
 LOCK = REQUIREMENTS / "audit.txt"
-TOOL = ROOT / "build" / "audit"
+TOOL = THIS.root / "build" / "audit"
 """Folder of pip-audit and its libraries."""
 PROBE = "pip_audit=="
 """Begin of a pin that every database of PyPI knows."""
@@ -99,4 +100,4 @@ def refuse(reason: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    exit_with("make audit", main)

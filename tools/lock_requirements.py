@@ -10,10 +10,11 @@ import json
 import subprocess
 import sys
 import tempfile
-from pathlib import Path
+
+from environment import THIS, exit_with
 
 OLDEST_PYTHON = (3, 11)
-FOLDER = Path(__file__).resolve().parent.parent / "requirements"
+FOLDER = THIS.root / "requirements"
 HEADER = "# Written by `make lock` from {name}.in: edit that file, not this one.\n"
 
 
@@ -51,4 +52,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    exit_with("make lock", main)

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from environment import THIS
+from environment import THIS, exit_with
 from playwright.sync_api import sync_playwright
 from posor.errors import PosorError
 from posor.reporting.program_errors import reports_errors
@@ -130,4 +130,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    exit_with("make_screenshots", main)

@@ -19,6 +19,7 @@ from posor_lab.benchmark import empty_loop, latency_receiver
 from posor_lab.benchmark.graph_load import GraphLoad, graph_programs
 from posor_lab.benchmark.tick_statistics import COUNTERS, MeasuredRun, TickWindow, evaluate_window
 from posor_lab.harness.graph import Graph, values_of
+from posor_lab.reports.console_progress import InterruptedRunError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -116,7 +117,7 @@ class GraphMeasurement:
         """Wait for a message for a short time; check the processes."""
         supervisor.check()
         if self._interrupted():
-            raise ProcessError("interrupted", where="make bench")
+            raise InterruptedRunError("interrupted", where="make bench")
         self._graph.receive()
 
     def _worst_status(self) -> str:

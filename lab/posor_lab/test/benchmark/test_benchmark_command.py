@@ -129,7 +129,7 @@ def test_interrupted_run_leaves_nothing_behind(tmp_path: Path) -> None:
         sleep(0.05)
     program.send_signal(signal.SIGINT)
     _, complaints = program.communicate()
-    assert program.returncode == 1
+    assert program.returncode == 130
     assert complaints == "make bench: interrupted.\n"
     left = [path for path in Path("/proc").glob("[0-9]*/cmdline") if str(tmp_path).encode() in path.read_bytes()]
     assert not left
