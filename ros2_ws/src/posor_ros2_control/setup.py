@@ -1,4 +1,4 @@
-"""Packaging of posor_ros2_control for colcon (ament_python): configuration only."""
+"""Packaging for colcon and pip by ``setup.cfg``, where colcon cannot read ``python_requires``."""
 
 from __future__ import annotations
 
@@ -7,23 +7,7 @@ from tempfile import TemporaryDirectory
 
 from setuptools import setup
 
-PACKAGE = "posor_ros2_control"
 SCRATCH = TemporaryDirectory()  # pip builds there: the source folder stays clean; colcon has a build folder
 OPTIONS = {"build": {"build_base": SCRATCH.name}, "egg_info": {"egg_base": SCRATCH.name}}
 
-setup(
-    name=PACKAGE,
-    version="0.1.0",
-    description="Configuration that brings the measured joint angles into ros2_control",
-    license="Apache-2.0",
-    maintainer="POSOR maintainers",
-    maintainer_email="maintainers@posor.invalid",
-    packages=[],
-    data_files=[
-        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
-        (f"share/{PACKAGE}", ["package.xml"]),
-        (f"share/{PACKAGE}/config", ["config/five_axis.ros2_control.xacro", "config/controllers.yaml"]),
-    ],
-    zip_safe=False,
-    options={} if "develop" in sys.argv else OPTIONS,
-)
+setup(python_requires=">=3.11", options={} if "develop" in sys.argv else OPTIONS)

@@ -1,6 +1,6 @@
 """Entry points of programs whose libraries take seconds to load; an interruption meanwhile ends with one line, too.
 
-This module and the modules that name the programs in ``setup.py`` import only light parts of the standard library.
+This module and the modules that name the programs in ``setup.cfg`` import only light parts of the standard library.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Entry points of setup.py; a LazyProgram loads its program when it is called."""
+"""Entry points of setup.cfg; a LazyProgram loads its program when it is called."""
 
 from __future__ import annotations
 

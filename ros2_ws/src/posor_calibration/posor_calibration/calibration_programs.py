@@ -1,4 +1,4 @@
-"""Entry points of setup.py; each program is imported when it is called."""
+"""Entry points of setup.cfg; each program is imported when it is called."""
 
 from __future__ import annotations
 
