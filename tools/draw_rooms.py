@@ -1,14 +1,13 @@
 """Draw the packages as boxes on floors, and the imports between them as arrows: ``make rooms``.
 
-An arrow leaves the importing package below and enters the imported one from above, with the number of imports; it
-passes the floors between through the gap beside their boxes that lies nearest. Imports inside functions and those for
-type checkers count.
+An arrow leaves the importing package below, with the number of imports, and enters the imported one from above. It
+passes the floors between them through gaps. Imports inside functions and for type checkers count.
 """
 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from itertools import cycle, pairwise
+from itertools import pairwise
 from statistics import fmean
 
 import grimp
@@ -31,17 +30,16 @@ PICTURE = THIS.root / "docs" / "images" / "rooms.svg"
 WIDTH, FLOOR_HEIGHT, BOX_HEIGHT, BOX_WIDTH, MARGIN = 1000, 125, 46, 150, 12
 PORT_DISTANCE, GAP_DISTANCE, GAP = 34, 10, 90
 """Distances of arrows at a box and in a gap, and the width of the outer gaps [px]."""
-COLOURS = ("#7b3294", "#1b7837", "#b35806", "#2166ac", "#b2182b", "#4d4d4d", "#01665e")
+ROOM_HUE = 80
 PAGE = """\
-<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}">
+<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" style="background: #fff">
 <style>
 text {{ font: 13px sans-serif; text-anchor: middle }}
 .name {{ font-weight: bold }}
-.box {{ fill: #f4f4ec; stroke: #444 }}
+rect {{ fill: #f4f4ec; stroke: #444 }}
 .arrow {{ fill: none; stroke-width: 1.4 }}
 .number {{ font-size: 11px; stroke: #fff; stroke-width: 4; paint-order: stroke }}
 </style>
-<rect width="100%" height="100%" fill="#fff"/>
 {body}
 </svg>
 """
@@ -113,7 +111,7 @@ def spread_arrows(routes: dict[Arrow, list[float]]) -> dict[Arrow, list[float]]:
             neighbours = fmean(route[max(step - 1, 0) : step] + route[step + 1 : step + 2])
             role = (step == 0, step == len(route) - 1)
             shared[FLOOR[arrow[0]] + step, x, role].append((neighbours, arrow, step))
-    spread = {arrow: list(route) for arrow, route in routes.items()}
+    spread = {arrow: [*route] for arrow, route in routes.items()}
     for (_, x, role), users in shared.items():
         distance = PORT_DISTANCE if any(role) else GAP_DISTANCE
         for number, (_, arrow, step) in enumerate(sorted(users)):
@@ -121,46 +119,32 @@ def spread_arrows(routes: dict[Arrow, list[float]]) -> dict[Arrow, list[float]]:
     return spread
 
 
-def draw_arrow(arrow: Arrow, route: list[float], count: int, colour: str) -> str:
-    """Return an arrow as SVG: vertical beside boxes, a curve between floors, and its number below its start."""
-    y = top(arrow[0])
-    path = f"M{route[0]:.0f} {y}"
-    number = f'<text class="number" x="{route[0]:.0f}" y="{y + BOX_HEIGHT + 14}">{count}</text>'
-    for before, x in pairwise(route):
-        start, middle, y = y + BOX_HEIGHT, y + (FLOOR_HEIGHT + BOX_HEIGHT) // 2, y + FLOOR_HEIGHT
-        path += f" V{start} C{before:.0f} {middle} {x:.0f} {middle} {x:.0f} {y}"
-    title = f"<title>{arrow[0]} imports {arrow[1]}</title>"
-    return f'<path class="arrow" stroke="{colour}" d="{path} m-4 -8 4 8 4 -8">{title}</path>{number}'
-
-
-def draw_box(room: str, left: float, right: float, lines: int) -> str:
-    """Return a box as SVG, with the name of its package and its lines."""
-    x, y = (left + right) / 2.0, top(room)
-    return (
-        f'<rect class="box" x="{left:.0f}" y="{y}" width="{right - left:.0f}" height="{BOX_HEIGHT}" rx="5"/>'
-        f'<text class="name" x="{x:.0f}" y="{y + 20}">{room}</text>'
-        f'<text x="{x:.0f}" y="{y + 37}">{lines:,} lines</text>'
-    )
-
-
-def top(room: str) -> int:
-    """Return the place of the upper edge of a box [px]."""
-    return MARGIN + FLOOR_HEIGHT * FLOOR[room]
+def draw(arrows: Counter[Arrow]) -> str:
+    """Return the picture as SVG. Arrows are vertical beside boxes and curves between floors."""
+    boxes, lines, drawn = place_boxes(arrows), count_lines(), []
+    for (importer, imported), (x, *others) in spread_arrows(route_arrows(arrows, boxes)).items():
+        y = MARGIN + FLOOR_HEIGHT * FLOOR[importer]
+        number = f'<text class="number" x="{x:.0f}" y="{y + BOX_HEIGHT + 14}">{arrows[importer, imported]}</text>'
+        path = f"M{x:.0f} {y}"
+        for before, after in pairwise([x, *others]):
+            start, middle, y = y + BOX_HEIGHT, y + (FLOOR_HEIGHT + BOX_HEIGHT) // 2, y + FLOOR_HEIGHT
+            path += f" V{start} C{before:.0f} {middle} {after:.0f} {middle} {after:.0f} {y}"
+        colour = f"hsl({ROOM_HUE * list(FLOOR).index(importer)} 65% 35%)"
+        title = f"<title>{importer} imports {imported}</title>"
+        drawn.append(f'<path class="arrow" stroke="{colour}" d="{path} m-4 -8 4 8 4 -8">{title}</path>{number}')
+    for room, (left, right) in boxes.items():
+        x, y = (left + right) / 2.0, MARGIN + FLOOR_HEIGHT * FLOOR[room]
+        count = lines["lab" if room == "posor_lab" else f"{PRODUCT}/{room}", "source"]
+        drawn.append(f'<rect x="{left:.0f}" y="{y}" width="{right - left:.0f}" height="{BOX_HEIGHT}" rx="5"/>')
+        drawn.append(f'<text class="name" x="{x:.0f}" y="{y + 20}">{room}</text>')
+        drawn.append(f'<text x="{x:.0f}" y="{y + 37}">{count:,} lines</text>')
+    height = MARGIN * 2 + FLOOR_HEIGHT * (len(FLOORS) - 1) + BOX_HEIGHT
+    return PAGE.format(width=WIDTH, height=height, body="\n".join(drawn))
 
 
 def main() -> int:
     """Write the picture."""
-    arrows = count_imports(build_graph(for_type_checkers=True))
-    lines = count_lines()
-    boxes = place_boxes(arrows)
-    routes = spread_arrows(route_arrows(arrows, boxes))
-    colours = dict(zip(FLOOR, cycle(COLOURS)))
-    drawn = [draw_arrow(arrow, route, arrows[arrow], colours[arrow[0]]) for arrow, route in routes.items()]
-    for room, (left, right) in boxes.items():
-        drawn.append(draw_box(room, left, right, lines[f"{PRODUCT}/{room}", "source"] or lines["lab", "source"]))
-    height = MARGIN * 2 + FLOOR_HEIGHT * (len(FLOORS) - 1) + BOX_HEIGHT
-    PICTURE.write_text(PAGE.format(width=WIDTH, height=height, body="\n".join(drawn)), encoding="utf-8")
-    print(f"written: {PICTURE}")
+    PICTURE.write_text(draw(count_imports(build_graph(for_type_checkers=True))), encoding="utf-8")
     return 0
 
 
