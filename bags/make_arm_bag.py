@@ -13,8 +13,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
+from posor.bags.arm_estimator import ArmEstimator
+from posor.bags.reprocess_task import Settings
 from posor.errors import PosorError
 from posor.messages.message_definitions import MessageTypes
+from posor.messages.raw_scan import RecordedScans
+from posor.model.scan import Scans
 from posor.numerics.stamps import tick_stamp_ns
 from posor.ros_names import ENDPOINT_TOPIC, POSE_STAMPED, RAW_SCAN, RAW_TOPIC
 from posor_bringup.arms import load_checked_arm
@@ -22,20 +26,49 @@ from posor_drivers.bag_writer import replace_bag
 from posor_drivers.simulated_messages import SimulatedMessages
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.sources.source import SourceMessage, Topic
-from posor_lab.arm_study.arm_offline import arm_endpoints
 from posor_msgs.msg import RawScan
+from posor_ros.message_conversion import scan_from_message
 from posor_ros.qos import RELIABLE_QOS, SENSOR_QOS
 from rclpy.serialization import deserialize_message
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping, Sequence
 
     from posor.chain.arm_file import Arm
+    from posor.messages.estimate_arrays import EndpointEstimates
 
 HERE = Path(__file__).resolve().parent
 ARM = "five_axis"
 START_S = 1_767_225_600
 """2026-01-01 00:00:00 UTC, the beginning of a cycle of the scenario."""
+
+
+def arm_endpoints(arm: Arm, scans: Mapping[str, Sequence[RawScan]]) -> EndpointEstimates:
+    """Return the endpoint at every stamp for which a chain_node has one, in order, without any node.
+
+    Args:
+        arm: The arm.
+        scans: Of every joint, in the order of their stamps, all with the same readings.
+
+    Raises:
+        PosorError: A file of the arm is invalid.
+
+    """
+    estimator = ArmEstimator(Settings.of_arm(arm))
+    return estimator.estimate_block({joint: [_recorded_scans(each)] for joint, each in scans.items()}).endpoint
+
+
+def _recorded_scans(messages: Sequence[RawScan]) -> RecordedScans:
+    scans = Scans.of([scan_from_message(message) for message in messages])
+    stamps = [(message.header.stamp.sec, message.header.stamp.nanosec) for message in messages]
+    return RecordedScans(
+        log_times_ns=scans.stamps_ns,
+        order=np.arange(len(messages)),
+        scans=scans,
+        header_stamps=np.array(stamps, dtype=np.int64),
+        statuses=np.array([message.status for message in messages], dtype=np.int64),
+        frame=messages[0].header.frame_id,
+    )
 
 
 class ArmBag:

@@ -17,7 +17,7 @@ from posor.numerics.stamps import NS, tick_stamp_ns
 from posor_bringup.arm_programs import arm_programs
 from posor_bringup.arms import load_checked_arm
 from posor_drivers.simulator.arm_simulation import ArmSimulation
-from posor_lab.arm_study.tick_outcomes import Dropouts
+from posor_lab.arm_study.arm_record import Dropouts
 from posor_lab.harness.graph import LOSSLESS, wait_for_value
 from posor_lab.harness.program import Program
 from posor_msgs.msg import JointTransform

@@ -75,7 +75,7 @@ def test_arm_runs_and_reports(output: Path) -> None:
         assert all(
             re.search(r"POSOR off [\d.]+ um, .* NEES [\d.]+ \(6 expected\); scans 200, ", line) for line in shown
         )
-    assert sorted(path.name for path in output.iterdir()) == [".results.json", "logs", "report.html", "report.png"]
+    assert sorted(path.name for path in output.iterdir()) == [".results.json", "logs", "report.html"]
     assert len(list((output / "logs").iterdir())) == 12
     figures = json.loads(output.with_name("arm.json").read_text(encoding="utf-8"))
     assert figures["ticks"]["recorded"] == 400

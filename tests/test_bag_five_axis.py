@@ -17,7 +17,6 @@ from posor.bags.reprocess_command import main as reprocess
 from posor.chain.arm_file import DriverFile
 from posor_bringup.arm_programs import arm_programs
 from posor_bringup.arms import find_arm, load_checked_arm
-from posor_lab.arm_study.arm_offline import arm_endpoints
 from posor_lab.harness.graph import Graph, wait_for_value
 from posor_lab.harness.program import Program
 from posor_msgs.msg import JointTransform, RawScan
@@ -25,6 +24,7 @@ from posor_ros.message_conversion import stamp_ns
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
+from bags.make_arm_bag import arm_endpoints
 from tests.rig_replay import all_message_bits, message_bits, read_bag_messages
 
 if TYPE_CHECKING:

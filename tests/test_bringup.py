@@ -14,7 +14,7 @@ from posor_bringup.bringup import main
 from posor_bringup.installed import bag_path, calibration_path, urdf_path
 from posor_lab.harness.graph import BEST_EFFORT, Graph
 from posor_lab.harness.program import Program, installed
-from posor_lab.replay_1985.expectations import STEPS
+from posor_lab.replay_1985.comparison import STEPS
 from posor_msgs.msg import RawScan
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
 from posor.model.fault import State
-from posor_lab.replay_1985.expectations import STEPS
+from posor_lab.replay_1985.comparison import STEPS
 from posor_lab.replay_1985.replay import TOPICS
 from posor_msgs.msg import JointTransform
 from posor_ros.message_conversion import stamp_ns

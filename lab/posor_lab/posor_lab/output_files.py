@@ -1,15 +1,17 @@
-"""Output files of the programs of this package."""
+"""Output files of the programs of this package, and the explaining texts of their pages."""
 
 from __future__ import annotations
 
 import json
+from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import yaml
 from posor.errors import ParameterError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
 
 def check_writable(path: Path) -> Path:
@@ -47,3 +49,11 @@ def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> None:
             (folder / name).write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
     except OSError as error:
         raise ParameterError(f"cannot be written: {error.strerror}", where=str(folder)) from error
+
+
+@cache
+def page_notes(page: str) -> dict[str, Any]:
+    """Return the explaining texts of a report page by their names, from ``page_notes.yaml``."""
+    text = Path(__file__).with_name("page_notes.yaml").read_text(encoding="utf-8")
+    content: dict[str, dict[str, Any]] = yaml.safe_load(text)
+    return content[page]

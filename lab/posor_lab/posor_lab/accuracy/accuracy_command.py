@@ -9,6 +9,7 @@ import argparse
 import sys
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from posor.errors import ParameterError
 from posor.reporting.program_errors import reports_errors
@@ -16,12 +17,16 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from posor_lab.accuracy.closure import closure
-from posor_lab.accuracy.consistency import monte_carlo, nees
+from posor_lab.accuracy.consistency import closure, monte_carlo, nees
 from posor_lab.accuracy.design_confirmation import confirm_design, design_rows, design_verdict
 from posor_lab.accuracy.fault_detection import FAULTS, detectable_shifts, detection, ring_observability
 from posor_lab.harness.random_poses import STACKS
 from posor_lab.output_files import check_writable, write_json
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from posor_lab.accuracy.fault_detection import DetectableShift
 
 FULL = {"poses": 100_000, "runs": 10_000, "draws": 10_000, "faults": 1_000, "designs": 2_000}
 SEED = 1985
@@ -38,7 +43,7 @@ put in doubt because it may have been lost, whether or not it was."""
 Report = dict[str, dict[str, dict[str, float]]]
 
 
-def accuracy_report(scale: float, progress: Progress) -> Report:
+def _measure_accuracy(scale: float, progress: Progress) -> Report:
     """Run everything at a share of the full size; return the figures, named as in the JSON file."""
     sizes = {name: max(int(size * scale), 20) for name, size in FULL.items()}
     report: Report = {name: {} for name in ("closure", "closed_form", "nees", "monte_carlo", "health")}
@@ -59,58 +64,58 @@ def accuracy_report(scale: float, progress: Progress) -> Report:
     return report
 
 
-def _print_table(console: Console, title: str, columns: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
+def _print_table(console: Console, title: str, columns: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> None:
     table = Table(*columns, title=title, title_justify="left")
     for row in rows:
         table.add_row(*row)
     console.print(table)
 
 
-def print_report(report: Report, console: Console) -> None:
+def _print_report(report: Report, console: Console) -> None:
     """Print the figures as tables, and the smallest shifts of single readings that are flagged."""
-    rows: list[tuple[str, ...]] = []
-    for stack in STACKS:
-        errors = [report[name][stack] for name in ("closure", "closed_form")]
-        normalised, ratios = report["nees"][stack], report["monte_carlo"][stack]
-        rows.append(
-            (
-                stack,
-                *(f"{error['translation_m']:.1e} m\n{error['rotation_rad']:.1e} rad" for error in errors),
-                f"{normalised['mean']:.4f}\n[{normalised['low']:.4f}, {normalised['high']:.4f}]",
-                f"random {ratios['random_ratio']:.3f}\nsystematic {ratios['systematic_ratio']:.3f}",
-            )
-        )
+    title = "Accuracy of the estimator over the full range of each design (SI units)"
     columns = ("stack", "closure", "closed form", "NEES / 6 in [95 % band]", "Monte Carlo / stated")
-    _print_table(console, "Accuracy of the estimator over the full range of each design (SI units)", columns, rows)
-    rows = [
+    _print_table(console, title, columns, (_stack_row(report, stack) for stack in STACKS))
+    rows: list[tuple[str, ...]] = [
         (
             fault,
             FAULTS[fault][0],
-            f"{100 * figures['detected_fraction']:.1f} %",
-            f"{100 * figures['false_alarm_fraction']:.3f} %",
+            f"{100 * found['detected_fraction']:.1f} %",
+            f"{100 * found['false_alarm_fraction']:.3f} %",
         )
-        for fault, figures in report["health"].items()
+        for fault, found in report["health"].items()
     ]
     title = "Faults flagged in their first scan, at 1 kHz"
     _print_table(console, title, ("fault", "design", "flagged", "false alarms"), rows)
-    rows = []
-    for stack in STACKS:
-        for shift in detectable_shifts(stack):
-            never = shift.by_residual_m > LARGEST_SHIFT_M
-            by_residual = "never" if never else f"{1e6 * shift.by_residual_m:.1f} um"
-            rows.append((stack, shift.reading, f"{1e6 * shift.by_motion_m:.1f} um", by_residual))
     title = (
         "Smallest shift of one reading that is flagged within one scan: as motion faster than the design's\n"
         "limits (1 mm/s, 0.02 rad/s of lean, 3 rad/s of theta), or as a contradiction of the redundant reading"
     )
+    rows = [_shift_row(stack, shift) for stack in STACKS for shift in detectable_shifts(stack)]
     _print_table(console, title, ("stack", "reading", "by motion", "by chi-square"), rows)
     console.print(EXPLANATION)
-    rows = []
-    for probes in (3, 4):
-        observability = ring_observability(probes)
-        rows.append((str(probes), f"{observability.min() / observability.max():.4f}"))
+    rings = [(probes, ring_observability(probes)) for probes in (3, 4)]
+    ratios = [(str(probes), f"{each.min() / each.max():.4f}") for probes, each in rings]
     title = "Observability of x, y and theta by a bumpy ring over the phase of a bump"
-    _print_table(console, title, ("ring probes", "worst phase / best phase"), rows)
+    _print_table(console, title, ("ring probes", "worst phase / best phase"), ratios)
+
+
+def _stack_row(report: Report, stack: str) -> tuple[str, ...]:
+    exact, simple, normalised, ratios = (
+        report[name][stack] for name in ("closure", "closed_form", "nees", "monte_carlo")
+    )
+    return (
+        stack,
+        *(f"{error['translation_m']:.1e} m\n{error['rotation_rad']:.1e} rad" for error in (exact, simple)),
+        f"{normalised['mean']:.4f}\n[{normalised['low']:.4f}, {normalised['high']:.4f}]",
+        f"random {ratios['random_ratio']:.3f}\nsystematic {ratios['systematic_ratio']:.3f}",
+    )
+
+
+def _shift_row(stack: str, shift: DetectableShift) -> tuple[str, ...]:
+    never = shift.by_residual_m > LARGEST_SHIFT_M
+    by_residual = "never" if never else f"{1e6 * shift.by_residual_m:.1f} um"
+    return stack, shift.reading, f"{1e6 * shift.by_motion_m:.1f} um", by_residual
 
 
 def _confirm_design(folder: Path, scale: float, output: Path) -> int:
@@ -139,8 +144,8 @@ def main(arguments: list[str] | None = None) -> int:
     if options.design is not None:
         return _confirm_design(options.design, options.scale, options.output)
     with Progress(console=Console(stderr=True)) as progress:
-        report = accuracy_report(options.scale, progress)
-    print_report(report, Console(width=118))
+        report = _measure_accuracy(options.scale, progress)
+    _print_report(report, Console(width=118))
     write_json(options.output, report)
     return 0
 

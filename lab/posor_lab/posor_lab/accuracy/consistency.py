@@ -1,23 +1,32 @@
-"""Consistency of the stated uncertainty: normalised errors, Monte Carlo of both parts of the covariance (JCGM 101)."""
+"""Closure without noise, and consistency of the stated uncertainty: normalised errors, Monte Carlo (JCGM 101).
+
+Closure takes scans of known poses through the estimator and through the closed form of the thesis, equations 5.3 to 5.5
+and 5.32. The closed form holds for small angles without tilts, slanting rays and bump profile. Of more than three gap
+probes it takes the plane of least squares.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from posor.calibration.calibration_file import Environment
-from posor.calibration.designs import DesignName, design
+from posor.calibration.designs import BUMPS, DesignName, design
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
-from posor.model.native_coordinates import thetas_of
+from posor.model.fault import State
+from posor.model.native_coordinates import rotation_from_native, thetas_of
+from posor.model.reading_rows import GAP, RING, SPOT_X
 from scipy.stats import chi2
 
 from posor_lab.harness.random_poses import errors_in_parent, readable_poses
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
     from posor.model.scan import Scans
-    from posor.numerics.array_types import FloatArray
+    from posor.numerics.array_types import FloatArray, IntArray
 
 FREEDOMS = 6
 BAND = 0.95
@@ -26,6 +35,19 @@ REGION_LIMIT = float(chi2.ppf(REGION, FREEDOMS))
 """Largest normalised error squared inside the published 95 % region of a pose."""
 FALSE_ALARM = 1e-12
 """Probability so small that no scan is excluded because of its residual."""
+
+
+@dataclass(frozen=True)
+class MeanEstimate:
+    """A mean over independent cases, here arms, and its standard uncertainty."""
+
+    value: float
+    sigma: float
+
+    @staticmethod
+    def of(cases: FloatArray) -> MeanEstimate:
+        """Return the mean of cases, (a,)."""
+        return MeanEstimate(float(np.mean(cases)), float(np.std(cases, ddof=1) / np.sqrt(len(cases))))
 
 
 @dataclass(frozen=True)
@@ -123,3 +145,70 @@ def monte_carlo(stack: DesignName, draws: int, seed: int) -> MonteCarlo:
         errors[n] = errors_in_parent(found.rotations, found.translations, rotation, translation)[0]
         variances += np.diagonal(found.covariances_systematic[0]) / draws
     return MonteCarlo(random_ratio, _worst_ratio(errors, variances))
+
+
+@dataclass(frozen=True)
+class LargestError:
+    """Largest errors over all poses; infinite if a pose was not found."""
+
+    translation_m: float
+    rotation_rad: float
+
+
+def _largest(errors: FloatArray) -> LargestError:
+    return LargestError(*(float(np.max(np.linalg.norm(part, axis=1))) for part in (errors[:, :3], errors[:, 3:])))
+
+
+def closure(stack: DesignName, count: int, seed: int) -> tuple[LargestError, LargestError]:
+    """Return the largest error of the estimator and of the closed form over random poses of a design."""
+    random = np.random.default_rng(seed)
+    posor = Posor(design(stack))
+    rotations, translations = readable_poses(posor, stack, count, random)
+    scans = scans_at(posor.stack, rotations, translations, np.arange(count, dtype=np.int64))
+    thetas = thetas_of(rotations)
+    bumps = [sensor.bump_angle for sensor in posor.calibration.sensors if sensor.bump_angle > 0.0]
+    estimates = posor.estimate_each(scans, bumps[0] * np.round(thetas / bumps[0]) if bumps else None)
+    if np.any(estimates.states != State.OK):
+        exact = LargestError(math.inf, math.inf)
+    else:
+        exact = _largest(errors_in_parent(estimates.rotations, estimates.translations, rotations, translations))
+    readings, pool = posor.stack.linearise(scans), posor.stack.pool
+    poses = [
+        _closed_form(pool[rows], values, theta)
+        for rows, values, theta in zip(readings.selected, readings.values, thetas, strict=True)
+    ]
+    found_rotations, found_translations = (np.array(part) for part in zip(*poses, strict=True))
+    return exact, _largest(errors_in_parent(found_rotations, found_translations, rotations, translations))
+
+
+def _closed_form(rows: NDArray[np.void], readings: FloatArray, known_theta: float) -> tuple[FloatArray, FloatArray]:
+    """Return R_R_T (3, 3) and the origin of T in R (3,) [m] of rows and linearised readings [m], (m,), of one scan."""
+    kinds = rows["kind"]
+    tips = rows["tip"][kinds == GAP]
+    plane = np.column_stack([np.ones(len(tips)), tips[:, 1], -tips[:, 0]])
+    (gap, tan_alpha, tan_beta), *_ = np.linalg.lstsq(plane, readings[kinds == GAP])
+    alpha, beta = math.atan(tan_alpha), math.atan(tan_beta)
+    if np.any(kinds == RING):
+        x, y, theta = _solve_ring(rows[kinds == RING], readings[kinds == RING], known_theta)
+    else:
+        x, y, theta = _solve_spots(rows, readings, np.flatnonzero(kinds == SPOT_X))
+    return rotation_from_native(alpha, beta, theta), np.array([x, y, gap])
+
+
+def _solve_spots(rows: NDArray[np.void], readings: FloatArray, spots: IntArray) -> tuple[float, float, float]:
+    seen = rows["diode_origin"][spots, :2] + np.column_stack([readings[spots], readings[spots + 1]])
+    sources = rows["source_origin"][spots, :2]
+    along, before = seen[0] - seen[1], sources[0] - sources[1]
+    theta = math.atan2(along[1], along[0]) - math.atan2(before[1], before[0])
+    theta = math.remainder(theta, 2.0 * math.pi)
+    turn = np.array([[math.cos(theta), -math.sin(theta)], [math.sin(theta), math.cos(theta)]])
+    x, y = np.mean(seen - sources @ turn.T, axis=0)
+    return float(x), float(y), theta
+
+
+def _solve_ring(rows: NDArray[np.void], gaps: FloatArray, known_theta: float) -> tuple[float, float, float]:
+    # Opposite probes are in phase, the two pairs in quadrature: sums contain theta, differences the runout.
+    middle = math.hypot(*rows["tip"][0, :2]) - rows["mean_radius"][0]
+    phase = math.atan2(middle - 0.5 * (gaps[1] + gaps[3]), middle - 0.5 * (gaps[0] + gaps[2]))
+    theta = known_theta + math.remainder(phase - BUMPS * known_theta, 2.0 * math.pi) / BUMPS
+    return 0.5 * (gaps[2] - gaps[0]), 0.5 * (gaps[3] - gaps[1]), theta

@@ -13,6 +13,7 @@ import numpy as np
 from posor.chain.arm_file import load_arm
 from posor.estimation.posor import Posor
 from posor.model.native_coordinates import native_from_rotation, native_jacobian
+from posor.numerics.vector import wrapped_angles
 from posor_design.layout_evaluation import random_poses
 from posor_design.posor_output import ARM_FILE, JOINT, REQUIREMENT
 from posor_design.requirement import FREEDOMS, load_requirement
@@ -31,24 +32,14 @@ BAND = 0.99
 
 @dataclass(frozen=True)
 class DesignConfirmation:
-    """Errors of drawn POSORs.
+    """Errors of drawn POSORs."""
 
-    Attributes:
-        required: Largest standard uncertainty of each freedom [m, rad].
-        errors: Root mean square of the errors over all draws.
-        stated: Root mean square of the standard uncertainties that the estimator stated.
-        nees: Normalised errors with the total covariance.
-        draws: Number of draws.
-        lost: Draws without a pose.
-
-    """
-
-    required: dict[str, float]
-    errors: dict[str, float]
-    stated: dict[str, float]
-    nees: Nees
-    draws: int
-    lost: int
+    required: dict[str, float]  # largest standard uncertainty of each freedom [m, rad]
+    errors: dict[str, float]  # root mean square of the errors over all draws
+    stated: dict[str, float]  # root mean square of the standard uncertainties that the estimator stated
+    nees: Nees  # normalised errors with the total covariance
+    draws: int  # number of draws
+    lost: int  # draws without a pose
 
     @property
     def within(self) -> bool:
@@ -93,7 +84,7 @@ def confirm_design(folder: Path, draws: int, seed: int) -> DesignConfirmation:
         errors[n] = errors_in_parent(found.rotations, found.translations, rotation, translation)[0]
         covariances[n] = found.covariances_random[0] + found.covariances_systematic[0]
         turned = np.subtract(native_from_rotation(found.rotations[0]), native_from_rotation(rotation[0]))
-        native[n] = *(found.translations[0] - translation[0]), *np.mod(turned + np.pi, 2.0 * np.pi) - np.pi
+        native[n] = *(found.translations[0] - translation[0]), *wrapped_angles(turned)
         jacobian = native_jacobian(rotation[0])
         turns = jacobian @ covariances[n, 3:, 3:] @ jacobian.T
         variances[n] = *np.diagonal(covariances[n])[:3], *np.diagonal(turns)
@@ -113,12 +104,9 @@ def confirm_design(folder: Path, draws: int, seed: int) -> DesignConfirmation:
 
 def design_rows(confirmation: DesignConfirmation) -> list[tuple[str, ...]]:
     """Return a row for each freedom: required, error, stated, error over required."""
+    required, errors, stated = confirmation.required, confirmation.errors, confirmation.stated
     return [
-        (
-            name,
-            *(f"{figures[name]:.3e}" for figures in (confirmation.required, confirmation.errors, confirmation.stated)),
-            f"{confirmation.errors[name] / confirmation.required[name]:.2f}",
-        )
+        (name, *(f"{each[name]:.3e}" for each in (required, errors, stated)), f"{errors[name] / required[name]:.2f}")
         for name in FREEDOMS
     ]
 

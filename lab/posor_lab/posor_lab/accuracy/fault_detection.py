@@ -137,19 +137,11 @@ def ring_observability(probes: int) -> FloatArray:
 
 @dataclass(frozen=True)
 class DetectableShift:
-    """Smallest shift of one linearised reading that is flagged at once, by test.
+    """Smallest shift of one linearised reading that is flagged at once, by test."""
 
-    Attributes:
-        reading: Name of the reading.
-        by_motion_m: Smallest shift [m] that moves the pose further than the target can move in one scan.
-        by_residual_m: Smallest shift [m] with a mean chi-square above its limit; infinite if no redundant reading
-            responds.
-
-    """
-
-    reading: str
-    by_motion_m: float
-    by_residual_m: float
+    reading: str  # name of the reading
+    by_motion_m: float  # smallest shift [m] that moves the pose further than the target can move in one scan
+    by_residual_m: float  # smallest shift [m] that the chi-square test flags; infinite if no redundant reading responds
 
     @property
     def smallest_m(self) -> float:

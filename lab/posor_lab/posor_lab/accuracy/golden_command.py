@@ -1,6 +1,9 @@
 """Check of the measurement model against a file of ray-traced cases: ``./run posor_lab golden FILE.jsonl``.
 
 Prints one JSON line: for each stack the largest error of a predicted reading [m] and of a recovered pose [m, rad].
+Each case is geometry, pose and reading of each sensor, one JSON object per line. A case becomes a calibration whose
+linearisations are the identity (one volt is one metre, a current ratio of one is one metre), so that its readings pass
+all steps of a scan.
 """
 
 from __future__ import annotations
@@ -9,18 +12,164 @@ import argparse
 import json
 import math
 import sys
+from dataclasses import dataclass
 from pathlib import Path
-from typing import get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 import pinocchio as pin
+from posor.calibration.calibration_file import Calibration, calibration_from
+from posor.calibration.design_parts import quantity_entry
 from posor.errors import DataFileError
 from posor.estimation.posor import Posor
 from posor.model.fault import Fault, State
-from posor.model.scan import Scans
+from posor.model.scan import Scan, Scans
 from posor.reporting.program_errors import reports_errors
 
-from posor_lab.accuracy.ray_traced_cases import RayTracedCase, StackName, read_cases
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from posor.numerics.array_types import FloatArray
+
+StackName = Literal["triad_diodes", "triad_bumpy_ring"]
+
+_SPAN = 10.0
+"""Half-width of the range of voltages [V] and ratios [1]: wider than any reading."""
+_CURRENT = 1e-4
+"""Total current of each axis of a diode [A]."""
+_IDENTITY = {
+    "kind": "polynomial",
+    "center": quantity_entry([0.0, 0.0], "1"),
+    "domain": quantity_entry([[-_SPAN, _SPAN], [-_SPAN, _SPAN]], "1"),
+    "x": quantity_entry([[0.0, 0.0], [1.0, 0.0]], "m"),
+    "y": quantity_entry([[0.0, 1.0], [0.0, 0.0]], "m"),
+}
+"""Map of a diode whose spots [m] are its ratios."""
+
+
+@dataclass(frozen=True)
+class RayTracedCase:
+    """One ray-traced case, for one stack of its sensors."""
+
+    name: str  # ``case <number>``
+    calibration: Calibration  # the POSOR
+    scan: Scan  # the readings as a scan
+    readings: FloatArray  # the readings [m], in the row order of the stack
+    T_R_T: pin.SE3  # the pose
+
+
+def read_cases(path: Path, stack: StackName) -> Iterator[RayTracedCase]:
+    """Read a file of cases for one of the stacks.
+
+    Raises:
+        DataFileError: The file cannot be read, or a line is not a case.
+
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise DataFileError(f"cannot be read: {reason}", where=str(path), expected="one JSON case per line") from error
+    for number, line in enumerate(lines, start=1):
+        where = f"{path}, line {number}"
+        try:
+            yield _case(json.loads(line), stack)
+        except json.JSONDecodeError as error:
+            raise DataFileError(f"is not JSON: {error.msg}", where=where, expected="one case") from error
+        except KeyError as error:
+            raise DataFileError(f"key {error} is missing", where=where) from error
+        except (TypeError, ValueError, IndexError, AttributeError) as error:
+            raise DataFileError(f"is not a case: {error}", where=where, expected="one ray-traced case") from error
+    if not lines:
+        raise DataFileError("holds no case", where=str(path), expected="one JSON case per line")
+
+
+def _case(case: dict[str, Any], stack: StackName) -> RayTracedCase:
+    gaps, spots, ring_gaps = (np.array(case["readings"][name]) for name in ("gaps", "spots", "ring_gaps"))
+    with_ring = stack == "triad_bumpy_ring"
+    content = {
+        "format": "posor_calibration",
+        "version": 1,
+        "name": f"case {case['case']}",
+        "provenance": {"source": "ray-traced case", "method": "exact", "date": "none"},
+        "frames": {"parent": "receiving", "child": "target"},
+        "sensors": [_gap_probes(case), _bumpy_ring(case) if with_ring else _diodes(case)],
+    }
+    calibration = calibration_from(content)
+    currents = np.column_stack([1.0 + spots, 1.0 - spots]) * (_CURRENT / 2.0)
+    scan = Scan(
+        number=case["case"],
+        gap_voltages=gaps,
+        ring_voltages=ring_gaps if with_ring else np.empty(0),
+        diode_currents=np.empty((0, 4)) if with_ring else currents,
+        lit_sources=() if with_ring else tuple(range(len(spots))),
+    )
+    pose = pin.SE3(np.array(case["T_R_T"]["rotation"]), np.array(case["T_R_T"]["translation"]))
+    expected = np.concatenate([gaps, ring_gaps if with_ring else spots.ravel()])
+    return RayTracedCase(calibration.name, calibration, scan, expected, pose)
+
+
+def _probes(kind: str, probes: list[dict[str, list[float]]]) -> list[dict[str, object]]:
+    return [
+        {
+            "name": f"{kind} {i}",
+            "tip": quantity_entry(probe["tip"], "m"),
+            "axis": quantity_entry(probe["axis"], "1"),
+            "volts_to_gap": quantity_entry([0.0, 1.0], "m/V^k"),
+            "zero_shift": quantity_entry(0.0, "V"),
+            "noise": quantity_entry(1e-7, "V"),
+            "range": quantity_entry([-_SPAN, _SPAN], "V"),
+        }
+        for i, probe in enumerate(probes)
+    ]
+
+
+def _gap_probes(case: dict[str, Any]) -> dict[str, object]:
+    plane, normal = case["target_plane"], case["target_plane"]["normal"]
+    tilt = [math.atan2(normal[1], -normal[2]), math.asin(-normal[0])]
+    return {
+        "type": "gap_probes",
+        "target_plane": {"point": quantity_entry(plane["point"], "m"), "tilt": quantity_entry(tilt, "rad")},
+        "probes": _probes("gap", case["probes"]),
+    }
+
+
+def _diodes(case: dict[str, Any]) -> dict[str, object]:
+    diodes = [
+        {
+            "name": f"diode {i}",
+            "origin": quantity_entry(d["origin"], "m"),
+            "x_axis": quantity_entry(d["u"], "1"),
+            "y_axis": quantity_entry(d["v"], "1"),
+            "noise": quantity_entry([1e-6, 1e-6], "1"),
+            "minimum_sum": quantity_entry(1e-9, "A"),
+        }
+        for i, d in enumerate(case["diodes"])
+    ]
+    sources = [
+        {
+            "name": f"source {i}",
+            "origin": quantity_entry(s["origin"], "m"),
+            "direction": quantity_entry(s["direction"], "1"),
+        }
+        for i, s in enumerate(case["sources"])
+    ]
+    maps = {"identity": [_IDENTITY] * len(diodes)}
+    return {"type": "diodes", "diodes": diodes, "light_sources": sources, "map": "identity", "maps": maps}
+
+
+def _bumpy_ring(case: dict[str, Any]) -> dict[str, object]:
+    ring = case["ring"]
+    orders = sorted({int(k) for k in (*ring["cos"], *ring["sin"])})
+    amplitudes = {name: [float(ring[name].get(str(k), 0.0)) for k in orders] for name in ("cos", "sin")}
+    profile = {name: quantity_entry(values, "m") for name, values in amplitudes.items()}
+    radius = quantity_entry(ring["mean_radius"], "m")
+    return {
+        "type": "bumpy_ring",
+        "ring": {"bumps": ring["bumps"], "mean_radius": radius, "orders": orders, **profile},
+        "home": quantity_entry(0.0, "rad"),
+        "probes": _probes("ring", case["ring_probes"]),
+    }
 
 
 def case_errors(case: RayTracedCase) -> tuple[float, float, float]:
@@ -66,8 +215,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the check; the exit code is 0 if all cases could be checked."""
     parser = argparse.ArgumentParser(prog="golden", description=str(__doc__).splitlines()[0])
     parser.add_argument("file", type=Path, help="cases, one JSON object per line")
-    options = parser.parse_args(arguments)
-    print(json.dumps(largest_errors(options.file)))
+    print(json.dumps(largest_errors(parser.parse_args(arguments).file)))
     return 0
 
 

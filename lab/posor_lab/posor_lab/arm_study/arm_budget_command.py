@@ -33,7 +33,7 @@ from posor_lab.thesis_data import URAD, data_path
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from posor.chain.arm_file import Arm
     from posor.chain.kinematic_chain import Chain
@@ -119,52 +119,35 @@ def _case_budget(
     }
 
 
-def print_budgets(budgets: Mapping[str, Mapping[str, Any]], console: Console) -> None:
-    """Print the budgets as tables."""
+def _print_budgets(budgets: Mapping[str, Mapping[str, Any]], console: Console) -> None:
     for configuration, budget in budgets.items():
-        table = _table(f"Endpoint, {configuration}: standard uncertainties (k = 1)", "accuracies of the joints")
-        for name, title in TITLES.items():
-            if name in budget:
-                _add_row(table, title, budget[name])
-                _add_row(table, "  Monte Carlo", budget[name]["monte_carlo"])
+        cases = {title: budget[name] for name, title in TITLES.items() if name in budget}
+        rows = [row for title, case in cases.items() for row in ((title, case), ("  Monte Carlo", case["monte_carlo"]))]
         if "printed" in budget:
-            _add_row(table, "printed in thesis 9.3.1", budget["printed"])
-        console.print(table)
-        for name, title in TITLES.items():
-            if name in budget:
-                parts = _table(f"Contributions, {configuration}: {title}", "contribution")
-                for part in budget[name]["contributions"]:
-                    _add_row(parts, part["name"], part)
-                console.print(parts)
+            rows.append(("printed in thesis 9.3.1", budget["printed"]))
+        title = f"Endpoint, {configuration}: standard uncertainties (k = 1)"
+        console.print(_table(title, "accuracies of the joints", rows))
+        for title, case in cases.items():
+            parts = [(part["name"], part) for part in case["contributions"]]
+            console.print(_table(f"Contributions, {configuration}: {title}", "contribution", parts))
 
 
-def _table(title: str, first: str) -> Table:
-    table = Table(title=title, title_justify="left")
-    table.add_column(first)
+def _table(title: str, first: str, rows: Iterable[tuple[str, Mapping[str, float]]]) -> Table:
+    table = Table(first, title=title, title_justify="left")
     for column in ("aX urad", "aY urad", "aZ urad", "dX uin", "dY uin", "dZ uin", "total uin", "total um"):
         table.add_column(column, justify="right")
+    for name, row in rows:
+        cells = [f"{row[figure]:.{1 if figure.endswith('uin') else 2}f}" for figure in FIGURES]
+        table.add_row(name, *cells, f"{row['displacement_uin'] * MICROINCH * 1e6:.2f}")
     return table
 
 
-def _add_row(table: Table, title: str, row: Mapping[str, float]) -> None:
-    turns, shifts = FIGURES[:3], FIGURES[3:]
-    cells = [f"{row[name]:.2f}" for name in turns] + [f"{row[name]:.1f}" for name in shifts]
-    table.add_row(title, *cells, f"{row['displacement_uin'] * MICROINCH * 1e6:.2f}")
-
-
-def parse_options(arguments: Sequence[str]) -> argparse.Namespace:
-    """Return the options.
-
-    Raises:
-        ParameterError: An option is unknown or its value is invalid.
-
-    """
+def _parse_options(arguments: Sequence[str]) -> argparse.Namespace:
     parser = CommandLineParser(prog="arm_budget", description="Error budget of an arm's endpoint.")
-    parser.add_argument(
-        "--arm", type=Path, default=thesis_arm_path(), metavar="ARM.yaml", help="default: the five-axis arm"
-    )
-    parser.add_argument("--output", type=Path, metavar="FILE.json", help="file for the figures")
-    parser.add_argument("--draws", type=int, default=DRAWS, help=f"draws of each Monte Carlo run (default: {DRAWS})")
+    add, default = parser.add_argument, thesis_arm_path()
+    add("--arm", type=Path, default=default, metavar="ARM.yaml", help="default: the five-axis arm")
+    add("--output", type=Path, metavar="FILE.json", help="file for the figures")
+    add("--draws", type=int, default=DRAWS, help=f"draws of each Monte Carlo run (default: {DRAWS})")
     options = parser.parse_args(list(arguments))
     if options.draws < 1:
         raise ParameterError(f"--draws {options.draws}", where="arm_budget", expected="1 or more")
@@ -174,11 +157,11 @@ def parse_options(arguments: Sequence[str]) -> argparse.Namespace:
 @reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program."""
-    options = parse_options(sys.argv[1:] if arguments is None else arguments)
+    options = _parse_options(sys.argv[1:] if arguments is None else arguments)
     if options.output is not None:
         check_writable(options.output)
     budgets = arm_budget(load_arm(options.arm), options.draws)
-    print_budgets(budgets, Console(width=118, highlight=False))
+    _print_budgets(budgets, Console(width=118, highlight=False))
     if options.output is not None:
         write_json(options.output, budgets)
     return 0

@@ -25,13 +25,12 @@ from rich.console import Console
 
 from posor_lab.arm_study.arm_budget_command import arm_budget
 from posor_lab.arm_study.arm_coverage import ARMS, POSES, Coverage, arm_coverage
-from posor_lab.arm_study.arm_findings import ArmOutcome, arm_findings
 from posor_lab.arm_study.arm_live_table import ArmLiveTable
 from posor_lab.arm_study.arm_receiver import ArmReceiver
-from posor_lab.arm_study.arm_report import arm_figures, write_report
-from posor_lab.arm_study.arm_run import ArmPlan, ArmRun
-from posor_lab.arm_study.tick_outcomes import count_outcomes
-from posor_lab.output_files import write_json
+from posor_lab.arm_study.arm_record import count_outcomes
+from posor_lab.arm_study.arm_report import ArmOutcome, arm_figures, arm_findings, arm_page
+from posor_lab.arm_study.arm_run import ArmRun
+from posor_lab.output_files import write_files, write_json
 from posor_lab.reports.console_progress import InterruptedRunError, StageProgress
 from posor_lab.reports.findings import COMPARISON_HEADINGS, print_findings, print_verdict
 from posor_lab.reports.findings_program import exit_code_of_findings
@@ -44,7 +43,7 @@ if TYPE_CHECKING:
 
     from posor_lab.reports.findings import Findings
 
-OUTPUTS = ("report.html", "report.png")
+OUTPUTS = ("report.html",)
 BUDGET_DRAWS = 500
 MIN_ARMS = 2
 """Number of arms with a standard deviation."""
@@ -60,31 +59,19 @@ def _parse_seconds(text: str) -> float:
     return seconds
 
 
-def parse_options(arguments: Sequence[str]) -> Namespace:
-    """Return the options.
-
-    Raises:
-        ParameterError: An option is unknown or its value is invalid.
-
-    """
+def _parse_options(arguments: Sequence[str]) -> Namespace:
     parser = CommandLineParser(prog="arm", description="Run a simulated arm and report how well its endpoint is known.")
-    parser.add_argument("--arm", default="five_axis", metavar="ARM", help="name or path (default: five_axis)")
-    parser.add_argument("--controller", type=Path, metavar="FILE.py", help="endpoint controller for a second cycle")
-    parser.add_argument(
-        "--seconds", type=_parse_seconds, metavar="S", help="length of each cycle (default: that of the scenario)"
-    )
-    parser.add_argument(
-        "--arms", type=int, default=ARMS, metavar="N", help=f"arms drawn for the coverage, 0: none (default: {ARMS})"
-    )
-    parser.add_argument("--coverage-only", action="store_true", help="draw arms, start no node")
-    parser.add_argument(
-        "--output",
-        type=Path,
-        default=Path("build/arm"),
-        metavar="FOLDER",
-        help="report; the figures go to FOLDER.json (default: build/arm)",
-    )
-    parser.add_argument("--no-live", action="store_true", help="lines instead of a live table")
+    add = parser.add_argument
+    add("--arm", default="five_axis", metavar="ARM", help="name or path (default: five_axis)")
+    add("--controller", type=Path, metavar="FILE.py", help="endpoint controller for a second cycle")
+    default = "length of each cycle (default: that of the scenario)"
+    add("--seconds", type=_parse_seconds, metavar="S", help=default)
+    default = f"arms drawn for the coverage, 0: none (default: {ARMS})"
+    add("--arms", type=int, default=ARMS, metavar="N", help=default)
+    add("--coverage-only", action="store_true", help="draw arms, start no node")
+    default = "report; the figures go to FOLDER.json (default: build/arm)"
+    add("--output", type=Path, default=Path("build/arm"), metavar="FOLDER", help=default)
+    add("--no-live", action="store_true", help="lines instead of a live table")
     add_driver_parameters(parser)
     options = parser.parse_args(list(arguments))
     if options.arms < 0 or 0 < options.arms < MIN_ARMS:
@@ -97,7 +84,7 @@ def parse_options(arguments: Sequence[str]) -> Namespace:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the study as a program; the exit code is 0 if all judged figures hold."""
     argv = sys.argv if arguments is None else arguments
-    return exit_code_of_findings(lambda: _study_arm(parse_options(non_ros_arguments(argv)), argv))
+    return exit_code_of_findings(lambda: _study_arm(_parse_options(non_ros_arguments(argv)), argv))
 
 
 def _study_arm(options: Namespace, argv: Sequence[str]) -> Findings:
@@ -114,7 +101,7 @@ def _study_arm(options: Namespace, argv: Sequence[str]) -> Findings:
     console.print(f"{arm.name}: evaluating", soft_wrap=True, markup=False)
     outcome = replace(outcome, coverage=coverage, budget=arm_budget(arm, BUDGET_DRAWS))
     findings = arm_findings(outcome)
-    write_report(folder, arm, simulation.scenario, outcome, findings)
+    write_files(folder, {"report.html": arm_page(arm, simulation.scenario, outcome, findings)})
     print_findings(findings, console, f"{arm.name}: findings", COMPARISON_HEADINGS)
     write_json(options.output.with_name(f"{options.output.name}.json"), arm_figures(outcome))
     console.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False)
@@ -123,13 +110,7 @@ def _study_arm(options: Namespace, argv: Sequence[str]) -> Findings:
 
 
 def _checked_simulation(arm: Arm, options: Namespace) -> ArmSimulation:
-    """Return the simulation of an arm with the options' driver parameters; the drivers refuse invalid parameters.
-
-    Raises:
-        ParameterError: The arm is not simulated, cannot be used with a controller, or has no beams and nothing else is
-            requested than the coverage.
-
-    """
+    """Return the simulation of an arm with the options' driver parameters; the drivers refuse invalid parameters."""
     if arm.driver.source != "simulated":
         raise ParameterError(
             f"source '{arm.driver.source}'", where=str(arm.path), expected="'simulated', whose truth is known"
@@ -160,7 +141,6 @@ def _run_nodes(
     """Run one cycle without a controller, and one with it if there is one."""
     scenario, arm = simulation.scenario, simulation.arm
     ticks = scenario.cycle_ticks if options.seconds is None else math.ceil(options.seconds * scenario.ticks_per_second)
-    plan = ArmPlan(simulation, ticks, logs, options.controller, dict(options.parameters))
     with (
         isolated_network(),
         ros_context(argv) as stop,
@@ -168,16 +148,19 @@ def _run_nodes(
         ArmReceiver(arm.name, simulation.chain, stage=scenario.stage is not None) as receiver,
         ArmLiveTable(f"{arm.name}, simulated", console, live=not options.no_live) as table,
     ):
-        run = ArmRun(plan, supervisor, receiver, table, interrupted=lambda: stop.requested)
+        parameters = dict(options.parameters)
+        run = ArmRun(
+            simulation, supervisor, receiver, table, driver_parameters=parameters, interrupted=lambda: stop.requested
+        )
         run.start_nodes()
-        records = [run.run_cycle("without controller")]
-        if plan.controller is not None:
-            run.start_controller()
-            records.append(run.run_cycle("with controller"))
+        records = [run.run_cycle("without controller", ticks)]
+        if options.controller is not None:
+            run.start_controller(options.controller)
+            records.append(run.run_cycle("with controller", ticks))
         table.show_state("reading the counters")
         counters = run.read_counters()
         run.end_nodes()
-    before, after = records[0], records[1] if plan.controller is not None else None
+    before, after = records[0], records[1] if options.controller is not None else None
     return ArmOutcome(before, after, count_outcomes(records, simulation, counters))
 
 

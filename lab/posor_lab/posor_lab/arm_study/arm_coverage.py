@@ -19,13 +19,14 @@ from posor.chain.kinematic_chain import Chain
 from posor.errors import ParameterError
 from posor.estimation.posor import Posor
 from posor.model.fault import State
+from posor.model.native_coordinates import thetas_of
 from posor_drivers.simulator.arm_truth import true_cycle
 from posor_drivers.simulator.electronics import JointElectronics
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_drivers.simulator.nominal_arm import NominalArm
 from posor_drivers.simulator.scenario import load_scenario
 
-from posor_lab.accuracy.consistency import REGION_LIMIT, normalised_squares
+from posor_lab.accuracy.consistency import REGION_LIMIT, MeanEstimate, normalised_squares
 from posor_lab.arm_study.arm_record import pose_array, pose_errors, rms
 from posor_lab.reports.process_pool import ordered_map
 
@@ -49,19 +50,6 @@ FALSE_ALARM = 1e-9
 
 
 @dataclass(frozen=True)
-class MeanEstimate:
-    """A mean over independent cases, here arms, and its standard uncertainty."""
-
-    value: float
-    sigma: float
-
-    @staticmethod
-    def of(cases: FloatArray) -> MeanEstimate:
-        """Return the mean of cases, (a,)."""
-        return MeanEstimate(float(np.mean(cases)), float(np.std(cases, ddof=1) / np.sqrt(len(cases))))
-
-
-@dataclass(frozen=True)
 class ArmSample:
     """Errors of a arms at p poses each."""
 
@@ -69,16 +57,6 @@ class ArmSample:
     errors: FloatArray  # errors, (a, p, 6), ROS order, axes of the base
     without_sag: FloatArray  # errors without the correction of the sag, (a, p, 6)
     lost: int  # number of poses that a POSOR did not give; NaN above
-
-    @staticmethod
-    def concatenate(parts: list[ArmSample]) -> ArmSample:
-        """Return several samples as one."""
-        return ArmSample(
-            normalised=np.concatenate([part.normalised for part in parts]),
-            errors=np.concatenate([part.errors for part in parts]),
-            without_sag=np.concatenate([part.without_sag for part in parts]),
-            lost=sum(part.lost for part in parts),
-        )
 
 
 @dataclass(frozen=True)
@@ -99,12 +77,7 @@ class Coverage:
 
 
 def arm_coverage(
-    arm: Arm,
-    arms: int = ARMS,
-    poses: int = POSES,
-    *,
-    workers: int = 0,
-    on_drawn: Callable[[int], None] = lambda _: None,
+    arm: Arm, arms: int = ARMS, poses: int = POSES, *, on_drawn: Callable[[int], None] = lambda _: None
 ) -> Coverage:
     """Return how published uncertainty and predicted sag hold for many arms with the files of ``arm``.
 
@@ -114,17 +87,15 @@ def arm_coverage(
         arm: The arm; it has a scenario and a beams file.
         arms: Number of arms, two or more.
         poses: Poses of each arm, evenly spread over the scenario.
-        workers: Processes; 0: one for each processor.
         on_drawn: Called with the number of newly drawn arms; an exception ends the run.
 
     Raises:
-        ParameterError: The arm has no scenario or no beams file.
-        PosorError: A file is invalid.
+        PosorError: The arm has no scenario or no beams file, or a file is invalid.
 
     """
     predicted = ArmSampler(arm, poses).predicted_shift()[:, :3]
     seed = 0 if arm.scenario is None else load_scenario(arm.scenario).seed + 1
-    return coverage_figures(sample_arms(arm, arms, poses, seed, workers=workers, on_drawn=on_drawn), predicted)
+    return coverage_figures(sample_arms(arm, arms, poses, seed, on_drawn=on_drawn), predicted)
 
 
 def coverage_figures(sample: ArmSample, predicted: FloatArray) -> Coverage:
@@ -154,15 +125,10 @@ class ArmSampler:
     """Draws arms with the files of an arm; a seed determines an arm."""
 
     def __init__(self, arm: Arm, poses: int) -> None:
-        """Read the files and select the poses.
-
-        Args:
-            arm: The arm; it has a scenario.
-            poses: Number of poses of the path, evenly spread over its duration.
+        """Read the files and select a number of poses, evenly spread over the scenario.
 
         Raises:
-            ParameterError: The arm has no scenario or no beams file.
-            PosorError: A file is invalid.
+            PosorError: The arm has no scenario or no beams file, or a file is invalid.
 
         """
         if arm.scenario is None or arm.beams is None:
@@ -195,11 +161,9 @@ class ArmSampler:
             known = np.all([estimates.states != State.LOST for estimates in found.values()], axis=0)
             if not known.any():
                 continue
-            joint_poses = np.stack([estimates.poses for estimates in found.values()], axis=1)[known]
-            joint_covariances = np.stack(
-                [estimates.covariances_random + estimates.covariances_systematic for estimates in found.values()],
-                axis=1,
-            )[known]
+            joint_poses = np.stack([each.poses for each in found.values()], axis=1)[known]
+            totals = [each.covariances_random + each.covariances_systematic for each in found.values()]
+            joint_covariances = np.stack(totals, axis=1)[known]
             true = truth.endpoint.select(known)
             endpoints = self.chain.estimate_all(joint_poses, joint_covariances)
             straight = self.straight.estimate_all(joint_poses, joint_covariances)
@@ -210,13 +174,9 @@ class ArmSampler:
 
     def predicted_shift(self) -> FloatArray:
         """Return the endpoint errors by uncorrected sag, (p, 6), that follow from the beams file alone."""
-        joints = [joint.name for joint in self.chain.joints]
-        poses = np.array(
-            [
-                [pin.SE3ToXYZQUAT(self.chain.nominal_joint(joint, float(angle))) for joint, angle in row]
-                for row in (zip(joints, angles, strict=True) for angles in self._commanded)
-            ]
-        )
+        joints, nominal = [joint.name for joint in self.chain.joints], self.chain.nominal_joint
+        rows = [zip(joints, map(float, angles), strict=True) for angles in self._commanded]
+        poses = np.array([[pin.SE3ToXYZQUAT(nominal(joint, angle)) for joint, angle in row] for row in rows])
         exact = np.zeros((*poses.shape[:2], 6, 6))
         straight, sagging = (
             _to_pose_array(chain.estimate_all(poses, exact).poses) for chain in (self.straight, self.chain)
@@ -227,7 +187,7 @@ class ArmSampler:
         """Return the estimates of a joint's noisy scans at true poses; theta is taken from the counting ring."""
         posor = self._posors[joint]
         electronics = JointElectronics(scenario, joint, posor.calibration, IN_THE_BUDGET, self._source)
-        thetas = np.arctan2(-seen.rotations[:, 0, 1], seen.rotations[:, 1, 1])
+        thetas = thetas_of(seen.rotations)
         return posor.estimate_each(electronics.scans(self._ticks, seen).scans, thetas)
 
 
@@ -248,13 +208,13 @@ def _draw(path: Path, poses: int, seeds: range) -> ArmSample:
 def sample_arms(
     arm: Arm, arms: int, poses: int, seed: int, *, workers: int = 0, on_drawn: Callable[[int], None] = lambda _: None
 ) -> ArmSample:
-    """Draw many arms in several processes; the result does not depend on their number.
+    """Draw many arms, with seeds from ``seed`` on, in several processes; the result does not depend on their number.
 
     Args:
         arm: The arm.
         arms: Number of arms.
         poses: Poses of each arm.
-        seed: Seed of the first arm; the others follow.
+        seed: Seed of the first arm.
         workers: Processes; 0: one for each processor.
         on_drawn: Called with the number of newly drawn arms; an exception ends the run.
 
@@ -262,4 +222,7 @@ def sample_arms(
     batches = [range(begin, min(begin + BATCH, seed + arms)) for begin in range(seed, seed + arms, BATCH)]
     draw = partial(_draw, arm.path, poses)
     parts = ordered_map(draw, batches, workers, lambda part: on_drawn(len(part.normalised)))
-    return ArmSample.concatenate(parts)
+    arrays = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("normalised", "errors", "without_sag")
+    )
+    return ArmSample(*arrays, lost=sum(part.lost for part in parts))

@@ -1,7 +1,8 @@
-"""Record of an arm over a number of ticks: truth, endpoint by POSORs and by encoders, and their errors."""
+"""Record of an arm over a number of ticks: truth, endpoint by POSORs and by encoders, and why poses are missing."""
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -16,13 +17,15 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     import pinocchio as pin
-    from numpy.typing import NDArray
-    from posor.numerics.array_types import FloatArray
+    from posor.numerics.array_types import BoolArray, FloatArray
+    from posor_drivers.simulator.arm_simulation import ArmSimulation
 
 CHAIN, TRUTH = "chain", "truth"
 """Keys of ``ArmRecord.reasons`` beside the joints."""
 NO_SCAN = "sent no scan"
 GIVEN_UP = "given up by the chain, a transform came too late"
+DROPPED = "scan dropped by the scenario"
+MISSED = "tick missed, its process was late"
 UNKNOWN = np.full((3, 3), np.nan), np.full(3, np.nan)
 
 
@@ -45,16 +48,15 @@ class ArmRecord:
         return len(self.times_s)
 
     @property
-    def has_pose(self) -> NDArray[np.bool_]:
+    def has_pose(self) -> BoolArray:
         """Whether both the POSORs' pose and the truth are known, (n,)."""
         return np.isfinite(self.posor.translations[:, 0]) & np.isfinite(self.truth.translations[:, 0])
 
     @property
     def is_complete(self) -> bool:
         """Whether everything was received; the stage is optional."""
-        return not any(self.reasons) and bool(
-            np.isfinite(self.encoders.translations).all() and np.isfinite(self.target.translations).all()
-        )
+        known = all(np.isfinite(poses.translations).all() for poses in (self.encoders, self.target))
+        return known and not any(self.reasons)
 
     @cached_property
     def posor_errors(self) -> FloatArray:
@@ -108,3 +110,70 @@ def rms(values: FloatArray) -> float:
     lengths = np.linalg.norm(values, axis=1) if values.ndim > 1 else values
     known = lengths[np.isfinite(lengths)]
     return float(np.sqrt(np.mean(np.square(known)))) if known.size else float("nan")
+
+
+class Dropouts:
+    """Scans that the scenario drops; they depend only on the tick."""
+
+    def __init__(self, simulation: ArmSimulation) -> None:
+        """Cycles are simulated when they are needed."""
+        self._simulation = simulation
+        self._cycle_ticks = simulation.scenario.cycle_ticks
+        self._sent: dict[int, dict[str, BoolArray]] = {}
+
+    def dropped_joints(self, tick: int) -> frozenset[str]:
+        """Return the joints whose scan of a tick is dropped."""
+        cycle, index = divmod(tick, self._cycle_ticks)
+        if cycle not in self._sent:
+            ticks = np.arange(cycle * self._cycle_ticks, (cycle + 1) * self._cycle_ticks)
+            self._sent[cycle] = {joint: self._simulation.scans(joint, ticks).sent for joint in self._simulation.joints}
+        return frozenset(joint for joint, sent in self._sent[cycle].items() if not sent[index])
+
+
+@dataclass(frozen=True)
+class NodeCounters:
+    """Counters of the nodes at the end of a run."""
+
+    missed: Mapping[str, int]  # ticks missed by the driver of each joint
+    incomplete: int  # scans that the chain gave up because a transform was missing or late
+
+
+@dataclass(frozen=True)
+class TickOutcomes:
+    """Outcomes of the ticks of a run."""
+
+    ticks: int  # number of ticks
+    poses: int  # number of ticks with a pose
+    causes: Mapping[str, int]  # number of ticks without a pose by cause; a tick may have several causes
+    unaccounted: int  # number of ticks without a pose that no counter explains
+
+    @property
+    def sentence(self) -> str:
+        """The outcomes as text."""
+        causes = "; ".join(f"{cause}: {count}" for cause, count in self.causes.items())
+        return f"{self.poses} with a pose, {self.ticks - self.poses} without" + (f" ({causes})" if causes else "")
+
+
+def count_outcomes(records: Sequence[ArmRecord], simulation: ArmSimulation, counters: NodeCounters) -> TickOutcomes:
+    """Return the outcomes of the ticks of some records: a pose, or the cause of its absence, as the nodes count it."""
+    causes: Counter[str] = Counter()
+    late: Counter[str] = Counter()
+    dropouts, seen_by_chain = Dropouts(simulation), 0
+    for record in records:
+        for tick, reasons in zip(record.ticks, record.reasons, strict=True):
+            for who, reason in reasons.items():
+                cause = reason
+                if who == TRUTH:  # the last joint's driver publishes the truth
+                    cause = MISSED
+                    late[simulation.joints[-1]] += 1
+                elif reason == NO_SCAN:
+                    dropped = who in dropouts.dropped_joints(tick)
+                    cause = DROPPED if dropped else MISSED
+                    late[who] += not dropped
+                causes[cause if who == CHAIN else f"{who} {cause}"] += 1
+            without_scan = sum(reason == NO_SCAN for who, reason in reasons.items() if who != TRUTH)
+            seen_by_chain += 0 < without_scan < len(simulation.joints)  # of a tick without any scan it knows nothing
+    unaccounted = sum(max(0, count - counters.missed[joint]) for joint, count in late.items())
+    unaccounted += max(0, causes[GIVEN_UP] + seen_by_chain - counters.incomplete)
+    poses = int(sum(np.count_nonzero(record.has_pose) for record in records))
+    return TickOutcomes(sum(map(len, records)), poses, dict(causes), unaccounted)

@@ -8,21 +8,19 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from posor.numerics.stamps import tick_stamp_ns
 from posor_bringup.arm_programs import arm_programs
 from posor_bringup.supervisor import ProcessError, Program, RunningProgram
 
-from posor_lab.arm_study.tick_outcomes import Dropouts, NodeCounters
+from posor_lab.arm_study.arm_record import Dropouts, NodeCounters
 from posor_lab.reports.graph_receiver import GraphWatch
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
-    from posor.chain.arm_file import Arm
     from posor_bringup.supervisor import Parameter, Supervisor
     from posor_drivers.simulator.arm_simulation import ArmSimulation
 
@@ -64,54 +62,38 @@ def _name_first(missing: Sequence[str]) -> str:
     return "; ".join(missing[:NAMED]) + more
 
 
-@dataclass(frozen=True)
-class ArmPlan:
-    """What to run."""
-
-    simulation: ArmSimulation  # the arm as all drivers simulate it
-    ticks: int  # number of ticks of each cycle
-    logs: Path  # existing folder for the log files
-    controller: Path | None = None  # python file of an endpoint controller; None: no second cycle
-    driver_parameters: Mapping[str, Parameter] = field(default_factory=dict)
-    """ROS parameters of the drivers, such as ``simulated.sag``."""
-
-    @property
-    def arm(self) -> Arm:
-        """The arm file."""
-        return self.simulation.arm
-
-    @property
-    def rate(self) -> int:
-        """Ticks per second."""
-        return self.simulation.scenario.ticks_per_second
-
-    @property
-    def cycle(self) -> int:
-        """Ticks after which the scenario repeats."""
-        return self.simulation.scenario.cycle_ticks
-
-
 class ArmRun:
     """A run: ``start_nodes``, ``run_cycle``, ``start_controller``, ``run_cycle``, ``read_counters``, ``end_nodes``."""
 
     def __init__(
         self,
-        plan: ArmPlan,
+        simulation: ArmSimulation,
         supervisor: Supervisor,
         receiver: ArmReceiver,
         table: ArmLiveTable,
         *,
+        driver_parameters: Mapping[str, Parameter] | None = None,
         interrupted: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Prepare; nothing is started yet."""
-        self.plan = plan
-        self._supervisor = supervisor
-        self._receiver = receiver
-        self._table = table
+        """Prepare; nothing is started yet.
+
+        Args:
+            simulation: The arm as all drivers simulate it.
+            supervisor: Starts and ends the processes.
+            receiver: Receives the messages.
+            table: Shows the progress.
+            driver_parameters: ROS parameters of the drivers, such as ``simulated.sag``.
+            interrupted: Whether the user has interrupted the run.
+
+        """
+        self._arm, self._rate = simulation.arm, simulation.scenario.ticks_per_second
+        self._supervisor, self._receiver, self._table = supervisor, receiver, table
+        self._driver_parameters = driver_parameters or {}
         self._nodes: list[RunningProgram] = []
         self._controller: RunningProgram | None = None
-        self._dropouts = Dropouts(plan.simulation)
-        self._tick = plan.cycle - WARM_UP_TICKS
+        self._dropouts = Dropouts(simulation)
+        self._begin = simulation.scenario.cycle_ticks  # the first cycle warms up
+        self._tick = self._begin - WARM_UP_TICKS
         self._complete_s = math.inf  # wall time of the latest complete tick
         self._watch = GraphWatch(supervisor, receiver, "arm", on_waiting=table.show_waiting, interrupted=interrupted)
 
@@ -122,10 +104,9 @@ class ArmRun:
             ProcessError: A node failed, or something does not come.
 
         """
-        plan = self.plan
         programs = arm_programs(
-            plan.arm,
-            driver_parameters=plan.driver_parameters,
+            self._arm,
+            driver_parameters=self._driver_parameters,
             chain_parameters=CHAIN_PARAMETERS,
             parameters=COMMON_PARAMETERS,
         )
@@ -135,31 +116,31 @@ class ArmRun:
             lambda: not self._receiver.missing_connections(), lambda: _name_first(self._receiver.missing_connections())
         )
         self._complete_s = time.monotonic()
-        while self._tick < plan.cycle or self._receiver.missing_topics():
+        while self._tick < self._begin or self._receiver.missing_topics():
             self._advance(FIRST_TICK_TIMEOUT_S if self._receiver.missing_topics() else TICK_TIMEOUT_S)
 
-    def run_cycle(self, state: str) -> ArmRecord:
-        """Run the ticks of a cycle and return their record; ``state`` is shown in the live table.
+    def run_cycle(self, state: str, count: int) -> ArmRecord:
+        """Run the ``count`` ticks of a cycle and return their record; ``state`` is shown in the live table.
 
         Raises:
             ProcessError: A node failed, or nothing comes any more.
 
         """
         self._table.show_state(state)
-        ticks = range(self._tick, self._tick + self.plan.ticks)
+        ticks = range(self._tick, self._tick + count)
         began, shown, without = time.monotonic(), 0, 0
-        pause = self.plan.rate // (SHOWN_PER_S if self._table.is_live else 1)
+        pause = self._rate // (SHOWN_PER_S if self._table.is_live else 1)
         for done, tick in enumerate(ticks, start=1):
-            time.sleep(max(0.0, began + (done - 1) / self.plan.rate - time.monotonic()))
+            time.sleep(max(0.0, began + (done - 1) / self._rate - time.monotonic()))
             self._advance()
-            without += tick_stamp_ns(tick, self.plan.rate) not in self._receiver.poses
+            without += tick_stamp_ns(tick, self._rate) not in self._receiver.poses
             if done >= shown + pause:
-                newest = self._receiver.record(range(tick, tick + 1), self.plan.rate)
+                newest = self._receiver.record(range(tick, tick + 1), self._rate)
                 if newest.is_complete:
                     shown = done
-                    speed = done / self.plan.rate / (time.monotonic() - began)
+                    speed = done / self._rate / (time.monotonic() - began)
                     self._table.show_tick(newest, done, without, speed)
-        return self._receiver.record(ticks, self.plan.rate)
+        return self._receiver.record(ticks, self._rate)
 
     def _advance(self, timeout_s: float = TICK_TIMEOUT_S) -> None:
         """Advance the clock to just before the next tick, and wait for the results of this tick.
@@ -168,7 +149,7 @@ class ArmRun:
             ProcessError: For INCOMPLETE_LIMIT_S no tick was complete.
 
         """
-        stamp, now = tick_stamp_ns(self._tick, self.plan.rate), tick_stamp_ns(self._tick + 1, self.plan.rate) - 1
+        stamp, now = tick_stamp_ns(self._tick, self._rate), tick_stamp_ns(self._tick + 1, self._rate) - 1
         dropped = self._dropouts.dropped_joints(self._tick)
         receiver, began = self._receiver, time.monotonic()
         repeat = began + REPEAT_S
@@ -192,8 +173,8 @@ class ArmRun:
         self._watch.wait(is_done, lambda: _name_first(receiver.missing_of_tick(stamp, dropped)))
         self._tick += 1
 
-    def start_controller(self) -> None:
-        """Start the controller while the clock stands still, then let it settle.
+    def start_controller(self, controller: Path) -> None:
+        """Start a controller, a Python file, while the clock stands still, then let it settle.
 
         Raises:
             ProcessError: It failed, or commands nothing.
@@ -201,21 +182,21 @@ class ArmRun:
         """
         self._table.show_state("starting the controller")
         self._controller = self._supervisor.start(
-            Program("controller", "", str(self.plan.controller), (), f"/{self.plan.arm.name}", {"use_sim_time": True})
+            Program("controller", "", str(controller), (), f"/{self._arm.name}", {"use_sim_time": True})
         )
         self._watch.wait(self._receiver.has_controller, lambda: f"a publisher of {self._receiver.command_topic}")
-        last = self._tick + round(FIRST_COMMAND_S * self.plan.rate)
+        last = self._tick + round(FIRST_COMMAND_S * self._rate)
         while not self._receiver.commands:
             if self._tick > last:
                 what = f"has published nothing on {self._receiver.command_topic} in {FIRST_COMMAND_S:g} s"
                 raise ProcessError(what, where="controller")
             self._advance()
-        for _ in range(round(SETTLING_S * self.plan.rate)):
+        for _ in range(round(SETTLING_S * self._rate)):
             self._advance()
 
     def read_counters(self) -> NodeCounters:
         """Return the counters of the nodes from diagnostics that are published from now on."""
-        arm = self.plan.arm
+        arm = self._arm
         chain = f"/{arm.name}/chain_node: endpoint"
         drivers = {joint: f"/{arm.name}/{joint}/driver_node: pace" for joint in arm.calibrations}
         before = {name: self._receiver.status_count(name) for name in (chain, *drivers.values())}

@@ -9,7 +9,7 @@ import numpy as np
 from posor.errors import DataFileError
 from scipy.constants import inch
 
-from posor_lab.thesis_data import URAD, read_table
+from posor_lab.thesis_data import URAD, parse_number, read_table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,7 +23,6 @@ SENSORS_ONLY = "9.3.1"
 """Section of the endpoint errors by the sensors alone."""
 CONFIGURATIONS: Mapping[str, str] = {"extended": "fully extended", "bent": "bent wrist"}
 """Names of the configurations in the table."""
-
 MICROINCH = 1e-6 * inch
 
 
@@ -52,12 +51,13 @@ def read_joints(path: Path) -> dict[str, PrintedJoint]:
         DataFileError: The file cannot be read, lacks a column, or has an invalid number.
 
     """
-    columns = ("posor_od_in", "large_dof_accuracy_urad", "small_dof_accuracy_urad")
-    joints = {}
-    for row in read_table(path, ["joint", *columns]):
-        diameter, large, small = (_parse_number(row, column, path, row["joint"]) for column in columns)
-        joints[row["joint"].replace(" ", "_")] = PrintedJoint(diameter * inch, large * URAD, small * URAD)
-    return joints
+    columns = {"posor_od_in": inch, "large_dof_accuracy_urad": URAD, "small_dof_accuracy_urad": URAD}
+    return {
+        row["joint"].replace(" ", "_"): PrintedJoint(
+            *(parse_number(row, name, f"{path}, row '{row['joint']}'") * unit for name, unit in columns.items())
+        )
+        for row in read_table(path, ["joint", *columns])
+    }
 
 
 def read_endpoint(path: Path) -> dict[str, PrintedEndpoint]:
@@ -74,18 +74,7 @@ def read_endpoint(path: Path) -> dict[str, PrintedEndpoint]:
         row = next((r for r in rows if (r["section"], r["configuration"]) == (SENSORS_ONLY, printed_name)), None)
         if row is None:
             raise DataFileError(f"no row of section {SENSORS_ONLY} for '{printed_name}'", where=str(path))
-        printed[name] = PrintedEndpoint(
-            np.array([_parse_number(row, column, path, printed_name) for column in turns]) * URAD,
-            np.array([_parse_number(row, column, path, printed_name) for column in shifts]) * MICROINCH,
-            _parse_number(row, "total_uin", path, printed_name) * MICROINCH,
-        )
+        where = f"{path}, row '{printed_name}'"
+        *angles, x, y, z, total = (parse_number(row, column, where) for column in (*turns, *shifts, "total_uin"))
+        printed[name] = PrintedEndpoint(np.array(angles) * URAD, np.array([x, y, z]) * MICROINCH, total * MICROINCH)
     return printed
-
-
-def _parse_number(row: Mapping[str, str], column: str, path: Path, name: str) -> float:
-    try:
-        return float(row[column])
-    except ValueError:
-        raise DataFileError(
-            f"'{row[column]}' is not a number", where=f"{path}, row '{name}', column '{column}'", expected="a number"
-        ) from None

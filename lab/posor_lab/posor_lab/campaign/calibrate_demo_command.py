@@ -20,9 +20,8 @@ from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.report_console import report_console
 from posor_bringup.bringup_options import prepare_output_folder
 
-from posor_lab.campaign.campaign_json import campaigns_as_json
 from posor_lab.campaign.campaign_page import campaign_page
-from posor_lab.campaign.campaign_report import CampaignReport, all_findings
+from posor_lab.campaign.campaign_report import CampaignReport, all_findings, campaigns_as_json
 from posor_lab.campaign.campaign_run import calibrate_from_bags, record_bags
 from posor_lab.campaign.campaign_series import coverage_of_series, run_campaigns
 from posor_lab.campaign.campaign_steps import campaign_steps
@@ -46,31 +45,16 @@ MINIMUM_CAMPAIGNS = 4
 OUTPUTS = ("report.html", *POSORS)
 
 
-def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
-    """Return the options.
-
-    Raises:
-        ParameterError: An option is unknown or its value invalid.
-
-    """
+def _parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     description = "Simulated calibration campaigns, compared with the truth."
     parser = CommandLineParser(prog="calibrate_demo", description=description)
-    parser.add_argument("--posor", choices=[*get_args(PosorName), "both"], default="both")
-    parser.add_argument(
-        "--campaigns",
-        type=int,
-        default=CAMPAIGNS,
-        metavar="N",
-        help=f"further campaigns of each POSOR, in memory, for the coverage; 0: none (default: {CAMPAIGNS})",
-    )
-    parser.add_argument("--seed", type=int, default=SEED, help=f"of the POSORs that are drawn (default: {SEED})")
-    parser.add_argument(
-        "--output",
-        type=Path,
-        default=Path("build/calibration"),
-        metavar="FOLDER",
-        help="report, bags and files; the figures go to FOLDER.json (default: build/calibration)",
-    )
+    add = parser.add_argument
+    add("--posor", choices=[*get_args(PosorName), "both"], default="both")
+    text = f"further campaigns of each POSOR, in memory, for the coverage; 0: none (default: {CAMPAIGNS})"
+    add("--campaigns", type=int, default=CAMPAIGNS, metavar="N", help=text)
+    add("--seed", type=int, default=SEED, help=f"of the POSORs that are drawn (default: {SEED})")
+    text = "report, bags and files; the figures go to FOLDER.json (default: build/calibration)"
+    add("--output", type=Path, default=Path("build/calibration"), metavar="FOLDER", help=text)
     options = parser.parse_args(arguments)
     if options.campaigns < 0 or 0 < options.campaigns < MINIMUM_CAMPAIGNS:
         expected = f"0, or at least {MINIMUM_CAMPAIGNS}"
@@ -80,13 +64,8 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     return options
 
 
-def run_posors(options: argparse.Namespace, progress: StageProgress) -> list[CampaignReport]:
-    """Run the campaigns of the selected POSORs.
-
-    Raises:
-        PosorError: A procedure refuses its bag, or a file cannot be written.
-
-    """
+def _run_posors(options: argparse.Namespace, progress: StageProgress) -> list[CampaignReport]:
+    """Run the campaigns of the selected POSORs."""
     reports = []
     folder = prepare_output_folder(options.output, OUTPUTS)
     for name in POSORS if options.posor == "both" else (options.posor,):
@@ -106,19 +85,12 @@ def run_posors(options: argparse.Namespace, progress: StageProgress) -> list[Cam
     return reports
 
 
-def write_report(options: argparse.Namespace, reports: Sequence[CampaignReport]) -> None:
-    """Write page and figures.
-
-    Raises:
-        ParameterError: A file cannot be written.
-
-    """
+def _write_report(options: argparse.Namespace, reports: Sequence[CampaignReport]) -> None:
     command = f"--posor {options.posor} --campaigns {options.campaigns} --seed {options.seed}"
-    provenance = {"command": f"./run posor_lab calibrate_demo {command}"} | {
-        f"{report.truth.name}, result": f"{report.steps[-1].step.name}.yaml, content hash "
-        f"{report.calibration.content_hash}"
-        for report in reports
-    }
+    provenance = {"command": f"./run posor_lab calibrate_demo {command}"}
+    for report in reports:
+        result = f"{report.steps[-1].step.name}.yaml, content hash {report.calibration.content_hash}"
+        provenance[f"{report.truth.name}, result"] = result
     write_files(options.output, {"report.html": campaign_page(reports, provenance)})
     figures = json.dumps(campaigns_as_json(reports), indent=2) + "\n"
     write_files(options.output.parent, {f"{options.output.name}.json": figures})
@@ -129,7 +101,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     def program() -> Findings:
         with _note_signals() as check:
-            return _run(parse_options(arguments), check)
+            return _run(_parse_options(arguments), check)
 
     return exit_code_of_findings(program)
 
@@ -145,20 +117,19 @@ def _note_signals() -> Iterator[Callable[[], None]]:
         InterruptedRunError: There was a signal.
 
     """
-    interrupted = False
+    noted: list[int] = []
 
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        nonlocal interrupted
-        if interrupted:
+    def note(number: int, frame: FrameType | None) -> None:
+        if noted:
             signal.default_int_handler(number, frame)
-        interrupted = True
+        noted.append(number)
 
     def check() -> None:
-        if interrupted:
+        if noted:
             raise KeyboardInterrupt
 
     try:
-        with interrupts_handled(interrupt):
+        with interrupts_handled(note):
             yield check
             check()
     except KeyboardInterrupt:
@@ -168,8 +139,8 @@ def _note_signals() -> Iterator[Callable[[], None]]:
 def _run(options: argparse.Namespace, check: Callable[[], None]) -> Findings:
     console = report_console(150)
     with StageProgress(console, check) as progress:
-        reports = run_posors(options, progress)
-    write_report(options, reports)
+        reports = _run_posors(options, progress)
+    _write_report(options, reports)
     findings = all_findings(reports)
     print_findings(findings, console, "Findings of the calibration campaigns", COMPARISON_HEADINGS)
     console.print(f"report: {options.output / 'report.html'}", soft_wrap=True, markup=False)

@@ -11,6 +11,7 @@ from posor.estimation.sensor_stack import Stack
 from posor.model.native_coordinates import native_from_rotation, rotation_from_native
 from posor.model.reading_rows import evaluate_poses
 from posor.model.scan import NO_SOURCE, SATURATED, SIMULATED
+from posor.numerics.vector import wrapped_angles
 from posor_drivers.simulator.electronics import HOME_MARK, convert_to_digital
 from scipy.spatial.transform import Rotation
 
@@ -97,7 +98,7 @@ def _home_marks(stack: Stack, thetas: FloatArray) -> IntArray:
     rings = [sensor for sensor in stack.sensors if hasattr(sensor, "bumps")]
     if not rings:
         return np.zeros(len(thetas), dtype=np.int64)
-    from_home = np.mod(thetas + np.pi, 2.0 * np.pi) - np.pi
+    from_home = wrapped_angles(thetas)
     return np.asarray(np.abs(from_home) < HOME_MARK * 2.0 * np.pi / rings[0].bumps, dtype=np.int64)
 
 

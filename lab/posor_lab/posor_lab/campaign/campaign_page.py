@@ -1,11 +1,14 @@
-"""Report page of calibration campaigns."""
+"""Report page of calibration campaigns: tables and interactive plots."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import cycle
 from typing import TYPE_CHECKING
 
 import numpy as np
 from markupsafe import Markup
+from posor.reporting.figure_style import BLUE, GREEN, GREY, LIGHT_BLUE, ORANGE
 from posor.reporting.html_page import (
     Cell,
     Section,
@@ -15,66 +18,44 @@ from posor.reporting.html_page import (
     render_page,
     table,
 )
+from posor.reporting.plot import Plot
 from posor.uncertainty.first_order import ContributionKind
+from scipy.stats import chi2, norm
 
-from posor_lab.campaign.campaign_plots import plot_budgets, plot_residuals, plot_truth
+from posor_lab.accuracy.consistency import REGION_LIMIT
 from posor_lab.campaign.campaign_report import all_findings
-from posor_lab.campaign.parameter_coverage import measuring_steps
+from posor_lab.campaign.campaign_series import CLAIM
+from posor_lab.campaign.parameter_coverage import QUANTILE_95, measuring_steps
 from posor_lab.campaign.validation_set import FREEDOMS
+from posor_lab.output_files import page_notes
 from posor_lab.reports.findings import COMPARISON_HEADINGS, findings_table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from posor.calibration.fit_record import Instrument
+    from posor_calibration.least_squares import Fit
+    from posor_calibration.procedure import Figure, Outcome
 
     from posor_lab.campaign.campaign_report import CampaignReport
     from posor_lab.campaign.campaign_series import FamilyCoverage, SeriesCoverage
 
 AS_BUILT = "as built, not measured"
 NO_REFERENCE = "no reference"
-MEASURED_BY = (
-    "A parameter is measured by the step that lowered its standard uncertainty most; later steps state it again. If at "
-    "least 95 % of the standard uncertainty as built is left, no step has measured it. Method, bag and uncertainties "
-    "of the instruments are listed with the fits."
-)
-SPREAD = (
-    "Spread: root of chi-square over the degrees of freedom, 1 if the stated uncertainties of the readings are right. "
-    "Probability: of a chi-square at least as large, if they are right."
-)
-NOTES = (
-    (
-        "Simulated: each POSOR is drawn from the uncertainties of its calibration as built, so the truth of every "
-        "parameter is known. Scans have the noise of the electronics and a converter of 16 bits; each reference has an "
-        "error of its stated standard uncertainty, at each dwell or, in motion, at each reading. Quantities that are "
-        "stated but not measured have smaller errors: the heights of 3_spacing, stated to 1 mm, scatter by 20 µm; the "
-        "heights and angles of 6_rays have no error."
-    ),
-    (
-        "Every procedure ran on a rosbag2 bag by the code of the command line, each from the file of the step before; "
-        "bags, files, verdicts and tables are beside this page."
-    ),
-    (
-        "Uncertainties are standard uncertainties, k = 1 (JCGM 100); 95 % intervals are 1.96 of them. A procedure's "
-        "uncertainty includes that of the parameters it takes as known; the records of the file hold the correlations."
-    ),
-    "Errors without noise are those of scans without noise and converter: they come from the calibration.",
-    (
-        "Budget bars: the noise of single readings, and the reduction of the standard uncertainty of the freedom if "
-        "one quantity were known exactly, as the root of the difference of the squares: contributions of correlated "
-        "quantities would exceed the total. The longest bars are the first to improve."
-    ),
-    (
-        "Validation poses are drawn over the whole range; no procedure has used them. The errors of one calibration "
-        "are common to all of them: within one campaign they are not independent of one another."
-    ),
-    (
-        "The share of campaigns whose interval contains the truth is itself uncertain. Findings state one standard "
-        "deviation by the scatter of the campaigns. Plot and table show its 95 % interval of Clopper and Pearson, "
-        "for as many independent cases as scatter like the campaigns, since the parameters of one campaign are not "
-        "independent of one another."
-    ),
-)
+STYLES = ((BLUE, "circle"), (ORANGE, "square"), (GREEN, "triangle"), (LIGHT_BLUE, "diamond"))
+BARS = 5
+"""Largest quantities, and readings, drawn for each freedom."""
+MANY = 500
+"""From this number on, residuals are drawn as small points."""
+NEGLIGIBLE = 0.03
+"""Residuals over standard uncertainty below this belong to freedoms without a reference and are not drawn."""
+FAINT = 0.02
+"""Readings with less than this share of the loudest reading's noise are not drawn."""
+WITH_UNIT = {
+    "gap_linearisation": "Gap probes: residuals of the linearisation",
+    "diode_map": "Diodes: residuals of the maps",
+}
+"""Procedures whose own charts show residuals in their unit, and the titles."""
 
 
 def campaign_page(reports: Sequence[CampaignReport], provenance: Mapping[str, str]) -> str:
@@ -83,7 +64,10 @@ def campaign_page(reports: Sequence[CampaignReport], provenance: Mapping[str, st
     sections = [Section("Findings", findings_table(findings, COMPARISON_HEADINGS))]
     for report in reports:
         sections += _posor_sections(report)
-    sections += [Section("Notes", bullet_list(NOTES)), Section("Provenance", definition_list(provenance))]
+    sections += [
+        Section("Notes", bullet_list(page_notes("calibration")["notes"])),
+        Section("Provenance", definition_list(provenance)),
+    ]
     return render_page(
         f"Calibration of {' and '.join(report.truth.name for report in reports)}, simulated campaigns",
         findings.sentence,
@@ -96,10 +80,10 @@ def _posor_sections(report: CampaignReport) -> list[Section]:
     name = report.truth.name
     coverage = Markup() if report.coverage is None else _coverage_tables(report.coverage)
     return [
-        Section(f"{name}: comparison with the truth", coverage, plot_truth(report)),
+        Section(f"{name}: comparison with the truth", coverage, _plot_truth(report)),
         Section(f"{name}: parameters", _parameter_table(report)),
-        Section(f"{name}: fits and their residuals", _fit_table(report), plot_residuals(report)),
-        Section(f"{name}: error budget and validation poses", _budget_table(report), plot_budgets(report)),
+        Section(f"{name}: fits and their residuals", _fit_table(report), _plot_residuals(report)),
+        Section(f"{name}: error budget and validation poses", _budget_table(report), _plot_budgets(report)),
     ]
 
 
@@ -136,7 +120,7 @@ def _parameter_table(report: CampaignReport) -> Markup:
         f"Errors beyond the 95 % interval are marked: {outside} of {count}. {0.05 * count:.0f} are expected by chance; "
         "the findings judge the largest."
     )
-    return paragraph(text) + paragraph(MEASURED_BY) + table(header, rows)
+    return paragraph(text) + paragraph(page_notes("calibration")["measured_by"]) + table(header, rows)
 
 
 def _to_uncertainty(value: float, sigma: float) -> str:
@@ -171,7 +155,11 @@ def _fit_table(report: CampaignReport) -> Markup:
             for fit, figures in record.residuals.items()
         ]
     warnings = [f"{done.step.name}: {warning}" for done in report.steps for warning in done.outcome.warnings]
-    notes = paragraph(SPREAD) + paragraph("Warnings of the procedures about their data:") + bullet_list(warnings)
+    notes = (
+        paragraph(page_notes("calibration")["spread"])
+        + paragraph("Warnings of the procedures about their data:")
+        + bullet_list(warnings)
+    )
     return table(header, rows) + notes
 
 
@@ -219,3 +207,177 @@ def _family_row(family: FamilyCoverage) -> list[str]:
     low, high = family.interval
     inside = f"{100.0 * family.inside.value:.1f} %, {100.0 * low:.1f} % to {100.0 * high:.1f} %"
     return [family.name, str(family.count), inside, f"{family.worst[0]}: {100.0 * family.worst[1]:.1f} %"]
+
+
+def _plot_residuals(report: CampaignReport) -> list[Plot]:
+    """Return a plot of the residuals of each procedure, and of the profile of a bumpy ring."""
+    outcomes_by_procedure: dict[str, list[Outcome]] = {}
+    for done in report.steps:
+        outcomes_by_procedure.setdefault(done.step.procedure, []).append(done.outcome)
+    plots = []
+    for procedure, outcomes in outcomes_by_procedure.items():
+        charts = [chart for outcome in outcomes for chart in outcome.figures]
+        if procedure == "bundle":
+            plots.append(_plot_histogram(outcomes[0].fits[procedure]))
+        elif procedure in WITH_UNIT:
+            plots.append(_plot_chart(WITH_UNIT[procedure], _merge_charts(charts)))
+        elif procedure == "target_plane":
+            plots.append(_plot_chart("Target plane: apparent alpha, before and after", charts[0]))
+        else:
+            plots.append(_plot_normalised_residuals(procedure, outcomes[0].fits))
+        if procedure == "ring_profile":
+            plots.append(_plot_chart("Bumpy ring: change of its profile, no residuals", charts[0], line=True))
+    return plots
+
+
+def _plot_budgets(report: CampaignReport) -> list[Plot]:
+    """Return a plot of the budget of one scan in the middle of the range for each freedom."""
+    return [_plot_budget(report, freedom) for freedom in range(len(FREEDOMS))]
+
+
+def _plot_truth(report: CampaignReport) -> list[Plot]:
+    """Return plots of the errors of parameters and poses against the truth, and of the coverage of many campaigns."""
+    coverage = [_plot_coverage(report.coverage)] if report.coverage else []
+    return [_plot_parameter_errors(report), _plot_pose_errors(report), _plot_quantiles(report), *coverage]
+
+
+def _merge_charts(charts: Sequence[Figure]) -> Figure:
+    """Return charts of the same quantities as one; each series is named by the title of its chart and its own name."""
+    if len(charts) == 1:
+        return charts[0]
+    series = {}
+    for n, chart in enumerate(charts):
+        head = chart.title.split(":")[0].split()[-1] if ":" in chart.title else str(n + 1)
+        single = len(chart.series) == 1
+        series.update({head if single else f"{head} {name}": points for name, points in chart.series.items()})
+    return replace(charts[0], series=series)
+
+
+def _plot_chart(title: str, chart: Figure, *, line: bool = False) -> Plot:
+    plot = Plot(title, *(label.replace("[u", "[µ") for label in (chart.x_label, chart.y_label)))
+    plot.zero()
+    for (name, (x, y)), (colour, marker) in zip(chart.series.items(), cycle(STYLES), strict=False):
+        plot.curve(
+            name or "series", x, y, colour, dash="solid" if line else None, marker=None if line else marker, size=5
+        )
+    return plot
+
+
+def _plot_normalised_residuals(procedure: str, fits: Mapping[str, Fit]) -> Plot:
+    """Plot the residuals of the fits of a procedure, named by the last word of their names.
+
+    A fit with a free pose for each scan has nearly zero residuals in the freedoms without a reference: not drawn.
+    """
+    plot = Plot(
+        f"{procedure.replace('_', ' ').capitalize()}: residuals",
+        f"number of the residual, below {NEGLIGIBLE:g} not drawn",
+        "residual / standard uncertainty",
+    )
+    plot.zero()
+    for (name, fit), (colour, marker) in zip(fits.items(), cycle(STYLES), strict=False):
+        shown = np.flatnonzero(np.abs(fit.residuals) > NEGLIGIBLE)
+        size = 5.0 if len(shown) < MANY else 2.0
+        plot.curve(name.split()[-1], shown + 1, fit.residuals[shown], colour, dash=None, marker=marker, size=size)
+    return plot
+
+
+def _plot_histogram(fit: Fit) -> Plot:
+    plot = Plot(f"Bundle: {len(fit.residuals)} residuals", "residual / standard uncertainty", "density")
+    edges = np.linspace(-4.0, 4.0, 33)
+    density, _ = np.histogram(np.clip(fit.residuals, -4.0, 4.0), edges, density=True)
+    plot.histogram("residuals", edges, density, LIGHT_BLUE)
+    x = np.linspace(-4.0, 4.0, 81)
+    deviation = np.sqrt(np.mean(np.square(fit.residuals)))
+    plot.curve("standard normal", x, norm.pdf(x), GREY)
+    plot.curve(f"normal, deviation {deviation:.2f}", x, norm.pdf(x, scale=deviation), ORANGE, dash="dashed")
+    return plot
+
+
+def _plot_parameter_errors(report: CampaignReport) -> Plot:
+    families = list(dict.fromkeys(parameter.family for parameter in report.parameters))
+    plot = Plot(
+        "Estimate less truth, each parameter", "stated standard uncertainties", "parameters", categories=families
+    )
+    for name, inside, colour in (("within the 95 % interval", True, BLUE), ("outside", False, ORANGE)):
+        shown = [parameter for parameter in report.parameters if parameter.inside is inside]
+        if shown:
+            plot.curve(
+                name,
+                [parameter.normalised_error for parameter in shown],
+                [parameter.family for parameter in shown],
+                colour,
+                dash=None,
+                marker="circle",
+                extra={"parameter": [parameter.name for parameter in shown]},
+            )
+    for limit in (-QUANTILE_95, QUANTILE_95):
+        plot.vertical("95 % interval", limit)
+    return plot
+
+
+def _plot_budget(report: CampaignReport, freedom: int) -> Plot:
+    noises = {part.name: part.effects for part in report.budget.contributions if part.kind is ContributionKind.RANDOM}
+    loudest = max(effects[freedom] for effects in noises.values())
+    noises = {name: effects for name, effects in noises.items() if effects[freedom] > FAINT * loudest}
+    systematic, total = 1e6 * report.calibration_sigmas[freedom], 1e6 * report.budget.sigmas[freedom]
+    noise = np.sqrt(max(total**2 - systematic**2, 0.0))
+    name, unit = list(FREEDOMS.items())[freedom]
+    groups = []
+    for label, effects, colour in (
+        (f"noise, in all {noise:.2g} µ{unit}", noises, ORANGE),
+        (f"calibration, in all {systematic:.2g} µ{unit}", report.gains, BLUE),
+    ):
+        largest = sorted(effects, key=lambda part, effects=effects: -effects[part][freedom])[:BARS]  # type: ignore[misc]
+        groups.append((label, {part: 1e6 * float(effects[part][freedom]) for part in largest}, colour))
+    lengths = {part: length for _, group, _ in groups for part, length in group.items()}
+    plot = Plot(
+        f"{name}: {total:.2g} µ{unit}",
+        f"reduction if known exactly [µ{unit}]",
+        "quantity",
+        categories=sorted(lengths, key=lambda part: -lengths[part]),
+    )
+    for label, group, colour in groups:
+        plot.bars(label, list(group.values()), list(group), colour)
+    return plot
+
+
+def _plot_pose_errors(report: CampaignReport) -> Plot:
+    rms = report.validation.root_mean_squares()
+    count = int(report.validation.located.sum())
+    title = f"Errors at {count} validation poses"
+    plot = Plot(title, "root mean square [µm, µrad]", "freedom", categories=list(FREEDOMS), x_log=True)
+    for key, colour, marker, label in (
+        ("errors_as_built", GREY, "x", "as built"),
+        ("errors", BLUE, "circle", "calibrated"),
+        ("budget", LIGHT_BLUE, "square", "budget"),
+        ("errors_without_noise", ORANGE, "diamond", "calibrated, without noise"),
+        ("budget_of_calibration", GREEN, "triangle", "its part of the budget"),
+    ):
+        plot.curve(label, 1e6 * rms[key], list(FREEDOMS), colour, dash=None, marker=marker, size=9, filled=False)
+    return plot
+
+
+def _plot_quantiles(report: CampaignReport) -> Plot:
+    values = np.sort(report.validation.normalised_squares[report.validation.located])
+    expected = chi2.ppf((np.arange(len(values)) + 0.5) / len(values), len(FREEDOMS))
+    plot = Plot("Squared error over the budget, all six freedoms", "quantile of chi-square, 6", "found")
+    plot.curve("validation poses of this campaign", expected, values, BLUE, dash=None, marker="circle")
+    reach = 1.05 * max(float(expected[-1]), float(values[-1]), REGION_LIMIT)
+    plot.curve("right budget, independent errors", [0.0, reach], [0.0, reach], GREY)
+    plot.horizontal("95 % region", REGION_LIMIT, ORANGE)
+    return plot
+
+
+def _plot_coverage(coverage: SeriesCoverage) -> Plot:
+    names = [family.name for family in coverage.families]
+    low, high = 100.0 * np.array([family.interval for family in coverage.families]).T
+    plot = Plot(
+        f"Truth within 95 %, {coverage.campaigns} campaigns", "parameters within [%]", "parameters", categories=names
+    )
+    plot.intervals("95 % interval of the share", low, high, names, LIGHT_BLUE)
+    shares = [100.0 * family.inside.value for family in coverage.families]
+    extra = {"interval from [%]": low, "interval to [%]": high}
+    plot.curve("share", shares, names, BLUE, dash=None, marker="circle", extra=extra)
+    for end in CLAIM:
+        plot.vertical("accepted on the average", 100.0 * end)
+    return plot

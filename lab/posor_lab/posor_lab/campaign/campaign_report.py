@@ -1,10 +1,10 @@
-"""Evaluation of one campaign of a POSOR, with its findings."""
+"""Evaluation of one campaign of a POSOR: its findings, and all figures as JSON, in SI units."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from posor.estimation.posor import Posor
@@ -15,20 +15,21 @@ from scipy.stats import norm
 
 from posor_lab.accuracy.consistency import REGION_LIMIT
 from posor_lab.campaign.campaign_series import CLAIM, VALIDATION_POSES, chance_margin, share_interval
-from posor_lab.campaign.parameter_coverage import compare_with_truth
+from posor_lab.campaign.parameter_coverage import compare_with_truth, measuring_steps
 from posor_lab.campaign.validation_set import FREEDOMS, validate_calibration
-from posor_lab.reports.findings import Finding, Findings, Verdict
+from posor_lab.output_files import page_notes
+from posor_lab.reports.findings import Finding, Findings, judge
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from posor.calibration.calibration_file import Calibration
     from posor.numerics.array_types import FloatArray
     from posor.uncertainty.first_order import ErrorBudget
 
-    from posor_lab.arm_study.arm_coverage import MeanEstimate
+    from posor_lab.accuracy.consistency import MeanEstimate
     from posor_lab.campaign.campaign_run import CompletedStep
-    from posor_lab.campaign.campaign_series import SeriesCoverage
+    from posor_lab.campaign.campaign_series import FamilyCoverage, SeriesCoverage
     from posor_lab.campaign.ground_truth import GroundTruth
     from posor_lab.campaign.parameter_coverage import EstimatedParameter
     from posor_lab.campaign.validation_set import ValidationSet
@@ -47,30 +48,18 @@ all poses share the errors of one calibration."""
 
 @dataclass(frozen=True)
 class CampaignReport:
-    """Evaluation of one POSOR.
+    """Evaluation of one POSOR."""
 
-    Attributes:
-        truth: The true POSOR.
-        steps: The steps of its campaign, from bags.
-        parameters: Parameters of its file at the end, beside the truth.
-        validation: The calibrated POSOR at validation poses.
-        budget: Error budget in the middle of the range.
-        gains: By quantity, reduction of the standard uncertainty of each freedom there if the quantity were known
-            exactly, as the root of the difference of the squares [m, rad], (6,). Unlike contributions, gains of
-            correlated quantities can be compared.
-        calibration_sigmas: Part of the calibration in the standard uncertainty of each freedom there [m, rad], (6,).
-        coverage: Coverage of further campaigns; None: none were run.
-
-    """
-
-    truth: GroundTruth
-    steps: list[CompletedStep]
-    parameters: list[EstimatedParameter]
-    validation: ValidationSet
-    budget: ErrorBudget
+    truth: GroundTruth  # the true POSOR
+    steps: list[CompletedStep]  # the steps of its campaign, from bags
+    parameters: list[EstimatedParameter]  # parameters of its file at the end, beside the truth
+    validation: ValidationSet  # the calibrated POSOR at validation poses
+    budget: ErrorBudget  # error budget in the middle of the range
     gains: Mapping[str, FloatArray]
-    calibration_sigmas: FloatArray
-    coverage: SeriesCoverage | None
+    """By quantity, reduction of the standard uncertainty of each freedom there if the quantity were known exactly, as
+    the root of the difference of the squares [m, rad], (6,). Gains of correlated quantities can be compared."""
+    calibration_sigmas: FloatArray  # part of the calibration in the uncertainty of each freedom there [m, rad], (6,)
+    coverage: SeriesCoverage | None  # coverage of further campaigns; None: none were run
 
     @staticmethod
     def evaluate(truth: GroundTruth, steps: list[CompletedStep], coverage: SeriesCoverage | None) -> CampaignReport:
@@ -104,7 +93,7 @@ class CampaignReport:
     @cached_property
     def findings(self) -> Findings:
         """The findings of the campaign and of further campaigns."""
-        further = [] if self.coverage is None else coverage_findings(self.coverage)
+        further = () if self.coverage is None else coverage_findings(self.coverage)
         return Findings((*_campaign_findings(self), *further))
 
 
@@ -126,79 +115,31 @@ def _quantity_gains(posor: Posor, effects: FloatArray) -> dict[str, FloatArray]:
     return gains
 
 
-def _campaign_findings(report: CampaignReport) -> list[Finding]:
+def _campaign_findings(report: CampaignReport) -> Iterator[Finding]:
+    texts = page_notes("calibration")["findings"]
     name, parameters, validation = report.truth.name, report.parameters, report.validation
-    inside = sum(parameter.inside for parameter in parameters)
+    inside, count = sum(parameter.inside for parameter in parameters), len(parameters)
+    yield judge(texts["parameters"], name=name, inside=inside, count=count, share=100.0 * inside / count)
     worst = max(parameters, key=lambda parameter: abs(parameter.normalised_error))
-    limit = float(norm.isf(0.5 * CHANCE / len(parameters)))
+    error, limit = abs(worst.normalised_error), float(norm.isf(0.5 * CHANCE / count))
+    figures = {"error": error, "parameter": worst.name, "limit": limit, "chance": CHANCE}
+    yield judge(texts["worst"], holds=error <= limit, name=name, **figures)
     fits = [(done.step.name, fit_name, fit) for done in report.steps for fit_name, fit in done.outcome.fits.items()]
     step, fit_name, least = min(fits, key=lambda fit: fit[2].probability)
-    located = validation.located
+    limit = CHANCE / len(fits)
+    figures = {"probability": least.probability, "step": step, "fit": fit_name, "limit": limit, "count": len(fits)}
+    yield judge(texts["fit"], holds=least.probability >= limit, name=name, **figures)
+    in_region = 100.0 * np.mean(validation.normalised_squares[validation.located] <= REGION_LIMIT)
     rms = validation.root_mean_squares()
-    ratio = rms["errors"] / rms["budget"]
-    noise_free_ratio = rms["errors_without_noise"] / rms["budget_of_calibration"]
+    for key, errors, budget, limit in (
+        ("errors", "errors", "budget", OVER_BUDGET),
+        ("noise_free_errors", "errors_without_noise", "budget_of_calibration", NOISE_FREE_OVER_BUDGET),
+    ):
+        ratio = rms[errors] / rms[budget]
+        figures = {"count": validation.located.sum(), "ratios": _format_freedoms(ratio, 2), "in_region": in_region}
+        yield judge(texts[key], holds=bool(np.all(ratio <= limit)), name=name, limit=limit, **figures)
     gain = rms["errors_as_built"] / rms["errors"]
-    in_region = 100.0 * np.mean(validation.normalised_squares[located] <= REGION_LIMIT)
-    source, budget = "this campaign, truth known", "first-order budget, JCGM 100"
-    return [
-        Finding(
-            f"{name}: parameters of the file within their 95 % interval",
-            f"{inside} of {len(parameters)}, {100.0 * inside / len(parameters):.1f} %",
-            "95 %",
-            "",
-            source,
-            Verdict.NOT_JUDGED,
-            "one campaign; the coverage of the intervals needs many",
-        ),
-        Finding(
-            f"{name}: parameter with the largest error over its standard uncertainty",
-            f"{abs(worst.normalised_error):.2f} sigmas, {worst.name}",
-            "",
-            f"at most {limit:.2f}",
-            source,
-            Verdict.of(holds=abs(worst.normalised_error) <= limit),
-            f"a sound campaign fails with a probability of {CHANCE:g}",
-            "the procedure that measured it states too small an uncertainty: see its fit and warnings",
-        ),
-        Finding(
-            f"{name}: least probable fit",
-            f"chi-square of probability {least.probability:.2g}, {step}, {fit_name}",
-            "",
-            f"at least {CHANCE / len(fits):.1g}",
-            f"{len(fits)} fits",
-            Verdict.of(holds=least.probability >= CHANCE / len(fits)),
-            if_fails="a stated uncertainty of an instrument or reading is too small, or the model is incomplete",
-        ),
-        Finding(
-            f"{name}: errors at {int(located.sum())} validation poses over the budget, root mean square",
-            _format_freedoms(ratio, 2),
-            "1 on average",
-            f"at most {OVER_BUDGET:g}",
-            budget,
-            Verdict.of(holds=bool(np.all(ratio <= OVER_BUDGET))),
-            f"{in_region:.0f} % within the 95 % region of all six",
-            "the budget is too small: a parameter with a large error, above, or noise that the file does not state",
-        ),
-        Finding(
-            f"{name}: errors there without noise over the calibration's part of the budget, root mean square",
-            _format_freedoms(noise_free_ratio, 2),
-            "1 on average",
-            f"at most {NOISE_FREE_OVER_BUDGET:g}",
-            budget,
-            Verdict.of(holds=bool(np.all(noise_free_ratio <= NOISE_FREE_OVER_BUDGET))),
-            "all poses share one calibration, so one campaign shows little",
-            "a parameter has an error far beyond its standard uncertainty: see the parameters",
-        ),
-        Finding(
-            f"{name}: errors as built over errors calibrated",
-            _format_freedoms(gain, 0),
-            "",
-            "more than 1",
-            "the same validation poses",
-            Verdict.of(holds=bool(np.all(gain > 1.0))),
-            if_fails="the calibration has made a freedom worse: a step has fitted a wrong value",
-        ),
-    ]
+    yield judge(texts["gain"], holds=bool(np.all(gain > 1.0)), name=name, ratios=_format_freedoms(gain, 0))
 
 
 def _format_freedoms(values: FloatArray, digits: int) -> str:
@@ -214,63 +155,128 @@ def _format_share(share: MeanEstimate, campaigns: int, cases: int, digits: int =
     return f"{text}, between {100.0 * low:.0f} % and {100.0 * high:.0f} %"
 
 
-def coverage_findings(coverage: SeriesCoverage) -> list[Finding]:
-    """Return the findings of a series of campaigns."""
-    name, count, (low, high) = coverage.name, coverage.campaigns, CLAIM
-    parameters = len(coverage.by_parameter)
-    margin = chance_margin(coverage.pooled, count, parameters)
+def coverage_findings(coverage: SeriesCoverage) -> Iterator[Finding]:
+    """Yield the findings of a series of campaigns."""
+    texts = page_notes("calibration")["findings"]
+    name, count, (low, high), pooled = coverage.name, coverage.campaigns, CLAIM, coverage.pooled
+    parameters, percents = len(coverage.by_parameter), {"low": 100.0 * low, "high": 100.0 * high}
+    margin = chance_margin(pooled, count, parameters)
+    yield judge(
+        texts["pooled"],
+        holds=low - margin <= pooled.value <= high + margin and not coverage.refused,
+        name=name,
+        count=count,
+        share=_format_share(pooled, count, parameters, 2),
+        margin=100.0 * margin,
+        refused="; ".join(coverage.refused[:3]),
+        **percents,
+    )
+    yield judge(
+        texts["least_probable"],
+        holds=coverage.least_probable >= CHANCE,
+        name=name,
+        probability=coverage.least_probable,
+        smallest=100.0 * min(coverage.by_parameter.values()),
+        band=" to ".join(f"{100.0 * end:.1f} %" for end in coverage.binomial_band),
+        limit=CHANCE,
+        found=coverage.within_claim[0],
+        expected=coverage.within_claim[1],
+        count=parameters,
+    )
     rms = coverage.root_mean_squares
     noise_free_ratio = np.divide(rms["errors_without_noise"], rms["budget_of_calibration"])
-    band = " to ".join(f"{100.0 * end:.1f} %" for end in coverage.binomial_band)
-    source = f"{count} seeded campaigns"
-
-    def share_finding(quantity: str, share: MeanEstimate, cases: int, remark: str) -> Finding:
-        below = chance_margin(share, count, cases)
-        return Finding(
-            f"{name}: {quantity}",
-            _format_share(share, count, cases),
-            "95 %",
-            f"at least {100.0 * low:g} %, less {100.0 * below:.1f} % by chance",
-            source,
-            Verdict.of(holds=share.value + below >= low),
-            remark,
-            "the calibration states too small uncertainties, as far as they act on the pose",
-        )
-
-    return [
-        Finding(
-            f"{name}: within their 95 % interval, all parameters of {count} campaigns",
-            _format_share(coverage.pooled, count, parameters, 2),
-            "95 %",
-            f"{100.0 * low:g} % to {100.0 * high:g} %, give or take {100.0 * margin:.1f} % by chance",
-            source,
-            Verdict.of(holds=low - margin <= coverage.pooled.value <= high + margin and not coverage.refused),
-            "; ".join(coverage.refused[:3]),
-            "a campaign was refused, or the intervals do not have their width: see the table of families",
-        ),
-        Finding(
-            f"{name}: parameter with the least probable coverage",
-            f"probability {coverage.least_probable:.2g} (Bonferroni), smallest share "
-            f"{100.0 * min(coverage.by_parameter.values()):.1f} %",
-            f"95 % of right intervals give {band}",
-            f"at least {CHANCE:g}",
-            "binomial",
-            Verdict.of(holds=coverage.least_probable >= CHANCE),
-            f"{coverage.within_claim[0]} of {parameters} parameters have 95 +- 3 %; right intervals: "
-            f"{coverage.within_claim[1]:.0f}",
-            "the interval of this parameter is too narrow or too wide: see the step that measures it",
-        ),
-        share_finding(
-            "validation poses within the budget's 95 % region",
-            coverage.region_share,
-            VALIDATION_POSES,
-            f"normalised squared error {coverage.mean_normalised.value:.2f} +- {coverage.mean_normalised.sigma:.2f}, "
-            "6 if the budget is right",
-        ),
-        share_finding(
-            "errors without noise within 95 % by the calibration's part of the budget",
+    for key, share, cases, figures in (
+        ("region_share", coverage.region_share, VALIDATION_POSES, asdict(coverage.mean_normalised)),
+        (
+            "noise_free_share",
             coverage.noise_free_share,
             VALIDATION_POSES * len(FREEDOMS),
-            f"root mean square over the budget: {_format_freedoms(noise_free_ratio, 2)}",
+            {"ratios": _format_freedoms(noise_free_ratio, 2)},
         ),
-    ]
+    ):
+        below, text = chance_margin(share, count, cases), _format_share(share, count, cases)
+        figures |= {"name": name, "count": count, "share": text, "margin": 100.0 * below, **percents}
+        yield judge(texts[key], holds=share.value + below >= low, **figures)
+
+
+def campaigns_as_json(reports: Sequence[CampaignReport]) -> dict[str, Any]:
+    """Return all figures by the name of the POSOR, and ``holds``."""
+    content: dict[str, Any] = {report.truth.name: _report_as_json(report) for report in reports}
+    return content | {"holds": all(report.findings.holds for report in reports)}
+
+
+def _by_freedom(values: Mapping[str, Iterable[float]]) -> dict[str, dict[str, float]]:
+    return {name: dict(zip(FREEDOMS, map(float, six), strict=True)) for name, six in values.items()}
+
+
+def _report_as_json(report: CampaignReport) -> dict[str, Any]:
+    validation = report.validation
+    steps = measuring_steps(report.truth.as_built, [done.calibration for done in report.steps])
+    return {
+        "seed": report.truth.seed,
+        "content_hash": report.calibration.content_hash,
+        "parameters": {
+            parameter.name: {
+                "family": parameter.family,
+                "unit": parameter.unit,
+                "truth": parameter.truth,
+                "estimate": parameter.estimate,
+                "sigma": parameter.sigma,
+                "within_95": parameter.inside,
+                "measured_by": report.steps[steps[parameter.name]].step.name if parameter.name in steps else None,
+            }
+            for parameter in report.parameters
+        },
+        "steps": {
+            done.step.name: {
+                "procedure": record.procedure,
+                "method": record.method,
+                "instruments": {instrument.name: instrument.sigmas for instrument in record.instruments},
+                "bag": record.recording.name,
+                "sha256": record.recording.sha256,
+                "date": record.date,
+            }
+            for done, record in zip(report.steps, report.calibration.fits, strict=True)
+        },
+        "fresh_poses": {
+            "count": int(validation.located.sum()),
+            "root_mean_square": _by_freedom(validation.root_mean_squares()),
+            "normalised_error_squared": float(np.mean(validation.normalised_squares[validation.located])),
+        },
+        "campaigns": None if report.coverage is None else _coverage_as_json(report.coverage),
+    }
+
+
+def _families_as_json(families: Sequence[FamilyCoverage]) -> dict[str, Any]:
+    return {
+        family.name: {
+            "numbers": family.count,
+            "within_95": family.inside.value,
+            "sigma": family.inside.sigma,
+            "interval_95": list(family.interval),
+            "worst": {"name": family.worst[0], "within_95": family.worst[1]},
+        }
+        for family in families
+    }
+
+
+def _coverage_as_json(coverage: SeriesCoverage) -> dict[str, Any]:
+    return {
+        "count": coverage.campaigns,
+        "refused": list(coverage.refused),
+        "within_95": asdict(coverage.pooled),
+        "binomial_band_of_one_number": list(coverage.binomial_band),
+        "numbers_at_95_plus_minus_3": {
+            "found": coverage.within_claim[0],
+            "expected": coverage.within_claim[1],
+            "of": len(coverage.by_parameter),
+        },
+        "least_probable_bonferroni": coverage.least_probable,
+        "by_number": coverage.by_parameter,
+        "families": _families_as_json(coverage.families),
+        "procedures": _families_as_json(coverage.claims),
+        "fresh_within_95_region": asdict(coverage.region_share),
+        "fresh_normalised_error_squared": asdict(coverage.mean_normalised),
+        "fresh_without_noise_within_95": asdict(coverage.noise_free_share),
+        "fresh_root_mean_square": _by_freedom(coverage.root_mean_squares),
+    }

@@ -11,8 +11,7 @@ import numpy as np
 from posor.errors import PosorError
 from scipy.stats import beta, binom, binomtest, t
 
-from posor_lab.accuracy.consistency import REGION_LIMIT
-from posor_lab.arm_study.arm_coverage import MeanEstimate
+from posor_lab.accuracy.consistency import REGION_LIMIT, MeanEstimate
 from posor_lab.campaign.campaign_run import run_in_memory
 from posor_lab.campaign.ground_truth import GroundTruth
 from posor_lab.campaign.parameter_coverage import QUANTILE_95, compare_with_truth
@@ -33,28 +32,16 @@ CLAIM = (0.92, 0.98)
 
 @dataclass(frozen=True)
 class CampaignResult:
-    """Result of one campaign.
+    """Result of one campaign."""
 
-    Attributes:
-        seed: Seed of the draw.
-        refusal: Error of a procedure; empty: the campaign was completed.
-        claims: Parameters as each procedure stated them.
-        parameters: Parameters of the file at the end.
-        region_share: Share of the validation poses with an error within the 95 % region of the budget.
-        mean_normalised: Mean normalised squared error of the validation poses; 6 if the budget is right.
-        noise_free_share: Share of the errors without noise within 95 % by the calibration's part of the budget.
-        root_mean_squares: See ``ValidationSet.root_mean_squares``.
-
-    """
-
-    seed: int
-    refusal: str = ""
-    claims: tuple[EstimatedParameter, ...] = ()
-    parameters: tuple[EstimatedParameter, ...] = ()
-    region_share: float = 0.0
-    mean_normalised: float = np.nan
-    noise_free_share: float = 0.0
-    root_mean_squares: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    seed: int  # seed of the draw
+    refusal: str = ""  # error of a procedure; empty: the campaign was completed
+    claims: tuple[EstimatedParameter, ...] = ()  # parameters as each procedure stated them
+    parameters: tuple[EstimatedParameter, ...] = ()  # parameters of the file at the end
+    region_share: float = 0.0  # share of the validation poses with an error within the 95 % region of the budget
+    mean_normalised: float = np.nan  # mean normalised squared error of the validation poses; 6 if the budget is right
+    noise_free_share: float = 0.0  # errors without noise within 95 % by the calibration's part of the budget
+    root_mean_squares: dict[str, tuple[float, ...]] = field(default_factory=dict)  # of ``ValidationSet``
 
 
 def run_campaign(name: PosorName, seed: int) -> CampaignResult:
@@ -102,61 +89,33 @@ def run_campaigns(
 
 @dataclass(frozen=True)
 class FamilyCoverage:
-    """Coverage of the intervals of similar parameters.
+    """Coverage of the intervals of similar parameters."""
 
-    Attributes:
-        name: Name of the family.
-        count: Number of parameters per campaign.
-        inside: Share of intervals that contain the truth; its standard uncertainty allows for the dependence of the
-            parameters of one campaign.
-        interval: 95 % interval of that share, see ``share_interval``.
-        worst: Parameter with the smallest share, and its share.
-
-    """
-
-    name: str
-    count: int
-    inside: MeanEstimate
-    interval: tuple[float, float]
-    worst: tuple[str, float]
+    name: str  # name of the family
+    count: int  # number of parameters per campaign
+    inside: MeanEstimate  # share of intervals with the truth; parameters of one campaign are not independent
+    interval: tuple[float, float]  # 95 % interval of that share, see ``share_interval``
+    worst: tuple[str, float]  # parameter with the smallest share, and its share
 
 
 @dataclass(frozen=True)
 class SeriesCoverage:
-    """Coverage over a series of campaigns.
+    """Coverage over a series of campaigns."""
 
-    Attributes:
-        name: Design of the POSOR.
-        campaigns: Number of completed campaigns.
-        refused: Errors of the other campaigns.
-        pooled: Share of all parameters within their stated 95 % interval.
-        families: By family, in the file at the end.
-        claims: By procedure and family, when the procedure stated them.
-        by_parameter: Share of the campaigns in which each parameter was within its interval.
-        binomial_band: 95 % range of that share for right intervals.
-        within_claim: Number of parameters with a share within ``CLAIM``, and its expectation for right intervals.
-        least_probable: Probability of the most improbable share, times the number of parameters (Bonferroni).
-        region_share: Share of validation poses within the 95 % region of the budget.
-        mean_normalised: Mean normalised squared error; 6 if the budget is right.
-        noise_free_share: Share of errors without noise within 95 % by the calibration's part of the budget.
-        root_mean_squares: Over all campaigns, see ``ValidationSet.root_mean_squares``.
-
-    """
-
-    name: PosorName
-    campaigns: int
-    refused: tuple[str, ...]
-    pooled: MeanEstimate
-    families: tuple[FamilyCoverage, ...]
-    claims: tuple[FamilyCoverage, ...]
-    by_parameter: dict[str, float]
-    binomial_band: tuple[float, float]
-    within_claim: tuple[int, float]
-    least_probable: float
-    region_share: MeanEstimate
-    mean_normalised: MeanEstimate
-    noise_free_share: MeanEstimate
-    root_mean_squares: dict[str, tuple[float, ...]]
+    name: PosorName  # design of the POSOR
+    campaigns: int  # number of completed campaigns
+    refused: tuple[str, ...]  # errors of the other campaigns
+    pooled: MeanEstimate  # share of all parameters within their stated 95 % interval
+    families: tuple[FamilyCoverage, ...]  # by family, in the file at the end
+    claims: tuple[FamilyCoverage, ...]  # by procedure and family, when the procedure stated them
+    by_parameter: dict[str, float]  # share of the campaigns in which each parameter was within its interval
+    binomial_band: tuple[float, float]  # 95 % range of that share for right intervals
+    within_claim: tuple[int, float]  # number of parameters with a share within ``CLAIM``, and the expected number
+    least_probable: float  # probability of the most improbable share, times the number of parameters (Bonferroni)
+    region_share: MeanEstimate  # share of validation poses within the 95 % region of the budget
+    mean_normalised: MeanEstimate  # mean normalised squared error; 6 if the budget is right
+    noise_free_share: MeanEstimate  # share of errors without noise within 95 % by the calibration's part of the budget
+    root_mean_squares: dict[str, tuple[float, ...]]  # over all campaigns, see ``ValidationSet.root_mean_squares``
 
 
 def chance_margin(figure: MeanEstimate, campaigns: int, cases: int) -> float:

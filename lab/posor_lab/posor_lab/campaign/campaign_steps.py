@@ -64,27 +64,15 @@ USABLE_VOLTS = 4.2
 
 @dataclass(frozen=True)
 class CampaignStep:
-    """One step.
+    """One step."""
 
-    Attributes:
-        name: Name of its bag and of its output files.
-        procedure: Name of the procedure.
-        record: Returns its recording.
-        options: Options of the procedure.
-        instrument: Instrument of the reference; empty: no reference.
-        uncertainty: Standard uncertainty of the reference, as the command line takes it: one number, or translation and
-            rotation of a pose.
-        unit: Unit of a reference that is a single number.
-
-    """
-
-    name: str
-    procedure: str
-    record: Callable[[GroundTruth], Recording]
-    options: Mapping[str, Any] = field(default_factory=dict)
-    instrument: str = ""
-    uncertainty: tuple[float, ...] = ()
-    unit: str = "m"
+    name: str  # name of its bag and of its output files
+    procedure: str  # name of the procedure
+    record: Callable[[GroundTruth], Recording]  # returns its recording
+    options: Mapping[str, Any] = field(default_factory=dict)  # options of the procedure
+    instrument: str = ""  # instrument of the reference; empty: no reference
+    uncertainty: tuple[float, ...] = ()  # of the reference: one number, or translation and rotation of a pose
+    unit: str = "m"  # unit of a reference that is a single number
 
 
 def campaign_steps(name: PosorName) -> tuple[CampaignStep, ...]:

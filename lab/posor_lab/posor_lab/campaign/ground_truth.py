@@ -72,22 +72,13 @@ def as_built_calibration(name: PosorName) -> Calibration:
 
 @dataclass(frozen=True)
 class GroundTruth:
-    """A POSOR with its true parameters.
+    """A POSOR with its true parameters."""
 
-    Attributes:
-        name: Name of its design.
-        seed: Seed of the draw.
-        as_built: Calibration of the POSOR as built.
-        first_day: Its true sensors on the day on which its probes are linearised.
-        later: The same after the drift of the probes' zeros.
-
-    """
-
-    name: PosorName
-    seed: int
-    as_built: Calibration
-    first_day: Stack
-    later: Stack
+    name: PosorName  # name of its design
+    seed: int  # seed of the draw
+    as_built: Calibration  # calibration of the POSOR as built
+    first_day: Stack  # its true sensors on the day on which its probes are linearised
+    later: Stack  # the same after the drift of the probes' zeros
 
     @staticmethod
     def draw(name: PosorName, seed: int) -> GroundTruth:

@@ -27,28 +27,16 @@ _GROUPS = (("sensors[0].probes", "gap probe"), ("sensors[1].probes", "ring probe
 
 @dataclass(frozen=True)
 class EstimatedParameter:
-    """One number of a calibration file.
+    """One number of a calibration file."""
 
-    Attributes:
-        name: Key in the calibration file, with the index.
-        family: Family of similar parameters, see ``parameter_family``.
-        unit: Unit.
-        truth: True value.
-        before: Value and standard uncertainty as built; NaN: the parameter did not exist.
-        estimate: Estimated value.
-        sigma: Stated standard uncertainty.
-        procedure: Procedure that estimated it.
-
-    """
-
-    name: str
-    family: str
-    unit: str
-    truth: float
-    before: tuple[float, float]
-    estimate: float
-    sigma: float
-    procedure: str
+    name: str  # key in the calibration file, with the index
+    family: str  # family of similar parameters, see ``parameter_family``
+    unit: str  # unit
+    truth: float  # true value
+    before: tuple[float, float]  # value and standard uncertainty as built; NaN: the parameter did not exist
+    estimate: float  # estimated value
+    sigma: float  # stated standard uncertainty
+    procedure: str  # procedure that estimated it
 
     @property
     def normalised_error(self) -> float:

@@ -14,6 +14,7 @@ from posor.calibration.parameter_covariance import stated_covariance
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.fault import State
+from posor.numerics.vector import wrapped_angles
 from posor.uncertainty.first_order import sensitivities
 
 from posor_lab.campaign.calibration_rig import (
@@ -39,24 +40,14 @@ FREEDOMS = {"x": "m", "y": "m", "gap": "m", "alpha": "rad", "beta": "rad", "thet
 
 @dataclass(frozen=True)
 class ValidationSet:
-    """Errors and budgets at n validation poses, native coordinates x, y, gap [m], alpha, beta, theta [rad].
+    """Errors and budgets at n validation poses, native coordinates x, y, gap [m], alpha, beta, theta [rad]."""
 
-    Attributes:
-        errors: Errors of the calibrated POSOR, (n, 6); NaN where it gives no pose.
-        as_built_errors: Errors of the POSOR as built, (n, 6).
-        sigmas: Standard uncertainties by the budget, (n, 6).
-        normalised_squares: Squared errors normalised with the covariance of the budget, 6 degrees of freedom, (n,).
-        noise_free_errors: Errors of the calibrated POSOR without noise, (n, 6).
-        calibration_sigmas: Standard uncertainties by the calibration's part of the budget, (n, 6).
-
-    """
-
-    errors: FloatArray
-    as_built_errors: FloatArray
-    sigmas: FloatArray
-    normalised_squares: FloatArray
-    noise_free_errors: FloatArray
-    calibration_sigmas: FloatArray
+    errors: FloatArray  # errors of the calibrated POSOR, (n, 6); NaN where it gives no pose
+    as_built_errors: FloatArray  # errors of the POSOR as built, (n, 6)
+    sigmas: FloatArray  # standard uncertainties by the budget, (n, 6)
+    normalised_squares: FloatArray  # squared errors normalised with the covariance of the budget, (n,)
+    noise_free_errors: FloatArray  # errors of the calibrated POSOR without noise, (n, 6)
+    calibration_sigmas: FloatArray  # standard uncertainties by the calibration's part of the budget, (n, 6)
 
     @property
     def located(self) -> BoolArray:
@@ -112,6 +103,6 @@ def _estimate_errors(posor: Posor, scans: Scans, poses: FloatArray) -> tuple[Flo
     located = np.flatnonzero(found.states != int(State.LOST))
     errors = np.full(poses.shape, np.nan)
     differences = natives_of_poses(found.rotations[located], found.translations[located]) - poses[located]
-    differences[:, 5] = np.mod(differences[:, 5] + np.pi, 2.0 * np.pi) - np.pi
+    differences[:, 5] = wrapped_angles(differences[:, 5])
     errors[located] = differences
     return errors, found.rotations, found.translations

@@ -2,30 +2,77 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 from posor_calibration.attitude_fit import deviation_from_first
 
-from posor_lab.replay_1985.expectations import (
-    DERIVED_MAP,
-    EXPECTATIONS,
-    KIND_NAMES,
-    MEASURED_LIMIT,
-    PRINTED_LIMITS,
-    STEPS,
-    WITHOUT_POSE,
-    Expectation,
-)
+from posor_lab.output_files import page_notes
 from posor_lab.replay_1985.motion_test import ANGLES, Angle, MotionTest
-from posor_lab.reports.findings import Finding, Findings, Verdict
-from posor_lab.thesis_data import URAD
+from posor_lab.reports.findings import Finding, Findings, judge
+from posor_lab.thesis_data import URAD, data_path, parse_number, read_table
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from posor.numerics.array_types import BoolArray, FloatArray
     from posor_bringup.installed import Bag, CalibrationName
 
     from posor_lab.replay_1985.printed_results import PrintedColumns
+
+Kind = Literal["sd", "max"]
+
+STEPS: Mapping[Bag, int] = {"ymo": 15, "yzmo": 14, "zmo": 20}
+"""Number of steps of each test, appendix 8B."""
+WITHOUT_POSE: Mapping[Bag, Mapping[int, str]] = {
+    "ymo": {},
+    "yzmo": {14: "no digit of its diode readings is legible, and the estimates lie outside the calibrated map"},
+    "zmo": {},
+}
+"""Steps that must be refused, and the reason."""
+KIND_NAMES: Mapping[Kind, str] = {"sd": "standard deviation", "max": "largest"}
+PRINTED_LIMITS: Mapping[Angle, float] = {"alpha": 1.0, "beta": 1.0, "theta": 6.0}
+"""Largest difference from a printed POSOR column [urad]: rounding, and for theta the error of the derived diode map."""
+DERIVED_MAP = "; limit: the 1985 diode map is lost, and the derived one leaves some urad"
+MEASURED_LIMIT = 1.0
+"""Largest difference from a printed machining-centre column [urad]: rounding of the table and of its inputs."""
+UNDER_TABLE = "appendix 8B, printed under the Y motion results"
+"""Source of the standard deviations of YMO without compensated zero shifts."""
+EXPECTATIONS_FILE = "motion_test_expectations.csv"
+
+
+@dataclass(frozen=True)
+class Expectation:
+    """One figure of the error against the machining centre, over all steps that gave a pose."""
+
+    angle: Angle
+    kind: Kind  # standard deviation or largest magnitude
+    stated: float | None  # figure of the thesis [urad]; None: the thesis states none
+    low: float | None  # lower limit [urad]
+    high: float | None  # upper limit [urad]; None: the figure is not judged
+    source: str  # place in the thesis
+    remark: str  # reason of the limit, or of its absence
+
+
+@cache
+def expectations(bag: Bag, calibration: CalibrationName) -> tuple[Expectation, ...]:
+    """Return the expected figures of a motion test with a calibration.
+
+    Raises:
+        DataFileError: The table of the figures cannot be read, or has an invalid number.
+
+    """
+    path, limits = data_path(EXPECTATIONS_FILE), ("stated_urad", "low_urad", "high_urad")
+    found = []
+    for row in read_table(path, ["test", "calibration", "angle", "kind", *limits, "source", "remark"]):
+        if (row["test"], row["calibration"]) == (bag, calibration):
+            where = f"{path}, {bag} {row['angle']}"
+            stated, low, high = (parse_number(row, name, where) if row[name] else None for name in limits)
+            angle, kind = cast("Angle", row["angle"]), cast("Kind", row["kind"])
+            found.append(Expectation(angle, kind, stated, low, high, row["source"], row["remark"]))
+    return tuple(found)
 
 
 def compare_with_thesis(
@@ -39,6 +86,9 @@ def compare_with_thesis(
         calibration: Calibration of the replay.
         printed: Printed result table of the test, if there is one.
 
+    Raises:
+        DataFileError: The table of the expected figures is invalid.
+
     """
     findings = [_received_steps(test, bag), _refused_steps(test, bag)]
     # Rows of printed columns are steps; a wrong number of steps is a finding already.
@@ -46,37 +96,31 @@ def compare_with_thesis(
         findings += [_against_printed_truth(test, printed, angle) for angle in ANGLES[1:]]
         if calibration == "printed":
             findings += [_against_printed_posor(test, printed, angle) for angle in ANGLES]
-    findings += [_against_expectation(test, expectation) for expectation in EXPECTATIONS[bag, calibration]]
+    findings += [_against_expectation(test, expected) for expected in expectations(bag, calibration)]
     return Findings(tuple(findings))
 
 
 def _received_steps(test: MotionTest, bag: Bag) -> Finding:
-    expected = list(range(1, STEPS[bag] + 1))
-    return Finding(
-        "steps received",
-        f"{len(test.steps)}" if test.numbers == expected else ", ".join(map(str, test.numbers)),
-        f"{STEPS[bag]}",
-        f"1 to {STEPS[bag]}",
-        "appendix 8B",
-        Verdict.of(holds=test.numbers == expected),
-        "each with a transform and a machining-centre reading",
-        "messages of a step were lost or repeated: see the folder logs beside the report",
-    )
+    count, holds = STEPS[bag], test.numbers == list(range(1, STEPS[bag] + 1))
+    numbers = len(test.steps) if holds else ", ".join(map(str, test.numbers))
+    return judge(_texts("received"), holds=holds, numbers=numbers, count=count)
 
 
 def _refused_steps(test: MotionTest, bag: Bag) -> Finding:
     refused = [step for step in test.steps if not step.has_pose]
     limit = WITHOUT_POSE[bag]
-    return Finding(
-        "steps without a pose",
-        ", ".join(f"{step.number} ({step.status})" for step in refused) or "none",
-        "",
-        ", ".join(str(number) for number in limit) or "none",
-        "",
-        Verdict.of(holds=[step.number for step in refused] == list(limit)),
-        "; ".join(f"step {number}: {reason}" for number, reason in limit.items()),
-        "the calibration or the checks of a scan differ from those of this comparison",
+    return judge(
+        _texts("refused"),
+        holds=[step.number for step in refused] == list(limit),
+        numbers=", ".join(f"{step.number} ({step.status})" for step in refused) or "none",
+        expected=", ".join(map(str, limit)) or "none",
+        reasons="; ".join(f"step {number}: {reason}" for number, reason in limit.items()),
     )
+
+
+def _texts(finding: str) -> Mapping[str, str]:
+    texts: Mapping[str, str] = page_notes("motion_test")["findings"][finding]
+    return texts
 
 
 def _largest(differences: FloatArray) -> float:
@@ -84,37 +128,26 @@ def _largest(differences: FloatArray) -> float:
     return float(np.max(np.abs(differences[1:]))) / URAD if len(differences) > 1 else float("nan")
 
 
-def _standard_deviation(errors: FloatArray) -> float:
-    """Return the standard deviation of the thesis [urad]."""
-    return float(deviation_from_first(errors)) / URAD
-
-
-def _printed_finding(quantity: str, largest: float, limit: float, remark: str, if_fails: str) -> Finding:
-    verdict = Verdict.of(holds=largest <= limit)
-    source = "appendix 8B, Y motion results"
-    return Finding(quantity, f"{largest:.2f} urad", "", f"at most {limit:g} urad", source, verdict, remark, if_fails)
-
-
 def _against_printed_posor(test: MotionTest, printed: PrintedColumns, angle: Angle) -> Finding:
     judged = test.fully_measured(angle)
     difference = (test.posor_angles - printed.posor)[:, ANGLES.index(angle)]
-    excluded = [str(step.number) for step, counts in zip(test.steps, judged, strict=True) if not counts]
-    remark = f"largest difference over {np.count_nonzero(judged[1:])} steps"
-    if excluded:
-        over_all = _largest(difference[test.has_pose])
-        remark += f", without step {', '.join(excluded)} (estimated readings; with it {over_all:.2f})"
-    if angle == "theta":
-        remark += f"; {DERIVED_MAP}"
-    quantity = f"{angle}: POSOR - printed POSOR column"
-    if_fails = "the readings, the calibration or the estimator differ from those of 1985 by more than the rounding"
-    return _printed_finding(quantity, _largest(difference[judged]), PRINTED_LIMITS[angle], remark, if_fails)
+    largest, over_all = _largest(difference[judged]), _largest(difference[test.has_pose])
+    excluded = ", ".join(str(step.number) for step, counts in zip(test.steps, judged, strict=True) if not counts)
+    return judge(
+        _texts("printed_posor"),
+        holds=largest <= PRINTED_LIMITS[angle],
+        angle=angle,
+        largest=largest,
+        limit=PRINTED_LIMITS[angle],
+        count=np.count_nonzero(judged[1:]),
+        excluded=excluded and f", without step {excluded} (estimated readings; with it {over_all:.2f})",
+        derived=DERIVED_MAP if angle == "theta" else "",
+    )
 
 
 def _against_printed_truth(test: MotionTest, printed: PrintedColumns, angle: Angle) -> Finding:
-    largest = _largest((test.truth_angles - printed.truth)[:, ANGLES.index(angle)])
-    quantity = f"{angle}: machining centre - printed measured column"
-    if_fails = "no POSOR takes part: the bag or the printed table has changed"
-    return _printed_finding(quantity, largest, MEASURED_LIMIT, "largest difference; lever 798 mm (31.43 in)", if_fails)
+    largest, limit = _largest((test.truth_angles - printed.truth)[:, ANGLES.index(angle)]), MEASURED_LIMIT
+    return judge(_texts("printed_truth"), holds=largest <= limit, angle=angle, largest=largest, limit=limit)
 
 
 def error_figure(test: MotionTest, expected: Expectation, counted: BoolArray | None = None) -> float:
@@ -127,27 +160,23 @@ def error_figure(test: MotionTest, expected: Expectation, counted: BoolArray | N
 
     """
     errors = test.angle_errors[:, ANGLES.index(expected.angle)][test.has_pose if counted is None else counted]
-    return _standard_deviation(errors) if expected.kind == "sd" else _largest(errors)
+    return float(deviation_from_first(errors)) / URAD if expected.kind == "sd" else _largest(errors)
 
 
 def _against_expectation(test: MotionTest, expected: Expectation) -> Finding:
-    value = error_figure(test, expected)
+    value, low, high = error_figure(test, expected), expected.low or 0.0, expected.high
     measured = test.fully_measured(expected.angle)
     remark = f"over {np.count_nonzero(test.has_pose[1:])} steps"
     if not np.array_equal(measured, test.has_pose):
         remark += f"; {error_figure(test, expected, measured):.2f} without the steps whose readings are estimated"
-    if expected.high is None:
-        limit, verdict = "", Verdict.NOT_JUDGED
-    else:
-        limit = f"{expected.low:g} to {expected.high:g} urad" if expected.low else f"at most {expected.high:g} urad"
-        verdict = Verdict.of(holds=expected.low <= value <= expected.high)
-    return Finding(
-        f"{expected.angle}: error against machining centre, {KIND_NAMES[expected.kind]}",
-        f"{value:.2f} urad",
-        "" if expected.stated is None else f"{expected.stated:g} urad",
-        limit,
-        expected.source,
-        verdict,
-        "; ".join(filter(None, [remark, expected.remark])),
-        "the replayed errors are not those that the thesis states: compare the curves of POSOR and printed column",
+    return judge(
+        _texts("error"),
+        holds=None if high is None else low <= value <= high,
+        angle=expected.angle,
+        kind=KIND_NAMES[expected.kind],
+        value=value,
+        stated="" if expected.stated is None else f"{expected.stated:g} urad",
+        limit="" if high is None else f"{low:g} to {high:g} urad" if low else f"at most {high:g} urad",
+        source=expected.source,
+        remark="; ".join(filter(None, [remark, expected.remark])),
     )

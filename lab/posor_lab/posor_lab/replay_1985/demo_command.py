@@ -22,8 +22,6 @@ from rich.console import Console
 
 from posor_lab.output_files import write_files
 from posor_lab.replay_1985.comparison import compare_with_thesis
-from posor_lab.replay_1985.motion_figures import draw_motion_test
-from posor_lab.replay_1985.motion_plots import plot_angles, plot_displacements
 from posor_lab.replay_1985.motion_test import MotionTest
 from posor_lab.replay_1985.printed_results import (
     EXPECTED_ERRORS_FILE,
@@ -32,14 +30,7 @@ from posor_lab.replay_1985.printed_results import (
     read_printed,
 )
 from posor_lab.replay_1985.replay import Replay, ReplayPlan
-from posor_lab.replay_1985.replay_report import (
-    HEADINGS,
-    MOTIONS,
-    STATES,
-    replay_notes,
-    replay_page,
-    replay_provenance,
-)
+from posor_lab.replay_1985.replay_report import HEADINGS, replay_page, replay_provenance, verdict_sentence
 from posor_lab.replay_1985.step_collector import StepCollector
 from posor_lab.replay_1985.step_table import LiveTable, steps_as_csv
 from posor_lab.reports.findings import print_findings
@@ -49,10 +40,21 @@ from posor_lab.thesis_data import data_path
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from posor_bringup.installed import Bag, CalibrationName
+
     from posor_lab.reports.findings import Findings
 
-OUTPUT_FILES = ("report.html", "report.png", "steps.csv", "bag")
+OUTPUT_FILES = ("report.html", "steps.csv", "bag")
 """Content of the report's folder besides the logs."""
+MOTIONS: Mapping[Bag, str] = {
+    "ymo": "Y motion, side to side",
+    "yzmo": "diagonal motion, Y and Z together",
+    "zmo": "Z motion, up and down",
+}
+STATES: Mapping[CalibrationName, str] = {
+    "printed": "as in the printed tables, zero shifts not compensated",
+    "section84": "as in section 8.4, zero shifts compensated",
+}
 
 
 def _parse_rate(text: str) -> float:
@@ -73,17 +75,13 @@ def parse_options(arguments: Sequence[str]) -> argparse.Namespace:
 
     """
     parser = CommandLineParser(prog="demo", description="Replay a motion test of 1985 and compare it with the thesis.")
-    parser.add_argument("--bag", choices=BAGS, default="ymo", help="motion test (default: ymo)")
-    parser.add_argument(
-        "--calibration", choices=CALIBRATIONS, default="printed", help="state to reproduce (default: printed)"
-    )
-    parser.add_argument(
-        "--output", type=Path, default=Path("build/report"), metavar="FOLDER", help="default: build/report"
-    )
-    parser.add_argument(
-        "--rate", type=_parse_rate, default=1.0, metavar="FACTOR", help="speed, 1 is real time, 0 as fast as possible"
-    )
-    parser.add_argument("--no-live", action="store_true", help="plain lines instead of a live table")
+    add, default = parser.add_argument, "state to reproduce (default: printed)"
+    add("--bag", choices=BAGS, default="ymo", help="motion test (default: ymo)")
+    add("--calibration", choices=CALIBRATIONS, default="printed", help=default)
+    add("--output", type=Path, default=Path("build/report"), metavar="FOLDER", help="default: build/report")
+    default = "speed, 1 is real time, 0 as fast as possible"
+    add("--rate", type=_parse_rate, default=1.0, metavar="FACTOR", help=default)
+    add("--no-live", action="store_true", help="plain lines instead of a live table")
     return parser.parse_args(list(arguments))
 
 
@@ -113,10 +111,7 @@ def _run(argv: Sequence[str]) -> Findings:
     comparison = _write_report(options, title, plan, test, identity)
     print_findings(comparison, console, "comparison with the thesis", HEADINGS)
     console.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False)
-    if comparison.holds:
-        console.print("The comparison holds.", style="green")
-    else:
-        console.print("The comparison does not hold.", style="bold red")
+    console.print(verdict_sentence(comparison), style="green" if comparison.holds else "bold red")
     return comparison
 
 
@@ -145,19 +140,16 @@ def _write_report(
     printed = read_printed(data_path(table)) if table else None
     comparison = compare_with_thesis(test, options.bag, options.calibration, printed)
     calibration = load_calibration(plan.calibration)
-    predictions = read_predicted_errors(data_path(EXPECTED_ERRORS_FILE), options.bag)
-    shown = printed if options.calibration == "printed" else None
     page = replay_page(
         title,
         test=test,
         comparison=comparison,
-        angles=plot_angles(test, shown, predictions),
-        displacements=plot_displacements(test),
-        notes=replay_notes(test, calibration),
+        printed=printed if options.calibration == "printed" else None,
+        predictions=read_predicted_errors(data_path(EXPECTED_ERRORS_FILE), options.bag),
+        calibration=calibration,
         provenance=replay_provenance(plan.bag, calibration, plan.calibration, identity),
     )
-    picture = draw_motion_test(test, title, shown, predictions)
-    write_files(plan.output, {"report.png": picture, "report.html": page, "steps.csv": steps_as_csv(test)})
+    write_files(plan.output, {"report.html": page, "steps.csv": steps_as_csv(test)})
     return comparison
 
 

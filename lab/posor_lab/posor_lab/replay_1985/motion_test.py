@@ -1,15 +1,24 @@
-"""A replayed motion test: outputs of POSOR, chain and machining centre at each step, as received over ROS."""
+"""A motion test of 1985: outputs of POSOR, chain and machining centre at each step, of a replay or without nodes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
+import pinocchio as pin
+from posor.bags.calibration_recording import Reference, load_recording
+from posor.bags.recording import POINT
+from posor.calibration.calibration_file import load_calibration
+from posor.chain.joint_measurements import MeasuredJoint
+from posor.chain.kinematic_chain import load_chain
 from posor.errors import PosorError
+from posor.estimation.posor import Posor
 from posor.model.fault import USABLE_STATES, Fault, State
 from posor.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED
+from posor.ros_names import TRUTH_TOPIC
+from posor_bringup.installed import JOINT, bag_path, calibration_path, urdf_path
 from posor_calibration.attitude_fit import angles_from_displacements
 from scipy.constants import inch
 
@@ -17,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from posor.numerics.array_types import BoolArray, FloatArray
+    from posor_bringup.installed import Bag, CalibrationName
 
 Angle = Literal["alpha", "beta", "theta"]
 ANGLES: tuple[Angle, ...] = get_args(Angle)
@@ -30,26 +40,15 @@ _MINIMUM_STEPS = 3
 
 @dataclass(frozen=True)
 class MotionStep:
-    """One step of a motion test.
+    """One step of a motion test; NaN where a value is missing."""
 
-    Attributes:
-        number: Row of the recorded test, from 1 (``RawScan.scan``).
-        state: State of the POSOR's transform.
-        faults: Faults of the transform.
-        scan_status: ``RawScan.status`` as the transform carries it.
-        angles: Alpha, beta, theta of the transform [rad], shape (3,); NaN if the state is LOST.
-        truth: Reading of the machining centre [m], shape (3,): x along the beam, y to its side, z up; NaN if missing.
-        endpoint: Position of the endpoint in the axes of the machining centre [m], shape (3,); NaN without a pose.
-
-    """
-
-    number: int
-    state: State
-    faults: Fault
-    scan_status: int
-    angles: FloatArray
-    truth: FloatArray
-    endpoint: FloatArray
+    number: int  # row of the recorded test, from 1 (``RawScan.scan``)
+    state: State  # state of the POSOR's transform
+    faults: Fault  # faults of the transform
+    scan_status: int  # ``RawScan.status`` as the transform carries it
+    angles: FloatArray  # alpha, beta, theta of the transform [rad], shape (3,); NaN if the state is LOST
+    truth: FloatArray  # reading of the machining centre [m], shape (3,): x along the beam, y to its side, z up
+    endpoint: FloatArray  # position of the endpoint in the axes of the machining centre [m], shape (3,)
 
     @property
     def has_pose(self) -> bool:
@@ -82,12 +81,10 @@ class MotionTest:
         if len(self.steps) < _MINIMUM_STEPS:
             expected = f"at least {_MINIMUM_STEPS}"
             raise PosorError(f"{len(self.steps)} steps were received", where="replay", expected=expected)
-        if not self.steps[0].has_pose:
-            raise PosorError(
-                f"step {self.steps[0].number} gave no pose ({self.steps[0].status})",
-                where="replay",
-                expected="a pose at the first step, the reference of all others",
-            )
+        first = self.steps[0]
+        if not first.has_pose:
+            expected = "a pose at the first step, the reference of all others"
+            raise PosorError(f"step {first.number} gave no pose ({first.status})", where="replay", expected=expected)
 
     @cached_property
     def numbers(self) -> list[int]:
@@ -134,3 +131,27 @@ class MotionTest:
 def _relative_to_first(rows: Sequence[FloatArray]) -> FloatArray:
     table = np.array(rows)
     return np.asarray(table - table[0])
+
+
+@cache
+def offline_motion_test(bag: Bag, calibration: CalibrationName) -> MotionTest:
+    """Return a motion test as a replay of its bag gives it, without nodes.
+
+    Raises:
+        PosorError: A file of the rig is missing or invalid.
+
+    """
+    recording = load_recording(bag_path(bag), references=[Reference(TRUTH_TOPIC)])
+    estimates = Posor(load_calibration(calibration_path(calibration)).for_session(bag)).estimate_all(recording.scans)
+    chain = load_chain(urdf_path(), "endpoint")
+    truths = recording.find_track(TRUTH_TOPIC, POINT).interpolate(recording.scans.stamps_ns, 0)
+    steps = []
+    for n, number in enumerate(recording.scans.numbers):
+        state, endpoint = State(int(estimates.states[n])), np.full(3, np.nan)
+        if state in USABLE_STATES:
+            pose = pin.SE3(estimates.rotations[n], estimates.translations[n])
+            endpoint = chain.estimate({JOINT: MeasuredJoint(pose, np.zeros((6, 6)))}).T_base_endpoint.translation
+        status = 0 if recording.statuses is None else int(recording.statuses[n])
+        faults = Fault(int(estimates.faults[n]))
+        steps.append(MotionStep(int(number), state, faults, status, estimates.natives[n, 3:], truths[n], endpoint))
+    return MotionTest(tuple(steps))

@@ -39,26 +39,15 @@ _SUBSCRIPTIONS: Mapping[str, tuple[str, int]] = {
 
 @dataclass(frozen=True)
 class ReplayPlan:
-    """Files and options of a replay.
+    """Files and options of a replay."""
 
-    Attributes:
-        bag: Recorded scans and machining-centre readings.
-        calibration: Calibration file of the POSOR.
-        session: Session of the calibration file.
-        urdf: The rig.
-        output: Existing folder; gets the new ``bag`` and ``logs`` of the programs.
-        rate: Speed, 1 is real time; 0: as fast as possible.
-        loop: Whether the driver repeats the bag without end.
-
-    """
-
-    bag: Path
-    calibration: Path
-    session: str
-    urdf: Path
-    output: Path
-    rate: float = 0.0
-    loop: bool = False
+    bag: Path  # recorded scans and machining-centre readings
+    calibration: Path  # calibration file of the POSOR
+    session: str  # session of the calibration file
+    urdf: Path  # the rig
+    output: Path  # existing folder; gets the new ``bag`` and ``logs`` of the programs
+    rate: float = 0.0  # speed, 1 is real time; 0: as fast as possible
+    loop: bool = False  # whether the driver repeats the bag without end
 
     @property
     def recorded(self) -> Path:
@@ -116,17 +105,13 @@ class Replay:
             interrupted: Whether the user has interrupted the run.
 
         """
-        self.plan = plan
-        self.collector = collector
-        self._supervisor = supervisor
+        self.plan, self.collector, self._supervisor = plan, collector, supervisor
         self._running: dict[str, RunningProgram] = {}
-        self._watch = GraphWatch(
-            supervisor,
-            collector,
-            "replay",
-            on_received=lambda: on_steps(collector.complete_steps()),
-            interrupted=interrupted,
-        )
+
+        def on_received() -> None:
+            on_steps(collector.complete_steps())
+
+        self._watch = GraphWatch(supervisor, collector, "replay", on_received=on_received, interrupted=interrupted)
 
     def start(self) -> None:
         """Start and configure all programs, and wait until all subscriptions exist."""

@@ -21,8 +21,9 @@ from posor_calibration.procedures.zero_drift import NAME, ZeroDriftOptions, find
 from rich.console import Console
 from scipy.constants import inch
 
+from posor_lab.output_files import page_notes
 from posor_lab.replay_1985.motion_test import TRUTH_LEVER
-from posor_lab.reports.findings import Finding, Findings, Verdict, print_findings
+from posor_lab.reports.findings import Finding, Findings, judge, print_findings
 from posor_lab.reports.findings_program import exit_code_of_findings
 from posor_lab.thesis_data import URAD
 
@@ -36,11 +37,8 @@ if TYPE_CHECKING:
 
 TRUTH = Reference("/truth/machining_centre", (2e-4 * inch,))
 """The machining centre, accurate to 0.0002 in (section 8.2)."""
-TESTS: Mapping[Bag, Mapping[str, float | None]] = {
-    "ymo": {"alpha": None, "beta": 4.0},
-    "yzmo": {"alpha": 3.0, "beta": 7.0},
-}
-"""Standard deviation [urad] that section 8.4 states for its own shifts; None: not stated."""
+TESTS: Mapping[Bag, tuple[float | None, float]] = {"ymo": (None, 4.0), "yzmo": (3.0, 7.0)}
+"""Standard deviations of alpha and beta [urad] that section 8.4 states for its own shifts; None: not stated."""
 _HEADINGS = {"computed": "found shifts", "stated": "thesis says", "limit": "limit", "source": "source"}
 
 
@@ -60,18 +58,12 @@ def search_zero_shifts(test: Bag, calibration: Calibration, recording: Recording
     session = calibration.sessions[test].model_copy(update={"zero_shifts": shifts})
     changed = calibration.model_copy(update={"sessions": {**calibration.sessions, test: session}})
     before, after = (_remaining_deviations(each.for_session(test), recording) / URAD for each in (calibration, changed))
+    texts = page_notes("motion_test")["findings"]["zero_drift"]
     findings = []
-    for i, angle in enumerate(ANGLES[:2]):
-        stated = TESTS[test][angle]
+    for angle, left, known, stated in zip(ANGLES, after, before, TESTS[test], strict=False):
+        text, holds = "" if stated is None else f"{stated:g} urad", bool(left <= known)
         findings.append(
-            Finding(
-                f"{test.upper()}, {angle}: error against machining centre, standard deviation",
-                f"{after[i]:.2f} urad",
-                "" if stated is None else f"{stated:g} urad",
-                f"at most {before[i]:.2f} urad, as with the shifts of table 8.1",
-                "section 8.4",
-                Verdict.of(holds=bool(after[i] <= before[i])),
-            )
+            judge(texts, holds=holds, test=test.upper(), angle=angle, after=left, before=known, stated=text)
         )
     lines = [f"{test.upper()}: {outcome.method}"]
     for k, name in enumerate(fit.names):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from posor.reporting.html_page import Cell, table
 from rich.table import Table
@@ -77,6 +77,12 @@ class Findings:
     def sentence(self) -> str:
         """The verdict on all figures."""
         return "Everything holds." if self.holds else "Not everything holds."
+
+
+def judge(texts: Mapping[str, str], *, holds: bool | None = None, **values: object) -> Finding:
+    """Return a finding whose texts are templates, by field, that values fill; ``holds``: None, it is not judged."""
+    fields: dict[str, Any] = {field: text.format_map(values) for field, text in texts.items()}
+    return Finding(**fields, verdict=Verdict.NOT_JUDGED if holds is None else Verdict.of(holds=holds))
 
 
 def findings_table(findings: Findings, headings: Mapping[str, str]) -> Markup:

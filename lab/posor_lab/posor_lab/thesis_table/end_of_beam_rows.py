@@ -10,9 +10,8 @@ from posor.reporting.figure_style import BLUE, GREY, LIGHT_BLUE, ORANGE
 from posor.reporting.plot import Plot
 from posor_calibration.attitude_fit import deviation_from_first
 
-from posor_lab.replay_1985.end_of_beam import Z_LEVER, EndOfBeamProgram
-from posor_lab.replay_1985.end_of_beam_results import COLUMNS, read_end_of_beam
-from posor_lab.replay_1985.end_of_beam_simulation import DRAWS, SensorNoise, simulated_errors
+from posor_lab.replay_1985.end_of_beam import DRAWS, Z_LEVER, EndOfBeamProgram, SensorNoise, simulated_errors
+from posor_lab.replay_1985.printed_results import COLUMNS, read_end_of_beam
 from posor_lab.thesis_budgets.motion_predictions import sensor_travel, spots_at
 from posor_lab.thesis_data import URAD
 from posor_lab.thesis_table.thesis_row import ThesisRow
@@ -20,7 +19,7 @@ from posor_lab.thesis_table.thesis_row import ThesisRow
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
-    from posor_lab.replay_1985.end_of_beam_results import EndOfBeamTest
+    from posor_lab.replay_1985.printed_results import EndOfBeamTest
 
 TESTS: tuple[EndOfBeamTest, ...] = ("TWIS", "GEN")
 SECTIONS: dict[EndOfBeamTest, str] = {"TWIS": "8.4.4", "GEN": "8.4.5"}

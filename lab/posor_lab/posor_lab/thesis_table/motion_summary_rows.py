@@ -7,10 +7,8 @@ from typing import TYPE_CHECKING
 
 from posor_calibration.attitude_fit import deviation_from_first
 
-from posor_lab.replay_1985.end_of_beam_results import read_end_of_beam
-from posor_lab.replay_1985.motion_test import ANGLES
-from posor_lab.replay_1985.offline_motion_test import offline_motion_test
-from posor_lab.replay_1985.printed_results import EXPECTED_ERRORS_FILE
+from posor_lab.replay_1985.motion_test import ANGLES, offline_motion_test
+from posor_lab.replay_1985.printed_results import EXPECTED_ERRORS_FILE, read_end_of_beam
 from posor_lab.thesis_budgets.chapter5 import LEG_X, root_sum_square
 from posor_lab.thesis_budgets.motion_predictions import (
     CURVE_PEAK,
@@ -31,8 +29,8 @@ from posor_lab.thesis_table.thesis_row import ThesisRow
 if TYPE_CHECKING:
     from posor_bringup.installed import Bag
 
-    from posor_lab.replay_1985.end_of_beam_results import EndOfBeamTest
     from posor_lab.replay_1985.motion_test import Angle
+    from posor_lab.replay_1985.printed_results import EndOfBeamTest
     from posor_lab.thesis_budgets.motion_predictions import MotionName
 
 _MISSING = "table 8.2 is not in the scan"

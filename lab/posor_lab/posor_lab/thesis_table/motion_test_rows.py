@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from posor_bringup.installed import BAGS
 
 from posor_lab.replay_1985.motion_plots import plot_angles
-from posor_lab.replay_1985.offline_motion_test import offline_motion_test
+from posor_lab.replay_1985.motion_test import offline_motion_test
 from posor_lab.replay_1985.printed_results import (
     EXPECTED_ERRORS_FILE,
     PRINTED_FILES,

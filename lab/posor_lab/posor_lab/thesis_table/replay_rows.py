@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from posor_lab.replay_1985.comparison import error_figure
-from posor_lab.replay_1985.expectations import EXPECTATIONS, KIND_NAMES, UNDER_TABLE
-from posor_lab.replay_1985.offline_motion_test import offline_motion_test
+from posor_lab.replay_1985.comparison import KIND_NAMES, UNDER_TABLE, error_figure, expectations
+from posor_lab.replay_1985.motion_test import offline_motion_test
 from posor_lab.thesis_table.thesis_row import ThesisRow
 
 if TYPE_CHECKING:
     from posor_bringup.installed import Bag, CalibrationName
 
-    from posor_lab.replay_1985.expectations import Expectation
+    from posor_lab.replay_1985.comparison import Expectation
 
 _SECTIONS: dict[str, str] = {UNDER_TABLE: "App. 8B"}
 _MAP_LOST = "the 1985 map of the diodes is lost, the derived one is local"
@@ -34,7 +33,7 @@ def replay_rows() -> list[ThesisRow]:
     return [
         _row(bag, calibration, expected)
         for bag, calibration in tests
-        for expected in EXPECTATIONS[bag, calibration]
+        for expected in expectations(bag, calibration)
         if expected.stated is not None and (calibration == "section84" or expected.source == UNDER_TABLE)
     ]
 

@@ -13,8 +13,7 @@ from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.fault import State
 from posor.model.native_coordinates import rotation_from_native
-from posor_lab.accuracy.closure import closure
-from posor_lab.accuracy.consistency import monte_carlo, nees
+from posor_lab.accuracy.consistency import closure, monte_carlo, nees
 from posor_lab.accuracy.fault_detection import FAULTS, detectable_shifts, detection
 from posor_lab.accuracy.golden_command import largest_errors
 from posor_lab.harness.random_poses import STACKS, TICK_NS

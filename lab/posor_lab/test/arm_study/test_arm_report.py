@@ -1,4 +1,4 @@
-"""Errors, findings, picture, page and JSON figures of constructed records."""
+"""Errors, findings, page and JSON figures of constructed records."""
 
 from __future__ import annotations
 
@@ -9,27 +9,32 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from posor.reporting.figure_style import BLUE, GREEN, ORANGE
 from posor_bringup.arms import load_checked_arm
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.pose_array import PoseArray
+from posor_lab.accuracy.consistency import MeanEstimate
 from posor_lab.arm_study.arm_budget_command import arm_budget
-from posor_lab.arm_study.arm_coverage import Coverage, MeanEstimate
-from posor_lab.arm_study.arm_figures import draw_arm
-from posor_lab.arm_study.arm_findings import ArmOutcome, arm_findings
+from posor_lab.arm_study.arm_coverage import Coverage
 from posor_lab.arm_study.arm_live_table import ArmLiveTable
-from posor_lab.arm_study.arm_record import CHAIN, GIVEN_UP, NO_SCAN, TRUTH, ArmRecord, rms
-from posor_lab.arm_study.arm_report import arm_figures, write_report
-from posor_lab.arm_study.tick_outcomes import Dropouts, NodeCounters, TickOutcomes, count_outcomes
+from posor_lab.arm_study.arm_record import (
+    CHAIN,
+    GIVEN_UP,
+    NO_SCAN,
+    TRUTH,
+    ArmRecord,
+    Dropouts,
+    NodeCounters,
+    TickOutcomes,
+    count_outcomes,
+    rms,
+)
+from posor_lab.arm_study.arm_report import ArmOutcome, arm_figures, arm_findings, arm_page
 from posor_lab.harness.report_page import ReportPage
 from posor_lab.reports.findings import Verdict
 from rich.console import Console
 
-from ..picture_pixels import pixels_of
-
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
     from posor.numerics.array_types import FloatArray
 
@@ -165,49 +170,47 @@ def test_figures_of_the_json_file(outcome: ArmOutcome) -> None:
     assert set(arm_figures(ArmOutcome(coverage=drawn()))) == {"coverage95", "coverage", "sag"}
 
 
-@pytest.mark.long
-def test_picture_shows_every_part(outcome: ArmOutcome) -> None:
-    picture = draw_arm(outcome, "title")
-    for color in (BLUE, ORANGE, GREEN):
-        assert pixels_of(picture, color) > 500, color
-    assert picture == draw_arm(outcome, "title")
-    without = draw_arm(replace(outcome, after=None), "title")
-    assert pixels_of(without, GREEN) == 0
-    alone = draw_arm(ArmOutcome(coverage=outcome.coverage), "title")
-    assert pixels_of(alone, ORANGE) > 100
-
-
-def test_record_with_gaps_is_drawn(outcome: ArmOutcome) -> None:
-    gaps = record(reasons={0: {"elbow": NO_SCAN}, 7: {CHAIN: GIVEN_UP}})
-    assert pixels_of(draw_arm(replace(outcome, before=gaps), "title"), BLUE) > 500
-
-
-def test_page_is_complete(outcome: ArmOutcome, simulation: ArmSimulation, tmp_path: Path) -> None:
-    found = arm_findings(outcome)
-    write_report(tmp_path, simulation.arm, simulation.scenario, outcome, found)
-    page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert (tmp_path / "report.png").read_bytes().startswith(b"\x89PNG")
-    reader = ReportPage(page)
+def read_page(outcome: ArmOutcome, simulation: ArmSimulation) -> ReportPage:
+    """Return the page of an outcome, which has no problem."""
+    reader = ReportPage(arm_page(simulation.arm, simulation.scenario, outcome, arm_findings(outcome)))
     assert reader.problems == []
+    return reader
+
+
+def test_page_is_complete(outcome: ArmOutcome, simulation: ArmSimulation) -> None:
+    reader = read_page(outcome, simulation)
     assert len(reader.data) == 13
-    assert "Everything holds." in page
+    assert "Everything holds." in reader.texts
     (name,) = (name for name in reader.data if name.startswith("x_"))
     assert len(reader.data[name]) == 40
     for row in reader.data[name]:
         assert float(row["POSORs minus truth, x [µm]"]) == pytest.approx(3.0, rel=1e-4)
         assert float(row["published sigma [µm]"]) == pytest.approx(5.0, rel=1e-4)
-    for finding in found.findings:
-        assert finding.computed in page
-    assert f"seed {simulation.scenario.seed}, 200 Hz, cycle of 10 s" in page
-    assert all(simulation.arm.calibration(joint).content_hash in page for joint in simulation.joints)
+    assert {finding.computed for finding in arm_findings(outcome).findings} <= set(reader.texts)
+    text = " ".join(reader.texts)
+    assert f"seed {simulation.scenario.seed}, 200 Hz, cycle of 10 s" in text
+    assert all(simulation.arm.calibration(joint).content_hash in text for joint in simulation.joints)
 
 
-def test_a_long_record_stays_a_small_page(outcome: ArmOutcome, simulation: ArmSimulation, tmp_path: Path) -> None:
+def test_page_shows_the_parts_that_were_run(outcome: ArmOutcome, simulation: ArmSimulation) -> None:
+    without = read_page(replace(outcome, after=None), simulation)
+    assert len(without.data) == 12
+    assert not any("Controller:" in text for text in without.texts)
+    alone = read_page(ArmOutcome(coverage=outcome.coverage), simulation)
+    assert len(alone.data) == 2
+    assert sum(text.startswith(("Many arms:", "Sag:", "Truth, endpoint")) for text in alone.texts) == 2
+
+
+def test_record_with_gaps_is_drawn(outcome: ArmOutcome, simulation: ArmSimulation) -> None:
+    gaps = record(reasons={0: {"elbow": NO_SCAN}, 7: {CHAIN: GIVEN_UP}})
+    data = read_page(replace(outcome, before=gaps), simulation).data["Position_error_along_the_path.csv"]
+    posors = [row["distance from the truth [µm]"] for row in data if row["series"].startswith("POSORs")]
+    assert [n for n, cell in enumerate(posors) if not cell] == [0, 7]
+
+
+def test_a_long_record_stays_a_small_page(outcome: ArmOutcome, simulation: ArmSimulation) -> None:
     long = replace(outcome, before=record(20_001), after=record(20_001, off_target=NEAR))
-    write_report(tmp_path, simulation.arm, simulation.scenario, long, arm_findings(long))
-    reader = ReportPage((tmp_path / "report.html").read_text(encoding="utf-8"))
-    assert reader.problems == []
-    assert any("(1 tick of 11)" in text for text in reader.texts)
+    assert any("(1 tick of 11)" in text for text in read_page(long, simulation).texts)
 
 
 def test_a_failed_figure_says_what_it_means(outcome: ArmOutcome) -> None:

@@ -12,7 +12,7 @@ from posor_bringup.supervisor import ProcessError, Supervisor
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_lab.arm_study.arm_live_table import ArmLiveTable
 from posor_lab.arm_study.arm_receiver import ArmReceiver
-from posor_lab.arm_study.arm_run import ArmPlan, ArmRun
+from posor_lab.arm_study.arm_run import ArmRun
 from posor_lab.reports import graph_receiver
 from posor_ros.node_program import ros_context
 from rich.console import Console
@@ -39,7 +39,7 @@ def test_a_missing_topic_is_shown_and_ends_the_start(
         ArmReceiver("test_rig", simulation.chain, stage=False) as receiver,
         ArmLiveTable("rig", Console(file=screen, width=200)) as table,
     ):
-        run = ArmRun(ArmPlan(simulation, 1, tmp_path), supervisor, receiver, table)
+        run = ArmRun(simulation, supervisor, receiver, table)
         topic = "/test_rig/endpoint/pose_with_covariance (no diagnostics of /test_rig/chain_node yet)"
         with pytest.raises(ProcessError) as raised:
             run.start_nodes()

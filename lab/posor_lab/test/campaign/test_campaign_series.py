@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from posor_lab.arm_study.arm_coverage import MeanEstimate
+from posor_lab.accuracy.consistency import MeanEstimate
 from posor_lab.campaign.campaign_report import coverage_findings
 from posor_lab.campaign.campaign_series import (
     VALIDATION_POSES,
@@ -87,7 +87,7 @@ def test_one_wrong_parameter_among_many_fails() -> None:
 
 def test_a_refused_campaign_fails_and_is_quoted() -> None:
     results = [*make_results(1.0), CampaignResult(99, "bag: too few dwells.")]
-    first = coverage_findings(coverage_of_series("triad_diodes", results))[0]
+    first = next(coverage_findings(coverage_of_series("triad_diodes", results)))
     assert first.verdict is Verdict.FAILS
     assert first.remark == "bag: too few dwells."
 

@@ -12,14 +12,15 @@ from posor.calibration.calibration_file import load_calibration
 from posor.estimation.posor import Posor
 from posor_bringup.installed import bag_path, calibration_path
 from posor_calibration.attitude_fit import deviation_from_first
-from posor_lab.replay_1985.end_of_beam import Z_LEVER, EndOfBeamProgram
-from posor_lab.replay_1985.end_of_beam_results import EndOfBeamResults, EndOfBeamTest, read_end_of_beam
-from posor_lab.replay_1985.end_of_beam_simulation import (
+from posor_lab.replay_1985.end_of_beam import (
+    Z_LEVER,
+    EndOfBeamProgram,
     SensorNoise,
     noise_of_1985,
     simulated_errors,
     simulated_readings,
 )
+from posor_lab.replay_1985.printed_results import EndOfBeamResults, EndOfBeamTest, read_end_of_beam
 from posor_lab.thesis_budgets.motion_predictions import dimensions
 from posor_lab.thesis_data import URAD
 from scipy.constants import inch

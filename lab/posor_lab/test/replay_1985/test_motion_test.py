@@ -1,4 +1,4 @@
-"""Steps of a motion test and what follows from them."""
+"""Steps of a motion test and what follows from them, also without nodes: the same figures as those of a replay."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ import pytest
 from posor.errors import PosorError
 from posor.model.fault import Fault, State
 from posor.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED
+from posor_bringup.installed import BAGS, CALIBRATIONS, Bag, CalibrationName
 from posor_calibration.attitude_fit import angles_from_displacements, deviation_from_first
-from posor_lab.replay_1985.motion_test import ANGLES, TRUTH_LEVER, MotionTest
+from posor_lab.replay_1985.comparison import STEPS, compare_with_thesis
+from posor_lab.replay_1985.motion_test import ANGLES, TRUTH_LEVER, MotionTest, offline_motion_test
 from scipy.constants import inch
 
 if TYPE_CHECKING:
@@ -81,3 +83,19 @@ def test_a_first_step_without_pose_is_refused(printed_test: Callable[..., Motion
 def test_fewer_than_three_steps_are_refused(printed_test: Callable[..., MotionTest]) -> None:
     with pytest.raises(PosorError, match="2 steps were received; expected at least 3"):
         MotionTest(printed_test().steps[:2])
+
+
+@pytest.mark.parametrize("bag", BAGS)
+@pytest.mark.parametrize("calibration", CALIBRATIONS)
+def test_every_expectation_of_the_replay_holds(bag: Bag, calibration: CalibrationName, printed: PrintedColumns) -> None:
+    test = offline_motion_test(bag, calibration)
+    assert len(test.steps) == STEPS[bag]
+    assert compare_with_thesis(test, bag, calibration, printed if bag == "ymo" else None).holds
+
+
+def test_the_endpoint_moves_with_the_beam() -> None:
+    test = offline_motion_test("ymo", "section84")
+    side = test.endpoint_displacement[:, 1]
+    # The lever of the endpoint is 33.4 in, that of the machining centre's line 31.43 in.
+    np.testing.assert_allclose(side[1:] / test.truth_displacement[1:, 1], 33.4 / 31.43, rtol=0.25)
+    assert np.isnan(offline_motion_test("yzmo", "printed").endpoint_displacement[13]).all()

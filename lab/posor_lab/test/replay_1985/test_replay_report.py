@@ -1,4 +1,4 @@
-"""Picture and page of a replay."""
+"""Page of a replay."""
 
 from __future__ import annotations
 
@@ -7,17 +7,12 @@ from typing import TYPE_CHECKING
 import pytest
 from posor.calibration.calibration_file import load_calibration
 from posor.model.scan import DIODES_ESTIMATED
-from posor.reporting.figure_style import BLUE, GREY, LIGHT_BLUE, ORANGE
 from posor_bringup.installed import calibration_path
 from posor_lab.harness.report_page import ReportPage
 from posor_lab.replay_1985.comparison import compare_with_thesis
-from posor_lab.replay_1985.motion_figures import draw_motion_test
-from posor_lab.replay_1985.motion_plots import plot_angles, plot_displacements
 from posor_lab.replay_1985.printed_results import EXPECTED_ERRORS_FILE, read_predicted_errors
-from posor_lab.replay_1985.replay_report import replay_notes, replay_page
+from posor_lab.replay_1985.replay_report import replay_page
 from posor_lab.thesis_data import data_path
-
-from ..picture_pixels import pixels_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -26,38 +21,18 @@ if TYPE_CHECKING:
     from posor_lab.replay_1985.printed_results import PrintedColumns
 
 
-def test_the_picture_shows_every_curve(printed_test: Callable[..., MotionTest], printed: PrintedColumns) -> None:
-    predictions = read_predicted_errors(data_path(EXPECTED_ERRORS_FILE), "ymo")
-    picture = draw_motion_test(printed_test(), "title", printed, predictions)
-    assert picture.startswith(b"\x89PNG\r\n\x1a\n")
-    for color in (BLUE, ORANGE, GREY):
-        assert pixels_of(picture, color) > 500, color
-    assert pixels_of(picture, LIGHT_BLUE, 0.3) > 10_000
-    bare = draw_motion_test(printed_test(), "title", None, {})
-    assert pixels_of(bare, ORANGE) == 0
-    assert pixels_of(bare, LIGHT_BLUE, 0.3) < 100
-    assert pixels_of(bare, BLUE) > 500
-
-
-def test_the_picture_is_the_same_every_time(printed_test: Callable[..., MotionTest], printed: PrintedColumns) -> None:
-    assert draw_motion_test(printed_test(lost=(15,)), "title", printed, {}) == draw_motion_test(
-        printed_test(lost=(15,)), "title", printed, {}
-    )
-
-
 def test_the_page_is_complete_and_self_contained(
     printed_test: Callable[..., MotionTest], printed: PrintedColumns
 ) -> None:
     test = printed_test(statuses={14: DIODES_ESTIMATED}, lost=(15,))
     comparison = compare_with_thesis(test, "ymo", "printed", printed)
-    predictions = read_predicted_errors(data_path(EXPECTED_ERRORS_FILE), "ymo")
     page = replay_page(
         "a title\nwith <two> lines",
         test=test,
         comparison=comparison,
-        angles=plot_angles(test, printed, predictions),
-        displacements=plot_displacements(test),
-        notes=replay_notes(test, load_calibration(calibration_path("printed"))),
+        printed=printed,
+        predictions=read_predicted_errors(data_path(EXPECTED_ERRORS_FILE), "ymo"),
+        calibration=load_calibration(calibration_path("printed")),
         provenance={"bag": "ymo & more", "calibration hash": "abc123"},
     )
     reader = ReportPage(page)
@@ -77,3 +52,21 @@ def test_the_page_is_complete_and_self_contained(
     assert "In step 14 a reading of a diode has no legible digit" in text
     assert "848 mm (33.4 in) from the POSOR's origin" in text
     assert "with <two> lines" in text
+
+
+def test_without_a_printed_table_and_predictions_the_page_draws_the_replay_alone(
+    printed_test: Callable[..., MotionTest],
+) -> None:
+    test = printed_test()
+    page = replay_page(
+        "a title",
+        test=test,
+        comparison=compare_with_thesis(test, "ymo", "section84", None),
+        printed=None,
+        predictions={},
+        calibration=load_calibration(calibration_path("section84")),
+        provenance={},
+    )
+    rows = ReportPage(page).data["theta_POSOR_less_machining_centre.csv"]
+    assert {row["series"] for row in rows} == {"POSOR, replayed"}
+    assert list(rows[0]) == ["series", "step", "error [µrad]", "status"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from posor_lab.replay_1985.end_of_beam_results import EndOfBeamResults, EndOfBeamTest, read_end_of_beam
+from posor_lab.replay_1985.printed_results import EndOfBeamResults, EndOfBeamTest, read_end_of_beam
 from posor_lab.thesis_budgets import motion_predictions
 from posor_lab.thesis_table import end_of_beam_rows, motion_summary_rows, motion_test_rows, prediction_rows
 from posor_lab.thesis_table.thesis_row import ThesisRow, Verdict

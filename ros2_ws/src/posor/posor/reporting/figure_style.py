@@ -1,4 +1,4 @@
-"""Colours of all plots, and the style of the pictures (PNG): axes, legends, output."""
+"""Colours of all plots, and the style of the pictures (PNG): axes, output."""
 
 from __future__ import annotations
 
@@ -6,9 +6,6 @@ import io
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -35,12 +32,3 @@ def style_axes(axes: Axes) -> None:
     axes.set_axisbelow(True)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
-
-
-def unique_legend_entries(all_axes: Iterable[Axes]) -> tuple[list[Artist], list[str]]:
-    """Return handles and labels of the legends of several axes, without duplicates."""
-    entries: dict[str, Artist] = {}
-    for axes in all_axes:
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            entries.setdefault(label, handle)
-    return list(entries.values()), list(entries)
