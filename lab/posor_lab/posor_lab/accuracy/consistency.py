@@ -33,8 +33,7 @@ BAND = 0.95
 REGION = 0.95
 REGION_LIMIT = float(chi2.ppf(REGION, FREEDOMS))
 """Largest normalised error squared inside the published 95 % region of a pose."""
-FALSE_ALARM = 1e-12
-"""Probability so small that no scan is excluded because of its residual."""
+FALSE_ALARM = 1e-12  # probability so small that no scan is excluded because of its residual
 
 
 @dataclass(frozen=True)

@@ -35,13 +35,8 @@ if TYPE_CHECKING:
 ROUNDS = 9
 
 
-def measure_stack(stack: DesignName, single_count: int, batch_count: int) -> dict[str, float]:
-    """Return the figures of one design after a check that single and batch estimates agree.
-
-    Raises:
-        AssertionError: They differ, or a scan is lost.
-
-    """
+def _measure_stack(stack: DesignName, single_count: int, batch_count: int) -> dict[str, float]:
+    """Return the figures of one design after a check that single and batch estimates agree."""
     posor = Posor(design(stack))
     thetas = 0.05 * np.sin(np.arange(batch_count) * 1e-3)
     rotations = np.array([rotation_from_native(1e-3 * math.sin(t), 1e-3 * math.cos(t), t) for t in thetas])
@@ -84,7 +79,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--output", type=Path, default=Path("build/bench_core.json"), help="JSON file to write")
     options = parser.parse_args(arguments)
     check_writable(options.output)
-    figures = {stack: measure_stack(stack, 2_000, 20_000) for stack in STACKS}
+    figures = {stack: _measure_stack(stack, 2_000, 20_000) for stack in STACKS}
     kernels = "compiled" if COMPILING else "not compiled"
     title = f"Speed of the core, kernels {kernels}; processor time, medians of {ROUNDS} rounds"
     columns = ("stack", "one scan, us", "many scans, scans/s")

@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 
     from posor.numerics.array_types import FloatArray
 
-BAND = 0.99
-"""Probability that the mean normalised error of a consistent estimator is in its band."""
+BAND = 0.99  # probability that the mean normalised error of a consistent estimator is in its band
 
 
 @dataclass(frozen=True)

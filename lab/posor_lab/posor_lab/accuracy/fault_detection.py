@@ -29,15 +29,11 @@ if TYPE_CHECKING:
 
     Corruption = Callable[[Scan, np.random.Generator], Scan]
 
-SPOT_SHIFT = 50e-6
-"""[m]."""
-ZERO_SHIFT = 0.1
-"""[V]."""
+SPOT_SHIFT = 50e-6  # [m]
+ZERO_SHIFT = 0.1  # [V]
 LOST_SCANS = 100
-SPEED = 2.0
-"""Of theta in the runs with a ring [rad/s]."""
-SETTLED = 20
-"""Scans before a fault."""
+SPEED = 2.0  # of theta in the runs with a ring [rad/s]
+SETTLED = 20  # scans before a fault
 FALSE_ALARM = 1e-3
 
 

@@ -33,10 +33,8 @@ if TYPE_CHECKING:
 
 StackName = Literal["triad_diodes", "triad_bumpy_ring"]
 
-_SPAN = 10.0
-"""Half-width of the range of voltages [V] and ratios [1]: wider than any reading."""
-_CURRENT = 1e-4
-"""Total current of each axis of a diode [A]."""
+_SPAN = 10.0  # half-width of the range of voltages [V] and ratios [1]: wider than any reading
+_CURRENT = 1e-4  # total current of each axis of a diode [A]
 _IDENTITY = {
     "kind": "polynomial",
     "center": quantity_entry([0.0, 0.0], "1"),
@@ -48,7 +46,7 @@ _IDENTITY = {
 
 
 @dataclass(frozen=True)
-class RayTracedCase:
+class _Case:
     """One ray-traced case, for one stack of its sensors."""
 
     name: str  # ``case <number>``
@@ -58,13 +56,8 @@ class RayTracedCase:
     T_R_T: pin.SE3  # the pose
 
 
-def read_cases(path: Path, stack: StackName) -> Iterator[RayTracedCase]:
-    """Read a file of cases for one of the stacks.
-
-    Raises:
-        DataFileError: The file cannot be read, or a line is not a case.
-
-    """
+def _read_cases(path: Path, stack: StackName) -> Iterator[_Case]:
+    """Read a file of cases for one of the stacks."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -84,7 +77,7 @@ def read_cases(path: Path, stack: StackName) -> Iterator[RayTracedCase]:
         raise DataFileError("holds no case", where=str(path), expected="one JSON case per line")
 
 
-def _case(case: dict[str, Any], stack: StackName) -> RayTracedCase:
+def _case(case: dict[str, Any], stack: StackName) -> _Case:
     gaps, spots, ring_gaps = (np.array(case["readings"][name]) for name in ("gaps", "spots", "ring_gaps"))
     with_ring = stack == "triad_bumpy_ring"
     content = {
@@ -106,7 +99,7 @@ def _case(case: dict[str, Any], stack: StackName) -> RayTracedCase:
     )
     pose = pin.SE3(np.array(case["T_R_T"]["rotation"]), np.array(case["T_R_T"]["translation"]))
     expected = np.concatenate([gaps, ring_gaps if with_ring else spots.ravel()])
-    return RayTracedCase(calibration.name, calibration, scan, expected, pose)
+    return _Case(calibration.name, calibration, scan, expected, pose)
 
 
 def _probes(kind: str, probes: list[dict[str, list[float]]]) -> list[dict[str, object]]:
@@ -172,13 +165,8 @@ def _bumpy_ring(case: dict[str, Any]) -> dict[str, object]:
     }
 
 
-def case_errors(case: RayTracedCase) -> tuple[float, float, float]:
-    """Return the largest error of the predicted readings [m], and of the recovered pose: translation [m], angle [rad].
-
-    Raises:
-        DataFileError: The readings of the case do not give a pose.
-
-    """
+def _case_errors(case: _Case) -> tuple[float, float, float]:
+    """Return the largest error of the predicted readings [m], and of the recovered translation [m] and angle [rad]."""
     posor = Posor(case.calibration)
     predicted = posor.predict(case.scan, case.T_R_T)
     # The bump count is taken as known: the true rotation about Z, rounded to a whole bump.
@@ -205,7 +193,7 @@ def largest_errors(path: Path) -> dict[str, dict[str, float]]:
     """
     report = {}
     for stack in get_args(StackName):
-        largest = np.max([case_errors(case) for case in read_cases(path, stack)], axis=0)
+        largest = np.max([_case_errors(case) for case in _read_cases(path, stack)], axis=0)
         report[stack] = dict(zip(("prediction_m", "translation_m", "rotation_rad"), largest.tolist(), strict=True))
     return report
 

@@ -56,8 +56,7 @@ def thesis_arm_path() -> Path:
     return share() / "arms" / "five_axis" / "arm.yaml"
 
 
-def spread_figures(spread: Spread | PrintedEndpoint) -> dict[str, float]:
-    """Return the figures of a spread by the names of ``FIGURES``."""
+def _spread_figures(spread: Spread | PrintedEndpoint) -> dict[str, float]:
     turns, shifts = (spread.orientation / URAD).tolist(), (spread.displacement / MICROINCH).tolist()
     return dict(zip(FIGURES, [*turns, *shifts, spread.total / MICROINCH], strict=True))
 
@@ -104,7 +103,7 @@ def arm_budget(arm: Arm, draws: int = DRAWS) -> dict[str, dict[str, Any]]:
         selected = budgets[THESIS if is_thesis_robot else WHOLE]
         result[configuration] = {**{name: selected[name] for name in FIGURES}, **budgets}
         if is_thesis_robot:
-            result[configuration]["printed"] = spread_figures(printed[configuration])
+            result[configuration]["printed"] = _spread_figures(printed[configuration])
     return result
 
 
@@ -113,9 +112,9 @@ def _case_budget(
 ) -> dict[str, Any]:
     budget = endpoint_budget(chain, angles, covariances)
     return {
-        **spread_figures(budget.spread),
-        "monte_carlo": spread_figures(monte_carlo(chain, angles, covariances, draws, SEED)),
-        "contributions": [{"name": part.name, **spread_figures(part.spread)} for part in budget.contributions],
+        **_spread_figures(budget.spread),
+        "monte_carlo": _spread_figures(monte_carlo(chain, angles, covariances, draws, SEED)),
+        "contributions": [{"name": part.name, **_spread_figures(part.spread)} for part in budget.contributions],
     }
 
 

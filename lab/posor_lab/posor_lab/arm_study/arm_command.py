@@ -45,8 +45,7 @@ if TYPE_CHECKING:
 
 OUTPUTS = ("report.html",)
 BUDGET_DRAWS = 500
-MIN_ARMS = 2
-"""Number of arms with a standard deviation."""
+MIN_ARMS = 2  # number of arms with a standard deviation
 
 
 def _parse_seconds(text: str) -> float:

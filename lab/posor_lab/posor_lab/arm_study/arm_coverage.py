@@ -41,12 +41,10 @@ if TYPE_CHECKING:
 
 ARMS = 1000
 POSES = 6
-BATCH = 25
-"""Arms per task of a worker."""
+BATCH = 25  # arms per task of a worker
 IN_THE_BUDGET = Imperfections(zero_drift=False, supply_drift=False, contamination=False, dropouts=False, latency=False)
 """What the published covariance accounts for: noise, quantisation, calibration, beams and their sag."""
-FALSE_ALARM = 1e-9
-"""Of the chi-square test, so that noise is not taken for a fault: that would trim the errors."""
+FALSE_ALARM = 1e-9  # of the chi-square test, so that noise is not taken for a fault: that would trim the errors
 
 
 @dataclass(frozen=True)

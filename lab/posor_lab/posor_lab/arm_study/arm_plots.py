@@ -18,13 +18,10 @@ if TYPE_CHECKING:
     from posor_lab.arm_study.arm_coverage import Coverage
     from posor_lab.arm_study.arm_record import ArmRecord
 
-MOST_TICKS = 2000
-"""Of a longer record the plots show every second, third... tick."""
+MOST_TICKS = 2000  # of a longer record the plots show every second, third... tick
 BINS = 40
-NEES_END = 24.0
-"""End of the histogram; 99.9 % of chi-square with 6 degrees of freedom lie below."""
-ENLARGED_TO = 0.15
-"""Share of the path's extent to which the largest error is enlarged."""
+NEES_END = 24.0  # end of the histogram; 99.9 % of chi-square with 6 degrees of freedom lie below
+ENLARGED_TO = 0.15  # share of the path's extent to which the largest error is enlarged
 BAND_SIGMAS = 2.0
 AXES = (("x", "µm"), ("y", "µm"), ("z", "µm"), ("about X", "µrad"), ("about Y", "µrad"), ("about Z", "µrad"))
 POSORS, ENCODERS, TRUTH = "POSORs", "encoders alone", "truth"

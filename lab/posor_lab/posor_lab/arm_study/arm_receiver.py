@@ -21,10 +21,11 @@ from posor_lab.arm_study.arm_record import CHAIN, GIVEN_UP, NO_SCAN, TRUTH, ArmR
 from posor_lab.reports.graph_receiver import GraphReceiver
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Callable, Collection, Mapping
 
     import pinocchio as pin
     from posor.chain.kinematic_chain import Chain
+    from posor.numerics.array_types import FloatArray
 
 
 class ArmReceiver(GraphReceiver):
@@ -129,37 +130,28 @@ class ArmReceiver(GraphReceiver):
     def record(self, ticks: range, rate: int) -> ArmRecord:
         """Return the record of ticks at a rate [Hz]."""
         stamps = [tick_stamp_ns(tick, rate) for tick in ticks]
-        posor = [self.poses.get(stamp) for stamp in stamps]
-        stage = [self.stage.get(stamp) for stamp in stamps]
-        nan = float("nan")
+
+        def read(store: Mapping[int, Any], extract: Callable[[Any], Any], unknown: Any = None) -> list[Any]:
+            return [unknown if (message := store.get(stamp)) is None else extract(message) for stamp in stamps]
+
+        def covariance(message: PoseWithCovarianceStamped) -> FloatArray:
+            return np.reshape(message.pose.covariance, (6, 6))
+
+        def pose(message: PoseStamped) -> pin.SE3:
+            return pose_from_message(message.pose)
+
         return ArmRecord(
             ticks=ticks,
             times_s=np.arange(len(ticks)) / rate,
-            truth=pose_array([_pose_or_none(self.truths.get(stamp)) for stamp in stamps]),
-            posor=pose_array([None if message is None else pose_from_message(message.pose.pose) for message in posor]),
-            covariances=np.array(
-                [
-                    np.full((6, 6), nan) if message is None else np.reshape(message.pose.covariance, (6, 6))
-                    for message in posor
-                ]
-            ),
-            encoders=pose_array([self._nominal_endpoint(self.encoders.get(stamp)) for stamp in stamps]),
-            target=pose_array([_pose_or_none(self.targets.get(stamp)) for stamp in stamps]),
-            stage=np.array(
-                [
-                    [nan, nan, nan] if message is None else [message.vector.x, message.vector.y, message.vector.z]
-                    for message in stage
-                ]
-            ),
+            truth=pose_array(read(self.truths, pose)),
+            posor=pose_array(read(self.poses, lambda message: pose_from_message(message.pose.pose))),
+            covariances=np.array(read(self.poses, covariance, np.full((6, 6), np.nan))),
+            encoders=pose_array(read(self.encoders, self._nominal_endpoint)),
+            target=pose_array(read(self.targets, pose)),
+            stage=np.array(read(self.stage, lambda m: [m.vector.x, m.vector.y, m.vector.z], np.full(3, np.nan))),
             reasons=tuple(self.reasons_without_pose(stamp) for stamp in stamps),
         )
 
-    def _nominal_endpoint(self, message: JointState | None) -> pin.SE3 | None:
+    def _nominal_endpoint(self, message: JointState) -> pin.SE3:
         """Return the endpoint by the encoders alone."""
-        if message is None:
-            return None
         return self._chain.nominal_endpoint(dict(zip(message.name, message.position, strict=True)))
-
-
-def _pose_or_none(message: PoseStamped | None) -> pin.SE3 | None:
-    return None if message is None else pose_from_message(message.pose)

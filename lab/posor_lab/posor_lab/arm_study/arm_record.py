@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import BoolArray, FloatArray
     from posor_drivers.simulator.arm_simulation import ArmSimulation
 
-CHAIN, TRUTH = "chain", "truth"
-"""Keys of ``ArmRecord.reasons`` beside the joints."""
+CHAIN, TRUTH = "chain", "truth"  # keys of ``ArmRecord.reasons`` beside the joints
 NO_SCAN = "sent no scan"
 GIVEN_UP = "given up by the chain, a transform came too late"
 DROPPED = "scan dropped by the scenario"

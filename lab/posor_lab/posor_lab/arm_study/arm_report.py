@@ -27,21 +27,17 @@ if TYPE_CHECKING:
     from posor_lab.arm_study.arm_coverage import Coverage
     from posor_lab.arm_study.arm_record import ArmRecord, TickOutcomes
 
-COVERAGE_TOLERANCE = 0.02
-"""Allowed difference of the coverage from 95 %."""
-SAG_TOLERANCE = 0.02
-"""Allowed relative difference of the displacement by uncorrected sag from the predicted one."""
+COVERAGE_TOLERANCE = 0.02  # allowed difference of the coverage from 95 %
+SAG_TOLERANCE = 0.02  # allowed relative difference of the displacement by uncorrected sag from the predicted one
 BUDGET_TOLERANCE = 0.02
-MIN_SIGMAS = 3.0
-"""With few arms, a tolerance is at least so many standard uncertainties of the figure."""
+MIN_SIGMAS = 3.0  # with few arms, a tolerance is at least so many standard uncertainties of the figure
 BUDGET_FIGURES = {
     "alpha_x_urad": "about X",
     "alpha_y_urad": "about Y",
     "alpha_z_urad": "about Z",
     "displacement_uin": "displacement",
 }
-SURPRISING_SIGMAS = 2.0
-"""A coverage that differs by more standard uncertainties from 95 % gets a remark."""
+SURPRISING_SIGMAS = 2.0  # a coverage that differs by more standard uncertainties from 95 % gets a remark
 
 
 @dataclass(frozen=True)

@@ -32,28 +32,20 @@ COMMON_PARAMETERS: Mapping[str, Parameter] = {"use_sim_time": True, "lossless": 
 """Clock of this run; lossless delivery, so that a missing message was not published."""
 CHAIN_PARAMETERS: Mapping[str, Parameter] = {"max_wait": 60.0}
 """The clock waits for the transforms: their delay depends on the host only."""
-WARM_UP_TICKS = 40
-"""Ticks before the scenario begins, in which subscriptions are connected."""
+WARM_UP_TICKS = 40  # ticks before the scenario begins, in which subscriptions are connected
 TICK_TIMEOUT_S = 10.0
 """Wall time until the clock advances although something of a tick is missing; ``tick_outcomes`` reports it."""
 FIRST_TICK_TIMEOUT_S = 1.0
 """The same until all nodes publish: a node that receives the clock late begins with a later tick."""
-INCOMPLETE_LIMIT_S = 60.0
-"""Wall time without a complete tick after which the run fails."""
-COMMAND_TIMEOUT_S = 1.0
-"""Wall time for a controller to answer a pose; it may hold the stage."""
-REPEAT_S = 0.2
-"""Wall time after which the clock is published again; its delivery is best effort."""
-FIRST_COMMAND_S = 10.0
-"""Time of the arm's clock within which a controller must command the stage."""
-SETTLING_S = 1.0
-"""Time of the arm's clock for a controller to settle."""
-SHOWN_PER_S = 4
-"""Ticks shown per second in a terminal; one line per second elsewhere."""
+INCOMPLETE_LIMIT_S = 60.0  # wall time without a complete tick after which the run fails
+COMMAND_TIMEOUT_S = 1.0  # wall time for a controller to answer a pose; it may hold the stage
+REPEAT_S = 0.2  # wall time after which the clock is published again; its delivery is best effort
+FIRST_COMMAND_S = 10.0  # time of the arm's clock within which a controller must command the stage
+SETTLING_S = 1.0  # time of the arm's clock for a controller to settle
+SHOWN_PER_S = 4  # ticks shown per second in a terminal; one line per second elsewhere
 
 
-NAMED = 3
-"""Missing topics that a message names."""
+NAMED = 3  # missing topics that a message names
 
 
 def _name_first(missing: Sequence[str]) -> str:

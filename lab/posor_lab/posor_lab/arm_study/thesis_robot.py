@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 
 JOINTS_FILE = "error_budget_five_axis_robot.csv"
 ENDPOINT_FILE = "error_budget_robot_endpoint.csv"
-SENSORS_ONLY = "9.3.1"
-"""Section of the endpoint errors by the sensors alone."""
+SENSORS_ONLY = "9.3.1"  # section of the endpoint errors by the sensors alone
 CONFIGURATIONS: Mapping[str, str] = {"extended": "fully extended", "bent": "bent wrist"}
 """Names of the configurations in the table."""
 MICROINCH = 1e-6 * inch

@@ -40,8 +40,7 @@ if TYPE_CHECKING:
 
 SEED = 1985
 CAMPAIGNS = 6
-MINIMUM_CAMPAIGNS = 4
-"""Fewest campaigns with a meaningful scatter."""
+MINIMUM_CAMPAIGNS = 4  # fewest campaigns with a meaningful scatter
 OUTPUTS = ("report.html", *POSORS)
 
 

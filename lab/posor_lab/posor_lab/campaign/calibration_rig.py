@@ -20,19 +20,15 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray, IntArray
     from posor.sensors.diodes import Diodes
 
-PERIOD_NS = 20_000_000
-"""From scan to scan."""
+PERIOD_NS = 20_000_000  # from scan to scan
 BEGIN_NS = 1_795_000_000_000_000_000
 BITS = 16
 VOLTS = np.array([-10.0, 10.0])
 AMPERES = np.array([0.0, 2e-4])
 REFERENCE = "/reference"
-SUPPLY, RIPPLE = 15.0, 5e-3
-"""Mean and slow variation of the supply voltage [V]."""
-SUPPLY_NOISE = 2e-4
-"""Noise of the measured supply voltage [V]."""
-DARK = 1e-7
-"""Current of each contact of a dark diode [A]."""
+SUPPLY, RIPPLE = 15.0, 5e-3  # mean and slow variation of the supply voltage [V]
+SUPPLY_NOISE = 2e-4  # noise of the measured supply voltage [V]
+DARK = 1e-7  # current of each contact of a dark diode [A]
 
 
 def scan_stamps(count: int) -> IntArray:

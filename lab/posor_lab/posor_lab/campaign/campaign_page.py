@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import cycle
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from markupsafe import Markup
@@ -43,14 +43,11 @@ if TYPE_CHECKING:
 AS_BUILT = "as built, not measured"
 NO_REFERENCE = "no reference"
 STYLES = ((BLUE, "circle"), (ORANGE, "square"), (GREEN, "triangle"), (LIGHT_BLUE, "diamond"))
-BARS = 5
-"""Largest quantities, and readings, drawn for each freedom."""
-MANY = 500
-"""From this number on, residuals are drawn as small points."""
+BARS = 5  # largest quantities, and readings, drawn for each freedom
+MANY = 500  # from this number on, residuals are drawn as small points
 NEGLIGIBLE = 0.03
 """Residuals over standard uncertainty below this belong to freedoms without a reference and are not drawn."""
-FAINT = 0.02
-"""Readings with less than this share of the loudest reading's noise are not drawn."""
+FAINT = 0.02  # readings with less than this share of the loudest reading's noise are not drawn
 WITH_UNIT = {
     "gap_linearisation": "Gap probes: residuals of the linearisation",
     "diode_map": "Diodes: residuals of the maps",
@@ -64,26 +61,24 @@ def campaign_page(reports: Sequence[CampaignReport], provenance: Mapping[str, st
     sections = [Section("Findings", findings_table(findings, COMPARISON_HEADINGS))]
     for report in reports:
         sections += _posor_sections(report)
-    sections += [
-        Section("Notes", bullet_list(page_notes("calibration")["notes"])),
-        Section("Provenance", definition_list(provenance)),
-    ]
-    return render_page(
-        f"Calibration of {' and '.join(report.truth.name for report in reports)}, simulated campaigns",
-        findings.sentence,
-        holds=findings.holds,
-        sections=tuple(sections),
-    )
+    notes = bullet_list(page_notes("calibration")["notes"])
+    sections += [Section("Notes", notes), Section("Provenance", definition_list(provenance))]
+    title = f"Calibration of {' and '.join(report.truth.name for report in reports)}, simulated campaigns"
+    return render_page(title, findings.sentence, holds=findings.holds, sections=sections)
 
 
 def _posor_sections(report: CampaignReport) -> list[Section]:
-    name = report.truth.name
-    coverage = Markup() if report.coverage is None else _coverage_tables(report.coverage)
+    name, coverage = report.truth.name, Markup()
+    against_truth = [_plot_parameter_errors(report), _plot_pose_errors(report), _plot_quantiles(report)]
+    if report.coverage is not None:
+        coverage = _coverage_tables(report.coverage)
+        against_truth.append(_plot_coverage(report.coverage))
+    budgets = [_plot_budget(report, freedom) for freedom in range(len(FREEDOMS))]
     return [
-        Section(f"{name}: comparison with the truth", coverage, _plot_truth(report)),
+        Section(f"{name}: comparison with the truth", coverage, against_truth),
         Section(f"{name}: parameters", _parameter_table(report)),
         Section(f"{name}: fits and their residuals", _fit_table(report), _plot_residuals(report)),
-        Section(f"{name}: error budget and validation poses", _budget_table(report), _plot_budgets(report)),
+        Section(f"{name}: error budget and validation poses", _budget_table(report), budgets),
     ]
 
 
@@ -103,18 +98,10 @@ def _parameter_table(report: CampaignReport) -> Markup:
         if parameter.name in steps:
             done, record = report.steps[steps[parameter.name]], report.calibration.fits[steps[parameter.name]]
             measured = [f"{done.step.name}: {record.procedure}", done.step.instrument or NO_REFERENCE, record.date]
-        rows.append(
-            [
-                parameter.name,
-                *known,
-                _to_uncertainty(parameter.estimate, parameter.sigma),
-                f"{parameter.sigma:#.2g}",
-                parameter.unit,
-                _to_uncertainty(parameter.truth, parameter.sigma),
-                Cell(f"{parameter.normalised_error:+.2f}", "holds" if parameter.inside else "fails"),
-                *measured,
-            ]
-        )
+        found, true = (_to_uncertainty(value, parameter.sigma) for value in (parameter.estimate, parameter.truth))
+        error = Cell(f"{parameter.normalised_error:+.2f}", "holds" if parameter.inside else "fails")
+        sigma, unit = f"{parameter.sigma:#.2g}", parameter.unit
+        rows.append([parameter.name, *known, found, sigma, unit, true, error, *measured])
     outside, count = sum(not parameter.inside for parameter in report.parameters), len(report.parameters)
     text = (
         f"Errors beyond the 95 % interval are marked: {outside} of {count}. {0.05 * count:.0f} are expected by chance; "
@@ -136,31 +123,16 @@ def _fit_table(report: CampaignReport) -> Markup:
     )
     rows: list[list[str | Cell]] = []
     for done, record in zip(report.steps, report.calibration.fits, strict=True):
-        instruments = "; ".join(
-            f"{instrument.name}: {_format_sigmas(instrument, done.step.unit)}" for instrument in record.instruments
-        )
-        rows += [
-            [
-                done.step.name,
-                f"{record.procedure}: {record.method}",
-                instruments or NO_REFERENCE,
-                fit,
-                f"{figures.readings} of {figures.parameters} parameters",
-                f"{figures.spread:.3f}",
-                f"{figures.probability:.2g}",
-                f"{figures.outliers}",
-                Cell(f"{record.recording.name} {record.recording.sha256}", "wrapped"),
-                record.date,
-            ]
-            for fit, figures in record.residuals.items()
-        ]
+        instruments = "; ".join(f"{each.name}: {_format_sigmas(each, done.step.unit)}" for each in record.instruments)
+        head = (done.step.name, f"{record.procedure}: {record.method}", instruments or NO_REFERENCE)
+        bag = Cell(f"{record.recording.name} {record.recording.sha256}", "wrapped")
+        for fit, figures in record.residuals.items():
+            readings = f"{figures.readings} of {figures.parameters} parameters"
+            quality = (f"{figures.spread:.3f}", f"{figures.probability:.2g}", f"{figures.outliers}")
+            rows.append([*head, fit, readings, *quality, bag, record.date])
     warnings = [f"{done.step.name}: {warning}" for done in report.steps for warning in done.outcome.warnings]
-    notes = (
-        paragraph(page_notes("calibration")["spread"])
-        + paragraph("Warnings of the procedures about their data:")
-        + bullet_list(warnings)
-    )
-    return table(header, rows) + notes
+    notes = (page_notes("calibration")["spread"], "Warnings of the procedures about their data:")
+    return table(header, rows) + Markup().join(map(paragraph, notes)) + bullet_list(warnings)
 
 
 def _format_sigmas(instrument: Instrument, unit: str) -> str:
@@ -193,14 +165,9 @@ def _coverage_tables(coverage: SeriesCoverage) -> Markup:
         f"{coverage.campaigns} campaigns. The share of a single parameter with a right interval is between {band} "
         "with a probability of 95 %."
     )
-    tables = [table(header, map(_family_row, families)) for families in (coverage.families, coverage.claims)]
-    return (
-        paragraph(text)
-        + paragraph("In the file at the end:")
-        + tables[0]
-        + paragraph("When each procedure stated them:")
-        + tables[1]
-    )
+    final, claimed = (table(header, map(_family_row, families)) for families in (coverage.families, coverage.claims))
+    titles = map(paragraph, ("In the file at the end:", "When each procedure stated them:"))
+    return paragraph(text) + next(titles) + final + next(titles) + claimed
 
 
 def _family_row(family: FamilyCoverage) -> list[str]:
@@ -230,17 +197,6 @@ def _plot_residuals(report: CampaignReport) -> list[Plot]:
     return plots
 
 
-def _plot_budgets(report: CampaignReport) -> list[Plot]:
-    """Return a plot of the budget of one scan in the middle of the range for each freedom."""
-    return [_plot_budget(report, freedom) for freedom in range(len(FREEDOMS))]
-
-
-def _plot_truth(report: CampaignReport) -> list[Plot]:
-    """Return plots of the errors of parameters and poses against the truth, and of the coverage of many campaigns."""
-    coverage = [_plot_coverage(report.coverage)] if report.coverage else []
-    return [_plot_parameter_errors(report), _plot_pose_errors(report), _plot_quantiles(report), *coverage]
-
-
 def _merge_charts(charts: Sequence[Figure]) -> Figure:
     """Return charts of the same quantities as one; each series is named by the title of its chart and its own name."""
     if len(charts) == 1:
@@ -257,9 +213,8 @@ def _plot_chart(title: str, chart: Figure, *, line: bool = False) -> Plot:
     plot = Plot(title, *(label.replace("[u", "[µ") for label in (chart.x_label, chart.y_label)))
     plot.zero()
     for (name, (x, y)), (colour, marker) in zip(chart.series.items(), cycle(STYLES), strict=False):
-        plot.curve(
-            name or "series", x, y, colour, dash="solid" if line else None, marker=None if line else marker, size=5
-        )
+        style: dict[str, Any] = {"dash": "solid"} if line else {"dash": None, "marker": marker}
+        plot.curve(name or "series", x, y, colour, size=5, **style)
     return plot
 
 
@@ -268,11 +223,8 @@ def _plot_normalised_residuals(procedure: str, fits: Mapping[str, Fit]) -> Plot:
 
     A fit with a free pose for each scan has nearly zero residuals in the freedoms without a reference: not drawn.
     """
-    plot = Plot(
-        f"{procedure.replace('_', ' ').capitalize()}: residuals",
-        f"number of the residual, below {NEGLIGIBLE:g} not drawn",
-        "residual / standard uncertainty",
-    )
+    title = f"{procedure.replace('_', ' ').capitalize()}: residuals"
+    plot = Plot(title, f"number of the residual, below {NEGLIGIBLE:g} not drawn", "residual / standard uncertainty")
     plot.zero()
     for (name, fit), (colour, marker) in zip(fits.items(), cycle(STYLES), strict=False):
         shown = np.flatnonzero(np.abs(fit.residuals) > NEGLIGIBLE)
@@ -295,21 +247,14 @@ def _plot_histogram(fit: Fit) -> Plot:
 
 def _plot_parameter_errors(report: CampaignReport) -> Plot:
     families = list(dict.fromkeys(parameter.family for parameter in report.parameters))
-    plot = Plot(
-        "Estimate less truth, each parameter", "stated standard uncertainties", "parameters", categories=families
-    )
+    title = "Estimate less truth, each parameter"
+    plot = Plot(title, "stated standard uncertainties", "parameters", categories=families)
     for name, inside, colour in (("within the 95 % interval", True, BLUE), ("outside", False, ORANGE)):
         shown = [parameter for parameter in report.parameters if parameter.inside is inside]
         if shown:
-            plot.curve(
-                name,
-                [parameter.normalised_error for parameter in shown],
-                [parameter.family for parameter in shown],
-                colour,
-                dash=None,
-                marker="circle",
-                extra={"parameter": [parameter.name for parameter in shown]},
-            )
+            errors, names = [each.normalised_error for each in shown], [each.name for each in shown]
+            rows, extra = [each.family for each in shown], {"parameter": names}
+            plot.curve(name, errors, rows, colour, dash=None, marker="circle", extra=extra)
     for limit in (-QUANTILE_95, QUANTILE_95):
         plot.vertical("95 % interval", limit)
     return plot
@@ -330,12 +275,8 @@ def _plot_budget(report: CampaignReport, freedom: int) -> Plot:
         largest = sorted(effects, key=lambda part, effects=effects: -effects[part][freedom])[:BARS]  # type: ignore[misc]
         groups.append((label, {part: 1e6 * float(effects[part][freedom]) for part in largest}, colour))
     lengths = {part: length for _, group, _ in groups for part, length in group.items()}
-    plot = Plot(
-        f"{name}: {total:.2g} µ{unit}",
-        f"reduction if known exactly [µ{unit}]",
-        "quantity",
-        categories=sorted(lengths, key=lambda part: -lengths[part]),
-    )
+    title, order = f"{name}: {total:.2g} µ{unit}", sorted(lengths, key=lambda part: -lengths[part])
+    plot = Plot(title, f"reduction if known exactly [µ{unit}]", "quantity", categories=order)
     for label, group, colour in groups:
         plot.bars(label, list(group.values()), list(group), colour)
     return plot
@@ -343,8 +284,7 @@ def _plot_budget(report: CampaignReport, freedom: int) -> Plot:
 
 def _plot_pose_errors(report: CampaignReport) -> Plot:
     rms = report.validation.root_mean_squares()
-    count = int(report.validation.located.sum())
-    title = f"Errors at {count} validation poses"
+    title = f"Errors at {report.validation.located.sum()} validation poses"
     plot = Plot(title, "root mean square [µm, µrad]", "freedom", categories=list(FREEDOMS), x_log=True)
     for key, colour, marker, label in (
         ("errors_as_built", GREY, "x", "as built"),
@@ -371,9 +311,8 @@ def _plot_quantiles(report: CampaignReport) -> Plot:
 def _plot_coverage(coverage: SeriesCoverage) -> Plot:
     names = [family.name for family in coverage.families]
     low, high = 100.0 * np.array([family.interval for family in coverage.families]).T
-    plot = Plot(
-        f"Truth within 95 %, {coverage.campaigns} campaigns", "parameters within [%]", "parameters", categories=names
-    )
+    title = f"Truth within 95 %, {coverage.campaigns} campaigns"
+    plot = Plot(title, "parameters within [%]", "parameters", categories=names)
     plot.intervals("95 % interval of the share", low, high, names, LIGHT_BLUE)
     shares = [100.0 * family.inside.value for family in coverage.families]
     extra = {"interval from [%]": low, "interval to [%]": high}

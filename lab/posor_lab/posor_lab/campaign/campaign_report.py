@@ -34,13 +34,10 @@ if TYPE_CHECKING:
     from posor_lab.campaign.parameter_coverage import EstimatedParameter
     from posor_lab.campaign.validation_set import ValidationSet
 
-POSES = 40
-"""Validation poses of the calibrated POSOR."""
-CHANCE = 1e-3
-"""Probability that a sound campaign fails a finding."""
+POSES = 40  # validation poses of the calibrated POSOR
+CHANCE = 1e-3  # probability that a sound campaign fails a finding
 TINY = 1e-300
-RANK_TOLERANCE = 1e-9
-"""Singular values below this share of the largest come from rounding."""
+RANK_TOLERANCE = 1e-9  # singular values below this share of the largest come from rounding
 OVER_BUDGET, NOISE_FREE_OVER_BUDGET = 2.0, 4.0
 """Limits of root mean square error over budget that a sound campaign hardly exceeds: with noise, and without, where
 all poses share the errors of one calibration."""
@@ -185,14 +182,10 @@ def coverage_findings(coverage: SeriesCoverage) -> Iterator[Finding]:
     )
     rms = coverage.root_mean_squares
     noise_free_ratio = np.divide(rms["errors_without_noise"], rms["budget_of_calibration"])
+    noise_free = {"ratios": _format_freedoms(noise_free_ratio, 2)}
     for key, share, cases, figures in (
         ("region_share", coverage.region_share, VALIDATION_POSES, asdict(coverage.mean_normalised)),
-        (
-            "noise_free_share",
-            coverage.noise_free_share,
-            VALIDATION_POSES * len(FREEDOMS),
-            {"ratios": _format_freedoms(noise_free_ratio, 2)},
-        ),
+        ("noise_free_share", coverage.noise_free_share, VALIDATION_POSES * len(FREEDOMS), noise_free),
     ):
         below, text = chance_margin(share, count, cases), _format_share(share, count, cases)
         figures |= {"name": name, "count": count, "share": text, "margin": 100.0 * below, **percents}

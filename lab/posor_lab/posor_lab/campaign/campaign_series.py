@@ -24,10 +24,8 @@ if TYPE_CHECKING:
     from posor_lab.campaign.ground_truth import PosorName
     from posor_lab.campaign.parameter_coverage import EstimatedParameter
 
-VALIDATION_POSES = 20
-"""Validation poses of each campaign."""
-CLAIM = (0.92, 0.98)
-"""Accepted share of campaigns whose interval contains the truth."""
+VALIDATION_POSES = 20  # validation poses of each campaign
+CLAIM = (0.92, 0.98)  # accepted share of campaigns whose interval contains the truth
 
 
 @dataclass(frozen=True)
@@ -44,7 +42,7 @@ class CampaignResult:
     root_mean_squares: dict[str, tuple[float, ...]] = field(default_factory=dict)  # of ``ValidationSet``
 
 
-def run_campaign(name: PosorName, seed: int) -> CampaignResult:
+def _run_campaign(name: PosorName, seed: int) -> CampaignResult:
     """Run one campaign and compare its result with the truth."""
     truth = GroundTruth.draw(name, seed)
     claims: list[EstimatedParameter] = []
@@ -84,7 +82,7 @@ def run_campaigns(
     """
     # Read when a worker loads numpy: threads of several workers would only wait for one another.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    return ordered_map(partial(run_campaign, name), seeds, workers, lambda _: on_done())
+    return ordered_map(partial(_run_campaign, name), seeds, workers, lambda _: on_done())
 
 
 @dataclass(frozen=True)

@@ -38,28 +38,18 @@ if TYPE_CHECKING:
 
     from posor_lab.campaign.ground_truth import GroundTruth, PosorName
 
-TRAVEL = (0.17e-3, 1.34e-3)
-"""Gaps between which the probes are linearised [m]."""
-INTERFEROMETER = 50e-9
-"""Standard uncertainty of a dwell [m]."""
-AUTOCOLLIMATOR = 1.5e-6
-"""Standard uncertainty of a reading [rad]."""
-CROSS_TABLE = 0.5e-6
-"""Standard uncertainty of a dwell along each axis [m]."""
-INDEX_TABLE = 2e-6
-"""Standard uncertainty of a reading [rad]."""
-MACHINE = (0.3e-6, 3e-6)
-"""Standard uncertainty of a pose of the measuring machine [m], [rad]."""
-WOBBLE = 3e-6
-"""Wobble of the axis about which the target is turned [rad]."""
-LEVEL = (-8e-4, 1.1e-3)
-"""Alpha and beta at which the target plane of the gap probes is level, by design [rad]."""
+TRAVEL = (0.17e-3, 1.34e-3)  # gaps between which the probes are linearised [m]
+INTERFEROMETER = 50e-9  # standard uncertainty of a dwell [m]
+AUTOCOLLIMATOR = 1.5e-6  # standard uncertainty of a reading [rad]
+CROSS_TABLE = 0.5e-6  # standard uncertainty of a dwell along each axis [m]
+INDEX_TABLE = 2e-6  # standard uncertainty of a reading [rad]
+MACHINE = (0.3e-6, 3e-6)  # standard uncertainty of a pose of the measuring machine [m], [rad]
+WOBBLE = 3e-6  # wobble of the axis about which the target is turned [rad]
+LEVEL = (-8e-4, 1.1e-3)  # alpha and beta at which the target plane of the gap probes is level, by design [rad]
 LEAN = 5e-3
-GRID = 5.2e-3
-"""Half-width of the grid of dwells on each diode [m]."""
+GRID = 5.2e-3  # half-width of the grid of dwells on each diode [m]
 POSES = 120
-USABLE_VOLTS = 4.2
-"""Largest voltage of a gap probe at random poses; the ends of the travel are at some 4.8 V."""
+USABLE_VOLTS = 4.2  # largest voltage of a gap probe at random poses; the ends of the travel are at some 4.8 V
 
 
 @dataclass(frozen=True)

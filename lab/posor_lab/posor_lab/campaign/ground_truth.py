@@ -48,8 +48,7 @@ AS_BUILT: Mapping[str, Mapping[str, Any]] = {
 Gap probes are mounted by hand and linearised to the maker's tolerance; their zeros are defined on the day of the
 linearisation. Probes of a ring come linearised. The temperature is constant. Assumed, like the designs.
 """
-DRIFT = 0.05
-"""Standard deviation of the drift of the gap probes' zeros after the day of their linearisation [V]."""
+DRIFT = 0.05  # standard deviation of the drift of the gap probes' zeros after the day of their linearisation [V]
 
 
 def as_built_calibration(name: PosorName) -> Calibration:

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
 Kind = Literal["sd", "max"]
 
-STEPS: Mapping[Bag, int] = {"ymo": 15, "yzmo": 14, "zmo": 20}
-"""Number of steps of each test, appendix 8B."""
+STEPS: Mapping[Bag, int] = {"ymo": 15, "yzmo": 14, "zmo": 20}  # number of steps of each test, appendix 8B
 WITHOUT_POSE: Mapping[Bag, Mapping[int, str]] = {
     "ymo": {},
     "yzmo": {14: "no digit of its diode readings is legible, and the estimates lie outside the calibrated map"},

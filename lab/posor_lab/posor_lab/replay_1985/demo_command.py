@@ -44,8 +44,7 @@ if TYPE_CHECKING:
 
     from posor_lab.reports.findings import Findings
 
-OUTPUT_FILES = ("report.html", "steps.csv", "bag")
-"""Content of the report's folder besides the logs."""
+OUTPUT_FILES = ("report.html", "steps.csv", "bag")  # content of the report's folder besides the logs
 MOTIONS: Mapping[Bag, str] = {
     "ymo": "Y motion, side to side",
     "yzmo": "diagonal motion, Y and Z together",

@@ -38,14 +38,11 @@ if TYPE_CHECKING:
 
 Z_LEVER = 36.1
 """Lever of theta for z [inch], as the listing of GEN shows it; the text of 8.4 has 33.4 in for both levers."""
-X1, Y1, X2, Y2 = range(4)
-"""Columns of the light spots."""
+X1, Y1, X2, Y2 = range(4)  # columns of the light spots
 DRAWS = 4000
 SEED = 1985
-Z_SHARE = 1.822 / READING_DISTANCE
-"""Share of the first of two readings in z of the machining centre, listing of TWIS."""
-Y_ARM = 1.34
-"""Lever of alpha in y of the machining centre, listing of GEN [inch]."""
+Z_SHARE = 1.822 / READING_DISTANCE  # share of the first of two readings in z of the machining centre, listing of TWIS
+Y_ARM = 1.34  # lever of alpha in y of the machining centre, listing of GEN [inch]
 
 
 class EndOfBeamProgram:

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 EndOfBeamTest = Literal["TWIS", "GEN"]
 COLUMNS: tuple[Literal["alpha", "z", "y"], ...] = ("alpha", "z", "y")
 """Columns of the tests TWIS and GEN: alpha, and z and y at the end of the measuring beam."""
-PRINTED_FILES: Mapping[str, str] = {"ymo": "ymo_output.csv"}
-"""Printed result tables in this repository, by test."""
+PRINTED_FILES: Mapping[str, str] = {"ymo": "ymo_output.csv"}  # printed result tables in this repository, by test
 EXPECTED_ERRORS_FILE = "expected_errors.csv"
 _TERM = re.compile(r"\s*(?P<name>random|increasing|twist stage|stage straightness|table 7\.9 terms)\s+(?P<urad>[\d.]+)")
 

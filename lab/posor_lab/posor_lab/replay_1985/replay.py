@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from posor_lab.replay_1985.motion_test import MotionStep
     from posor_lab.replay_1985.step_collector import StepCollector
 
-TOPICS = (f"/{JOINT}/{RAW_TOPIC}", f"/{JOINT}/{TRANSFORM_TOPIC}", f"/{ENDPOINT_TOPIC}", TRUTH_TOPIC)
-"""Recorded topics."""
+TOPICS = (f"/{JOINT}/{RAW_TOPIC}", f"/{JOINT}/{TRANSFORM_TOPIC}", f"/{ENDPOINT_TOPIC}", TRUTH_TOPIC)  # recorded topics
 
 LOSSLESS: Mapping[str, Parameter] = {"lossless": True, **RECORDING}
 """Parameters that make a fast publisher wait for a slow subscriber and accept recorded stamps."""

@@ -27,8 +27,7 @@ CSV_HEADER = (
     *("step", "alpha_posor_urad", "beta_posor_urad", "theta_posor_urad", "beta_meas_urad", "theta_meas_urad"),
     *("x_m", "y_m", "z_m", "status"),
 )
-_LINES_AROUND = 8
-"""Lines of a terminal for title, header, frame and legend."""
+_LINES_AROUND = 8  # lines of a terminal for title, header, frame and legend
 
 
 def step_row(step: MotionStep, first: MotionStep) -> list[str]:
