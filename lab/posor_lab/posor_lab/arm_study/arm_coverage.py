@@ -220,7 +220,8 @@ def sample_arms(
     batches = [range(begin, min(begin + BATCH, seed + arms)) for begin in range(seed, seed + arms, BATCH)]
     draw = partial(_draw, arm.path, poses)
     parts = ordered_map(draw, batches, workers, lambda part: on_drawn(len(part.normalised)))
-    arrays = (
-        np.concatenate([getattr(part, name) for part in parts]) for name in ("normalised", "errors", "without_sag")
-    )
-    return ArmSample(*arrays, lost=sum(part.lost for part in parts))
+
+    def join(name: str) -> FloatArray:
+        return np.concatenate([getattr(part, name) for part in parts])
+
+    return ArmSample(join("normalised"), join("errors"), join("without_sag"), sum(part.lost for part in parts))
