@@ -156,7 +156,9 @@ def _budget_column(
             computed = row_factor * float(row["value"]) * unit
             rounding = row_factor * 0.5 * last_digit(row["value"]) * unit
             reason = _printed_factor_reason(row, output, printed_factors) or Reason(
-                "the model's number rounded up in print", computed
+                "a guess: the model's number rounded up in print; 7 times .41, the factor of sigma_l to two digits, "
+                "is 2.87 and fits as well",
+                computed,
             )
         else:
             parts = [cell for cell in cells if cell.row.startswith(kind)]

@@ -1,8 +1,7 @@
-"""One row of the table of the thesis: printed number, computed number, verdict."""
+"""One row of the table of the thesis: printed number, computed number, verdict, and kind of the comparison."""
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass
 from enum import Enum
@@ -10,7 +9,7 @@ from enum import Enum
 RELATIVE_TOLERANCE = 0.02
 """A computed number agrees within this share of the printed one, or within the rounding of the printed one."""
 _MARGIN = 1.0 + 1e-9
-_MANTISSA = re.compile(r"[-+]?\d*\.?(?P<decimals>\d*)")
+_MANTISSA = re.compile(r"[-+]?(?P<whole>\d*)(?:\.(?P<decimals>\d*))?")
 
 
 class Verdict(Enum):
@@ -19,6 +18,16 @@ class Verdict(Enum):
     AGREES = "agrees"
     DIFFERS = "differs"
     NOT_LEGIBLE = "not legible"
+
+
+class Kind(Enum):
+    """What a comparison is worth: on what the computed number rests."""
+
+    COMPUTED = "computed from inputs"
+    BUDGET_CELL = "budget cell"
+    PRINT = "print with print"
+    SIGN = "sign"
+    DEPENDENT = "not independent"
 
 
 @dataclass(frozen=True)
@@ -33,6 +42,7 @@ class ThesisRow:
         computed: The number that this project computes, in the same unit.
         reason: Why the two differ, or what was assumed; required if they differ or if no number is legible.
         input_rounding: Possible change of the computed number by the rounding of a printed input, in the same unit.
+        kind: On what the computed number rests.
 
     """
 
@@ -43,21 +53,7 @@ class ThesisRow:
     computed: float
     reason: str = ""
     input_rounding: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Check the row.
-
-        Raises:
-            ValueError: The computed number is not finite, or a difference has no reason.
-
-        """
-        if not math.isfinite(self.computed):
-            raise ValueError(f"{self.section}, {self.quantity}: computed {self.computed}; expected a finite number")
-        if self.verdict is not Verdict.AGREES and not self.reason:
-            raise ValueError(
-                f"{self.section}, {self.quantity}: printed '{self.printed}', computed {self.computed:g}; "
-                "expected a reason"
-            )
+    kind: Kind = Kind.COMPUTED
 
     @property
     def printed_number(self) -> float | None:
@@ -73,14 +69,33 @@ class ThesisRow:
     def rounding(self) -> float:
         """Half a unit of the last printed digit."""
         mantissa, _, exponent = self.printed.lower().partition("e")
-        match = _MANTISSA.fullmatch(mantissa)
-        decimals = len(match["decimals"]) if match and "." in mantissa else 0
-        return 0.5 * 10.0 ** (int(exponent or 0) - decimals)
+        return 0.5 * 10.0 ** (int(exponent or 0) - len(self._digits(mantissa)["decimals"] or ""))
 
     @property
     def verdict(self) -> Verdict:
         """Agreement within 2 % of the printed number, or within its rounding and that of a printed input."""
-        if self.printed_number is None or self.difference is None:
+        if self.difference is None:
             return Verdict.NOT_LEGIBLE
-        tolerance = max(RELATIVE_TOLERANCE * abs(self.printed_number), self.rounding + self.input_rounding)
-        return Verdict.AGREES if abs(self.difference) <= _MARGIN * tolerance else Verdict.DIFFERS
+        agrees = self._within_share or abs(self.difference) <= _MARGIN * (self.rounding + self.input_rounding)
+        return Verdict.AGREES if agrees else Verdict.DIFFERS
+
+    @property
+    def kind_name(self) -> str:
+        """Name of the kind; of a number from inputs that agrees by rounding alone: the number of printed digits."""
+        if self.kind is not Kind.COMPUTED or self.verdict is not Verdict.AGREES or self._within_share:
+            return self.kind.value
+        mantissa = self._digits(self.printed.lower().partition("e")[0])
+        digits = len(f"{mantissa['whole']}{mantissa['decimals'] or ''}".lstrip("0")) or 1
+        return f"rounding of {digits} digit{'s' if digits > 1 else ''}"
+
+    @property
+    def _within_share(self) -> bool:
+        printed = self.printed_number
+        return printed is not None and abs(self.computed - printed) <= _MARGIN * RELATIVE_TOLERANCE * abs(printed)
+
+    @staticmethod
+    def _digits(mantissa: str) -> re.Match[str]:
+        match = _MANTISSA.fullmatch(mantissa)
+        if match is None:
+            raise ValueError(f"'{mantissa}' is not a printed number")
+        return match

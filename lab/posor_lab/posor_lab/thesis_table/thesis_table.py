@@ -5,31 +5,21 @@ from __future__ import annotations
 import re
 from collections import Counter
 from dataclasses import dataclass
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from posor_lab.thesis_data import data_path
+from posor_lab.thesis_table.figure_data import draw_figures
+from posor_lab.thesis_table.row_file import RowFile
 from posor_lab.thesis_table.thesis_row import Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+    from pathlib import Path
 
     from posor.reporting.plot import Plot
 
     from posor_lab.thesis_table.thesis_row import ThesisRow
 
-SUBJECTS = {
-    "structure_rows": "Robot structures: chapters 1, 2 and 9",
-    "sensor_rows": "Sensors and interferometers: chapters 3, 4, 5 and 7",
-    "budget_rows": "Error budgets: chapters 5 and 7",
-    "beam_rows": "Measuring beams: chapter 6",
-    "gimbal_rows": "Gimbals: chapters 6 and 7",
-    "air_bearing_rows": "Aerostatic bearings: chapters 6 and 7",
-    "bearing_rows": "Ball bearings: chapter 6",
-    "stage_rows": "Stages and setups: chapters 7 and 8",
-    "motion_test_rows": "Motion tests: chapter 8",
-    "arm_rows": "Arms: chapter 9",
-}
-"""Subject of each module of rows; a module has the functions ``rows`` and ``plots``."""
 _DIGITS = re.compile(r"(\d+)")
 
 
@@ -42,18 +32,22 @@ class Subject:
     plots: tuple[Plot, ...]
 
 
-def compute_subjects() -> list[Subject]:
-    """Compute all rows and figures.
+def row_files() -> list[Path]:
+    """Return the files of rows, one for each subject, in their order."""
+    return sorted(data_path("thesis_rows").glob("*.yaml"))
+
+
+def compute_subject(path: Path) -> Subject:
+    """Compute the rows and figures of a file.
 
     Raises:
-        PosorError: A calculation fails.
+        PosorError: The file is invalid, or a calculation fails.
 
     """
-    subjects = []
-    for name, title in SUBJECTS.items():
-        module = import_module(f"posor_lab.thesis_table.{name}")
-        subjects.append(Subject(title, tuple(sorted(module.rows(), key=_order)), tuple(module.plots())))
-    return subjects
+    file = RowFile(path)
+    subject = Subject(file.title, tuple(sorted(file.rows(), key=_order)), tuple(draw_figures(file)))
+    file.check_unused()
+    return subject
 
 
 def all_rows(subjects: Iterable[Subject]) -> list[ThesisRow]:
@@ -68,16 +62,20 @@ def _order(row: ThesisRow) -> tuple[int, bool, list[int]]:
 
 
 def summary(rows: Iterable[ThesisRow]) -> str:
-    """Return one sentence on how many rows agree."""
+    """Return two sentences: how many rows agree, and of which kinds these are."""
+    rows = list(rows)
     number = Counter(row.verdict for row in rows)
+    kinds = Counter(row.kind_name for row in rows if row.verdict is Verdict.AGREES)
+    counts = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
     return (
         f"{number.total()} rows: {number[Verdict.AGREES]} agree within 2 % or rounding, {number[Verdict.DIFFERS]} "
-        f"differ for the reason stated, {number[Verdict.NOT_LEGIBLE]} are not legible in print."
+        f"differ for the reason stated, {number[Verdict.NOT_LEGIBLE]} are not legible in print. "
+        f"Of the rows that agree by their kind: {counts}."
     )
 
 
 def format_cells(row: ThesisRow) -> tuple[str, ...]:
-    """Return a row as text: section, quantity, printed and computed number, unit, difference, verdict, reason."""
+    """Return a row as text: section, quantity, printed, computed, unit, difference, kind, verdict, reason."""
     return (
         row.section,
         row.quantity,
@@ -85,6 +83,7 @@ def format_cells(row: ThesisRow) -> tuple[str, ...]:
         f"{row.computed:.5g}",
         "" if row.unit == "1" else row.unit,
         _format_difference(row),
+        row.kind_name,
         row.verdict.value,
         row.reason,
     )
@@ -110,6 +109,7 @@ def json_content(rows: Iterable[ThesisRow]) -> dict[str, Any]:
                 "computed": row.computed,
                 "difference": row.difference,
                 "verdict": row.verdict.value,
+                "kind": row.kind_name,
                 "reason": row.reason,
             }
             for row in rows

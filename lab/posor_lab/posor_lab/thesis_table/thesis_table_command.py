@@ -21,7 +21,14 @@ from rich.table import Table
 
 from posor_lab.output_files import check_writable, write_json
 from posor_lab.thesis_table.thesis_row import Verdict
-from posor_lab.thesis_table.thesis_table import all_rows, compute_subjects, format_cells, json_content, summary
+from posor_lab.thesis_table.thesis_table import (
+    all_rows,
+    compute_subject,
+    format_cells,
+    json_content,
+    row_files,
+    summary,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -50,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     page = check_writable(output.with_suffix(".html"))
     if page == output:
         parser.error(f"--output {output}: the page has this name")
-    subjects = compute_subjects()
+    subjects = [compute_subject(path) for path in row_files()]
     rows = all_rows(subjects)
     console = report_console(150)
     print_rows(rows, console)
@@ -73,7 +80,7 @@ def print_rows(rows: Sequence[ThesisRow], console: Console) -> None:
     for row in rows:
         repeated = row.reason and row.reason == reason
         reason = row.reason
-        *cells, verdict, why = map(escape, format_cells(replace(row, reason="as above") if repeated else row))
+        *cells, _, verdict, why = map(escape, format_cells(replace(row, reason="as above") if repeated else row))
         shown.add_row(*cells, ": ".join(filter(None, (verdict, why))), style=_STYLES[row.verdict])
     console.print(shown)
 
@@ -81,15 +88,15 @@ def print_rows(rows: Sequence[ThesisRow], console: Console) -> None:
 def render_thesis_page(subjects: Sequence[Subject], rows: Sequence[ThesisRow]) -> str:
     """Return the page: for each subject its figures and its rows."""
     sections = [
-        Section(subject.title, html_table((*HEADER, "reason"), map(_page_cells, subject.rows)), subject.plots)
+        Section(subject.title, html_table((*HEADER, "reason", "kind"), map(_page_cells, subject.rows)), subject.plots)
         for subject in subjects
     ]
     return render_page(_TITLE, summary(rows), holds=True, sections=sections)
 
 
 def _page_cells(row: ThesisRow) -> tuple[str | Cell, ...]:
-    *cells, verdict, reason = format_cells(row)
-    return *cells, Cell(verdict, _CSS_CLASSES[row.verdict]), reason
+    *cells, kind, verdict, reason = format_cells(row)
+    return *cells, Cell(verdict, _CSS_CLASSES[row.verdict]), reason, kind
 
 
 if __name__ == "__main__":
