@@ -50,13 +50,12 @@ def read_joints(path: Path) -> dict[str, PrintedJoint]:
         DataFileError: The file cannot be read, lacks a column, or has an invalid number.
 
     """
-    columns = {"posor_od_in": inch, "large_dof_accuracy_urad": URAD, "small_dof_accuracy_urad": URAD}
-    return {
-        row["joint"].replace(" ", "_"): PrintedJoint(
-            *(parse_number(row, name, f"{path}, row '{row['joint']}'") * unit for name, unit in columns.items())
-        )
-        for row in read_table(path, ["joint", *columns])
-    }
+    columns = ("posor_od_in", "large_dof_accuracy_urad", "small_dof_accuracy_urad")
+    joints = {}
+    for row in read_table(path, ["joint", *columns]):
+        diameter, large, small = (parse_number(row, column, f"{path}, row '{row['joint']}'") for column in columns)
+        joints[row["joint"].replace(" ", "_")] = PrintedJoint(diameter * inch, large * URAD, small * URAD)
+    return joints
 
 
 def read_endpoint(path: Path) -> dict[str, PrintedEndpoint]:
@@ -74,6 +73,9 @@ def read_endpoint(path: Path) -> dict[str, PrintedEndpoint]:
         if row is None:
             raise DataFileError(f"no row of section {SENSORS_ONLY} for '{printed_name}'", where=str(path))
         where = f"{path}, row '{printed_name}'"
-        *angles, x, y, z, total = (parse_number(row, column, where) for column in (*turns, *shifts, "total_uin"))
-        printed[name] = PrintedEndpoint(np.array(angles) * URAD, np.array([x, y, z]) * MICROINCH, total * MICROINCH)
+        printed[name] = PrintedEndpoint(
+            np.array([parse_number(row, column, where) for column in turns]) * URAD,
+            np.array([parse_number(row, column, where) for column in shifts]) * MICROINCH,
+            parse_number(row, "total_uin", where) * MICROINCH,
+        )
     return printed

@@ -16,12 +16,15 @@ import numpy as np
 import pinocchio as pin
 from posor.calibration.calibration_file import Calibration, calibration_from
 from posor.calibration.design_parts import quantity_entry
+from posor.calibration.yaml_document import parse_yaml
 from posor.estimation.forward import readings_at
 from posor.estimation.posor import Posor
 from posor.uncertainty.budget_poses import pose_from_native, scan_at
 from posor.uncertainty.budget_quantities import PlatePoint
 from posor.uncertainty.first_order import sensitivities
 from scipy.constants import inch
+
+from posor_lab.thesis_data import data_path
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -148,65 +151,18 @@ class Chapter5:
 
 def _calibration(c: float, leg_y: float) -> Calibration:
     """Return the model as a calibration without uncertainties: these come from the tables."""
-    tips = ((-c, 0.0), (0.0, LEVER), (0.0, -LEVER))
+    path = data_path("chapter5_calibration.yaml")
+    content: Any = parse_yaml(path.read_text(encoding="utf-8"), str(path))[1]
+    probes, diodes = content["sensors"]
     spots = ((0.5 * LEG_X, 0.5 * leg_y), (-0.5 * LEG_X, -0.5 * leg_y))
-    spot_map = {
-        "kind": "polynomial",
-        "center": quantity_entry([0.0, 0.0], "1"),
-        "domain": quantity_entry([[-0.9, 0.9], [-0.9, 0.9]], "1"),
-        "x": quantity_entry([[0.0, 0.0], [inch, 0.0]], "m"),
-        "y": quantity_entry([[0.0, inch], [0.0, 0.0]], "m"),
-    }
-    probe = {
-        "axis": quantity_entry([0.0, 0.0, 1.0], "1"),
-        "volts_to_gap": quantity_entry([0.0, 0.01 * inch], "m/V^k"),
-        "zero_shift": quantity_entry(0.0, "V"),
-        "noise": quantity_entry(1e-3, "V"),
-        "range": quantity_entry([-5.0, 25.0], "V"),
-    }
-    diode = {
-        "x_axis": quantity_entry([1.0, 0.0, 0.0], "1"),
-        "y_axis": quantity_entry([0.0, 1.0, 0.0], "1"),
-        "noise": quantity_entry([1e-4, 1e-4], "1"),
-        "minimum_sum": quantity_entry(2e-5, "A"),
-    }
-    ray = {"direction": quantity_entry([0.0, 0.0, -1.0], "1")}
-
-    def parts(name: str, key: str, points: list[list[float]], shared: dict[str, Any]) -> list[dict[str, Any]]:
-        """Return parts ``name_1``, ``name_2``, ... at points [inch]."""
-        return [
-            {"name": f"{name}_{k}", key: quantity_entry([inch * x for x in point], "m"), **shared}
-            for k, point in enumerate(points, start=1)
-        ]
-
-    return calibration_from(
-        {
-            "format": "posor_calibration",
-            "version": 1,
-            "name": "chapter 5",
-            "provenance": {"source": "thesis, tables 5.2 and 5.4", "method": "nominal dimensions", "date": "1985"},
-            "frames": {"parent": "receiving", "child": "target"},
-            "sensors": [
-                {
-                    "type": "gap_probes",
-                    "target_plane": {
-                        "point": quantity_entry([0.0, 0.0, 0.0], "m"),
-                        "tilt": quantity_entry([0.0, 0.0], "rad"),
-                    },
-                    "probes": parts("probe", "tip", [[x, y, 0.0] for x, y in tips], probe),
-                },
-                {
-                    "type": "diodes",
-                    "diodes": parts(
-                        "diode", "origin", [[x - SPOT, y - SPOT, PROBE_RANGE - RAY] for x, y in spots], diode
-                    ),
-                    "light_sources": parts("source", "origin", [[x, y, 0.0] for x, y in spots], ray),
-                    "map": "flat",
-                    "maps": {"flat": [spot_map, spot_map]},
-                },
-            ],
-        }
-    )
+    for parts, key, points in (
+        (probes["probes"], "tip", [(-c, 0.0, 0.0), (0.0, LEVER, 0.0), (0.0, -LEVER, 0.0)]),
+        (diodes["diodes"], "origin", [(x - SPOT, y - SPOT, PROBE_RANGE - RAY) for x, y in spots]),
+        (diodes["light_sources"], "origin", [(x, y, 0.0) for x, y in spots]),
+    ):
+        for part, point in zip(parts, points, strict=True):
+            part[key] = quantity_entry([inch * x for x in point], "m")
+    return calibration_from(content)
 
 
 def root_sum_square(*parts: float) -> float:

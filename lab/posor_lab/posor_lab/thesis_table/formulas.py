@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
+import operator
 from functools import reduce
-from operator import mul
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,79 +23,30 @@ from posor_lab.thesis_data import data_path, read_table
 from posor_lab.thesis_table.printed_units import amount
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from posor.numerics.array_types import FloatArray
 
 _DEVIATIONS = "linearization_residuals_tables_7_3_to_7_5.csv"
 _FITS = "error_budget_table_7_7_diode_fits.csv"
+ARITHMETIC: dict[str, Callable[..., float]] = {
+    "arc_sine": math.asin,
+    "difference": operator.sub,
+    "largest": lambda *values: max(map(abs, values)),
+    "log2": math.log2,
+    "log10": math.log10,
+    "magnitude": abs,
+    "mean": lambda *values: sum(values) / len(values),
+    "power": operator.pow,
+    "product": lambda *factors: reduce(operator.mul, factors),
+    "ratio": operator.truediv,
+    "root_sum_square": math.hypot,
+    "round": round,
+    "total": lambda *parts: math.fsum(parts),
+}
+"""Operations on a list of values, by the only key of a mapping."""
 _DIODE_LENGTH = 0.5 * inch
 """Length over which fifteen curves map a diode, section 7.4.2."""
-
-
-def ratio(part: float, whole: float) -> float:
-    """Return the part over the whole."""
-    return part / whole
-
-
-def product(factors: Sequence[float]) -> float:
-    """Return the product."""
-    return reduce(mul, factors)
-
-
-def total(parts: Sequence[float]) -> float:
-    """Return the sum."""
-    return math.fsum(parts)
-
-
-def difference(first: float, second: float) -> float:
-    """Return the first less the second number."""
-    return first - second
-
-
-def mean(values: Sequence[float]) -> float:
-    """Return the arithmetic mean."""
-    return sum(values) / len(values)
-
-
-def root_sum_square(parts: Sequence[float]) -> float:
-    """Return the root of the sum of squares."""
-    return math.hypot(*parts)
-
-
-def magnitude(value: float) -> float:
-    """Return the number without its sign."""
-    return abs(value)
-
-
-def largest(values: Sequence[float]) -> float:
-    """Return the largest magnitude."""
-    return max(map(abs, values))
-
-
-def power(base: float, exponent: float) -> float:
-    """Return a power."""
-    return float(base**exponent)
-
-
-def binary_logarithm(value: float) -> float:
-    """Return the logarithm to the base 2, such as the bits of a number of parts."""
-    return math.log2(value)
-
-
-def orders_of_magnitude(part: float, whole: float) -> float:
-    """Return the decimal logarithm of the part over the whole."""
-    return math.log10(part / whole)
-
-
-def round_to(value: float, digits: int) -> float:
-    """Return a number rounded to decimals."""
-    return round(value, digits)
-
-
-def arc_sine(value: float) -> float:
-    """Return the angle [rad] of a sine, such as the half angle of a numerical aperture."""
-    return math.asin(value)
 
 
 def kelvin(celsius: float) -> float:

@@ -165,30 +165,10 @@ def legible_steps(test: EndOfBeamTest, column: Column) -> str:
     return f"{np.count_nonzero(np.isfinite(errors))} of {len(errors)} steps are legible"
 
 
-def largest_error(test: EndOfBeamTest, column: Column) -> float:
-    """Return the largest legible error of a column [urad or inch]."""
-    return float(np.nanmax(np.abs(_column(read_end_of_beam(test).errors, column))))
-
-
-def motion_range(test: EndOfBeamTest, column: Column) -> float:
-    """Return the largest measured motion of a column [urad or inch]."""
-    return float(np.nanmax(_column(read_end_of_beam(test).measured, column)))
-
-
-def last_measured(test: EndOfBeamTest, column: Column) -> float:
-    """Return the measured motion of a column at the last step [urad or inch]."""
-    return float(_column(read_end_of_beam(test).measured, column)[-1])
-
-
-def alpha_from_second_step(test: EndOfBeamTest) -> float:
-    """Return the printed alpha of the POSOR from step 2 to the end [rad]."""
-    alpha = read_end_of_beam(test).posor[:, COLUMNS.index("alpha")]
-    return float(alpha[-1] - alpha[1])
-
-
-def last_z_of_posor() -> float:
-    """Return the printed z of the POSOR at the last step of GEN [inch]."""
-    return float(read_end_of_beam("GEN").posor[-1, COLUMNS.index("z")])
+def legible_values(test: EndOfBeamTest, what: Literal["measured", "posor", "errors"], column: Column) -> list[float]:
+    """Return the legible cells of a column of a printed result table, or their differences [urad or inch]."""
+    values = _column(getattr(read_end_of_beam(test), what), column)
+    return values[np.isfinite(values)].tolist()
 
 
 def results_from_travel(test: EndOfBeamTest) -> dict[str, float]:

@@ -13,8 +13,9 @@ A file is a YAML mapping:
 - ``figures``: see ``figure_data``.
 
 A value is a number with its unit (``5/32 in``), a reference (``$source.field.0``; in capitals: a constant of a module),
-a list of values, a text, or a call: a mapping with ``function`` (its name, and the field of its result) and its
-arguments. A text may contain a column (``{name}``) or a number in a unit (``{source.field ksi:.1f}``).
+a list of values, a text, an operation on a list (``ratio: [$a, $b]``; see ``ARITHMETIC``), or a call: a mapping with
+``function`` (its name, and the field of its result) and its arguments. A text may contain a column (``{name}``) or a
+number in a unit (``{source.field ksi:.1f}``).
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ import yaml
 from posor.calibration.yaml_document import StrictLoader
 from posor.errors import DataFileError, similar_name
 
+from posor_lab.thesis_table.formulas import ARITHMETIC
 from posor_lab.thesis_table.printed_units import amount
 from posor_lab.thesis_table.thesis_row import Kind, ThesisRow, Verdict
 
@@ -224,6 +226,13 @@ class RowFile:
         return content if isinstance(content, str) and not content.startswith("$") else self.evaluate(content, {})
 
     def _call(self, content: Mapping[str, Any], columns: Mapping[str, Any]) -> Any:
+        operation = next(iter(content), "")
+        if len(content) == 1 and operation in ARITHMETIC:
+            operands = self.evaluate(content[operation], columns)
+            try:
+                return ARITHMETIC[operation](*operands)
+            except TypeError as error:
+                raise self.refusal(f"{operation} of {operands}: {error}") from None
         self.check_keys(content, {"function"}, content)
         name, *fields = self.fill(content["function"], columns).split(".")
         found = (vars(module).get(name) for module in self._modules)
@@ -266,7 +275,7 @@ class RowFile:
                 if isinstance(value, Mapping):
                     value = value[field]
                 else:
-                    value = value[int(field)] if field.isdecimal() else getattr(value, field)
+                    value = value[int(field)] if field.lstrip("-").isdecimal() else getattr(value, field)
         except (LookupError, TypeError, AttributeError):
             raise self.refusal(f"'{'.'.join(fields)}' is not a field of {value!r:.60}") from None
         return value

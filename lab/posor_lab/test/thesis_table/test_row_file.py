@@ -20,7 +20,7 @@ inputs:
   beam: &beam {length: 10 ft, tip_force: 300 lbf, modulus: 10e6 psi, height: 7 in, width: 4 in}
 sources:
   beam: {function: cantilever_beam, <<: *beam, wall: 3/16 in}
-  twice: {function: product, factors: [2, $beam.stress]}
+  twice: {product: [2, $beam.stress]}
 rows:
   App. 1A:
   - {quantity: stress, unit: psi, printed: 4500, value: $beam.stress, reason: "twice: {twice ksi:.1f} ksi"}
@@ -103,8 +103,9 @@ def test_a_figure_is_drawn_in_its_units(tmp_path: Path) -> None:
             "kind: signs",
             "{name} of a wall of {wall} in: kind 'signs' is unknown; expected one of computed from",
         ),
+        ("{product:", "{produce:", "key 'function' is missing"),
         ("[3/16, 26]", "[3/16]", "row ['3/16'] of its table has 1 cells; expected 2"),
-        ("2, $beam", "nan, $beam", "can't multiply sequence"),
+        ("[2, $beam", "[nan, $beam", "product of ('nan', "),
         ("title: Beams", "", "key 'title' is missing"),
         ("title: Beams", "title: Beams\ntitle: Rods", "cannot be read: duplicate key 'title', also in line 2"),
         ("colour: blue", "color: blue", "key 'color' is unknown; expected perhaps 'colour'"),
