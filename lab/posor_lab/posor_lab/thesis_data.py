@@ -51,3 +51,9 @@ def parse_number(row: Mapping[str, str], column: str, row_name: str, expected: s
     except ValueError:
         where = f"{row_name}, column '{column}'"
         raise DataFileError(f"'{row[column]}' is not a number", where=where, expected=expected) from None
+
+
+def last_digit(text: str) -> float:
+    """Return one unit of the last digit of a printed number, such as ``.0065`` or ``5.6e-9``."""
+    mantissa, _, exponent = text.lower().partition("e")
+    return 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
 
-from posor_lab.thesis_data import parse_number
+from posor_lab.thesis_data import last_digit, parse_number
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -146,8 +146,3 @@ def printed_cells(rows: Sequence[Mapping[str, str]], column: str, path: Path) ->
         Printed(row[column], min(units) if number == 0.0 else unit)
         for row, number, unit in zip(rows, numbers, units, strict=True)
     ]
-
-
-def last_digit(text: str) -> float:
-    """Return one unit of the last digit of a number."""
-    return 10.0 ** -len(text.partition(".")[2])

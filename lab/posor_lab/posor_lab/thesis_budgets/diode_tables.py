@@ -19,9 +19,9 @@ from posor.uncertainty.first_order import sensitivities
 from posor_bringup.installed import calibration_path
 from scipy.constants import inch
 
-from posor_lab.thesis_budgets.budget_cells import BudgetTable, Cell, Reason, last_digit, printed_cells
+from posor_lab.thesis_budgets.budget_cells import BudgetTable, Cell, Reason, printed_cells
 from posor_lab.thesis_budgets.chapter5 import LEG_X, LEG_Y, Chapter5, Slopes, root_sum_square
-from posor_lab.thesis_data import data_path, read_table
+from posor_lab.thesis_data import data_path, last_digit, read_table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -197,12 +197,6 @@ def diode_error(distance: float) -> float:
     return diode_budget("induced_sigma_theta_urad") * distance / DIODE_RANGE
 
 
-def total_z() -> float:
-    """Return the expected error of Z at the end of the beam [inch]: theta with its lever, and Y of the diodes."""
-    lever = dimensions()["lever_endpoint"]
-    return lever * diode_budget("induced_sigma_theta_urad") + diode_budget("induced_sigma_Y_uin")
-
-
 def machining_centre_alpha() -> float:
     """Return the error of alpha by the machining centre [rad], section 8.2."""
     return root_sum_square(READOUT, READOUT) / READING_DISTANCE

@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import cache
 from typing import TYPE_CHECKING
 
-from posor_lab.thesis_budgets.budget_cells import BudgetTable, Cell, Printed, Reason, last_digit, printed_cells
+from posor_lab.thesis_budgets.budget_cells import BudgetTable, Cell, Printed, Reason, printed_cells
 from posor_lab.thesis_budgets.chapter5 import PROBE_RANGE, PROBES, Axis, Chapter5, Slopes, root_sum_square
-from posor_lab.thesis_data import data_path, read_table
+from posor_lab.thesis_data import data_path, last_digit, read_table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -168,7 +168,8 @@ def legible_steps(test: EndOfBeamTest, column: Column) -> str:
 def legible_values(test: EndOfBeamTest, what: Literal["measured", "posor", "errors"], column: Column) -> list[float]:
     """Return the legible cells of a column of a printed result table, or their differences [urad or inch]."""
     values = _column(getattr(read_end_of_beam(test), what), column)
-    return values[np.isfinite(values)].tolist()
+    legible: list[float] = values[np.isfinite(values)].tolist()
+    return legible
 
 
 def results_from_travel(test: EndOfBeamTest) -> dict[str, float]:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from enum import Enum
+
+from posor_lab.thesis_data import last_digit
 
 RELATIVE_TOLERANCE = 0.02
 """A computed number agrees within this share of the printed one, or within the rounding of the printed one."""
 _MARGIN = 1.0 + 1e-9
-_MANTISSA = re.compile(r"[-+]?(?P<whole>\d*)(?:\.(?P<decimals>\d*))?")
 
 
 class Verdict(Enum):
@@ -68,8 +68,7 @@ class ThesisRow:
     @property
     def rounding(self) -> float:
         """Half a unit of the last printed digit."""
-        mantissa, _, exponent = self.printed.lower().partition("e")
-        return 0.5 * 10.0 ** (int(exponent or 0) - len(self._digits(mantissa)["decimals"] or ""))
+        return 0.5 * last_digit(self.printed)
 
     @property
     def verdict(self) -> Verdict:
@@ -84,18 +83,10 @@ class ThesisRow:
         """Name of the kind; of a number from inputs that agrees by rounding alone: the number of printed digits."""
         if self.kind is not Kind.COMPUTED or self.verdict is not Verdict.AGREES or self._within_share:
             return self.kind.value
-        mantissa = self._digits(self.printed.lower().partition("e")[0])
-        digits = len(f"{mantissa['whole']}{mantissa['decimals'] or ''}".lstrip("0")) or 1
+        digits = len(self.printed.lower().partition("e")[0].lstrip("+-0.").replace(".", "")) or 1
         return f"rounding of {digits} digit{'s' if digits > 1 else ''}"
 
     @property
     def _within_share(self) -> bool:
         printed = self.printed_number
         return printed is not None and abs(self.computed - printed) <= _MARGIN * RELATIVE_TOLERANCE * abs(printed)
-
-    @staticmethod
-    def _digits(mantissa: str) -> re.Match[str]:
-        match = _MANTISSA.fullmatch(mantissa)
-        if match is None:
-            raise ValueError(f"'{mantissa}' is not a printed number")
-        return match

@@ -9,14 +9,12 @@ from posor.errors import DataFileError
 from posor_lab.thesis_budgets import motion_predictions
 from posor_lab.thesis_budgets.chapter5 import Slopes
 from posor_lab.thesis_budgets.motion_predictions import (
-    diode_error,
     increasing_errors,
     machining_centre_alpha,
     random_alpha,
     sensor_travel,
     spots_at,
     straightness_error,
-    total_z,
     twist_stage_alpha,
 )
 from posor_lab.thesis_data import URAD, data_path
@@ -55,12 +53,6 @@ def test_errors_of_the_test_setup() -> None:
     assert machining_centre_alpha() / URAD == pytest.approx(80.81, abs=0.01)
     assert twist_stage_alpha() / URAD == pytest.approx(16.67, abs=0.01)
     assert random_alpha() / URAD == pytest.approx(83.2, abs=0.1)
-
-
-def test_total_z_is_theta_with_its_lever_and_y_of_the_diodes() -> None:
-    theta = diode_error(0.5)
-    assert total_z() == pytest.approx(33.4 * theta + 206.8e-6, abs=1e-7)
-    assert total_z() == pytest.approx(3914e-6, rel=0.02)
 
 
 @pytest.mark.parametrize("scale", [1.0, 2.0])

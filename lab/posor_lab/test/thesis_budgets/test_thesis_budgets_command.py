@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 import pytest
 from posor.errors import DataFileError
 from posor_lab.thesis_budgets import diode_tables, probe_tables
-from posor_lab.thesis_budgets.budget_cells import Agreement, Cell, Printed, Reason, last_digit
+from posor_lab.thesis_budgets.budget_cells import Agreement, Cell, Printed, Reason
 from posor_lab.thesis_budgets.diode_tables import fits_of_linearisation, spot_shifts, table_5_4, table_7_9
 from posor_lab.thesis_budgets.probe_tables import table_5_2, table_7_12
 from posor_lab.thesis_budgets.thesis_budgets_command import main
-from posor_lab.thesis_data import data_path
+from posor_lab.thesis_data import data_path, last_digit
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -185,7 +185,9 @@ def test_an_unknown_perturbation_is_refused() -> None:
         spot_shifts("sigma_Q1")
 
 
-@pytest.mark.parametrize(("text", "unit"), [("0.0083", 1e-4), ("113", 1.0), ("85.5", 0.1), ("10.0", 0.1), ("nan", 1.0)])
+@pytest.mark.parametrize(
+    ("text", "unit"), [("0.0083", 1e-4), ("113", 1.0), ("85.5", 0.1), ("10.0", 0.1), ("5.6e-9", 1e-10), ("nan", 1.0)]
+)
 def test_last_digit(text: str, unit: float) -> None:
     assert last_digit(text) == pytest.approx(unit)
 
