@@ -37,6 +37,7 @@ def draw_figures(file: RowFile) -> list[Plot]:
     """
     plots: list[Plot] = []
     for content in file.content.get("figures", []):
+        file.enter("figures", content, "title")
         if "function" in content:
             plots += file.evaluate(content, {})
         else:

@@ -77,7 +77,10 @@ class RowFile:
         self.check_keys(content, {"title", "modules", "rows"}, {"inputs", "sources", "figures"})
         self.title: str = content["title"]
         self.content: Mapping[str, Any] = content
-        self._modules = [import_module(name) for name in content["modules"]]
+        try:
+            self._modules = [import_module(name) for name in content["modules"]]
+        except ImportError as error:
+            raise self.refusal(f"a module of 'modules' cannot be imported: {error}") from error
         self._unused = dict(content.get("sources", {}))
         self._found: dict[str, Any] = {}
         self._results: dict[tuple[Any, ...], Any] = {}  # of each call
@@ -92,10 +95,14 @@ class RowFile:
         rows = []
         for section, entries in self.content["rows"].items():
             for entry in entries:
-                self._where = f"{self._path}, {section}, {entry.get('quantity', entry)}"
+                self.enter(section, entry, "quantity")
                 self.check_keys(entry, _REQUIRED, _OPTIONAL)
                 rows += [self._row(section, entry, columns) for columns in self.combinations(entry)]
         return rows
+
+    def enter(self, section: str, entry: Any, name: str) -> None:
+        """Take an entry of a section, by the text of a key, as the place of the errors that follow."""
+        self._where = f"{self._path}, {section}, {entry.get(name, '') if isinstance(entry, Mapping) else entry}"
 
     def check_unused(self) -> None:
         """Refuse sources that no row and no figure has used.

@@ -108,7 +108,9 @@ def test_a_figure_is_drawn_in_its_units(tmp_path: Path) -> None:
         ("[2, $beam", "[nan, $beam", "product of ('nan', "),
         ("title: Beams", "", "key 'title' is missing"),
         ("title: Beams", "title: Beams\ntitle: Rods", "cannot be read: duplicate key 'title', also in line 2"),
-        ("colour: blue", "color: blue", "key 'color' is unknown; expected perhaps 'colour'"),
+        ("  App. 1A:\n", "  App. 1A:\n  - stress\n", "App. 1A, stress: is not a mapping; expected keys"),
+        ("structures, ", "structure, ", "a module of 'modules' cannot be imported: No module named"),
+        ("colour: blue", "color: blue", "figures, Stress: key 'color' is unknown; expected perhaps 'colour'"),
     ],
 )
 def test_a_wrong_file_is_refused_with_file_and_row(old: str, new: str, message: str, tmp_path: Path) -> None:
