@@ -10,7 +10,7 @@ from ament_index_python.packages import get_package_share_directory
 from posor.errors import DataFileError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Collection, Iterable, Mapping
 
 URAD = 1e-6
 
@@ -51,6 +51,18 @@ def parse_number(row: Mapping[str, str], column: str, row_name: str, expected: s
     except ValueError:
         where = f"{row_name}, column '{column}'"
         raise DataFileError(f"'{row[column]}' is not a number", where=where, expected=expected) from None
+
+
+def read_numbers(path: Path, key: str, column: str, names: Collection[str] = ()) -> dict[str, float]:
+    """Return a column of a table as numbers, by the text of another column; ``names``: only these rows.
+
+    Raises:
+        DataFileError: The table cannot be read, lacks a column, or has an invalid number.
+
+    """
+    rows = read_table(path, [key, column])
+    chosen = [row for row in rows if not names or row[key] in names]
+    return {row[key]: parse_number(row, column, f"{path}, {row[key]}") for row in chosen}
 
 
 def last_digit(text: str) -> float:

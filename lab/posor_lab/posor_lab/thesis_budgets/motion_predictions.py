@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 from posor_lab.thesis_budgets.chapter5 import LEG_X, Chapter5, Slopes, root_sum_square
 from posor_lab.thesis_budgets.diode_tables import table_7_9
 from posor_lab.thesis_budgets.probe_tables import BUDGET_FILE, LEVERS, table_7_12
-from posor_lab.thesis_data import URAD, data_path, parse_number, read_table
+from posor_lab.thesis_data import URAD, data_path, read_numbers
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -78,16 +78,9 @@ def sensor_travel(test: MotionName) -> SensorTravel:
         DataFileError: Table 8.1 cannot be read, or has an invalid number.
 
     """
-    cells = _sensor_cells(test)
-
-    def travel(axis: str, k: int) -> float:
-        return cells[f"{axis}d{k}_finish_in"] - cells[f"{axis}d{k}_start_in"]
-
-    return SensorTravel(
-        (travel("x", 1), travel("x", 2)),
-        (travel("y", 1), travel("y", 2)),
-        (cells["probe1_range_in"], cells["probe2_range_in"], cells["probe3_range_in"]),
-    )
+    x1, y1, x2, y2 = (end - start for start, end in zip(spots_at(test, "start"), spots_at(test, "finish"), strict=True))
+    one, two, three = (_sensor_cells(test)[f"probe{k}_range_in"] for k in (1, 2, 3))
+    return SensorTravel((x1, x2), (y1, y2), (one, two, three))
 
 
 def spots_at(test: MotionName, moment: Literal["start", "finish"]) -> tuple[float, float, float, float]:
@@ -105,9 +98,7 @@ def spots_at(test: MotionName, moment: Literal["start", "finish"]) -> tuple[floa
 @cache
 def _sensor_cells(test: MotionName) -> Mapping[str, float]:
     """Return the column of a test in table 8.1."""
-    path = data_path(RANGES_FILE)
-    rows = read_table(path, ["quantity", test])
-    return {row["quantity"]: parse_number(row, test, f"{path}, {row['quantity']}") for row in rows}
+    return read_numbers(data_path(RANGES_FILE), "quantity", test)
 
 
 @cache
@@ -118,9 +109,7 @@ def dimensions() -> Mapping[str, float]:
         DataFileError: The table cannot be read, or has an invalid number.
 
     """
-    path = data_path(DIMENSIONS_FILE)
-    rows = read_table(path, ["quantity", "value"])
-    return {row["quantity"]: parse_number(row, "value", f"{path}, {row['quantity']}") for row in rows}
+    return read_numbers(data_path(DIMENSIONS_FILE), "quantity", "value")
 
 
 @dataclass(frozen=True)
@@ -150,16 +139,11 @@ def increasing_errors(slopes: Slopes) -> ProbePrediction:
 
     """
     model = Chapter5(slopes)
-    path = data_path(BUDGET_FILE)
-    sigmas = {
-        row["perturbation"]: parse_number(row, "value", f"{path}, {row['perturbation']}")
-        for row in read_table(path, ["perturbation", "value"])
-        if row["perturbation"] in LEVERS
-    }
+    sigmas = read_numbers(data_path(BUDGET_FILE), "perturbation", "value", LEVERS)
 
     def total(output: str) -> float:
         return root_sum_square(
-            *(model.parameter_sensitivity(output, LEVERS[name][0]) * sigma for name, sigma in sigmas.items())
+            *(model.parameter_sensitivity(output, lever) * sigmas[name] for name, (lever, _) in LEVERS.items())
         )
 
     return ProbePrediction(total("alpha"), total("beta"))

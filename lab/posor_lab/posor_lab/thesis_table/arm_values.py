@@ -10,7 +10,7 @@ from posor.chain.arm_file import load_arm
 from posor.uncertainty.endpoint_budget import thesis_covariance
 from scipy.constants import inch
 
-from posor_lab.arm_study.arm_budget_command import FIGURES, THESIS, WHOLE, arm_budget, thesis_arm_path
+from posor_lab.arm_study.arm_budget_command import FIGURES, THESIS, arm_budget, thesis_arm_path
 from posor_lab.arm_study.thesis_robot import ENDPOINT_FILE, JOINTS_FILE
 from posor_lab.thesis_budgets.chapter5 import root_sum_square
 from posor_lab.thesis_data import URAD, data_path, parse_number, read_table
@@ -25,27 +25,21 @@ CALIBRATION_ERROR = 50.0
 
 
 @cache
-def _budgets() -> Mapping[str, Mapping[str, Any]]:
-    """Return the budgets of the five-axis arm; a single draw, because no row needs the Monte Carlo runs."""
-    return arm_budget(load_arm(thesis_arm_path()), draws=1)
+def five_axis_budgets() -> Mapping[str, Mapping[str, Any]]:
+    """Return the budgets of the five-axis arm as ``arm_budget``, by configuration and by source of the accuracies.
 
-
-def endpoint_budget(
-    configuration: Literal["extended", "bent"], accuracies: Literal["thesis", "own"]
-) -> Mapping[str, float]:
-    """Return the errors of the endpoint [urad, uin] by name, by the accuracies of 9.3.1 or by this project's models.
+    A single draw, because no row needs the Monte Carlo runs.
 
     Raises:
         PosorError: A file of the arm cannot be read.
 
     """
-    budget: Mapping[str, float] = _budgets()[configuration][THESIS if accuracies == "thesis" else WHOLE]
-    return budget
+    return arm_budget(load_arm(thesis_arm_path()), draws=1)
 
 
 def joint_contributions(configuration: Literal["extended", "bent"]) -> dict[str, list[Any]]:
     """Return names and contributions to the displacement [uin] of the joints, by the accuracies of 9.3.1."""
-    parts = _budgets()[configuration][THESIS]["contributions"]
+    parts = five_axis_budgets()[configuration][THESIS]["contributions"]
     return {"names": [part["name"] for part in parts], "displacements": [part[FIGURES[-1]] for part in parts]}
 
 
