@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 from posor.errors import ParameterError
 from scipy.optimize import brentq
 from scipy.special import dawsn, erfcx
 
-from posor_design.checks import require_non_negative, require_positive
+from posor_design.calculators import calculator
 
 if TYPE_CHECKING:
     from posor_design.units import (
+        POSITIVE,
+        PROPER_SHARE,
+        SHARE,
         KilogramPerCubicMetre,
         KilogramPerSecond,
         Metre,
@@ -34,22 +37,13 @@ CRITICAL_HEAD = (HEAT_CAPACITY_RATIO - 1.0) / (HEAT_CAPACITY_RATIO + 1.0)
 
 @dataclass(frozen=True)
 class AirBearing:
-    """Aerostatic journal bearing.
+    """Aerostatic journal bearing."""
 
-    Attributes:
-        feed_pressure: Pressure at the orifices, in the film of the centred bearing.
-        load: Load at the given eccentricity.
-        stiffness: Load over eccentricity.
-        mass_flow: Flow of the centred bearing.
-        orifice_flow: Whether the flow of the orifices is choked or subsonic.
-
-    """
-
-    feed_pressure: Pascal
-    load: Newton
-    stiffness: NewtonPerMetre
-    mass_flow: KilogramPerSecond
-    orifice_flow: Literal["choked", "subsonic"]
+    feed_pressure: Annotated[Pascal, "Pressure at the orifices, in the film of the centred bearing."]
+    load: Annotated[Newton, "Load at the given eccentricity."]
+    stiffness: Annotated[NewtonPerMetre, "Load over eccentricity."]
+    mass_flow: Annotated[KilogramPerSecond, "Flow of the centred bearing."]
+    orifice_flow: Annotated[Literal["choked", "subsonic"], "Whether the flow of the orifices is choked or subsonic."]
 
 
 class _Bearing(NamedTuple):
@@ -78,19 +72,20 @@ class _Feed(NamedTuple):
     yielding: float
 
 
+@calculator
 def aerostatic_bearing(
-    diameter: Metre,
-    length: Metre,
-    clearance: Metre,
-    orifice_radius: Metre,
-    orifices: int,
-    supply_pressure: Pascal,
-    ambient_pressure: Pascal = 101325.0,
-    discharge_coefficient: Number = 0.6,
-    eccentricity_ratio: Number = 0.1,
-    viscosity: PascalSecond = 1.853e-5,
-    density: KilogramPerCubicMetre = 1.183,
-    method: Literal["nozzle", "thesis", "incompressible"] = "nozzle",
+    diameter: Annotated[Metre, POSITIVE, "Diameter of the shaft."],
+    length: Annotated[Metre, POSITIVE, "Length of the bearing."],
+    clearance: Annotated[Metre, POSITIVE, "Radius of the housing minus radius of the shaft."],
+    orifice_radius: Annotated[Metre, POSITIVE, "Radius of an orifice."],
+    orifices: Annotated[int, POSITIVE, "Number of orifices."],
+    supply_pressure: Annotated[Pascal, POSITIVE, "Absolute pressure before the orifices."],
+    ambient_pressure: Annotated[Pascal, POSITIVE, "Absolute pressure at the ends."] = 101325.0,
+    discharge_coefficient: Annotated[Number, SHARE, "Flow of an orifice over that without losses."] = 0.6,
+    eccentricity_ratio: Annotated[Number, PROPER_SHARE, "Eccentricity over clearance, 0 to less than 1."] = 0.1,
+    viscosity: Annotated[PascalSecond, POSITIVE, "Dynamic viscosity."] = 1.853e-5,
+    density: Annotated[KilogramPerCubicMetre, POSITIVE, "Density at ambient pressure."] = 1.183,
+    method: Annotated[Literal["nozzle", "thesis", "incompressible"], "Model of film and orifices."] = "nozzle",
 ) -> AirBearing:
     """Load, stiffness and flow of a journal bearing with one central ring of orifices and without pockets.
 
@@ -103,25 +98,6 @@ def aerostatic_bearing(
       of the flow has its square, and twice the yielding of an orifice;
     * ``incompressible``: a liquid of the given density.
 
-    Args:
-        diameter: Diameter of the shaft.
-        length: Length of the bearing.
-        clearance: Radius of the housing minus radius of the shaft.
-        orifice_radius: Radius of an orifice.
-        orifices: Number of orifices.
-        supply_pressure: Absolute pressure before the orifices.
-        ambient_pressure: Absolute pressure at the ends.
-        discharge_coefficient: Flow of an orifice over that without losses.
-        eccentricity_ratio: Eccentricity over clearance, 0 to less than 1.
-        viscosity: Dynamic viscosity.
-        density: Density at ambient pressure.
-        method: Model of film and orifices.
-
-    Raises:
-        ParameterError: An argument is not finite or not positive, the supply pressure is at most the ambient pressure,
-            the discharge coefficient exceeds 1, the eccentricity ratio is negative or at least 1, or there is no
-            orifice.
-
     Source: thesis equations 6.12 to 6.21 and AIR.FOR (after Pinkus and Sternlicht, Theory of Hydrodynamic Lubrication,
         1961); nozzle: Powell, Design of Aerostatic Bearings (1970), and ISO 9300 (2022).
 
@@ -130,24 +106,9 @@ def aerostatic_bearing(
         --orifice-radius '.03 in' --orifices 8 --supply-pressure '80 psi'
 
     """
-    require_positive(diameter=diameter, length=length, clearance=clearance, orifice_radius=orifice_radius)
-    require_positive(supply_pressure=supply_pressure, ambient_pressure=ambient_pressure, viscosity=viscosity)
-    require_positive(density=density, discharge_coefficient=discharge_coefficient, orifices=orifices)
-    require_non_negative(eccentricity_ratio=eccentricity_ratio)
     if supply_pressure <= ambient_pressure:
-        raise ParameterError(
-            f"{supply_pressure:g} Pa is not greater than the ambient pressure",
-            where="supply_pressure",
-            expected=f"an absolute pressure of more than {ambient_pressure:g} Pa",
-        )
-    if discharge_coefficient > 1.0:
-        raise ParameterError(
-            f"{discharge_coefficient:g} exceeds 1", where="discharge_coefficient", expected="more than 0, at most 1"
-        )
-    if eccentricity_ratio >= 1.0:
-        raise ParameterError(
-            f"{eccentricity_ratio:g}: shaft and housing touch", where="eccentricity_ratio", expected="0 to less than 1"
-        )
+        expected = f"an absolute pressure of more than the ambient one, {ambient_pressure:g} Pa"
+        raise ParameterError(f"{supply_pressure:g} Pa", where="supply_pressure", expected=expected)
     bearing = _Bearing(
         length=length,
         diameter=diameter,

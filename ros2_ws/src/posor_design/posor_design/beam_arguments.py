@@ -1,4 +1,4 @@
-"""Arguments that calculators of beams share: the beam, its plates and its gimbals."""
+"""Beams, their plates and their gimbals, from the arguments that calculators of beams share."""
 
 from __future__ import annotations
 
@@ -9,13 +9,9 @@ from posor.errors import ParameterError
 
 from posor_design.beam_section import make_section
 from posor_design.beam_vibration import Attachment, UniformBeam
-from posor_design.checks import require_non_negative, require_poisson_ratio, require_positive
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-MOST_MODES = 20
-"""Largest number of modes; beam theory fails for higher ones, whose waves are shorter than usual sections are high."""
 
 
 def make_beam(
@@ -31,40 +27,31 @@ def make_beam(
     """Return the beam of a section and a material.
 
     Raises:
-        ParameterError: An argument is not finite or out of its range.
+        ParameterError: The walls leave no hole, or the width does not suit the shape.
 
     """
-    require_positive(length=length, modulus=modulus, density=density)
-    require_poisson_ratio(poisson_ratio=poisson_ratio)
     section = make_section(shape, height, width, wall)
-    return UniformBeam.from_section(length, section, modulus, density, poisson_ratio)
+    shear_modulus = modulus / (2.0 * (1.0 + poisson_ratio))
+    return UniformBeam(
+        length,
+        bending_stiffness=modulus * section.second_moment,
+        shear_stiffness=section.shear_coefficient(poisson_ratio) * section.area * shear_modulus,
+        mass=density * section.area,
+        rotary_inertia=density * section.second_moment,
+    )
 
 
-def check_modes(modes: int) -> None:
-    """Check a number of modes.
-
-    Raises:
-        ParameterError: There are fewer than 1 or more than ``MOST_MODES``.
-
-    """
-    if not 1 <= modes <= MOST_MODES:
-        raise ParameterError(f"{modes} modes", where="modes", expected=f"1 to {MOST_MODES}")
-
-
-def check_plates_and_gimbals(length: float, gimbals: tuple[float, float], plate_masses: tuple[float, float]) -> None:
-    """Check the masses at the ends and the places of the gimbals.
+def check_gimbals(length: float, gimbals: tuple[float, float]) -> None:
+    """Check the places of the gimbals.
 
     Raises:
-        ParameterError: A mass is negative or not finite, or the gimbals are not two increasing distances on the beam.
+        ParameterError: The gimbals are not two increasing distances on the beam.
 
     """
-    for mass in plate_masses:
-        require_non_negative(plate_masses=mass)
     near, far = gimbals
-    if not 0.0 <= near < far <= length:
-        raise ParameterError(
-            f"{near:g} m and {far:g} m", where="gimbals", expected=f"two increasing distances from 0 to {length:g} m"
-        )
+    if not near < far <= length:
+        expected = f"two increasing distances from 0 to {length:g} m"
+        raise ParameterError(f"{near:g} m and {far:g} m", where="gimbals", expected=expected)
 
 
 def make_attachments(
@@ -78,27 +65,14 @@ def make_attachments(
     """Return plates and gimbals.
 
     Raises:
-        ParameterError: An argument is not finite or out of its range, or a stiffness is stated for one gimbal only.
+        ParameterError: The gimbals are not two increasing distances on the beam.
 
     """
-    check_plates_and_gimbals(length, gimbals, plate_masses)
-    for inertia in plate_inertias:
-        require_non_negative(plate_inertias=inertia)
-    stiffness = _of_both_gimbals(gimbal_stiffness, "gimbal_stiffness", math.inf)
-    turning = _of_both_gimbals(gimbal_turning_stiffness, "gimbal_turning_stiffness", 0.0)
+    check_gimbals(length, gimbals)
     plates = zip((0.0, length), plate_masses, plate_inertias, strict=True)
+    stiffness, turning = gimbal_stiffness or (math.inf, math.inf), gimbal_turning_stiffness or (0.0, 0.0)
     supports = zip(gimbals, stiffness, turning, strict=True)
     return [
         *(Attachment(at, mass=mass, inertia=inertia) for at, mass, inertia in plates),
         *(Attachment(at, stiffness=held, turning_stiffness=turn) for at, held, turn in supports),
     ]
-
-
-def _of_both_gimbals(values: Sequence[float], name: str, left_out: float) -> Sequence[float]:
-    if not values:
-        return (left_out, left_out)
-    if len(values) != 2:  # noqa: PLR2004
-        raise ParameterError(f"{len(values)} values", where=name, expected="a value for each of the two gimbals")
-    for value in values:
-        require_positive(**{name: value})
-    return values

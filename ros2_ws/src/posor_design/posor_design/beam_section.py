@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from posor.chain.beam_bending import Tube
 from posor.errors import ParameterError
-
-from posor_design.checks import require_finite, require_non_negative, require_positive
-
-if TYPE_CHECKING:
-    from posor_design.units import Metre
 
 
 @dataclass(frozen=True)
@@ -51,30 +46,29 @@ class BeamSection:
         return 10.0 * (1.0 + nu) * (1.0 + 3.0 * m) ** 2 / (webs + flanges)
 
 
-def make_section(shape: Literal["tube", "box"], height: Metre, width: Metre, wall: Metre) -> BeamSection:
+def make_section(shape: Literal["tube", "box"], height: float, width: float, wall: float) -> BeamSection:
     """Return the section of a tube or a box.
 
     Args:
         shape: Round tube, or box.
-        height: Outer height in the plane of bending; the outer diameter of a tube.
-        width: Outer width of a box; 0 for a tube.
-        wall: Thickness of the walls.
+        height: Outer height in the plane of bending; the outer diameter of a tube [m].
+        width: Outer width of a box; 0 for a tube [m].
+        wall: Thickness of the walls [m].
 
     Raises:
-        ParameterError: A dimension is not finite or not positive, the walls leave no hole, or a tube has a width.
+        ParameterError: The walls leave no hole, a tube has a width, or a box has none.
 
     """
-    require_positive(height=height, wall=wall)
+    if (width > 0.0) != (shape == "box"):
+        expected = "more than 0 for a box" if shape == "box" else "no width for a tube, or shape 'box'"
+        raise ParameterError(f"{width:g} m", where="width", expected=expected)
+    smaller = height if shape == "tube" else min(height, width)
+    if wall >= 0.5 * smaller:
+        raise ParameterError(f"{wall:g} m leaves no hole", where="wall", expected=f"less than {0.5 * smaller:g} m")
     if shape == "tube":
-        require_finite(width=width)
-        if width != 0.0:
-            raise ParameterError(f"a tube with width {width:g} m", where="width", expected="no width, or shape 'box'")
-        _require_hole(wall, height)
         tube = make_tube(height, height - 2.0 * wall, "wall")
         polar = 2.0 * tube.second_moment
         return BeamSection(height, tube.area, tube.second_moment, polar, polar, bore_ratio=tube.inner_diameter / height)
-    require_positive(width=width)
-    _require_hole(wall, min(height, width))
     inner_height, inner_width = height - 2.0 * wall, width - 2.0 * wall
     upright = (width * height**3 - inner_width * inner_height**3) / 12.0
     sideways = (height * width**3 - inner_height * inner_width**3) / 12.0
@@ -98,19 +92,10 @@ def make_tube(outer_diameter: float, inner_diameter: float, inner_name: str) -> 
         inner_name: Name of the inner diameter, for errors.
 
     Raises:
-        ParameterError: The inner diameter is not finite or negative, or leaves no wall.
+        ParameterError: The inner diameter leaves no wall.
 
     """
-    require_non_negative(**{inner_name: inner_diameter})
     if inner_diameter >= outer_diameter:
-        raise ParameterError(
-            f"{inner_diameter:g} m leaves no wall",
-            where=inner_name,
-            expected=f"less than the outside diameter, {outer_diameter:g} m",
-        )
+        expected = f"less than the outside diameter, {outer_diameter:g} m"
+        raise ParameterError(f"{inner_diameter:g} m leaves no wall", where=inner_name, expected=expected)
     return Tube(outer_diameter, inner_diameter, modulus=1.0, density=1.0)
-
-
-def _require_hole(wall: float, side: float) -> None:
-    if wall >= 0.5 * side:
-        raise ParameterError(f"{wall:g} m leaves no hole", where="wall", expected=f"less than {0.5 * side:g} m")

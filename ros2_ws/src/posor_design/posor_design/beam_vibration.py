@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from posor.numerics.array_types import FloatArray
 
-    from posor_design.beam_section import BeamSection
-
 LEAST_DEGREE = 12
 DEGREES_PER_HALF_WAVE = 2
 LARGEST_ERROR = 1e-4
@@ -47,19 +45,6 @@ class UniformBeam:
     shear_stiffness: float
     mass: float
     rotary_inertia: float
-
-    @classmethod
-    def from_section(
-        cls, length: float, section: BeamSection, modulus: float, density: float, poisson: float
-    ) -> UniformBeam:
-        """Return the beam of a section and a material."""
-        return cls(
-            length,
-            bending_stiffness=modulus * section.second_moment,
-            shear_stiffness=section.shear_coefficient(poisson) * section.area * modulus / (2.0 * (1.0 + poisson)),
-            mass=density * section.area,
-            rotary_inertia=density * section.second_moment,
-        )
 
 
 @dataclass(frozen=True)

@@ -7,16 +7,14 @@ import inspect
 import re
 import textwrap
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, get_type_hints
+from typing import TYPE_CHECKING, Any
 
-from posor_design import units
-from posor_design.calculators import load_calculator
+from posor_design.calculators import CALCULATORS, annotations_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-_ENTRY = re.compile(r"(\w+): (.*)")
-_SECTION = re.compile(r"(Args|Attributes|Example|Raises|Returns|Source):(.*)")
+_SECTION = re.compile(r"(Example|Source):(.*)")
 
 
 @dataclass(frozen=True)
@@ -26,7 +24,7 @@ class Value:
     Attributes:
         name: Name in Python.
         kind: Type, with its unit as ``units.py`` annotates it.
-        description: Text of the docstring.
+        description: Meaning, from the annotation.
         default: Value of an argument that is left out; ``inspect.Parameter.empty``: the argument is required.
 
     """
@@ -63,14 +61,10 @@ class CalculatorSignature:
 
 def read_signature(name: str) -> CalculatorSignature:
     """Return the signature of the calculator with a name of ``CALCULATORS``."""
-    function = load_calculator(name)
-    hints = _type_hints(function)
+    function = CALCULATORS[name]
+    kinds = annotations_of(function)
+    result = kinds["return"]
     text = _sections(function)
-    descriptions = _entries(text.get("Args", ""))
-    arguments = tuple(
-        Value(parameter.name, hints[parameter.name], descriptions[parameter.name], parameter.default)
-        for parameter in inspect.signature(function).parameters.values()
-    )
     summary, _, description = text[""].partition("\n")
     return CalculatorSignature(
         name=name,
@@ -79,21 +73,18 @@ def read_signature(name: str) -> CalculatorSignature:
         description=description.strip(),
         source=" ".join(text["Source"].split()),
         example=" ".join(text["Example"].split()),
-        arguments=arguments,
-        results=result_values(hints["return"]),
+        arguments=tuple(
+            _value(key, kinds[key], parameter.default)
+            for key, parameter in inspect.signature(function).parameters.items()
+        ),
+        results=tuple(_value(each.name, annotations_of(result)[each.name]) for each in dataclasses.fields(result)),
     )
 
 
-def result_values(result: type) -> tuple[Value, ...]:
-    """Return the fields of a result, a dataclass."""
-    hints = _type_hints(result)
-    descriptions = _entries(_sections(result).get("Attributes", ""))
-    return tuple(Value(each.name, hints[each.name], descriptions[each.name]) for each in dataclasses.fields(result))
-
-
-def _type_hints(item: Any) -> dict[str, Any]:
-    """Return annotations with their units; modules import ``units.py`` for type checkers only."""
-    return get_type_hints(item, localns=vars(units), include_extras=True)
+def _value(name: str, kind: Any, default: Any = inspect.Parameter.empty) -> Value:
+    """Return a value by its annotation: type, unit of a single quantity, limits, and at last its meaning."""
+    bare = kind if kind.__origin__ is float else kind.__origin__
+    return Value(name, bare, kind.__metadata__[-1], default)
 
 
 def _sections(item: Any) -> dict[str, str]:
@@ -104,17 +95,3 @@ def _sections(item: Any) -> dict[str, str]:
         name = heading[1] if heading else name
         sections[name] = sections.get(name, "") + (heading[2].strip() if heading else line) + "\n"
     return {key: textwrap.dedent(text).strip("\n") for key, text in sections.items()}
-
-
-def _entries(section: str) -> dict[str, str]:
-    """Return the entries of a section such as ``Args``: description by name."""
-    entries: dict[str, str] = {}
-    name = ""
-    for line in section.splitlines():
-        entry = _ENTRY.match(line)
-        if entry:
-            name = entry[1]
-            entries[name] = entry[2]
-        elif name and line.strip():
-            entries[name] += " " + line.strip()
-    return entries

@@ -1,66 +1,45 @@
-"""The design calculators that ``posor design`` offers.
+"""What makes a function a design calculator: its registration, and the checks of its arguments and of its result.
 
-A calculator is a function. Each argument has a type of ``units.py``, or is a tuple of them; an argument with a default
-may be left out. The result is a frozen dataclass with fields of the same types. The first line of the docstring is the
-summary, and a line that begins with ``Source:`` names the equation or the section.
+Each argument has a type of ``units.py``, or is a tuple of them, with its limits and its meaning in the annotation; an
+argument with a default may be left out. The result is a frozen dataclass with fields annotated alike. The first line of
+the docstring is the summary; its sections ``Source:`` and ``Example:`` name the equation and a command line.
 
-A calculator refuses what it cannot compute, such as a length of 1e30 in: ``load_calculator`` is the place of this rule.
+A calculator raises a ParameterError for an argument that is not finite or out of its limits, and where its numbers
+exceed the floating point, such as for a length of 1e30 in.
 """
 
 from __future__ import annotations
 
+import inspect
 import math
 from functools import cache, wraps
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, get_type_hints
 
 import numpy as np
 from posor.errors import ParameterError, PosorError
 
+from posor_design import units
+
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
-_FUNCTIONS: dict[str, tuple[str, ...]] = {
-    "air_bearing": ("aerostatic_bearing",),
-    "ball_bearings": ("ball_load", "bearing_scaling", "bearing_friction"),
-    "calibration_geometry": ("axis_offsets", "light_source_angles", "probe_spacing"),
-    "contact": ("hertz_contact", "ball_race_contact"),
-    "distance_sensors": ("fibre_lever", "capacitance_probe", "probe_area", "linearity"),
-    "error_chain": ("endpoint_error", "position_bits", "straight_linkage"),
-    "gimbals": ("gimbal_motion", "gimbal_torques", "wire_gimbal", "shortest_wires"),
-    "inertial_sensors": ("inertial_limits", "inertial_drift", "fibre_gyroscope"),
-    "interferometry": ("air_effects", "straightness_optics"),
-    "joint_loads": ("joint_moment", "bearing_pair", "gear_drive", "chain_drive"),
-    "machine_metrology": (
-        "straightness",
-        "straightness_runs",
-        "alignment",
-        "abbe_error",
-        "thermal_growth",
-        "probe_zero",
-    ),
-    "measuring_beams": ("beam_frequencies", "beam_sag", "sag_correction"),
-    "sensor_noise": ("diode_noise", "converter_resolution", "angle_resolution"),
-    "structures": ("cantilever_beam", "cantilever_for_stress", "cantilever_for_stiffness", "cantilever_frequencies"),
-    "torsion": ("beam_torsion", "disc_inertia", "shaft_stress"),
-    "yoke_gimbals": ("yoke_friction", "dither_acceleration"),
-}
-"""Names of the calculators by module."""
+P = ParamSpec("P")
+R = TypeVar("R")
 
-CALCULATORS = {
-    function.replace("_", "-"): (module, function) for module, names in _FUNCTIONS.items() for function in names
-}
-"""Module and function of each calculator by the name that ``posor design`` gives it."""
+CALCULATORS: dict[str, Callable[..., Any]] = {}
+"""All calculators by the name that ``posor design`` gives them; ``posor_design`` registers them."""
 
 
-@cache
-def load_calculator(name: str) -> Callable[..., Any]:
-    """Import the function of a calculator; it raises a ParameterError where its numbers exceed the floating point."""
-    module, function = CALCULATORS[name]
-    calculate: Callable[..., Any] = getattr(import_module(f"posor_design.{module}"), function)
+def calculator(calculate: Callable[P, R]) -> Callable[P, R]:
+    """Register a function as a calculator, and check its arguments and its result."""
+    name = calculate.__name__.replace("_", "-")
+    parameters = inspect.signature(calculate)
 
     @wraps(calculate)
-    def checked(*arguments: Any, **named: Any) -> Any:
+    def checked(*arguments: P.args, **named: P.kwargs) -> R:
+        kinds = annotations_of(calculate)
+        for argument, value in parameters.bind(*arguments, **named).arguments.items():
+            _check_argument(argument, kinds[argument], value)
         try:
             with np.errstate(over="raise", divide="raise", invalid="raise"):
                 result = calculate(*arguments, **named)
@@ -73,7 +52,38 @@ def load_calculator(name: str) -> Callable[..., Any]:
             raise _no_solution(name)
         return result
 
+    CALCULATORS[name] = checked
     return checked
+
+
+@cache
+def annotations_of(item: Any) -> dict[str, Any]:
+    """Return the annotations of a calculator or of its result; modules import ``units.py`` for type checkers only."""
+    return get_type_hints(item, localns=vars(units), include_extras=True)
+
+
+def _check_argument(name: str, kind: Any, value: Any) -> None:
+    """Check the numbers of an argument, and their count, against the limits of its annotation."""
+    numbers = [each for each in (value if isinstance(value, tuple) else (value,)) if not isinstance(each, str)]
+    for limit in (units.FINITE, *(each for each in kind.__metadata__ if isinstance(each, units.Limit))):
+        unit = "values" if limit.of_count else units.unit_of(kind)
+        for number in [len(numbers)] if limit.of_count else numbers:
+            if not limit.accepts(number):
+                what = f"{number:g} {unit}".removesuffix(" 1")
+                raise ParameterError(what, where=name, expected=limit.expected)
+
+
+def require_as_many(first: str, **values: Sequence[float]) -> None:
+    """Check that arguments have as many values as the one named ``first``.
+
+    Raises:
+        ParameterError: An argument has more or fewer values.
+
+    """
+    for name, each in values.items():
+        if len(each) != len(values[first]):
+            expected = f"{len(values[first])}, as many as {first}"
+            raise ParameterError(f"{len(each)} values", where=name, expected=expected)
 
 
 def _no_solution(name: str) -> ParameterError:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from posor.errors import ParameterError
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import ellipe, ellipk, elliprd, elliprf
 
-from posor_design.checks import require_poisson_ratio, require_positive
+from posor_design.calculators import calculator
 
 if TYPE_CHECKING:
-    from posor_design.units import Metre, Newton, Number, Pascal, PerMetre
+    from posor_design.units import POISSON_RATIO, POSITIVE, Metre, Newton, Number, Pascal, PerMetre, more_than
 
 _FLATTEST = 1e-5
 """Smallest ratio of the half axes that is solved."""
@@ -23,52 +23,34 @@ _DEEPEST = 2.0
 
 @dataclass(frozen=True)
 class Contact:
-    """Contact of two elastic bodies.
+    """Contact of two elastic bodies."""
 
-    Attributes:
-        large_half_axis: Large half axis of the contact ellipse.
-        small_half_axis: Small half axis of the contact ellipse.
-        stress: Greatest compressive stress, at the centre of the ellipse.
-        shear_stress: Greatest shear stress at and under this centre, in the first body.
-        shear_depth: Depth of the greatest shear stress.
-        approach: Approach of the two bodies.
-
-    """
-
-    large_half_axis: Metre
-    small_half_axis: Metre
-    stress: Pascal
-    shear_stress: Pascal
-    shear_depth: Metre
-    approach: Metre
+    large_half_axis: Annotated[Metre, "Large half axis of the contact ellipse."]
+    small_half_axis: Annotated[Metre, "Small half axis of the contact ellipse."]
+    stress: Annotated[Pascal, "Greatest compressive stress, at the centre of the ellipse."]
+    shear_stress: Annotated[Pascal, "Greatest shear stress at and under this centre, in the first body."]
+    shear_depth: Annotated[Metre, "Depth of the greatest shear stress."]
+    approach: Annotated[Metre, "Approach of the two bodies."]
 
 
+@calculator
 def hertz_contact(
-    load: Newton,
-    curvature_x: PerMetre,
-    curvature_y: PerMetre,
-    modulus: Pascal,
-    poisson_ratio: Number,
-    other_modulus: Pascal,
-    other_poisson_ratio: Number,
+    load: Annotated[Newton, POSITIVE, "Force between the bodies."],
+    curvature_x: Annotated[
+        PerMetre, POSITIVE, "Sum of the curvatures of both bodies in the first principal direction."
+    ],
+    curvature_y: Annotated[
+        PerMetre, POSITIVE, "Sum of the curvatures of both bodies in the second principal direction."
+    ],
+    modulus: Annotated[Pascal, POSITIVE, "Modulus of elasticity of the first body."],
+    poisson_ratio: Annotated[Number, POISSON_RATIO, "Poisson's ratio of the first body, 0 to 0.5."],
+    other_modulus: Annotated[Pascal, POSITIVE, "Modulus of elasticity of the second body."],
+    other_poisson_ratio: Annotated[Number, POISSON_RATIO, "Poisson's ratio of the second body, 0 to 0.5."],
 ) -> Contact:
     """Stress, size and approach of the contact of two elastic bodies.
 
     The contact is an ellipse without friction, small beside the radii. A curvature is the inverse of a radius; that of
     a hollow surface is negative. The sums of the curvatures of both bodies in the two principal directions are enough.
-
-    Args:
-        load: Force between the bodies.
-        curvature_x: Sum of the curvatures of both bodies in the first principal direction.
-        curvature_y: Sum of the curvatures of both bodies in the second principal direction.
-        modulus: Modulus of elasticity of the first body.
-        poisson_ratio: Poisson's ratio of the first body, 0 to 0.5.
-        other_modulus: Modulus of elasticity of the second body.
-        other_poisson_ratio: Poisson's ratio of the second body, 0 to 0.5.
-
-    Raises:
-        ParameterError: An argument is not finite or not positive, a ratio exceeds 0.5, or the curvatures differ so much
-            that the contact is a line.
 
     Source: Johnson, Contact Mechanics (1985), 4.2; Boresi and Schmidt, Advanced Mechanics of Materials (2003), 17.4;
         thesis 6.2.3.3 and appendix 6B (CONTACT.FOR, after Timoshenko).
@@ -78,9 +60,6 @@ def hertz_contact(
         --poisson-ratio .3 --other-modulus '206 GPa' --other-poisson-ratio .3
 
     """
-    require_positive(load=load, curvature_x=curvature_x, curvature_y=curvature_y)
-    require_positive(modulus=modulus, other_modulus=other_modulus)
-    require_poisson_ratio(poisson_ratio=poisson_ratio, other_poisson_ratio=other_poisson_ratio)
     contact_modulus = 1.0 / ((1.0 - poisson_ratio**2) / modulus + (1.0 - other_poisson_ratio**2) / other_modulus)
     k = _axis_ratio(curvature_x, curvature_y)
     first_kind, second_kind = float(ellipk(1.0 - k**2)), float(ellipe(1.0 - k**2))
@@ -149,33 +128,19 @@ def _shear_stress(depth: float, k: float, poisson_ratio: float) -> float:
     return 0.5 * (max(stresses) - min(stresses))
 
 
+@calculator
 def ball_race_contact(
-    load: Newton,
-    ball_diameter: Metre,
-    pitch_diameter: Metre,
-    conformity: Number,
-    ball_modulus: Pascal,
-    ball_poisson_ratio: Number,
-    race_modulus: Pascal,
-    race_poisson_ratio: Number,
-    race: Literal["inner", "outer"] = "inner",
+    load: Annotated[Newton, POSITIVE, "Force of the ball."],
+    ball_diameter: Annotated[Metre, POSITIVE, "Diameter of the ball."],
+    pitch_diameter: Annotated[Metre, POSITIVE, "Diameter of the circle through the centres of the balls."],
+    conformity: Annotated[Number, more_than(0.5), "Radius of the groove over the diameter of the ball, more than 0.5."],
+    ball_modulus: Annotated[Pascal, POSITIVE, "Modulus of elasticity of the ball."],
+    ball_poisson_ratio: Annotated[Number, POISSON_RATIO, "Poisson's ratio of the ball."],
+    race_modulus: Annotated[Pascal, POSITIVE, "Modulus of elasticity of the race."],
+    race_poisson_ratio: Annotated[Number, POISSON_RATIO, "Poisson's ratio of the race."],
+    race: Annotated[Literal["inner", "outer"], "Race that the ball touches."] = "inner",
 ) -> Contact:
     """Contact of a ball with the groove of a radial ball bearing.
-
-    Args:
-        load: Force of the ball.
-        ball_diameter: Diameter of the ball.
-        pitch_diameter: Diameter of the circle through the centres of the balls.
-        conformity: Radius of the groove over the diameter of the ball, more than 0.5.
-        ball_modulus: Modulus of elasticity of the ball.
-        ball_poisson_ratio: Poisson's ratio of the ball.
-        race_modulus: Modulus of elasticity of the race.
-        race_poisson_ratio: Poisson's ratio of the race.
-        race: Race that the ball touches.
-
-    Raises:
-        ParameterError: An argument is not finite or not positive, the conformity is at most 0.5, the pitch diameter is
-            at most the ball diameter, or a ratio of Poisson exceeds 0.5.
 
     Source: thesis 6.2.3.3 and appendix 6B (CONTACT.FOR); curvatures: Harris, Rolling Bearing Analysis (2001), 2.6.
 
@@ -185,13 +150,9 @@ def ball_race_contact(
         --race-poisson-ratio .3
 
     """
-    require_positive(ball_diameter=ball_diameter, pitch_diameter=pitch_diameter, conformity=conformity)
-    if conformity <= 0.5:  # noqa: PLR2004 - the groove has the radius of the ball
-        raise ParameterError(f"{conformity:g} is too small", where="conformity", expected="more than 0.5")
     if pitch_diameter <= ball_diameter:
-        raise ParameterError(
-            f"{pitch_diameter:g} m is not greater than the ball", where="pitch_diameter", expected="more than the ball"
-        )
+        expected = f"more than the diameter of the ball, {ball_diameter:g} m"
+        raise ParameterError(f"{pitch_diameter:g} m", where="pitch_diameter", expected=expected)
     side = 1.0 if race == "inner" else -1.0
     return hertz_contact(
         load,

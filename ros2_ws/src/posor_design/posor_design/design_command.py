@@ -20,7 +20,8 @@ from posor.reporting.program_errors import reports_errors
 from posor_design.calculator_signature import read_signature
 from posor_design.calculators import CALCULATORS
 from posor_design.design_page import render_design_page
-from posor_design.value_kinds import format_value, name_kind, parse_value, summarise_value, unit_of
+from posor_design.units import unit_of
+from posor_design.value_kinds import format_value, name_kind, parse_value, summarise_value
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

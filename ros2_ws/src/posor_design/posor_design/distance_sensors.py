@@ -4,20 +4,32 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from posor.errors import ParameterError
 from scipy.constants import epsilon_0
 from scipy.optimize import brentq
 from scipy.special import j1
 
-from posor_design.checks import require_finite, require_non_negative, require_positive
+from posor_design.calculators import calculator
 from posor_design.line_fit import fit_line
 
 if TYPE_CHECKING:
-    from posor_design.units import Farad, FaradPerMetre, Metre, MetrePerVolt, Number, PerMetre, Radian, Volt
+    from posor_design.units import (
+        ACUTE_ANGLE,
+        NON_NEGATIVE,
+        POSITIVE,
+        SHARE,
+        Farad,
+        FaradPerMetre,
+        Metre,
+        MetrePerVolt,
+        Number,
+        PerMetre,
+        Radian,
+        Volt,
+    )
 
-_RIGHT_ANGLE = math.pi / 2.0
 _LARGEST_GAP = 0.2
 """Of a disc without guard, over its radius: Kirchhoff's formula is then 1 % too low (test with Love's equation)."""
 _LARGEST_CURVATURE = 0.2
@@ -26,49 +38,31 @@ _LARGEST_CURVATURE = 0.2
 
 @dataclass(frozen=True)
 class FibreLever:
-    """Response of a fibre optic lever.
+    """Response of a fibre optic lever."""
 
-    Attributes:
-        illuminated_radius: Radius of the reflected light in the plane of the fibre ends.
-        collected: Received power over transmitted power.
-        slope: Derivative of ``collected`` with respect to the distance.
-        dead_distance: Distance below which no light reaches the receiving fibres.
-        peak_distance: Distance of the largest received power; the response rises before it and falls behind it.
-        peak_collected: Largest received power over transmitted power.
-
-    """
-
-    illuminated_radius: Metre
-    collected: Number
-    slope: PerMetre
-    dead_distance: Metre
-    peak_distance: Metre
-    peak_collected: Number
+    illuminated_radius: Annotated[Metre, "Radius of the reflected light in the plane of the fibre ends."]
+    collected: Annotated[Number, "Received power over transmitted power."]
+    slope: Annotated[PerMetre, "Derivative of ``collected`` with respect to the distance."]
+    dead_distance: Annotated[Metre, "Distance below which no light reaches the receiving fibres."]
+    peak_distance: Annotated[
+        Metre, "Distance of the largest received power; the response rises before it and falls behind it."
+    ]
+    peak_collected: Annotated[Number, "Largest received power over transmitted power."]
 
 
+@calculator
 def fibre_lever(
-    distance: Metre,
-    core_radius: Metre,
-    spacing: Metre,
-    half_angle: Radian,
-    receivers: int = 6,
-    reflectivity: Number = 1.0,
+    distance: Annotated[Metre, NON_NEGATIVE, "Distance of the target."],
+    core_radius: Annotated[Metre, POSITIVE, "Radius of the core of each fibre."],
+    spacing: Annotated[Metre, "Distance between the axes of the transmitting and a receiving fibre."],
+    half_angle: Annotated[Radian, ACUTE_ANGLE, "Half angle of the cone of light; its sine is the numerical aperture."],
+    receivers: Annotated[int, POSITIVE, "Number of receiving fibres."] = 6,
+    reflectivity: Annotated[Number, SHARE, "Reflectivity of the target."] = 1.0,
 ) -> FibreLever:
     """Response of a fibre optic lever: one transmitting fibre with receiving fibres around it.
 
     The target is a mirror, level with the fibre ends. The light fills its cone evenly, so that a receiving fibre gets
     the share of the illuminated circle that its core covers.
-
-    Args:
-        distance: Distance of the target.
-        core_radius: Radius of the core of each fibre.
-        spacing: Distance between the axes of the transmitting and a receiving fibre.
-        half_angle: Half angle of the cone of light; its sine is the numerical aperture.
-        receivers: Number of receiving fibres.
-        reflectivity: Reflectivity of the target.
-
-    Raises:
-        ParameterError: An argument is not finite or out of range, or the cores overlap.
 
     Source: thesis 4.2.1 (the geometry, after Cook and Hamm, Applied Optics 18(19), 3230-3241, 1979); the equations
         follow from the area that two circles share.
@@ -77,14 +71,7 @@ def fibre_lever(
         posor design fibre-lever --distance '.2 mm' --core-radius '.1 mm' --spacing '.25 mm' --half-angle '30 deg'
 
     """
-    require_positive(core_radius=core_radius, half_angle=half_angle, receivers=receivers, reflectivity=reflectivity)
-    require_non_negative(distance=distance)
-    if half_angle >= _RIGHT_ANGLE:
-        raise ParameterError(f"{half_angle:g} rad", where="half_angle", expected="less than a right angle")
-    if reflectivity > 1.0:
-        raise ParameterError(f"{reflectivity:g}", where="reflectivity", expected="at most 1")
     room = 2.0 if receivers == 1 else max(2.0, 1.0 / math.sin(math.pi / receivers))
-    require_finite(spacing=spacing)
     if spacing < room * core_radius * (1.0 - 1e-9):
         expected = f"at least {room * core_radius:g} m, where the cores touch"
         raise ParameterError(f"{spacing:g} m", where="spacing", expected=expected)
@@ -124,47 +111,34 @@ def _shared_area(radius: float, other_radius: float, spacing: float) -> tuple[fl
 
 @dataclass(frozen=True)
 class CapacitanceProbe:
-    """Response of a capacitance probe.
+    """Response of a capacitance probe."""
 
-    Attributes:
-        capacitance: Capacitance between probe and level target.
-        slope: Derivative of the capacitance with respect to the gap.
-        resolution: Change of the gap that the resolution of the capacitance is worth.
-        tilt_error: Gap read less gap at the axis, because the target is tilted.
-        permittivity_error: Gap read less gap, because the permittivity has changed.
-
-    """
-
-    capacitance: Farad
-    slope: FaradPerMetre
-    resolution: Metre
-    tilt_error: Metre
-    permittivity_error: Metre
+    capacitance: Annotated[Farad, "Capacitance between probe and level target."]
+    slope: Annotated[FaradPerMetre, "Derivative of the capacitance with respect to the gap."]
+    resolution: Annotated[Metre, "Change of the gap that the resolution of the capacitance is worth."]
+    tilt_error: Annotated[Metre, "Gap read less gap at the axis, because the target is tilted."]
+    permittivity_error: Annotated[Metre, "Gap read less gap, because the permittivity has changed."]
 
 
+@calculator
 def capacitance_probe(
-    gap: Metre,
-    radius: Metre,
-    capacitance_resolution: Farad = 0.0,
-    tilt: Radian = 0.0,
-    permittivity: Number = 1.0006,
-    permittivity_change: Number = 0.0,
-    edge: Literal["guarded", "free"] = "guarded",
+    gap: Annotated[Metre, POSITIVE, "Distance of the target at the axis of the probe."],
+    radius: Annotated[Metre, POSITIVE, "Radius of the disc; with a guard, to the middle of the slit."],
+    capacitance_resolution: Annotated[
+        Farad, NON_NEGATIVE, "Change of the capacitance that the electronics resolve."
+    ] = 0.0,
+    tilt: Annotated[
+        Radian, "Angle between target and disc; its error holds for an even field, without the edge."
+    ] = 0.0,
+    permittivity: Annotated[
+        Number, POSITIVE, "Relative permittivity of the medium; the default is that of air."
+    ] = 1.0006,
+    permittivity_change: Annotated[Number, "Change of the relative permittivity since the calibration."] = 0.0,
+    edge: Annotated[
+        Literal["guarded", "free"], "A guard keeps the field even up to the edge; a free disc has a stray field."
+    ] = "guarded",
 ) -> CapacitanceProbe:
     """Response of a capacitance probe, a disc in front of a conducting plane.
-
-    Args:
-        gap: Distance of the target at the axis of the probe.
-        radius: Radius of the disc; with a guard, to the middle of the slit.
-        capacitance_resolution: Change of the capacitance that the electronics resolve.
-        tilt: Angle between target and disc; its error holds for an even field, without the edge.
-        permittivity: Relative permittivity of the medium; the default is that of air.
-        permittivity_change: Change of the relative permittivity since the calibration.
-        edge: A guard keeps the field even up to the edge; a free disc has a stray field.
-
-    Raises:
-        ParameterError: An argument is not finite or out of range, the tilted target touches the disc, or the gap of a
-            free disc exceeds a fifth of its radius.
 
     Source: thesis 4.2.2 (capacitance as the inverse of the gap). Stray field: Kirchhoff's formula for two discs, in
         Landau and Lifshitz, Electrodynamics of Continuous Media, section 3, with the image of the disc in the plane.
@@ -174,12 +148,11 @@ def capacitance_probe(
         posor design capacitance-probe --gap '.05 in' --radius '5 mm' --capacitance-resolution '.0001 pF' --tilt '1 deg'
 
     """
-    require_positive(gap=gap, radius=radius, permittivity=permittivity)
-    require_non_negative(capacitance_resolution=capacitance_resolution)
-    require_finite(tilt=tilt, permittivity_change=permittivity_change)
-    require_positive(permittivity_after_the_change=permittivity + permittivity_change)
+    if permittivity + permittivity_change <= 0.0:
+        expected = f"more than {-permittivity:g}, so that a permittivity remains"
+        raise ParameterError(f"{permittivity_change:g}", where="permittivity_change", expected=expected)
     rise = radius * math.tan(abs(tilt))
-    if abs(tilt) >= _RIGHT_ANGLE or rise >= gap:
+    if abs(tilt) >= 0.5 * math.pi or rise >= gap:
         expected = f"less than {math.atan(gap / radius):g} rad, where the edge touches the target"
         raise ParameterError(f"{tilt:g} rad", where="tilt", expected=expected)
     if edge == "free" and gap > _LARGEST_GAP * radius:
@@ -203,30 +176,21 @@ def capacitance_probe(
 
 @dataclass(frozen=True)
 class ProbeArea:
-    """Effect of the area over which a probe averages.
+    """Effect of the area over which a probe averages."""
 
-    Attributes:
-        curvature_error: Mean gap less gap at the axis, before a convex cylinder.
-        amplitude_ratio: Amplitude of waves of the target that the probe shows, over their amplitude.
-
-    """
-
-    curvature_error: Metre
-    amplitude_ratio: Number
+    curvature_error: Annotated[Metre, "Mean gap less gap at the axis, before a convex cylinder."]
+    amplitude_ratio: Annotated[Number, "Amplitude of waves of the target that the probe shows, over their amplitude."]
 
 
-def probe_area(radius: Metre, target_radius: Metre, wavelength: Metre) -> ProbeArea:
+@calculator
+def probe_area(
+    radius: Annotated[Metre, POSITIVE, "Radius of the disc over which the probe averages."],
+    target_radius: Annotated[Metre, POSITIVE, "Radius of the cylinder."],
+    wavelength: Annotated[Metre, POSITIVE, "Length of the waves of the target."],
+) -> ProbeArea:
     """Effect of the area of a probe on the gap before a cylinder, and on the bumps of a ring.
 
     The probe shows the mean gap over a disc. Waves shorter than its diameter nearly vanish in this mean.
-
-    Args:
-        radius: Radius of the disc over which the probe averages.
-        target_radius: Radius of the cylinder.
-        wavelength: Length of the waves of the target.
-
-    Raises:
-        ParameterError: An argument is not finite or not positive, or the probe exceeds a fifth of the target's radius.
 
     Source: mean of the height of a circle, and of a wave, over a disc; J1: Bessel function, NIST DLMF 10.9.
 
@@ -234,7 +198,6 @@ def probe_area(radius: Metre, target_radius: Metre, wavelength: Metre) -> ProbeA
         posor design probe-area --radius '2 mm' --target-radius '40 mm' --wavelength '20 mm'
 
     """
-    require_positive(radius=radius, target_radius=target_radius, wavelength=wavelength)
     share = radius / target_radius
     if share > _LARGEST_CURVATURE:
         expected = f"at most {_LARGEST_CURVATURE * target_radius:g} m, a fifth of the radius of the target"
@@ -247,34 +210,21 @@ def probe_area(radius: Metre, target_radius: Metre, wavelength: Metre) -> ProbeA
 
 @dataclass(frozen=True)
 class Linearity:
-    """Deviation of a sensor from a straight line.
+    """Deviation of a sensor from a straight line."""
 
-    Attributes:
-        sensitivity: Displacement over reading of the least squares line.
-        deviation: Standard deviation of the displacements from this line.
-        largest_deviation: Largest deviation from this line.
-        linearity: Half width of the narrowest band with all displacements, along the displacement.
-        relative_linearity: Linearity over the range of the displacements.
-
-    """
-
-    sensitivity: MetrePerVolt
-    deviation: Metre
-    largest_deviation: Metre
-    linearity: Metre
-    relative_linearity: Number
+    sensitivity: Annotated[MetrePerVolt, "Displacement over reading of the least squares line."]
+    deviation: Annotated[Metre, "Standard deviation of the displacements from this line."]
+    largest_deviation: Annotated[Metre, "Largest deviation from this line."]
+    linearity: Annotated[Metre, "Half width of the narrowest band with all displacements, along the displacement."]
+    relative_linearity: Annotated[Number, "Linearity over the range of the displacements."]
 
 
-def linearity(readings: tuple[Volt, ...], displacements: tuple[Metre, ...]) -> Linearity:
+@calculator
+def linearity(
+    readings: Annotated[tuple[Volt, ...], "Readings of the sensor."],
+    displacements: Annotated[tuple[Metre, ...], "Displacement of the target at each reading."],
+) -> Linearity:
     """Linearity of a sensor: deviations of displacements from a straight line over the readings.
-
-    Args:
-        readings: Readings of the sensor.
-        displacements: Displacement of the target at each reading.
-
-    Raises:
-        ParameterError: There are fewer than three readings, not as many as displacements, one is not finite, or all
-            are equal.
 
     Source: thesis 4.4 and 7.5.1 (linearisation); narrowest band: ISA S37.1, independent linearity.
 
@@ -284,7 +234,8 @@ def linearity(readings: tuple[Volt, ...], displacements: tuple[Metre, ...]) -> L
     """
     line = fit_line(readings, displacements, "readings", "displacements")
     span = max(displacements) - min(displacements)
-    require_positive(range_of_displacements=span)
+    if span == 0.0:
+        raise ParameterError("all values are equal", where="displacements", expected="different values")
     return Linearity(
         line.slope, line.standard_deviation, line.largest_residual, 0.5 * line.band, 0.5 * line.band / span
     )

@@ -4,49 +4,50 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.polynomial import polynomial
-from posor.errors import ParameterError
 
-from posor_design.checks import require_finite, require_non_negative, require_positive, require_small_angle
+from posor_design.calculators import calculator, require_as_many
 from posor_design.line_fit import fit_line
 
 if TYPE_CHECKING:
-    from posor_design.units import Kelvin, Metre, MetrePerVolt, Number, PerKelvin, Radian, Volt
+    from posor_design.units import (
+        NON_NEGATIVE,
+        NON_ZERO,
+        POSITIVE,
+        SMALL_ANGLE,
+        Kelvin,
+        Metre,
+        MetrePerVolt,
+        Number,
+        PerKelvin,
+        Radian,
+        Volt,
+        at_least,
+    )
 
 
 @dataclass(frozen=True)
 class Straightness:
-    """Straightness of a motion.
+    """Straightness of a motion."""
 
-    Attributes:
-        intercept: Intercept of the least squares line.
-        slope: Slope of this line: the angle between the motion and the axis of the straightness optics.
-        deviation: Standard deviation of the readings from this line.
-        least_squares: Straightness: largest less least deviation from this line.
-        minimum_zone: Straightness: width of the narrowest band with all readings.
-
-    """
-
-    intercept: Metre
-    slope: Number
-    deviation: Metre
-    least_squares: Metre
-    minimum_zone: Metre
+    intercept: Annotated[Metre, "Intercept of the least squares line."]
+    slope: Annotated[
+        Number, "Slope of this line: the angle between the motion and the axis of the straightness optics."
+    ]
+    deviation: Annotated[Metre, "Standard deviation of the readings from this line."]
+    least_squares: Annotated[Metre, "Straightness: largest less least deviation from this line."]
+    minimum_zone: Annotated[Metre, "Straightness: width of the narrowest band with all readings."]
 
 
-def straightness(positions: tuple[Metre, ...], readings: tuple[Metre, ...]) -> Straightness:
+@calculator
+def straightness(
+    positions: Annotated[tuple[Metre, ...], "Positions along the motion."],
+    readings: Annotated[tuple[Metre, ...], "Reading across the motion at each position."],
+) -> Straightness:
     """Straightness of a motion from readings across it; a line takes the misalignment of the optics away.
-
-    Args:
-        positions: Positions along the motion.
-        readings: Reading across the motion at each position.
-
-    Raises:
-        ParameterError: There are fewer than three positions, not as many readings, one is not finite, or all positions
-            are equal.
 
     Source: thesis 7.2, figure 7.3 and table 7.1 (least squares line); ISO 230-1:2012, straightness (minimum zone).
 
@@ -60,36 +61,22 @@ def straightness(positions: tuple[Metre, ...], readings: tuple[Metre, ...]) -> S
 
 @dataclass(frozen=True)
 class StraightnessRuns:
-    """Repeated runs of a straightness measurement.
+    """Repeated runs of a straightness measurement."""
 
-    Attributes:
-        mean_deviation: Mean of the deviations.
-        deviation_scatter: Standard deviation of the deviations from run to run.
-        mean_slope: Mean slope of the lines.
-        spread: Largest distance between the lines of two runs, over the travel.
-
-    """
-
-    mean_deviation: Metre
-    deviation_scatter: Metre
-    mean_slope: Number
-    spread: Metre
+    mean_deviation: Annotated[Metre, "Mean of the deviations."]
+    deviation_scatter: Annotated[Metre, "Standard deviation of the deviations from run to run."]
+    mean_slope: Annotated[Number, "Mean slope of the lines."]
+    spread: Annotated[Metre, "Largest distance between the lines of two runs, over the travel."]
 
 
+@calculator
 def straightness_runs(
-    intercepts: tuple[Metre, ...], slopes: tuple[Number, ...], deviations: tuple[Metre, ...], travel: Metre
+    intercepts: Annotated[tuple[Metre, ...], at_least(2), "Intercept of the line of each run."],
+    slopes: Annotated[tuple[Number, ...], "Slope of the line of each run."],
+    deviations: Annotated[tuple[Metre, ...], NON_NEGATIVE, "Deviation of each run from its line."],
+    travel: Annotated[Metre, POSITIVE, "Travel from position 0."],
 ) -> StraightnessRuns:
     """Mean and repeatability of runs of a straightness measurement, each with its line and its deviation.
-
-    Args:
-        intercepts: Intercept of the line of each run.
-        slopes: Slope of the line of each run.
-        deviations: Deviation of each run from its line.
-        travel: Travel from position 0.
-
-    Raises:
-        ParameterError: There are fewer than two runs, a run is incomplete, or an argument is not finite or out of
-            range.
 
     Source: thesis 7.2, table 7.1.
 
@@ -98,15 +85,7 @@ def straightness_runs(
         '410, 416 uin' --travel '.75 in'
 
     """
-    require_positive(travel=travel)
-    if len(intercepts) < 2:  # noqa: PLR2004
-        raise ParameterError(f"{len(intercepts)} run", where="intercepts", expected="at least 2 runs")
-    for name, values in (("slopes", slopes), ("deviations", deviations)):
-        if len(values) != len(intercepts):
-            raise ParameterError(f"{len(values)} values", where=name, expected=f"{len(intercepts)}, one for each run")
-    for number, (intercept, slope, deviation) in enumerate(zip(intercepts, slopes, deviations, strict=True), start=1):
-        require_finite(**{f"intercept of run {number}": intercept, f"slope of run {number}": slope})
-        require_non_negative(**{f"deviation of run {number}": deviation})
+    require_as_many("intercepts", intercepts=intercepts, slopes=slopes, deviations=deviations)
     starts, ends = np.array(intercepts), np.array(intercepts) + travel * np.array(slopes)
     return StraightnessRuns(
         mean_deviation=float(np.mean(deviations)),
@@ -118,30 +97,26 @@ def straightness_runs(
 
 @dataclass(frozen=True)
 class Alignment:
-    """Effect of misalignments that add up as independent ones.
+    """Effect of misalignments that add up as independent ones."""
 
-    Attributes:
-        angle: Root sum square of the misalignments.
-        cosine_error: Travel less its component along the measured axis.
-        lateral_error: Component of the travel across the measured axis: the error of squareness or parallelism.
-
-    """
-
-    angle: Radian
-    cosine_error: Metre
-    lateral_error: Metre
+    angle: Annotated[Radian, "Root sum square of the misalignments."]
+    cosine_error: Annotated[Metre, "Travel less its component along the measured axis."]
+    lateral_error: Annotated[
+        Metre, "Component of the travel across the measured axis: the error of squareness or parallelism."
+    ]
 
 
-def alignment(misalignments: tuple[Radian, ...], travel: Metre) -> Alignment:
+@calculator
+def alignment(
+    misalignments: Annotated[
+        tuple[Radian, ...],
+        SMALL_ANGLE,
+        at_least(1),
+        "Independent misalignments, such as stage to machine, optics to machine, sensor to stage.",
+    ],
+    travel: Annotated[Metre, NON_NEGATIVE, "Travel along the axis."],
+) -> Alignment:
     """Cosine error and lateral error of axes that are not parallel, or not square, to each other.
-
-    Args:
-        misalignments: Independent misalignments, such as stage to machine, optics to machine, sensor to stage.
-        travel: Travel along the axis.
-
-    Raises:
-        ParameterError: There is no misalignment, an argument is not finite, an angle exceeds 0.2 rad, or the travel is
-            negative.
 
     Source: thesis 7.2 and 7.4 (root sum square, cosine error and orthogonality of the axes).
 
@@ -149,35 +124,23 @@ def alignment(misalignments: tuple[Radian, ...], travel: Metre) -> Alignment:
         posor design alignment --misalignments '1, 2, 5 mrad' --travel '.625 in'
 
     """
-    require_non_negative(travel=travel)
-    if not misalignments:
-        raise ParameterError("no angle", where="misalignments", expected="at least one")
-    require_small_angle(**{f"misalignment {number}": angle for number, angle in enumerate(misalignments, start=1)})
     angle = math.hypot(*misalignments)
     return Alignment(angle, 2.0 * travel * math.sin(0.5 * angle) ** 2, travel * math.sin(angle))
 
 
 @dataclass(frozen=True)
 class AbbeError:
-    """Effect of an Abbe offset.
+    """Effect of an Abbe offset."""
 
-    Attributes:
-        error: Displacement of the point of interest less displacement at the axis of measurement.
-
-    """
-
-    error: Metre
+    error: Annotated[Metre, "Displacement of the point of interest less displacement at the axis of measurement."]
 
 
-def abbe_error(offset: Metre, angle: Radian) -> AbbeError:
+@calculator
+def abbe_error(
+    offset: Annotated[Metre, "Distance across the motion from the axis of measurement to the point of interest."],
+    angle: Annotated[Radian, SMALL_ANGLE, "Turn of the carriage: pitch, yaw or roll."],
+) -> AbbeError:
     """Error of a displacement that is measured at a distance from the point of interest, while the carriage turns.
-
-    Args:
-        offset: Distance across the motion from the axis of measurement to the point of interest.
-        angle: Turn of the carriage: pitch, yaw or roll.
-
-    Raises:
-        ParameterError: An argument is not finite, or the angle exceeds 0.2 rad.
 
     Source: thesis 4.1, 7.4.2 and 7.5.1.
 
@@ -185,33 +148,23 @@ def abbe_error(offset: Metre, angle: Radian) -> AbbeError:
         posor design abbe-error --offset '2 in' --angle '5 arcsec'
 
     """
-    require_finite(offset=offset)
-    require_small_angle(angle=angle)
     return AbbeError(offset * math.sin(angle))
 
 
 @dataclass(frozen=True)
 class ThermalGrowth:
-    """Growth of a part.
+    """Growth of a part."""
 
-    Attributes:
-        growth: Change of its length.
-
-    """
-
-    growth: Metre
+    growth: Annotated[Metre, "Change of its length."]
 
 
-def thermal_growth(length: Metre, expansion: PerKelvin, temperature_change: Kelvin) -> ThermalGrowth:
+@calculator
+def thermal_growth(
+    length: Annotated[Metre, NON_NEGATIVE, "Length of the part."],
+    expansion: Annotated[PerKelvin, "Coefficient of thermal expansion of its material."],
+    temperature_change: Annotated[Kelvin, "Change of its temperature."],
+) -> ThermalGrowth:
     """Growth of a part of a machine that lies between reference and sensor.
-
-    Args:
-        length: Length of the part.
-        expansion: Coefficient of thermal expansion of its material.
-        temperature_change: Change of its temperature.
-
-    Raises:
-        ParameterError: An argument is not finite, or the length is negative.
 
     Source: thesis 7.2 and 7.4.1.
 
@@ -219,43 +172,31 @@ def thermal_growth(length: Metre, expansion: PerKelvin, temperature_change: Kelv
         posor design thermal-growth --length '10 in' --expansion '10.8 ppm/K' --temperature-change '.056 K'
 
     """
-    require_non_negative(length=length)
-    require_finite(expansion=expansion, temperature_change=temperature_change)
     return ThermalGrowth(length * expansion * temperature_change)
 
 
 @dataclass(frozen=True)
 class ProbeZero:
-    """Effect of a zero of a probe that is known with an error.
+    """Effect of a zero of a probe that is known with an error."""
 
-    Attributes:
-        zero_error: Error of the zero as a voltage.
-        motion: Motion between the two voltages, by the polynomial.
-        motion_error: Error of this motion: the polynomial is entered at shifted voltages.
-
-    """
-
-    zero_error: Volt
-    motion: Metre
-    motion_error: Metre
+    zero_error: Annotated[Volt, "Error of the zero as a voltage."]
+    motion: Annotated[Metre, "Motion between the two voltages, by the polynomial."]
+    motion_error: Annotated[Metre, "Error of this motion: the polynomial is entered at shifted voltages."]
 
 
+@calculator
 def probe_zero(
-    coefficients: tuple[Number, ...], start: Volt, finish: Volt, gauge_error: Metre, gain: MetrePerVolt
+    coefficients: Annotated[
+        tuple[Number, ...], at_least(1), "Gap in metres over voltage in volts, from the constant to the highest power."
+    ],
+    start: Annotated[Volt, "Voltage at the start of the motion."],
+    finish: Annotated[Volt, "Voltage at its end."],
+    gauge_error: Annotated[Metre, "Error of the gap that the gauge blocks set."],
+    gain: Annotated[MetrePerVolt, NON_ZERO, "Gap over voltage of the probe, by which this error becomes a voltage."],
 ) -> ProbeZero:
     """Error of a motion whose probe was set to zero by gauge blocks.
 
     A wrong zero shifts both voltages. A straight line would show the same motion; a curve does not.
-
-    Args:
-        coefficients: Gap in metres over voltage in volts, from the constant to the highest power.
-        start: Voltage at the start of the motion.
-        finish: Voltage at its end.
-        gauge_error: Error of the gap that the gauge blocks set.
-        gain: Gap over voltage of the probe, by which this error becomes a voltage.
-
-    Raises:
-        ParameterError: There are no coefficients, an argument is not finite, or the gain is zero.
 
     Source: thesis 8.3.1, with equation 5.2.
 
@@ -264,11 +205,6 @@ def probe_zero(
         --finish '.8 V' --gauge-error '.001 in' --gain '.05 in/V'
 
     """
-    if not coefficients:
-        raise ParameterError("no coefficient", where="coefficients", expected="at least one")
-    require_finite(**{f"coefficient {power}": value for power, value in enumerate(coefficients)})
-    require_finite(start=start, finish=finish, gauge_error=gauge_error)
-    require_positive(size_of_the_gain=abs(gain))
     zero_error = gauge_error / gain
 
     def motion(shift: float) -> float:

@@ -4,97 +4,78 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from posor.chain.beam_bending import PointForce, on_gimbals
 from posor.errors import ParameterError
 
-from posor_design.beam_arguments import (
-    MOST_MODES,
-    check_modes,
-    check_plates_and_gimbals,
-    make_attachments,
-    make_beam,
-)
+from posor_design.beam_arguments import check_gimbals, make_attachments, make_beam
 from posor_design.beam_section import make_section
 from posor_design.beam_vibration import BeamModel
-from posor_design.checks import require_finite, require_non_negative, require_positive
+from posor_design.calculators import calculator
+from posor_design.units import MOST_MODES
 
 if TYPE_CHECKING:
     from posor_design.units import (
+        MODES,
+        NON_NEGATIVE,
+        BeamDensity,
+        BeamLength,
+        BoxWidth,
+        GimbalPlaces,
+        GimbalStiffness,
+        GimbalTurningStiffness,
+        Height,
         Hertz,
-        Kilogram,
-        KilogramPerCubicMetre,
         KilogramSquareMetre,
         Metre,
         MetrePerSecondSquared,
-        NewtonMetrePerRadian,
-        NewtonPerMetre,
+        Modulus,
         Number,
-        Pascal,
+        PlateMasses,
+        PoissonRatio,
         Radian,
         RadianPerSecond,
+        Shape,
+        Wall,
     )
 
 
 @dataclass(frozen=True)
 class BeamFrequencies:
-    """Natural frequencies and modes of a measuring beam in one plane.
+    """Natural frequencies and modes of a measuring beam in one plane."""
 
-    Attributes:
-        frequencies: Natural frequencies, lowest first.
-        angular_frequencies: The same, times 2 pi.
-        positions: Distances from the start of the beam at which the modes are given.
-        shapes: Deflection of each mode at these positions; the largest is 1.
-
-    """
-
-    frequencies: tuple[Hertz, ...]
-    angular_frequencies: tuple[RadianPerSecond, ...]
-    positions: tuple[Metre, ...]
-    shapes: tuple[tuple[Number, ...], ...]
+    frequencies: Annotated[tuple[Hertz, ...], "Natural frequencies, lowest first."]
+    angular_frequencies: Annotated[tuple[RadianPerSecond, ...], "The same, times 2 pi."]
+    positions: Annotated[tuple[Metre, ...], "Distances from the start of the beam at which the modes are given."]
+    shapes: Annotated[tuple[tuple[Number, ...], ...], "Deflection of each mode at these positions; the largest is 1."]
 
 
+@calculator
 def beam_frequencies(
-    shape: Literal["tube", "box"],
-    height: Metre,
-    wall: Metre,
-    length: Metre,
-    modulus: Pascal,
-    density: KilogramPerCubicMetre,
-    gimbals: tuple[Metre, Metre],
-    plate_masses: tuple[Kilogram, Kilogram] = (0.0, 0.0),
-    plate_inertias: tuple[KilogramSquareMetre, KilogramSquareMetre] = (0.0, 0.0),
-    width: Metre = 0.0,
-    poisson_ratio: Number = 0.33,
-    gimbal_stiffness: tuple[NewtonPerMetre, ...] = (),
-    gimbal_turning_stiffness: tuple[NewtonMetrePerRadian, ...] = (),
-    modes: int = 4,
+    shape: Shape,
+    height: Height,
+    wall: Wall,
+    length: BeamLength,
+    modulus: Modulus,
+    density: BeamDensity,
+    gimbals: GimbalPlaces,
+    plate_masses: PlateMasses = (0.0, 0.0),
+    plate_inertias: Annotated[
+        tuple[KilogramSquareMetre, KilogramSquareMetre],
+        NON_NEGATIVE,
+        "Moments of inertia of these masses about the axis across the plane of bending.",
+    ] = (0.0, 0.0),
+    width: BoxWidth = 0.0,
+    poisson_ratio: PoissonRatio = 0.33,
+    gimbal_stiffness: GimbalStiffness = (),
+    gimbal_turning_stiffness: GimbalTurningStiffness = (),
+    modes: Annotated[int, MODES, "Number of modes."] = 4,
 ) -> BeamFrequencies:
     """Natural frequencies and mode shapes of a measuring beam on two gimbals with a plate at each end.
 
     The beam is a Timoshenko beam: it deforms in bending and in shear, and its sections have rotary inertia.
-
-    Args:
-        shape: Section of the beam.
-        height: Outer height of the section in the plane of bending; the outer diameter of a tube.
-        wall: Thickness of the walls.
-        length: Length of the beam.
-        modulus: Young's modulus.
-        density: Density of the beam.
-        gimbals: Distances of the two gimbals from the start of the beam, the nearer first.
-        plate_masses: Masses at start and end of the beam.
-        plate_inertias: Moments of inertia of these masses about the axis across the plane of bending.
-        width: Outer width of a box.
-        poisson_ratio: Poisson's ratio.
-        gimbal_stiffness: Stiffness of each gimbal against deflection; left out: rigid.
-        gimbal_turning_stiffness: Stiffness of each gimbal against turning; left out: the gimbals turn freely.
-        modes: Number of modes.
-
-    Raises:
-        ParameterError: An argument is not finite or out of its range, a gimbal is beyond the ends of the beam, or a
-            stiffness is stated for one gimbal only.
 
     Source: thesis 6.2.2 and appendix 6A; shear coefficient: Cowper, J. Applied Mechanics 33 (1966), 335-340.
 
@@ -104,7 +85,6 @@ def beam_frequencies(
         --plate-inertias '.00724, .00724 kg m^2'
 
     """
-    check_modes(modes)
     beam = make_beam(shape, height, wall, width, length, modulus, density, poisson_ratio)
     attachments = make_attachments(
         length, gimbals, plate_masses, plate_inertias, gimbal_stiffness, gimbal_turning_stiffness
@@ -123,56 +103,34 @@ def beam_frequencies(
 
 @dataclass(frozen=True)
 class BeamSag:
-    """Sag of a measuring beam under a uniform specific force, counted from the line through the gimbals.
+    """Sag of a measuring beam under a uniform specific force, counted from the line through the gimbals."""
 
-    Attributes:
-        start_deflection: Deflection of the plate at the start, along the force.
-        start_slope: Slope of the plate at the start.
-        end_deflection: Deflection of the plate at the end.
-        end_slope: Slope of the plate at the end.
-        relative_deflection: Deflection of the end in the axes of the plate at the start: correction of the position.
-        relative_slope: Slope of the end in these axes: correction of the orientation.
-
-    """
-
-    start_deflection: Metre
-    start_slope: Radian
-    end_deflection: Metre
-    end_slope: Radian
-    relative_deflection: Metre
-    relative_slope: Radian
+    start_deflection: Annotated[Metre, "Deflection of the plate at the start, along the force."]
+    start_slope: Annotated[Radian, "Slope of the plate at the start."]
+    end_deflection: Annotated[Metre, "Deflection of the plate at the end."]
+    end_slope: Annotated[Radian, "Slope of the plate at the end."]
+    relative_deflection: Annotated[
+        Metre, "Deflection of the end in the axes of the plate at the start: correction of the position."
+    ]
+    relative_slope: Annotated[Radian, "Slope of the end in these axes: correction of the orientation."]
 
 
+@calculator
 def beam_sag(
-    shape: Literal["tube", "box"],
-    height: Metre,
-    wall: Metre,
-    length: Metre,
-    modulus: Pascal,
-    density: KilogramPerCubicMetre,
-    gimbals: tuple[Metre, Metre],
-    plate_masses: tuple[Kilogram, Kilogram] = (0.0, 0.0),
-    width: Metre = 0.0,
-    specific_force: MetrePerSecondSquared = 9.80665,
+    shape: Shape,
+    height: Height,
+    wall: Wall,
+    length: BeamLength,
+    modulus: Modulus,
+    density: BeamDensity,
+    gimbals: GimbalPlaces,
+    plate_masses: PlateMasses = (0.0, 0.0),
+    width: BoxWidth = 0.0,
+    specific_force: Annotated[MetrePerSecondSquared, "Gravity less acceleration, across the beam."] = 9.80665,
 ) -> BeamSag:
     """Static sag of a measuring beam on two gimbals with a plate at each end.
 
     The correction that the chain of POSORs applies has the same formula. It leaves shear out.
-
-    Args:
-        shape: Section of the beam.
-        height: Outer height of the section in the plane of bending; the outer diameter of a tube.
-        wall: Thickness of the walls.
-        length: Length of the beam.
-        modulus: Young's modulus.
-        density: Density of the beam.
-        gimbals: Distances of the two gimbals from the start of the beam, the nearer first.
-        plate_masses: Masses at start and end of the beam.
-        width: Outer width of a box.
-        specific_force: Gravity less acceleration, across the beam.
-
-    Raises:
-        ParameterError: An argument is not finite or out of its range, or a gimbal is beyond the ends of the beam.
 
     Source: thesis 6.2.1, equations 6.1 and 6.2.
 
@@ -181,10 +139,8 @@ def beam_sag(
         --density '.1 lb/in^3' --gimbals '6, 24 in' --plate-masses '3.927, 3.927 lb'
 
     """
-    require_finite(specific_force=specific_force)
-    require_positive(length=length, modulus=modulus, density=density)
     section = make_section(shape, height, width, wall)
-    check_plates_and_gimbals(length, gimbals, plate_masses)
+    check_gimbals(length, gimbals)
     plates = [PointForce(at, mass * specific_force) for at, mass in zip((0.0, length), plate_masses, strict=True)]
     load = density * section.area * specific_force
     bent = on_gimbals(length, modulus * section.second_moment, load, plates, gimbals)
@@ -195,41 +151,39 @@ def beam_sag(
 
 @dataclass(frozen=True)
 class SagCorrection:
-    """Static sag correction of a beam that vibrates, and its error; amplitudes.
+    """Static sag correction of a beam that vibrates, and its error; amplitudes."""
 
-    Attributes:
-        deflection: Correction of the position of the end, in the axes of the plate at the start.
-        deflection_error: Error of this correction.
-        slope: Correction of the orientation of the end, in these axes.
-        slope_error: Error of this correction.
-        first_frequency: Lowest natural frequency.
-
-    """
-
-    deflection: Metre
-    deflection_error: Metre
-    slope: Radian
-    slope_error: Radian
-    first_frequency: Hertz
+    deflection: Annotated[Metre, "Correction of the position of the end, in the axes of the plate at the start."]
+    deflection_error: Annotated[Metre, "Error of this correction."]
+    slope: Annotated[Radian, "Correction of the orientation of the end, in these axes."]
+    slope_error: Annotated[Radian, "Error of this correction."]
+    first_frequency: Annotated[Hertz, "Lowest natural frequency."]
 
 
+@calculator
 def sag_correction(
-    shape: Literal["tube", "box"],
-    height: Metre,
-    wall: Metre,
-    length: Metre,
-    modulus: Pascal,
-    density: KilogramPerCubicMetre,
-    gimbals: tuple[Metre, Metre],
-    acceleration: MetrePerSecondSquared,
-    frequency: Hertz,
-    plate_masses: tuple[Kilogram, Kilogram] = (0.0, 0.0),
-    plate_inertias: tuple[KilogramSquareMetre, KilogramSquareMetre] = (0.0, 0.0),
-    width: Metre = 0.0,
-    poisson_ratio: Number = 0.33,
-    gimbal_stiffness: tuple[NewtonPerMetre, ...] = (),
-    gimbal_turning_stiffness: tuple[NewtonMetrePerRadian, ...] = (),
-    loss_factor: Number = 0.0,
+    shape: Shape,
+    height: Height,
+    wall: Wall,
+    length: BeamLength,
+    modulus: Modulus,
+    density: BeamDensity,
+    gimbals: GimbalPlaces,
+    acceleration: Annotated[MetrePerSecondSquared, "Amplitude of the acceleration across the beam."],
+    frequency: Annotated[Hertz, NON_NEGATIVE, "Frequency of the acceleration."],
+    plate_masses: PlateMasses = (0.0, 0.0),
+    plate_inertias: Annotated[
+        tuple[KilogramSquareMetre, KilogramSquareMetre],
+        NON_NEGATIVE,
+        "Moments of inertia of the masses about the axis across the plane of bending.",
+    ] = (0.0, 0.0),
+    width: BoxWidth = 0.0,
+    poisson_ratio: PoissonRatio = 0.33,
+    gimbal_stiffness: GimbalStiffness = (),
+    gimbal_turning_stiffness: GimbalTurningStiffness = (),
+    loss_factor: Annotated[
+        Number, NON_NEGATIVE, "Structural damping: imaginary over real part of the stiffness."
+    ] = 0.0,
 ) -> SagCorrection:
     """Error of the static sag correction of a measuring beam whose gimbals vibrate.
 
@@ -239,28 +193,6 @@ def sag_correction(
     out. Without damping the error has no bound at a natural frequency. With a loss factor it has one, but the beam lags
     behind the force at every frequency, which adds an error of about this share of the sag.
 
-    Args:
-        shape: Section of the beam.
-        height: Outer height of the section in the plane of bending; the outer diameter of a tube.
-        wall: Thickness of the walls.
-        length: Length of the beam.
-        modulus: Young's modulus.
-        density: Density of the beam.
-        gimbals: Distances of the two gimbals from the start of the beam, the nearer first.
-        plate_masses: Masses at start and end of the beam.
-        acceleration: Amplitude of the acceleration across the beam.
-        frequency: Frequency of the acceleration.
-        plate_inertias: Moments of inertia of the masses about the axis across the plane of bending.
-        width: Outer width of a box.
-        poisson_ratio: Poisson's ratio.
-        gimbal_stiffness: Stiffness of each gimbal against deflection; left out: rigid.
-        gimbal_turning_stiffness: Stiffness of each gimbal against turning; left out: the gimbals turn freely.
-        loss_factor: Structural damping: imaginary over real part of the stiffness.
-
-    Raises:
-        ParameterError: An argument is not finite or out of its range, a gimbal is beyond the ends of the beam, or a
-            stiffness is stated for one gimbal only.
-
     Source: thesis 6.2.1 and 6.2.2; structural damping: Meirovitch, Elements of Vibration Analysis (1975).
 
     Example:
@@ -269,8 +201,6 @@ def sag_correction(
         --plate-inertias '.00724, .00724 kg m^2' --acceleration '1 m/s^2' --frequency '20 Hz'
 
     """
-    require_finite(acceleration=acceleration)
-    require_non_negative(frequency=frequency, loss_factor=loss_factor)
     sag = beam_sag(shape, height, wall, length, modulus, density, gimbals, plate_masses, width, acceleration)
     beam = make_beam(shape, height, wall, width, length, modulus, density, poisson_ratio)
     attachments = make_attachments(

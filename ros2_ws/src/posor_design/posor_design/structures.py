@@ -4,33 +4,45 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from functools import partial
+from typing import TYPE_CHECKING, Annotated
 
 from posor.chain.beam_bending import cantilever
 from posor.errors import ParameterError
 from scipy.constants import g as standard_gravity
 from scipy.optimize import brentq
 
-from posor_design.beam_arguments import check_modes, make_beam
+from posor_design.beam_arguments import make_beam
 from posor_design.beam_section import make_section
 from posor_design.beam_vibration import Attachment, BeamModel
-from posor_design.checks import require_non_negative, require_positive
+from posor_design.calculators import calculator
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from posor_design.units import (
+        MODES,
+        NON_NEGATIVE,
+        POSITIVE,
+        BeamLength,
+        BoxWidth,
+        Height,
         Hertz,
         Kilogram,
         KilogramPerCubicMetre,
         KilogramPerMetre,
         Metre,
         MetreToTheFourth,
+        Modulus,
         Newton,
         Number,
         Pascal,
+        PoissonRatio,
         Radian,
         RadianPerSecond,
+        Shape,
+        Wall,
+        WeightDensity,
     )
 
 _THINNEST = 1e-6
@@ -39,50 +51,28 @@ _THINNEST = 1e-6
 
 @dataclass(frozen=True)
 class CantileverBeam:
-    """A cantilever with a force at its free end.
+    """A cantilever with a force at its free end."""
 
-    Attributes:
-        wall: Thickness of the walls.
-        second_moment: Second moment of area about the axis across the plane of bending.
-        mass_per_length: Mass per length.
-        stress: Largest bending stress, at the clamped end.
-        deflection: Deflection of the free end.
-        slope: Slope of the free end.
-
-    """
-
-    wall: Metre
-    second_moment: MetreToTheFourth
-    mass_per_length: KilogramPerMetre
-    stress: Pascal
-    deflection: Metre
-    slope: Radian
+    wall: Annotated[Metre, "Thickness of the walls."]
+    second_moment: Annotated[MetreToTheFourth, "Second moment of area about the axis across the plane of bending."]
+    mass_per_length: Annotated[KilogramPerMetre, "Mass per length."]
+    stress: Annotated[Pascal, "Largest bending stress, at the clamped end."]
+    deflection: Annotated[Metre, "Deflection of the free end."]
+    slope: Annotated[Radian, "Slope of the free end."]
 
 
+@calculator
 def cantilever_beam(
-    length: Metre,
-    tip_force: Newton,
-    modulus: Pascal,
-    height: Metre,
-    wall: Metre,
-    shape: Literal["tube", "box"] = "box",
-    width: Metre = 0.0,
-    density: KilogramPerCubicMetre = 0.0,
+    length: BeamLength,
+    tip_force: Annotated[Newton, NON_NEGATIVE, "Force at its free end, across the beam."],
+    modulus: Modulus,
+    height: Height,
+    wall: Wall,
+    shape: Shape = "box",
+    width: BoxWidth = 0.0,
+    density: WeightDensity = 0.0,
 ) -> CantileverBeam:
     """Stress and deflection of a cantilever with a force at its free end and its own weight.
-
-    Args:
-        length: Length of the beam.
-        tip_force: Force at its free end, across the beam.
-        modulus: Young's modulus.
-        height: Outer height of the section in the plane of bending; the outer diameter of a tube.
-        wall: Thickness of the walls.
-        shape: Section of the beam.
-        width: Outer width of a box.
-        density: Density; 0: the beam has no weight.
-
-    Raises:
-        ParameterError: An argument is not finite or out of its range.
 
     Source: thesis appendix 1A; bending theory of Euler and Bernoulli, without shear.
 
@@ -91,8 +81,6 @@ def cantilever_beam(
         --width '4 in' --wall '3/16 in'
 
     """
-    require_positive(length=length, modulus=modulus)
-    require_non_negative(tip_force=tip_force, density=density)
     section = make_section(shape, height, width, wall)
     mass = density * section.area
     weight = mass * standard_gravity
@@ -108,30 +96,18 @@ def cantilever_beam(
     )
 
 
+@calculator
 def cantilever_for_stress(
-    length: Metre,
-    tip_force: Newton,
-    modulus: Pascal,
-    stress: Pascal,
-    height: Metre,
-    shape: Literal["tube", "box"] = "box",
-    width: Metre = 0.0,
-    density: KilogramPerCubicMetre = 0.0,
+    length: BeamLength,
+    tip_force: Annotated[Newton, POSITIVE, "Force at its free end, across the beam."],
+    modulus: Modulus,
+    stress: Annotated[Pascal, POSITIVE, "Largest bending stress allowed."],
+    height: Height,
+    shape: Shape = "box",
+    width: BoxWidth = 0.0,
+    density: WeightDensity = 0.0,
 ) -> CantileverBeam:
     """Thinnest walls of a cantilever whose stress stays within a limit.
-
-    Args:
-        length: Length of the beam.
-        tip_force: Force at its free end, across the beam.
-        modulus: Young's modulus.
-        height: Outer height of the section in the plane of bending; the outer diameter of a tube.
-        stress: Largest bending stress allowed.
-        shape: Section of the beam.
-        width: Outer width of a box.
-        density: Density; 0: the beam has no weight.
-
-    Raises:
-        ParameterError: An argument is not finite or out of its range, or no wall suffices.
 
     Source: thesis appendix 1A (stress criterion).
 
@@ -140,38 +116,22 @@ def cantilever_for_stress(
         --stress '5000 psi' --height '7 in' --width '4 in'
 
     """
-    require_positive(tip_force=tip_force, stress=stress)
-
-    def beam(wall: float) -> CantileverBeam:
-        return cantilever_beam(length, tip_force, modulus, height, wall, shape, width, density)
-
-    return beam(_thinnest_wall(lambda wall: beam(wall).stress, stress, height, width, "stress", "Pa"))
+    beam = partial(cantilever_beam, length, tip_force, modulus, height, shape=shape, width=width, density=density)
+    return _with_thinnest_walls(beam, "stress", stress, "Pa", height, width)
 
 
+@calculator
 def cantilever_for_stiffness(
-    length: Metre,
-    tip_force: Newton,
-    modulus: Pascal,
-    deflection: Metre,
-    height: Metre,
-    shape: Literal["tube", "box"] = "box",
-    width: Metre = 0.0,
-    density: KilogramPerCubicMetre = 0.0,
+    length: BeamLength,
+    tip_force: Annotated[Newton, POSITIVE, "Force at its free end, across the beam."],
+    modulus: Modulus,
+    deflection: Annotated[Metre, POSITIVE, "Largest deflection allowed at the free end."],
+    height: Height,
+    shape: Shape = "box",
+    width: BoxWidth = 0.0,
+    density: WeightDensity = 0.0,
 ) -> CantileverBeam:
     """Thinnest walls of a cantilever whose deflection stays within a limit.
-
-    Args:
-        length: Length of the beam.
-        tip_force: Force at its free end, across the beam.
-        modulus: Young's modulus.
-        height: Outer height of the section in the plane of bending; the outer diameter of a tube.
-        deflection: Largest deflection allowed at the free end.
-        shape: Section of the beam.
-        width: Outer width of a box.
-        density: Density; 0: the beam has no weight.
-
-    Raises:
-        ParameterError: An argument is not finite or out of its range, or no wall suffices.
 
     Source: thesis appendix 1A (deflection criterion).
 
@@ -180,85 +140,68 @@ def cantilever_for_stiffness(
         --deflection '20 mil' --height '20 in' --width '8 in'
 
     """
-    require_positive(tip_force=tip_force, deflection=deflection)
-
-    def beam(wall: float) -> CantileverBeam:
-        return cantilever_beam(length, tip_force, modulus, height, wall, shape, width, density)
-
-    return beam(_thinnest_wall(lambda wall: beam(wall).deflection, deflection, height, width, "deflection", "m"))
+    beam = partial(cantilever_beam, length, tip_force, modulus, height, shape=shape, width=width, density=density)
+    return _with_thinnest_walls(beam, "deflection", deflection, "m", height, width)
 
 
-def _thinnest_wall(
-    value: Callable[[float], float], limit: float, height: float, width: float, name: str, unit: str
-) -> float:
-    """Return the wall at which a value that falls with the wall is at its limit.
+def _with_thinnest_walls(
+    beam: Callable[[float], CantileverBeam], name: str, limit: float, unit: str, height: float, width: float
+) -> CantileverBeam:
+    """Return the beam whose result of a name, which falls with the wall, is at its limit.
 
     Raises:
-        ParameterError: The value of the thickest wall exceeds the limit.
+        ParameterError: The result of the thickest wall exceeds the limit.
 
     """
-    require_positive(height=height)
+
+    def excess(wall: float) -> float:
+        return float(getattr(beam(wall), name)) / limit - 1.0
+
     half = 0.5 * (min(height, width) if width > 0.0 else height)
     thinnest, thickest = half * _THINNEST, half * (1.0 - _THINNEST)
-    least = value(thickest)
+    least = float(getattr(beam(thickest), name))
     if least > limit:
         raise ParameterError(
             f"{limit:g} {unit} cannot be met with these outer dimensions",
             where=name,
             expected=f"at least {least:.4g} {unit}, the value of the solid section",
         )
-    if value(thinnest) <= limit:
-        return thinnest
-    return float(brentq(lambda wall: value(wall) / limit - 1.0, thinnest, thickest, xtol=half * 1e-9))
+    if excess(thinnest) <= 0.0:
+        return beam(thinnest)
+    return beam(float(brentq(excess, thinnest, thickest, xtol=half * 1e-9)))
 
 
 @dataclass(frozen=True)
 class CantileverFrequencies:
-    """Natural frequencies of a cantilever.
+    """Natural frequencies of a cantilever."""
 
-    Attributes:
-        frequencies: Lowest first, with shear and rotary inertia.
-        angular_frequencies: The same, times 2 pi.
-        slender_angular_frequencies: Angular frequencies of a slender beam, without shear and rotary inertia.
-
-    """
-
-    frequencies: tuple[Hertz, ...]
-    angular_frequencies: tuple[RadianPerSecond, ...]
-    slender_angular_frequencies: tuple[RadianPerSecond, ...]
+    frequencies: Annotated[tuple[Hertz, ...], "Lowest first, with shear and rotary inertia."]
+    angular_frequencies: Annotated[tuple[RadianPerSecond, ...], "The same, times 2 pi."]
+    slender_angular_frequencies: Annotated[
+        tuple[RadianPerSecond, ...], "Angular frequencies of a slender beam, without shear and rotary inertia."
+    ]
 
 
+@calculator
 def cantilever_frequencies(
-    height: Metre,
-    wall: Metre,
-    length: Metre,
-    modulus: Pascal,
-    density: KilogramPerCubicMetre,
-    tip_mass: Kilogram = 0.0,
-    load_factor: Number = 1.0,
-    shape: Literal["tube", "box"] = "box",
-    width: Metre = 0.0,
-    poisson_ratio: Number = 0.33,
-    modes: int = 3,
+    height: Height,
+    wall: Wall,
+    length: BeamLength,
+    modulus: Modulus,
+    density: Annotated[KilogramPerCubicMetre, POSITIVE, "Density."],
+    tip_mass: Annotated[Kilogram, NON_NEGATIVE, "Mass at the free end."] = 0.0,
+    load_factor: Annotated[
+        Number,
+        POSITIVE,
+        "Mass of the beam with all that it carries along its length, over its own mass; the rotary inertia of its "
+        "sections grows by the same factor.",
+    ] = 1.0,
+    shape: Shape = "box",
+    width: BoxWidth = 0.0,
+    poisson_ratio: PoissonRatio = 0.33,
+    modes: Annotated[int, MODES, "Number of modes."] = 3,
 ) -> CantileverFrequencies:
     """Natural frequencies of a cantilever with a mass at its free end.
-
-    Args:
-        height: Outer height of the section in the plane of bending; the outer diameter of a tube.
-        wall: Thickness of the walls.
-        length: Length of the beam.
-        modulus: Young's modulus.
-        density: Density.
-        tip_mass: Mass at the free end.
-        load_factor: Mass of the beam with all that it carries along its length, over its own mass; the rotary
-            inertia of its sections grows by the same factor.
-        shape: Section of the beam.
-        width: Outer width of a box.
-        poisson_ratio: Poisson's ratio.
-        modes: Number of modes.
-
-    Raises:
-        ParameterError: An argument is not finite or out of its range.
 
     Source: thesis 6.2.2 and appendix 1A; Meirovitch, Elements of Vibration Analysis (1975), 5.10 (slender beam).
 
@@ -267,9 +210,6 @@ def cantilever_frequencies(
         --modulus '10.6e6 psi' --density '.1 lb/in^3' --load-factor 2
 
     """
-    check_modes(modes)
-    require_positive(load_factor=load_factor)
-    require_non_negative(tip_mass=tip_mass)
     beam = make_beam(shape, height, wall, width, length, modulus, load_factor * density, poisson_ratio)
     clamp = Attachment(0.0, stiffness=math.inf, turning_stiffness=math.inf)
     angular, _ = BeamModel(beam, [clamp, Attachment(length, mass=tip_mass)], modes).modes(modes)

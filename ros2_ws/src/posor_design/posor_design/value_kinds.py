@@ -8,6 +8,7 @@ import numpy as np
 from posor.errors import ParameterError, similar_name
 
 from posor_design.quantity_text import describe_unit, format_quantity, parse_quantity, split_unit
+from posor_design.units import unit_of
 
 LONGEST_LINE = 12
 """Numbers of a value that a line shows."""
@@ -96,14 +97,6 @@ def summarise_value(kind: Any, value: Any) -> str:
     size = " x ".join(map(str, np.shape(value)))
     low, high = (format_quantity(float(end(value)), unit_of(kind)) for end in (np.min, np.max))
     return f"{size} values from {low} to {high}"
-
-
-def unit_of(kind: Any) -> str:
-    """Return the SI unit of a quantity or of the quantities of a tuple; ``1`` for everything without unit."""
-    if get_origin(kind) is tuple:
-        return unit_of(get_args(kind)[0])
-    metadata = getattr(kind, "__metadata__", ("1",))
-    return str(metadata[0])
 
 
 def _entry_kinds(kind: Any, length: int) -> tuple[Any, ...]:

@@ -1,4 +1,4 @@
-"""Aerostatic bearing against published cases and an independent solution of Reynolds' equation; limits; wrong input."""
+"""Aerostatic bearing against published cases and an independent solution of Reynolds' equation; limits."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from posor.errors import ParameterError
 from posor_design.air_bearing import CRITICAL_HEAD, CRITICAL_RATIO, aerostatic_bearing, nozzle_function
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
@@ -199,20 +198,3 @@ def test_extreme_bearings_have_finite_results(method: Method, changed: dict[str,
     assert 0.0 <= result.load < math.inf
     assert AMBIENT <= result.feed_pressure <= 551584.0
     assert 0.0 < result.mass_flow < math.inf
-
-
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"supply_pressure": AMBIENT}, "supply_pressure.*is not greater than the ambient pressure"),
-        ({"orifices": 0}, "orifices.*0 is not positive"),
-        ({"discharge_coefficient": 1.1}, "1.1 exceeds 1"),
-        ({"eccentricity_ratio": 1.0}, "1: shaft and housing touch"),
-        ({"eccentricity_ratio": -0.1}, "-0.1 is negative"),
-        ({"clearance": 0.0}, "clearance.*0 is not positive"),
-        ({"viscosity": math.inf}, "viscosity.*inf is not finite"),
-    ],
-)
-def test_a_wrong_bearing_is_refused(changed: dict[str, float], message: str) -> None:
-    with pytest.raises(ParameterError, match=message):
-        aerostatic_bearing(**{**THESIS, **changed})

@@ -1,4 +1,4 @@
-"""Hertz contact against published closed forms and tables; limits; wrong input."""
+"""Hertz contact against published closed forms and tables; limits."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import math
 from typing import Any
 
 import pytest
-from posor.errors import ParameterError
 from posor_design.contact import ball_race_contact, hertz_contact
 
 STEEL = {"modulus": 206e9, "poisson_ratio": 0.3, "other_modulus": 206e9, "other_poisson_ratio": 0.3}
@@ -119,25 +118,3 @@ def test_the_races_of_a_bearing_have_the_curvatures_of_harris() -> None:
         expected = hertz_contact(9.8, rolling, across, **STEEL)
         assert contact.stress == pytest.approx(expected.stress, rel=1e-12)
     assert inner.stress > outer.stress
-
-
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"conformity": 0.5}, "conformity.*0.5 is too small; expected more than 0.5"),
-        ({"pitch_diameter": 0.004}, "pitch_diameter.*is not greater than the ball"),
-        ({"ball_diameter": 0.0}, "ball_diameter.*0 is not positive"),
-        ({"race_poisson_ratio": 0.6}, "0.6 is outside of 0 to 0.5"),
-        ({"race_poisson_ratio": -0.1}, "-0.1 is outside of 0 to 0.5"),
-        ({"load": -1.0}, "load.*-1 is not positive"),
-        ({"load": math.nan}, "load.*nan is not finite"),
-    ],
-)
-def test_a_wrong_bearing_is_refused(changed: dict[str, float], message: str) -> None:
-    with pytest.raises(ParameterError, match=message):
-        ball_race_contact(**{**BEARING, **changed})
-
-
-def test_a_line_contact_is_refused() -> None:
-    with pytest.raises(ParameterError, match="the ratio of the curvatures is 1e\\+14: the contact is a line"):
-        hertz_contact(10.0, 1e3, 1e-11, **STEEL)

@@ -1,4 +1,4 @@
-"""Fibre lever, capacitance probe, area and linearity: independent integrals, limits, finite differences, refusals."""
+"""Fibre lever, capacitance probe, area and linearity: independent integrals, limits, finite differences."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from posor.errors import ParameterError
 from posor_design.distance_sensors import capacitance_probe, fibre_lever, linearity, probe_area
 from scipy.constants import epsilon_0
 from scipy.integrate import dblquad
@@ -44,25 +43,6 @@ def test_dead_distance_peak_and_far_field() -> None:
     assert fibre_lever(found.peak_distance, **LEVER).slope == pytest.approx(0.0, abs=1e-6 * found.peak_collected / 1e-4)
     far = fibre_lever(0.1, **LEVER)
     assert far.collected == pytest.approx(6.0 * (1e-4 / far.illuminated_radius) ** 2)
-
-
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ({"spacing": 1.9e-4}, r"spacing: 0.00019 m; expected at least 0.0002 m, where the cores touch\."),
-        ({"receivers": 12}, r"spacing: 0.00025 m; expected at least 0.00038637 m"),
-        ({"receivers": 0}, "receivers: 0 is not positive"),
-        ({"half_angle": 1.6}, r"half_angle: 1.6 rad; expected less than a right angle\."),
-        ({"half_angle": 0.0}, "half_angle: 0 is not positive"),
-        ({"reflectivity": 1.2}, r"reflectivity: 1.2; expected at most 1\."),
-        ({"distance": -1e-4}, "distance: -0.0001 is negative"),
-        ({"core_radius": math.nan}, "core_radius: nan is not finite"),
-        ({"spacing": math.nan}, "spacing: nan is not finite"),
-    ],
-)
-def test_a_wrong_lever_is_refused(wrong: dict[str, Any], message: str) -> None:
-    with pytest.raises(ParameterError, match=message):
-        fibre_lever(**{"distance": 1e-4, **LEVER, **wrong})
 
 
 def test_a_guarded_probe_is_a_plane_capacitor() -> None:
@@ -116,23 +96,6 @@ def test_a_denser_medium_looks_like_a_smaller_gap() -> None:
     assert found.permittivity_error == pytest.approx(-5e-4 * 1e-4)
 
 
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ({"tilt": 0.17}, r"tilt: 0.17 rad; expected less than 0.165149 rad, where the edge touches the target\."),
-        ({"tilt": 3.0}, r"tilt: 3 rad; expected less than"),
-        ({"gap": 7e-4, "edge": "free"}, r"gap: 0.0007 m; expected at most 0.0006 m, a fifth of the radius"),
-        ({"gap": 0.0}, "gap: 0 is not positive"),
-        ({"radius": math.inf}, "radius: inf is not finite"),
-        ({"permittivity_change": -2.0}, "permittivity_after_the_change: -0.9994 is not positive"),
-        ({"capacitance_resolution": -1e-15}, "capacitance_resolution: -1e-15 is negative"),
-    ],
-)
-def test_a_wrong_capacitance_probe_is_refused(wrong: dict[str, Any], message: str) -> None:
-    with pytest.raises(ParameterError, match=message):
-        capacitance_probe(**{**PROBE, **wrong})
-
-
 def disc_mean(function: Any, radius: float) -> float:
     """Return the mean of a function of the position over a disc, by Gauss nodes along the axis."""
     nodes, weights = np.polynomial.legendre.leggauss(200)
@@ -158,19 +121,6 @@ def test_a_small_probe_shows_every_bump() -> None:
     assert found.curvature_error < 1e-11
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((9e-3, 0.04, 0.02), r"radius: 0.009 m; expected at most 0.008 m, a fifth of the radius of the target\."),
-        ((0.0, 0.04, 0.02), "radius: 0 is not positive"),
-        ((1e-3, 0.04, math.nan), "wavelength: nan is not finite"),
-    ],
-)
-def test_a_wrong_area_is_refused(arguments: tuple[float, float, float], message: str) -> None:
-    with pytest.raises(ParameterError, match=message):
-        probe_area(*arguments)
-
-
 def test_linearity_of_a_parabola() -> None:
     """y = x^2 on -1 to 1: the narrowest band has half the width 1/2; fewer points do not change it."""
     x = np.linspace(-1.0, 1.0, 201)
@@ -186,20 +136,3 @@ def test_a_straight_line_is_linear() -> None:
     found = linearity((0.0, 1.0, 2.0, 5.0), (1.0, 3.0, 5.0, 11.0))
     assert found.sensitivity == pytest.approx(2.0)
     assert found.linearity == pytest.approx(0.0, abs=1e-14)
-
-
-@pytest.mark.parametrize(
-    ("readings", "displacements", "message"),
-    [
-        ((0.0, 1.0), (0.0, 1.0), r"readings: 2 values; expected at least 3\."),
-        ((0.0, 1.0, 2.0), (0.0, 1.0), r"displacements: 2 values; expected 3, as many as readings\."),
-        ((1.0, 1.0, 1.0), (0.0, 1.0, 2.0), r"readings: all values are equal; expected different values\."),
-        ((0.0, 1.0, 2.0), (0.0, math.nan, 2.0), r"displacements: a value is not finite; expected finite numbers\."),
-        ((0.0, 1.0, 2.0), (1.0, 1.0, 1.0), "range_of_displacements: 0 is not positive"),
-    ],
-)
-def test_wrong_readings_are_refused(
-    readings: tuple[float, ...], displacements: tuple[float, ...], message: str
-) -> None:
-    with pytest.raises(ParameterError, match=message):
-        linearity(readings, displacements)

@@ -1,4 +1,4 @@
-"""Gimbals: motion, torques and wires against beam theory; limits; wrong input."""
+"""Gimbals: motion, torques and wires against beam theory; limits."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from posor.errors import ParameterError
 from posor_design.gimbals import gimbal_motion, gimbal_torques, shortest_wires, wire_gimbal
 from posor_design.yoke_gimbals import dither_acceleration, yoke_friction
 
@@ -101,42 +100,3 @@ def test_dither_has_the_acceleration_of_a_sine() -> None:
     position = 1e-3 * np.sin(2.0 * math.pi * time / 0.1)
     acceleration = np.gradient(np.gradient(position, time), time)
     assert dither_acceleration(1e-3, 0.1).acceleration == pytest.approx(acceleration[2:-2].max(), rel=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"inside_diameter": 0.0508}, "inside_diameter.*leaves no wall; expected less than the outside diameter"),
-        ({"inside_diameter": -0.01}, "inside_diameter.*-0.01 is negative"),
-        ({"outside_diameter": math.nan}, "outside_diameter.*nan is not finite"),
-        ({"modulus": 0.0}, "modulus.*0 is not positive"),
-        ({"endpoint_error": -1e-6}, "endpoint_error.*-1e-06 is not positive"),
-    ],
-)
-def test_a_wrong_beam_is_refused(changed: dict[str, float], message: str) -> None:
-    with pytest.raises(ParameterError, match=message):
-        gimbal_torques(**{**TUBE, **changed})
-    with pytest.raises(ParameterError, match=message):
-        yoke_friction(**{**YOKE, **changed})
-
-
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"wires": 0}, "wires.*0 is not positive"),
-        ({"tension": -1.0}, "tension.*-1 is negative"),
-        ({"angle": 0.0}, "angle.*0 is not positive"),
-        ({"torque": 0.0}, "torque.*0 is not positive"),
-        ({"mass": math.inf}, "mass.*inf is not finite"),
-    ],
-)
-def test_wrong_wires_are_refused(changed: dict[str, float], message: str) -> None:
-    with pytest.raises(ParameterError, match=message):
-        shortest_wires(**{**WIRES, "torque": 0.02, **changed})
-
-
-def test_a_wrong_motion_is_refused() -> None:
-    with pytest.raises(ParameterError, match=r"height.*0 is not positive"):
-        gimbal_motion(1.0, 0.0, 1e6, 70e9)
-    with pytest.raises(ParameterError, match=r"period.*0 is not positive"):
-        dither_acceleration(1e-3, 0.0)

@@ -1,4 +1,4 @@
-"""Noise of diodes, converters and angles: values of the thesis, limits in which one noise remains, wrong arguments."""
+"""Noise of diodes, converters and angles: values of the thesis, limits in which one noise remains."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from posor.errors import ParameterError
 from posor_design.sensor_noise import angle_resolution, converter_resolution, diode_noise
 
 INCH = 0.0254
@@ -80,41 +79,3 @@ def test_the_mean_of_samples_lowers_noise_but_not_the_step() -> None:
 def test_angles_of_the_thesis() -> None:
     assert angle_resolution(0.05 / 4096, 5.0).step == pytest.approx(2.44e-6, rel=1e-3)
     assert angle_resolution(1.0, 3.0).noise == pytest.approx(math.sqrt(2.0) * math.atan(1.0 / 3.0))
-
-
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ({"power": 0.0}, r"power: 0 is not positive; expected a number greater than 0\."),
-        ({"side": -1.0}, "side: -1 is not positive"),
-        ({"responsivity": math.nan}, "responsivity: nan is not finite"),
-        ({"resistance": 0.0}, "resistance: 0 is not positive"),
-        ({"amplifier_voltage_noise": math.inf}, "amplifier_voltage_noise: inf is not finite"),
-        ({"bandwidth": 0.0}, "bandwidth: 0 is not positive"),
-        ({"temperature": -300.0}, "temperature: -300 is not positive"),
-    ],
-)
-def test_a_wrong_diode_is_refused(wrong: dict[str, float], message: str) -> None:
-    with pytest.raises(ParameterError, match=message):
-        diode_noise(**{**THESIS, **wrong})
-
-
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ({"accuracy": 1.1}, r"accuracy: 1.1 V; expected at most the input range, 1 V\."),
-        ({"travel": 0.0}, "travel: 0 is not positive"),
-        ({"samples": 0}, "samples: 0 is not positive"),
-        ({"sample_noise": -1.0}, "sample_noise: -1 is negative"),
-        ({"sample_time": math.nan}, "sample_time: nan is not finite"),
-    ],
-)
-def test_a_wrong_converter_is_refused(wrong: dict[str, Any], message: str) -> None:
-    with pytest.raises(ParameterError, match=message):
-        converter_resolution(**{**CONVERTER, **wrong})
-
-
-@pytest.mark.parametrize(("resolution", "base"), [(0.0, 1.0), (1e-6, 0.0), (1e-6, math.inf)])
-def test_a_wrong_angle_is_refused(resolution: float, base: float) -> None:
-    with pytest.raises(ParameterError, match="expected a"):
-        angle_resolution(resolution, base)

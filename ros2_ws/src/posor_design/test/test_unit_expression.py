@@ -1,4 +1,4 @@
-"""Units of design calculators: amounts in SI units against published factors, dimensions, refusals."""
+"""Units of design calculators: amounts in SI units against published factors, dimensions."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ import pytest
 from posor_design import units
 from posor_design.unit_expression import parse_unit, similar_units
 
-SI_UNITS = sorted(
-    {alias.__metadata__[0] for name, alias in vars(units).items() if hasattr(alias, "__metadata__") and name[0] != "_"}
-)
+SI_UNITS = sorted({units.unit_of(alias) for alias in vars(units).values() if hasattr(alias, "__metadata__")})
 
 
 @pytest.mark.parametrize(

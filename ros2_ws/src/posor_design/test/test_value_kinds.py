@@ -6,13 +6,13 @@ from typing import Annotated, Any, Literal
 
 import pytest
 from posor.errors import ParameterError
+from posor_design.units import unit_of
 from posor_design.value_kinds import (
     describe_kind,
     format_value,
     name_kind,
     parse_value,
     summarise_value,
-    unit_of,
 )
 
 Metre = Annotated[float, "m"]
