@@ -13,19 +13,7 @@ from scipy.special import dawsn, erfcx
 from posor_design.calculators import calculator
 
 if TYPE_CHECKING:
-    from posor_design.units import (
-        POSITIVE,
-        PROPER_SHARE,
-        SHARE,
-        KilogramPerCubicMetre,
-        KilogramPerSecond,
-        Metre,
-        Newton,
-        NewtonPerMetre,
-        Number,
-        Pascal,
-        PascalSecond,
-    )
+    from posor_design.argument_types import POSITIVE, PROPER_SHARE, SHARE
 
 HEAT_CAPACITY_RATIO = 1.4
 """Of air."""
@@ -39,10 +27,10 @@ CRITICAL_HEAD = (HEAT_CAPACITY_RATIO - 1.0) / (HEAT_CAPACITY_RATIO + 1.0)
 class AirBearing:
     """Aerostatic journal bearing."""
 
-    feed_pressure: Annotated[Pascal, "Pressure at the orifices, in the film of the centred bearing."]
-    load: Annotated[Newton, "Load at the given eccentricity."]
-    stiffness: Annotated[NewtonPerMetre, "Load over eccentricity."]
-    mass_flow: Annotated[KilogramPerSecond, "Flow of the centred bearing."]
+    feed_pressure: Annotated[float, "Pa", "Pressure at the orifices, in the film of the centred bearing."]
+    load: Annotated[float, "N", "Load at the given eccentricity."]
+    stiffness: Annotated[float, "N/m", "Load over eccentricity."]
+    mass_flow: Annotated[float, "kg/s", "Flow of the centred bearing."]
     orifice_flow: Annotated[Literal["choked", "subsonic"], "Whether the flow of the orifices is choked or subsonic."]
 
 
@@ -74,17 +62,17 @@ class _Feed(NamedTuple):
 
 @calculator
 def aerostatic_bearing(
-    diameter: Annotated[Metre, POSITIVE, "Diameter of the shaft."],
-    length: Annotated[Metre, POSITIVE, "Length of the bearing."],
-    clearance: Annotated[Metre, POSITIVE, "Radius of the housing minus radius of the shaft."],
-    orifice_radius: Annotated[Metre, POSITIVE, "Radius of an orifice."],
+    diameter: Annotated[float, "m", POSITIVE, "Diameter of the shaft."],
+    length: Annotated[float, "m", POSITIVE, "Length of the bearing."],
+    clearance: Annotated[float, "m", POSITIVE, "Radius of the housing minus radius of the shaft."],
+    orifice_radius: Annotated[float, "m", POSITIVE, "Radius of an orifice."],
     orifices: Annotated[int, POSITIVE, "Number of orifices."],
-    supply_pressure: Annotated[Pascal, POSITIVE, "Absolute pressure before the orifices."],
-    ambient_pressure: Annotated[Pascal, POSITIVE, "Absolute pressure at the ends."] = 101325.0,
-    discharge_coefficient: Annotated[Number, SHARE, "Flow of an orifice over that without losses."] = 0.6,
-    eccentricity_ratio: Annotated[Number, PROPER_SHARE, "Eccentricity over clearance, 0 to less than 1."] = 0.1,
-    viscosity: Annotated[PascalSecond, POSITIVE, "Dynamic viscosity."] = 1.853e-5,
-    density: Annotated[KilogramPerCubicMetre, POSITIVE, "Density at ambient pressure."] = 1.183,
+    supply_pressure: Annotated[float, "Pa", POSITIVE, "Absolute pressure before the orifices."],
+    ambient_pressure: Annotated[float, "Pa", POSITIVE, "Absolute pressure at the ends."] = 101325.0,
+    discharge_coefficient: Annotated[float, "1", SHARE, "Flow of an orifice over that without losses."] = 0.6,
+    eccentricity_ratio: Annotated[float, "1", PROPER_SHARE, "Eccentricity over clearance, 0 to less than 1."] = 0.1,
+    viscosity: Annotated[float, "Pa s", POSITIVE, "Dynamic viscosity."] = 1.853e-5,
+    density: Annotated[float, "kg/m^3", POSITIVE, "Density at ambient pressure."] = 1.183,
     method: Annotated[Literal["nozzle", "thesis", "incompressible"], "Model of film and orifices."] = "nozzle",
 ) -> AirBearing:
     """Load, stiffness and flow of a journal bearing with one central ring of orifices and without pockets.
@@ -100,11 +88,6 @@ def aerostatic_bearing(
 
     Source: thesis equations 6.12 to 6.21 and AIR.FOR (after Pinkus and Sternlicht, Theory of Hydrodynamic Lubrication,
         1961); nozzle: Powell, Design of Aerostatic Bearings (1970), and ISO 9300 (2022).
-
-    Example:
-        posor design aerostatic-bearing --diameter '2 in' --length '2 in' --clearance '.002 in'
-        --orifice-radius '.03 in' --orifices 8 --supply-pressure '80 psi'
-
     """
     if supply_pressure <= ambient_pressure:
         expected = f"an absolute pressure of more than the ambient one, {ambient_pressure:g} Pa"

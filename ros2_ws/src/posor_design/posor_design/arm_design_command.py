@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,40 +12,23 @@ from posor.chain.arm_file import load_arm
 from posor.errors import ParameterError
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.report_console import report_console
-from rich.console import Console
-from rich.progress import Progress
-from rich.table import Table
 
 from posor_design.arm_allotment import allot
-from posor_design.arm_design_page import (
-    ENDPOINT_HEADER,
-    LAYOUT_HEADER,
-    PARTS_HEADER,
-    endpoint_rows,
-    layout_rows,
-    part_rows,
-    render_arm_page,
-)
-from posor_design.arm_output import (
-    ARM_FILE,
-    BEAMS,
-    allotment_json,
-    allotted_beams,
-    arm_files,
-    joint_requirements,
-)
+from posor_design.arm_design_page import allotment_tables, render_arm_page
+from posor_design.arm_output import BEAMS, allotment_json, allotted_beams, arm_files, joint_requirements
 from posor_design.endpoint_budget import configurations
-from posor_design.layout_search import LayoutSearch
-from posor_design.nearest_requirement import refuse
-from posor_design.posor_output import output_folder, requirement_text, write_files
-from posor_design.quantity_text import parse_quantity_with_unit, split_unit
+from posor_design.nearest_requirement import search_layouts
+from posor_design.posor_output import (
+    ARM_FILE,
+    add_output_options,
+    output_folder,
+    requirement_text,
+    write_files,
+)
+from posor_design.quantity_text import parse_quantity, split_list
 
 if TYPE_CHECKING:
-    import argparse
     from collections.abc import Mapping, Sequence
-
-    from posor_design.layout_evaluation import Candidate
-    from posor_design.requirement import Requirement
 
 WHERE = "design arm"
 JSON, PAGE = "allotment.json", "allotment.html"
@@ -58,13 +42,19 @@ def _parser() -> CommandLineParser:
         allow_abbrev=False,
     )
     parser.add_argument("arm", type=Path, metavar="ARM.yaml", help="geometry, and present POSORs and beams")
-    parser.add_argument(
-        "--displacement", required=True, metavar="QUANTITY", help="largest uncertainty along each axis of the base"
-    )
-    parser.add_argument(
-        "--orientation", required=True, metavar="QUANTITY", help="largest uncertainty about each axis of the base"
-    )
-    parser.add_argument("--coverage-factor", default="1", metavar="NUMBER", help="default: 1, standard uncertainties")
+    for option, unit, metavar, text in (
+        ("--displacement", "m", "QUANTITY", "largest uncertainty along each axis of the base"),
+        ("--orientation", "rad", "QUANTITY", "largest uncertainty about each axis of the base"),
+        ("--coverage-factor", "1", "NUMBER", "default: 1, standard uncertainties"),
+    ):
+        parser.add_argument(
+            option,
+            type=partial(_positive, si=unit, where=f"{WHERE}, {option}"),
+            required=unit != "1",
+            default=1.0,
+            metavar=metavar,
+            help=text,
+        )
     parser.add_argument(
         "--posture",
         action="append",
@@ -74,26 +64,15 @@ def _parser() -> CommandLineParser:
         "the last joint at 90 deg",
     )
     parser.add_argument("--layouts", action="store_true", help="also design the POSORs, and write the whole arm")
-    parser.add_argument("--output", metavar="FOLDER", help="default: build/design/<name of the arm>")
-    parser.add_argument("--force", action="store_true", help="replace files of an earlier design")
+    add_output_options(parser, "<name of the arm>")
     return parser
 
 
-def required_endpoint(options: argparse.Namespace) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Return the largest standard uncertainty along and about the axes, (6,) [m, rad].
-
-    Raises:
-        ParameterError: A quantity is invalid or not positive.
-
-    """
-    values = {}
-    for name, unit in (("displacement", "m"), ("orientation", "rad"), ("coverage_factor", "1")):
-        where = f"{WHERE}, --{name.replace('_', '-')}"
-        values[name] = parse_quantity_with_unit(getattr(options, name), unit, where)
-        if not values[name] > 0.0:
-            raise ParameterError(getattr(options, name), where=where, expected="more than 0")
-    factor = values["coverage_factor"]
-    return np.array([values["displacement"] / factor] * 3 + [values["orientation"] / factor] * 3)
+def _positive(text: str, si: str, where: str) -> float:
+    value = parse_quantity(text, si, where, unit_required=True)
+    if not value > 0.0:
+        raise ParameterError(text, where=where, expected="more than 0")
+    return value
 
 
 def postures_of(texts: Sequence[str], joints: Sequence[str]) -> list[Mapping[str, float]]:
@@ -103,25 +82,20 @@ def postures_of(texts: Sequence[str], joints: Sequence[str]) -> list[Mapping[str
         ParameterError: A text is not a list of angles, one for each joint.
 
     """
-    if not texts:
-        return list(configurations(joints).values())
     where = f"{WHERE}, --posture"
     postures: list[Mapping[str, float]] = []
     for text in texts:
-        entries = [entry.strip() for entry in text.split(",")]
+        entries = split_list(text)
         if len(entries) != len(joints):
             raise ParameterError(f"{len(entries)} angles", where=where, expected=f"{len(joints)}: {', '.join(joints)}")
-        unit = split_unit(entries[-1])
-        with_units = (each if split_unit(each) else f"{each} {unit}".strip() for each in entries)
-        angles = [parse_quantity_with_unit(each, "rad", where) for each in with_units]
+        angles = [parse_quantity(each, "rad", where, unit_required=True) for each in entries]
         postures.append(dict(zip(joints, angles, strict=True)))
-    return postures
+    return postures or list(configurations(joints).values())
 
 
 def design_arm_main(arguments: Sequence[str]) -> int:
     """Run the program; exit code 0: the requirement is allotted, and with ``--layouts`` every POSOR is designed."""
     options = _parser().parse_args(list(arguments))
-    required = required_endpoint(options)
     if not options.arm.is_file():
         expected = "the path of an arm file (arm.yaml); 'posor bringup --help' lists the installed arms"
         raise ParameterError("no such file", where=f"{WHERE}, {options.arm}", expected=expected)
@@ -130,10 +104,11 @@ def design_arm_main(arguments: Sequence[str]) -> int:
         what = f"arm '{arm.name}' has no scenario"
         raise ParameterError(what, where=f"{WHERE}, --layouts", expected="an arm that can be simulated")
     folder = output_folder(options.output, arm.name, JSON, force=options.force)
-    joints = [joint.name for joint in arm.chain().joints]
-    allotment = allot(arm, required, postures_of(options.posture, joints))
+    required = np.array([options.displacement] * 3 + [options.orientation] * 3) / options.coverage_factor
+    allotment = allot(arm, required, postures_of(options.posture, [joint.name for joint in arm.chain().joints]))
     requirements = joint_requirements(arm, allotment)
-    layouts = _layouts(requirements) if options.layouts else {}
+    found = search_layouts(requirements).items() if options.layouts else ()
+    layouts = {name: chosen for name, (_, chosen) in found}
     beams = allotted_beams(arm, allotment)
     files = {
         JSON: json.dumps(allotment_json(allotment), indent=2) + "\n",
@@ -144,36 +119,9 @@ def design_arm_main(arguments: Sequence[str]) -> int:
     }
     write_files(folder, files, force=options.force)
     console = report_console(160)
-    tables = [
-        ("Required standard uncertainties of joints and beams", PARTS_HEADER, part_rows(allotment)),
-        ("Standard uncertainty of the endpoint, axes of the base", ENDPOINT_HEADER, endpoint_rows(allotment)),
-        *([("Designed POSORs (simulated)", LAYOUT_HEADER, layout_rows(layouts))] if layouts else []),
-    ]
-    for title, header, rows in tables:
-        table = Table(*header, title=title, title_justify="left")
-        for row in rows:
-            table.add_row(*row)
-        console.print(table)
+    for table in allotment_tables(allotment, layouts).values():
+        table.print(console)
     print(f"page: {folder / PAGE}; a requirement of each POSOR: {folder}/<joint>/requirement.yaml")
     if layouts:
         print(f"to run it: posor bringup {folder / ARM_FILE}")
     return 0
-
-
-def _layouts(requirements: Mapping[str, Requirement]) -> dict[str, Candidate]:
-    """Return the chosen layout of each joint.
-
-    Raises:
-        DesignError: A requirement cannot be met.
-
-    """
-    errors, chosen = Console(stderr=True), {}
-    with Progress(console=errors, transient=True, disable=not errors.is_terminal) as progress:
-        for name, requirement in requirements.items():
-            task = progress.add_task(name, total=1.0)
-            search = LayoutSearch(requirement, lambda share, task=task: progress.update(task, completed=share))  # type: ignore[misc]
-            result = search.run()
-            if result.chosen is None:
-                refuse(result)
-            chosen[name] = result.chosen
-    return chosen

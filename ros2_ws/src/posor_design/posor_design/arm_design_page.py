@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from posor.reporting.figure_style import BLUE, GREY, ORANGE
-from posor.reporting.html_page import Section, bullet_list, paragraph, render_page, table
+from posor.reporting.html_page import Section, bullet_list, render_page
 from posor.reporting.plot import Plot
+from posor.reporting.report_table import ReportTable
 
 from posor_design.arm_allotment import AXES
 from posor_design.posor_design_page import ring_text
@@ -20,9 +21,6 @@ if TYPE_CHECKING:
     from posor_design.arm_allotment import Allotment
     from posor_design.layout_evaluation import Candidate
 
-PARTS_HEADER = ("part", "quantity", "required", "present", "present / required", "share of the variance")
-ENDPOINT_HEADER = ("posture", *AXES)
-LAYOUT_HEADER = ("joint", "layout", "outside diameter", "theta")
 NOTES = (
     "Standard uncertainties, k = 1, the same about or along all axes of a part.",
     (
@@ -34,39 +32,43 @@ NOTES = (
 )
 
 
-def part_rows(allotment: Allotment) -> list[list[str]]:
-    """Return a row of ``PARTS_HEADER`` for each group."""
-    return [
+def allotment_tables(allotment: Allotment, layouts: Mapping[str, Candidate]) -> dict[str, ReportTable]:
+    """Return the tables of parts, endpoint, and designed POSORs if there are any, by their headings on the page."""
+    groups = zip(allotment.groups, allotment.allotted, allotment.present, allotment.shares, strict=True)
+    parts = ReportTable(
+        "Required standard uncertainties of joints and beams",
+        ("part", "quantity", "required", "present", "present / required", "share of the variance"),
         [
-            f"{group.part}{' (beam)' if group.beam else ''}",
-            group.what,
-            _text(sigma, group.unit),
-            _text(present, group.unit),
-            f"{present / sigma:.2f}",
-            f"{100.0 * share:.0f} %",
-        ]
-        for group, sigma, present, share in zip(
-            allotment.groups, allotment.allotted, allotment.present, allotment.shares, strict=True
-        )
-    ]
-
-
-def endpoint_rows(allotment: Allotment) -> list[list[str]]:
-    """Return a row of ``ENDPOINT_HEADER`` for the requirement and for each posture."""
-    units = ("m",) * 3 + ("rad",) * 3
+            [
+                f"{group.part}{' (beam)' if group.beam else ''}",
+                group.what,
+                *(format_quantity(value, group.unit, 3) for value in (sigma, present)),
+                f"{present / sigma:.2f}",
+                f"{100.0 * share:.0f} %",
+            ]
+            for group, sigma, present, share in groups
+        ],
+        "A ratio below 1: the part may be worse than it is.",
+    )
     listed = [("required", allotment.required)]
     for posture, after, before in zip(allotment.postures, allotment.endpoint, allotment.before, strict=True):
         angles = ", ".join(f"{math.degrees(angle):.0f}" for angle in posture.values())
         listed += [(f"allotted, at {angles} degrees", after), ("at present, same posture", before)]
-    return [[name, *(_text(value, unit) for value, unit in zip(values, units, strict=True))] for name, values in listed]
-
-
-def layout_rows(layouts: Mapping[str, Candidate]) -> list[list[str]]:
-    """Return a row of ``LAYOUT_HEADER`` for each joint."""
-    return [
-        [name, each.kind.name, _text(each.layout.outside_diameter, "m"), ring_text(each.layout)]
-        for name, each in layouts.items()
-    ]
+    units = ("m",) * 3 + ("rad",) * 3
+    endpoint = ReportTable(
+        "Standard uncertainty of the endpoint, axes of the base",
+        ("posture", *AXES),
+        [[name, *(format_quantity(*each, 3) for each in zip(values, units, strict=True))] for name, values in listed],
+    )
+    designed = ReportTable(
+        "Designed POSORs (simulated)",
+        ("joint", "layout", "outside diameter", "theta"),
+        [
+            [name, each.kind.name, format_quantity(each.layout.outside_diameter, "m", 3), ring_text(each.layout)]
+            for name, each in layouts.items()
+        ],
+    )
+    return {"Joints and beams": parts, "Endpoint": endpoint, **({"Designed POSORs": designed} if layouts else {})}
 
 
 def render_arm_page(name: str, allotment: Allotment, layouts: Mapping[str, Candidate]) -> str:
@@ -79,20 +81,14 @@ def render_arm_page(name: str, allotment: Allotment, layouts: Mapping[str, Candi
             plot.bars(label, [100.0 * allotment.shares[i] for i in chosen], [labels[i] for i in chosen], colour)
     plot.vertical("equal shares", 100.0 / len(labels), GREY)
     used = float(np.max(allotment.endpoint / allotment.required))
-    parts = table(PARTS_HEADER, part_rows(allotment)) + paragraph("A ratio below 1: the part may be worse than it is.")
-    designed = [Section("Designed POSORs", table(LAYOUT_HEADER, layout_rows(layouts)))] if layouts else []
+    plots = {"Joints and beams": [plot]}
+    tables = allotment_tables(allotment, layouts)
     return render_page(
         f"Required uncertainties of the arm '{name}'",
         f"The allotment uses {100.0 * used:.1f} % of the requirement.",
         holds=True,
         sections=(
-            Section("Joints and beams", parts, [plot]),
-            Section("Endpoint", table(ENDPOINT_HEADER, endpoint_rows(allotment))),
-            *designed,
+            *(table.section(heading, plots.get(heading, ())) for heading, table in tables.items()),
             Section("Notes", bullet_list(NOTES)),
         ),
     )
-
-
-def _text(value: float, unit: str) -> str:
-    return format_quantity(float(f"{value:.3g}"), unit)

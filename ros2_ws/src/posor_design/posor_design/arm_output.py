@@ -12,20 +12,23 @@ from posor.calibration.yaml_document import read_text
 from posor.chain.beams_file import VERSION as BEAMS_VERSION
 from posor.chain.beams_file import load_beams
 from posor.errors import ChainError
+from posor.uncertainty.budget_quantities import NATIVE
 
 from posor_design.arm_allotment import AXES, beams_with
-from posor_design.requirement import VERSION, Requirement
+from posor_design.posor_output import ARM_FILE, SCENARIO, arm_text, made_by
+from posor_design.requirement import Requirement, requirement_content
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from posor.chain.arm_file import Arm
+    from posor.numerics.array_types import FloatArray
 
     from posor_design.arm_allotment import Allotment
     from posor_design.layout_evaluation import Candidate
 
-MADE_BY = "Made by posor design arm; SI units throughout."
-ARM_FILE, BEAMS, SCENARIO = "arm.yaml", "beams.yaml", "scenario.yaml"
+PROGRAM = "posor design arm"
+BEAMS = "beams.yaml"
 
 
 def joint_requirements(arm: Arm, allotment: Allotment) -> dict[str, Requirement]:
@@ -40,23 +43,9 @@ def joint_requirements(arm: Arm, allotment: Allotment) -> dict[str, Requirement]
     requirements = {}
     for joint in chain.joints:
         own = sigmas[joint.name]
-        lengths = {key: {"value": own["translations"], "unit": "m"} for key in ("x", "y", "gap")}
-        angles = {key: {"value": own["angles"], "unit": "rad"} for key in ("alpha", "beta", "theta")}
-        content = {
-            "format": "posor_requirement",
-            "version": VERSION,
-            "name": joint.name,
-            "uncertainty": {**lengths, **angles},
-            "range": {
-                "gap": {"value": 1e-4, "unit": "m"},
-                "tilt": {"value": 1e-3, "unit": "rad"},
-                "runout": {"value": 1e-4, "unit": "m"},
-                "rotation": {"value": np.pi, "unit": "rad"},
-            },
-            "outside_diameter": {"value": _plate_diameter(chain.urdf, joint.parent, str(arm.urdf)), "unit": "m"},
-            "scan_rate": {"value": 1000.0, "unit": "Hz"},
-            "speed": {"value": 1.0, "unit": "rad/s"},
-        }
+        limits = {name: own["translations" if unit == "m" else "angles"] for name, unit in NATIVE}
+        diameter = _plate_diameter(chain.urdf, joint.parent, str(arm.urdf))
+        content = requirement_content(joint.name, limits, 1.0, {"outside_diameter": diameter})
         requirements[joint.name] = Requirement.model_validate(content)
     return requirements
 
@@ -78,7 +67,7 @@ def allotted_beams(arm: Arm, allotment: Allotment) -> str | None:
     content = beams_with(load_beams(arm.beams), variances).model_dump(mode="json")
     content["version"] = BEAMS_VERSION
     content["provenance"]["notes"] = [*content["provenance"]["notes"], "uncertainties allotted by posor design arm"]
-    return document_text(content, MADE_BY)
+    return document_text(content, made_by(PROGRAM))
 
 
 def _by_part(allotment: Allotment, *, beam: bool) -> dict[str, dict[str, float]]:
@@ -103,7 +92,7 @@ def arm_files(
     for joint in chain.joints:
         frames = (joint.parent, joint.child)
         calibration = layouts[joint.name].layout.calibration(requirements[joint.name], frames)
-        files[f"calibrations/{joint.name}.yaml"] = document_text(calibration.model_dump(mode="json"), MADE_BY)
+        files[f"calibrations/{joint.name}.yaml"] = document_text(calibration.model_dump(mode="json"), made_by(PROGRAM))
     beams = allotted_beams(arm, allotment)
     if beams is not None:
         files[BEAMS] = beams
@@ -111,20 +100,18 @@ def arm_files(
         text = read_text(arm.scenario, "scenario file")
         files[SCENARIO] = edit_document(text, str(arm.scenario), {"electronics.converter.bits": bits})
     files[arm.urdf.name] = urdf_with_gaps(chain.urdf, {name: each.layout.gap for name, each in layouts.items()})
-    content: dict[str, Any] = {
-        "format": "posor_arm",
-        "version": 1,
-        "name": arm.name,
-        "provenance": {"source": f"designed for {arm.path.name}", "method": "posor design arm", "date": "none"},
-        "urdf": arm.urdf.name,
-        "endpoint_frame": arm.endpoint_frame,
-        "beams": BEAMS if beams is not None else None,
-        "joints": {name: {"calibration": f"calibrations/{name}.yaml"} for name in arm.calibrations},
-        "chain": {"parameters": dict(arm.chain_parameters)} if arm.chain_parameters else None,
-        "driver": {"source": arm.driver.source, "parameters": dict(arm.driver.parameters) or None},
-        "scenario": SCENARIO if arm.scenario is not None else None,
-    }
-    files[ARM_FILE] = document_text(content, f"{MADE_BY} Paths are relative to this file.")
+    files[ARM_FILE] = arm_text(
+        PROGRAM,
+        arm.name,
+        f"designed for {arm.path.name}",
+        urdf=arm.urdf.name,
+        endpoint_frame=arm.endpoint_frame,
+        beams=BEAMS if beams is not None else None,
+        joints={name: {"calibration": f"calibrations/{name}.yaml"} for name in arm.calibrations},
+        chain={"parameters": dict(arm.chain_parameters)} if arm.chain_parameters else None,
+        driver={"source": arm.driver.source, "parameters": dict(arm.driver.parameters) or None},
+        scenario=SCENARIO if arm.scenario is not None else None,
+    )
     return files
 
 
@@ -143,14 +130,14 @@ def urdf_with_gaps(urdf: str, gaps: Mapping[str, float]) -> str:
 
 def allotment_json(allotment: Allotment) -> dict[str, Any]:
     """Return an allotment by name, SI units."""
+
+    def by_axis(values: FloatArray) -> dict[str, float]:
+        return dict(zip(AXES, values.tolist(), strict=True))
+
     return {
-        "required": dict(zip(AXES, map(float, allotment.required), strict=True)),
+        "required": by_axis(allotment.required),
         "postures": [
-            {
-                "angles": dict(posture),
-                "endpoint": dict(zip(AXES, map(float, after), strict=True)),
-                "endpoint_at_present": dict(zip(AXES, map(float, before), strict=True)),
-            }
+            {"angles": dict(posture), "endpoint": by_axis(after), "endpoint_at_present": by_axis(before)}
             for posture, after, before in zip(allotment.postures, allotment.endpoint, allotment.before, strict=True)
         ],
         "parts": [

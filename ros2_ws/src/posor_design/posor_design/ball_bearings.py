@@ -10,32 +10,28 @@ from typing import TYPE_CHECKING, Annotated
 from posor_design.calculators import calculator
 
 if TYPE_CHECKING:
-    from posor_design.units import POSITIVE, Metre, Newton, Number, Pascal, at_least, more_than
+    from posor_design.argument_types import POSITIVE, at_least, more_than
 
 
 @dataclass(frozen=True)
 class BallLoad:
     """Load of the ball that carries most."""
 
-    ball_load: Annotated[Newton, "Load of this ball in a bearing with clearance."]
-    tight_ball_load: Annotated[Newton, "Load of this ball in a bearing without clearance."]
+    ball_load: Annotated[float, "N", "Load of this ball in a bearing with clearance."]
+    tight_ball_load: Annotated[float, "N", "Load of this ball in a bearing without clearance."]
     two_ball_load: Annotated[
-        Newton, "Load of each ball, if two balls on both sides of the load's direction carry all of it."
+        float, "N", "Load of each ball, if two balls on both sides of the load's direction carry all of it."
     ]
 
 
 @calculator
 def ball_load(
-    radial_load: Annotated[Newton, POSITIVE, "Radial load of the bearing."],
+    radial_load: Annotated[float, "N", POSITIVE, "Radial load of the bearing."],
     balls: Annotated[int, more_than(4), "Number of balls, at least 5."],
 ) -> BallLoad:
     """Load of the most loaded ball of a radial ball bearing.
 
     Source: Harris, Rolling Bearing Analysis (2001), 7.4 (Stribeck's factors 5 and 4.37).
-
-    Example:
-        posor design ball-load --radial-load '3.1 lbf' --balls 7
-
     """
     return BallLoad(
         ball_load=5.0 * radial_load / balls,
@@ -48,9 +44,10 @@ def ball_load(
 class BearingScaling:
     """Stress and life of a ball bearing under a load."""
 
-    stress: Annotated[Pascal, "Greatest compressive stress."]
+    stress: Annotated[float, "Pa", "Greatest compressive stress."]
     relative_life: Annotated[
-        Number,
+        float,
+        "1",
         "Life over the life under the rated load; with the dynamic rating of ISO 281 as rated load, the life that 90 % "
         "reach in millions of revolutions.",
     ]
@@ -58,19 +55,15 @@ class BearingScaling:
 
 @calculator
 def bearing_scaling(
-    load: Annotated[Newton, POSITIVE, "Equivalent load, of the same kind as the rated one."],
-    rated_load: Annotated[Newton, POSITIVE, "Rated load."],
-    rated_stress: Annotated[Pascal, POSITIVE, "Greatest compressive stress under the rated load."],
+    load: Annotated[float, "N", POSITIVE, "Equivalent load, of the same kind as the rated one."],
+    rated_load: Annotated[float, "N", POSITIVE, "Rated load."],
+    rated_stress: Annotated[float, "Pa", POSITIVE, "Greatest compressive stress under the rated load."],
 ) -> BearingScaling:
     """Stress and life of a ball bearing from those under its rated load.
 
     The stress of a point contact grows with the cube root of the load, and the life falls with its cube.
 
     Source: thesis 6.2.3.3 (stress); ISO 281 (2007), 5.3 (life).
-
-    Example:
-        posor design bearing-scaling --load '36.8 lbf' --rated-load '683 lbf' --rated-stress '400 ksi'
-
     """
     ratio = load / rated_load
     return BearingScaling(stress=rated_stress * math.cbrt(ratio), relative_life=ratio**-3)
@@ -80,23 +73,27 @@ def bearing_scaling(
 class BearingFriction:
     """Friction of bearings, from breakaway tests."""
 
-    friction_radius: Annotated[Metre, "Mean of the coefficient of friction times radius of the bearing."]
-    standard_deviation: Annotated[Metre, "Standard deviation of one test."]
-    standard_uncertainty: Annotated[Metre, "Standard deviation of the mean."]
-    largest_share: Annotated[Number, "Largest result over the allowed value."]
+    friction_radius: Annotated[float, "m", "Mean of the coefficient of friction times radius of the bearing."]
+    standard_deviation: Annotated[float, "m", "Standard deviation of one test."]
+    standard_uncertainty: Annotated[float, "m", "Standard deviation of the mean."]
+    largest_share: Annotated[float, "1", "Largest result over the allowed value."]
 
 
 @calculator
 def bearing_friction(
     deflections: Annotated[
-        tuple[Metre, ...], POSITIVE, at_least(2), "Deflection of the end of the spring at each breakaway, at least two."
+        tuple[float, ...],
+        "m",
+        POSITIVE,
+        at_least(2),
+        "Deflection of the end of the spring at each breakaway, at least two.",
     ],
-    spring_length: Annotated[Metre, POSITIVE, "Length of the spring from the axis to the stage."],
-    spring_width: Annotated[Metre, POSITIVE, "Width of the spring along the axis."],
-    spring_thickness: Annotated[Metre, POSITIVE, "Thickness of the spring."],
-    modulus: Annotated[Pascal, POSITIVE, "Modulus of elasticity of the spring."],
-    thrust: Annotated[Newton, POSITIVE, "Axial load of the bearing."],
-    allowed_friction_radius: Annotated[Metre, POSITIVE, "Allowed value, such as that of ``yoke-friction``."],
+    spring_length: Annotated[float, "m", POSITIVE, "Length of the spring from the axis to the stage."],
+    spring_width: Annotated[float, "m", POSITIVE, "Width of the spring along the axis."],
+    spring_thickness: Annotated[float, "m", POSITIVE, "Thickness of the spring."],
+    modulus: Annotated[float, "Pa", POSITIVE, "Modulus of elasticity of the spring."],
+    thrust: Annotated[float, "N", POSITIVE, "Axial load of the bearing."],
+    allowed_friction_radius: Annotated[float, "m", POSITIVE, "Allowed value, such as that of ``yoke-friction``."],
 ) -> BearingFriction:
     """Coefficient of friction times radius of loaded bearings, from the deflections at which they break away.
 
@@ -104,12 +101,6 @@ def bearing_friction(
     until the race turns.
 
     Source: thesis equation 7.1 and table 7.2; standard uncertainty: JCGM 100 (2008), 4.2.
-
-    Example:
-        posor design bearing-friction --deflections '.021, .024, .019, .022 in' --spring-length '2 in'
-        --spring-width '.5 in' --spring-thickness '.01 in' --modulus '30e6 psi' --thrust '20 lbf'
-        --allowed-friction-radius '.0082 in'
-
     """
     inertia = spring_width * spring_thickness**3 / 12.0
     scale = 3.0 * modulus * inertia / (spring_length**2 * thrust)

@@ -10,11 +10,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import scipy.linalg
 from numpy.polynomial import Legendre, legendre
+
+from posor_design.beam_section import make_section
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -45,6 +47,33 @@ class UniformBeam:
     shear_stiffness: float
     mass: float
     rotary_inertia: float
+
+
+def make_beam(
+    shape: Literal["tube", "box"],
+    height: float,
+    wall: float,
+    width: float,
+    length: float,
+    modulus: float,
+    density: float,
+    poisson_ratio: float,
+) -> UniformBeam:
+    """Return the beam of a section and a material.
+
+    Raises:
+        ParameterError: The walls leave no hole, or the width does not suit the shape.
+
+    """
+    section = make_section(shape, height, width, wall)
+    shear_modulus = modulus / (2.0 * (1.0 + poisson_ratio))
+    return UniformBeam(
+        length,
+        bending_stiffness=modulus * section.second_moment,
+        shear_stiffness=section.shear_coefficient(poisson_ratio) * section.area * shear_modulus,
+        mass=density * section.area,
+        rotary_inertia=density * section.second_moment,
+    )
 
 
 @dataclass(frozen=True)

@@ -18,24 +18,15 @@ from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor.uncertainty.budget_poses import middle_pose, pose_from_native, scan_at
 from posor.uncertainty.budget_quantities import NATIVE, PlatePoint
-from posor.uncertainty.first_order import ContributionKind, error_budget
+from posor.uncertainty.first_order import error_budget
 from posor.uncertainty.protection_level import arm_reliability
 from posor.uncertainty.reliability import joint_reliability
 from rich.console import Console
 from rich.progress import Progress
-from rich.table import Table
 
 from posor_design.budget_page import render_budget_page
-from posor_design.budget_report import VALIDATION_HEADER, BudgetReport, heading
-from posor_design.monte_carlo import BATCH, COVERAGE, monte_carlo, validate
-from posor_design.reliability_report import (
-    ARM_HEADER,
-    RELIABILITY_HEADER,
-    arm_rows,
-    protection_note,
-    reliability_note,
-    reliability_rows,
-)
+from posor_design.budget_report import BudgetReport
+from posor_design.monte_carlo import BATCH, monte_carlo, validate
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -61,16 +52,15 @@ def _numbers(names: Sequence[str]) -> Callable[[str], tuple[float, ...]]:
     return parse_numbers
 
 
-def _seed(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"'{text}' is not a seed (a whole number of at least 0)")
-    return int(text)
+def _count(least: int, name: str) -> Callable[[str], int]:
+    """Return a parser of a whole number."""
 
+    def parse_count(text: str) -> int:
+        if not text.isdecimal() or int(text) < least:
+            raise argparse.ArgumentTypeError(f"'{text}' is not a {name} of at least {least}")
+        return int(text)
 
-def _draws(text: str) -> int:
-    if not text.isdecimal() or int(text) < 2 * BATCH:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a number of draws (at least {2 * BATCH})")
-    return int(text)
+    return parse_count
 
 
 def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -99,8 +89,9 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
         help="point of the receiving plate [m] whose gap is an output too, written --point=...; may be repeated",
     )
     parser.add_argument("--output", type=Path, metavar="FOLDER", help="default: build/budget/<name of the calibration>")
-    parser.add_argument("--draws", type=_draws, default=10 * BATCH, help="largest number of Monte Carlo draws")
-    parser.add_argument("--seed", type=_seed, default=SEED, help=f"seed of the draws (default: {SEED})")
+    draws, seed = _count(2 * BATCH, "number of draws"), _count(0, "seed, a whole number")
+    parser.add_argument("--draws", type=draws, default=10 * BATCH, help="largest number of Monte Carlo draws")
+    parser.add_argument("--seed", type=seed, default=SEED, help=f"seed of the draws (default: {SEED})")
     parser.add_argument("--arm", type=Path, metavar="ARM.yaml", help="arm whose endpoint gets a protection level")
     parser.add_argument(
         "--angles", type=_angles, metavar="a,b,...", help="of the arm's joints in rad, written --angles=...; default: 0"
@@ -123,15 +114,18 @@ def _arm_reliability(path: Path, given: Sequence[float] | None) -> ArmReliabilit
     names = [joint.name for joint in chain.joints]
     angles = [0.0] * len(names) if given is None else given
     if len(angles) != len(names):
-        raise ParameterError(
-            f"{len(angles)} angles", where="budget, --angles", expected=f"{len(names)}: {','.join(names)}"
-        )
+        expected = f"{len(names)}: {','.join(names)}"
+        raise ParameterError(f"{len(angles)} angles", where="budget, --angles", expected=expected)
     calibrations = {name: arm.calibration(name) for name in names}
     return arm_reliability(chain, calibrations, dict(zip(names, angles, strict=True)))
 
 
-def compute_budget(options: argparse.Namespace, progress: Progress) -> BudgetReport:
+def compute_budget(options: argparse.Namespace, progress: Callable[[int], None] | None = None) -> BudgetReport:
     """Compute the budget for these options; create the folder of the results before the draws, which take long.
+
+    Args:
+        options: As ``parse_options`` returns them.
+        progress: Called with the number of draws made so far.
 
     Raises:
         PosorError: The calibration is invalid, or cannot be used at this pose, or the folder cannot be created.
@@ -145,17 +139,14 @@ def compute_budget(options: argparse.Namespace, progress: Progress) -> BudgetRep
     budget = error_budget(posor, scan, pose, points)
     reliability = joint_reliability(posor, scan, pose)
     arm = None if options.arm is None else _arm_reliability(options.arm, options.angles)
-    _create_folder(options.output)
-    task = progress.add_task("draws", total=options.draws)
-    drawn = monte_carlo(
-        posor,
-        scan,
-        pose,
-        points,
-        seed=options.seed,
-        max_draws=options.draws,
-        progress=lambda done: progress.update(task, completed=done),
-    )
+    try:
+        options.output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        where = f"budget, --output, {options.output}"
+        raise ParameterError(
+            f"cannot be created: {error.strerror}", where=where, expected="a writable folder"
+        ) from error
+    drawn = monte_carlo(posor, scan, pose, points, seed=options.seed, max_draws=options.draws, progress=progress)
     return BudgetReport(
         calibration=calibration.name,
         content_hash=calibration.content_hash,
@@ -169,16 +160,6 @@ def compute_budget(options: argparse.Namespace, progress: Progress) -> BudgetRep
     )
 
 
-def _create_folder(folder: Path) -> None:
-    """Create the folder for the results."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ParameterError(
-            f"cannot be created: {error.strerror}", where=f"budget, --output, {folder}", expected="a writable folder"
-        ) from error
-
-
 def write_budget(report: BudgetReport, folder: Path) -> None:
     """Write table, figures and page into an existing folder."""
     csv_file, json_file, page_file = (folder / name for name in OUTPUT_FILES)
@@ -188,51 +169,18 @@ def write_budget(report: BudgetReport, folder: Path) -> None:
 
 
 def print_budget(report: BudgetReport, console: Console) -> None:
-    """Print contributions, totals and validation as tables."""
+    """Print contributions, totals, validation and reliability as tables."""
     session = f", session {report.session}" if report.session else ""
     console.print(f"Error budget of '{report.calibration}'{session}")
     console.print(f"at {report.pose_text}; standard uncertainties, k = 1")
-    table = Table(title="What to improve first: uncertainty and share of the variance", title_justify="left")
-    table.add_column("quantity", overflow="fold")
-    table.add_column("kind")
-    for output in report.budget.outputs:
-        table.add_column(heading(output), justify="right")
-    for name, kind, cells in report.contribution_rows():
-        if name == f"all {ContributionKind.RANDOM}":
-            table.add_section()
-        table.add_row(name, kind, *cells)
-    console.print(table)
-    title = f"First order against draws: ends of the {100 * COVERAGE:g} % intervals (JCGM 101, clause 8)"
-    table = Table(title=title, title_justify="left")
-    for name in VALIDATION_HEADER:
-        table.add_column(name, justify="left" if name == "quantity" else "right")
-    for row in report.validation_rows():
-        table.add_row(*row)
-    console.print(table)
-    _print_reliability(report, console)
-    for note in (report.verdict, report.correlation_note, report.exact_note):
+    tables = [report.contributions(), report.validation(), *report.reliability_tables()]
+    for table in tables:
+        table.print(console)
+    for note in (*(table.note for table in tables), report.verdict, report.correlation_note, report.exact_note):
         if note:
             console.print(note)
     if report.drawn.lost:
         console.print(f"{report.drawn.lost} of {report.drawn.trials + report.drawn.lost} draws gave no pose.")
-
-
-def _print_reliability(report: BudgetReport, console: Console) -> None:
-    """Print the minimal detectable biases, and the protection level of an arm's endpoint."""
-    tables = [
-        ("Minimal detectable biases", RELIABILITY_HEADER, reliability_rows(report.reliability)),
-        *([("Protection level of the endpoint", ARM_HEADER, arm_rows(report.arm))] if report.arm else []),
-    ]
-    for title, header, rows in tables:
-        table = Table(title=title, title_justify="left")
-        for name in header:
-            table.add_column(name, justify="left" if name in {"joint", "reading"} else "right")
-        for row in rows:
-            table.add_row(*row)
-        console.print(table)
-    console.print(reliability_note(report.reliability))
-    if report.arm:
-        console.print(protection_note(report.arm))
 
 
 @reports_errors
@@ -241,7 +189,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parse_options(arguments)
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        report = compute_budget(options, progress)
+        task = progress.add_task("draws", total=options.draws)
+        report = compute_budget(options, lambda done: progress.update(task, completed=done))
     write_budget(report, options.output)
     console = report_console(160)
     print_budget(report, console)

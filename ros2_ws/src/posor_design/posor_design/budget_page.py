@@ -5,30 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from posor.reporting.figure_style import BLUE, GREY, ORANGE
-from posor.reporting.html_page import (
-    Section,
-    bullet_list,
-    definition_list,
-    paragraph,
-    render_page,
-    table,
-)
+from posor.reporting.html_page import Section, bullet_list, definition_list, paragraph, render_page
 from posor.reporting.plot import Plot
 from posor.uncertainty.first_order import ContributionKind
 
-from posor_design.budget_report import DISPLAY_UNITS, VALIDATION_HEADER, heading
-from posor_design.reliability_report import (
-    ARM_HEADER,
-    RELIABILITY_HEADER,
-    arm_rows,
-    protection_note,
-    reliability_note,
-    reliability_rows,
-)
+from posor_design.budget_report import DISPLAY_UNITS
 
 if TYPE_CHECKING:
-    from markupsafe import Markup
-
     from posor_design.budget_report import BudgetReport
 
 BARS = 8
@@ -36,8 +19,6 @@ BARS = 8
 COLOURS = {ContributionKind.RANDOM: ORANGE, ContributionKind.SYSTEMATIC: BLUE}
 NAMES = {ContributionKind.RANDOM: "noise (random)", ContributionKind.SYSTEMATIC: "calibration (systematic)"}
 
-DIFFERS = "the model is not linear over this uncertainty: use the interval of the draws, interval_95 in budget.json"
-NOT_STABLE = "too few draws for this tolerance: use more, --draws"
 NOTES = (
     "Standard uncertainties, k = 1, of first order: derivatives of the measurement model (JCGM 100, 5.1 and 5.2).",
     (
@@ -75,8 +56,6 @@ def plot_contributions(report: BudgetReport) -> list[Plot]:
 
 def render_budget_page(report: BudgetReport) -> str:
     """Return the page as HTML without external references."""
-    header = ("quantity", "kind", *(heading(output) for output in report.budget.outputs))
-    rows = [[name, kind, *line] for name, kind, line in report.contribution_rows()]
     notes = [note for note in (*NOTES, report.correlation_note, report.exact_note) if note]
     terms = {
         "calibration": f"{report.calibration} (SHA-256 of its content {report.content_hash})",
@@ -89,28 +68,10 @@ def render_budget_page(report: BudgetReport) -> str:
         report.verdict,
         holds=report.holds,
         sections=(
-            Section("What to improve first", table(header, rows), plot_contributions(report)),
-            Section("First order against draws", _validation_table(report)),
-            *_reliability_sections(report),
+            report.contributions().section("What to improve first", plot_contributions(report)),
+            report.validation(remarks=True).section("First order against draws"),
+            *(table.section(table.title) for table in report.reliability_tables()),
             Section("Notes", bullet_list(notes)),
             Section("Provenance", definition_list(terms) + paragraph("Figures in SI units: budget.csv, budget.json.")),
         ),
     )
-
-
-def _validation_table(report: BudgetReport) -> Markup:
-    """Return the validation, with the reason and the remedy beside each output that does not hold or is not stable."""
-    rows = [
-        [*row, "; ".join(filter(None, ["" if each.holds else DIFFERS, "" if each.stable else NOT_STABLE]))]
-        for row, each in zip(report.validation_rows(), report.validations, strict=True)
-    ]
-    return table((*VALIDATION_HEADER, "remark"), rows)
-
-
-def _reliability_sections(report: BudgetReport) -> list[Section]:
-    body = table(RELIABILITY_HEADER, reliability_rows(report.reliability))
-    sections = [Section("Minimal detectable biases", body + paragraph(reliability_note(report.reliability)))]
-    if report.arm is not None:
-        body = table(ARM_HEADER, arm_rows(report.arm)) + paragraph(protection_note(report.arm))
-        sections.append(Section("Protection level of the endpoint", body))
-    return sections

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from posor.model.native_coordinates import native_from_rotation
+from posor.reporting.report_table import ReportTable
 from posor.uncertainty.budget_quantities import NATIVE
 from posor.uncertainty.first_order import ContributionKind
 
-from posor_design.reliability_report import arm_json, reliability_json
+from posor_design.monte_carlo import COVERAGE
+from posor_design.reliability_report import arm_json, arm_table, reliability_json, reliability_table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -32,7 +34,8 @@ SUMMARISED_SHARE = 0.01
 NEGLIGIBLE_SHARE = 1e-4
 """Smaller shares of a contribution in one output are not displayed."""
 CSV_COLUMNS = ("rank", "contribution", "kind", "quantity", "unit", "standard_uncertainty", "share_of_variance")
-VALIDATION_HEADER = ("quantity", "numerical tolerance", "d low", "d high", "stable", "first order")
+DIFFERS = "the model is not linear over this uncertainty: use the interval of the draws, interval_95 in budget.json"
+NOT_STABLE = "too few draws for this tolerance: use more, --draws"
 
 
 def heading(output: Output) -> str:
@@ -117,7 +120,7 @@ class BudgetReport:
         alpha, beta, theta = (f"{1e3 * value:.3f}" for value in native_from_rotation(T.rotation))
         return f"x {x}, y {y}, gap {gap} mm; alpha {alpha}, beta {beta}, theta {theta} mrad"
 
-    def contribution_rows(self) -> list[tuple[str, str, list[str]]]:
+    def contributions(self) -> ReportTable:
         """Return name, kind and cells of each contribution, of the summary of small ones, and of the totals."""
         budget = self.budget
 
@@ -130,33 +133,46 @@ class BudgetReport:
                 for cell, share in zip(numbers, shares, strict=True)
             ]
 
-        rows, small = [], []
+        rows: list[list[str]] = []
+        small = []
         for part, share in zip(budget.contributions, budget.shares(), strict=True):
             if share.max() < SUMMARISED_SHARE:
                 small.append((part.effects, share))
             else:
-                rows.append((part.name, str(part.kind), cells(part.effects, share)))
+                rows.append([part.name, str(part.kind), *cells(part.effects, share)])
         if small:
             effects, shares = (np.array(column) for column in zip(*small, strict=True))
             total = np.sqrt(np.sum(np.square(effects), axis=0))
-            rows.append((f"{len(small)} more, each below 1 %", "", cells(total, np.sum(shares, axis=0))))
-        rows.extend((f"all {kind}", str(kind), cells(budget.root_sum_square(kind))) for kind in ContributionKind)
-        rows.append(("root sum square", "total", cells(budget.root_sum_square())))
-        rows.append(("full covariance", "total", cells(budget.sigmas)))
-        rows.append((f"Monte Carlo, {self.drawn.trials} draws", "total", cells(self.drawn.sigmas)))
-        return rows
-
-    def validation_rows(self) -> list[list[str]]:
-        """Return a row of ``VALIDATION_HEADER`` for each output."""
-        return [
-            [
-                heading(output),
-                *(format_number(value, output) for value in (each.tolerance, each.low, each.high)),
-                "yes" if each.stable else "not yet",
-                "holds" if each.holds else "differs",
-            ]
-            for output, each in zip(self.budget.outputs, self.validations, strict=True)
+            rows.append([f"{len(small)} more, each below 1 %", "", *cells(total, np.sum(shares, axis=0))])
+        totals = [
+            *([f"all {kind}", str(kind), *cells(budget.root_sum_square(kind))] for kind in ContributionKind),
+            ["root sum square", "total", *cells(budget.root_sum_square())],
+            ["full covariance", "total", *cells(budget.sigmas)],
+            [f"Monte Carlo, {self.drawn.trials} draws", "total", *cells(self.drawn.sigmas)],
         ]
+        return ReportTable(
+            "What to improve first: uncertainty and share of the variance",
+            ("quantity", "kind", *map(heading, budget.outputs)),
+            rows + totals,
+            left=2,
+            rule_before=len(rows),
+        )
+
+    def validation(self, *, remarks: bool = False) -> ReportTable:
+        """Return the validation of each output; ``remarks``: with reason and remedy where it fails or is not stable."""
+        rows = []
+        for output, each in zip(self.budget.outputs, self.validations, strict=True):
+            numbers = (format_number(value, output) for value in (each.tolerance, each.low, each.high))
+            remark = "; ".join(filter(None, ["" if each.holds else DIFFERS, "" if each.stable else NOT_STABLE]))
+            verdicts = "yes" if each.stable else "not yet", "holds" if each.holds else "differs"
+            rows.append([heading(output), *numbers, *verdicts, *([remark] if remarks else [])])
+        header = ("quantity", "numerical tolerance", "d low", "d high", "stable", "first order")
+        title = f"First order against draws: ends of the {100 * COVERAGE:g} % intervals (JCGM 101, clause 8)"
+        return ReportTable(title, (*header, "remark") if remarks else header, rows, left=1)
+
+    def reliability_tables(self) -> list[ReportTable]:
+        """Return the minimal detectable biases, and with an arm the protection level of its endpoint."""
+        return [reliability_table(self.reliability), *([arm_table(self.arm)] if self.arm else [])]
 
     def write_csv(self, path: Path) -> None:
         """Write the contributions in order of rank, SI units."""

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import dataclasses
 import inspect
-import re
-import textwrap
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import yaml
 
 from posor_design.calculators import CALCULATORS, annotations_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-_SECTION = re.compile(r"(Example|Source):(.*)")
 
 
 @dataclass(frozen=True)
@@ -23,16 +22,19 @@ class Value:
 
     Attributes:
         name: Name in Python.
-        kind: Type, with its unit as ``units.py`` annotates it.
-        description: Meaning, from the annotation.
+        kind: Annotation: type, unit, limits and meaning, see ``argument_types.py``.
         default: Value of an argument that is left out; ``inspect.Parameter.empty``: the argument is required.
 
     """
 
     name: str
     kind: Any
-    description: str
     default: Any = inspect.Parameter.empty
+
+    @property
+    def description(self) -> str:
+        """Meaning."""
+        return str(self.kind.__metadata__[-1])
 
     @property
     def required(self) -> bool:
@@ -62,36 +64,23 @@ class CalculatorSignature:
 def read_signature(name: str) -> CalculatorSignature:
     """Return the signature of the calculator with a name of ``CALCULATORS``."""
     function = CALCULATORS[name]
-    kinds = annotations_of(function)
-    result = kinds["return"]
-    text = _sections(function)
-    summary, _, description = text[""].partition("\n")
+    kinds, parameters = annotations_of(function), inspect.signature(function).parameters
+    text, _, source = inspect.cleandoc(str(function.__doc__)).partition("\nSource: ")
+    summary, _, description = text.partition("\n")
     return CalculatorSignature(
         name=name,
         function=function,
         summary=summary.rstrip("."),
         description=description.strip(),
-        source=" ".join(text["Source"].split()),
-        example=" ".join(text["Example"].split()),
-        arguments=tuple(
-            _value(key, kinds[key], parameter.default)
-            for key, parameter in inspect.signature(function).parameters.items()
-        ),
-        results=tuple(_value(each.name, annotations_of(result)[each.name]) for each in dataclasses.fields(result)),
+        source=" ".join(source.split()),
+        example=f"posor design {name} {_examples()[name]}",
+        arguments=tuple(Value(key, kinds[key], each.default) for key, each in parameters.items()),
+        results=tuple(Value(key, kind) for key, kind in annotations_of(kinds["return"]).items()),
     )
 
 
-def _value(name: str, kind: Any, default: Any = inspect.Parameter.empty) -> Value:
-    """Return a value by its annotation: type, unit of a single quantity, limits, and at last its meaning."""
-    bare = kind if kind.__origin__ is float else kind.__origin__
-    return Value(name, bare, kind.__metadata__[-1], default)
-
-
-def _sections(item: Any) -> dict[str, str]:
-    """Return the sections of a docstring by name; the text before the first has the name ``""``."""
-    sections, name = {"": ""}, ""
-    for line in inspect.cleandoc(item.__doc__).splitlines():
-        heading = _SECTION.match(line)
-        name = heading[1] if heading else name
-        sections[name] = sections.get(name, "") + (heading[2].strip() if heading else line) + "\n"
-    return {key: textwrap.dedent(text).strip("\n") for key, text in sections.items()}
+@cache
+def _examples() -> dict[str, str]:
+    """Return the arguments of an example of each calculator."""
+    text = Path(__file__).with_name("calculator_examples.yaml").read_text(encoding="utf-8")
+    return dict(yaml.safe_load(text))

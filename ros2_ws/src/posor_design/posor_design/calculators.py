@@ -1,8 +1,8 @@
 """What makes a function a design calculator: its registration, and the checks of its arguments and of its result.
 
-Each argument has a type of ``units.py``, or is a tuple of them, with its limits and its meaning in the annotation; an
-argument with a default may be left out. The result is a frozen dataclass with fields annotated alike. The first line of
-the docstring is the summary; its sections ``Source:`` and ``Example:`` name the equation and a command line.
+The annotation of an argument states its unit, limits and meaning (``argument_types.py``); an argument with a default
+may be left out. The result is a frozen dataclass with fields annotated alike. The first line of the docstring is the
+summary, and its section ``Source:`` names the equation. ``calculator_examples.yaml`` has a command line of each.
 
 A calculator raises a ParameterError for an argument that is not finite or out of its limits, and where its numbers
 exceed the floating point, such as for a length of 1e30 in.
@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, get_type_hints
 import numpy as np
 from posor.errors import ParameterError, PosorError
 
-from posor_design import units
+from posor_design import argument_types
+from posor_design.argument_types import FINITE, Limit, unit_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -58,15 +59,15 @@ def calculator(calculate: Callable[P, R]) -> Callable[P, R]:
 
 @cache
 def annotations_of(item: Any) -> dict[str, Any]:
-    """Return the annotations of a calculator or of its result; modules import ``units.py`` for type checkers only."""
-    return get_type_hints(item, localns=vars(units), include_extras=True)
+    """Return the annotations of a calculator or of its result; modules import limits for type checkers only."""
+    return get_type_hints(item, localns=vars(argument_types), include_extras=True)
 
 
 def _check_argument(name: str, kind: Any, value: Any) -> None:
     """Check the numbers of an argument, and their count, against the limits of its annotation."""
     numbers = [each for each in (value if isinstance(value, tuple) else (value,)) if not isinstance(each, str)]
-    for limit in (units.FINITE, *(each for each in kind.__metadata__ if isinstance(each, units.Limit))):
-        unit = "values" if limit.of_count else units.unit_of(kind)
+    for limit in (FINITE, *(each for each in kind.__metadata__ if isinstance(each, Limit))):
+        unit = "values" if limit.of_count else unit_of(kind)
         for number in [len(numbers)] if limit.of_count else numbers:
             if not limit.accepts(number):
                 what = f"{number:g} {unit}".removesuffix(" 1")

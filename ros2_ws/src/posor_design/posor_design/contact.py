@@ -13,7 +13,7 @@ from scipy.special import ellipe, ellipk, elliprd, elliprf
 from posor_design.calculators import calculator
 
 if TYPE_CHECKING:
-    from posor_design.units import POISSON_RATIO, POSITIVE, Metre, Newton, Number, Pascal, PerMetre, more_than
+    from posor_design.argument_types import POISSON_RATIO, POSITIVE, more_than
 
 _FLATTEST = 1e-5
 """Smallest ratio of the half axes that is solved."""
@@ -25,27 +25,27 @@ _DEEPEST = 2.0
 class Contact:
     """Contact of two elastic bodies."""
 
-    large_half_axis: Annotated[Metre, "Large half axis of the contact ellipse."]
-    small_half_axis: Annotated[Metre, "Small half axis of the contact ellipse."]
-    stress: Annotated[Pascal, "Greatest compressive stress, at the centre of the ellipse."]
-    shear_stress: Annotated[Pascal, "Greatest shear stress at and under this centre, in the first body."]
-    shear_depth: Annotated[Metre, "Depth of the greatest shear stress."]
-    approach: Annotated[Metre, "Approach of the two bodies."]
+    large_half_axis: Annotated[float, "m", "Large half axis of the contact ellipse."]
+    small_half_axis: Annotated[float, "m", "Small half axis of the contact ellipse."]
+    stress: Annotated[float, "Pa", "Greatest compressive stress, at the centre of the ellipse."]
+    shear_stress: Annotated[float, "Pa", "Greatest shear stress at and under this centre, in the first body."]
+    shear_depth: Annotated[float, "m", "Depth of the greatest shear stress."]
+    approach: Annotated[float, "m", "Approach of the two bodies."]
 
 
 @calculator
 def hertz_contact(
-    load: Annotated[Newton, POSITIVE, "Force between the bodies."],
+    load: Annotated[float, "N", POSITIVE, "Force between the bodies."],
     curvature_x: Annotated[
-        PerMetre, POSITIVE, "Sum of the curvatures of both bodies in the first principal direction."
+        float, "1/m", POSITIVE, "Sum of the curvatures of both bodies in the first principal direction."
     ],
     curvature_y: Annotated[
-        PerMetre, POSITIVE, "Sum of the curvatures of both bodies in the second principal direction."
+        float, "1/m", POSITIVE, "Sum of the curvatures of both bodies in the second principal direction."
     ],
-    modulus: Annotated[Pascal, POSITIVE, "Modulus of elasticity of the first body."],
-    poisson_ratio: Annotated[Number, POISSON_RATIO, "Poisson's ratio of the first body, 0 to 0.5."],
-    other_modulus: Annotated[Pascal, POSITIVE, "Modulus of elasticity of the second body."],
-    other_poisson_ratio: Annotated[Number, POISSON_RATIO, "Poisson's ratio of the second body, 0 to 0.5."],
+    modulus: Annotated[float, "Pa", POSITIVE, "Modulus of elasticity of the first body."],
+    poisson_ratio: Annotated[float, "1", POISSON_RATIO, "Poisson's ratio of the first body, 0 to 0.5."],
+    other_modulus: Annotated[float, "Pa", POSITIVE, "Modulus of elasticity of the second body."],
+    other_poisson_ratio: Annotated[float, "1", POISSON_RATIO, "Poisson's ratio of the second body, 0 to 0.5."],
 ) -> Contact:
     """Stress, size and approach of the contact of two elastic bodies.
 
@@ -54,11 +54,6 @@ def hertz_contact(
 
     Source: Johnson, Contact Mechanics (1985), 4.2; Boresi and Schmidt, Advanced Mechanics of Materials (2003), 17.4;
         thesis 6.2.3.3 and appendix 6B (CONTACT.FOR, after Timoshenko).
-
-    Example:
-        posor design hertz-contact --load '10 N' --curvature-x '500 1/m' --curvature-y '500 1/m' --modulus '206 GPa'
-        --poisson-ratio .3 --other-modulus '206 GPa' --other-poisson-ratio .3
-
     """
     contact_modulus = 1.0 / ((1.0 - poisson_ratio**2) / modulus + (1.0 - other_poisson_ratio**2) / other_modulus)
     k = _axis_ratio(curvature_x, curvature_y)
@@ -130,25 +125,21 @@ def _shear_stress(depth: float, k: float, poisson_ratio: float) -> float:
 
 @calculator
 def ball_race_contact(
-    load: Annotated[Newton, POSITIVE, "Force of the ball."],
-    ball_diameter: Annotated[Metre, POSITIVE, "Diameter of the ball."],
-    pitch_diameter: Annotated[Metre, POSITIVE, "Diameter of the circle through the centres of the balls."],
-    conformity: Annotated[Number, more_than(0.5), "Radius of the groove over the diameter of the ball, more than 0.5."],
-    ball_modulus: Annotated[Pascal, POSITIVE, "Modulus of elasticity of the ball."],
-    ball_poisson_ratio: Annotated[Number, POISSON_RATIO, "Poisson's ratio of the ball."],
-    race_modulus: Annotated[Pascal, POSITIVE, "Modulus of elasticity of the race."],
-    race_poisson_ratio: Annotated[Number, POISSON_RATIO, "Poisson's ratio of the race."],
+    load: Annotated[float, "N", POSITIVE, "Force of the ball."],
+    ball_diameter: Annotated[float, "m", POSITIVE, "Diameter of the ball."],
+    pitch_diameter: Annotated[float, "m", POSITIVE, "Diameter of the circle through the centres of the balls."],
+    conformity: Annotated[
+        float, "1", more_than(0.5), "Radius of the groove over the diameter of the ball, more than 0.5."
+    ],
+    ball_modulus: Annotated[float, "Pa", POSITIVE, "Modulus of elasticity of the ball."],
+    ball_poisson_ratio: Annotated[float, "1", POISSON_RATIO, "Poisson's ratio of the ball."],
+    race_modulus: Annotated[float, "Pa", POSITIVE, "Modulus of elasticity of the race."],
+    race_poisson_ratio: Annotated[float, "1", POISSON_RATIO, "Poisson's ratio of the race."],
     race: Annotated[Literal["inner", "outer"], "Race that the ball touches."] = "inner",
 ) -> Contact:
     """Contact of a ball with the groove of a radial ball bearing.
 
     Source: thesis 6.2.3.3 and appendix 6B (CONTACT.FOR); curvatures: Harris, Rolling Bearing Analysis (2001), 2.6.
-
-    Example:
-        posor design ball-race-contact --load '2.2 lbf' --ball-diameter '5/32 in' --pitch-diameter '.625 in'
-        --conformity .515 --ball-modulus '30e6 psi' --ball-poisson-ratio .3 --race-modulus '30e6 psi'
-        --race-poisson-ratio .3
-
     """
     if pitch_diameter <= ball_diameter:
         expected = f"more than the diameter of the ball, {ball_diameter:g} m"

@@ -17,10 +17,10 @@ from posor.errors import OutputError, ParameterError, similar_name
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 
+from posor_design.argument_types import unit_of
 from posor_design.calculator_signature import read_signature
 from posor_design.calculators import CALCULATORS
 from posor_design.design_page import render_design_page
-from posor_design.units import unit_of
 from posor_design.value_kinds import format_value, name_kind, parse_value, summarise_value
 
 if TYPE_CHECKING:

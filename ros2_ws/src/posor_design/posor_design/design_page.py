@@ -10,7 +10,7 @@ from posor.errors import ParameterError
 from posor.reporting.figure_style import BLUE, GREEN, GREY, LIGHT_BLUE, ORANGE
 from posor.reporting.html_page import Section, definition_list, paragraph, render_page, table
 
-from posor_design.units import unit_of
+from posor_design.argument_types import unit_of
 from posor_design.value_kinds import is_series, summarise_value
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def render_design_page(signature: CalculatorSignature, arguments: Mapping[str, A
 
 def _plots(fields: Sequence[Value], results: Mapping[str, Any]) -> list[Plot]:
     """Return a plot of each series over the first one, such as mode shapes over positions."""
-    series = [each for each in fields if is_series(each.kind, results[each.name])]
+    series = [each for each in fields if is_series(results[each.name])]
     if not series:
         return []
     from posor.reporting.plot import Plot  # noqa: PLC0415  takes a second to load
@@ -68,7 +68,7 @@ def _value_table(fields: Sequence[Value], values: Mapping[str, Any]) -> Markup:
 
 def _effects(signature: CalculatorSignature, arguments: Mapping[str, Any], results: Mapping[str, Any]) -> Markup:
     """Return the relative change of each result that is a number or a few, by each argument that is one number."""
-    names = [each.name for each in signature.results if _has_numbers(each.kind, results[each.name])]
+    names = [each.name for each in signature.results if _has_numbers(results[each.name])]
     rows = []
     for argument, value in arguments.items():
         if not isinstance(value, float) or value == 0.0:
@@ -82,8 +82,8 @@ def _effects(signature: CalculatorSignature, arguments: Mapping[str, Any], resul
     return table(("argument", *names, ""), rows, "numbers")
 
 
-def _has_numbers(kind: Any, value: Any) -> bool:
-    return np.asarray(value).dtype.kind == "f" and not is_series(kind, value)
+def _has_numbers(value: Any) -> bool:
+    return np.asarray(value).dtype.kind == "f" and not is_series(value)
 
 
 def _relative_change(before: Any, after: Any) -> str:

@@ -11,24 +11,11 @@ from scipy.constants import epsilon_0
 from scipy.optimize import brentq
 from scipy.special import j1
 
-from posor_design.calculators import calculator
+from posor_design.calculators import calculator, require_as_many
 from posor_design.line_fit import fit_line
 
 if TYPE_CHECKING:
-    from posor_design.units import (
-        ACUTE_ANGLE,
-        NON_NEGATIVE,
-        POSITIVE,
-        SHARE,
-        Farad,
-        FaradPerMetre,
-        Metre,
-        MetrePerVolt,
-        Number,
-        PerMetre,
-        Radian,
-        Volt,
-    )
+    from posor_design.argument_types import ACUTE_ANGLE, NON_NEGATIVE, POSITIVE, SHARE, at_least
 
 _LARGEST_GAP = 0.2
 """Of a disc without guard, over its radius: Kirchhoff's formula is then 1 % too low (test with Love's equation)."""
@@ -40,24 +27,26 @@ _LARGEST_CURVATURE = 0.2
 class FibreLever:
     """Response of a fibre optic lever."""
 
-    illuminated_radius: Annotated[Metre, "Radius of the reflected light in the plane of the fibre ends."]
-    collected: Annotated[Number, "Received power over transmitted power."]
-    slope: Annotated[PerMetre, "Derivative of ``collected`` with respect to the distance."]
-    dead_distance: Annotated[Metre, "Distance below which no light reaches the receiving fibres."]
+    illuminated_radius: Annotated[float, "m", "Radius of the reflected light in the plane of the fibre ends."]
+    collected: Annotated[float, "1", "Received power over transmitted power."]
+    slope: Annotated[float, "1/m", "Derivative of ``collected`` with respect to the distance."]
+    dead_distance: Annotated[float, "m", "Distance below which no light reaches the receiving fibres."]
     peak_distance: Annotated[
-        Metre, "Distance of the largest received power; the response rises before it and falls behind it."
+        float, "m", "Distance of the largest received power; the response rises before it and falls behind it."
     ]
-    peak_collected: Annotated[Number, "Largest received power over transmitted power."]
+    peak_collected: Annotated[float, "1", "Largest received power over transmitted power."]
 
 
 @calculator
 def fibre_lever(
-    distance: Annotated[Metre, NON_NEGATIVE, "Distance of the target."],
-    core_radius: Annotated[Metre, POSITIVE, "Radius of the core of each fibre."],
-    spacing: Annotated[Metre, "Distance between the axes of the transmitting and a receiving fibre."],
-    half_angle: Annotated[Radian, ACUTE_ANGLE, "Half angle of the cone of light; its sine is the numerical aperture."],
+    distance: Annotated[float, "m", NON_NEGATIVE, "Distance of the target."],
+    core_radius: Annotated[float, "m", POSITIVE, "Radius of the core of each fibre."],
+    spacing: Annotated[float, "m", "Distance between the axes of the transmitting and a receiving fibre."],
+    half_angle: Annotated[
+        float, "rad", ACUTE_ANGLE, "Half angle of the cone of light; its sine is the numerical aperture."
+    ],
     receivers: Annotated[int, POSITIVE, "Number of receiving fibres."] = 6,
-    reflectivity: Annotated[Number, SHARE, "Reflectivity of the target."] = 1.0,
+    reflectivity: Annotated[float, "1", SHARE, "Reflectivity of the target."] = 1.0,
 ) -> FibreLever:
     """Response of a fibre optic lever: one transmitting fibre with receiving fibres around it.
 
@@ -66,10 +55,6 @@ def fibre_lever(
 
     Source: thesis 4.2.1 (the geometry, after Cook and Hamm, Applied Optics 18(19), 3230-3241, 1979); the equations
         follow from the area that two circles share.
-
-    Example:
-        posor design fibre-lever --distance '.2 mm' --core-radius '.1 mm' --spacing '.25 mm' --half-angle '30 deg'
-
     """
     room = 2.0 if receivers == 1 else max(2.0, 1.0 / math.sin(math.pi / receivers))
     if spacing < room * core_radius * (1.0 - 1e-9):
@@ -113,27 +98,27 @@ def _shared_area(radius: float, other_radius: float, spacing: float) -> tuple[fl
 class CapacitanceProbe:
     """Response of a capacitance probe."""
 
-    capacitance: Annotated[Farad, "Capacitance between probe and level target."]
-    slope: Annotated[FaradPerMetre, "Derivative of the capacitance with respect to the gap."]
-    resolution: Annotated[Metre, "Change of the gap that the resolution of the capacitance is worth."]
-    tilt_error: Annotated[Metre, "Gap read less gap at the axis, because the target is tilted."]
-    permittivity_error: Annotated[Metre, "Gap read less gap, because the permittivity has changed."]
+    capacitance: Annotated[float, "F", "Capacitance between probe and level target."]
+    slope: Annotated[float, "F/m", "Derivative of the capacitance with respect to the gap."]
+    resolution: Annotated[float, "m", "Change of the gap that the resolution of the capacitance is worth."]
+    tilt_error: Annotated[float, "m", "Gap read less gap at the axis, because the target is tilted."]
+    permittivity_error: Annotated[float, "m", "Gap read less gap, because the permittivity has changed."]
 
 
 @calculator
 def capacitance_probe(
-    gap: Annotated[Metre, POSITIVE, "Distance of the target at the axis of the probe."],
-    radius: Annotated[Metre, POSITIVE, "Radius of the disc; with a guard, to the middle of the slit."],
+    gap: Annotated[float, "m", POSITIVE, "Distance of the target at the axis of the probe."],
+    radius: Annotated[float, "m", POSITIVE, "Radius of the disc; with a guard, to the middle of the slit."],
     capacitance_resolution: Annotated[
-        Farad, NON_NEGATIVE, "Change of the capacitance that the electronics resolve."
+        float, "F", NON_NEGATIVE, "Change of the capacitance that the electronics resolve."
     ] = 0.0,
     tilt: Annotated[
-        Radian, "Angle between target and disc; its error holds for an even field, without the edge."
+        float, "rad", "Angle between target and disc; its error holds for an even field, without the edge."
     ] = 0.0,
     permittivity: Annotated[
-        Number, POSITIVE, "Relative permittivity of the medium; the default is that of air."
+        float, "1", POSITIVE, "Relative permittivity of the medium; the default is that of air."
     ] = 1.0006,
-    permittivity_change: Annotated[Number, "Change of the relative permittivity since the calibration."] = 0.0,
+    permittivity_change: Annotated[float, "1", "Change of the relative permittivity since the calibration."] = 0.0,
     edge: Annotated[
         Literal["guarded", "free"], "A guard keeps the field even up to the edge; a free disc has a stray field."
     ] = "guarded",
@@ -143,10 +128,6 @@ def capacitance_probe(
     Source: thesis 4.2.2 (capacitance as the inverse of the gap). Stray field: Kirchhoff's formula for two discs, in
         Landau and Lifshitz, Electrodynamics of Continuous Media, section 3, with the image of the disc in the plane.
         Tilt: integral of the inverse gap over the disc.
-
-    Example:
-        posor design capacitance-probe --gap '.05 in' --radius '5 mm' --capacitance-resolution '.0001 pF' --tilt '1 deg'
-
     """
     if permittivity + permittivity_change <= 0.0:
         expected = f"more than {-permittivity:g}, so that a permittivity remains"
@@ -178,25 +159,23 @@ def capacitance_probe(
 class ProbeArea:
     """Effect of the area over which a probe averages."""
 
-    curvature_error: Annotated[Metre, "Mean gap less gap at the axis, before a convex cylinder."]
-    amplitude_ratio: Annotated[Number, "Amplitude of waves of the target that the probe shows, over their amplitude."]
+    curvature_error: Annotated[float, "m", "Mean gap less gap at the axis, before a convex cylinder."]
+    amplitude_ratio: Annotated[
+        float, "1", "Amplitude of waves of the target that the probe shows, over their amplitude."
+    ]
 
 
 @calculator
 def probe_area(
-    radius: Annotated[Metre, POSITIVE, "Radius of the disc over which the probe averages."],
-    target_radius: Annotated[Metre, POSITIVE, "Radius of the cylinder."],
-    wavelength: Annotated[Metre, POSITIVE, "Length of the waves of the target."],
+    radius: Annotated[float, "m", POSITIVE, "Radius of the disc over which the probe averages."],
+    target_radius: Annotated[float, "m", POSITIVE, "Radius of the cylinder."],
+    wavelength: Annotated[float, "m", POSITIVE, "Length of the waves of the target."],
 ) -> ProbeArea:
     """Effect of the area of a probe on the gap before a cylinder, and on the bumps of a ring.
 
     The probe shows the mean gap over a disc. Waves shorter than its diameter nearly vanish in this mean.
 
     Source: mean of the height of a circle, and of a wave, over a disc; J1: Bessel function, NIST DLMF 10.9.
-
-    Example:
-        posor design probe-area --radius '2 mm' --target-radius '40 mm' --wavelength '20 mm'
-
     """
     share = radius / target_radius
     if share > _LARGEST_CURVATURE:
@@ -212,27 +191,24 @@ def probe_area(
 class Linearity:
     """Deviation of a sensor from a straight line."""
 
-    sensitivity: Annotated[MetrePerVolt, "Displacement over reading of the least squares line."]
-    deviation: Annotated[Metre, "Standard deviation of the displacements from this line."]
-    largest_deviation: Annotated[Metre, "Largest deviation from this line."]
-    linearity: Annotated[Metre, "Half width of the narrowest band with all displacements, along the displacement."]
-    relative_linearity: Annotated[Number, "Linearity over the range of the displacements."]
+    sensitivity: Annotated[float, "m/V", "Displacement over reading of the least squares line."]
+    deviation: Annotated[float, "m", "Standard deviation of the displacements from this line."]
+    largest_deviation: Annotated[float, "m", "Largest deviation from this line."]
+    linearity: Annotated[float, "m", "Half width of the narrowest band with all displacements, along the displacement."]
+    relative_linearity: Annotated[float, "1", "Linearity over the range of the displacements."]
 
 
 @calculator
 def linearity(
-    readings: Annotated[tuple[Volt, ...], "Readings of the sensor."],
-    displacements: Annotated[tuple[Metre, ...], "Displacement of the target at each reading."],
+    readings: Annotated[tuple[float, ...], "V", at_least(3), "Readings of the sensor."],
+    displacements: Annotated[tuple[float, ...], "m", "Displacement of the target at each reading."],
 ) -> Linearity:
     """Linearity of a sensor: deviations of displacements from a straight line over the readings.
 
     Source: thesis 4.4 and 7.5.1 (linearisation); narrowest band: ISA S37.1, independent linearity.
-
-    Example:
-        posor design linearity --readings '-.5, 0, .5 V' --displacements '30, 0, -25 mil'
-
     """
-    line = fit_line(readings, displacements, "readings", "displacements")
+    require_as_many("readings", readings=readings, displacements=displacements)
+    line = fit_line(readings, displacements, "readings")
     span = max(displacements) - min(displacements)
     if span == 0.0:
         raise ParameterError("all values are equal", where="displacements", expected="different values")

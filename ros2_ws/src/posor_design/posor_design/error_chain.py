@@ -12,32 +12,28 @@ from scipy.optimize import brentq
 from posor_design.calculators import calculator, require_as_many
 
 if TYPE_CHECKING:
-    from posor_design.units import POSITIVE, Metre, Newton, Number, Pascal, Radian, SquareMetre, at_least
+    from posor_design.argument_types import POSITIVE, at_least
 
 
 @dataclass(frozen=True)
 class EndpointError:
     """Error at the end of an arm by errors of its joint angles."""
 
-    worst_case: Annotated[Metre, "All errors with one sign, the arm straight: sum of the parts."]
-    root_sum_square: Annotated[Metre, "The errors independent, as standard uncertainties."]
-    parts: Annotated[tuple[Metre, ...], "Part of each joint, first joint first."]
+    worst_case: Annotated[float, "m", "All errors with one sign, the arm straight: sum of the parts."]
+    root_sum_square: Annotated[float, "m", "The errors independent, as standard uncertainties."]
+    parts: Annotated[tuple[float, ...], "m", "Part of each joint, first joint first."]
 
 
 @calculator
 def endpoint_error(
     link_lengths: Annotated[
-        tuple[Metre, ...], POSITIVE, at_least(1), "Length of the link after each joint, base first."
+        tuple[float, ...], "m", POSITIVE, at_least(1), "Length of the link after each joint, base first."
     ],
-    joint_errors: Annotated[tuple[Radian, ...], "Error of each joint angle."],
+    joint_errors: Annotated[tuple[float, ...], "rad", "Error of each joint angle."],
 ) -> EndpointError:
     """Error at the end of a straight arm by backlash, encoders and other errors of its joint angles.
 
     Source: thesis 1.3, equation 1.1.
-
-    Example:
-        posor design endpoint-error --link-lengths '30, 30 in' --joint-errors '15, 15 arcsec'
-
     """
     require_as_many("link_lengths", link_lengths=link_lengths, joint_errors=joint_errors)
     parts = tuple(abs(error) * math.fsum(link_lengths[joint:]) for joint, error in enumerate(joint_errors))
@@ -48,22 +44,18 @@ def endpoint_error(
 class PositionBits:
     """Bits that a position needs."""
 
-    parts: Annotated[Number, "Travel over accuracy."]
-    bits: Annotated[Number, "Logarithm of the parts to the base 2."]
+    parts: Annotated[float, "1", "Travel over accuracy."]
+    bits: Annotated[float, "1", "Logarithm of the parts to the base 2."]
 
 
 @calculator
 def position_bits(
-    travel: Annotated[Metre, POSITIVE, "Travel, such as the reach of an arm."],
-    accuracy: Annotated[Metre, POSITIVE, "Smallest step."],
+    travel: Annotated[float, "m", POSITIVE, "Travel, such as the reach of an arm."],
+    accuracy: Annotated[float, "m", POSITIVE, "Smallest step."],
 ) -> PositionBits:
     """Bits of a feedback signal that resolves an accuracy over a travel.
 
     Source: thesis 1.3.
-
-    Example:
-        posor design position-bits --travel '60 in' --accuracy '1 mil'
-
     """
     parts = travel / accuracy
     return PositionBits(parts, math.log2(parts))
@@ -73,28 +65,23 @@ def position_bits(
 class StraightLinkage:
     """Two links in line that sag at their joint."""
 
-    tension: Annotated[Newton, "Tension of each link."]
-    stretch: Annotated[Metre, "Stretch of each link."]
-    angle: Annotated[Radian, "Angle of each link below the line through its supports."]
+    tension: Annotated[float, "N", "Tension of each link."]
+    stretch: Annotated[float, "m", "Stretch of each link."]
+    angle: Annotated[float, "rad", "Angle of each link below the line through its supports."]
 
 
 @calculator
 def straight_linkage(
-    link_length: Annotated[Metre, POSITIVE, "Length of each link."],
-    area: Annotated[SquareMetre, POSITIVE, "Area of the section of each link."],
-    modulus: Annotated[Pascal, POSITIVE, "Young's modulus."],
-    joint_force: Annotated[Newton, POSITIVE, "Force across the line that each link carries at the joint."],
+    link_length: Annotated[float, "m", POSITIVE, "Length of each link."],
+    area: Annotated[float, "m^2", POSITIVE, "Area of the section of each link."],
+    modulus: Annotated[float, "Pa", POSITIVE, "Young's modulus."],
+    joint_force: Annotated[float, "N", POSITIVE, "Force across the line that each link carries at the joint."],
 ) -> StraightLinkage:
     """Tension and stretch of two links in one line, between fixed supports, by a force across their joint.
 
     Hinges transmit no bending moment, so the links sag until their tension carries the force.
 
     Source: thesis 2.4, equations 2.1 to 2.4, here without their small angles.
-
-    Example:
-        posor design straight-linkage --link-length '30 in' --area '.7363 in^2' --modulus '29e6 psi'
-        --joint-force '7.625 lbf'
-
     """
     stiffness = area * modulus
 

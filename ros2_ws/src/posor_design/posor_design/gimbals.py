@@ -12,43 +12,29 @@ from posor_design.beam_section import make_tube
 from posor_design.calculators import calculator
 
 if TYPE_CHECKING:
-    from posor_design.units import (
-        NON_NEGATIVE,
-        POSITIVE,
-        Kilogram,
-        Metre,
-        Newton,
-        NewtonMetre,
-        Pascal,
-        Radian,
-        RadianPerSecond,
-    )
+    from posor_design.argument_types import NON_NEGATIVE, POSITIVE
 
 
 @dataclass(frozen=True)
 class GimbalMotion:
     """Motion that the gimbals of a measuring beam must allow."""
 
-    angle: Annotated[Radian, "Deflection of the structural beam over its length."]
-    shortening: Annotated[Metre, "Decrease of the distance between the ends of the bent structural beam."]
+    angle: Annotated[float, "rad", "Deflection of the structural beam over its length."]
+    shortening: Annotated[float, "m", "Decrease of the distance between the ends of the bent structural beam."]
 
 
 @calculator
 def gimbal_motion(
-    length: Annotated[Metre, POSITIVE, "Length of the structural beam."],
-    height: Annotated[Metre, POSITIVE, "Height of its section in the direction of the force."],
-    stress: Annotated[Pascal, POSITIVE, "Greatest bending stress."],
-    modulus: Annotated[Pascal, POSITIVE, "Modulus of elasticity."],
+    length: Annotated[float, "m", POSITIVE, "Length of the structural beam."],
+    height: Annotated[float, "m", POSITIVE, "Height of its section in the direction of the force."],
+    stress: Annotated[float, "Pa", POSITIVE, "Greatest bending stress."],
+    modulus: Annotated[float, "Pa", POSITIVE, "Modulus of elasticity."],
 ) -> GimbalMotion:
     """Motion that the gimbals must allow, from the stress of the structural beam.
 
     The structural beam is uniform, held at one end and loaded by a force at the other one.
 
     Source: thesis 6.2.3; deflection of a cantilever: Young and Budynas, Roark's Formulas for Stress and Strain (2002).
-
-    Example:
-        posor design gimbal-motion --length '30 in' --height '6 in' --stress '5000 psi' --modulus '10e6 psi'
-
     """
     angle = 2.0 * stress * length / (3.0 * modulus * height)
     return GimbalMotion(angle=angle, shortening=0.6 * angle**2 * length)
@@ -58,21 +44,21 @@ def gimbal_motion(
 class GimbalTorques:
     """Reaction torques of the gimbals that an error of the endpoint allows."""
 
-    bending_torque: Annotated[NewtonMetre, "Torque at each end of the beam, about an axis across it."]
-    twisting_torque: Annotated[NewtonMetre, "Torque about the axis of the beam."]
+    bending_torque: Annotated[float, "N m", "Torque at each end of the beam, about an axis across it."]
+    twisting_torque: Annotated[float, "N m", "Torque about the axis of the beam."]
 
 
 @calculator
 def gimbal_torques(
-    length: Annotated[Metre, POSITIVE, "Length of the measuring beam."],
-    outside_diameter: Annotated[Metre, POSITIVE, "Outside diameter."],
-    inside_diameter: Annotated[Metre, NON_NEGATIVE, "Inside diameter, 0 or more."],
-    modulus: Annotated[Pascal, POSITIVE, "Modulus of elasticity."],
-    shear_modulus: Annotated[Pascal, POSITIVE, "Shear modulus."],
-    endpoint_error: Annotated[Metre, POSITIVE, "Allowed error of the endpoint."],
-    far_distance: Annotated[Metre, POSITIVE, "Distance of the endpoint from the far end of the beam."],
+    length: Annotated[float, "m", POSITIVE, "Length of the measuring beam."],
+    outside_diameter: Annotated[float, "m", POSITIVE, "Outside diameter."],
+    inside_diameter: Annotated[float, "m", NON_NEGATIVE, "Inside diameter, 0 or more."],
+    modulus: Annotated[float, "Pa", POSITIVE, "Modulus of elasticity."],
+    shear_modulus: Annotated[float, "Pa", POSITIVE, "Shear modulus."],
+    endpoint_error: Annotated[float, "m", POSITIVE, "Allowed error of the endpoint."],
+    far_distance: Annotated[float, "m", POSITIVE, "Distance of the endpoint from the far end of the beam."],
     near_distance: Annotated[
-        Metre, POSITIVE, "Distance of the endpoint from the near end; it is the lever of the twist too."
+        float, "m", POSITIVE, "Distance of the endpoint from the near end; it is the lever of the twist too."
     ],
 ) -> GimbalTorques:
     """Reaction torques of the gimbals that an error of the endpoint allows, for a measuring beam of tube.
@@ -81,12 +67,6 @@ def gimbal_torques(
     the bending stiffness. The slopes of both ends act on the endpoint over their distances.
 
     Source: thesis equations 6.3 and 6.4.
-
-    Example:
-        posor design gimbal-torques --length '30 in' --outside-diameter '2 in' --inside-diameter '1.75 in'
-        --modulus '10e6 psi' --shear-modulus '3.85e6 psi' --endpoint-error '50 uin' --far-distance '30 in'
-        --near-distance '30 in'
-
     """
     inertia = make_tube(outside_diameter, inside_diameter, "inside_diameter").second_moment
     return GimbalTorques(
@@ -99,24 +79,24 @@ def gimbal_torques(
 class WireGimbal:
     """Wires of a gimbal at the end of its range."""
 
-    wire_length: Annotated[Metre, "Length of a wire."]
-    wire_angle: Annotated[Radian, "Angle by which the wires turn."]
-    torque: Annotated[NewtonMetre, "Reaction torque of the gimbal."]
-    initial_stress: Annotated[Pascal, "Stress by the initial tension."]
-    stretch_stress: Annotated[Pascal, "Stress that the stretch of the turned wires adds."]
-    natural_frequency: Annotated[RadianPerSecond, "Lowest natural angular frequency of the supported mass."]
+    wire_length: Annotated[float, "m", "Length of a wire."]
+    wire_angle: Annotated[float, "rad", "Angle by which the wires turn."]
+    torque: Annotated[float, "N m", "Reaction torque of the gimbal."]
+    initial_stress: Annotated[float, "Pa", "Stress by the initial tension."]
+    stretch_stress: Annotated[float, "Pa", "Stress that the stretch of the turned wires adds."]
+    natural_frequency: Annotated[float, "rad/s", "Lowest natural angular frequency of the supported mass."]
 
 
 @calculator
 def wire_gimbal(
     wires: Annotated[int, POSITIVE, "Number of wires that the rotation turns."],
-    lever: Annotated[Metre, POSITIVE, "Distance of the fixing points of the wires from the axis of rotation."],
-    angle: Annotated[Radian, POSITIVE, "Rotation of the beam."],
-    wire_length: Annotated[Metre, POSITIVE, "Length of a wire."],
-    wire_diameter: Annotated[Metre, POSITIVE, "Diameter of a wire."],
-    modulus: Annotated[Pascal, POSITIVE, "Modulus of elasticity of the wire."],
-    tension: Annotated[Newton, NON_NEGATIVE, "Initial tension of a wire."],
-    mass: Annotated[Kilogram, POSITIVE, "Mass of the measuring beam."],
+    lever: Annotated[float, "m", POSITIVE, "Distance of the fixing points of the wires from the axis of rotation."],
+    angle: Annotated[float, "rad", POSITIVE, "Rotation of the beam."],
+    wire_length: Annotated[float, "m", POSITIVE, "Length of a wire."],
+    wire_diameter: Annotated[float, "m", POSITIVE, "Diameter of a wire."],
+    modulus: Annotated[float, "Pa", POSITIVE, "Modulus of elasticity of the wire."],
+    tension: Annotated[float, "N", NON_NEGATIVE, "Initial tension of a wire."],
+    mass: Annotated[float, "kg", POSITIVE, "Mass of the measuring beam."],
 ) -> WireGimbal:
     """Reaction torque, stress and natural frequency of a gimbal of wires.
 
@@ -125,11 +105,6 @@ def wire_gimbal(
     half of the mass.
 
     Source: thesis equations 6.5 to 6.9.
-
-    Example:
-        posor design wire-gimbal --wires 2 --lever '1 in' --angle '.002 rad' --wire-length '.8 in'
-        --wire-diameter '.02 in' --modulus '30e6 psi' --tension '12 lbf' --mass '12 lb'
-
     """
     area = math.pi / 4.0 * wire_diameter**2
     wire_angle = angle * lever / wire_length
@@ -147,22 +122,17 @@ def wire_gimbal(
 @calculator
 def shortest_wires(
     wires: Annotated[int, POSITIVE, "Number of wires that the rotation turns."],
-    lever: Annotated[Metre, POSITIVE, "Distance of the fixing points of the wires from the axis of rotation."],
-    angle: Annotated[Radian, POSITIVE, "Rotation of the beam."],
-    torque: Annotated[NewtonMetre, POSITIVE, "Allowed reaction torque."],
-    wire_diameter: Annotated[Metre, POSITIVE, "Diameter of a wire."],
-    modulus: Annotated[Pascal, POSITIVE, "Modulus of elasticity of the wire."],
-    tension: Annotated[Newton, NON_NEGATIVE, "Initial tension of a wire."],
-    mass: Annotated[Kilogram, POSITIVE, "Mass of the measuring beam."],
+    lever: Annotated[float, "m", POSITIVE, "Distance of the fixing points of the wires from the axis of rotation."],
+    angle: Annotated[float, "rad", POSITIVE, "Rotation of the beam."],
+    torque: Annotated[float, "N m", POSITIVE, "Allowed reaction torque."],
+    wire_diameter: Annotated[float, "m", POSITIVE, "Diameter of a wire."],
+    modulus: Annotated[float, "Pa", POSITIVE, "Modulus of elasticity of the wire."],
+    tension: Annotated[float, "N", NON_NEGATIVE, "Initial tension of a wire."],
+    mass: Annotated[float, "kg", POSITIVE, "Mass of the measuring beam."],
 ) -> WireGimbal:
     """Shortest wires of a gimbal whose reaction torque an error of the endpoint allows.
 
     Source: thesis equations 6.5 to 6.9, solved for the length.
-
-    Example:
-        posor design shortest-wires --wires 2 --lever '1 in' --angle '.002 rad' --torque '.3529 lbf in'
-        --wire-diameter '.02 in' --modulus '30e6 psi' --tension '12 lbf' --mass '12 lb'
-
     """
 
     def gimbal(length: float, tension: float = tension) -> WireGimbal:

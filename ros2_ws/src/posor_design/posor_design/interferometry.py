@@ -11,39 +11,37 @@ from posor.uncertainty.air_index import Air
 from posor_design.calculators import calculator
 
 if TYPE_CHECKING:
-    from posor_design.units import ACUTE_ANGLE, Kelvin, Metre, Number, Pascal, Radian
+    from posor_design.argument_types import ACUTE_ANGLE
 
 
 @dataclass(frozen=True)
 class AirEffects:
     """Change of the refractive index of air, which is the relative error of a length that ignores it."""
 
-    index: Annotated[Number, "Refractive index of the air."]
-    temperature_effect: Annotated[Number, "Its change by the change of the temperature, at the same relative humidity."]
-    pressure_effect: Annotated[Number, "Its change by the change of the pressure."]
-    humidity_effect: Annotated[Number, "Its change by the change of the relative humidity."]
-    total: Annotated[Number, "Its change by all three."]
+    index: Annotated[float, "1", "Refractive index of the air."]
+    temperature_effect: Annotated[
+        float, "1", "Its change by the change of the temperature, at the same relative humidity."
+    ]
+    pressure_effect: Annotated[float, "1", "Its change by the change of the pressure."]
+    humidity_effect: Annotated[float, "1", "Its change by the change of the relative humidity."]
+    total: Annotated[float, "1", "Its change by all three."]
 
 
 @calculator
 def air_effects(
-    temperature_change: Annotated[Kelvin, "Change of the temperature of the air."],
-    pressure_change: Annotated[Pascal, "Change of its pressure."],
-    humidity_change: Annotated[Number, "Change of its relative humidity, of which all is 1."],
-    temperature: Annotated[Kelvin, "Temperature before the change."] = 293.15,
-    pressure: Annotated[Pascal, "Pressure before the change."] = 101325.0,
-    relative_humidity: Annotated[Number, "Relative humidity before the change, from 0 to 1."] = 0.5,
-    wavelength: Annotated[Metre, "Vacuum wavelength."] = 632.99e-9,
+    temperature_change: Annotated[float, "K", "Change of the temperature of the air."],
+    pressure_change: Annotated[float, "Pa", "Change of its pressure."],
+    humidity_change: Annotated[float, "1", "Change of its relative humidity, of which all is 1."],
+    temperature: Annotated[float, "K", "Temperature before the change."] = 293.15,
+    pressure: Annotated[float, "Pa", "Pressure before the change."] = 101325.0,
+    relative_humidity: Annotated[float, "1", "Relative humidity before the change, from 0 to 1."] = 0.5,
+    wavelength: Annotated[float, "m", "Vacuum wavelength."] = 632.99e-9,
 ) -> AirEffects:
     """Effect of changes of the air on the wavelength of a laser interferometer.
 
     The default wavelength is that of a helium-neon laser in vacuum.
 
     Source: thesis, appendix 4A (effects to compare with); index of air: Ciddor, Applied Optics 35(9), 1566-1573, 1996.
-
-    Example:
-        posor design air-effects --temperature-change '1 K' --pressure-change '.1 inHg' --humidity-change '30 %'
-
     """
     air = Air(temperature, pressure, relative_humidity)
     index = air.index(wavelength)
@@ -65,14 +63,14 @@ def air_effects(
 class StraightnessOptics:
     """Reading of straightness optics."""
 
-    displacement: Annotated[Metre, "Displacement across the axis."]
-    magnification: Annotated[Number, "Change of the path over this displacement."]
+    displacement: Annotated[float, "m", "Displacement across the axis."]
+    magnification: Annotated[float, "1", "Change of the path over this displacement."]
 
 
 @calculator
 def straightness_optics(
-    path_change: Annotated[Metre, "Change of the difference of the two paths, each counted once."],
-    angle: Annotated[Radian, ACUTE_ANGLE, "Angle between the two paths."],
+    path_change: Annotated[float, "m", "Change of the difference of the two paths, each counted once."],
+    angle: Annotated[float, "rad", ACUTE_ANGLE, "Angle between the two paths."],
 ) -> StraightnessOptics:
     """Displacement across the axis from the difference of two paths that diverge from a Wollaston prism.
 
@@ -80,10 +78,6 @@ def straightness_optics(
     half the angle. Equation 4A.1 is printed with displacement and change of the path exchanged.
 
     Source: thesis, appendix 4A, equation 4A.1 and figure 4A.4.
-
-    Example:
-        posor design straightness-optics --path-change '1 um' --angle '1.6 deg'
-
     """
     magnification = 2.0 * math.sin(0.5 * angle)
     return StraightnessOptics(path_change / magnification, magnification)

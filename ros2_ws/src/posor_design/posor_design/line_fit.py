@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from posor.numerics.array_types import FloatArray
 
-_FEWEST_POINTS = 3
-
 
 @dataclass(frozen=True)
 class Line:
@@ -39,20 +37,13 @@ class Line:
     band: float
 
 
-def fit_line(x: Sequence[float], y: Sequence[float], x_name: str, y_name: str) -> Line:
-    """Return the straight lines through points; ``x_name`` and ``y_name`` are for errors.
+def fit_line(x: Sequence[float], y: Sequence[float], x_name: str) -> Line:
+    """Return the straight lines through three points or more; ``x_name`` is for errors.
 
     Raises:
-        ParameterError: There are fewer than three points, not as many y as x, one is not finite, or all x are equal.
+        ParameterError: All x are equal.
 
     """
-    if len(x) < _FEWEST_POINTS:
-        raise ParameterError(f"{len(x)} values", where=x_name, expected=f"at least {_FEWEST_POINTS}")
-    if len(y) != len(x):
-        raise ParameterError(f"{len(y)} values", where=y_name, expected=f"{len(x)}, as many as {x_name}")
-    for name, values in ((x_name, x), (y_name, y)):
-        if not np.isfinite(values).all():
-            raise ParameterError("a value is not finite", where=name, expected="finite numbers")
     middle, half = (max(x) + min(x)) / 2.0, (max(x) - min(x)) / 2.0
     if half <= 0.0:
         raise ParameterError("all values are equal", where=x_name, expected="different values")

@@ -10,14 +10,15 @@ import numpy as np
 from posor.chain.beam_bending import PointForce, on_gimbals
 from posor.errors import ParameterError
 
-from posor_design.beam_arguments import check_gimbals, make_attachments, make_beam
+from posor_design.argument_types import MOST_MODES
 from posor_design.beam_section import make_section
-from posor_design.beam_vibration import BeamModel
+from posor_design.beam_vibration import Attachment, BeamModel, make_beam
 from posor_design.calculators import calculator
-from posor_design.units import MOST_MODES
 
 if TYPE_CHECKING:
-    from posor_design.units import (
+    from collections.abc import Sequence
+
+    from posor_design.argument_types import (
         MODES,
         NON_NEGATIVE,
         BeamDensity,
@@ -27,16 +28,9 @@ if TYPE_CHECKING:
         GimbalStiffness,
         GimbalTurningStiffness,
         Height,
-        Hertz,
-        KilogramSquareMetre,
-        Metre,
-        MetrePerSecondSquared,
         Modulus,
-        Number,
         PlateMasses,
         PoissonRatio,
-        Radian,
-        RadianPerSecond,
         Shape,
         Wall,
     )
@@ -46,10 +40,12 @@ if TYPE_CHECKING:
 class BeamFrequencies:
     """Natural frequencies and modes of a measuring beam in one plane."""
 
-    frequencies: Annotated[tuple[Hertz, ...], "Natural frequencies, lowest first."]
-    angular_frequencies: Annotated[tuple[RadianPerSecond, ...], "The same, times 2 pi."]
-    positions: Annotated[tuple[Metre, ...], "Distances from the start of the beam at which the modes are given."]
-    shapes: Annotated[tuple[tuple[Number, ...], ...], "Deflection of each mode at these positions; the largest is 1."]
+    frequencies: Annotated[tuple[float, ...], "Hz", "Natural frequencies, lowest first."]
+    angular_frequencies: Annotated[tuple[float, ...], "rad/s", "The same, times 2 pi."]
+    positions: Annotated[tuple[float, ...], "m", "Distances from the start of the beam at which the modes are given."]
+    shapes: Annotated[
+        tuple[tuple[float, ...], ...], "1", "Deflection of each mode at these positions; the largest is 1."
+    ]
 
 
 @calculator
@@ -63,7 +59,8 @@ def beam_frequencies(
     gimbals: GimbalPlaces,
     plate_masses: PlateMasses = (0.0, 0.0),
     plate_inertias: Annotated[
-        tuple[KilogramSquareMetre, KilogramSquareMetre],
+        tuple[float, float],
+        "kg m^2",
         NON_NEGATIVE,
         "Moments of inertia of these masses about the axis across the plane of bending.",
     ] = (0.0, 0.0),
@@ -78,15 +75,9 @@ def beam_frequencies(
     The beam is a Timoshenko beam: it deforms in bending and in shear, and its sections have rotary inertia.
 
     Source: thesis 6.2.2 and appendix 6A; shear coefficient: Cowper, J. Applied Mechanics 33 (1966), 335-340.
-
-    Example:
-        posor design beam-frequencies --shape tube --height '2 in' --wall '.125 in' --length '30 in'
-        --modulus '10.6e6 psi' --density '.1 lb/in^3' --gimbals '6, 24 in' --plate-masses '3.927, 3.927 lb'
-        --plate-inertias '.00724, .00724 kg m^2'
-
     """
     beam = make_beam(shape, height, wall, width, length, modulus, density, poisson_ratio)
-    attachments = make_attachments(
+    attachments = _make_attachments(
         length, gimbals, plate_masses, plate_inertias, gimbal_stiffness, gimbal_turning_stiffness
     )
     model = BeamModel(beam, attachments, modes)
@@ -105,14 +96,14 @@ def beam_frequencies(
 class BeamSag:
     """Sag of a measuring beam under a uniform specific force, counted from the line through the gimbals."""
 
-    start_deflection: Annotated[Metre, "Deflection of the plate at the start, along the force."]
-    start_slope: Annotated[Radian, "Slope of the plate at the start."]
-    end_deflection: Annotated[Metre, "Deflection of the plate at the end."]
-    end_slope: Annotated[Radian, "Slope of the plate at the end."]
+    start_deflection: Annotated[float, "m", "Deflection of the plate at the start, along the force."]
+    start_slope: Annotated[float, "rad", "Slope of the plate at the start."]
+    end_deflection: Annotated[float, "m", "Deflection of the plate at the end."]
+    end_slope: Annotated[float, "rad", "Slope of the plate at the end."]
     relative_deflection: Annotated[
-        Metre, "Deflection of the end in the axes of the plate at the start: correction of the position."
+        float, "m", "Deflection of the end in the axes of the plate at the start: correction of the position."
     ]
-    relative_slope: Annotated[Radian, "Slope of the end in these axes: correction of the orientation."]
+    relative_slope: Annotated[float, "rad", "Slope of the end in these axes: correction of the orientation."]
 
 
 @calculator
@@ -126,21 +117,16 @@ def beam_sag(
     gimbals: GimbalPlaces,
     plate_masses: PlateMasses = (0.0, 0.0),
     width: BoxWidth = 0.0,
-    specific_force: Annotated[MetrePerSecondSquared, "Gravity less acceleration, across the beam."] = 9.80665,
+    specific_force: Annotated[float, "m/s^2", "Gravity less acceleration, across the beam."] = 9.80665,
 ) -> BeamSag:
     """Static sag of a measuring beam on two gimbals with a plate at each end.
 
     The correction that the chain of POSORs applies has the same formula. It leaves shear out.
 
     Source: thesis 6.2.1, equations 6.1 and 6.2.
-
-    Example:
-        posor design beam-sag --shape tube --height '2 in' --wall '.125 in' --length '30 in' --modulus '10.6e6 psi'
-        --density '.1 lb/in^3' --gimbals '6, 24 in' --plate-masses '3.927, 3.927 lb'
-
     """
     section = make_section(shape, height, width, wall)
-    check_gimbals(length, gimbals)
+    _check_gimbals(length, gimbals)
     plates = [PointForce(at, mass * specific_force) for at, mass in zip((0.0, length), plate_masses, strict=True)]
     load = density * section.area * specific_force
     bent = on_gimbals(length, modulus * section.second_moment, load, plates, gimbals)
@@ -153,11 +139,11 @@ def beam_sag(
 class SagCorrection:
     """Static sag correction of a beam that vibrates, and its error; amplitudes."""
 
-    deflection: Annotated[Metre, "Correction of the position of the end, in the axes of the plate at the start."]
-    deflection_error: Annotated[Metre, "Error of this correction."]
-    slope: Annotated[Radian, "Correction of the orientation of the end, in these axes."]
-    slope_error: Annotated[Radian, "Error of this correction."]
-    first_frequency: Annotated[Hertz, "Lowest natural frequency."]
+    deflection: Annotated[float, "m", "Correction of the position of the end, in the axes of the plate at the start."]
+    deflection_error: Annotated[float, "m", "Error of this correction."]
+    slope: Annotated[float, "rad", "Correction of the orientation of the end, in these axes."]
+    slope_error: Annotated[float, "rad", "Error of this correction."]
+    first_frequency: Annotated[float, "Hz", "Lowest natural frequency."]
 
 
 @calculator
@@ -169,11 +155,12 @@ def sag_correction(
     modulus: Modulus,
     density: BeamDensity,
     gimbals: GimbalPlaces,
-    acceleration: Annotated[MetrePerSecondSquared, "Amplitude of the acceleration across the beam."],
-    frequency: Annotated[Hertz, NON_NEGATIVE, "Frequency of the acceleration."],
+    acceleration: Annotated[float, "m/s^2", "Amplitude of the acceleration across the beam."],
+    frequency: Annotated[float, "Hz", NON_NEGATIVE, "Frequency of the acceleration."],
     plate_masses: PlateMasses = (0.0, 0.0),
     plate_inertias: Annotated[
-        tuple[KilogramSquareMetre, KilogramSquareMetre],
+        tuple[float, float],
+        "kg m^2",
         NON_NEGATIVE,
         "Moments of inertia of the masses about the axis across the plane of bending.",
     ] = (0.0, 0.0),
@@ -182,7 +169,7 @@ def sag_correction(
     gimbal_stiffness: GimbalStiffness = (),
     gimbal_turning_stiffness: GimbalTurningStiffness = (),
     loss_factor: Annotated[
-        Number, NON_NEGATIVE, "Structural damping: imaginary over real part of the stiffness."
+        float, "1", NON_NEGATIVE, "Structural damping: imaginary over real part of the stiffness."
     ] = 0.0,
 ) -> SagCorrection:
     """Error of the static sag correction of a measuring beam whose gimbals vibrate.
@@ -194,16 +181,10 @@ def sag_correction(
     behind the force at every frequency, which adds an error of about this share of the sag.
 
     Source: thesis 6.2.1 and 6.2.2; structural damping: Meirovitch, Elements of Vibration Analysis (1975).
-
-    Example:
-        posor design sag-correction --shape tube --height '2 in' --wall '.125 in' --length '30 in'
-        --modulus '10.6e6 psi' --density '.1 lb/in^3' --gimbals '6, 24 in' --plate-masses '3.927, 3.927 lb'
-        --plate-inertias '.00724, .00724 kg m^2' --acceleration '1 m/s^2' --frequency '20 Hz'
-
     """
     sag = beam_sag(shape, height, wall, length, modulus, density, gimbals, plate_masses, width, acceleration)
     beam = make_beam(shape, height, wall, width, length, modulus, density, poisson_ratio)
-    attachments = make_attachments(
+    attachments = _make_attachments(
         length, gimbals, plate_masses, plate_inertias, gimbal_stiffness, gimbal_turning_stiffness
     )
     angular = 2.0 * math.pi * frequency
@@ -225,3 +206,40 @@ def sag_correction(
         slope_error=float(abs(slope - sag.relative_slope)),
         first_frequency=float(model.modes(1)[0][0]) / (2.0 * math.pi),
     )
+
+
+def _check_gimbals(length: float, gimbals: tuple[float, float]) -> None:
+    """Check the places of the gimbals.
+
+    Raises:
+        ParameterError: The gimbals are not two increasing distances on the beam.
+
+    """
+    near, far = gimbals
+    if not near < far <= length:
+        expected = f"two increasing distances from 0 to {length:g} m"
+        raise ParameterError(f"{near:g} m and {far:g} m", where="gimbals", expected=expected)
+
+
+def _make_attachments(
+    length: float,
+    gimbals: tuple[float, float],
+    plate_masses: tuple[float, float],
+    plate_inertias: tuple[float, float],
+    gimbal_stiffness: Sequence[float],
+    gimbal_turning_stiffness: Sequence[float],
+) -> list[Attachment]:
+    """Return plates and gimbals.
+
+    Raises:
+        ParameterError: The gimbals are not two increasing distances on the beam.
+
+    """
+    _check_gimbals(length, gimbals)
+    plates = zip((0.0, length), plate_masses, plate_inertias, strict=True)
+    stiffness, turning = gimbal_stiffness or (math.inf, math.inf), gimbal_turning_stiffness or (0.0, 0.0)
+    supports = zip(gimbals, stiffness, turning, strict=True)
+    return [
+        *(Attachment(at, mass=mass, inertia=inertia) for at, mass, inertia in plates),
+        *(Attachment(at, stiffness=held, turning_stiffness=turn) for at, held, turn in supports),
+    ]

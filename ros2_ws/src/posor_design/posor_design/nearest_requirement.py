@@ -17,6 +17,8 @@ from posor.estimation.posor import Posor
 from posor.uncertainty.budget_poses import scan_at
 from posor.uncertainty.budget_quantities import NATIVE
 from posor.uncertainty.first_order import error_budget
+from rich.console import Console
+from rich.progress import Progress
 
 from posor_design.layout_evaluation import evaluate, extreme_poses
 from posor_design.layout_geometry import arrange, layout_kinds
@@ -25,10 +27,12 @@ from posor_design.quantity_text import format_quantity
 from posor_design.requirement import FREEDOMS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
+
+    from rich.progress import TaskID
 
     from posor_design.layout_evaluation import Candidate
-    from posor_design.layout_search import SearchResult
+    from posor_design.layout_search import Preference, SearchResult
     from posor_design.requirement import Requirement
 
 SLACK = 1.01
@@ -74,6 +78,30 @@ RELAXATIONS = (
 )
 
 
+def search_layouts(
+    requirements: Mapping[str, Requirement], preference: Preference = "electronics"
+) -> dict[str, tuple[SearchResult, Candidate]]:
+    """Return result and chosen layout of each requirement by its name; a terminal shows the progress.
+
+    Raises:
+        DesignError: A requirement cannot be met.
+
+    """
+    errors, found = Console(stderr=True), {}
+    with Progress(console=errors, transient=True, disable=not errors.is_terminal) as progress:
+        for name, requirement in requirements.items():
+            task = progress.add_task(name, total=1.0)
+
+            def show(share: float, task: TaskID = task) -> None:
+                progress.update(task, completed=share)
+
+            result = LayoutSearch(requirement, show).run(preference)
+            if result.chosen is None:
+                refuse(result, show)
+            found[name] = result, result.chosen
+    return found
+
+
 def refuse(result: SearchResult, progress: Callable[[float], object] = lambda _share: None) -> NoReturn:
     """Raise the error of a requirement that a search could not meet.
 
@@ -108,7 +136,7 @@ def _refuse_uncertainty(
         i = FREEDOMS.index(name)
         unit, factor = _UNITS[name], requirement.uncertainty.coverage_factor
         asked = format_quantity(getattr(requirement.uncertainty, name).number, unit)
-        reached = format_quantity(float(f"{factor * best.sigmas[i]:.3g}"), unit)
+        reached = format_quantity(factor * float(best.sigmas[i]), unit, 3)
         what = (
             f"uncertainty of {name}, {asked}, is beyond every layout within "
             f"{_length(requirement.outside_diameter.number)}: the best one ({best.kind.name}) reaches {reached}, most "
@@ -187,9 +215,8 @@ def _refuse_geometry(requirement: Requirement, where: str) -> NoReturn:
         if limit is None:  # a layout fits, but is too uncertain
             own = entry.value(requirement)
             limit, bound = own * factor if entry.larger else own / factor, "more than" if entry.larger else "less than"
-            ways.append(
-                f"{entry.name} of {bound} {_short(limit, entry.unit)} with a weaker required uncertainty or fault"
-            )
+            value = format_quantity(limit, entry.unit, 4)
+            ways.append(f"{entry.name} of {bound} {value} with a weaker required uncertainty or fault")
         else:
             ways.append(f"{entry.name} of {bound} {format_quantity(limit, entry.unit)}")
     what = f"{binding.name} {format_quantity(value, binding.unit)}: no layout fits with this range of motion"
@@ -274,8 +301,4 @@ def _rounded_down(value: float) -> float:
 
 
 def _length(value: float) -> str:
-    return _short(value, "m")
-
-
-def _short(value: float, unit: str) -> str:
-    return format_quantity(float(f"{value:.4g}"), unit)
+    return format_quantity(value, "m", 4)

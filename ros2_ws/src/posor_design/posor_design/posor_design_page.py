@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from posor.calibration.designs import SIZED_GAP_PROBE, STANDOFF
 from posor.reporting.figure_style import BLUE, GREEN, GREY, LIGHT_BLUE, ORANGE
-from posor.reporting.html_page import Section, bullet_list, definition_list, paragraph, render_page, table
+from posor.reporting.html_page import Section, bullet_list, definition_list, render_page
 from posor.reporting.plot import Plot
+from posor.reporting.report_table import ReportTable
 from posor.uncertainty.budget_quantities import NATIVE
 
 from posor_design.layout_geometry import DIODE_FRAME, PROBE_LENGTH, PROBE_RADIUS
@@ -26,19 +28,6 @@ if TYPE_CHECKING:
     from posor_design.posor_layout import PosorLayout
     from posor_design.requirement import Requirement
 
-TRADE_OFF_HEADER = (
-    "layout",
-    "diameter",
-    "probe circle",
-    "ring radius",
-    "parts of the ring",
-    "noise",
-    "bits",
-    "uncertainty used",
-    "detectable fault",
-)
-UNCERTAINTY_HEADER = ("freedom", "required", "layout", "of this by noise", "used")
-UNCHECKED = "not all readings checked"
 COLOURS = {"light_ring": BLUE, "bumpy_ring": ORANGE, "diodes": GREEN}
 NOTES = (
     (
@@ -56,21 +45,45 @@ NOTES = (
 )
 
 
-def uncertainty_rows(requirement: Requirement, candidate: Candidate) -> list[list[str]]:
-    """Return a row of ``UNCERTAINTY_HEADER`` for each freedom; all with the coverage factor of the requirement."""
+def layout_tables(result: SearchResult, chosen: Candidate) -> tuple[ReportTable, ReportTable]:
+    """Return the uncertainties of the chosen layout, with the coverage factor of the requirement, and the trade-off."""
+    requirement = result.requirement
     factor = requirement.uncertainty.coverage_factor
-    noise = np.sqrt(np.max(candidate.random, axis=0))
-    return [
+    noise = np.sqrt(np.max(chosen.random, axis=0))
+    freedoms = zip(NATIVE, requirement.sigmas, chosen.sigmas, noise, strict=True)
+    uncertainties = ReportTable(
+        f"Uncertainty in the whole range, coverage factor {factor:g}",
+        ("freedom", "required", "layout", "of this by noise", "used"),
         [
-            name,
-            format_quantity(_digits(factor * required), unit),
-            format_quantity(_digits(factor * sigma), unit),
-            format_quantity(_digits(factor * random), unit),
-            f"{100.0 * sigma / required:.0f} %",
-        ]
-        for (name, unit), required, sigma, random in zip(
-            NATIVE, requirement.sigmas, candidate.sigmas, noise, strict=True
-        )
+            [
+                name,
+                *(format_quantity(factor * float(value), unit, 3) for value in (required, sigma, random)),
+                f"{100.0 * sigma / required:.0f} %",
+            ]
+            for (name, unit), required, sigma, random in freedoms
+        ],
+        f"Uncertainties with coverage factor {factor:g}.",
+    )
+    header = ("layout", "diameter", "probe circle", "ring radius", "parts of the ring", "noise", "bits")
+    trade_off = ReportTable(
+        "Trade-off",
+        (*header, "uncertainty used", "detectable fault"),
+        [_trade_off_row(requirement, each) for each in result.trade_off],
+    )
+    return uncertainties, trade_off
+
+
+def _trade_off_row(requirement: Requirement, candidate: Candidate) -> list[str]:
+    layout = candidate.layout
+    parts = "bumps, pitch" if layout.theta_sensor == "bumpy_ring" else "sources, half width"
+    return [
+        candidate.kind.name,
+        *(_length(size) for size in (layout.outside_diameter, layout.probe_circle, layout.ring_radius)),
+        f"{layout.marks} {parts} {_length(layout.ring_size)}",
+        f"{layout.noise:g}",
+        f"{layout.bits(requirement.scan_rate.number)}",
+        f"{100.0 * objectives(requirement, candidate)['accuracy']:.0f} %",
+        _fault(candidate),
     ]
 
 
@@ -88,10 +101,10 @@ def layout_terms(requirement: Requirement, candidate: Candidate) -> dict[str, st
         ),
         "theta": ring_text(layout),
         "electronics": (
-            f"noise of a probe up to {format_quantity(_digits(volts), 'V')} in one scan of ±6 V at {rate:g} Hz "
+            f"noise of a probe up to {format_quantity(volts, 'V', 3)} in one scan of ±6 V at {rate:g} Hz "
             f"({layout.noise:g} times the reference), converters of {layout.bits(rate)} bits"
         ),
-        "detectable fault": _length(candidate.fault) if math.isfinite(candidate.fault) else UNCHECKED,
+        "detectable fault": _fault(candidate),
     }
 
 
@@ -107,28 +120,6 @@ def ring_text(layout: PosorLayout) -> str:
     if layout.theta_sensor == "diodes":
         return f"{diodes}, one fixed light source each"
     return f"{diodes}, {layout.marks} light sources of growing pitch (coded ring)"
-
-
-def trade_off_rows(requirement: Requirement, candidates: Iterable[Candidate]) -> list[list[str]]:
-    """Return a row of ``TRADE_OFF_HEADER`` for each candidate."""
-    rows = []
-    for each in candidates:
-        layout = each.layout
-        parts = {"bumpy_ring": "bumps, pitch", "light_ring": "sources, half width", "diodes": "sources, half width"}
-        rows.append(
-            [
-                each.kind.name,
-                _length(layout.outside_diameter),
-                _length(layout.probe_circle),
-                _length(layout.ring_radius),
-                f"{layout.marks} {parts[layout.theta_sensor]} {_length(layout.ring_size)}",
-                f"{layout.noise:g}",
-                f"{layout.bits(requirement.scan_rate.number)}",
-                f"{100.0 * objectives(requirement, each)['accuracy']:.0f} %",
-                _length(each.fault) if math.isfinite(each.fault) else UNCHECKED,
-            ]
-        )
-    return rows
 
 
 def verdict(result: SearchResult) -> str:
@@ -149,23 +140,15 @@ def verdict(result: SearchResult) -> str:
 def render_posor_page(result: SearchResult, chosen: Candidate) -> str:
     """Return the page as HTML without external references."""
     requirement = result.requirement
+    uncertainties, trade_off = layout_tables(result, chosen)
+    layout = uncertainties.section("Chosen layout", [_plan_view(chosen.layout, requirement)])
     return render_page(
         f"POSOR for the requirement '{requirement.name}' (simulated)",
         verdict(result),
         holds=True,
         sections=(
-            Section(
-                "Chosen layout",
-                definition_list(layout_terms(requirement, chosen))
-                + table(UNCERTAINTY_HEADER, uncertainty_rows(requirement, chosen))
-                + paragraph(f"Uncertainties with coverage factor {requirement.uncertainty.coverage_factor:g}."),
-                [_plan_view(chosen.layout, requirement)],
-            ),
-            Section(
-                "Trade-off",
-                table(TRADE_OFF_HEADER, trade_off_rows(requirement, result.trade_off)),
-                _trade_off_plots(result, chosen),
-            ),
+            replace(layout, body=definition_list(layout_terms(requirement, chosen)) + layout.body),
+            trade_off.section("Trade-off", _trade_off_plots(result, chosen)),
             Section("Notes", bullet_list(NOTES)),
         ),
     )
@@ -249,10 +232,9 @@ def _ring_probes(layout: PosorLayout) -> tuple[FloatArray, FloatArray]:
     return x.ravel(), y.ravel()
 
 
-def _digits(value: float) -> float:
-    """Return the value with three digits."""
-    return float(f"{value:.3g}")
+def _fault(candidate: Candidate) -> str:
+    return _length(candidate.fault) if math.isfinite(candidate.fault) else "not all readings checked"
 
 
 def _length(value: float) -> str:
-    return format_quantity(_digits(value), "m")
+    return format_quantity(value, "m", 3)

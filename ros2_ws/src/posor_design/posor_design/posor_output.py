@@ -20,6 +20,8 @@ from posor_design.requirement import FREEDOMS
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from posor.reporting.command_line_parser import CommandLineParser
+
     from posor_design.layout_evaluation import Candidate
     from posor_design.layout_search import SearchResult
     from posor_design.posor_layout import PosorLayout
@@ -30,7 +32,7 @@ FRAMES = (f"{JOINT}_receiving", f"{JOINT}_target")
 CALIBRATION = f"calibrations/{JOINT}.yaml"
 ARM_FILE, URDF, SCENARIO, REQUIREMENT = "arm.yaml", "posor.urdf", "scenario.yaml", "requirement.yaml"
 PAGE, FIGURES = "design.html", "design.json"
-MADE_BY = "Made by posor design posor; SI units throughout."
+PROGRAM = "posor design posor"
 PLATE_THICKNESS = 0.0127
 """Of the plates in the URDF, assumed [m]."""
 _SPLINE_TURNS = 12.0
@@ -85,13 +87,40 @@ def output_files(result: SearchResult, chosen: Candidate) -> dict[str, str]:
     calibration = layout.calibration(requirement, FRAMES)
     return {
         REQUIREMENT: requirement_text(requirement),
-        CALIBRATION: document_text(calibration.model_dump(mode="json"), MADE_BY),
+        CALIBRATION: document_text(calibration.model_dump(mode="json"), made_by(PROGRAM)),
         URDF: urdf_text(requirement.name, layout),
-        SCENARIO: document_text(_scenario(requirement, layout), MADE_BY),
-        ARM_FILE: document_text(_arm(requirement), f"{MADE_BY} Paths are relative to this file."),
+        SCENARIO: document_text(_scenario(requirement, layout), made_by(PROGRAM)),
+        ARM_FILE: arm_text(
+            PROGRAM,
+            requirement.name,
+            f"designed for {REQUIREMENT}",
+            urdf=URDF,
+            endpoint_frame="endpoint",
+            joints={JOINT: {"calibration": CALIBRATION}},
+            driver={"source": "simulated"},
+            scenario=SCENARIO,
+        ),
         FIGURES: json.dumps(figures(result, chosen), indent=2) + "\n",
         PAGE: render_posor_page(result, chosen),
     }
+
+
+def made_by(program: str) -> str:
+    """Return the comment of a file that a program makes."""
+    return f"Made by {program}; SI units throughout."
+
+
+def arm_text(program: str, name: str, source: str, **entries: Any) -> str:
+    """Return the text of an arm file: its name, what it is designed for, and the other entries of the format."""
+    provenance = {"source": source, "method": program, "date": "none"}
+    content = {"format": "posor_arm", "version": 1, "name": name, "provenance": provenance, **entries}
+    return document_text(content, f"{made_by(program)} Paths are relative to this file.")
+
+
+def add_output_options(parser: CommandLineParser, name: str) -> None:
+    """Add the options of ``output_folder``; ``name``: of the default folder, for help."""
+    parser.add_argument("--output", metavar="FOLDER", help=f"default: build/design/{name}")
+    parser.add_argument("--force", action="store_true", help="replace files of an earlier design")
 
 
 def output_folder(text: str | None, name: str, first: str, *, force: bool) -> Path:
@@ -161,24 +190,6 @@ def urdf_text(name: str, layout: PosorLayout) -> str:
     )
 
 
-def _provenance(what: str) -> dict[str, Any]:
-    return {"source": what, "method": "posor design posor", "date": "none"}
-
-
-def _arm(requirement: Requirement) -> dict[str, Any]:
-    return {
-        "format": "posor_arm",
-        "version": 1,
-        "name": requirement.name,
-        "provenance": _provenance(f"designed for {REQUIREMENT}"),
-        "urdf": URDF,
-        "endpoint_frame": "endpoint",
-        "joints": {JOINT: {"calibration": CALIBRATION}},
-        "driver": {"source": "simulated"},
-        "scenario": SCENARIO,
-    }
-
-
 def _scenario(requirement: Requirement, layout: PosorLayout) -> dict[str, Any]:
     """Return a scenario in which the joint turns through its whole rotation, with error motions of half the range."""
     limits, rotation = requirement.range, _PART_OF_ROTATION * requirement.rotation
@@ -198,7 +209,11 @@ def _scenario(requirement: Requirement, layout: PosorLayout) -> dict[str, Any]:
         "format": "posor_scenario",
         "version": 1,
         "name": requirement.name,
-        "provenance": _provenance("assumed: error motions of half the required range, once a turn"),
+        "provenance": {
+            "source": "assumed: error motions of half the required range, once a turn",
+            "method": PROGRAM,
+            "date": "none",
+        },
         "seed": 1985,
         "rate": entry(requirement.scan_rate.number, "Hz"),
         "duration": entry(turning + 2.0 * rest, "s"),

@@ -22,13 +22,14 @@ _STEP = 3
 """Digits between two prefixes."""
 
 
-def parse_quantity(text: str, si: str, where: str) -> float:
-    """Return a number with unit, such as ``60 in`` or ``5/32 in``, in an SI unit; without unit it has the SI unit.
+def parse_quantity(text: str, si: str, where: str, *, unit_required: bool = False) -> float:
+    """Return a number with unit, such as ``60 in`` or ``5/32 in``, in an SI unit.
 
     Args:
         text: The quantity.
-        si: The SI unit of the result.
+        si: The SI unit of the result, and of a number without unit.
         where: Name of the argument, for errors.
+        unit_required: Whether a number without unit is an error, unless the SI unit is ``1``.
 
     Raises:
         ParameterError: The text is not a finite number with a unit of the same dimension.
@@ -37,6 +38,9 @@ def parse_quantity(text: str, si: str, where: str) -> float:
     match = _QUANTITY.fullmatch(text.strip())
     if match is None:
         raise ParameterError(f"'{text}' is not a number with unit", where=where, expected=describe_unit(si))
+    if unit_required and si != "1" and not match["unit"]:
+        examples = " or ".join(f"'{text.strip()} {unit}'" for unit in _EXAMPLES.get(si, (si,)))
+        raise ParameterError(f"'{text}'", where=where, expected=f"a number with a unit, such as {examples}")
     target = parse_unit(si)
     try:
         unit = parse_unit(match["unit"]) if match["unit"] else target
@@ -50,29 +54,12 @@ def parse_quantity(text: str, si: str, where: str) -> float:
     return value
 
 
-def parse_quantity_with_unit(text: str, si: str, where: str) -> float:
-    """Return a quantity as ``parse_quantity``; unless the SI unit is ``1``, a number without unit is refused.
-
-    Args:
-        text: The quantity.
-        si: The SI unit of the result.
-        where: Name of the argument, for errors.
-
-    Raises:
-        ParameterError: The text has no unit, or is not a finite number with a unit of the same dimension.
-
-    """
-    value = parse_quantity(text, si, where)
-    if si != "1" and not split_unit(text):
-        examples = " or ".join(f"'{text.strip()} {unit}'" for unit in _EXAMPLES.get(si, (si,)))
-        raise ParameterError(f"'{text}'", where=where, expected=f"a number with a unit, such as {examples}")
-    return value
-
-
-def split_unit(text: str) -> str:
-    """Return the unit of a quantity; empty: it has none, or is no quantity."""
-    match = _QUANTITY.fullmatch(text.strip())
-    return match["unit"] if match else ""
+def split_list(text: str) -> list[str]:
+    """Return the quantities of a list; those without unit have the last unit: ``6, 24 in`` is ``6 in``, ``24 in``."""
+    entries = [entry.strip() for entry in text.split(",")]
+    matches = [_QUANTITY.fullmatch(entry) for entry in entries]
+    units = [match["unit"] if match else "" for match in matches]
+    return [entry if unit else f"{entry} {units[-1]}".strip() for entry, unit in zip(entries, units, strict=True)]
 
 
 def describe_unit(si: str) -> str:
@@ -81,15 +68,15 @@ def describe_unit(si: str) -> str:
     return ("a number" if si == "1" else f"a number in {si}") + (f" ({', '.join(others)})" if others else "")
 
 
-def format_quantity(value: float, si: str) -> str:
-    """Return a value with its unit and, where usual, a prefix: 2.54e-5 m is ``25.4 um``."""
-    value += 0.0  # -0.0 is 0.0
+def format_quantity(value: float, si: str, digits: int | None = None) -> str:
+    """Return a value with its unit and, where usual, a prefix: 2.54e-5 m is ``25.4 um``; ``digits``: fewer than 5."""
+    value = (value if digits is None else float(f"{value:.{digits}g}")) + 0.0  # -0.0 is 0.0
     if si == "1":
         return f"{value:.{_DIGITS}g}"
     first = re.match(r"[a-zA-Z]+(?!\^|[a-zA-Z])", si)
     if first and first[0] in _SMALL_PREFIXES and value != 0.0 and math.isfinite(value):
-        digits = float(f"{value:.{_DIGITS}g}")  # 999.999 is 1000, which has the next prefix
-        power = _STEP * math.floor(math.log10(abs(digits)) / _STEP)
+        rounded = float(f"{value:.{_DIGITS}g}")  # 999.999 is 1000, which has the next prefix
+        power = _STEP * math.floor(math.log10(abs(rounded)) / _STEP)
         power = min(power, 0) if first[0] not in _LARGE_PREFIXES else power
         prefix = next((prefix for prefix, exponent in PREFIXES.items() if exponent == power), "")
         if prefix:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+from posor.reporting.report_table import ReportTable
 from posor.uncertainty.protection_level import COVERAGE_FACTOR, INTEGRITY_RISK, expansion_bound
 
 if TYPE_CHECKING:
@@ -16,62 +17,57 @@ if TYPE_CHECKING:
 AXES = ("x", "y", "z", "about X", "about Y", "about Z")
 _UNITS = ("µm",) * 3 + ("µrad",) * 3
 _SHIFT_COLUMNS = tuple(f"{axis} [{unit}]" for axis, unit in zip(AXES, _UNITS, strict=True))
-RELIABILITY_HEADER = ("reading", "redundancy number", "detectable bias [µm]", *_SHIFT_COLUMNS)
-ARM_HEADER = ("joint", "reading", "detectable bias [µm]", *_SHIFT_COLUMNS)
 NOT_DETECTABLE = "not detectable"
 
 
-def reliability_note(reliability: Reliability) -> str:
-    """Return the meaning of the table in words."""
-    return (
+def reliability_table(reliability: Reliability) -> ReportTable:
+    """Return the minimal detectable bias of each reading, and the change of the pose by it."""
+    readings = zip(
+        reliability.names,
+        reliability.redundancy_numbers,
+        reliability.biases,
+        reliability.shifts,
+        reliability.gains,
+        strict=True,
+    )
+    return ReportTable(
+        "Minimal detectable biases",
+        ("reading", "redundancy number", "detectable bias [µm]", *_SHIFT_COLUMNS),
+        [
+            [
+                name,
+                f"{redundancy:.3f}",
+                _micro(bias, NOT_DETECTABLE),
+                *(map(_micro, shift) if math.isfinite(bias) else (f"{_micro(1e-6 * part)} per µm" for part in gain)),
+            ]
+            for name, redundancy, bias, shift, gain in readings
+        ],
         f"Minimal detectable bias of one reading: the test of one scan (false alarms {reliability.false_alarm:.3g}) "
         f"misses it with a probability of {reliability.missed_detection:g}; beside it the change of the pose that it "
-        "causes (Baarda 1968). No other reading checks one that is not detectable: its change of the pose is for 1 µm."
+        "causes (Baarda 1968). No other reading checks one that is not detectable: its change of the pose is for 1 µm.",
+        left=1,
     )
 
 
-def protection_note(arm: ArmReliability) -> str:
-    """Return the posture, and what the protection level means."""
-    angles = ", ".join(f"{name} {angle:g}" for name, angle in arm.angles.items())
-    return (
-        f"Endpoint at the angles {angles} rad, axes of the base. Protection level: the largest change by an undetected "
-        f"bias of one reading, the bound of the temperature of the measuring beams, and {COVERAGE_FACTOR:.3g} standard "
-        f"uncertainties (integrity risk {INTEGRITY_RISK:g} for one scan and axis). ∞: not bounded."
-    )
-
-
-def reliability_rows(reliability: Reliability) -> list[list[str]]:
-    """Return a row of ``RELIABILITY_HEADER`` for each reading."""
-    return [
-        [
-            name,
-            f"{redundancy:.3f}",
-            _micro(bias) if math.isfinite(bias) else NOT_DETECTABLE,
-            *(map(_micro, shift) if math.isfinite(bias) else (f"{_micro(1e-6 * part)} per µm" for part in gain)),
-        ]
-        for name, redundancy, bias, shift, gain in zip(
-            reliability.names,
-            reliability.redundancy_numbers,
-            reliability.biases,
-            reliability.shifts,
-            reliability.gains,
-            strict=True,
-        )
-    ]
-
-
-def arm_rows(arm: ArmReliability) -> list[list[str]]:
-    """Return a row of ``ARM_HEADER`` for each reading of each joint, the bound of the beams, and the level."""
+def arm_table(arm: ArmReliability) -> ReportTable:
+    """Return the change of the endpoint by each reading of each joint, the bound of the beams, and the level."""
     rows = [
-        [joint, name, _micro(bias) if math.isfinite(bias) else NOT_DETECTABLE, *map(_micro, shift)]
+        [joint, name, _micro(bias, NOT_DETECTABLE), *map(_micro, shift)]
         for joint, own in arm.joints.items()
         for name, bias, shift in zip(own.names, own.biases, arm.endpoint_shifts[joint], strict=True)
     ]
-    return [
-        *rows,
-        ["beams", "temperature", "", *map(_micro, expansion_bound(arm.expansions))],
-        ["all", "protection level", "", *map(_micro, arm.protection_level)],
-    ]
+    rows.append(["beams", "temperature", "", *map(_micro, expansion_bound(arm.expansions))])
+    rows.append(["all", "protection level", "", *map(_micro, arm.protection_level)])
+    angles = ", ".join(f"{name} {angle:g}" for name, angle in arm.angles.items())
+    return ReportTable(
+        "Protection level of the endpoint",
+        ("joint", "reading", "detectable bias [µm]", *_SHIFT_COLUMNS),
+        rows,
+        f"Endpoint at the angles {angles} rad, axes of the base. Protection level: the largest change by an undetected "
+        f"bias of one reading, the bound of the temperature of the measuring beams, and {COVERAGE_FACTOR:.3g} standard "
+        f"uncertainties (integrity risk {INTEGRITY_RISK:g} for one scan and axis). ∞: not bounded.",
+        left=2,
+    )
 
 
 def reliability_json(reliability: Reliability) -> dict[str, Any]:
@@ -107,8 +103,8 @@ def arm_json(arm: ArmReliability) -> dict[str, Any]:
     }
 
 
-def _micro(value: float) -> str:
-    return "∞" if math.isinf(value) else f"{1e6 * value:.3g}"
+def _micro(value: float, infinite: str = "∞") -> str:
+    return infinite if math.isinf(value) else f"{1e6 * value:.3g}"
 
 
 def _finite(values: Iterable[float]) -> list[float | None]:

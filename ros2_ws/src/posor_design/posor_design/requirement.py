@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 from posor.calibration.file_model import EntryError, FrozenModel
@@ -19,6 +19,8 @@ from posor.calibration.yaml_document import load_document
 from posor.chain.arm_file import Name
 from posor.uncertainty.budget_quantities import NATIVE
 from pydantic import AfterValidator, Field, model_validator
+
+from posor_design.quantity_text import parse_quantity
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -33,6 +35,33 @@ LARGEST_RATE = 10_000.0
 """Of the simulator [Hz]."""
 FREEDOMS = tuple(name for name, _ in NATIVE)
 """Names of the freedoms in the order of all arrays, (6,)."""
+
+
+class Option(NamedTuple):
+    """An option of the requirement: its entry in a requirement file, its SI unit, its default and its meaning."""
+
+    entry: str
+    unit: str
+    default: str
+    meaning: str
+
+
+OPTIONS = {
+    "--outside-diameter": Option("outside_diameter", "m", "", "largest outside diameter"),
+    "--inside-diameter": Option("inside_diameter", "m", "0 m", "free inside diameter"),
+    "--translations": Option("", "m", "", "largest uncertainty of x, y and gap"),
+    "--angles": Option("", "rad", "", "largest uncertainty of alpha, beta and theta"),
+    "--coverage-factor": Option("", "1", "1", "of the uncertainties; 1: standard uncertainties"),
+    "--range-gap": Option("range.gap", "m", "0.1 mm", "motion of the gap to either side"),
+    "--range-tilt": Option("range.tilt", "rad", "1 mrad", "motion of alpha and of beta to either side"),
+    "--range-runout": Option("range.runout", "m", "0.1 mm", "motion of x and of y to either side"),
+    "--rotation": Option("range.rotation", "rad", "180 deg", "motion of theta to either side; 180 deg: full turn"),
+    "--scan-rate": Option("scan_rate", "Hz", "1 kHz", "scans a second"),
+    "--speed": Option("speed", "rad/s", "1 rad/s", "largest velocity of theta"),
+    "--fault": Option(
+        "minimum_detectable_fault", "m", "", "largest bias of a reading that one scan may miss; default: any"
+    ),
+}
 
 
 def _within(low: float, high: float, expected: str) -> AfterValidator:
@@ -141,3 +170,34 @@ def load_requirement(path: Path) -> Requirement:
     """
     keys = "format, version, name, uncertainty, range, outside_diameter, scan_rate, speed"
     return load_document(path, "requirement file", keys, VERSION, Requirement.model_validate)[0]
+
+
+def requirement_content(
+    name: str, limits: dict[str, float], coverage_factor: float, values: dict[str, float]
+) -> dict[str, Any]:
+    """Return the content of a requirement file.
+
+    Args:
+        name: Name of the requirement.
+        limits: Largest uncertainty of each freedom [m, rad].
+        coverage_factor: Of these uncertainties.
+        values: Entries such as ``range.gap``, in SI units; those left out have the default of their option.
+
+    """
+    units = dict(NATIVE)
+    uncertainty = {key: {"value": value, "unit": units[key]} for key, value in limits.items()}
+    content: dict[str, Any] = {
+        "format": "posor_requirement",
+        "version": VERSION,
+        "name": name,
+        "uncertainty": {"coverage_factor": coverage_factor, **uncertainty},
+        "range": {},
+    }
+    for option in OPTIONS.values():
+        part, _, key = option.entry.rpartition(".")
+        value = values.get(option.entry)
+        if value is None and option.default:
+            value = parse_quantity(option.default, option.unit, option.entry)
+        if key and value is not None:
+            (content[part] if part else content)[key] = {"value": value, "unit": option.unit}
+    return content

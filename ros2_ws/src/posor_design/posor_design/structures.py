@@ -12,34 +12,22 @@ from posor.errors import ParameterError
 from scipy.constants import g as standard_gravity
 from scipy.optimize import brentq
 
-from posor_design.beam_arguments import make_beam
 from posor_design.beam_section import make_section
-from posor_design.beam_vibration import Attachment, BeamModel
+from posor_design.beam_vibration import Attachment, BeamModel, make_beam
 from posor_design.calculators import calculator
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from posor_design.units import (
+    from posor_design.argument_types import (
         MODES,
         NON_NEGATIVE,
         POSITIVE,
         BeamLength,
         BoxWidth,
         Height,
-        Hertz,
-        Kilogram,
-        KilogramPerCubicMetre,
-        KilogramPerMetre,
-        Metre,
-        MetreToTheFourth,
         Modulus,
-        Newton,
-        Number,
-        Pascal,
         PoissonRatio,
-        Radian,
-        RadianPerSecond,
         Shape,
         Wall,
         WeightDensity,
@@ -53,18 +41,18 @@ _THINNEST = 1e-6
 class CantileverBeam:
     """A cantilever with a force at its free end."""
 
-    wall: Annotated[Metre, "Thickness of the walls."]
-    second_moment: Annotated[MetreToTheFourth, "Second moment of area about the axis across the plane of bending."]
-    mass_per_length: Annotated[KilogramPerMetre, "Mass per length."]
-    stress: Annotated[Pascal, "Largest bending stress, at the clamped end."]
-    deflection: Annotated[Metre, "Deflection of the free end."]
-    slope: Annotated[Radian, "Slope of the free end."]
+    wall: Annotated[float, "m", "Thickness of the walls."]
+    second_moment: Annotated[float, "m^4", "Second moment of area about the axis across the plane of bending."]
+    mass_per_length: Annotated[float, "kg/m", "Mass per length."]
+    stress: Annotated[float, "Pa", "Largest bending stress, at the clamped end."]
+    deflection: Annotated[float, "m", "Deflection of the free end."]
+    slope: Annotated[float, "rad", "Slope of the free end."]
 
 
 @calculator
 def cantilever_beam(
     length: BeamLength,
-    tip_force: Annotated[Newton, NON_NEGATIVE, "Force at its free end, across the beam."],
+    tip_force: Annotated[float, "N", NON_NEGATIVE, "Force at its free end, across the beam."],
     modulus: Modulus,
     height: Height,
     wall: Wall,
@@ -75,11 +63,6 @@ def cantilever_beam(
     """Stress and deflection of a cantilever with a force at its free end and its own weight.
 
     Source: thesis appendix 1A; bending theory of Euler and Bernoulli, without shear.
-
-    Example:
-        posor design cantilever-beam --length '10 ft' --tip-force '300 lbf' --modulus '10e6 psi' --height '7 in'
-        --width '4 in' --wall '3/16 in'
-
     """
     section = make_section(shape, height, width, wall)
     mass = density * section.area
@@ -99,9 +82,9 @@ def cantilever_beam(
 @calculator
 def cantilever_for_stress(
     length: BeamLength,
-    tip_force: Annotated[Newton, POSITIVE, "Force at its free end, across the beam."],
+    tip_force: Annotated[float, "N", POSITIVE, "Force at its free end, across the beam."],
     modulus: Modulus,
-    stress: Annotated[Pascal, POSITIVE, "Largest bending stress allowed."],
+    stress: Annotated[float, "Pa", POSITIVE, "Largest bending stress allowed."],
     height: Height,
     shape: Shape = "box",
     width: BoxWidth = 0.0,
@@ -110,11 +93,6 @@ def cantilever_for_stress(
     """Thinnest walls of a cantilever whose stress stays within a limit.
 
     Source: thesis appendix 1A (stress criterion).
-
-    Example:
-        posor design cantilever-for-stress --length '10 ft' --tip-force '300 lbf' --modulus '10e6 psi'
-        --stress '5000 psi' --height '7 in' --width '4 in'
-
     """
     beam = partial(cantilever_beam, length, tip_force, modulus, height, shape=shape, width=width, density=density)
     return _with_thinnest_walls(beam, "stress", stress, "Pa", height, width)
@@ -123,9 +101,9 @@ def cantilever_for_stress(
 @calculator
 def cantilever_for_stiffness(
     length: BeamLength,
-    tip_force: Annotated[Newton, POSITIVE, "Force at its free end, across the beam."],
+    tip_force: Annotated[float, "N", POSITIVE, "Force at its free end, across the beam."],
     modulus: Modulus,
-    deflection: Annotated[Metre, POSITIVE, "Largest deflection allowed at the free end."],
+    deflection: Annotated[float, "m", POSITIVE, "Largest deflection allowed at the free end."],
     height: Height,
     shape: Shape = "box",
     width: BoxWidth = 0.0,
@@ -134,11 +112,6 @@ def cantilever_for_stiffness(
     """Thinnest walls of a cantilever whose deflection stays within a limit.
 
     Source: thesis appendix 1A (deflection criterion).
-
-    Example:
-        posor design cantilever-for-stiffness --length '10 ft' --tip-force '300 lbf' --modulus '10e6 psi'
-        --deflection '20 mil' --height '20 in' --width '8 in'
-
     """
     beam = partial(cantilever_beam, length, tip_force, modulus, height, shape=shape, width=width, density=density)
     return _with_thinnest_walls(beam, "deflection", deflection, "m", height, width)
@@ -175,10 +148,10 @@ def _with_thinnest_walls(
 class CantileverFrequencies:
     """Natural frequencies of a cantilever."""
 
-    frequencies: Annotated[tuple[Hertz, ...], "Lowest first, with shear and rotary inertia."]
-    angular_frequencies: Annotated[tuple[RadianPerSecond, ...], "The same, times 2 pi."]
+    frequencies: Annotated[tuple[float, ...], "Hz", "Lowest first, with shear and rotary inertia."]
+    angular_frequencies: Annotated[tuple[float, ...], "rad/s", "The same, times 2 pi."]
     slender_angular_frequencies: Annotated[
-        tuple[RadianPerSecond, ...], "Angular frequencies of a slender beam, without shear and rotary inertia."
+        tuple[float, ...], "rad/s", "Angular frequencies of a slender beam, without shear and rotary inertia."
     ]
 
 
@@ -188,10 +161,11 @@ def cantilever_frequencies(
     wall: Wall,
     length: BeamLength,
     modulus: Modulus,
-    density: Annotated[KilogramPerCubicMetre, POSITIVE, "Density."],
-    tip_mass: Annotated[Kilogram, NON_NEGATIVE, "Mass at the free end."] = 0.0,
+    density: Annotated[float, "kg/m^3", POSITIVE, "Density."],
+    tip_mass: Annotated[float, "kg", NON_NEGATIVE, "Mass at the free end."] = 0.0,
     load_factor: Annotated[
-        Number,
+        float,
+        "1",
         POSITIVE,
         "Mass of the beam with all that it carries along its length, over its own mass; the rotary inertia of its "
         "sections grows by the same factor.",
@@ -204,11 +178,6 @@ def cantilever_frequencies(
     """Natural frequencies of a cantilever with a mass at its free end.
 
     Source: thesis 6.2.2 and appendix 1A; Meirovitch, Elements of Vibration Analysis (1975), 5.10 (slender beam).
-
-    Example:
-        posor design cantilever-frequencies --height '6 in' --width '4 in' --wall '1/8 in' --length '60 in'
-        --modulus '10.6e6 psi' --density '.1 lb/in^3' --load-factor 2
-
     """
     beam = make_beam(shape, height, wall, width, length, modulus, load_factor * density, poisson_ratio)
     clamp = Attachment(0.0, stiffness=math.inf, turning_stiffness=math.inf)

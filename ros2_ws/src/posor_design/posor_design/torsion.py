@@ -13,23 +13,15 @@ from posor_design.beam_section import make_section, make_tube
 from posor_design.calculators import calculator
 
 if TYPE_CHECKING:
-    from posor_design.units import (
+    from posor_design.argument_types import (
         MODES,
         NON_NEGATIVE,
         POSITIVE,
         BeamDensity,
         BeamLength,
         BoxWidth,
-        Hertz,
-        Kilogram,
-        KilogramPerCubicMetre,
-        KilogramSquareMetre,
-        Metre,
         Modulus,
-        NewtonMetre,
-        Pascal,
         PoissonRatio,
-        RadianPerSecond,
         Shape,
         Wall,
     )
@@ -40,26 +32,30 @@ class BeamTorsion:
     """Natural frequencies of the torsion of a measuring beam."""
 
     start_frequencies: Annotated[
-        tuple[Hertz, ...],
+        tuple[float, ...],
+        "Hz",
         "Frequencies of the side from the gimbal to the start of the beam, lowest first; none if the gimbal is at the "
         "start.",
     ]
-    end_frequencies: Annotated[tuple[Hertz, ...], "Frequencies of the side from the gimbal to the end."]
-    start_angular_frequencies: Annotated[tuple[RadianPerSecond, ...], "The same as ``start_frequencies``, times 2 pi."]
-    end_angular_frequencies: Annotated[tuple[RadianPerSecond, ...], "The same as ``end_frequencies``, times 2 pi."]
+    end_frequencies: Annotated[tuple[float, ...], "Hz", "Frequencies of the side from the gimbal to the end."]
+    start_angular_frequencies: Annotated[tuple[float, ...], "rad/s", "The same as ``start_frequencies``, times 2 pi."]
+    end_angular_frequencies: Annotated[tuple[float, ...], "rad/s", "The same as ``end_frequencies``, times 2 pi."]
 
 
 @calculator
 def beam_torsion(
     shape: Shape,
-    height: Annotated[Metre, POSITIVE, "Outer height of the section; the outer diameter of a tube."],
+    height: Annotated[float, "m", POSITIVE, "Outer height of the section; the outer diameter of a tube."],
     wall: Wall,
     length: BeamLength,
     modulus: Modulus,
     density: BeamDensity,
-    gimbal: Annotated[Metre, NON_NEGATIVE, "Distance of the gimbal that holds the beam from the start of the beam."],
+    gimbal: Annotated[
+        float, "m", NON_NEGATIVE, "Distance of the gimbal that holds the beam from the start of the beam."
+    ],
     plate_inertias: Annotated[
-        tuple[KilogramSquareMetre, KilogramSquareMetre],
+        tuple[float, float],
+        "kg m^2",
         NON_NEGATIVE,
         "Moments of inertia of the plates at start and end about the axis of the beam.",
     ] = (0.0, 0.0),
@@ -74,11 +70,6 @@ def beam_torsion(
 
     Source: thesis 6.2.3 (gimbals with two and four degrees of freedom); Meirovitch, Elements of Vibration Analysis
         (1975), 5.8: a rod with a disc, Z tan Z = inertia of the rod over inertia of the disc.
-
-    Example:
-        posor design beam-torsion --shape tube --height '2 in' --wall '.125 in' --length '30 in'
-        --modulus '10.6e6 psi' --density '.1 lb/in^3' --gimbal '6 in' --plate-inertias '.01436, .01436 kg m^2'
-
     """
     if gimbal > length:
         raise ParameterError(f"{gimbal:g} m", where="gimbal", expected=f"0 to {length:g} m")
@@ -109,25 +100,21 @@ def _rod_with_disc(rod: float, disc: float, count: int) -> list[float]:
 class DiscInertia:
     """Mass and moments of inertia of a disc or ring."""
 
-    mass: Annotated[Kilogram, "Mass."]
-    axis_inertia: Annotated[KilogramSquareMetre, "Moment of inertia about its axis."]
-    diameter_inertia: Annotated[KilogramSquareMetre, "Moment of inertia about a diameter."]
+    mass: Annotated[float, "kg", "Mass."]
+    axis_inertia: Annotated[float, "kg m^2", "Moment of inertia about its axis."]
+    diameter_inertia: Annotated[float, "kg m^2", "Moment of inertia about a diameter."]
 
 
 @calculator
 def disc_inertia(
-    diameter: Annotated[Metre, POSITIVE, "Outer diameter."],
-    thickness: Annotated[Metre, POSITIVE, "Thickness."],
-    density: Annotated[KilogramPerCubicMetre, POSITIVE, "Density."],
-    bore: Annotated[Metre, NON_NEGATIVE, "Inner diameter of a ring."] = 0.0,
+    diameter: Annotated[float, "m", POSITIVE, "Outer diameter."],
+    thickness: Annotated[float, "m", POSITIVE, "Thickness."],
+    density: Annotated[float, "kg/m^3", POSITIVE, "Density."],
+    bore: Annotated[float, "m", NON_NEGATIVE, "Inner diameter of a ring."] = 0.0,
 ) -> DiscInertia:
     """Mass and moments of inertia of a disc or ring, such as the plate of a POSOR.
 
     Source: Meriam, Dynamics (1971), table of moments of inertia.
-
-    Example:
-        posor design disc-inertia --diameter '10 in' --thickness '.5 in' --density '.1 lb/in^3'
-
     """
     disc = make_tube(diameter, bore, "bore")
     mass = density * disc.area * thickness
@@ -139,22 +126,18 @@ def disc_inertia(
 class ShaftStress:
     """Stress of a shaft."""
 
-    stress: Annotated[Pascal, "Largest shear stress."]
+    stress: Annotated[float, "Pa", "Largest shear stress."]
 
 
 @calculator
 def shaft_stress(
-    torque: Annotated[NewtonMetre, POSITIVE, "Torque."],
-    diameter: Annotated[Metre, POSITIVE, "Outer diameter."],
-    bore: Annotated[Metre, NON_NEGATIVE, "Inner diameter of a hollow shaft."] = 0.0,
+    torque: Annotated[float, "N m", POSITIVE, "Torque."],
+    diameter: Annotated[float, "m", POSITIVE, "Outer diameter."],
+    bore: Annotated[float, "m", NON_NEGATIVE, "Inner diameter of a hollow shaft."] = 0.0,
 ) -> ShaftStress:
     """Shear stress of a round shaft that transmits a torque.
 
     Source: thesis 9.4.2; Timoshenko, Strength of Materials, part 1 (1955), article 62.
-
-    Example:
-        posor design shaft-stress --torque '640 lbf in' --diameter '.5 in'
-
     """
     shaft = make_tube(diameter, bore, "bore")
     return ShaftStress(0.5 * torque * diameter / (2.0 * shaft.second_moment))

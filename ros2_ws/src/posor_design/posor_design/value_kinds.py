@@ -7,8 +7,8 @@ from typing import Any, Literal, get_args, get_origin
 import numpy as np
 from posor.errors import ParameterError, similar_name
 
-from posor_design.quantity_text import describe_unit, format_quantity, parse_quantity, split_unit
-from posor_design.units import unit_of
+from posor_design.argument_types import type_of, unit_of
+from posor_design.quantity_text import describe_unit, format_quantity, parse_quantity, split_list
 
 LONGEST_LINE = 12
 """Numbers of a value that a line shows."""
@@ -18,7 +18,7 @@ def parse_value(kind: Any, text: str, where: str) -> Any:
     """Return the value of an argument; commas separate several values, and the last unit holds for values without one.
 
     Args:
-        kind: Type of the argument.
+        kind: Annotation of the argument.
         text: Text of the command line.
         where: Name of the argument, for errors.
 
@@ -26,15 +26,18 @@ def parse_value(kind: Any, text: str, where: str) -> Any:
         ParameterError: The text is not a value of this kind.
 
     """
-    if get_origin(kind) is tuple:
-        return _parse_tuple(kind, text, where)
-    if get_origin(kind) is Literal:
-        names = get_args(kind)
-        if text not in names:
-            expected = similar_name(text, names, f"one of {', '.join(names)}")
+    bare = type_of(kind)
+    if get_origin(bare) is tuple:
+        entries, kinds = split_list(text), get_args(bare)
+        if kinds[-1] is not Ellipsis and len(kinds) != len(entries):
+            raise ParameterError(f"{len(entries)} values in '{text}'", where=where, expected=describe_kind(kind))
+        return tuple(parse_quantity(entry, unit_of(kind), where) for entry in entries)
+    if get_origin(bare) is Literal:
+        if text not in get_args(bare):
+            expected = similar_name(text, get_args(bare), describe_kind(kind))
             raise ParameterError(f"'{text}' is unknown", where=where, expected=expected)
         return text
-    if kind is int:
+    if bare is int:
         try:
             return int(text)
         except ValueError:
@@ -42,64 +45,47 @@ def parse_value(kind: Any, text: str, where: str) -> Any:
     return parse_quantity(text, unit_of(kind), where)
 
 
-def _parse_tuple(kind: Any, text: str, where: str) -> tuple[Any, ...]:
-    entries = [entry.strip() for entry in text.split(",")]
-    last_unit = split_unit(entries[-1])
-    kinds = _entry_kinds(kind, len(entries))
-    if len(kinds) != len(entries):
-        raise ParameterError(f"{len(entries)} values in '{text}'", where=where, expected=describe_kind(kind))
-    entries = [entry if split_unit(entry) else f"{entry} {last_unit}".strip() for entry in entries]
-    return tuple(parse_value(each, entry, where) for each, entry in zip(kinds, entries, strict=True))
-
-
 def describe_kind(kind: Any) -> str:
     """Return what an argument of this kind is: ``a number in m (mm, um, in)``."""
-    if get_origin(kind) is tuple:
-        kinds = get_args(kind)
-        number = "numbers" if kinds[-1] is Ellipsis else f"{len(kinds)} numbers"
-        return f"{number} separated by commas, each {describe_kind(kinds[0])}"
-    if get_origin(kind) is Literal:
-        return f"one of {', '.join(get_args(kind))}"
-    if kind is int:
-        return "a whole number"
-    return describe_unit(unit_of(kind))
+    bare, number = type_of(kind), describe_unit(unit_of(kind))
+    if get_origin(bare) is tuple:
+        count = "" if get_args(bare)[-1] is Ellipsis else f"{len(get_args(bare))} "
+        return f"{count}numbers separated by commas, each {number}"
+    if get_origin(bare) is Literal:
+        return f"one of {', '.join(get_args(bare))}"
+    return "a whole number" if bare is int else number
 
 
 def name_kind(kind: Any) -> str:
     """Return units or choices of a value in short, for help and pages: ``m, m``, ``m, ...``, ``tube or box``."""
-    if get_origin(kind) is tuple:
-        return ", ".join("..." if each is Ellipsis else name_kind(each) for each in get_args(kind))
-    if get_origin(kind) is Literal:
-        return " or ".join(get_args(kind))
-    return "whole number" if kind is int else unit_of(kind)
+
+    def name(bare: Any) -> str:
+        if get_origin(bare) is tuple:
+            return ", ".join(map(name, get_args(bare)))
+        if get_origin(bare) is Literal:
+            return " or ".join(get_args(bare))
+        return {Ellipsis: "...", int: "whole number"}.get(bare, unit_of(kind))
+
+    return name(type_of(kind))
 
 
 def format_value(kind: Any, value: Any) -> str:
     """Return a value as text with unit; values of a tuple are separated by commas, tuples of a tuple by semicolons."""
-    if get_origin(kind) is tuple:
-        kinds = _entry_kinds(kind, len(value))
-        separator = "; " if kinds and get_origin(kinds[0]) is tuple else ", "
-        return separator.join(format_value(each, entry) for each, entry in zip(kinds, value, strict=True))
-    if kind is int or kind is str or get_origin(kind) is Literal:
-        return str(value)
-    return format_quantity(value, unit_of(kind))
+    if isinstance(value, tuple):
+        separator = "; " if value and isinstance(value[0], tuple) else ", "
+        return separator.join(format_value(kind, each) for each in value)
+    return str(value) if isinstance(value, int | str) else format_quantity(value, unit_of(kind))
 
 
-def is_series(kind: Any, value: Any) -> bool:
+def is_series(value: Any) -> bool:
     """Return whether a value has more numbers than a line shows."""
-    return get_origin(kind) is tuple and np.size(value) > LONGEST_LINE
+    return isinstance(value, tuple) and np.size(value) > LONGEST_LINE
 
 
 def summarise_value(kind: Any, value: Any) -> str:
     """Return a value as ``format_value`` does, but size and range of a series."""
-    if not is_series(kind, value):
+    if not is_series(value):
         return format_value(kind, value)
     size = " x ".join(map(str, np.shape(value)))
     low, high = (format_quantity(float(end(value)), unit_of(kind)) for end in (np.min, np.max))
     return f"{size} values from {low} to {high}"
-
-
-def _entry_kinds(kind: Any, length: int) -> tuple[Any, ...]:
-    """Return the kind of each entry of a tuple of a length."""
-    kinds = get_args(kind)
-    return kinds[:1] * length if kinds[-1] is Ellipsis else kinds

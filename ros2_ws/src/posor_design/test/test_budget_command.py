@@ -147,8 +147,8 @@ def test_an_arm_gets_the_protection_level_of_its_endpoint(
         (["--pose=1,2"], 2, "budget: argument --pose: '1,2' is not 6 numbers x,y,gap,alpha,beta,theta; expected"),
         (["--pose=0,0,nan,0,0,0"], 2, "budget: argument --pose: '0,0,nan,0,0,0' is not 6 numbers"),
         (["--point=a,b"], 2, "budget: argument --point: 'a,b' is not 2 numbers x,y; expected"),
-        (["--draws", "5"], 2, "budget: argument --draws: '5' is not a number of draws (at least 20000); expected"),
-        (["--seed", "-1"], 2, "budget: argument --seed: '-1' is not a seed (a whole number of at least 0); expected"),
+        (["--draws", "5"], 2, "budget: argument --draws: '5' is not a number of draws of at least 20000; expected"),
+        (["--seed", "-1"], 2, "budget: argument --seed: '-1' is not a seed, a whole number of at least 0; expected"),
         (["--pose=0,0,0.5,0,0,0"], 2, "calibration 'triad_diodes': gap probe 1 is out of its calibrated range"),
         (["--session", "noon"], 1, "calibration 'triad_diodes': session 'noon' is unknown; expected an empty name"),
         (

@@ -131,7 +131,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_search(
     command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for searching in ("posor_design_command.LayoutSearch.run", "arm_design_command.allot"):
+    for searching in ("layout_search.LayoutSearch.run", "arm_design_command.allot"):
         monkeypatch.setattr(f"posor_design.{searching}", None)  # a search would raise a TypeError
     arm = ["arm", str(FIVE_AXIS), "--displacement", "20 um", "--orientation", "10 urad"]
     arguments = arm if command == "arm" else ["posor", *OPTIONS]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from posor.errors import ParameterError
-from posor_design.quantity_text import format_quantity, parse_quantity, parse_quantity_with_unit
+from posor_design.quantity_text import format_quantity, parse_quantity
 
 
 @pytest.mark.parametrize(
@@ -59,9 +59,9 @@ def test_a_wrong_quantity_is_refused(text: str, si: str, message: str) -> None:
 )
 def test_a_quantity_without_unit_is_refused_where_a_unit_is_required(text: str, si: str, examples: str) -> None:
     with pytest.raises(ParameterError, match=rf"^--size: '{text}'; expected a number with a unit, such as {examples}"):
-        parse_quantity_with_unit(text, si, "--size")
-    assert parse_quantity_with_unit(f"{text} {si}", si, "--size") == float(text)
-    assert parse_quantity_with_unit("2", "1", "--size") == 2.0
+        parse_quantity(text, si, "--size", unit_required=True)
+    assert parse_quantity(f"{text} {si}", si, "--size", unit_required=True) == float(text)
+    assert parse_quantity("2", "1", "--size", unit_required=True) == 2.0
 
 
 @pytest.mark.parametrize(

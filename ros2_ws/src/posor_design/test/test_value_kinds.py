@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 import pytest
 from posor.errors import ParameterError
-from posor_design.units import unit_of
+from posor_design.argument_types import unit_of
 from posor_design.value_kinds import (
     describe_kind,
     format_value,
@@ -15,20 +15,24 @@ from posor_design.value_kinds import (
     summarise_value,
 )
 
-Metre = Annotated[float, "m"]
-Number = Annotated[float, "1"]
-Shape = Literal["tube", "box"]
+Metre = Annotated[float, "m", "Meaning."]
+Metres = Annotated[tuple[float, ...], "m", "Meaning."]
+TwoMetres = Annotated[tuple[float, float], "m", "Meaning."]
+Numbers = Annotated[tuple[float, ...], "1", "Meaning."]
+Curves = Annotated[tuple[tuple[float, ...], ...], "m", "Meaning."]
+Count = Annotated[int, "Meaning."]
+Shape = Annotated[Literal["tube", "box"], "Meaning."]
 
 
 @pytest.mark.parametrize(
     ("kind", "text", "value"),
     [
         (Metre, "25 mm", 0.025),
-        (tuple[Metre, ...], "6, 24 in", (0.1524, 0.6096)),
-        (tuple[Metre, ...], "6 in, 24 mm, 1", (0.1524, 0.024, 1.0)),
-        (tuple[Metre, Metre], "1 mm,2 mm", (0.001, 0.002)),
-        (tuple[Number, ...], "1, 2", (1.0, 2.0)),
-        (int, "8", 8),
+        (Metres, "6, 24 in", (0.1524, 0.6096)),
+        (Metres, "6 in, 24 mm, 1", (0.1524, 0.024, 1.0)),
+        (TwoMetres, "1 mm,2 mm", (0.001, 0.002)),
+        (Numbers, "1, 2", (1.0, 2.0)),
+        (Count, "8", 8),
         (Shape, "box", "box"),
     ],
 )
@@ -39,14 +43,14 @@ def test_a_value_is_read(kind: Any, text: str, value: Any) -> None:
 @pytest.mark.parametrize(
     ("kind", "text", "message"),
     [
-        (tuple[Metre, ...], "6, , 24 in", "--size: 'in' is not a number with unit"),
+        (Metres, "6, , 24 in", "--size: 'in' is not a number with unit"),
         (
-            tuple[Metre, Metre],
+            TwoMetres,
             "1 mm",
             r"1 values in '1 mm'; expected 2 numbers separated by commas, each a number in m",
         ),
-        (tuple[Metre, ...], "1 mm, 2 kg", "'2 kg' has another dimension; expected a number in m"),
-        (int, "8.5", r"--size: '8\.5' is not a whole number; expected a whole number"),
+        (Metres, "1 mm, 2 kg", "'2 kg' has another dimension; expected a number in m"),
+        (Count, "8.5", r"--size: '8\.5' is not a whole number; expected a whole number"),
         (Shape, "tubes", "--size: 'tubes' is unknown; expected perhaps 'tube'"),
         (Shape, "ring", "--size: 'ring' is unknown; expected one of tube, box"),
     ],
@@ -59,10 +63,10 @@ def test_a_wrong_value_is_refused(kind: Any, text: str, message: str) -> None:
 @pytest.mark.parametrize(
     ("kind", "value", "text"),
     [
-        (tuple[Metre, ...], (0.001, 2e-6), "1 mm, 2 um"),
-        (tuple[tuple[Metre, ...], ...], ((0.001, 0.002), (0.003,)), "1 mm, 2 mm; 3 mm"),
-        (tuple[Metre, ...], (), ""),
-        (int, 8, "8"),
+        (Metres, (0.001, 2e-6), "1 mm, 2 um"),
+        (Curves, ((0.001, 0.002), (0.003,)), "1 mm, 2 mm; 3 mm"),
+        (Metres, (), ""),
+        (Count, 8, "8"),
         (Shape, "box", "box"),
     ],
 )
@@ -71,20 +75,23 @@ def test_a_value_is_printed(kind: Any, value: Any, text: str) -> None:
 
 
 def test_a_series_is_summarised() -> None:
-    assert summarise_value(tuple[Metre, ...], (0.001,) * 12) == ", ".join(["1 mm"] * 12)
-    assert summarise_value(tuple[Metre, ...], (0.001, *(0.002,) * 12)) == "13 values from 1 mm to 2 mm"
-    assert summarise_value(tuple[tuple[Number, ...], ...], ((0.0,) * 9, (1.0,) * 9)) == "2 x 9 values from 0 to 1"
+    assert summarise_value(Metres, (0.001,) * 12) == ", ".join(["1 mm"] * 12)
+    assert summarise_value(Metres, (0.001, *(0.002,) * 12)) == "13 values from 1 mm to 2 mm"
+    assert (
+        summarise_value(Annotated[tuple[tuple[float, ...], ...], "1", ""], ((0.0,) * 9, (1.0,) * 9))
+        == "2 x 9 values from 0 to 1"
+    )
 
 
 def test_kinds_are_described() -> None:
-    assert describe_kind(tuple[Number, ...]) == "numbers separated by commas, each a number (%, ppm)"
+    assert describe_kind(Numbers) == "numbers separated by commas, each a number (%, ppm)"
     assert describe_kind(Shape) == "one of tube, box"
-    assert [name_kind(kind) for kind in (tuple[Metre, ...], tuple[Metre, Number], Shape, int, Metre)] == [
+    assert [name_kind(kind) for kind in (Metres, TwoMetres, Shape, Count, Metre)] == [
         "m, ...",
-        "m, 1",
+        "m, m",
         "tube or box",
         "whole number",
         "m",
     ]
-    assert unit_of(tuple[tuple[Metre, ...], ...]) == "m"
-    assert unit_of(int) == "1"
+    assert unit_of(Curves) == "m"
+    assert unit_of(Count) == "1"

@@ -1,0 +1,92 @@
+"""Types of the arguments and results of design calculators.
+
+``Annotated[float, "m", POSITIVE, "Length of the beam."]`` states SI unit, limits and meaning of a number; unit and
+limits of a tuple hold for each of its numbers. Source of the units: BIPM, The International System of Units (2019).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_origin
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Limit of an argument: what it accepts, in words for errors, and whether it limits the count of a tuple."""
+
+    accepts: Callable[[float], bool]
+    expected: str
+    of_count: bool = False
+
+
+def at_least(count: int) -> Limit:
+    """Return the limit of a tuple that has a number of values or more."""
+    return Limit(lambda found: found >= count, f"at least {count}", of_count=True)
+
+
+def more_than(low: float) -> Limit:
+    """Return the limit of numbers that exceed ``low``."""
+    return Limit(lambda value: value > low, f"more than {low:g}")
+
+
+FINITE = Limit(math.isfinite, "a finite number")
+"""Holds for all arguments."""
+POSITIVE = more_than(0.0)
+NON_NEGATIVE = Limit(lambda value: value >= 0.0, "0 or more")
+NON_ZERO = Limit(lambda value: value != 0.0, "a number other than 0")
+SMALL_ANGLE = Limit(lambda angle: abs(angle) <= 0.2, "at most 0.2 rad")  # noqa: PLR2004  a larger one is a wrong unit
+ACUTE_ANGLE = Limit(lambda angle: 0.0 < angle < 0.5 * math.pi, "more than 0, less than a right angle")
+SHARE = Limit(lambda share: 0.0 < share <= 1.0, "more than 0, at most 1")
+PROPER_SHARE = Limit(lambda share: 0.0 <= share < 1.0, "0 to less than 1")
+POISSON_RATIO = Limit(lambda ratio: 0.0 <= ratio <= 0.5, "0 to 0.5")  # noqa: PLR2004  0.5: incompressible
+
+
+def type_of(kind: Any) -> Any:
+    """Return the type of an annotation without unit, limits and meaning."""
+    return kind.__origin__ if get_origin(kind) is Annotated else kind
+
+
+def unit_of(kind: Any) -> str:
+    """Return the SI unit of a number or of the numbers of a tuple; ``1`` for everything without unit."""
+    has_unit = type_of(kind) is float or get_origin(type_of(kind)) is tuple
+    return str(kind.__metadata__[0]) if has_unit else "1"
+
+
+# Arguments that calculators of beams share.
+MOST_MODES = 20
+"""Largest number of modes; beam theory fails for higher ones, whose waves are shorter than usual sections are high."""
+MODES = Limit(lambda modes: 1 <= modes <= MOST_MODES, f"1 to {MOST_MODES}")
+_BOTH = Limit(lambda count: count in {0, 2}, "a value for each of the two gimbals", of_count=True)
+
+Shape = Annotated[Literal["tube", "box"], "Section of the beam."]
+Height = Annotated[
+    float, "m", POSITIVE, "Outer height of the section in the plane of bending; the outer diameter of a tube."
+]
+Wall = Annotated[float, "m", POSITIVE, "Thickness of the walls."]
+BoxWidth = Annotated[float, "m", NON_NEGATIVE, "Outer width of a box."]
+BeamLength = Annotated[float, "m", POSITIVE, "Length of the beam."]
+Modulus = Annotated[float, "Pa", POSITIVE, "Young's modulus."]
+BeamDensity = Annotated[float, "kg/m^3", POSITIVE, "Density of the beam."]
+WeightDensity = Annotated[float, "kg/m^3", NON_NEGATIVE, "Density; 0: the beam has no weight."]
+PoissonRatio = Annotated[float, "1", POISSON_RATIO, "Poisson's ratio."]
+GimbalPlaces = Annotated[
+    tuple[float, float],
+    "m",
+    NON_NEGATIVE,
+    "Distances of the two gimbals from the start of the beam, the nearer first.",
+]
+PlateMasses = Annotated[tuple[float, float], "kg", NON_NEGATIVE, "Masses at start and end of the beam."]
+GimbalStiffness = Annotated[
+    tuple[float, ...], "N/m", POSITIVE, _BOTH, "Stiffness of each gimbal against deflection; left out: rigid."
+]
+GimbalTurningStiffness = Annotated[
+    tuple[float, ...],
+    "N m/rad",
+    POSITIVE,
+    _BOTH,
+    "Stiffness of each gimbal against turning; left out: the gimbals turn freely.",
+]
