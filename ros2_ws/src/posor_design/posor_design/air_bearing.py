@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 from posor.errors import ParameterError
 from scipy.optimize import brentq
 from scipy.special import dawsn, erfcx
 
-from posor_design.calculators import calculator
-
-if TYPE_CHECKING:
-    from posor_design.argument_types import POSITIVE, PROPER_SHARE, SHARE
+from posor_design.calculators import POSITIVE, PROPER_SHARE, SHARE, calculator
 
 HEAT_CAPACITY_RATIO = 1.4
 """Of air."""

@@ -93,7 +93,7 @@ def postures_of(texts: Sequence[str], joints: Sequence[str]) -> list[Mapping[str
     return postures or list(configurations(joints).values())
 
 
-def design_arm_main(arguments: Sequence[str]) -> int:
+def main(arguments: Sequence[str]) -> int:
     """Run the program; exit code 0: the requirement is allotted, and with ``--layouts`` every POSOR is designed."""
     options = _parser().parse_args(list(arguments))
     if not options.arm.is_file():

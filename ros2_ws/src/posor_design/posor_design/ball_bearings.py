@@ -5,12 +5,9 @@ from __future__ import annotations
 import math
 import statistics
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
-from posor_design.calculators import calculator
-
-if TYPE_CHECKING:
-    from posor_design.argument_types import POSITIVE, at_least, more_than
+from posor_design.calculators import POSITIVE, at_least, calculator, more_than
 
 
 @dataclass(frozen=True)

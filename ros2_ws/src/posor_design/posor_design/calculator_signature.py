@@ -22,7 +22,7 @@ class Value:
 
     Attributes:
         name: Name in Python.
-        kind: Annotation: type, unit, limits and meaning, see ``argument_types.py``.
+        kind: Annotation: type, unit, limits and meaning, see ``calculators.py``.
         default: Value of an argument that is left out; ``inspect.Parameter.empty``: the argument is required.
 
     """

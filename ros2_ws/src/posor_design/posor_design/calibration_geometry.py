@@ -7,14 +7,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from posor.errors import ParameterError
 
-from posor_design.calculators import calculator
-
-if TYPE_CHECKING:
-    from posor_design.argument_types import NON_NEGATIVE, NON_ZERO, SMALL_ANGLE
+from posor_design.calculators import NON_NEGATIVE, NON_ZERO, SMALL_ANGLE, calculator
 
 
 @dataclass(frozen=True)

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from posor.errors import ParameterError
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import ellipe, ellipk, elliprd, elliprf
 
-from posor_design.calculators import calculator
-
-if TYPE_CHECKING:
-    from posor_design.argument_types import POISSON_RATIO, POSITIVE, more_than
+from posor_design.calculators import POISSON_RATIO, POSITIVE, calculator, more_than
 
 _FLATTEST = 1e-5
 """Smallest ratio of the half axes that is solved."""

@@ -11,15 +11,14 @@ import sys
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from posor.errors import OutputError, ParameterError, similar_name
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 
-from posor_design.argument_types import unit_of
 from posor_design.calculator_signature import read_signature
-from posor_design.calculators import CALCULATORS
+from posor_design.calculators import CALCULATORS, unit_of
 from posor_design.design_page import render_design_page
 from posor_design.value_kinds import format_value, name_kind, parse_value, summarise_value
 
@@ -29,22 +28,11 @@ if TYPE_CHECKING:
     from posor_design.calculator_signature import CalculatorSignature, Value
 
 
-class DesignProgram(NamedTuple):
-    """A subcommand that is a program of its own: its module, its function, and one line about it."""
-
-    module: str
-    function: str
-    summary: str
-
-
-PROGRAMS: dict[str, DesignProgram] = {
-    "posor": DesignProgram(
-        "posor_design_command", "design_posor_main", "Lay out a POSOR for a requirement, and write files that run"
-    ),
-    "arm": DesignProgram(
-        "arm_design_command", "design_arm_main", "Allot the required uncertainty of an endpoint to joints and beams"
-    ),
+PROGRAMS = {
+    "posor": "Lay out a POSOR for a requirement, and write files that run",
+    "arm": "Allot the required uncertainty of an endpoint to joints and beams",
 }
+"""Subcommands that are programs of their own, modules such as ``posor_design_command``, and one line about each."""
 _VALUES = """\
 VALUE is a number with a unit, such as '60 in' or '10.6e6 psi', or several with commas between them; without a unit it
 has the unit in brackets. Write a negative value as --name=-3."""
@@ -68,9 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; exit code 0: the calculator has a result."""
     name, *others = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
     if name in PROGRAMS:
-        program = PROGRAMS[name]
-        function = getattr(import_module(f"posor_design.{program.module}"), program.function)
-        return int(function(others))
+        return int(import_module(f"posor_design.{name}_design_command").main(others))
     if name in {"-h", "--help"}:
         print(list_calculators(), end="")
     elif name not in CALCULATORS:
@@ -83,8 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def list_calculators() -> str:
     """Return the names of all programs and calculators with their summaries."""
-    names = {name: program.summary for name, program in PROGRAMS.items()}
-    names |= {name: read_signature(name).summary for name in CALCULATORS}
+    names = PROGRAMS | {name: read_signature(name).summary for name in CALCULATORS}
     width = max(map(len, names), default=0)
     return (
         "usage: posor design NAME [--ARGUMENT 'NUMBER UNIT' ...] [--json FILE] [--html FILE]\n\n"

@@ -10,7 +10,7 @@ from posor.errors import ParameterError
 from posor.reporting.figure_style import BLUE, GREEN, GREY, LIGHT_BLUE, ORANGE
 from posor.reporting.html_page import Section, definition_list, paragraph, render_page, table
 
-from posor_design.argument_types import unit_of
+from posor_design.calculators import unit_of
 from posor_design.value_kinds import is_series, summarise_value
 
 if TYPE_CHECKING:

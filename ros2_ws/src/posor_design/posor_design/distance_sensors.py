@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from posor.errors import ParameterError
 from scipy.constants import epsilon_0
 from scipy.optimize import brentq
 from scipy.special import j1
 
-from posor_design.calculators import calculator, require_as_many
+from posor_design.calculators import (
+    ACUTE_ANGLE,
+    NON_NEGATIVE,
+    POSITIVE,
+    SHARE,
+    at_least,
+    calculator,
+    require_as_many,
+)
 from posor_design.line_fit import fit_line
-
-if TYPE_CHECKING:
-    from posor_design.argument_types import ACUTE_ANGLE, NON_NEGATIVE, POSITIVE, SHARE, at_least
 
 _LARGEST_GAP = 0.2
 """Of a disc without guard, over its radius: Kirchhoff's formula is then 1 % too low (test with Love's equation)."""

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from posor.errors import ParameterError
 from scipy.optimize import brentq
 
-from posor_design.calculators import calculator, require_as_many
-
-if TYPE_CHECKING:
-    from posor_design.argument_types import POSITIVE, at_least
+from posor_design.calculators import POSITIVE, at_least, calculator, require_as_many
 
 
 @dataclass(frozen=True)

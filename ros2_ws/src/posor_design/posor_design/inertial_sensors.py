@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from scipy.constants import speed_of_light
 
-from posor_design.calculators import calculator
-
-if TYPE_CHECKING:
-    from posor_design.argument_types import POSITIVE
+from posor_design.calculators import POSITIVE, calculator
 
 
 @dataclass(frozen=True)

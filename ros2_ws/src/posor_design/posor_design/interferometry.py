@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from posor.uncertainty.air_index import Air
 
-from posor_design.calculators import calculator
-
-if TYPE_CHECKING:
-    from posor_design.argument_types import ACUTE_ANGLE
+from posor_design.calculators import ACUTE_ANGLE, calculator
 
 
 @dataclass(frozen=True)

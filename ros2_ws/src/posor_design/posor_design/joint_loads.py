@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
-from posor_design.calculators import calculator, require_as_many
-
-if TYPE_CHECKING:
-    from posor_design.argument_types import NON_NEGATIVE, POSITIVE, at_least
+from posor_design.calculators import NON_NEGATIVE, POSITIVE, at_least, calculator, require_as_many
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from posor.calibration.design_parts import coded_places
 from posor.calibration.designs import STANDOFF
 
 from posor_design.posor_layout import BUMP_SLOPE, NOMINAL_RANGE, PosorLayout, ThetaSensor, gap_azimuths
@@ -235,10 +236,11 @@ def _layout(
     marks: int,
     ring_range: float = 1.0,
 ) -> PosorLayout:
-    layout = PosorLayout(
+    obstacles = () if kind.theta_sensor == "bumpy_ring" else coded_places(kind.theta_probes)
+    return PosorLayout(
         theta_sensor=kind.theta_sensor,
         theta_probes=kind.theta_probes,
-        gap_azimuths=(),
+        gap_azimuths=gap_azimuths(kind.gap_probes, obstacles),
         outside_diameter=diameter,
         probe_circle=circle,
         probe_range=_gap_range(requirement, max(circle, 0.0)),
@@ -248,5 +250,3 @@ def _layout(
         marks=marks,
         noise=1.0,
     )
-    azimuths = gap_azimuths(kind.gap_probes, layout.diode_azimuths)
-    return PosorLayout(**{**vars(layout), "gap_azimuths": azimuths})

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 from numpy.polynomial import polynomial
 
-from posor_design.calculators import calculator, require_as_many
+from posor_design.calculators import (
+    NON_NEGATIVE,
+    NON_ZERO,
+    POSITIVE,
+    SMALL_ANGLE,
+    at_least,
+    calculator,
+    require_as_many,
+)
 from posor_design.line_fit import fit_line
-
-if TYPE_CHECKING:
-    from posor_design.argument_types import NON_NEGATIVE, NON_ZERO, POSITIVE, SMALL_ANGLE, at_least
 
 
 @dataclass(frozen=True)

@@ -10,30 +10,30 @@ import numpy as np
 from posor.chain.beam_bending import PointForce, on_gimbals
 from posor.errors import ParameterError
 
-from posor_design.argument_types import MOST_MODES
 from posor_design.beam_section import make_section
 from posor_design.beam_vibration import Attachment, BeamModel, make_beam
-from posor_design.calculators import calculator
+from posor_design.calculators import (
+    MODES,
+    MOST_MODES,
+    NON_NEGATIVE,
+    BeamDensity,
+    BeamLength,
+    BoxWidth,
+    GimbalPlaces,
+    GimbalStiffness,
+    GimbalTurningStiffness,
+    Height,
+    Modulus,
+    PlateInertias,
+    PlateMasses,
+    PoissonRatio,
+    Shape,
+    Wall,
+    calculator,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from posor_design.argument_types import (
-        MODES,
-        NON_NEGATIVE,
-        BeamDensity,
-        BeamLength,
-        BoxWidth,
-        GimbalPlaces,
-        GimbalStiffness,
-        GimbalTurningStiffness,
-        Height,
-        Modulus,
-        PlateMasses,
-        PoissonRatio,
-        Shape,
-        Wall,
-    )
+    from collections.abc import Iterable, Sequence
 
 
 @dataclass(frozen=True)
@@ -58,12 +58,7 @@ def beam_frequencies(
     density: BeamDensity,
     gimbals: GimbalPlaces,
     plate_masses: PlateMasses = (0.0, 0.0),
-    plate_inertias: Annotated[
-        tuple[float, float],
-        "kg m^2",
-        NON_NEGATIVE,
-        "Moments of inertia of these masses about the axis across the plane of bending.",
-    ] = (0.0, 0.0),
+    plate_inertias: PlateInertias = (0.0, 0.0),
     width: BoxWidth = 0.0,
     poisson_ratio: PoissonRatio = 0.33,
     gimbal_stiffness: GimbalStiffness = (),
@@ -77,9 +72,8 @@ def beam_frequencies(
     Source: thesis 6.2.2 and appendix 6A; shear coefficient: Cowper, J. Applied Mechanics 33 (1966), 335-340.
     """
     beam = make_beam(shape, height, wall, width, length, modulus, density, poisson_ratio)
-    attachments = _make_attachments(
-        length, gimbals, plate_masses, plate_inertias, gimbal_stiffness, gimbal_turning_stiffness
-    )
+    plates = zip((0.0, length), plate_masses, plate_inertias, strict=True)
+    attachments = _attachments(length, plates, gimbals, gimbal_stiffness, gimbal_turning_stiffness)
     model = BeamModel(beam, attachments, modes)
     angular, motions = model.modes(modes)
     shapes = motions[:, : len(model.positions)]
@@ -158,12 +152,7 @@ def sag_correction(
     acceleration: Annotated[float, "m/s^2", "Amplitude of the acceleration across the beam."],
     frequency: Annotated[float, "Hz", NON_NEGATIVE, "Frequency of the acceleration."],
     plate_masses: PlateMasses = (0.0, 0.0),
-    plate_inertias: Annotated[
-        tuple[float, float],
-        "kg m^2",
-        NON_NEGATIVE,
-        "Moments of inertia of the masses about the axis across the plane of bending.",
-    ] = (0.0, 0.0),
+    plate_inertias: PlateInertias = (0.0, 0.0),
     width: BoxWidth = 0.0,
     poisson_ratio: PoissonRatio = 0.33,
     gimbal_stiffness: GimbalStiffness = (),
@@ -184,9 +173,8 @@ def sag_correction(
     """
     sag = beam_sag(shape, height, wall, length, modulus, density, gimbals, plate_masses, width, acceleration)
     beam = make_beam(shape, height, wall, width, length, modulus, density, poisson_ratio)
-    attachments = _make_attachments(
-        length, gimbals, plate_masses, plate_inertias, gimbal_stiffness, gimbal_turning_stiffness
-    )
+    plates = zip((0.0, length), plate_masses, plate_inertias, strict=True)
+    attachments = _attachments(length, plates, gimbals, gimbal_stiffness, gimbal_turning_stiffness)
     angular = 2.0 * math.pi * frequency
     wave_number = math.sqrt(angular * math.sqrt(beam.mass / beam.bending_stiffness))
     half_waves = math.ceil(wave_number * length / math.pi)
@@ -209,36 +197,22 @@ def sag_correction(
 
 
 def _check_gimbals(length: float, gimbals: tuple[float, float]) -> None:
-    """Check the places of the gimbals.
-
-    Raises:
-        ParameterError: The gimbals are not two increasing distances on the beam.
-
-    """
     near, far = gimbals
     if not near < far <= length:
         expected = f"two increasing distances from 0 to {length:g} m"
         raise ParameterError(f"{near:g} m and {far:g} m", where="gimbals", expected=expected)
 
 
-def _make_attachments(
+def _attachments(
     length: float,
+    plates: Iterable[tuple[float, float, float]],
     gimbals: tuple[float, float],
-    plate_masses: tuple[float, float],
-    plate_inertias: tuple[float, float],
-    gimbal_stiffness: Sequence[float],
-    gimbal_turning_stiffness: Sequence[float],
+    stiffness: Sequence[float],
+    turning_stiffness: Sequence[float],
 ) -> list[Attachment]:
-    """Return plates and gimbals.
-
-    Raises:
-        ParameterError: The gimbals are not two increasing distances on the beam.
-
-    """
+    """Return plates, each with place, mass and inertia, and gimbals."""
     _check_gimbals(length, gimbals)
-    plates = zip((0.0, length), plate_masses, plate_inertias, strict=True)
-    stiffness, turning = gimbal_stiffness or (math.inf, math.inf), gimbal_turning_stiffness or (0.0, 0.0)
-    supports = zip(gimbals, stiffness, turning, strict=True)
+    supports = zip(gimbals, stiffness or (math.inf, math.inf), turning_stiffness or (0.0, 0.0), strict=True)
     return [
         *(Attachment(at, mass=mass, inertia=inertia) for at, mass, inertia in plates),
         *(Attachment(at, stiffness=held, turning_stiffness=turn) for at, held, turn in supports),

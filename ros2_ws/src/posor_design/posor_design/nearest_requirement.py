@@ -8,6 +8,8 @@ has to change least is the binding constraint. The nearest requirement is search
 from __future__ import annotations
 
 import math
+from itertools import product
+from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 import numpy as np
@@ -24,7 +26,7 @@ from posor_design.layout_evaluation import evaluate, extreme_poses
 from posor_design.layout_geometry import arrange, layout_kinds
 from posor_design.layout_search import RESERVE, START, LayoutSearch, ratios
 from posor_design.quantity_text import format_quantity
-from posor_design.requirement import FREEDOMS
+from posor_design.requirement import FREEDOMS, OPTIONS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -57,9 +59,7 @@ class Relaxation(NamedTuple):
 
     def value(self, requirement: Requirement) -> float:
         """Return the present value."""
-        part, _, key = self.name.rpartition(".")
-        holder = getattr(requirement, part) if part else requirement
-        return float(getattr(holder, key).number)
+        return float(attrgetter(self.name)(requirement).number)
 
     def changed(self, requirement: Requirement, value: float) -> Requirement:
         """Return the requirement with another value."""
@@ -67,14 +67,10 @@ class Relaxation(NamedTuple):
         return requirement.changed(**({part: {key: value}} if part else {key: value}))
 
 
-RELAXATIONS = (
-    Relaxation("outside_diameter", "m", larger=True),
-    Relaxation("inside_diameter", "m", larger=False),
-    Relaxation("range.gap", "m", larger=False),
-    Relaxation("range.tilt", "rad", larger=False),
-    Relaxation("range.runout", "m", larger=False),
-    Relaxation("range.rotation", "rad", larger=False),
-    Relaxation("speed", "rad/s", larger=False),
+RELAXATIONS = tuple(
+    Relaxation(option.entry, option.unit, larger=option.entry == "outside_diameter")
+    for option in OPTIONS.values()
+    if option.entry and option.entry not in {"scan_rate", _FAULT}
 )
 
 
@@ -120,11 +116,12 @@ def _refuse_uncertainty(
 ) -> NoReturn:
     used, name = ratios(requirement, best), binding_constraint(requirement, best)
     changes: dict[str, float] = {}
-    nearest, slack, bound = requirement, SLACK, "at least"
+    slack, bound = SLACK, "at least"
     for _ in range(ATTEMPTS):
         changes = _relaxed(requirement, best, slack)
-        nearest = _with_changes(requirement, changes)
-        if LayoutSearch(nearest, progress).run().chosen is not None:
+        own = {key: value for key, value in changes.items() if key != _FAULT}
+        fault = {_FAULT: changes[_FAULT]} if _FAULT in changes else {}
+        if LayoutSearch(requirement.changed(uncertainty=own, **fault), progress).run().chosen is not None:
             break
         slack = 1.0 + 4.0 * (slack - 1.0)
     else:
@@ -168,20 +165,13 @@ def _relaxed(requirement: Requirement, best: Candidate, slack: float) -> dict[st
     """Return the entries that are beyond the best layout, raised to what it reaches."""
     used, factor = ratios(requirement, best), requirement.uncertainty.coverage_factor
     changes = {
-        name: _rounded_up(slack * factor * float(sigma) / RESERVE)
+        name: _rounded(slack * factor * float(sigma) / RESERVE)
         for name, sigma, ratio in zip(FREEDOMS, best.sigmas, used.freedoms, strict=True)
         if ratio > 1.0
     }
     if used.fault > 1.0:
-        changes[_FAULT] = _rounded_up(slack * best.fault)
-    return changes or {name: _rounded_up(slack * getattr(requirement.uncertainty, name).number) for name in FREEDOMS}
-
-
-def _with_changes(requirement: Requirement, changes: dict[str, float]) -> Requirement:
-    own = dict(changes)
-    fault = own.pop(_FAULT, None)
-    nearest = requirement.changed(uncertainty=own)
-    return nearest if fault is None else nearest.changed(minimum_detectable_fault=fault)
+        changes[_FAULT] = _rounded(slack * best.fault)
+    return changes or {name: _rounded(slack * getattr(requirement.uncertainty, name).number) for name in FREEDOMS}
 
 
 def _sufficient_diameter(requirement: Requirement, best: Candidate) -> float | None:
@@ -215,8 +205,8 @@ def _refuse_geometry(requirement: Requirement, where: str) -> NoReturn:
         if limit is None:  # a layout fits, but is too uncertain
             own = entry.value(requirement)
             limit, bound = own * factor if entry.larger else own / factor, "more than" if entry.larger else "less than"
-            value = format_quantity(limit, entry.unit, 4)
-            ways.append(f"{entry.name} of {bound} {value} with a weaker required uncertainty or fault")
+            near = format_quantity(limit, entry.unit, 4)
+            ways.append(f"{entry.name} of {bound} {near} with a weaker required uncertainty or fault")
         else:
             ways.append(f"{entry.name} of {bound} {format_quantity(limit, entry.unit)}")
     what = f"{binding.name} {format_quantity(value, binding.unit)}: no layout fits with this range of motion"
@@ -251,7 +241,7 @@ def _verified(
 
     def value(excess: float) -> float:
         relaxed = factor * (1.0 + excess)
-        return _rounded_up(own * relaxed) if entry.larger else _rounded_down(own / relaxed)
+        return _rounded(own * relaxed if entry.larger else own / relaxed, up=entry.larger)
 
     def accepted(excess: float) -> bool:
         return accepts(entry.changed(requirement, value(excess)))
@@ -266,38 +256,24 @@ def _verified(
 def _sufficient(requirement: Requirement) -> bool:
     """Return whether a layout of the first simplex meets the requirement, with the reserve."""
     search, diameter = LayoutSearch(requirement), requirement.outside_diameter.number
-    for kind in layout_kinds(requirement):
-        for shares in START:
-            candidate = search.candidate(kind, diameter, shares)
-            if candidate is not None and ratios(requirement, candidate).worst <= 1.0:
-                return True
-    return False
+    tried = (search.candidate(kind, diameter, shares) for kind, shares in product(layout_kinds(requirement), START))
+    return any(each is not None and ratios(requirement, each).worst <= 1.0 for each in tried)
 
 
 def _usable(requirement: Requirement) -> bool:
     """Return whether a layout fits and gives a pose everywhere."""
-    diameter = requirement.outside_diameter.number
-    for kind in layout_kinds(requirement):
-        for shares in START:
-            layout = arrange(requirement, kind, diameter, shares)
-            if (
-                layout is not None
-                and evaluate(requirement, kind, layout, extreme_poses(requirement, layout.gap)).readable
-            ):
-                return True
+    for kind, shares in product(layout_kinds(requirement), START):
+        layout = arrange(requirement, kind, requirement.outside_diameter.number, shares)
+        if layout and evaluate(requirement, kind, layout, extreme_poses(requirement, layout.gap)).readable:
+            return True
     return False
 
 
-def _rounded_up(value: float) -> float:
-    """Return three digits, not less than the value."""
+def _rounded(value: float, *, up: bool = True) -> float:
+    """Return three digits, not less than the value, or not more."""
     digit = 10.0 ** (math.floor(math.log10(value)) - 2)
-    return float(f"{math.ceil(value / digit - 1e-9) * digit:.12g}")
-
-
-def _rounded_down(value: float) -> float:
-    """Return three digits, not more than the value."""
-    digit = 10.0 ** (math.floor(math.log10(value)) - 2)
-    return float(f"{math.floor(value / digit + 1e-9) * digit:.12g}")
+    count = math.ceil(value / digit - 1e-9) if up else math.floor(value / digit + 1e-9)
+    return float(f"{count * digit:.12g}")
 
 
 def _length(value: float) -> str:

@@ -99,7 +99,7 @@ def requirement_of(options: argparse.Namespace) -> Requirement:
                 options.name or "posor",
                 _limits(values["--translations"], values["--angles"], options.uncertainty),
                 1.0 if values["--coverage-factor"] is None else values["--coverage-factor"],
-                {OPTIONS[name].entry: value for name, value in values.items() if value is not None},
+                {OPTIONS[name].entry: values[name] for name in given if OPTIONS[name].entry},
             )
         )
     except ValidationError as error:
@@ -125,7 +125,7 @@ def _limits(translations: float, angles: float, uncertainties: Sequence[str]) ->
     return limits
 
 
-def design_posor_main(arguments: Sequence[str]) -> int:
+def main(arguments: Sequence[str]) -> int:
     """Run the program; exit code 0: a layout meets the requirement and its files are written."""
     options = _parser().parse_args(list(arguments))
     requirement = requirement_of(options)

@@ -42,44 +42,6 @@ _PART_OF_RANGE = 0.5
 _PART_OF_ROTATION = 0.9
 """Waypoints of theta over the required rotation: between them a spline goes further."""
 
-_URDF = """\
-<?xml version="1.0"?>
-<!-- {comment} -->
-<robot name="{name}">
-  <material name="receiving_plate"><color rgba="0.35 0.45 0.60 1"/></material>
-  <material name="target_plate"><color rgba="0.80 0.55 0.25 1"/></material>
-
-  <link name="{parent}">
-    <visual>
-      <origin xyz="0 0 {below}"/>
-      <geometry><cylinder radius="{radius}" length="{thickness}"/></geometry>
-      <material name="receiving_plate"/>
-    </visual>
-  </link>
-
-  <joint name="{joint}" type="floating">
-    <parent link="{parent}"/>
-    <child link="{child}"/>
-    <origin xyz="0 0 {gap}"/>
-  </joint>
-
-  <link name="{child}">
-    <visual>
-      <origin xyz="0 0 {above}"/>
-      <geometry><cylinder radius="{radius}" length="{thickness}"/></geometry>
-      <material name="target_plate"/>
-    </visual>
-  </link>
-
-  <joint name="tip" type="fixed">
-    <parent link="{child}"/>
-    <child link="endpoint"/>
-  </joint>
-
-  <link name="endpoint"/>
-</robot>
-"""
-
 
 def output_files(result: SearchResult, chosen: Candidate) -> dict[str, str]:
     """Return the texts of all files but the budget, by their paths in the folder."""
@@ -176,7 +138,8 @@ def requirement_text(requirement: Requirement) -> str:
 
 def urdf_text(name: str, layout: PosorLayout) -> str:
     """Return the URDF of a POSOR whose receiving plate is the base."""
-    return _URDF.format(
+    template = Path(__file__).with_name("posor.urdf.template").read_text(encoding="utf-8")
+    return template.format(
         comment="Made by posor design posor. To use the joint in another arm, copy its two links and the joint.",
         name=name,
         joint=JOINT,

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from posor.errors import ParameterError
 from scipy.constants import Boltzmann, elementary_charge
 
-from posor_design.calculators import calculator
-
-if TYPE_CHECKING:
-    from posor_design.argument_types import NON_NEGATIVE, POSITIVE
+from posor_design.calculators import NON_NEGATIVE, POSITIVE, calculator
 
 
 @dataclass(frozen=True)

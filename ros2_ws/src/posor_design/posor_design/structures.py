@@ -14,24 +14,24 @@ from scipy.optimize import brentq
 
 from posor_design.beam_section import make_section
 from posor_design.beam_vibration import Attachment, BeamModel, make_beam
-from posor_design.calculators import calculator
+from posor_design.calculators import (
+    MODES,
+    NON_NEGATIVE,
+    POSITIVE,
+    BeamLength,
+    BoxWidth,
+    Height,
+    Modulus,
+    PoissonRatio,
+    Shape,
+    Wall,
+    WeightDensity,
+    calculator,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from posor_design.argument_types import (
-        MODES,
-        NON_NEGATIVE,
-        POSITIVE,
-        BeamLength,
-        BoxWidth,
-        Height,
-        Modulus,
-        PoissonRatio,
-        Shape,
-        Wall,
-        WeightDensity,
-    )
 
 _THINNEST = 1e-6
 """Least wall that sizing considers, relative to half of the smaller side."""

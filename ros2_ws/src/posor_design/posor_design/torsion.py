@@ -4,27 +4,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from posor.errors import ParameterError
 from scipy.optimize import brentq
 
 from posor_design.beam_section import make_section, make_tube
-from posor_design.calculators import calculator
-
-if TYPE_CHECKING:
-    from posor_design.argument_types import (
-        MODES,
-        NON_NEGATIVE,
-        POSITIVE,
-        BeamDensity,
-        BeamLength,
-        BoxWidth,
-        Modulus,
-        PoissonRatio,
-        Shape,
-        Wall,
-    )
+from posor_design.calculators import (
+    MODES,
+    NON_NEGATIVE,
+    POSITIVE,
+    BeamDensity,
+    BeamLength,
+    BoxWidth,
+    Modulus,
+    PoissonRatio,
+    Shape,
+    Wall,
+    calculator,
+)
 
 
 @dataclass(frozen=True)

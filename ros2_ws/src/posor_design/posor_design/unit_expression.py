@@ -13,45 +13,27 @@ from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
 from functools import cache
+from pathlib import Path
 
+import yaml
 from posor.calibration.quantity import CONVERTED_UNITS
 
 _BASE = ("m", "kg", "s", "A", "K", "rad")
 PREFIXES = {"G": 9, "M": 6, "k": 3, "c": -2, "m": -3, "u": -6, "µ": -6, "n": -9, "p": -12, "f": -15}
-_DEFINITIONS = {
-    **{symbol: (str(factor), si) for symbol, (si, factor) in CONVERTED_UNITS.items()},
-    "1": ("1", ""),
-    "g": ("1e-3", "kg"),
-    "Hz": ("1", "1/s"),
-    "N": ("1", "kg m/s^2"),
-    "Pa": ("1", "N/m^2"),
-    "J": ("1", "N m"),
-    "W": ("1", "J/s"),
-    "V": ("1", "W/A"),
-    "Ohm": ("1", "V/A"),
-    "F": ("1", "A s/V"),
-    "min": ("60", "s"),
-    "h": ("60", "min"),
-    "in": ("0.0254", "m"),
-    "uin": ("1e-6", "in"),
-    "mil": ("1e-3", "in"),
-    "ft": ("12", "in"),
-    "lb": ("0.45359237", "kg"),
-    "oz": ("0.028349523125", "kg"),
-    "lbf": ("4.4482216152605", "N"),
-    "ozf": ("0.27801385095378125", "N"),
-    "psi": ("1", "lbf/in^2"),
-    "ksi": ("1e3", "psi"),
-    "bar": ("1e5", "Pa"),
-    "inHg": ("3386.389", "Pa"),
-    "arcmin": (str(Decimal(1) / 60), "deg"),
-    "arcsec": (str(Decimal(1) / 3600), "deg"),
-    "rev": ("360", "deg"),
-    "rpm": ("1", "rev/min"),
-    "%": ("1e-2", ""),
-    "ppm": ("1e-6", ""),
-}
-"""Amount of each symbol in other units."""
+
+
+def _read_definitions() -> dict[str, tuple[Decimal, str]]:
+    """Return the amount of each symbol in other units."""
+    text = Path(__file__).with_name("units.yaml").read_text(encoding="utf-8")
+    found = {symbol: (factor, si) for symbol, (si, factor) in CONVERTED_UNITS.items()}
+    for symbol, definition in yaml.safe_load(text).items():
+        number, _, unit = str(definition).partition(" ")
+        dividend, _, divisor = number.partition("/")
+        found[symbol] = Decimal(dividend) / Decimal(divisor or 1), unit
+    return found
+
+
+_DEFINITIONS = _read_definitions()
 _WITH_PREFIX = frozenset(("m", "g", "s", "A", "K", "rad", "Hz", "N", "Pa", "J", "W", "V", "Ohm", "F"))
 _FACTOR = re.compile(r"(?P<divide>\s*/\s*|[\s*·-]+|^)(?P<symbol>[a-zA-Zµ%]+|1)(?:\^(?P<power>-?\d+(?:\.\d+)?))?")
 
@@ -95,7 +77,7 @@ def _symbol(symbol: str) -> Unit:
         return Unit(powers=tuple(Fraction(symbol == base) for base in _BASE))
     if symbol in _DEFINITIONS:
         factor, other = _DEFINITIONS[symbol]
-        return Unit(Decimal(factor)).times(parse_unit(other), Fraction(1))
+        return Unit(factor).times(parse_unit(other), Fraction(1))
     if symbol[1:] in _WITH_PREFIX and symbol[0] in PREFIXES:
         return Unit(Decimal(10) ** PREFIXES[symbol[0]]).times(_symbol(symbol[1:]), Fraction(1))
     raise ValueError(f"there is no unit '{symbol}'")

@@ -7,7 +7,7 @@ from typing import Any, Literal, get_args, get_origin
 import numpy as np
 from posor.errors import ParameterError, similar_name
 
-from posor_design.argument_types import type_of, unit_of
+from posor_design.calculators import type_of, unit_of
 from posor_design.quantity_text import describe_unit, format_quantity, parse_quantity, split_list
 
 LONGEST_LINE = 12

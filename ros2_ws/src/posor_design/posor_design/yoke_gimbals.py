@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from posor_design.beam_section import make_tube
-from posor_design.calculators import calculator
-
-if TYPE_CHECKING:
-    from posor_design.argument_types import NON_NEGATIVE, POSITIVE
+from posor_design.calculators import NON_NEGATIVE, POSITIVE, calculator
 
 
 @dataclass(frozen=True)

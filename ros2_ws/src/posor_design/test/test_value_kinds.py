@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 import pytest
 from posor.errors import ParameterError
-from posor_design.argument_types import unit_of
+from posor_design.calculators import unit_of
 from posor_design.value_kinds import (
     describe_kind,
     format_value,
