@@ -138,29 +138,3 @@ def test_the_command_writes_a_requirement_for_each_joint(tmp_path: Path, capsys:
     assert load_beams(tmp_path / "out" / "beams.yaml").beams
     assert main([*arguments, "--output", str(tmp_path / "out")]) == 1
     assert "allotment.json exists already" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (["--orientation", "8 urad"], "design arm: the following arguments are required: --displacement"),
-        (["--displacement", "20", "--orientation", "8 urad"], "--displacement: '20'; expected a number with a unit"),
-        (
-            ["--displacement", "9 um", "--orientation", "8 urad", "--posture", "0, 0, 30, 0, 90"],
-            "design arm, --posture: '0'; expected a number with a unit, such as",
-        ),
-        (["--displacement", "0 m", "--orientation", "8 urad"], "design arm, --displacement: 0 m; expected more than 0"),
-        (
-            ["--displacement", "9 um", "--orientation", "8 urad", "--posture", "0, 1 rad"],
-            "design arm, --posture: 2 angles; expected 5: base_swivel",
-        ),
-    ],
-)
-def test_wrong_options_are_refused(arguments: list[str], sentence: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["arm", str(ARM_FILE), *arguments]) == 2
-    assert sentence in capsys.readouterr().err
-
-
-def test_the_name_of_an_installed_arm_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["arm", "five_axis", "--displacement", "9 um", "--orientation", "8 urad"]) == 2
-    assert "design arm, five_axis: no such file; expected the path of an arm file (arm.yaml)" in capsys.readouterr().err
