@@ -7,6 +7,7 @@ import math
 import os
 from dataclasses import asdict
 from pathlib import Path
+from string import Template
 from typing import TYPE_CHECKING, Any
 
 from posor.calibration.document_text import document_text
@@ -156,49 +157,22 @@ def urdf_text(name: str, layout: PosorLayout) -> str:
 def _scenario(requirement: Requirement, layout: PosorLayout) -> dict[str, Any]:
     """Return a scenario in which the joint turns through its whole rotation, with error motions of half the range."""
     limits, rotation = requirement.range, _PART_OF_ROTATION * requirement.rotation
-    rest = 0.5
     turning = float(math.ceil(_SPLINE_TURNS * rotation / requirement.speed.number))
-
-    def entry(value: Any, unit: str) -> dict[str, Any]:
-        return {"value": value, "unit": unit}
-
-    bearing = {
-        "orders": [1],
-        "radial": entry([_PART_OF_RANGE * limits.runout.number], "m"),
-        "axial": entry([_PART_OF_RANGE * limits.gap.number], "m"),
-        "tilt": entry([_PART_OF_RANGE * limits.tilt.number], "rad"),
-    }
-    return {
-        "format": "posor_scenario",
-        "version": 1,
-        "name": requirement.name,
-        "provenance": {
-            "source": "assumed: error motions of half the required range, once a turn",
-            "method": PROGRAM,
-            "date": "none",
-        },
-        "seed": 1985,
-        "rate": entry(requirement.scan_rate.number, "Hz"),
-        "duration": entry(turning + 2.0 * rest, "s"),
-        "joints": {JOINT: {"bearing": bearing}},
-        "motion": [
-            {"kind": "rest", "duration": entry(rest, "s")},
-            {
-                "kind": "spline",
-                "duration": entry(turning, "s"),
-                "joints": [JOINT],
-                "through": entry([[rotation], [-rotation], [0.0]], "rad"),
-            },
-            {"kind": "rest", "duration": entry(rest, "s")},
-        ],
-        "electronics": {
-            "converter": {
-                "bits": layout.bits(requirement.scan_rate.number),
-                "probes": entry([-0.5 * VOLTAGE_SPAN, 0.5 * VOLTAGE_SPAN], "V"),
-                "diodes": entry([0.0, CURRENT_SPAN], "A"),
-            }
-        },
-    }
+    text = Template(Path(__file__).with_name("scenario.json.template").read_text(encoding="utf-8")).substitute(
+        name=requirement.name,
+        joint=JOINT,
+        radial=_PART_OF_RANGE * limits.runout.number,
+        axial=_PART_OF_RANGE * limits.gap.number,
+        tilt=_PART_OF_RANGE * limits.tilt.number,
+        rate=requirement.scan_rate.number,
+        duration=turning + 1.0,
+        turning=turning,
+        rotation=rotation,
+        bits=layout.bits(requirement.scan_rate.number),
+        volts=0.5 * VOLTAGE_SPAN,
+        amperes=CURRENT_SPAN,
+    )
+    return dict(json.loads(text))
 
 
 def figures(result: SearchResult, chosen: Candidate) -> dict[str, Any]:
