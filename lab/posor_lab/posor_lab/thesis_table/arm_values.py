@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from posor.chain.arm_file import load_arm
-from posor.uncertainty.endpoint_budget import thesis_covariance
+from posor_design.endpoint_budget import thesis_covariance
 from scipy.constants import inch
 
 from posor_lab.arm_study.arm_budget_command import FIGURES, THESIS, arm_budget, thesis_arm_path

@@ -12,17 +12,16 @@ from posor.reporting.plot import Plot
 from posor_bringup.installed import BAGS
 from posor_calibration.attitude_fit import deviation_from_first
 
-from posor_lab.replay_1985.comparison import error_figure
-from posor_lab.replay_1985.end_of_beam import EndOfBeamProgram
-from posor_lab.replay_1985.end_of_beam_results import COLUMNS, EndOfBeamTest, read_end_of_beam
-from posor_lab.replay_1985.end_of_beam_simulation import SensorNoise, simulated_errors
-from posor_lab.replay_1985.expectations import EXPECTATIONS, FITTED, KIND_NAMES, UNDER_TABLE
+from posor_lab.replay_1985.comparison import FITTED, KIND_NAMES, UNDER_TABLE, error_figure, expectations
+from posor_lab.replay_1985.end_of_beam import EndOfBeamProgram, SensorNoise, simulated_errors
 from posor_lab.replay_1985.motion_plots import plot_angles
-from posor_lab.replay_1985.motion_test import ANGLES
-from posor_lab.replay_1985.offline_motion_test import offline_motion_test
+from posor_lab.replay_1985.motion_test import ANGLES, offline_motion_test
 from posor_lab.replay_1985.printed_results import (
+    COLUMNS,
     EXPECTED_ERRORS_FILE,
     PRINTED_FILES,
+    EndOfBeamTest,
+    read_end_of_beam,
     read_predicted_errors,
     read_printed,
 )
@@ -121,7 +120,7 @@ def replay_figures() -> list[dict[str, Any]]:
             "reason": expected.remark or (_MAP_LOST if expected.angle == "theta" else ""),
         }
         for bag, calibration in _REPLAYS
-        for expected in EXPECTATIONS[bag, calibration]
+        for expected in expectations(bag, calibration)
         if expected.stated is not None and (calibration == "section84" or expected.source == UNDER_TABLE)
     ]
 

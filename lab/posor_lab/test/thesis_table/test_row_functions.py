@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from posor_lab.replay_1985.end_of_beam_results import EndOfBeamResults, EndOfBeamTest, read_end_of_beam
+from posor_lab.replay_1985.printed_results import EndOfBeamResults, EndOfBeamTest, read_end_of_beam
 from posor_lab.thesis_budgets.budget_cells import Agreement, Cell, Printed, Reason
 from posor_lab.thesis_budgets.probe_tables import table_5_2
 from posor_lab.thesis_table import arm_values, budget_values, formulas, motion_values
