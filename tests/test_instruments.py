@@ -17,7 +17,8 @@ from posor_bringup.arms import find_arm, load_checked_arm
 from posor_drivers.instruments.instruments_command import main as instruments
 from posor_drivers.instruments.instruments_file import load_instruments
 from posor_drivers.simulator.arm_simulation import ArmSimulation
-from posor_lab.faults.device_faults import DEVICE_FAULTS, DeviceRun
+from posor_lab.faults.device_run import DeviceRun
+from posor_lab.faults.fault_table import FAULT_TABLE
 from posor_lab.instruments.device_trials import TRIALS, DeviceTrial
 from posor_lab.instruments.trial_run import run_trial
 from posor_lab.instruments.trials_command import main as trials
@@ -36,7 +37,8 @@ SHORT = {"capaNCDT 3.9 kHz, 1 kHz scans": 200, "SCPI scanner, 5 Hz": 5}
 @pytest.mark.parametrize("trial", [trial for trial in TRIALS if trial.name in SHORT], ids=lambda trial: trial.name)
 def test_readings_of_devices_give_the_true_endpoint(trial: DeviceTrial, tmp_path: Path) -> None:
     short = replace(trial, rate=SHORT[trial.name], seconds=SECONDS)
-    figures = run_trial(short, tmp_path, lambda: False)
+    with ros_context(["instruments"]):
+        figures = run_trial(short, tmp_path, lambda: False)
     print(f"simulated: {figures}")
     assert figures.poses >= 0.5 * SHORT[trial.name] * SECONDS
     if trial.slowness != 1.0:  # a loaded host delays every arrival, which counts while the arm moves fast
@@ -48,9 +50,9 @@ def test_readings_of_devices_give_the_true_endpoint(trial: DeviceTrial, tmp_path
 
 
 def test_a_faulty_device_is_named_and_no_wrong_pose_published(tmp_path: Path) -> None:
-    faults = [each for each in DEVICE_FAULTS if "counter" in each.row.name or "half a packet" in each.row.name]
+    rows = [row for row in FAULT_TABLE if row.run == "devices" and ("counter" in row.name or "half" in row.name)]
     with ros_context(["faults"]):
-        results = DeviceRun(faults, tmp_path, 1985).run()
+        results = DeviceRun(rows, tmp_path, 1985).run()
     assert len(results) == 2
     for result in results:
         print(f"simulated: {result.row.name}: {result.seen}; named after {result.naming_s} s")

@@ -2,19 +2,17 @@
 
 Measures latency, lost ticks, processor time and memory of the graph, from the stamp of a scan to the endpoint's pose in
 another process, beside the same graph with nodes that compute nothing; their growth with joints and rate; the speed of
-the estimator alone and of offline processing. Prints tables, writes a JSON file and a picture.
+the estimator alone and of offline processing. Prints tables, writes a JSON file and a page.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from posor.errors import ParameterError
-from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor_bringup.bringup_options import prepare_output_folder
 from posor_ros.node_program import StopSignal
@@ -25,23 +23,34 @@ from posor_lab.benchmark.benchmark_sections import SECTIONS, BenchmarkArms, Benc
 from posor_lab.benchmark.benchmark_tables import host_lines, result_tables
 from posor_lab.benchmark.graph_load import LAYOUTS
 from posor_lab.benchmark.graph_measurement import GraphMeasurement
-from posor_lab.benchmark.growth_lines import draw_growth
+from posor_lab.benchmark.growth_lines import growth_page
 from posor_lab.benchmark.host_state import host_description
 from posor_lab.benchmark.offline_benchmark import SECONDS
 from posor_lab.benchmark.pass_through_nodes import register_nodes
 from posor_lab.harness.graph import Graph
 from posor_lab.output_files import check_writable, write_json
+from posor_lab.reports.trial_program import Option
+from posor_lab.reports.trial_program import parse_options as parse
 
 if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Sequence
 
+PROGRAM = "make bench"
 DEFAULT_SECTIONS = tuple(name for name in SECTIONS if name != "profile")
 QUICK_SECTIONS = ("graph", "growth", "kernel", "offline")
-MAX_RATE_HZ = 10_000
-MAX_JOINTS = 16
 GROWTH_HZ = 500
 WIDTH = 118
+OPTIONS = (
+    Option("--quick", default=False, text="a minute instead of nine: fewer and shorter runs"),
+    Option("--seconds", 0.0, "time of each main graph; 0: 60, with --quick 6", least=1, most=3600),
+    Option("--joints", 6, "joints of the main graph", least=1, most=16),
+    Option("--rate", 2000, "rate of the main graph [Hz]", least=1, most=10_000),
+    Option("--layout", "composed", "layout of the main graph", choices=tuple(LAYOUTS)),
+    Option("--only", "", f"only some sections, separated by commas, of {', '.join(SECTIONS)}"),
+    Option("--profile", default=False, text="also measure each stage of a tick"),
+    Option("--output", Path("build/bench.json"), "file of the figures"),
+)
 
 
 def parse_options(arguments: Sequence[str]) -> Namespace:
@@ -51,38 +60,13 @@ def parse_options(arguments: Sequence[str]) -> Namespace:
         ParameterError: An option is unknown or its value is invalid.
 
     """
-    description = "Measure the speed of the stack."
-    parser = CommandLineParser(prog="make bench", description=description, help_call="make bench BENCH=--help")
-    parser.add_argument("--quick", action="store_true", help="a minute instead of nine: fewer and shorter runs")
-    parser.add_argument(
-        "--seconds",
-        type=float,
-        help="measured time of the graph, and as long of the pass-through graph; default: 60, with --quick 6",
-    )
-    parser.add_argument("--joints", type=int, default=6, help="joints of the main graph; default: 6")
-    parser.add_argument("--rate", type=int, default=2000, help="rate of the main graph [Hz]; default: 2000")
-    parser.add_argument(
-        "--layout", choices=list(LAYOUTS), default="composed", help="layout of the main graph; default: composed"
-    )
-    parser.add_argument(
-        "--only", type=_parse_sections, metavar="SECTION,...", help=f"only some sections of {', '.join(SECTIONS)}"
-    )
-    parser.add_argument("--profile", action="store_true", help="also measure each stage of a tick")
-    parser.add_argument("--output", type=Path, default=Path("build/bench.json"), help="default: build/bench.json")
-    options = parser.parse_args(list(arguments))
-    for name, least, most in (("joints", 1, MAX_JOINTS), ("rate", 1, MAX_RATE_HZ), ("seconds", 1, 3600)):
-        value = getattr(options, name)
-        if value is not None and not least <= value <= most:
-            raise ParameterError(f"--{name} {value:g}", where=parser.prog, expected=f"{least} to {most}")
+    options = parse(PROGRAM, "Measure the speed of the stack.", OPTIONS, arguments, "make bench BENCH=--help")
+    options.seconds = options.seconds or (6.0 if options.quick else 60.0)
+    options.only = tuple(options.only.split(",")) if options.only else ()
+    if unknown := [name for name in options.only if name not in SECTIONS]:
+        expected = f"some of {', '.join(SECTIONS)}"
+        raise ParameterError(f"--only: unknown section '{unknown[0]}'", where=PROGRAM, expected=expected)
     return options
-
-
-def _parse_sections(text: str) -> tuple[str, ...]:
-    names = tuple(text.split(","))
-    unknown = [name for name in names if name not in SECTIONS]
-    if unknown:
-        raise argparse.ArgumentTypeError(f"unknown section '{unknown[0]}'; expected some of {', '.join(SECTIONS)}")
-    return names
 
 
 def plan_of(options: Namespace) -> BenchmarkPlan:
@@ -92,9 +76,9 @@ def plan_of(options: Namespace) -> BenchmarkPlan:
         joints=options.joints,
         rate=options.rate,
         layout=options.layout,
-        seconds=options.seconds or (6.0 if quick else 60.0),
+        seconds=options.seconds,
         rounds=1 if quick else 6,
-        point_s=min(options.seconds or 60.0, 2.0 if quick else 5.0),
+        point_s=min(options.seconds, 2.0 if quick else 5.0),
         offline_s=20 if quick else SECONDS,
         growth_joints=(1, 2) if quick else (1, 2, 4, 8, 16),
         growth_rate=GROWTH_HZ,
@@ -105,11 +89,7 @@ def plan_of(options: Namespace) -> BenchmarkPlan:
 @reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; the exit code is 0 if all sections could be measured."""
-    _run_benchmark(parse_options(sys.argv[1:] if arguments is None else arguments))
-    return 0
-
-
-def _run_benchmark(options: Namespace) -> None:
+    options = parse_options(sys.argv[1:] if arguments is None else arguments)
     check_writable(options.output)
     console = Console(highlight=False, soft_wrap=True, markup=False)
     results: dict[str, Any] = {"host": host_description()}
@@ -120,6 +100,7 @@ def _run_benchmark(options: Namespace) -> None:
     finally:
         if len(results) > 1:  # also after an error
             _write_results(options, results, console)
+    return 0
 
 
 def _measure_sections(options: Namespace, results: dict[str, Any], stop: StopSignal, console: Console) -> None:
@@ -143,14 +124,13 @@ def _measure_sections(options: Namespace, results: dict[str, Any], stop: StopSig
 
 
 def _write_results(options: Namespace, results: dict[str, Any], console: Console) -> None:
-    """Print the tables, write the JSON file, draw the growth."""
-    table_console = Console(width=WIDTH)
+    """Print the tables, write the JSON file and the page of the growth."""
     for table in result_tables(results).values():
-        table_console.print(table.to_rich())
+        Console(width=WIDTH).print(table.to_rich())
     if "growth" in results:
-        picture = options.output.with_name(f"{options.output.stem}_growth.png")
-        picture.write_bytes(draw_growth(results["growth"], options.joints, GROWTH_HZ))
-        console.print(f"figure drawn in {picture}")
+        page = options.output.with_name(f"{options.output.stem}_growth.html")
+        page.write_text(growth_page(results["growth"], options.joints, GROWTH_HZ), encoding="utf-8")
+        console.print(f"plots written to {page}")
     write_json(options.output, results)
 
 

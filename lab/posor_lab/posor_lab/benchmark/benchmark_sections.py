@@ -30,7 +30,7 @@ MAX_SPIN_US = 1000
 PRIORITY = 50
 """SCHED_FIFO priority that is requested; where the system refuses it, the figures are those without."""
 FAULT_INTERVAL = 100
-"""With faults, one of so many scans of the first joint lacks a reading."""
+"""With faults, every hundredth scan of the first joint lacks a reading."""
 RATE_LADDER = (500, 1000, 1500, 2000, 2500, 3000, 3500, 4000, 5000, 6000, 8000, 10_000)
 """Rates [Hz] for the search of the highest rate."""
 SEPARATE_LADDER = (125, 250, 500, 1000)
@@ -38,7 +38,7 @@ SEPARATE_LADDER = (125, 250, 500, 1000)
 SEPARATE_LOST = 1e-3
 """Share of lost ticks that is allowed there."""
 TRIES = 2
-"""A rate fails only if it fails so many times: the host may have paused once."""
+"""A rate fails only if it fails this many times: the host may have paused once."""
 
 
 @dataclass(frozen=True)
@@ -172,23 +172,24 @@ class BenchmarkSections:
         plan, layouts = self._plan, [layout for layout in LAYOUTS if layout != "separate"]
         return {"layouts": {layout: self._graph_figures(layout, plan.joints, plan.rate) for layout in layouts}}
 
+    def _variant_figures(self, text: str, arm: Arm, spin_us: int = SPIN_US, priority: int = 0) -> dict[str, Any]:
+        """Return the figures of the main graph with another arm, or other waiting of the drivers."""
+        plan = self._plan
+        self._print_line(f"graph, {plan.joints} joints at {plan.rate} Hz, {text}: {plan.point_s:g} s")
+        load = GraphLoad(arm, "graph", plan.layout, plan.rate, spin_us, priority)
+        return run_figures([self._measurement.measure_graph(load, plan.point_s)])
+
     def waiting(self) -> dict[str, Any]:
         """Measure the main graph with drivers that always sleep, wake shortly before a tick, or never sleep."""
-        plan, figures = self._plan, {}
-        ways = {f"spin_us {spin_us}": (spin_us, 0) for spin_us in (0, SPIN_US, plan.full_spin_us)}
+        ways = {f"spin_us {spin_us}": (spin_us, 0) for spin_us in (0, SPIN_US, self._plan.full_spin_us)}
         ways[f"spin_us {SPIN_US}, priority {PRIORITY}"] = SPIN_US, PRIORITY
-        for way, (spin_us, priority) in ways.items():
-            self._print_line(f"graph, {plan.joints} joints at {plan.rate} Hz, {way}: {plan.point_s:g} s")
-            load = GraphLoad(self._arms[plan.joints], "graph", plan.layout, plan.rate, spin_us, priority)
-            figures[way] = run_figures([self._measurement.measure_graph(load, plan.point_s)])
-        return {"waiting": figures}
+        arm = self._arms[self._plan.joints]
+        return {"waiting": {way: self._variant_figures(way, arm, *settings) for way, settings in ways.items()}}
 
     def faults(self) -> dict[str, Any]:
         """Measure the main graph while scans of one joint lack a reading: reporting faults takes time."""
-        plan = self._plan
-        self._print_line(f"graph, one scan in {FAULT_INTERVAL} of one joint faulty: {plan.point_s:g} s")
-        load = GraphLoad(self._arms.with_faults(plan.joints), "graph", plan.layout, plan.rate)
-        return {"faults": run_figures([self._measurement.measure_graph(load, plan.point_s)])}
+        arm = self._arms.with_faults(self._plan.joints)
+        return {"faults": self._variant_figures(f"one scan in {FAULT_INTERVAL} of one joint faulty", arm)}
 
     def growth(self) -> dict[str, Any]:
         """Measure the processor time by joints and by rate."""
@@ -208,30 +209,27 @@ class BenchmarkSections:
     def highest(self) -> dict[str, Any]:
         """Search the highest rate without lost ticks, and with less than ``OVERLOADED`` lost."""
         measured: dict[int, list[float]] = {}
-
-        def lost_share(rate: int) -> float:
-            return self._lost_share(self._plan.layout, rate)
-
-        def highest_rate(allowed: float) -> int | None:
-            return find_highest_rate(lambda rate: least_lost_share(lost_share, rate, allowed, measured), allowed)
-
         return {
-            "highest_rate_hz": highest_rate(0.0),
-            "highest_rate_nearly_hz": highest_rate(OVERLOADED),
+            "highest_rate_hz": self._highest_rate(self._plan.layout, 0.0, RATE_LADDER, measured),
+            "highest_rate_nearly_hz": self._highest_rate(self._plan.layout, OVERLOADED, RATE_LADDER, measured),
             "highest_rate_lost": {str(rate): min(measured[rate]) for rate in sorted(measured)},
         }
 
     def separate(self) -> dict[str, Any]:
         """Search the highest rate with one process for each node and at most ``SEPARATE_LOST`` lost."""
         measured: dict[int, list[float]] = {}
-
-        def lost_share(rate: int) -> float:
-            return least_lost_share(lambda rate: self._lost_share("separate", rate), rate, SEPARATE_LOST, measured)
-
         return {
-            "highest_rate_separate_hz": find_highest_rate(lost_share, SEPARATE_LOST, SEPARATE_LADDER),
+            "highest_rate_separate_hz": self._highest_rate("separate", SEPARATE_LOST, SEPARATE_LADDER, measured),
             "highest_rate_separate_lost": {str(rate): min(measured[rate]) for rate in sorted(measured)},
         }
+
+    def _highest_rate(
+        self, layout: Layout, allowed: float, ladder: Sequence[int], measured: dict[int, list[float]]
+    ) -> int | None:
+        def lost_share(rate: int) -> float:
+            return least_lost_share(lambda rate: self._lost_share(layout, rate), rate, allowed, measured)
+
+        return find_highest_rate(lost_share, allowed, ladder)
 
     def _lost_share(self, layout: Layout, rate: int) -> float:
         """Return the share of lost ticks of the graph with the joints of the main graph."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from functools import partial
 from statistics import fmean
 from time import process_time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from posor.bags.bag_reader import counted_messages, opened_bag
 from posor.estimation.posor import Posor
@@ -15,17 +16,16 @@ from posor_ros.message_conversion import scan_from_message
 from rclpy.serialization import deserialize_message
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from posor.chain.arm_file import Arm
-    from posor.model.scan import Scan
 
 ROUNDS = 5
 
 
 def least_us(calls: int, work: Callable[[], object]) -> float:
-    """Return the least processor time [us] per call of work that makes so many calls."""
+    """Return the least processor time of ``work`` in several rounds, per call of the estimator [us]."""
     seconds = []
     for _ in range(ROUNDS):
         begin = process_time()
@@ -38,24 +38,17 @@ def estimator_figures(arm: Arm, bag: Path) -> dict[str, float]:
     """Return ``kernel_us`` (all scans in one call) and ``scan_us`` (scan by scan) [us], means over the joints."""
     many, single = [], []
     for joint in arm.calibrations:
-        posor, scans = Posor(arm.calibration(joint)), _read_scans(bag, f"/{arm.name}/{joint}/{RAW_TOPIC}")
-        arrays = Scans.of(scans)
-
-        def estimate_all(posor: Posor = posor, arrays: Scans = arrays) -> None:
-            posor.reset()
-            posor.estimate_all(arrays)
-
-        def estimate_each(posor: Posor = posor, scans: list[Scan] = scans) -> None:
-            posor.reset()
-            for scan in scans:
-                posor.estimate(scan)
-
-        many.append(least_us(len(scans), estimate_all))
-        single.append(least_us(len(scans), estimate_each))
+        topic = f"/{arm.name}/{joint}/{RAW_TOPIC}"
+        with opened_bag(bag) as reader:
+            records = counted_messages(reader, (topic,), str(bag))
+            scans = [scan_from_message(deserialize_message(data, RawScan)) for _, _, data in records]
+        posor, arrays = Posor(arm.calibration(joint)), Scans.of(scans)
+        many.append(least_us(len(scans), partial(_estimate, posor, posor.estimate_all, [arrays])))
+        single.append(least_us(len(scans), partial(_estimate, posor, posor.estimate, scans)))
     return {"kernel_us": fmean(many), "scan_us": fmean(single)}
 
 
-def _read_scans(bag: Path, topic: str) -> list[Scan]:
-    with opened_bag(bag) as reader:
-        records = counted_messages(reader, (topic,), str(bag))
-        return [scan_from_message(deserialize_message(data, RawScan)) for _, _, data in records]
+def _estimate(posor: Posor, estimate: Callable[[Any], object], parts: Sequence[Any]) -> None:
+    posor.reset()
+    for part in parts:
+        estimate(part)

@@ -26,6 +26,8 @@ from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_ros.qos import sensor_publisher_qos
 
+from posor_lab.instruments.simulated_readings import quantity
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
@@ -60,23 +62,15 @@ def generate_arm(folder: Path, joints: int, scans: Path) -> Arm:
     for joint, calibration in chain.calibrations.items():
         _write(folder / f"{joint}.yaml", calibration)
     _write(folder / "scenario.yaml", _scenario(_read(parts.scenario), list(chain.calibrations)))
+    driver = {"looped.path": str(scans), "looped.topic": f"/{{arm}}/{{joint}}/{RAW_TOPIC}"}
     content = {
-        "format": "posor_arm",
-        "version": 1,
-        "name": NAME,
-        "provenance": PROVENANCE,
+        **_head("posor_arm"),
         "urdf": "bench.urdf",
         "endpoint_frame": chain.endpoint,
         "beams": "beams.yaml",
         "joints": {joint: {"calibration": f"{joint}.yaml"} for joint in chain.calibrations},
         "chain": {"parameters": dict(parts.chain_parameters)},
-        "driver": {
-            "source": "looped",
-            "parameters": {
-                "looped.path": str(scans),
-                "looped.topic": f"/{{arm}}/{{joint}}/{RAW_TOPIC}",
-            },
-        },
+        "driver": {"source": "looped", "parameters": driver},
         "scenario": "scenario.yaml",
     }
     _write(folder / "arm.yaml", content)
@@ -89,7 +83,7 @@ def record_scans(arm: Arm, path: Path, fault_interval: int = 0) -> None:
     Args:
         arm: The arm.
         path: Path of the bag.
-        fault_interval: One of so many scans of the first joint lacks a reading; 0: no faults.
+        fault_interval: Scans of the first joint from one without a reading to the next; 0: no faults.
 
     """
     simulation, types = ArmSimulation(arm, SIMULATED), MessageTypes()
@@ -166,26 +160,23 @@ def _end(joint: ET.Element, which: str) -> str:
     return "" if found is None else str(found.get("link"))
 
 
+def _head(file_format: str) -> dict[str, Any]:
+    return {"format": file_format, "version": 1, "name": NAME, "provenance": PROVENANCE}
+
+
 def _scenario(content: Any, joints: list[str]) -> dict[str, Any]:
     """Return a scenario with the given electronics and perfect joints that moves away from home and back."""
     seconds = TICKS / RATE
     rest, away = 0.1 * seconds, 0.8 * seconds
     reach = SPEED * away / 2.0
-    still = {"kind": "rest", "duration": {"value": rest, "unit": "s"}}
-    there = {
-        "kind": "spline",
-        "duration": {"value": away, "unit": "s"},
-        "joints": joints,
-        "through": {"value": [[reach] * len(joints), [0.0] * len(joints)], "unit": "rad"},
-    }
+    still = {"kind": "rest", "duration": quantity(rest, "s")}
+    through = quantity([[reach] * len(joints), [0.0] * len(joints)], "rad")
+    there = {"kind": "spline", "duration": quantity(away, "s"), "joints": joints, "through": through}
     return {
-        "format": "posor_scenario",
-        "version": 1,
-        "name": NAME,
-        "provenance": PROVENANCE,
+        **_head("posor_scenario"),
         "seed": content["seed"],
-        "rate": {"value": RATE, "unit": "Hz"},
-        "duration": {"value": seconds, "unit": "s"},
+        "rate": quantity(RATE, "Hz"),
+        "duration": quantity(seconds, "s"),
         "joints": {joint: {} for joint in joints},
         "motion": [still, there, still],
         "electronics": content["electronics"],

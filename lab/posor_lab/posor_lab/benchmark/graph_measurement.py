@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
-import re
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,9 +17,11 @@ from posor_lab.benchmark.graph_load import GraphLoad, graph_programs
 from posor_lab.benchmark.tick_statistics import COUNTERS, MeasuredRun, TickWindow, evaluate_window
 from posor_lab.harness.graph import Graph, values_of
 from posor_lab.reports.console_progress import InterruptedRunError
+from posor_lab.soak.process_sample import ProcessSample
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
 
     from posor_bringup.supervisor import RunningProgram
 
@@ -72,15 +71,18 @@ class GraphMeasurement:
             running = [supervisor.start(program) for program in graph_programs(load, folder)]
             self._wait_for_line(supervisor, receiver, latency_receiver.FIRST_POSE, "the first pose")
             self._wait(supervisor, WARM_UP_S)
-            totals, begin = self._take_totals(), _ProcessUsage(running)
+            totals, begin_ns, begin = self._take_totals(), time.time_ns(), _take_samples(running)
             self._wait(supervisor, seconds)
-            end = _ProcessUsage(running)
+            end_ns, end = time.time_ns(), _take_samples(running)
             self._wait(supervisor, SETTLING_S)
             counters = _growth(totals, self._take_totals())
             supervisor.end(running)
             supervisor.end([receiver])
-        window = TickWindow(begin.time_ns, end.time_ns, load.rate)
-        return evaluate_window(np.load(rows), window, counters, begin.cores_until(end), end.memory_mb)
+        cores = {
+            name: (end[name].used_s - used.used_s) / (end[name].seconds - used.seconds) for name, used in begin.items()
+        }
+        memory_mb = {name: sample.memory_mb for name, sample in end.items()}
+        return evaluate_window(np.load(rows), TickWindow(begin_ns, end_ns, load.rate), counters, cores, memory_mb)
 
     def measure_empty_loop(self, rate: int, spin_us: int, seconds: float) -> dict[str, Any]:
         """Return how late an empty loop is for its ticks, see ``empty_loop``."""
@@ -147,29 +149,5 @@ def _growth(before: Mapping[tuple[str, str], int], after: Mapping[tuple[str, str
     return dict(zip(COUNTERS, (combine(grown[name]) for name, combine in TOTALS.items()), strict=True))
 
 
-class _ProcessUsage:
-    """Processor time and memory of processes at one moment, from /proc."""
-
-    def __init__(self, running: Sequence[RunningProgram]) -> None:
-        self.time_ns = time.time_ns()
-        self._steady_s = time.monotonic()
-        self._used_s = {started.program.name: _processor_time_s(started.process.pid) for started in running}
-        self.memory_mb = {started.program.name: _memory_mb(started.process.pid) for started in running}
-
-    def cores_until(self, later: _ProcessUsage) -> dict[str, float]:
-        """Return the processor time [s/s] of each process between two moments."""
-        seconds = later._steady_s - self._steady_s
-        return {name: (later._used_s[name] - used) / seconds for name, used in self._used_s.items()}
-
-
-def _processor_time_s(pid: int) -> float:
-    """Return the processor time of a process, user and system [s]."""
-    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
-    return sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")
-
-
-def _memory_mb(pid: int) -> float:
-    """Return the resident memory of a process [MB]."""
-    status = Path(f"/proc/{pid}/status").read_text(encoding="ascii")
-    (kilobytes,) = re.findall(r"VmRSS:\s+(\d+) kB", status)
-    return int(kilobytes) * 1024e-6
+def _take_samples(running: Sequence[RunningProgram]) -> dict[str, ProcessSample]:
+    return {each.program.name: ProcessSample.take(each.process.pid, time.monotonic()) for each in running}

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from matplotlib.figure import Figure
-from posor.reporting.figure_style import BLUE, GREY, ORANGE, style_axes, to_png
+from markupsafe import Markup
+from posor.reporting.figure_style import BLUE, ORANGE
+from posor.reporting.html_page import Section, render_page
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from matplotlib.axes import Axes
+    from posor.reporting.plot import Plot
 
 By = Literal["joints", "rate"]
 LABELS: dict[By, str] = {"joints": "joints", "rate": "rate [Hz]"}
@@ -52,38 +53,32 @@ def is_overloaded(point: dict[str, Any]) -> bool:
     return bool(point["lost"] >= OVERLOADED * point["expected"])
 
 
-def draw_growth(points: Sequence[dict[str, Any]], joints: int, rate: int) -> bytes:
-    """Return a picture (PNG): cores against joints at one rate and against rate for one arm, residuals below."""
-    figure = Figure(figsize=(9.0, 5.0), layout="constrained")
-    axes = figure.subplots(2, 2, sharex="col", height_ratios=(3, 1))
-    columns: tuple[tuple[By, int, str], ...] = (
-        ("joints", rate, f"{rate} Hz"),
-        ("rate", joints, f"{joints} joints"),
-    )
-    for (by, other, title), (above, below) in zip(columns, axes.T, strict=True):
-        _draw_series(above, below, select_series(points, by, other), by)
-        above.set_title(f"All nodes in one process, {title}")
-        below.set_xlabel(LABELS[by])
-    axes[0, 0].set_ylabel("processor time [cores]")
-    axes[1, 0].set_ylabel("residual [cores]")
-    return to_png(figure)
+def growth_page(points: Sequence[dict[str, Any]], joints: int, rate: int) -> str:
+    """Return a page: cores against joints at one rate and against rate for one arm, residuals below."""
+    series: tuple[tuple[By, int, str], ...] = (("joints", rate, "Hz"), ("rate", joints, "joints"))
+    sections = [
+        Section(f"All nodes in one process, {other} {unit}", Markup(), _plots(select_series(points, by, other), by))
+        for by, other, unit in series
+    ]
+    count = sum(map(is_overloaded, points))
+    verdict = f"{len(points)} graphs measured, {count} overloaded."
+    return render_page("Growth of the processor time", verdict, holds=count == 0, sections=sections)
 
 
-def _draw_series(above: Axes, below: Axes, points: Sequence[dict[str, Any]], by: By) -> None:
-    fit = fit_line(points, by)
-    if fit is not None:
+def _plots(points: Sequence[dict[str, Any]], by: By) -> list[Plot]:
+    from posor.reporting.plot import Plot  # noqa: PLC0415  takes a second to load
+
+    above = Plot(f"processor time by {by}", LABELS[by], "processor time [cores]")
+    below = Plot(f"residuals by {by}", LABELS[by], "residual [cores]", x_of=above)
+    if (fit := fit_line(points, by)) is not None:
         ends = np.array([0.0, max(fit.at)])
-        above.plot(ends, fit.cores_at_zero + fit.cores_each * ends, color=BLUE, lw=1.0, label="straight line")
-        below.vlines(fit.at, 0.0, fit.residuals_cores, color=BLUE)
-        below.plot(fit.at, fit.residuals_cores, "o", color=BLUE, ms=4)
-    below.axhline(0.0, color=GREY, lw=0.8)
-    for overloaded, marker, colour, label in ((False, "o", BLUE, "measured"), (True, "x", ORANGE, "overloaded")):
+        above.curve("straight line", ends, fit.cores_at_zero + fit.cores_each * ends, BLUE)
+        below.curve("residual", fit.at, fit.residuals_cores, BLUE, dash=None, marker="circle")
+    below.zero()
+    above.zero()
+    for overloaded, marker, colour, name in ((False, "circle", BLUE, "measured"), (True, "x", ORANGE, "overloaded")):
         shown = [point for point in points if is_overloaded(point) is overloaded]
+        at, cores = [point[by] for point in shown], [point["cpu_cores"] for point in shown]
         if shown:
-            cores = [point["cpu_cores"] for point in shown]
-            above.plot([point[by] for point in shown], cores, marker, color=colour, label=label)
-    above.set_ylim(bottom=0.0)
-    if points:
-        above.legend(frameon=False)
-    for ax in (above, below):
-        style_axes(ax)
+            above.curve(name, at, cores, colour, dash=None, marker=marker)
+    return [above, below]

@@ -9,14 +9,14 @@ from __future__ import annotations
 import gc
 import sys
 from array import array
-from struct import Struct
 from time import time_ns
 from typing import Any
 
 import numpy as np
 import rclpy
 from geometry_msgs.msg import PoseStamped
-from posor.numerics.stamps import NS
+from posor.messages.cdr_schema import STAMP
+from posor_ros.cdr_transform import stamp_ns_of
 from posor_ros.node_program import StopSignal, non_ros_arguments
 from rclpy.impl.implementation_singleton import rclpy_implementation as implementation
 from rclpy.node import Node
@@ -28,7 +28,6 @@ READY, FIRST_POSE = "listening", "receiving"
 """Printed after subscribing, and at the first pose."""
 DEPTH = 1000
 WAIT_NS = 100_000_000
-_STAMP = Struct("<iI")
 
 
 def receive_poses(topic: str, stop: StopSignal) -> array[int]:
@@ -52,10 +51,9 @@ def receive_poses(topic: str, stop: StopSignal) -> array[int]:
             wait_set.wait(WAIT_NS)
             while (taken := handle.take_message(PoseStamped, True)) is not None:  # noqa: FBT003  raw
                 now_ns, (data, info) = time_ns(), taken
-                sec, nanosec = _STAMP.unpack_from(data, 4)
                 if not rows:
                     print(FIRST_POSE, flush=True)
-                times_ns = sec * NS + nanosec, info["source_timestamp"], now_ns
+                times_ns = stamp_ns_of(data[STAMP]), info["source_timestamp"], now_ns
                 rows.extend((*times_ns, info["publication_sequence_number"]))
     node.destroy_node()
     try_shutdown()

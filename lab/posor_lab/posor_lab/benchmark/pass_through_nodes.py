@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from posor.messages.cdr_schema import STAMP
 from posor.node_parameters import NodeParameters
 from posor.ros_names import (
     ENDPOINT_COVARIANCE_TOPIC,
@@ -29,10 +30,8 @@ from sensor_msgs.msg import JointState
 if TYPE_CHECKING:
     from pathlib import Path
 
-STAMP = slice(4, 12)
-"""Position of the stamp in a serialised message with a header."""
 MAX_OPEN_STAMPS = 1000
-"""Stamps that wait for further joints; of more the oldest is dropped."""
+"""Most stamps that wait for further joints; beyond, the oldest is dropped."""
 
 
 class _PreparedMessage:

@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import json
 import sys
-from importlib import import_module
 from pathlib import Path
-from struct import Struct
+from pkgutil import resolve_name
 from time import time_ns
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from posor.numerics.stamps import NS
+from posor.messages.cdr_schema import STAMP
 from posor_estimator.compose_command import main as compose
+from posor.messages.joint_transform import stamp_ns_of
+from posor_ros.intra_process import IntraProcessPublisher
 from posor_ros.node_program import non_ros_arguments
 
 from posor_lab.benchmark.stopwatch import Stopwatches
@@ -24,37 +25,23 @@ from posor_lab.benchmark.stopwatch import Stopwatches
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-STAGES = (
-    ("posor_drivers.tick_scheduler", "TickTask", "run_tick", "driver: schedule the ticks, other"),
-    ("posor.messages.raw_scan", "ScanTemplate", "at", "driver: stamp into the scan"),
-    ("posor_estimator.posor_node", "PosorEstimatorNode", "_on_raw_scan", "posor_node: other"),
-    (
-        "posor.messages.message_stream",
-        "RawScanStream",
-        "estimate_message",
-        "posor_node: bytes of the scan and the transform",
+STAGES = {
+    "posor_drivers.tick_scheduler:TickTask.run_tick": "driver: schedule the ticks, other",
+    "posor.messages.raw_scan:ScanTemplate.at": "driver: stamp into the scan",
+    "posor_estimator.posor_node:PosorEstimatorNode._on_raw_scan": "posor_node: other",
+    "posor.messages.message_stream:RawScanStream.estimate_message": (
+        "posor_node: bytes of the scan and the transform"
     ),
-    (
-        "posor.messages.message_stream",
-        "MessageEstimator",
-        "estimate_rows",
-        "posor_node: read, estimate, write",
-    ),
-    ("posor_estimator.chain_node", "ChainNode", "_on_transform", "chain_node: other"),
-    ("posor.chain.time_synchroniser", "TimeSynchroniser", "add", "chain_node: synchronise"),
-    (
-        "posor.chain.endpoint_estimator",
-        "EndpointEstimator",
-        "estimate_rows",
-        "chain_node: read the transforms, endpoint",
-    ),
-    ("posor_estimator.cdr_writer", "MessageWriter", "write", "chain_node: numbers into bytes"),
-)
-"""Module, class, method and name of each stage; publishing is one more stage for each message type."""
+    "posor.messages.message_stream:MessageEstimator.estimate_rows": "posor_node: read, estimate, write",
+    "posor_estimator.chain_node:ChainNode._on_transform": "chain_node: other",
+    "posor.chain.time_synchroniser:TimeSynchroniser.add": "chain_node: synchronise",
+    "posor.chain.endpoint_estimator:EndpointEstimator.estimate_rows": ("chain_node: read the transforms, endpoint"),
+    "posor_estimator.cdr_writer:MessageWriter.write": "chain_node: numbers into bytes",
+}
+"""Method and name of each stage; publishing is one more stage for each message type."""
 SCAN, POSE = "RawScan", "PoseStamped"
 MILESTONES = ("stamp_to_first_scan_us", "first_to_last_scan_us", "last_scan_to_pose_us")
 WARM_UP_TICKS = 100
-_STAMP = Struct("<iI")
 
 
 class TickMilestones:
@@ -74,7 +61,7 @@ class TickMilestones:
 
     def on_scan(self, data: bytes) -> None:
         """Store the time of a scan."""
-        stamp_ns, now_ns = _stamp_ns(data), time_ns()
+        stamp_ns, now_ns = stamp_ns_of(data[STAMP]), time_ns()
         if stamp_ns != self._stamp_ns:
             self._stamp_ns, self._first_ns = stamp_ns, now_ns
         self._last_ns = now_ns
@@ -82,7 +69,7 @@ class TickMilestones:
     def on_pose(self, data: bytes) -> None:
         """Store the intervals of a tick when its pose has been published."""
         now_ns = time_ns()
-        if _stamp_ns(data) != self._stamp_ns:
+        if stamp_ns_of(data[STAMP]) != self._stamp_ns:
             return
         first_ns, last_ns = self._first_ns, self._last_ns
         self.intervals_ns.append((first_ns - self._stamp_ns, last_ns - first_ns, now_ns - last_ns))
@@ -92,17 +79,12 @@ class TickMilestones:
             self._on_warm()
 
 
-def _stamp_ns(data: bytes) -> int:
-    sec, nanosec = _STAMP.unpack_from(data, 4)
-    return int(sec * NS + nanosec)
-
-
 def install_stopwatches(watches: Stopwatches, milestones: TickMilestones) -> None:
     """Put a stopwatch around every stage; call it before nodes are created."""
-    for module, name, method, stage in STAGES:
-        kind = getattr(import_module(module), name)
-        setattr(kind, method, watches.timed(getattr(kind, method), stage))
-    publisher_type = import_module("posor_ros.intra_process").IntraProcessPublisher
+    for place, stage in STAGES.items():
+        kind, _, method = place.rpartition(".")
+        setattr(resolve_name(kind), method, watches.timed(resolve_name(place), stage))
+    publisher_type: Any = IntraProcessPublisher
     publish = watches.timed(publisher_type.publish, lambda publisher, *_: f"publish {publisher.message_type.__name__}")
 
     def publish_and_store(publisher: Any, data: bytes) -> None:

@@ -66,13 +66,13 @@ class Stopwatches:
 
     def _calibrate(self) -> None:
         """Measure the time that a stopwatch adds to its own stage and to the calling stage."""
-        nothing, rounds = self.timed(lambda: None, "nothing"), list[tuple[float, float]]()
+        nothing, rounds = self.timed(lambda: None, "no-op"), list[tuple[float, float]]()
         for _ in range(CALIBRATION_ROUNDS):
             self.restart()
             begin = self._now_ns()
             for _ in range(CALLS):
                 nothing()
-            rounds.append(((self._now_ns() - begin) / CALLS, self._stages["nothing"].own_ns / CALLS))
+            rounds.append(((self._now_ns() - begin) / CALLS, self._stages["no-op"].own_ns / CALLS))
         whole_ns, self._inside_ns = min(rounds)
         self._outside_ns = whole_ns - self._inside_ns
         self._thread = 0
@@ -84,10 +84,8 @@ class Stopwatches:
 
     def stage_times(self) -> dict[str, tuple[int, float]]:
         """Return calls and time [us] of each stage without the cost of the stopwatches."""
-        return {
-            name: (
-                stage.calls,
-                (stage.own_ns - stage.calls * self._inside_ns - stage.timed_calls * self._outside_ns) / 1e3,
-            )
-            for name, stage in self._stages.items()
-        }
+
+        def own_us(stage: StageTime) -> float:
+            return (stage.own_ns - stage.calls * self._inside_ns - stage.timed_calls * self._outside_ns) / 1e3
+
+        return {name: (stage.calls, own_us(stage)) for name, stage in self._stages.items()}

@@ -12,12 +12,14 @@ from posor.numerics.stamps import first_tick_after, tick_stamp_ns
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from posor.numerics.array_types import FloatArray, IntArray
+    from posor.numerics.array_types import IntArray
 
 STAMP, PUBLISHED, RECEIVED, NUMBER = range(4)
 """Columns of the rows that ``latency_receiver`` writes."""
 PERCENTILES = {"p50_us": 50.0, "p99_us": 99.0, "p999_us": 99.9, "max_us": 100.0}
 COUNTERS = ("ticks_missed", "incomplete", "refused")
+"""Ticks missed by a driver, the largest of all drivers; scans without a joint; scans refused by the chain."""
+USAGE = ("cpu_cores", "memory_mb")
 
 
 class NothingReceivedError(PosorError):
@@ -52,9 +54,7 @@ class MeasuredRun:
     published_ns: IntArray  # from the stamp of each pose to its publication, (n,)
     expected: int  # number of ticks in the window
     not_received: int  # number of poses that were published but not received
-    counters: Mapping[str, int]
-    """Counters of the nodes from shortly before to shortly after the window: ticks missed by a driver (the largest
-    of all drivers), scans without a joint, scans refused by the chain."""
+    counters: Mapping[str, int]  # growth of ``COUNTERS`` of the nodes over the window and a little more
     cpu_cores: Mapping[str, float]  # processor time of each process [s/s]
     memory_mb: Mapping[str, float]  # resident memory of each process
 
@@ -101,31 +101,22 @@ def evaluate_window(
 
 def run_figures(runs: Sequence[MeasuredRun]) -> dict[str, Any]:
     """Return the figures of several runs of the same graph as if they were one run."""
-    latencies_ns = np.concatenate([run.latencies_ns for run in runs])
     published = percentiles_us(np.concatenate([run.published_ns for run in runs]))
+    latencies_ns = np.concatenate([run.latencies_ns for run in runs])
     lost, not_received = sum(run.lost for run in runs), sum(run.not_received for run in runs)
     processes = {
-        name: {
-            "cpu_cores": _mean([run.cpu_cores[name] for run in runs]),
-            "memory_mb": _mean([run.memory_mb[name] for run in runs]),
-        }
-        for name in runs[0].cpu_cores
+        process: {name: float(np.mean([getattr(run, name)[process] for run in runs])) for name in USAGE}
+        for process in runs[0].cpu_cores
     }
     return {
         **percentiles_us(latencies_ns),
-        "published_p50_us": published["p50_us"],
-        "published_p99_us": published["p99_us"],
+        **{f"published_{name}": published[name] for name in ("p50_us", "p99_us")},
         "expected": sum(run.expected for run in runs),
         "received": len(latencies_ns),
         "lost": lost,
         "not_received": not_received,
         "not_published": lost - not_received,
         **{name: sum(run.counters[name] for run in runs) for name in COUNTERS},
-        "cpu_cores": sum(process["cpu_cores"] for process in processes.values()),
-        "memory_mb": sum(process["memory_mb"] for process in processes.values()),
+        **{name: sum(process[name] for process in processes.values()) for name in USAGE},
         "processes": processes,
     }
-
-
-def _mean(values: Sequence[float] | FloatArray) -> float:
-    return float(np.mean(values))

@@ -11,6 +11,8 @@ from posor.chain.arm_file import load_arm
 from posor_bringup.arms import ARM_FILE, find_arm
 from posor_drivers.simulator.imperfections import Imperfections
 
+from posor_lab.instruments.simulated_readings import quantity
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
@@ -23,6 +25,8 @@ RATES: Mapping[Arm, int] = {"six_axis": 50, "five_axis": 50, "test_rig": 100}
 """Scans per second that two processors can follow with all drivers and nodes."""
 AMPLITUDES: Mapping[Arm, float] = {"six_axis": 0.03, "five_axis": 0.06, "test_rig": 0.03}
 """Of the motion about home [rad]: bumpy rings move by more than a bump and pass their home marks once a second."""
+CYCLE_S = 20
+"""Usual duration of the scenario's cycle."""
 WAYPOINT_S = 1.0
 """Usual time between two waypoints of the motion."""
 IMPERFECTIONS = Imperfections(dropouts=False, zero_drift=False)
@@ -31,15 +35,9 @@ IMPERFECTION_PARAMETERS = {f"simulated.{name}": getattr(IMPERFECTIONS, name) for
 """The same as parameters of the drivers."""
 
 
-def quantity(value: float, unit: str) -> dict[str, Any]:
-    """Return an entry of a file."""
-    return {"value": value, "unit": unit}
-
-
-def fault_entry(joint: str, kind: str, begin_s: float, end_s: float, **entries: Any) -> dict[str, Any]:
+def fault_entry(joint: str, entries: Mapping[str, Any], begin_s: float, end_s: float) -> dict[str, Any]:
     """Return an entry of ``faults`` of a scenario file."""
-    times = {"from": quantity(begin_s, "s"), "until": quantity(end_s, "s")}
-    return {"joint": joint, "kind": kind, **times, **entries}
+    return {"joint": joint, "from": quantity(begin_s, "s"), "until": quantity(end_s, "s"), **entries}
 
 
 def write_fault_arm(

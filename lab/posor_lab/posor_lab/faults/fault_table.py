@@ -1,10 +1,13 @@
-"""Rows of the fault table and their results."""
+"""Rows of the fault table, which ``fault_table.yaml`` lists, and their results."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import yaml
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -14,35 +17,13 @@ FaultKind = Literal["off", "stuck", "garbage", "wrong", "slow", "clock", "networ
 Arm = Literal["six_axis", "five_axis", "test_rig"]
 """Installed arms: light rings and four gap probes; bumpy rings and three; fixed diodes and three."""
 ARMS: tuple[Arm, ...] = get_args(Arm)
-
-NAMING_LIMITS_S: Mapping[FaultKind, float] = {
-    "off": 0.5,
-    "slow": 0.5,
-    "network": 0.5,
-    "stuck": 0.2,
-    "garbage": 0.2,
-    "wrong": 0.2,
-    "clock": 0.2,
-}
-"""Longest time from the first faulted message, or the loss of the input, to the first message that names it [s]."""
 COVERED_SHARE = 0.99
 """Least share of cases in which the protection level covers a fault that is not observable."""
 
 
 @dataclass(frozen=True)
 class FaultRow:
-    """One fault of the table.
-
-    Attributes:
-        name: Name, unique in the table.
-        kind: Kind of the failure.
-        arm: Arm that it is injected into.
-        expected: Sentence on the expected behaviour.
-        named_by: Names of fault flags, or words of a sentence, of which one must be published; none where the fault
-            cannot be seen.
-        may_hide: Whether a reading of the fault may by chance be so close to the right one that nothing shows it.
-
-    """
+    """One fault of the table; ``fault_table.yaml`` explains the fields."""
 
     name: str
     kind: FaultKind
@@ -50,11 +31,33 @@ class FaultRow:
     expected: str
     named_by: tuple[str, ...] = ()
     may_hide: bool = False
+    quick: bool = False
+    run: str = ""  # section of the table: what injects the fault
+    inject: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def title(self) -> str:
+        """Arm and name, unique in the table."""
+        return f"{self.arm}: {self.name}"
 
     @property
     def is_observable(self) -> bool:
         """Whether each scan with the fault shows it: then no pose may be wrong, else the protection level covers it."""
         return bool(self.named_by) and not self.may_hide
+
+
+def _load_table() -> tuple[Mapping[FaultKind, float], tuple[FaultRow, ...]]:
+    content = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+    limits, groups = content.pop("limits_s"), content.pop("groups")
+    rows = []
+    for run, of_run in content.items():
+        for row in of_run:
+            words = [word for name in row.pop("named_by", ()) for word in groups.get(name, [name])]
+            rows.append(FaultRow(run=run, named_by=tuple(words), **row))
+    return limits, tuple(rows)
+
+
+NAMING_LIMITS_S, FAULT_TABLE = _load_table()
 
 
 @dataclass(frozen=True)
@@ -88,18 +91,16 @@ class RowResult:
         elif self.wrong_ok:
             found.append(f"{self.wrong_ok} wrong poses published as valid")
         limit = NAMING_LIMITS_S[self.row.kind]
-        if not self.row.named_by:
-            return found
-        if self.naming_s is None:
+        if self.row.named_by and self.naming_s is None:
             found.append("not named")
-        elif self.naming_s > limit:
+        elif self.row.named_by and self.naming_s is not None and self.naming_s > limit:
             found.append(f"named after {self.naming_s:.2f} s, limit {limit:g} s")
         return found
 
     def as_json(self) -> dict[str, Any]:
         """Return the row of ``faults.json``."""
         return {
-            "fault": f"{self.row.arm}: {self.row.name}",
+            "fault": self.row.title,
             "kind": self.row.kind,
             "observable": self.row.is_observable,
             "expected": self.row.expected,

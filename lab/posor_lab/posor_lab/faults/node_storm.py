@@ -16,14 +16,14 @@ from posor.messages.message_definitions import MessageTypes
 from posor.model.fault import State
 from posor.node_parameters import RECORDING
 from posor.ros_names import RAW_SCAN, RAW_TOPIC, TRANSFORM_TOPIC
-from posor_bringup.supervisor import Program, Supervisor
+from posor_bringup.supervisor import Program
 from posor_drivers.message_builder import raw_scan, scan_fields
 from posor_msgs.msg import JointTransform, RawScan
 from rclpy.serialization import deserialize_message
 
 from posor_lab.faults.pose_judge import pose_array
-from posor_lab.faults.storm import NO_COUNT, StormMaker, count_storm, estimate_storm
-from posor_lab.reports.graph_receiver import GraphWatch
+from posor_lab.faults.storm import StormCount, StormMaker, count_storm, estimate_storm
+from posor_lab.reports.graph_receiver import running_graph
 from posor_lab.reports.node_player import NodePlayer
 
 if TYPE_CHECKING:
@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 
     from posor.calibration.calibration_file import Calibration
 
-    from posor_lab.faults.storm import Storm, StormCount
+    from posor_lab.faults.storm import Storm
+    from posor_lab.reports.graph_receiver import GraphWatch
 
 NAMESPACE = "/storm"
 PLAYER_ARGUMENTS = f"{NAMESPACE}/posor_node", [(RawScan, RAW_TOPIC)], (JointTransform, TRANSFORM_TOPIC)
@@ -55,13 +56,13 @@ def run_node_storm(
         ProcessError: The node failed, or transforms do not come.
 
     """
-    program, maker, total = posor_program(calibration, folder), StormMaker(calibration), NO_COUNT
+    program, maker, total = posor_program(calibration, folder), StormMaker(calibration), StormCount()
     while total.injected < injected:
         storm = maker.draw(seed)
         # A new node for each block: the true sensors are others.
-        with Supervisor(folder) as supervisor, NodePlayer(*PLAYER_ARGUMENTS) as player:
-            supervisor.start(program)
-            play_storm(storm, player, GraphWatch(supervisor, player, "storm"))
+        player = NodePlayer(*PLAYER_ARGUMENTS)
+        with running_graph([program], player, folder, "storm") as watch:
+            play_storm(storm, player, watch)
             found = [deserialize_message(data, JointTransform) for data in player.answers]
         poses = pose_array([each.pose for each in found])
         states, faults = np.array([(each.state, each.faults) for each in found], dtype=np.int64).T

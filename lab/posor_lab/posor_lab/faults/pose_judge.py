@@ -13,11 +13,12 @@ from posor_ros.message_conversion import is_usable, stamp_ns
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from posor.estimation.estimate import Estimates
     from posor.numerics.array_types import BoolArray, FloatArray
     from posor_drivers.simulator.arm_simulation import ArmSimulation
     from posor_drivers.simulator.arm_truth import ArmTruth
 
-    from posor_lab.faults.fault_receiver import Arrival, FaultReceiver
+    from posor_lab.reports.arrival_receiver import Arrival, ArrivalReceiver
 
 SIGMAS = 5.0
 """Standard deviations beyond which a pose is wrong."""
@@ -57,6 +58,12 @@ def small_errors(found: PoseArray, true: PoseArray) -> FloatArray:
     return np.column_stack([found.translations - true.translations, about])
 
 
+def estimated_poses(estimates: Estimates) -> tuple[PoseArray, FloatArray]:
+    """Return the poses of estimates, (n), and their total covariances, (n, 6, 6)."""
+    covariances = estimates.covariances_random + estimates.covariances_systematic
+    return PoseArray(estimates.rotations, estimates.translations), covariances
+
+
 class PoseJudge:
     """Compares published poses with the truth of a simulation at their stamps."""
 
@@ -64,7 +71,7 @@ class PoseJudge:
         """Compare with the truth of ``simulation``."""
         self._simulation = simulation
 
-    def count_wrong(self, receiver: FaultReceiver, begin_ns: int, end_ns: int, joint: str = "") -> int:
+    def count_wrong(self, receiver: ArrivalReceiver, begin_ns: int, end_ns: int, joint: str = "") -> int:
         """Return how many poses that came as valid between two times [ns] are wrong or stale.
 
         Args:
@@ -84,7 +91,7 @@ class PoseJudge:
             count += self._count_wrong(_valid(arrivals), lambda truth: truth.T_parent_child[joint])
         return count
 
-    def covered_share(self, receiver: FaultReceiver, begin_ns: int, end_ns: int) -> float:
+    def covered_share(self, receiver: ArrivalReceiver, begin_ns: int, end_ns: int) -> float:
         """Return which share of the wrong endpoints that came as valid is within the protection level; 1 without any.
 
         A level that is not known (NaN), as in the second after a recovery, covers nothing.

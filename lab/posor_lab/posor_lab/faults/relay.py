@@ -1,6 +1,6 @@
 """A relay of raw scans between two topics: the link of a driver, which the program cuts by stopping this process.
 
-Started by ``process_faults`` as ``relay.py FROM TO``.
+Started by ``process_run`` as ``relay.py FROM TO``.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from posor_msgs.msg import RawScan
 from posor_ros.node_program import non_ros_arguments, ros_context, spin_until
 from rclpy.node import Node
 
-from posor_lab.faults.fault_receiver import QOS
-from posor_lab.faults.input_faults import OFFERED_QOS
+from posor_lab.faults.message_run import OFFERED_QOS
+from posor_lab.reports.arrival_receiver import QOS
 
 if __name__ == "__main__":
     source, destination = non_ros_arguments(sys.argv)

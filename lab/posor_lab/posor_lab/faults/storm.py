@@ -2,7 +2,7 @@
 
 Three stacks with a fourth gap probe: light ring, bumpy ring, fixed diodes. The true parameters of the sensors are drawn
 within the uncertainties of their calibration. Faults come at random and last for 1 to 200 scans. A probe is off by at
-least twice its minimal detectable bias; smaller errors are rows of ``hidden_faults``. A stuck reading begins to differ
+least twice its minimal detectable bias; smaller errors are in ``offline_faults``. A stuck reading begins to differ
 by less than that, zero or garbage may be near the true reading, and a pose of sound readings may exceed 5 standard
 deviations by chance. These count as wrong only beyond the protection level, and are counted separately.
 
@@ -13,7 +13,8 @@ theta. Nobody acknowledges during a fault.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -31,13 +32,14 @@ from posor_drivers.simulator.electronics import convert_to_digital
 from posor_drivers.simulator.pose_array import PoseArray
 from posor_drivers.simulator.simulated_scans import DIODE_FIELD
 
-from posor_lab.faults.pose_judge import small_errors, wrong_poses
+from posor_lab.faults.pose_judge import estimated_poses, small_errors, wrong_poses
 from posor_lab.faults.storm_faults import RANGES, Episode, field_of, storm_faults
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     from posor.calibration.calibration_file import Calibration, Converter
+    from posor.estimation.sensor_stack import Stack
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
 RATE = 500
@@ -70,6 +72,18 @@ def storm_calibrations() -> dict[str, Calibration]:
     }
 
 
+def draw_sensors(posor: Posor, random: np.random.Generator) -> Stack:
+    """Return the stack with true parameters that are drawn within their uncertainties."""
+    stack = posor.stack
+    errors = stack.parameter_sigmas * random.normal(size=stack.parameters)
+    return stack.with_parameter_values(stack.parameter_values + errors)
+
+
+def thetas_of(poses: PoseArray) -> FloatArray:
+    """Return theta modulo whole turns [rad], (n,)."""
+    return np.arctan2(-poses.rotations[:, 0, 1], poses.rotations[:, 1, 1])
+
+
 @dataclass(frozen=True)
 class Storm:
     """Scans with faults, and what is true.
@@ -88,11 +102,6 @@ class Storm:
     names: tuple[str, ...]
     truth: PoseArray
     acknowledgements: IntArray
-
-    @property
-    def thetas(self) -> FloatArray:
-        """True theta modulo whole turns [rad], (n,)."""
-        return np.arctan2(-self.truth.rotations[:, 0, 1], self.truth.rotations[:, 1, 1])
 
 
 class StormMaker:
@@ -140,10 +149,8 @@ class StormMaker:
 
     def _sound_readings(self, truth: PoseArray, random: np.random.Generator) -> dict[str, Any]:
         """Return the fields of sound scans as arrays that may be changed, and which are sent."""
-        stack, count = self.posor.stack, len(truth)
-        errors = stack.parameter_sigmas * random.normal(size=stack.parameters)
+        stack, count = draw_sensors(self.posor, random), len(truth)
         stamps = np.arange(1, count + 1, dtype=np.int64) * (NS // RATE)
-        stack = stack.with_parameter_values(stack.parameter_values + errors)
         scans = scans_at(stack, truth.rotations, truth.translations, stamps, noise=random)
         arrays: dict[str, Any] = {"stamps_ns": stamps, "numbers": np.arange(count, dtype=np.uint64)}
         converter = cast("Converter", self.calibration.converter)
@@ -163,8 +170,7 @@ class StormMaker:
         settings = self.posor.settings
         if not settings["bump_angle"] > 0.0:
             return np.zeros(len(truth), dtype=bool)
-        thetas = np.arctan2(-truth.rotations[:, 0, 1], truth.rotations[:, 1, 1])
-        return np.asarray(np.abs(thetas - settings["home_theta"]) < HOME_WIDTH * settings["bump_angle"])
+        return np.asarray(np.abs(thetas_of(truth) - settings["home_theta"]) < HOME_WIDTH * settings["bump_angle"])
 
     def _bias(self, field: str, channel: int) -> float:
         """Return the minimal detectable bias of a probe [V]."""
@@ -193,30 +199,19 @@ def _motion(times: FloatArray, phase: float) -> PoseArray:
 class StormCount:
     """Figures of a storm."""
 
-    scans: int
-    injected: int
-    wrong_ok: int  # beyond 5 standard deviations of the truth, and published as valid
-    uncovered: int  # of these, without sound and LIKE_THE_TRUE_READING scans that the protection level covers
-    sound: int  # scans without a fault, outside of a latched period
-    sound_ok: int
-    latched: int  # scans without a fault in a latched period
-    wrong_by_fault: Mapping[str, int]  # wrong poses published as valid, by the fault before or during them
+    scans: int = 0
+    injected: int = 0
+    wrong_ok: int = 0  # beyond 5 standard deviations of the truth, and published as valid
+    uncovered: int = 0  # of these, without sound and LIKE_THE_TRUE_READING scans that the protection level covers
+    sound: int = 0  # scans without a fault, outside of a latched period
+    sound_ok: int = 0
+    latched: int = 0  # scans without a fault in a latched period
+    wrong_by_fault: Counter[str] = field(default_factory=Counter)  # wrong_ok by the fault before or during them
     different: int = 0  # transforms of a node that differ from the estimator's
 
     def __add__(self, other: StormCount) -> StormCount:
         """Return the sums."""
-        names = {*self.wrong_by_fault, *other.wrong_by_fault}
-        return StormCount(
-            self.scans + other.scans,
-            self.injected + other.injected,
-            self.wrong_ok + other.wrong_ok,
-            self.uncovered + other.uncovered,
-            self.sound + other.sound,
-            self.sound_ok + other.sound_ok,
-            self.latched + other.latched,
-            {name: self.wrong_by_fault.get(name, 0) + other.wrong_by_fault.get(name, 0) for name in sorted(names)},
-            self.different + other.different,
-        )
+        return StormCount(**{each.name: getattr(self, each.name) + getattr(other, each.name) for each in fields(self)})
 
     @property
     def sound_ok_share(self) -> float:
@@ -224,19 +219,16 @@ class StormCount:
         return self.sound_ok / self.sound if self.sound else math.nan
 
 
-NO_COUNT = StormCount(0, 0, 0, 0, 0, 0, 0, {})
-
-
 def estimate_storm(posor: Posor, storm: Storm, encoder: np.random.Generator | None = None) -> Estimates:
     """Return the estimates of a storm, acknowledged as an operator would; ``encoder``: its noise, None: no encoder."""
     records = np.zeros(len(storm.scans), dtype=ESTIMATE)
-    scans, begin = storm.scans.records.copy(), 0
+    scans, begin, thetas = storm.scans.records.copy(), 0, thetas_of(storm.truth)
     for end in [*storm.acknowledgements.tolist(), len(scans)]:
         posor.estimate_records(scans[begin:end], records[begin:end])
         if end < len(scans):
             posor.acknowledge()
         if end < len(scans) and posor.counts_bumps and encoder is not None:
-            posor.confirm_theta(storm.thetas[end] + ENCODER_SIGMA * encoder.normal(), ENCODER_SIGMA)
+            posor.confirm_theta(thetas[end] + ENCODER_SIGMA * encoder.normal(), ENCODER_SIGMA)
         begin = end
     return Estimates(records)
 
@@ -272,8 +264,7 @@ def count_storm(
             covered[n] = np.all(np.abs(small_errors(poses.select(one), storm.truth.select(one))) <= level)
     latched = sound & _latched_periods(states, faults)
     indices = np.maximum.accumulate(np.where(sound, 0, np.arange(len(sound))))
-    by_fault = storm.faults[indices][wrong]
-    names, counts = np.unique(by_fault, return_counts=True)
+    by_fault = (storm.names[n] if n >= 0 else "none" for n in storm.faults[indices][wrong].tolist())
     return StormCount(
         scans=len(sound),
         injected=int(np.count_nonzero(~sound)),
@@ -282,10 +273,7 @@ def count_storm(
         sound=int(np.count_nonzero(sound & ~latched)),
         sound_ok=int(np.count_nonzero(sound & ~latched & (states == State.OK))),
         latched=int(np.count_nonzero(latched)),
-        wrong_by_fault={
-            storm.names[name] if name >= 0 else "none": count
-            for name, count in zip(names.tolist(), counts.tolist(), strict=True)
-        },
+        wrong_by_fault=Counter(by_fault),
     )
 
 
@@ -320,15 +308,12 @@ def run_storm(calibration: Calibration, injected: int, seed: int, on_block: Call
         on_block: Called after each block with its number of faulty scans.
 
     """
-    maker = StormMaker(calibration)
-    total = NO_COUNT
+    maker, total = StormMaker(calibration), StormCount()
     while total.injected < injected:
         storm = maker.draw(seed)
         maker.posor.reset()
         estimates = estimate_storm(maker.posor, storm, np.random.default_rng(seed))
-        poses = PoseArray(estimates.rotations, estimates.translations)
-        covariances = estimates.covariances_random + estimates.covariances_systematic
-        block = count_storm(calibration, storm, estimates.states, estimates.faults, poses, covariances)
+        block = count_storm(calibration, storm, estimates.states, estimates.faults, *estimated_poses(estimates))
         total, seed = total + block, seed + 1
         on_block(block.injected)
     return total

@@ -24,6 +24,7 @@ OBSERVABLE = 2.0
 """Least error of a wrong reading, in minimal detectable biases."""
 RANGES = {"gap_voltages": (-7.0, 7.0), "ring_voltages": (-7.0, 7.0), DIODE_FIELD: (0.0, 1.5e-4)}
 """Of the converters [V], [A]."""
+FLAGS = {"SATURATED": SATURATED, "PROBES_ESTIMATED": PROBES_ESTIMATED, "DIODES_ESTIMATED": DIODES_ESTIMATED}
 
 
 @dataclass(frozen=True)
@@ -35,116 +36,89 @@ class Episode:
     random: np.random.Generator
     bias: Callable[[str, int], float]
 
-    def __getitem__(self, name: str) -> Any:
-        return self.arrays[name]
-
     def channel(self, name: str) -> tuple[slice, int]:
         """Return the part of a random channel."""
         return self.part, int(self.random.integers(self.arrays[name].shape[1]))
 
-    def size(self) -> tuple[int, ...]:
-        """Return the number of scans as a shape."""
-        return (self.part.stop - self.part.start,)
+    def set_all(self, name: str, value: Any) -> None:
+        """Set a field of all scans."""
+        self.arrays[name][self.part] = value
 
+    def set_channel(self, name: str, value: float) -> None:
+        """Set a random channel of a field."""
+        self.arrays[name][self.channel(name)] = value
 
-def _offset(name: str) -> Callable[[Episode], None]:
-    def change(episode: Episode) -> None:
-        part, channel = episode.channel(name)
-        factor = math.exp(episode.random.uniform(math.log(OBSERVABLE), math.log(100.0 * OBSERVABLE)))
-        episode[name][part, channel] += episode.random.choice([-1.0, 1.0]) * factor * episode.bias(name, channel)
+    def add_offset(self, name: str) -> None:
+        """Add 2 to 200 minimal detectable biases to a random channel."""
+        part, channel = self.channel(name)
+        factor = math.exp(self.random.uniform(math.log(OBSERVABLE), math.log(100.0 * OBSERVABLE)))
+        self.arrays[name][part, channel] += self.random.choice([-1.0, 1.0]) * factor * self.bias(name, channel)
 
-    return change
+    def stick(self, name: str) -> None:
+        """Repeat the first reading of a random channel."""
+        part, channel = self.channel(name)
+        self.arrays[name][part, channel] = self.arrays[name][part.start, channel]
 
+    def randomise(self, name: str) -> None:
+        """Set a random channel to random values of its converter."""
+        part = self.channel(name)
+        self.arrays[name][part] = self.random.uniform(*RANGES[name], self.arrays[name][part].shape)
 
-def _value(name: str, value: float) -> Callable[[Episode], None]:
-    def change(episode: Episode) -> None:
-        episode[name][episode.channel(name)] = value
+    def freeze(self) -> None:
+        """Repeat the first readings of all channels."""
+        for name in RANGES:
+            self.set_all(name, self.arrays[name][self.part.start])
 
-    return change
+    def slip(self, sources: int) -> None:
+        """Shift the numbers of the light sources."""
+        lit = self.arrays["lit_sources"][self.part]
+        lit[:] = (lit + self.random.integers(1, sources)) % sources
 
+    def set_flag(self, flag: int, part: slice | None = None) -> None:
+        """Set a status flag."""
+        self.arrays["statuses"][part or self.part] |= flag
 
-def _stuck(name: str) -> Callable[[Episode], None]:
-    def change(episode: Episode) -> None:
-        part, channel = episode.channel(name)
-        episode[name][part, channel] = episode[name][part.start, channel]
-
-    return change
-
-
-def _garbage(name: str) -> Callable[[Episode], None]:
-    def change(episode: Episode) -> None:
-        part = episode.channel(name)
-        episode[name][part] = episode.random.uniform(*RANGES[name], episode[name][part].shape)
-
-    return change
-
-
-def _frozen(episode: Episode) -> None:
-    for name in RANGES:
-        episode[name][episode.part] = episode[name][episode.part.start]
-
-
-def _slip(sources: int) -> Callable[[Episode], None]:
-    def change(episode: Episode) -> None:
-        lit = episode["lit_sources"][episode.part]
-        lit[:] = (lit + episode.random.integers(1, sources)) % sources
-
-    return change
-
-
-def _whole(name: str, value: float) -> Callable[[Episode], None]:
-    def change(episode: Episode) -> None:
-        episode[name][episode.part] = value
-
-    return change
-
-
-def _flag(flag: int) -> Callable[[Episode], None]:
-    def change(episode: Episode) -> None:
-        episode["statuses"][episode.part] |= flag
-
-    return change
-
-
-def _home(episode: Episode) -> None:
-    length = int(episode.random.integers(1, 6))
-    part = slice(episode.part.start, min(episode.part.stop, episode.part.start + length))
-    episode["at_home"][part] = 1
-    episode["statuses"][part] |= HOME_BUMP
-
-
-def _off(episode: Episode) -> None:
-    episode["sent"][episode.part] = False
+    def go_home(self) -> None:
+        """Set the home mark in at most five scans."""
+        length = int(self.random.integers(1, 6))
+        part = slice(self.part.start, min(self.part.stop, self.part.start + length))
+        self.arrays["at_home"][part] = 1
+        self.set_flag(HOME_BUMP, part)
 
 
 def storm_faults(calibration: Calibration) -> dict[str, Callable[[Episode], None]]:
     """Return the faults that a stack can have, by name."""
-    faults: dict[str, Callable[[Episode], None]] = {"no scans": _off, "all readings frozen": _frozen}
-    for value in (16.0, 0.0, math.inf):
-        faults[f"supply {value:g} V"] = _whole("supply_voltages", value)
-    for value in (313.0, 20.0, math.inf):
-        faults[f"temperature {value:g} K"] = _whole("temperatures", value)
-    flags = {"SATURATED": SATURATED, "PROBES_ESTIMATED": PROBES_ESTIMATED, "DIODES_ESTIMATED": DIODES_ESTIMATED}
-    faults |= {f"flag {name}": _flag(flag) for name, flag in flags.items()}
+    faults: dict[str, Callable[[Episode], None]] = {
+        "no scans": lambda episode: episode.set_all("sent", value=False),
+        "all readings frozen": Episode.freeze,
+    }
+    environment = {
+        "supply": ("supply_voltages", (16.0, 0.0, math.inf)),
+        "temperature": ("temperatures", (313.0, 20.0, math.inf)),
+    }
+    for what, (name, values) in environment.items():
+        unit = "V" if what == "supply" else "K"
+        faults |= {f"{what} {value:g} {unit}": _call(Episode.set_all, name, value) for value in values}
+    faults |= {f"flag {name}": _call(Episode.set_flag, flag) for name, flag in FLAGS.items()}
     for sensor in calibration.sensors:
+        name = field_of(sensor)
+        what = {"gap_voltages": "gap probe", "ring_voltages": "ring probe"}.get(name, "diode")
         if isinstance(sensor, DiodesCalibration):
-            field, what = DIODE_FIELD, "diode"
-            faults["light-source index off"] = _slip(len(sensor.light_sources))
-            faults["no light source lit"] = _whole("lit_sources", 255)
+            faults["light-source index off"] = _call(Episode.slip, len(sensor.light_sources))
+            faults["no light source lit"] = _call(Episode.set_all, "lit_sources", 255)
         else:
-            field = field_of(sensor)
-            what = "gap probe" if field == "gap_voltages" else "ring probe"
-            faults[f"{what} offset"] = _offset(field)
+            faults[f"{what} offset"] = _call(Episode.add_offset, name)
         if sensor.bump_angle > 0.0:
-            faults["spurious HOME"] = _home
-        faults |= {
-            f"{what} stuck": _stuck(field),
-            f"{what} garbage": _garbage(field),
-            f"{what} zero": _value(field, 0.0),
-            f"{what} not a number": _value(field, math.nan),
-            f"{what} infinite": _value(field, math.inf),
-        }
+            faults["spurious HOME"] = Episode.go_home
+        faults[f"{what} stuck"] = _call(Episode.stick, name)
+        faults[f"{what} garbage"] = _call(Episode.randomise, name)
+        for text, value in (("zero", 0.0), ("not a number", math.nan), ("infinite", math.inf)):
+            faults[f"{what} {text}"] = _call(Episode.set_channel, name, value)
     return faults
+
+
+def _call(method: Callable[..., None], *arguments: Any) -> Callable[[Episode], None]:
+    return lambda episode: method(episode, *arguments)
 
 
 def field_of(sensor: Any) -> str:

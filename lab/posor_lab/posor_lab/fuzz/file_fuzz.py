@@ -55,7 +55,7 @@ def readers() -> dict[str, tuple[Path, Callable[[Path], object]]]:
 
 
 def fuzz_files(name: str, mutations: int, seed: int, folder: Path) -> FileCount:
-    """Damage a file so many times and read it.
+    """Damage a file several times and read it.
 
     Args:
         name: Format, a key of ``readers``.

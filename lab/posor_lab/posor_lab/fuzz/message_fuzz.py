@@ -69,26 +69,15 @@ class FuzzCount:
 
 @dataclass(frozen=True)
 class JointRecording:
-    """Undamaged scans of a joint, and what the byte path makes of them.
-
-    Attributes:
-        posor: The estimator.
-        stream: The byte path of posor_node.
-        scans: Serialised raw scans.
-        transforms: Serialised transforms of them.
-        estimates: Records of dtype ESTIMATE.
-        trackers: State of the tracker before each scan.
-        usable: Scans with a pose, all but the first.
-
-    """
+    """Undamaged scans of a joint, and what the byte path makes of them."""
 
     posor: Posor
-    stream: RawScanStream
-    scans: list[bytes]
-    transforms: list[bytes]
-    estimates: list[Any]
-    trackers: list[Any]
-    usable: list[int]
+    stream: RawScanStream  # byte path of posor_node
+    scans: list[bytes]  # serialised raw scans
+    transforms: list[bytes]  # serialised transforms of them
+    estimates: list[Any]  # records of dtype ESTIMATE
+    trackers: list[Any]  # state of the tracker before each scan
+    usable: list[int]  # scans with a pose, all but the first
 
 
 def record(simulation: ArmSimulation, joint: str, count: int = SCANS, cycle: int = 0) -> JointRecording:
@@ -124,7 +113,7 @@ class ScanFuzz:
         self._levels: dict[int, FloatArray] = {}
 
     def run(self, mutations: int) -> None:
-        """Damage so many scans."""
+        """Damage scans ``mutations`` times."""
         for _ in range(mutations):
             n = self.chance.choice(self.recording.usable)
             data = mutate(self.recording.scans[n], self.chance)
@@ -227,14 +216,14 @@ class TransformFuzz:
         self.chance = random.Random(f"transforms {seed}")  # noqa: S311  damage
 
     def run(self, mutations: int) -> None:
-        """Damage so many transforms."""
+        """Damage transforms ``mutations`` times."""
         for _ in range(mutations):
             scan, j = self.choose()
             found = self._endpoint([*scan[:j], mutate(scan[j], self.chance), *scan[j + 1 :]])
             self.judge(scan, j, None if found is None else found[0])
 
     def choose(self) -> tuple[list[bytes], int]:
-        """Return the transforms of a scan and the joint whose one is to be damaged."""
+        """Return the transforms of a scan, and the index of the joint whose transform is to be damaged."""
         return self.chance.choice(self._scans), self.chance.randrange(len(self._formats))
 
     def judge(self, scan: list[bytes], j: int, found: pin.SE3 | None) -> None:

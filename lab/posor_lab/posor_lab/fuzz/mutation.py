@@ -17,13 +17,13 @@ WORDS = tuple(
 MOST_BITS = 8
 
 
-def _flip_bits(data: bytearray, chance: random.Random) -> None:
-    for _ in range(chance.randint(1, MOST_BITS)):
-        data[chance.randrange(len(data))] ^= 1 << chance.randrange(8)
-
-
 def _flip_bit(data: bytearray, chance: random.Random) -> None:
     data[chance.randrange(len(data))] ^= 1 << chance.randrange(8)
+
+
+def _flip_bits(data: bytearray, chance: random.Random) -> None:
+    for _ in range(chance.randint(1, MOST_BITS)):
+        _flip_bit(data, chance)
 
 
 def _set_byte(data: bytearray, chance: random.Random) -> None:

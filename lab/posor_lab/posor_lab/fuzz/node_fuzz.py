@@ -6,9 +6,10 @@ the answer to the sound one. What came before that is the answer to the damaged 
 
 from __future__ import annotations
 
+import math
 import time
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
@@ -19,27 +20,26 @@ from posor.node_parameters import RECORDING
 from posor.numerics.stamps import NS
 from posor.ros_names import ENDPOINT_TOPIC, RAW_TOPIC, TRANSFORM_TOPIC
 from posor_bringup.arm_programs import arm_programs
-from posor_bringup.supervisor import Supervisor
 from posor_msgs.msg import JointTransform, RawScan
 from posor_ros.message_conversion import pose_from_message
 from rclpy.serialization import deserialize_message
 
 from posor_lab.fuzz.message_fuzz import ScanFuzz, TransformFuzz
 from posor_lab.fuzz.mutation import mutate
-from posor_lab.reports.graph_receiver import GraphWatch
+from posor_lab.reports.graph_receiver import running_graph
 from posor_lab.reports.node_player import NodePlayer
 from posor_lab.soak.process_sample import ProcessSample, growth_mb
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
-    from random import Random
 
     import pinocchio as pin
     from posor_bringup.supervisor import Parameter, Program
     from posor_drivers.simulator.arm_simulation import ArmSimulation
 
     from posor_lab.fuzz.message_fuzz import FuzzCount
+    from posor_lab.reports.graph_receiver import GraphWatch
 
 PERIOD_NS = NS // 200
 LONGEST_S = 5.0
@@ -47,7 +47,6 @@ LONGEST_S = 5.0
 SAMPLE_EVERY = 500
 """Messages from one sample of the node's memory to the next."""
 WARM_UP_SAMPLES, LEAST_SAMPLES = 2, 4
-MOST_GROWTH_MB = 1.0
 LOSSLESS: dict[str, Parameter] = {"lossless": True, **RECORDING}
 
 
@@ -55,36 +54,68 @@ class NodeFuzzError(Exception):
     """A node did not answer a sound message as it should."""
 
 
-@dataclass
-class NodeCount:
-    """Figures of a node."""
+class NodeFuzz(ABC):
+    """Damages messages to one node.
 
-    messages: FuzzCount
-    acknowledged: int = 0  # sound scans without a pose after a damaged one, until an operator acknowledged
-    slowest_s: float = 0.0  # answer to a sound message
-    growth_mb: float = float("nan")  # of the memory of the node; NaN: too few messages
+    Attributes:
+        count: What became of the damaged messages.
+        acknowledged: Sound scans without a pose after a damaged one, until an operator acknowledged.
+        slowest_s: Slowest answer to a sound message.
 
+    """
 
-class _NodeRun:
-    """A running node and its player."""
+    player: NodePlayer
+    watch: GraphWatch
 
-    def __init__(self, program: Program, player: NodePlayer, supervisor: Supervisor) -> None:
-        self.player = player
-        self.watch = GraphWatch(supervisor, player, "fuzz")
-        self._pid = supervisor.start(program).process.pid
-        self._samples: list[ProcessSample] = []
-        self._sent = 0
-        self.slowest_s = 0.0
-        self.watch.wait(player.is_ready, lambda: f"{program.name}, or one of its connections")
+    def __init__(
+        self, program: Program, count: FuzzCount, inputs: Sequence[tuple[type[Any], str]], answer: tuple[type[Any], str]
+    ) -> None:
+        """Prepare; inputs and answer of the node as in ``NodePlayer``."""
+        self._program, self.count, self._inputs, self._answer = program, count, inputs, answer
+        self.acknowledged, self.slowest_s = 0, 0.0
+        self._sent, self._samples = 0, list[ProcessSample]()
 
-    def answers_until(self, stamp_ns: int) -> list[bytes]:
-        """Return the answers up to the one with a stamp [ns].
+    def run(self, mutations: int, folder: Path, on_done: Callable[[int], None]) -> None:
+        """Damage messages.
+
+        Args:
+            mutations: How often.
+            folder: Existing folder for the log of the node.
+            on_done: Called with 1 after each.
 
         Raises:
-            NodeFuzzError: It does not come.
+            NodeFuzzError: A sound message was not answered, or its pose is wrong, or no pose comes after an
+                acknowledgement.
+            ProcessError: The node ended.
 
         """
-        begin_s, answers, seen = time.monotonic(), self.player.answers, 0
+        name = f"{self._program.namespace}/{self._program.executable}"
+        self.player = NodePlayer(name, self._inputs, self._answer)
+        end = self.count.mutations + mutations
+        with running_graph([self._program], self.player, folder, "fuzz") as self.watch:
+            self.watch.wait(self.player.is_ready, lambda: f"{name}, or one of its connections")
+            while self.count.mutations < end:
+                self.play(end, on_done)
+
+    @abstractmethod
+    def play(self, end: int, on_done: Callable[[int], None]) -> None:
+        """Send some messages, at most until ``end`` of them have been damaged."""
+
+    def send(self, messages: Sequence[bytes]) -> None:
+        """Publish one message to each input."""
+        for publisher, data in zip(self.player.inputs, messages, strict=True):
+            publisher.publish(data)
+
+    def send_sound(self, messages: Sequence[bytes]) -> list[bytes]:
+        """Publish undamaged messages; return the answers up to the one with their stamp.
+
+        Raises:
+            NodeFuzzError: The answer does not come.
+
+        """
+        self.send(messages)
+        stamp_ns, begin_s = stamp_ns_of(messages[0][STAMP]), time.monotonic()
+        answers, seen = self.player.answers, 0
 
         def is_answered() -> bool:
             nonlocal seen
@@ -97,24 +128,22 @@ class _NodeRun:
         self.slowest_s = max(self.slowest_s, time.monotonic() - begin_s)
         self._sent += 1
         if self._sent % SAMPLE_EVERY == 0:
-            self._samples.append(ProcessSample.take(self._pid, time.monotonic()))
+            (node,) = self.watch.running.values()
+            self._samples.append(ProcessSample.take(node.process.pid, time.monotonic()))
         found = answers.copy()
         answers.clear()
+        if len(found) > 2:  # noqa: PLR2004  of the damaged and of the sound message
+            raise NodeFuzzError(f"{len(found) - 1} answers to one damaged message")
         return found
 
     @property
     def growth_mb(self) -> float:
         """Growth of the node's memory after the warm-up [MB]; NaN: too few samples."""
         samples = self._samples[WARM_UP_SAMPLES:]
-        return growth_mb(samples) if len(samples) >= LEAST_SAMPLES else float("nan")
+        return growth_mb(samples) if len(samples) >= LEAST_SAMPLES else math.nan
 
 
-def _damage(data: bytes, chance: Random) -> bytes:
-    """Return damaged bytes that DDS delivers: Fast DDS drops a message of 0 bytes, and a reliable reader then waits."""
-    return mutate(data, chance) or data[:1]
-
-
-class NodeScanFuzz:
+class NodeScanFuzz(NodeFuzz):
     """Damaged raw scans of one joint to its posor_node, each in place of a scan, with the next one undamaged.
 
     Every scan is sent once: readings that come again are those of frozen electronics, which the node refuses.
@@ -122,67 +151,68 @@ class NodeScanFuzz:
 
     def __init__(self, simulation: ArmSimulation, joint: str, seed: int) -> None:
         """Estimate the undamaged scans; ``seed`` is that of the damage."""
-        self._fuzz = ScanFuzz(simulation, joint, seed)
-        self.count = NodeCount(self._fuzz.count)
-        self._namespace = f"/{simulation.arm.name}/{joint}"
+        self._fuzz, self._cycle = ScanFuzz(simulation, joint, seed), -1
         programs = arm_programs(simulation.arm, drivers=False, parameters=LOSSLESS)
-        self._program = next(each for each in programs if each.namespace == self._namespace)
-        self._cycle = -1
+        program = next(each for each in programs if each.namespace == f"/{simulation.arm.name}/{joint}")
+        super().__init__(program, self._fuzz.count, [(RawScan, RAW_TOPIC)], (JointTransform, TRANSFORM_TOPIC))
 
-    def run(self, mutations: int, folder: Path, on_done: Callable[[int], None]) -> None:
-        """Damage so many scans.
-
-        Args:
-            mutations: How often.
-            folder: Existing folder for the log of the node.
-            on_done: Called with 1 after each.
-
-        Raises:
-            NodeFuzzError: A sound scan was not answered, or its pose is wrong, or no pose comes after an
-                acknowledgement.
-            ProcessError: The node ended.
-
-        """
-        topics = [(RawScan, RAW_TOPIC)], (JointTransform, TRANSFORM_TOPIC)
-        end = self.count.messages.mutations + mutations
-        with Supervisor(folder) as supervisor, NodePlayer(f"{self._namespace}/posor_node", *topics) as player:
-            node = _NodeRun(self._program, player, supervisor)
-            while self.count.messages.mutations < end:
-                self._play_cycle(node, end, on_done)
-            self.count.slowest_s, self.count.growth_mb = node.slowest_s, node.growth_mb
-
-    def _play_cycle(self, node: _NodeRun, end: int, on_done: Callable[[int], None]) -> None:
+    def play(self, end: int, on_done: Callable[[int], None]) -> None:
         """Play a cycle of the scenario, which begins at the home marks; end early where a sound scan has no pose."""
         self._cycle += 1
         self._fuzz.begin_cycle(self._cycle)
-        node.player.acknowledge(node.watch)
+        self.player.acknowledge(self.watch)
         scans, usable = self._fuzz.recording.scans, self._fuzz.recording.usable
         for n in range(usable[0] + 1):
-            *_, answer = self._send_sound(node, scans[n])
+            *_, answer = self.send_sound([scans[n]])
         if _usable_pose(answer) is None:
             raise NodeFuzzError(f"no pose from {usable[0] + 1} sound scans after an acknowledgement")
         for n, sound in zip(usable[1::2], usable[2::2], strict=False):
-            data = _damage(scans[n], self._fuzz.chance)
-            node.player.inputs[0].publish(data)
-            *before, answer = self._send_sound(node, scans[sound])
-            if len(before) > 1:
-                raise NodeFuzzError(f"{len(before)} answers to one damaged scan")
-            self._fuzz.judge(n, data, _usable_pose(before[0]) if before else None)
+            data = _damage(scans[n], self._fuzz)
+            self.send([data])
+            *before, pose = map(_usable_pose, self.send_sound([scans[sound]]))
+            self._fuzz.judge(n, data, before[0] if before else None)
             on_done(1)
-            pose = _usable_pose(answer)
             if pose is None:
-                self.count.acknowledged += 1
+                self.acknowledged += 1
                 return
             if not self._fuzz.is_near(sound, pose):
                 raise NodeFuzzError(f"the pose of sound scan {sound} is wrong after a damaged one")
-            if self.count.messages.mutations == end:
+            if self.count.mutations == end:
                 return
 
-    @staticmethod
-    def _send_sound(node: _NodeRun, data: bytes) -> list[bytes]:
-        """Send an undamaged scan; return the answers up to its own."""
-        node.player.inputs[0].publish(data)
-        return node.answers_until(stamp_ns_of(data[STAMP]))
+
+class NodeTransformFuzz(NodeFuzz):
+    """Scans with one damaged transform to a chain_node."""
+
+    def __init__(self, simulation: ArmSimulation, seed: int) -> None:
+        """Estimate the undamaged scans; ``seed`` is that of the damage."""
+        self._fuzz, self._stamp_ns = TransformFuzz(simulation, seed), NS
+        parameters: dict[str, Parameter] = {"acceleration_window": 0.0, "reference": "absolute", "max_wait": 60.0}
+        program = arm_programs(simulation.arm, drivers=False, chain_parameters={**LOSSLESS, **parameters})[0]
+        inputs = [(JointTransform, f"{joint.name}/{TRANSFORM_TOPIC}") for joint in simulation.chain.joints]
+        super().__init__(program, self._fuzz.count, inputs, (PoseStamped, ENDPOINT_TOPIC))
+
+    def play(self, _end: int, on_done: Callable[[int], None]) -> None:
+        """Send one scan with a damaged transform, and a sound one."""
+        scan, j = self._fuzz.choose()
+        damaged = self._with_next_stamp(scan)
+        damaged[j] = _damage(damaged[j], self._fuzz)
+        self.send(damaged)
+        *before, answer = map(_endpoint, self.send_sound(self._with_next_stamp(scan)))
+        if not self._fuzz.is_near(scan, answer):
+            raise NodeFuzzError("the pose of a sound scan is wrong after a damaged one")
+        self._fuzz.judge(scan, j, before[0] if before else None)
+        on_done(1)
+
+    def _with_next_stamp(self, scan: Sequence[bytes]) -> list[bytes]:
+        self._stamp_ns += PERIOD_NS
+        stamp = np.array(divmod(self._stamp_ns, NS), dtype="<u4").tobytes()
+        return [data[: STAMP.start] + stamp + data[STAMP.stop :] for data in scan]
+
+
+def _damage(data: bytes, fuzz: ScanFuzz | TransformFuzz) -> bytes:
+    """Return damaged bytes that DDS delivers: Fast DDS drops a message of 0 bytes, and a reliable reader then waits."""
+    return mutate(data, fuzz.chance) or data[:1]
 
 
 def _usable_pose(data: bytes) -> pin.SE3 | None:
@@ -191,57 +221,5 @@ def _usable_pose(data: bytes) -> pin.SE3 | None:
     return pose_from_message(message.pose) if message.state in USABLE_STATES else None
 
 
-class NodeTransformFuzz:
-    """Scans with one damaged transform to a chain_node."""
-
-    def __init__(self, simulation: ArmSimulation, seed: int) -> None:
-        """Estimate the undamaged scans; ``seed`` is that of the damage."""
-        self._fuzz = TransformFuzz(simulation, seed)
-        self.count = NodeCount(self._fuzz.count)
-        arm = simulation.arm
-        self._namespace = f"/{arm.name}"
-        self._inputs = [(JointTransform, f"{joint.name}/{TRANSFORM_TOPIC}") for joint in simulation.chain.joints]
-        chain: dict[str, Parameter] = {
-            **LOSSLESS,
-            "acceleration_window": 0.0,
-            "reference": "absolute",
-            "max_wait": 60.0,
-        }
-        self._program = arm_programs(arm, drivers=False, chain_parameters=chain)[0]
-        self._stamp_ns = NS
-
-    def run(self, mutations: int, folder: Path, on_done: Callable[[int], None]) -> None:
-        """Damage so many transforms; see ``NodeScanFuzz.run``."""
-        node_name, answer = f"{self._namespace}/chain_node", (PoseStamped, ENDPOINT_TOPIC)
-        with Supervisor(folder) as supervisor, NodePlayer(node_name, self._inputs, answer) as player:
-            node = _NodeRun(self._program, player, supervisor)
-            for _ in range(mutations):
-                scan, j = self._fuzz.choose()
-                damaged = self._next_scan(scan)
-                damaged[j] = _damage(damaged[j], self._fuzz.chance)
-                self._send(player, damaged)
-                self._send(player, self._next_scan(scan))
-                *before, answer = map(_pose_of_message, node.answers_until(self._stamp_ns))
-                if len(before) > 1:
-                    raise NodeFuzzError(f"{len(before)} poses of one damaged scan")
-                if not self._fuzz.is_near(scan, answer):
-                    raise NodeFuzzError("the pose of a sound scan is wrong after a damaged one")
-                self._fuzz.judge(scan, j, before[0] if before else None)
-                on_done(1)
-            self.count.slowest_s, self.count.growth_mb = node.slowest_s, node.growth_mb
-
-    def _next_scan(self, scan: Sequence[bytes]) -> list[bytes]:
-        """Return the transforms of a scan with the next stamp."""
-        self._stamp_ns += PERIOD_NS
-        stamp = np.array(divmod(self._stamp_ns, NS), dtype="<u4").tobytes()
-        return [data[: STAMP.start] + stamp + data[STAMP.stop :] for data in scan]
-
-    @staticmethod
-    def _send(player: NodePlayer, scan: Sequence[bytes]) -> None:
-        for publisher, data in zip(player.inputs, scan, strict=True):
-            publisher.publish(data)
-
-
-def _pose_of_message(data: bytes) -> pin.SE3:
-    """Return the pose of a serialised PoseStamped."""
+def _endpoint(data: bytes) -> pin.SE3:
     return pose_from_message(deserialize_message(data, PoseStamped).pose)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 from posor_lab.device_servers.capancdt_server import CapaNcdtServer
 from posor_lab.device_servers.labjack_server import LabJackServer
@@ -11,15 +12,14 @@ from posor_lab.device_servers.labjack_stream_server import LabJackStreamServer
 from posor_lab.device_servers.scpi_server import FIRST_CHANNEL, ScpiServer
 from posor_lab.device_servers.stream_server import LEAD, MAGIC, StreamServer
 from posor_lab.instruments.least_delay import measure_least_delay
+from posor_lab.instruments.simulated_readings import quantity
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
     from contextlib import ExitStack
     from threading import Event
 
     from posor_lab.instruments.simulated_readings import SimulatedReadings
-
-ServerT = TypeVar("ServerT", bound=LabJackServer | ScpiServer)
 
 HOST = "127.0.0.1"
 RANGE_M = 5e-4
@@ -43,43 +43,26 @@ class Devices:
 
 @dataclass(frozen=True)
 class DeviceTrial:
-    """One trial.
+    """One trial."""
 
-    Attributes:
-        name: For the figures.
-        arm: Installed arm.
-        rate: Scans per second.
-        latency_s: From tick to publication.
-        seconds: Of the measurement.
-        slowness: Factor by which the arm moves slower than in its scenario.
-        keeps_pace: Whether two processors can be expected to follow, with the servers beside the nodes.
-        returns: Whether there must be poses soon after a stall; a ring must pass its home mark first.
-        stamps_matter: Whether the arm is so fast that the uncertainty of the stamps counts, which no covariance has.
-        serve: Starts the servers until the stack closes.
-
-    """
-
-    name: str
-    arm: str
-    rate: int
-    latency_s: float
-    seconds: float
-    serve: Callable[[SimulatedReadings, ExitStack], Devices]
-    slowness: float = 1.0
-    returns: bool = True
-    keeps_pace: bool = True
-    stamps_matter: bool = False
-
-
-def quantity(value: float, unit: str) -> dict[str, Any]:
-    """Return an entry of a file."""
-    return {"value": value, "unit": unit}
+    name: str  # for the figures
+    arm: str  # installed arm
+    rate: int  # scans per second
+    latency_s: float  # from tick to publication
+    seconds: float  # of the measurement
+    serve: Callable[[SimulatedReadings, ExitStack], Devices]  # starts the servers until the stack closes
+    slowness: float = 1.0  # factor by which the arm moves slower than in its scenario
+    returns: bool = True  # whether poses must come soon after a stall; a ring must pass its home mark first
+    keeps_pace: bool = True  # whether two processors can be expected to follow, with the servers beside the nodes
+    stamps_matter: bool = (
+        False  # whether the arm is so fast that the uncertainty of the stamps, in no covariance, counts
+    )
 
 
 def _stream(
     readings: SimulatedReadings, joint: str, server: StreamServer, rate: float, delay_s: float
 ) -> dict[str, Any]:
-    names = [channel.name for channel in readings.channels[joint]]
+    channels = readings.channels[joint]
     return {
         "kind": "stream",
         "transport": "tcp",
@@ -87,10 +70,10 @@ def _stream(
         "port": server.port,
         "rate": quantity(rate, "Hz"),
         "delay": quantity(delay_s, "s"),
-        "format": f"{LEAD}{len(names)}d",
-        "fields": ["magic", "counter", *names],
+        "format": f"{LEAD}{len(channels)}d",
+        "fields": ["magic", "counter", *(channel.name for channel in channels)],
         "constants": {"magic": MAGIC},
-        "channels": {channel.name: {"unit": channel.unit} for channel in readings.channels[joint]},
+        "channels": {channel.name: {"unit": channel.unit} for channel in channels},
     }
 
 
@@ -98,47 +81,39 @@ def _direct(readings: SimulatedReadings, joint: str, device: str) -> dict[str, d
     return {channel.name: {"channel": f"{device}/{channel.name}"} for channel in readings.channels[joint]}
 
 
-def serve_streams(rates: Mapping[str, float]) -> Callable[[SimulatedReadings, ExitStack], Devices]:
-    """Return what serves one stream for each joint, at frames per second by joint; clocks differ by 20 ppm."""
-
-    def serve(readings: SimulatedReadings, stack: ExitStack) -> Devices:
-        devices, joints, servers = {}, {}, []
-        delay_s = measure_least_delay(STREAM_RATE)
-        for n, joint in enumerate(readings.channels):
-            rate = rates[joint]
-            server = StreamServer(lambda t, joint=joint: readings.at(joint, t), rate, drift=20e-6 * n)  # type: ignore[misc]
-            servers.append(stack.enter_context(server))
-            devices[f"box_{joint}"] = _stream(readings, joint, server, rate, delay_s)
-            joints[joint] = readings.joint_entry(joint, _direct(readings, joint, f"box_{joint}"))
-        return Devices(devices, joints, servers[0].stalled)
-
-    return serve
-
-
-def serve_capancdt(readings: SimulatedReadings, stack: ExitStack) -> Devices:
-    """Serve the gap probes as distances of a capaNCDT at its greatest rate, everything else as a stream."""
-    return serve_with_probes(readings, stack)[1]
+def serve_streams(readings: SimulatedReadings, stack: ExitStack, *, rates: tuple[float, ...]) -> Devices:
+    """Serve one stream for each joint, at frames per second for the joints in turn; clocks differ by 20 ppm."""
+    devices, joints, servers = {}, {}, []
+    delay_s = measure_least_delay(STREAM_RATE)
+    for n, joint in enumerate(readings.channels):
+        rate = rates[n % len(rates)]
+        servers.append(stack.enter_context(StreamServer(partial(readings.at, joint), rate, drift=20e-6 * n)))
+        devices[f"box_{joint}"] = _stream(readings, joint, servers[-1], rate, delay_s)
+        joints[joint] = readings.joint_entry(joint, _direct(readings, joint, f"box_{joint}"))
+    return Devices(devices, joints, servers[0].stalled)
 
 
 def serve_with_probes(readings: SimulatedReadings, stack: ExitStack) -> tuple[CapaNcdtServer, Devices]:
-    """Serve as ``serve_capancdt``; return also the server of the probes, for faults."""
+    """Serve the gap probes as distances of a capaNCDT at its greatest rate, everything else as a stream.
+
+    Returns:
+        The server of the probes, for faults, and all devices.
+
+    """
     delay_s = measure_least_delay(STREAM_RATE)
     (joint,) = readings.channels
-    channels = readings.channels[joint]
-    gaps = [n for n, channel in enumerate(channels) if channel.kind == "gap_voltages"]
+    gaps = {n: each.name for n, each in enumerate(readings.channels[joint]) if each.kind == "gap_voltages"}
 
     def distances(time_ns: int) -> list[float]:
         values = readings.at(joint, time_ns)
         return [(values[n] - OFFSET_V) / SCALE_V_PER_M for n in gaps]
 
-    ranges = dict.fromkeys(range(1, len(gaps) + 1), RANGE_M)
-    probes = CapaNcdtServer(distances, ranges, drift=50e-6)
+    probes = CapaNcdtServer(distances, dict.fromkeys(range(1, len(gaps) + 1), RANGE_M), drift=50e-6)
     probes.packet_frames = 8
     stack.enter_context(probes)
-    others = stack.enter_context(StreamServer(lambda t: readings.at(joint, t), STREAM_RATE))
+    others = stack.enter_context(StreamServer(partial(readings.at, joint), STREAM_RATE))
     scale = {"scale": quantity(SCALE_V_PER_M, "V/m"), "offset": quantity(OFFSET_V, "V")}
-    entries = _direct(readings, joint, "box")
-    entries |= {channels[n].name: {"channel": f"probes/{channels[n].name}", **scale} for n in gaps}
+    entries = _direct(readings, joint, "box") | {name: {"channel": f"probes/{name}", **scale} for name in gaps.values()}
     controller = {
         "kind": "capancdt_6200",
         "host": HOST,
@@ -147,81 +122,62 @@ def serve_with_probes(readings: SimulatedReadings, stack: ExitStack) -> tuple[Ca
         "rate": quantity(1e6 / CAPANCDT_SAMPLE_US, "Hz"),
         "delay": quantity(delay_s, "s"),
         "channels": {
-            channels[n].name: {"number": k, "range": quantity(RANGE_M, "m")} for k, n in enumerate(gaps, start=1)
+            name: {"number": number, "range": quantity(RANGE_M, "m")} for number, name in enumerate(gaps.values(), 1)
         },
     }
     devices = {"probes": controller, "box": _stream(readings, joint, others, STREAM_RATE, delay_s)}
     return probes, Devices(devices, {joint: readings.joint_entry(joint, entries)}, probes.stalled)
 
 
-def _amplified(readings: SimulatedReadings, joint: str, device: str) -> dict[str, dict[str, Any]]:
-    """Return the entries of readings that the device measures as voltages; a light source is fixed."""
-    entries = _direct(readings, joint, device)
-    for channel in readings.channels[joint]:
-        if channel.unit == "A":
-            entries[channel.name]["scale"] = quantity(1.0 / FEEDBACK_OHM, "A/V")
-    return entries
-
-
-def _analogue(readings: SimulatedReadings, joint: str) -> tuple[list[int], Callable[[int], list[float]]]:
-    """Return the columns of the readings with a unit, and their voltages by the ROS time."""
-    columns = [n for n, channel in enumerate(readings.channels[joint]) if channel.unit != "1"]
-    gains = [FEEDBACK_OHM if readings.channels[joint][n].unit == "A" else 1.0 for n in columns]
-
-    def voltages(time_ns: int) -> list[float]:
-        values = readings.at(joint, time_ns)
-        return [gain * values[n] for n, gain in zip(columns, gains, strict=True)]
-
-    return columns, voltages
-
-
-def _fixed_sources(readings: SimulatedReadings, joint: str, entry: dict[str, Any]) -> dict[str, Any]:
-    """Return a joint whose light sources are fixed numbers, as those of the test rig are, and without a home mark."""
-    channels, first = readings.channels[joint], readings.at(joint, 0)
-    entry["lit_sources"] = [round(first[n]) for n, channel in enumerate(channels) if channel.kind == "lit_sources"]
-    del entry["home_mark"]
-    return entry
-
-
 def serve_voltages(
-    server_of: Callable[[Callable[[int], list[float]]], ServerT],
-    settings_of: Callable[[ServerT, list[str]], dict[str, Any]],
-) -> Callable[[SimulatedReadings, ExitStack], Devices]:
-    """Return what serves all readings as voltages of one device.
+    readings: SimulatedReadings,
+    stack: ExitStack,
+    *,
+    server_class: type[LabJackServer | ScpiServer],
+    settings_of: Callable[[Any, list[str]], dict[str, Any]],
+) -> Devices:
+    """Serve all readings with a unit as voltages of one device; light sources are fixed numbers, as in the test rig.
 
     Args:
-        server_of: Returns the server for the voltages by the ROS time [ns].
+        readings: The readings.
+        stack: Ends the server.
+        server_class: Class of the server, which takes a function that returns the voltages by the ROS time [ns].
         settings_of: Returns the entry of the instruments file for a server and the names of the channels.
 
     """
+    (joint,) = readings.channels
+    channels, first = readings.channels[joint], readings.at(joint, 0)
+    gains = {n: FEEDBACK_OHM if each.unit == "A" else 1.0 for n, each in enumerate(channels) if each.unit != "1"}
 
-    def serve(readings: SimulatedReadings, stack: ExitStack) -> Devices:
-        (joint,) = readings.channels
-        columns, voltages = _analogue(readings, joint)
-        server = server_of(voltages)
-        stack.enter_context(server)
-        names = [readings.channels[joint][n].name for n in columns]
-        entry = _fixed_sources(readings, joint, readings.joint_entry(joint, _amplified(readings, joint, "daq")))
-        return Devices({"daq": settings_of(server, names)}, {joint: entry}, server.stalled)
+    def voltages(time_ns: int) -> list[float]:
+        values = readings.at(joint, time_ns)
+        return [gain * values[n] for n, gain in gains.items()]
 
-    return serve
+    server = server_class(voltages)
+    stack.enter_context(server)
+    entries = _direct(readings, joint, "daq")
+    for channel in channels:
+        if channel.unit == "A":
+            entries[channel.name]["scale"] = quantity(1.0 / FEEDBACK_OHM, "A/V")
+    entry = readings.joint_entry(joint, entries)
+    entry["lit_sources"] = [round(first[n]) for n, channel in enumerate(channels) if channel.kind == "lit_sources"]
+    del entry["home_mark"]
+    settings = settings_of(server, [channels[n].name for n in gains])
+    return Devices({"daq": settings}, {joint: entry}, server.stalled)
 
 
 def _labjack(server: LabJackServer, names: list[str]) -> dict[str, Any]:
-    channels = {name: {"input": n} for n, name in enumerate(names)}
-    rate = quantity(ASKED_RATE, "Hz")
+    channels, rate = {name: {"input": n} for n, name in enumerate(names)}, quantity(ASKED_RATE, "Hz")
     return {"kind": "labjack", "host": HOST, "port": server.port, "rate": rate, "channels": channels}
 
 
 def _labjack_stream(server: LabJackStreamServer, names: list[str]) -> dict[str, Any]:
-    return {
+    rate, delay = quantity(STREAM_RATE, "Hz"), quantity(measure_least_delay(STREAM_RATE), "s")
+    return _labjack(server, names) | {
         "kind": "labjack_stream",
-        "host": HOST,
-        "port": server.port,
         "stream_port": server.stream_port,
-        "rate": quantity(STREAM_RATE, "Hz"),
-        "delay": quantity(measure_least_delay(STREAM_RATE), "s"),
-        "channels": {name: {"input": n} for n, name in enumerate(names)},
+        "rate": rate,
+        "delay": delay,
     }
 
 
@@ -235,36 +191,20 @@ def _scanner(server: ScpiServer, names: list[str]) -> dict[str, Any]:
     }
 
 
-FIVE_AXIS_RATES = {"base_swivel": 997.0, "shoulder": 1003.0, "elbow": 997.0, "wrist_roll": 1003.0, "wrist_yaw": 997.0}
-LABJACK, STREAMED_LABJACK = (
-    serve_voltages(LabJackServer, _labjack),
-    serve_voltages(LabJackStreamServer, _labjack_stream),
-)
-SCANNER = serve_voltages(ScpiServer, _scanner)
+_STREAM = partial(serve_streams, rates=(STREAM_RATE,))
+_FIVE_STREAMS = partial(serve_streams, rates=(997.0, 1003.0))
+_LABJACK = partial(serve_voltages, server_class=LabJackServer, settings_of=_labjack)
+_LABJACK_STREAM = partial(serve_voltages, server_class=LabJackStreamServer, settings_of=_labjack_stream)
+_SCANNER = partial(serve_voltages, server_class=ScpiServer, settings_of=_scanner)
+_RIG, _FIVE = "test_rig", "five_axis"
 TRIALS = (
-    DeviceTrial("stream, 1 kHz", "test_rig", 250, 0.1, 10.0, serve_streams({"joint1": STREAM_RATE})),
-    DeviceTrial("capaNCDT 3.9 kHz, 1 kHz scans", "test_rig", 1000, 0.1, 10.0, serve_capancdt, keeps_pace=False),
-    DeviceTrial("LabJack stream, 1 kHz", "test_rig", 500, 0.1, 10.0, STREAMED_LABJACK),
-    DeviceTrial("LabJack asked 250 times per second", "test_rig", 100, 0.1, 20.0, LABJACK, slowness=20.0),
-    DeviceTrial("SCPI scanner, 5 Hz", "test_rig", 5, 0.7, 150.0, SCANNER, slowness=200.0),
+    DeviceTrial("stream, 1 kHz", _RIG, 250, 0.1, 10.0, _STREAM),
     DeviceTrial(
-        "five streams, full speed",
-        "five_axis",
-        50,
-        0.1,
-        20.0,
-        serve_streams(FIVE_AXIS_RATES),
-        returns=False,
-        stamps_matter=True,
+        "capaNCDT 3.9 kHz, 1 kHz scans", _RIG, 1000, 0.1, 10.0, lambda *of: serve_with_probes(*of)[1], keeps_pace=False
     ),
-    DeviceTrial(
-        "five streams, slow",
-        "five_axis",
-        50,
-        0.1,
-        20.0,
-        serve_streams(FIVE_AXIS_RATES),
-        slowness=20.0,
-        returns=False,
-    ),
+    DeviceTrial("LabJack stream, 1 kHz", _RIG, 500, 0.1, 10.0, _LABJACK_STREAM),
+    DeviceTrial("LabJack asked 250 times per second", _RIG, 100, 0.1, 20.0, _LABJACK, slowness=20.0),
+    DeviceTrial("SCPI scanner, 5 Hz", _RIG, 5, 0.7, 150.0, _SCANNER, slowness=200.0),
+    DeviceTrial("five streams, full speed", _FIVE, 50, 0.1, 20.0, _FIVE_STREAMS, returns=False, stamps_matter=True),
+    DeviceTrial("five streams, slow", _FIVE, 50, 0.1, 20.0, _FIVE_STREAMS, slowness=20.0, returns=False),
 )

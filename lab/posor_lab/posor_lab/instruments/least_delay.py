@@ -15,6 +15,7 @@ from posor_drivers.instruments.device_reader import DeviceReader
 from posor_drivers.instruments.stream_device import StreamDevice, StreamSettings
 
 from posor_lab.device_servers.stream_server import LEAD, StreamServer
+from posor_lab.instruments.simulated_readings import quantity
 
 SECONDS, TIMEOUT_S = 3.0, 10.0
 STEP_S, AGE_NS = 0.005, NS // 10
@@ -29,7 +30,7 @@ def measure_least_delay(rate: float) -> float:
             "transport": "tcp",
             "host": "127.0.0.1",
             "port": server.port,
-            "rate": {"value": rate, "unit": "Hz"},
+            "rate": quantity(rate, "Hz"),
             "format": f"{LEAD}d",
             "fields": ["magic", "counter", "time"],
             "channels": {"time": {"unit": "s"}},

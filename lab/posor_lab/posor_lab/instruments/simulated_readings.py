@@ -22,6 +22,11 @@ SIMULATED_RATE = 1000
 SEED = 1985
 
 
+def quantity(value: object, unit: str) -> dict[str, Any]:
+    """Return an entry of a file."""
+    return {"value": value, "unit": unit}
+
+
 class ReadingChannel(NamedTuple):
     """One reading of a joint."""
 

@@ -55,6 +55,16 @@ class Finding:
     remark: str = ""  # sample size, reason of the limit or of a surprising value
     if_fails: str = ""  # meaning of a failure
 
+    @staticmethod
+    def judged(quantity: str, computed: str, limit: str, *, holds: bool, **texts: str) -> Finding:
+        """Return a figure with its limit and verdict; ``texts``: other fields."""
+        return Finding(quantity, computed, limit=limit, verdict=Verdict.of(holds=holds), **texts)
+
+    @staticmethod
+    def none_of(quantity: str, count: int, **texts: str) -> Finding:
+        """Return a count that must be 0."""
+        return Finding.judged(quantity, f"{count}", "0", holds=count == 0, **texts)
+
     @property
     def comment(self) -> str:
         """The remark, and if the figure fails what this means."""

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
+from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from posor.ros_names import DIAGNOSTICS_TOPIC
-from posor_bringup.supervisor import ProcessError
+from posor_bringup.supervisor import ProcessError, Supervisor
 from posor_ros.message_conversion import stamp_ns
 from posor_ros.node_program import SPIN_TIMEOUT_S
 from posor_ros.qos import KEEP_ALL_QOS
@@ -19,10 +21,11 @@ from rclpy.node import Node
 from posor_lab.reports.console_progress import InterruptedRunError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
     from types import TracebackType
 
-    from posor_bringup.supervisor import Supervisor
+    from posor_bringup.supervisor import Program, RunningProgram
 
 MessageT = TypeVar("MessageT")
 
@@ -61,6 +64,11 @@ class GraphReceiver(Node):
         """Receive until a condition holds; it is checked after each event and at least every ``SPIN_TIMEOUT_S``."""
         while not condition():
             self._executor.spin_once(timeout_sec=SPIN_TIMEOUT_S)
+
+    def receive_for(self, seconds: float) -> None:
+        """Receive for a time."""
+        end_s = time.monotonic() + seconds
+        self.receive_until(lambda: time.monotonic() >= end_s)
 
     def __enter__(self) -> Self:
         """Return itself."""
@@ -105,7 +113,13 @@ class GraphReceiver(Node):
 
 
 class GraphWatch:
-    """Receives messages while the processes of the graph run."""
+    """Receives messages while the processes of the graph run.
+
+    Attributes:
+        supervisor: Supervisor of the processes.
+        running: Programs that ``running_graph`` has started, by name.
+
+    """
 
     def __init__(
         self,
@@ -128,38 +142,42 @@ class GraphWatch:
             interrupted: Whether the user has interrupted the run.
 
         """
-        self._supervisor = supervisor
+        self.supervisor = supervisor
+        self.running: dict[str, RunningProgram] = {}
         self._receiver = receiver
         self._run_name = run_name
         self._on_received = on_received
         self._on_waiting = on_waiting
         self._interrupted = interrupted
 
-    def wait(self, condition: Callable[[], bool], missing: Callable[[], str]) -> None:
+    def wait(self, condition: Callable[[], bool], missing: Callable[[], str], limit_s: float = math.inf) -> None:
         """Receive until a condition holds.
 
         Args:
             condition: The condition.
             missing: Returns the text for what is missing.
+            limit_s: Longest wait [s].
 
         Raises:
             InterruptedRunError: The user interrupted the run.
-            ProcessError: A process ended with an error, or nothing arrived for ``SILENCE_LIMIT_S``.
+            ProcessError: A process ended with an error, nothing arrived for ``SILENCE_LIMIT_S``, or ``limit_s`` passed.
 
         """
         received, since_s = -1, time.monotonic()
-        shown_s = since_s
+        shown_s = begin_s = since_s
 
         def is_done() -> bool:
             nonlocal received, since_s, shown_s
             if self._interrupted():
                 raise InterruptedRunError("interrupted", where=self._run_name)
-            self._supervisor.check()
+            self.supervisor.check()
             if self._receiver.received != received:
                 received, since_s = self._receiver.received, time.monotonic()
                 self._on_received()
             if condition():
                 return True
+            if time.monotonic() - begin_s > limit_s:
+                raise ProcessError(f"missing after {limit_s:g} s: {missing()}", where=self._run_name)
             if time.monotonic() - since_s > SILENCE_LIMIT_S:
                 what = f"no message for {SILENCE_LIMIT_S:g} s, missing: {missing()}"
                 raise ProcessError(what, where=self._run_name)
@@ -169,3 +187,22 @@ class GraphWatch:
             return False
 
         self._receiver.receive_until(is_done)
+
+    def wait_until(self, end_s: float) -> None:
+        """Receive until a time of the monotonic clock [s]."""
+        self.wait(lambda: time.monotonic() >= end_s, lambda: "any message")
+
+
+@contextmanager
+def running_graph(
+    programs: Sequence[Program],
+    receiver: GraphReceiver,
+    folder: Path,
+    run_name: str,
+    interrupted: Callable[[], bool] = lambda: False,
+) -> Iterator[GraphWatch]:
+    """Run programs, with their logs in an existing folder, and a receiver for a ``with`` block."""
+    with Supervisor(folder) as supervisor, receiver:
+        watch = GraphWatch(supervisor, receiver, run_name, interrupted=interrupted)
+        watch.running |= {program.name: supervisor.start(program) for program in programs}
+        yield watch

@@ -1,7 +1,8 @@
-"""What a process holds at one moment, from /proc, and the growth of its memory."""
+"""What a process holds and has used at one moment, from /proc, and the growth of its memory."""
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ class ProcessSample:
     memory_mb: float  # resident
     descriptors: int
     threads: int
+    used_s: float = 0.0  # processor time, user and system
 
     @classmethod
     def take(cls, pid: int, seconds: float) -> ProcessSample:
@@ -30,7 +32,9 @@ class ProcessSample:
         folder = Path(f"/proc/{pid}")
         status = (folder / "status").read_text(encoding="ascii")
         kilobytes, threads = (int(re.findall(rf"{name}:\s+(\d+)", status)[0]) for name in ("VmRSS", "Threads"))
-        return cls(seconds, kilobytes * 1024 / MEGABYTE, len(list((folder / "fd").iterdir())), threads)
+        fields = (folder / "stat").read_text(encoding="ascii").rpartition(")")[2].split()
+        used_s = sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")
+        return cls(seconds, kilobytes * 1024 / MEGABYTE, len(list((folder / "fd").iterdir())), threads, used_s)
 
 
 def growth_mb(samples: Sequence[ProcessSample]) -> float:

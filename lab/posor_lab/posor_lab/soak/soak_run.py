@@ -12,25 +12,24 @@ import time
 from array import array
 from collections import Counter
 from dataclasses import dataclass
-from struct import Struct
 from typing import TYPE_CHECKING
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from posor.numerics.stamps import time_ns
+from posor.messages.cdr_schema import STAMP
 from posor.ros_names import ENDPOINT_STATE_TOPIC, ENDPOINT_TOPIC
 from posor_bringup.arm_programs import arm_programs, group_programs
-from posor_bringup.supervisor import Supervisor
 from posor_msgs.msg import EndpointState
+from posor_ros.cdr_transform import stamp_ns_of
 from posor_ros.message_conversion import is_usable
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
 from posor_lab.benchmark.tick_statistics import TickWindow
-from posor_lab.faults.fault_arm import IMPERFECTION_PARAMETERS, RATES, write_fault_arm
-from posor_lab.reports.graph_receiver import GraphReceiver, GraphWatch
+from posor_lab.faults.fault_arm import CYCLE_S, IMPERFECTION_PARAMETERS, RATES, write_fault_arm
+from posor_lab.reports.graph_receiver import GraphReceiver, running_graph
 from posor_lab.soak.process_sample import ProcessSample, growth_mb
 
 if TYPE_CHECKING:
@@ -41,19 +40,19 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import IntArray
 
     from posor_lab.faults.fault_table import Arm
+    from posor_lab.reports.graph_receiver import GraphWatch
 
 QOS = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.BEST_EFFORT)
-CYCLE_S, SEED = 20, 1985
+SEED = 1985
 """Of the motion."""
 SETTLED_POSES = 100
 """Poses before the run begins."""
 REFRESHES = 3
-"""Diagnostics of each node until its totals are those of a moment."""
+"""Diagnostics of each node after the end of the drivers until its totals hold the last scans."""
 SAMPLE_S = 5.0
 """Time between two samples of the process."""
 SETTLING_NS = 1_000_000_000
 """Time before the end of the drivers that is not judged: scans under way."""
-_STAMP = Struct("<iI")
 _MISSING = "transform missing"
 
 
@@ -85,16 +84,6 @@ class SoakFigures:
         """Growth of the memory over the samples [MB]."""
         return growth_mb(self.samples)
 
-    @property
-    def first(self) -> ProcessSample:
-        """The first sample after the warm-up."""
-        return self.samples[0]
-
-    @property
-    def last(self) -> ProcessSample:
-        """The last sample."""
-        return self.samples[-1]
-
 
 class SoakReceiver(GraphReceiver):
     """Keeps the stamps of an arm's endpoint, of its states without a pose with their reason, and the diagnostics."""
@@ -103,7 +92,6 @@ class SoakReceiver(GraphReceiver):
         """Subscribe to the topics of the arm."""
         super().__init__("soak")
         self.poses, self.states = array("q"), array("q")
-        self.stale = 0
         self.reasons: dict[int, str] = {}
         for kind, topic, on_bytes in (
             (PoseStamped, ENDPOINT_TOPIC, self._on_pose),
@@ -122,7 +110,6 @@ class SoakReceiver(GraphReceiver):
         self.received += 1
         message = deserialize_message(data, EndpointState)
         if message.state == EndpointState.STATE_STALE:  # about the absence of scans, with the stamp of an old one
-            self.stale += 1
             return
         self.states.append(stamp := _stamp_of(data))
         if not is_usable(message):
@@ -204,7 +191,7 @@ def _without_joints(reason: str) -> str:
 
 def _stamp_of(data: bytes) -> int:
     """Return the stamp of a serialised message with a header [ns]."""
-    return time_ns(*_STAMP.unpack_from(data, 4))
+    return stamp_ns_of(data[STAMP])
 
 
 def run_soak(
@@ -231,24 +218,20 @@ def run_soak(
 
     """
     arm = write_fault_arm(name, folder / "arm", CYCLE_S, SEED)
-    with Supervisor(folder) as supervisor, SoakReceiver(arm) as receiver:
-        (program,) = group_programs(arm_programs(arm, driver_parameters=IMPERFECTION_PARAMETERS), "composed", folder)
-        pid = supervisor.start(program).process.pid
-        watch = GraphWatch(supervisor, receiver, "soak", interrupted=interrupted)
+    programs = group_programs(arm_programs(arm, driver_parameters=IMPERFECTION_PARAMETERS), "composed", folder)
+    receiver = SoakReceiver(arm)
+    with running_graph(programs, receiver, folder, "soak", interrupted) as watch:
+        (nodes,) = watch.running.values()
         watch.wait(lambda: len(receiver.poses) > SETTLED_POSES, lambda: "endpoint poses")
-        _wait_until(time.monotonic() + warm_up, watch)
+        watch.wait_until(time.monotonic() + warm_up)
         begin_ns, begin_s, missed, samples = time.time_ns(), time.monotonic(), receiver.missed, []
         while True:
             now_s = time.monotonic() - begin_s
-            samples.append(ProcessSample.take(pid, now_s))
+            samples.append(ProcessSample.take(nodes.process.pid, now_s))
             on_sample(samples[-1])
             if now_s >= seconds:
                 break
-            _wait_until(begin_s + min(now_s + SAMPLE_S, seconds), watch)
+            watch.wait_until(begin_s + min(now_s + SAMPLE_S, seconds))
         window = TickWindow(begin_ns, time.time_ns() - SETTLING_NS, RATES[name])
         receiver.stop_drivers(watch)
         return receiver.figures(window, receiver.missed - missed, samples)
-
-
-def _wait_until(end_s: float, watch: GraphWatch) -> None:
-    watch.wait(lambda: time.monotonic() >= end_s, lambda: "poses")

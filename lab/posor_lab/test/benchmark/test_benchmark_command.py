@@ -27,7 +27,7 @@ from posor_lab.benchmark.benchmark_tables import result_tables
         (["--layout", "none"], "argument --layout: invalid choice: 'none'"),
         (
             ["--only", "graph,nothing"],
-            "argument --only: unknown section 'nothing'; expected some of graph, faults, waiting, layouts",
+            "make bench: --only: unknown section 'nothing'; expected some of graph, faults, waiting, layouts",
         ),
         (["--fast"], "unrecognized arguments: --fast"),
     ],

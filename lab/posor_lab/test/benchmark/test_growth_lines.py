@@ -3,7 +3,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from posor_lab.benchmark.growth_lines import draw_growth, fit_line, select_series
+from posor_lab.benchmark.growth_lines import fit_line, growth_page, select_series
 
 
 def point(joints: int, rate: int, cores: float, lost: int = 0) -> dict[str, Any]:
@@ -18,5 +18,6 @@ def test_line_leaves_out_overloaded_points() -> None:
     assert (line.cores_at_zero, line.cores_each) == pytest.approx((0.02, 0.03))
     assert line.residuals_cores == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
     assert fit_line(points[:2], "joints") is None
-    picture = draw_growth([*points, point(6, 500, 0.2), point(6, 2000, 0.5)], 6, 500)
-    assert picture.startswith(b"\x89PNG")
+    page = growth_page([*points, point(6, 500, 0.2), point(6, 2000, 0.5)], 6, 500)
+    assert "6 graphs measured, 1 overloaded." in page
+    assert all(text in page for text in ("straight line", "residuals by rate", "All nodes in one process, 6 joints"))

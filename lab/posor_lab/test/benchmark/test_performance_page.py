@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from posor.errors import ParameterError
-from posor_lab.benchmark.benchmark_tables import OFFLINE_ROWS, aims_table, result_tables
+from posor_lab.benchmark.benchmark_tables import TEXTS, aims_table, result_tables
 from posor_lab.benchmark.performance_page import NAMES, PLACEHOLDER, fill_page
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -64,7 +64,7 @@ def test_short_runs_are_not_judged() -> None:
 
 
 def test_offline_table_compares_reprocess_with_each_loop() -> None:
-    results = dict(zip(OFFLINE_ROWS, (400_000.0, 80_000.0, 50_000.0, 8_000.0), strict=True))
+    results = dict(zip(TEXTS["offline"], (400_000.0, 80_000.0, 50_000.0, 8_000.0), strict=True))
     rows = result_tables(results)["offline"].rows
     assert [row[1:] for row in rows] == [("400,000", "1.0"), ("80,000", "5.0"), ("50,000", "8.0"), ("8,000", "50.0")]
     assert [row[0].partition(":")[0] for row in rows] == ["`reprocess`", "read only", "bulk", "message by message"]

@@ -3,45 +3,53 @@
 from __future__ import annotations
 
 import json
+from copy import deepcopy
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 from posor.errors import ParameterError
 from posor.model.fault import State
 from posor_drivers.simulator.pose_array import PoseArray
-from posor_lab.faults.device_faults import DEVICE_FAULTS
-from posor_lab.faults.fault_table import NAMING_LIMITS_S, FaultRow, RowResult
-from posor_lab.faults.faults_command import QUICK_ROWS, main, parse_options
-from posor_lab.faults.hidden_faults import HIDDEN_FAULTS
-from posor_lab.faults.input_faults import MESSAGE_FAULTS
+from posor_lab.faults.device_run import ACTIONS
+from posor_lab.faults.fault_table import FAULT_TABLE, NAMING_LIMITS_S, FaultRow, RowResult
+from posor_lab.faults.faults_command import LIVE_RUNS, OFFLINE_RUNS, PROGRAM, main
+from posor_lab.faults.message_run import change_message
+from posor_lab.faults.offline_faults import run_slips
 from posor_lab.faults.pose_judge import SIGMAS, wrong_poses
-from posor_lab.faults.process_faults import PROCESS_FAULTS
-from posor_lab.faults.reading_faults import SCENARIO_FAULTS
-from posor_lab.faults.source_slip import SLIP_ROW, run_slips
 from posor_lab.faults.storm import StormMaker, count_storm, estimate_storm, storm_calibrations
+from posor_msgs.msg import JointTransform, RawScan
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 pytestmark = pytest.mark.timeout(300)
 KEYS = {"fault", "kind", "observable", "expected", "seen", "naming_s", "wrong_ok", "covered", "failures"}
-MIN_ROWS = 40
+ROWS = 107
+QUICK_ROWS = {row.title for row in FAULT_TABLE if row.quick}
 
 
-def all_rows() -> list[FaultRow]:
-    parts = (SCENARIO_FAULTS, MESSAGE_FAULTS, PROCESS_FAULTS, DEVICE_FAULTS, HIDDEN_FAULTS)
-    return [each.row for part in parts for each in part] + [SLIP_ROW]
+def test_the_table_has_every_kind_stack_and_run_with_unique_names() -> None:
+    assert len({row.title for row in FAULT_TABLE}) == len(FAULT_TABLE) == ROWS
+    assert {row.kind for row in FAULT_TABLE} == {"off", "stuck", "garbage", "wrong", "slow", "clock", "network"}
+    assert {row.arm for row in FAULT_TABLE} == {"six_axis", "five_axis", "test_rig"}
+    assert {row.run for row in FAULT_TABLE} == {*LIVE_RUNS, *OFFLINE_RUNS}
+    assert {row.name.removeprefix("device ") for row in FAULT_TABLE if row.run == "devices"} == set(ACTIONS)
+    assert len(QUICK_ROWS) > 5
 
 
-def test_the_table_has_every_kind_and_stack_with_unique_names() -> None:
-    rows = all_rows()
-    names = [f"{row.arm}: {row.name}" for row in rows]
-    assert len(names) == len(set(names)) >= MIN_ROWS
-    assert {row.kind for row in rows} == {"off", "stuck", "garbage", "wrong", "slow", "clock", "network"}
-    assert {row.arm for row in rows} == {"six_axis", "five_axis", "test_rig"}
-    assert set(QUICK_ROWS) <= set(names)
+@pytest.mark.parametrize("row", [row for row in FAULT_TABLE if row.run == "messages"], ids=lambda row: row.name)
+def test_every_message_fault_changes_its_message(row: FaultRow) -> None:
+    message: Any = JointTransform() if row.inject["topic"] == "transform" else RawScan()
+    message.header.stamp.sec = 10_000
+    if isinstance(message, RawScan):
+        message.gap_voltages, message.diode_currents, message.lit_sources = [1.0, 2.0], [1e-5] * 8, [0, 1]
+    changed = deepcopy(message)
+    change_message(changed, row.inject)
+    assert changed != message
+    if "covariance infinite" in row.name:
+        assert np.flatnonzero(np.isinf(changed.covariance)).tolist() == [7]
 
 
 @pytest.mark.usefixtures("ros_domain")
@@ -49,7 +57,7 @@ def test_the_quick_part_holds(tmp_path: Path) -> None:
     path = tmp_path / "faults.json"
     code = main(["faults", "--quick", "--output", str(path)])
     content = json.loads(path.read_text(encoding="utf-8"))
-    assert {row["fault"] for row in content["faults"]} == set(QUICK_ROWS)
+    assert {row["fault"] for row in content["faults"]} == QUICK_ROWS
     assert all(set(row) == KEYS for row in content["faults"])
     observable = [row for row in content["faults"] if row["observable"]]
     assert [row["fault"] for row in observable if row["wrong_ok"]] == []
@@ -67,11 +75,11 @@ def test_wrong_options_are_refused(arguments: list[str], tmp_path: Path, capsys:
 
 
 def test_quick_shortens_the_storm() -> None:
-    options = parse_options(["--quick"])
-    assert 0 < options.storm < parse_options([]).storm
+    options = PROGRAM.parse(["--quick"])
+    assert 0 < options.storm < PROGRAM.parse([]).storm
     assert options.node_storm == 0
     with pytest.raises(ParameterError):
-        parse_options(["--everything"])
+        PROGRAM.parse(["--everything"])
 
 
 def test_a_row_fails_for_each_missed_aim() -> None:
@@ -136,5 +144,6 @@ def test_a_pose_that_is_wrong_counts(storm_maker: StormMaker) -> None:
 
 
 def test_no_slip_of_a_coded_ring_gives_a_wrong_pose() -> None:
-    result = run_slips(seed=1, positions=3)
+    (row,) = (row for row in FAULT_TABLE if row.run == "slips")
+    result = run_slips(row, seed=1, positions=3)
     assert result.failures == []

@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 from posor_lab.reports.graph_receiver import GraphReceiver
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
@@ -35,28 +35,28 @@ class Arrival:
     message: Any
 
 
-class FaultReceiver(GraphReceiver):
-    """Stores transforms, endpoint states, endpoint poses and diagnostics of an arm in the order of arrival."""
+class ArrivalReceiver(GraphReceiver):
+    """Stores transforms, endpoint states, endpoint poses and diagnostics of an arm in the order of arrival.
 
-    def __init__(self, arm: str, joints: Sequence[str]) -> None:
-        """Subscribe to the topics of the arm in the namespace ``arm``."""
-        super().__init__("faults")
+    Attributes:
+        diagnostics: Diagnostic statuses with the time of their arrival [ns].
+
+    """
+
+    def __init__(self, arm: str, joints: Sequence[str] = ()) -> None:
+        """Subscribe to the endpoint of the arm in the namespace ``arm``, and to the transforms of ``joints``."""
+        super().__init__("arrivals")
         self._arm = arm
         self.diagnostics: list[tuple[int, DiagnosticStatus]] = []
-        self._raw: dict[str, list[tuple[int, bytes]]] = {}
-        self._types: dict[str, type[Any]] = {}
-        for joint in joints:
-            self._store(JointTransform, f"{joint}/{TRANSFORM_TOPIC}")
-        self._store(EndpointState, ENDPOINT_STATE_TOPIC)
-        self._store(PoseWithCovarianceStamped, ENDPOINT_COVARIANCE_TOPIC)
-        self._acknowledgements = {
+        self._types: dict[str, type[Any]] = {f"{joint}/{TRANSFORM_TOPIC}": JointTransform for joint in joints}
+        self._types |= {ENDPOINT_STATE_TOPIC: EndpointState, ENDPOINT_COVARIANCE_TOPIC: PoseWithCovarianceStamped}
+        self._raw: dict[str, list[tuple[int, bytes]]] = {topic: [] for topic in self._types}
+        for topic, kind in self._types.items():
+            callback = partial(self._on_bytes, self._raw[topic])
+            self.create_subscription(kind, f"/{arm}/{topic}", callback, QOS, raw=True)
+        self._operators = {
             joint: self.create_client(Trigger, f"/{arm}/{joint}/posor_node/acknowledge") for joint in joints
         }
-
-    def _store(self, message_type: type[Any], topic: str) -> None:
-        self._raw[topic], self._types[topic] = [], message_type
-        callback = partial(self._on_bytes, self._raw[topic])
-        self.create_subscription(message_type, f"/{self._arm}/{topic}", callback, QOS, raw=True)
 
     def _on_bytes(self, store: list[tuple[int, bytes]], data: bytes) -> None:
         self.received += 1
@@ -71,70 +71,65 @@ class FaultReceiver(GraphReceiver):
         """Return how many messages of a topic, relative to the arm, have come."""
         return len(self._raw[topic])
 
-    def newest(self, topic: str) -> Arrival | None:
-        """Return the newest message of a topic; None: nothing has come."""
-        return next(self._arrivals(topic, self._raw[topic][-1:]), None)
-
     def since(self, topic: str, count: int) -> list[Arrival]:
-        """Return the messages of a topic after the first ones, ``count`` of them."""
-        return list(self._arrivals(topic, self._raw[topic][count:]))
+        """Return the messages of a topic after the first ``count`` ones; -1: the newest message."""
+        return self._arrivals(topic, self._raw[topic][count:])
 
     def between(self, topic: str, begin_ns: int, end_ns: int) -> list[Arrival]:
         """Return the messages of a topic that came between two times [ns]."""
-        return list(self._arrivals(topic, [each for each in self._raw[topic] if begin_ns <= each[0] < end_ns]))
+        return self._arrivals(topic, [each for each in self._raw[topic] if begin_ns <= each[0] < end_ns])
 
-    def _arrivals(self, topic: str, stored: Sequence[tuple[int, bytes]]) -> Iterator[Arrival]:
-        for time_ns, data in stored:
-            yield Arrival(time_ns, deserialize_message(data, self._types[topic]))
-
-    def receive_for(self, seconds: float) -> None:
-        """Receive for a time."""
-        end_s = time.monotonic() + seconds
-        self.receive_until(lambda: time.monotonic() >= end_s)
+    def _arrivals(self, topic: str, stored: Sequence[tuple[int, bytes]]) -> list[Arrival]:
+        return [Arrival(time_ns, deserialize_message(data, self._types[topic])) for time_ns, data in stored]
 
     def acknowledge(self, joint: str) -> None:
         """Call ``~/acknowledge`` of a joint's posor_node, without waiting for the response."""
-        client = self._acknowledgements[joint]
+        client = self._operators[joint]
         if client.service_is_ready():
             client.call_async(Trigger.Request())
+
+    def acknowledge_latched(self) -> None:
+        """Acknowledge every joint whose newest transform has a latched fault."""
+        for joint in self._operators:
+            if any(each.message.faults & Fault.LATCHED for each in self.since(f"{joint}/{TRANSFORM_TOPIC}", -1)):
+                self.acknowledge(joint)
 
     def usable_endpoints(self, count: int) -> bool:
         """Return whether the newest ``count`` endpoint poses have come within the last second."""
         poses = self._raw[ENDPOINT_COVARIANCE_TOPIC]
         return len(poses) >= count and time.time_ns() - poses[-count][0] < NS
 
+    def warnings(self, begin_ns: int, end_ns: int) -> list[tuple[int, DiagnosticStatus]]:
+        """Return the statuses of the arm's nodes that are not OK and came between two times [ns], with the times."""
+        return [
+            (time_ns, status)
+            for time_ns, status in self.diagnostics
+            if begin_ns <= time_ns < end_ns and status.level != status.OK and status.name.startswith(f"/{self._arm}/")
+        ]
+
     def first_naming_ns(self, words: Sequence[str], begin_ns: int, end_ns: int, joint: str = "") -> int | None:
-        """Return when the first message came that names a fault; None: there is none.
+        """Return when the first message came that names a fault; None: no message does.
 
         Args:
             words: Names of fault flags, or words of a sentence; any of them counts.
             begin_ns: Earliest arrival [ns].
             end_ns: Latest arrival [ns].
-            joint: Joint whose transforms may have one of the flags; empty: none.
+            joint: Joint whose transforms may have one of the flags; empty: no joint.
 
         """
         flags = sum(int(Fault[word]) for word in words if word in Fault.__members__)
-        times = []
-        if joint and flags:
-            transforms = self.between(f"{joint}/{TRANSFORM_TOPIC}", begin_ns, end_ns)
-            times += [each.time_ns for each in transforms if each.message.faults & flags][:1]
+        transforms = self.between(f"{joint}/{TRANSFORM_TOPIC}", begin_ns, end_ns) if joint and flags else []
         states = self.between(ENDPOINT_STATE_TOPIC, begin_ns, end_ns)
-        times += [each.time_ns for each in states if any(word in each.message.reason for word in words)][:1]
-        times += [
-            time_ns
-            for time_ns, status in self.diagnostics
-            if begin_ns <= time_ns < end_ns
-            and status.level != status.OK
-            and status.name.startswith(f"/{self._arm}/")
-            and any(word in status.message for word in words)
-        ][:1]
+        times = [each.time_ns for each in transforms if each.message.faults & flags]
+        times += [each.time_ns for each in states if any(word in each.message.reason for word in words)]
+        warnings = self.warnings(begin_ns, end_ns)
+        times += [time_ns for time_ns, status in warnings if any(word in status.message for word in words)]
         return min(times, default=None)
 
     def describe(self, begin_ns: int, end_ns: int, joint: str = "") -> str:
         """Return a sentence on what came between two times [ns] about a joint and the endpoint."""
         parts = []
-        transforms = self.between(f"{joint}/{TRANSFORM_TOPIC}", begin_ns, end_ns) if joint else []
-        if transforms:
+        if joint and (transforms := self.between(f"{joint}/{TRANSFORM_TOPIC}", begin_ns, end_ns)):
             counts = {state.name: sum(each.message.state == state for each in transforms) for state in State}
             flags = Fault.NONE
             for each in transforms:
@@ -142,11 +137,8 @@ class FaultReceiver(GraphReceiver):
             names = ", ".join(flag.name or "" for flag in flags)
             parts.append(", ".join(f"{n} {name}" for name, n in counts.items() if n) + (f" ({names})" if names else ""))
         states = self.between(ENDPOINT_STATE_TOPIC, begin_ns, end_ns)
-        reasons = [each.message.reason for each in states if each.message.reason]
+        reasons = [f"endpoint: {each.message.reason}" for each in states if each.message.reason]
         warnings = [
-            f"{status.name.rpartition('/')[2]} {status.message}"
-            for time_ns, status in self.diagnostics
-            if begin_ns <= time_ns < end_ns and status.level != status.OK and f"/{self._arm}/" in status.name
+            f"{status.name.rpartition('/')[2]} {status.message}" for _, status in self.warnings(begin_ns, end_ns)
         ]
-        parts += [f"endpoint: {reasons[0]}"] if reasons else warnings[:1]
-        return "; ".join(parts) or "nothing published"
+        return "; ".join([*parts, *(reasons or warnings)[:1]]) or "nothing published"

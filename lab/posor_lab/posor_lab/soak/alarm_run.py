@@ -10,13 +10,12 @@ from posor.estimation.posor import Posor
 from posor.model.fault import Fault
 from posor.ros_names import TRANSFORM_TOPIC
 from posor_bringup.arm_programs import arm_programs, group_programs
-from posor_bringup.supervisor import Supervisor
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from scipy.stats import betabinom
 
-from posor_lab.faults.fault_arm import IMPERFECTION_PARAMETERS, IMPERFECTIONS, RATES, write_fault_arm
-from posor_lab.faults.fault_receiver import FaultReceiver
-from posor_lab.reports.graph_receiver import GraphWatch
+from posor_lab.faults.fault_arm import CYCLE_S, IMPERFECTION_PARAMETERS, IMPERFECTIONS, RATES, write_fault_arm
+from posor_lab.reports.arrival_receiver import ArrivalReceiver
+from posor_lab.reports.graph_receiver import running_graph
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,30 +23,20 @@ if TYPE_CHECKING:
 
     from posor_lab.faults.fault_table import Arm
 
-CYCLE_S = 20
 EXPECTED_SCANS = 100_000
 """Simulated scans of each joint from which the rate of false alarms is expected."""
 BAND = 0.95
 
 
 @dataclass(frozen=True)
-class Soak:
-    """Figures of a run without faults.
-
-    Attributes:
-        arm: Name of the arm.
-        errors: Messages of the diagnostics at the level ERROR, without repetition.
-        scans: Transforms that came.
-        alarms: Of these, rejected by the test of the redundant readings.
-        band: Least and largest number of alarms within the 95 % band of the expected rate, which is itself an estimate.
-
-    """
+class AlarmFigures:
+    """Figures of a run without faults."""
 
     arm: str
-    errors: tuple[str, ...]
-    scans: int
-    alarms: int
-    band: tuple[int, int]
+    errors: tuple[str, ...]  # messages of the diagnostics at the level ERROR, without repetition
+    scans: int  # transforms that came
+    alarms: int  # of these, rejected by the test of the redundant readings
+    band: tuple[int, int]  # least and most alarms in the 95 % band of the expected rate, which is itself an estimate
 
     @property
     def holds(self) -> bool:
@@ -60,7 +49,9 @@ class Soak:
         return self.band[0] <= self.alarms <= self.band[1]
 
 
-def run_soak(arm: Arm, seconds: float, folder: Path, seed: int, interrupted: Callable[[], bool]) -> Soak:
+def run_without_faults(
+    arm: Arm, seconds: float, folder: Path, seed: int, interrupted: Callable[[], bool]
+) -> AlarmFigures:
     """Run an arm without faults and return its figures.
 
     The expected rate is that of the same sensors in other simulated scans: the errors of one calibration shift it from
@@ -77,30 +68,24 @@ def run_soak(arm: Arm, seconds: float, folder: Path, seed: int, interrupted: Cal
         ProcessError: A node failed, or the arm has no poses.
 
     """
-    copy = write_fault_arm(arm, folder / "arm", CYCLE_S, seed)
-    simulation = ArmSimulation(copy, IMPERFECTIONS)
-    rate, others = RATES[arm], (EXPECTED_SCANS // (CYCLE_S * RATES[arm])) * CYCLE_S * RATES[arm]
-    expected_alarms = 0
+    simulation = ArmSimulation(write_fault_arm(arm, folder / "arm", CYCLE_S, seed), IMPERFECTIONS)
+    topics = [f"{joint}/{TRANSFORM_TOPIC}" for joint in simulation.joints]
+    others, expected_alarms = EXPECTED_SCANS // (CYCLE_S * RATES[arm]) * CYCLE_S * RATES[arm], 0
     for joint in simulation.joints:
         scans = simulation.scans(joint, np.arange(others)).scans
         estimates = Posor(simulation.calibrations[joint]).estimate_all(scans)
         expected_alarms += int(np.count_nonzero(estimates.faults & int(Fault.RESIDUAL)))
-    with Supervisor(folder) as supervisor, FaultReceiver(copy.name, simulation.joints) as receiver:
-        programs = arm_programs(copy, driver_parameters=IMPERFECTION_PARAMETERS)
-        for program in group_programs(programs, "drivers_apart", folder):
-            supervisor.start(program)
-        watch = GraphWatch(supervisor, receiver, "faults", interrupted=interrupted)
-        watch.wait(lambda: receiver.usable_endpoints(round(rate)), lambda: "endpoint poses")
+    receiver = ArrivalReceiver(simulation.arm.name, simulation.joints)
+    programs = arm_programs(simulation.arm, driver_parameters=IMPERFECTION_PARAMETERS)
+    programs = group_programs(programs, "drivers_apart", folder)
+    with running_graph(programs, receiver, folder, "faults", interrupted) as watch:
+        watch.wait(lambda: receiver.usable_endpoints(RATES[arm]), lambda: "endpoint poses")
         receiver.diagnostics.clear()
-        begin = {joint: receiver.count(f"{joint}/{TRANSFORM_TOPIC}") for joint in simulation.joints}
+        begin = {topic: receiver.count(topic) for topic in topics}
         receiver.receive_for(seconds)
         errors = {status.message for _, status in receiver.diagnostics if status.level == status.ERROR}
-        flags = [
-            each.message.faults
-            for joint in simulation.joints
-            for each in receiver.since(f"{joint}/{TRANSFORM_TOPIC}", begin[joint])
-        ]
-    without_alarm = others * len(simulation.joints) - expected_alarms
+        flags = [each.message.faults for topic in topics for each in receiver.since(topic, begin[topic])]
+    without_alarm = others * len(topics) - expected_alarms
     low, high = betabinom.interval(BAND, len(flags), expected_alarms + 1, without_alarm + 1)
     alarms = sum(bool(each & Fault.RESIDUAL) for each in flags)
-    return Soak(arm, tuple(sorted(errors)), len(flags), alarms, (int(low), int(high)))
+    return AlarmFigures(arm, tuple(sorted(errors)), len(flags), alarms, (int(low), int(high)))

@@ -1,0 +1,156 @@
+"""Faulty messages: the program plays one node of the test rig and publishes faulted raw scans or transforms.
+
+The other nodes are the real ones. ``inject`` of a row: ``topic``; ``set``, ``add`` and ``times``, each with values by
+the places of fields, such as ``native.5``; ``drop_last`` element of a field; ``shift_stamp_s``; ``beside``: whether a
+second publisher sends the faulty message beside the sound one.
+"""
+
+from __future__ import annotations
+
+import time
+from copy import deepcopy
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from posor.messages.message_definitions import MessageTypes
+from posor.model.native_coordinates import native_from_rotation
+from posor.numerics.stamps import NS
+from posor.ros_names import RAW_TOPIC
+from posor_bringup.arm_programs import arm_programs
+from posor_drivers.scan_clock import first_tick_after, tick_stamp_ns
+from posor_drivers.simulated_messages import SimulatedMessages
+from posor_msgs.msg import JointTransform, RawScan
+from posor_ros.message_conversion import pose_message, stamp_ns
+from rclpy.duration import Duration
+from rclpy.qos import LivelinessPolicy, QoSProfile
+from rclpy.serialization import deserialize_message
+
+from posor_lab.faults.fault_arm import RATES
+from posor_lab.faults.injection_run import InjectionRun
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from posor_bringup.supervisor import Program
+
+    from posor_lab.faults.fault_table import FaultRow
+
+RATE = RATES["test_rig"]
+POLL_S = 0.002
+"""Time between two looks for due ticks."""
+OFFERED_QOS = QoSProfile(
+    depth=10,
+    deadline=Duration(seconds=0.2),
+    liveliness=LivelinessPolicy.AUTOMATIC,
+    liveliness_lease_duration=Duration(seconds=1.0),
+)
+"""What live drivers and posor_nodes offer at most, so that every subscription matches."""
+SIGMA = 1e-6
+"""Standard deviation of the played transforms [m], [rad]."""
+OPERATIONS: Mapping[str, Callable[[Any, Any], Any]] = {
+    "set": lambda _old, value: value,
+    "add": lambda old, value: [each + value for each in old] if np.ndim(old) else old + value,
+    "times": lambda old, value: old * value,
+}
+
+
+def change_message(message: Any, inject: Mapping[str, Any]) -> None:
+    """Change the fields of a message as a row of the fault table states."""
+    for name, operation in OPERATIONS.items():
+        for place, value in inject.get(name, {}).items():
+            _change(message, place, lambda old, value=value, operation=operation: operation(old, value))  # type: ignore[misc]
+    if "drop_last" in inject:
+        _change(message, inject["drop_last"], lambda old: old[:-1])
+    if "shift_stamp_s" in inject:
+        shifted_ns = stamp_ns(message) + round(inject["shift_stamp_s"] * NS)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(shifted_ns, NS)
+
+
+def _change(message: Any, place: str, operation: Callable[[Any], Any]) -> None:
+    """Change the field or the element of a field at a place such as ``pose.position.x`` or ``native.5``."""
+    name, _, rest = place.partition(".")
+    old = getattr(message, name)
+    if not rest:
+        setattr(message, name, operation(old))
+    elif rest.isdigit():
+        values = list(old)
+        values[int(rest)] = operation(values[int(rest)])
+        setattr(message, name, np.array(values) if isinstance(old, np.ndarray) else values)
+    else:
+        _change(old, rest, operation)
+
+
+class MessageRun(InjectionRun):
+    """A run of the test rig in which the program plays the publisher of one topic."""
+
+    SOUND_S, FAULT_S, ACKNOWLEDGE_S, REST_S = 0.4, 0.4, 0.1, 0.4
+
+    @staticmethod
+    def group(row: FaultRow) -> str:
+        """Return the title of the run of a topic."""
+        return f"messages on {row.inject['topic']}"
+
+    def programs(self) -> list[Program]:
+        """Return the nodes but driver_node, and but posor_node if the program plays that."""
+        (self._joint,) = self.joints
+        self._topic = str(self.rows[0].inject["topic"])
+        programs = arm_programs(self.arm, drivers=False)
+        if self._topic == RAW_TOPIC:
+            return programs
+        return [each for each in programs if each.executable != "posor_node"]
+
+    def joint_of(self, _row: FaultRow) -> str:
+        """Return the joint if a posor_node runs."""
+        return self._joint if self._topic == RAW_TOPIC else ""
+
+    def prepare(self) -> None:
+        """Publish a message at every tick from now on."""
+        self._messages = SimulatedMessages(MessageTypes(), self.simulation)
+        self._faulty: FaultRow | None = None
+        self._publishers = [self._new_publisher()]
+        self._next = first_tick_after(time.time_ns(), RATE)
+        self.receiver.create_timer(POLL_S, self._publish_due)
+
+    def begin(self, row: FaultRow) -> None:
+        """Publish faulty messages from now on."""
+        if row.inject.get("beside"):
+            self._publishers.append(self._new_publisher())
+        self._faulty = row
+
+    def end(self, _row: FaultRow) -> None:
+        """Publish sound messages from now on, with one publisher."""
+        self._faulty = None
+        for second in self._publishers[1:]:
+            self.receiver.destroy_publisher(second)
+        del self._publishers[1:]
+
+    def _new_publisher(self) -> Any:
+        kind = RawScan if self._topic == RAW_TOPIC else JointTransform
+        return self.receiver.create_publisher(kind, f"/{self.arm.name}/{self._joint}/{self._topic}", OFFERED_QOS)
+
+    def _publish_due(self) -> None:
+        while tick_stamp_ns(self._next, RATE) <= time.time_ns():
+            tick, self._next = self._next, self._next + 1
+            message = self._message(tick)
+            changed = deepcopy(message)
+            if self._faulty is not None:
+                change_message(changed, self._faulty.inject)
+            pairs = list(zip(self._publishers, [message, changed][-len(self._publishers) :], strict=True))
+            for publisher, sent in pairs if tick % 2 else reversed(pairs):  # each of two comes first in turn
+                publisher.publish(sent)
+
+    def _message(self, tick: int) -> Any:
+        """Return the sound message of a tick."""
+        ticks = np.array([tick])
+        if self._topic == RAW_TOPIC:
+            scans = self.simulation.scans(self._joint, ticks)
+            return deserialize_message(self._messages.raw_scan(self._joint, scans, 0).data, RawScan)
+        frames = self.simulation.calibrations[self._joint].frames
+        pose = self.simulation.truth(ticks).T_parent_child[self._joint][0]
+        message = JointTransform(child_frame_id=frames.child, scan=tick)
+        message.header.frame_id = frames.parent
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(int(tick_stamp_ns(tick, RATE)), NS)
+        message.pose = pose_message(pose)
+        message.covariance = (SIGMA**2 * np.eye(6)).ravel()
+        message.native = [*pose.translation.tolist(), *native_from_rotation(pose.rotation)]
+        return message
