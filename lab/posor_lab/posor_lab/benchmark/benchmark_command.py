@@ -12,10 +12,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from posor.errors import ParameterError
+from posor.errors import ParameterError, PosorError
 from posor.reporting.program_errors import reports_errors
 from posor_bringup.bringup_options import prepare_output_folder
-from posor_ros.node_program import StopSignal
+from posor_ros.node_program import ros_context
 from posor_ros.ros_domain import isolated_network
 from rich.console import Console
 
@@ -27,7 +27,6 @@ from posor_lab.benchmark.growth_lines import growth_page
 from posor_lab.benchmark.host_state import host_description
 from posor_lab.benchmark.offline_benchmark import SECONDS
 from posor_lab.benchmark.pass_through_nodes import register_nodes
-from posor_lab.harness.graph import Graph
 from posor_lab.output_files import check_writable, write_json
 from posor_lab.reports.trial_program import Option
 from posor_lab.reports.trial_program import parse_options as parse
@@ -35,6 +34,8 @@ from posor_lab.reports.trial_program import parse_options as parse
 if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Sequence
+
+    from posor_ros.node_program import StopSignal
 
 PROGRAM = "make bench"
 DEFAULT_SECTIONS = tuple(name for name in SECTIONS if name != "profile")
@@ -95,7 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     results: dict[str, Any] = {"host": host_description()}
     console.print("\n".join(host_lines(results["host"])))
     try:
-        with StopSignal() as stop:
+        with isolated_network(), ros_context([PROGRAM]) as stop:
             _measure_sections(options, results, stop, console)
     finally:
         if len(results) > 1:  # also after an error
@@ -112,15 +113,19 @@ def _measure_sections(options: Namespace, results: dict[str, Any], stop: StopSig
     output = options.output.resolve()
     folder = prepare_output_folder(output.parent / output.stem, ("arms", "runs"))
     arms_folder = folder / "arms"
-    with isolated_network(), Graph() as graph:
-        arms = BenchmarkArms(arms_folder, max([plan.joints, *(plan.growth_joints if "growth" in selected else ())]))
-        register_nodes(arms_folder)
-        os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(arms_folder), os.environ.get("PYTHONPATH")]))
-        measurement = GraphMeasurement(folder / "runs", graph, lambda: stop.requested)
-        sections = BenchmarkSections(plan, measurement, arms, console.print)
-        for name in SECTIONS:
-            if name in selected:
-                results |= getattr(sections, name)()
+    arms = BenchmarkArms(arms_folder, max([plan.joints, *(plan.growth_joints if "growth" in selected else ())]))
+    register_nodes(arms_folder)
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(arms_folder), os.environ.get("PYTHONPATH")]))
+
+    def interrupted() -> bool:
+        if stop.requested:
+            raise PosorError("interrupted", where=PROGRAM)
+        return False
+
+    sections = BenchmarkSections(plan, GraphMeasurement(folder / "runs", interrupted), arms, console.print)
+    for name in SECTIONS:
+        if name in selected:
+            results |= getattr(sections, name)()
 
 
 def _write_results(options: Namespace, results: dict[str, Any], console: Console) -> None:

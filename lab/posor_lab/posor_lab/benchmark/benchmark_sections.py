@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from bisect import bisect
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -94,14 +95,8 @@ def find_highest_rate(
     lost_share: Callable[[int], float], allowed: float, ladder: Sequence[int] = RATE_LADDER
 ) -> int | None:
     """Return the highest rate of a ladder with at most the allowed share lost, by bisection; None: no rate."""
-    lowest, highest = -1, len(ladder)
-    while highest - lowest > 1:
-        middle = (lowest + highest) // 2
-        if lost_share(ladder[middle]) > allowed:
-            highest = middle
-        else:
-            lowest = middle
-    return ladder[lowest] if lowest >= 0 else None
+    held = bisect(ladder, x=False, key=lambda rate: lost_share(rate) > allowed)
+    return ladder[held - 1] if held else None
 
 
 def least_lost_share(
@@ -121,17 +116,10 @@ class BenchmarkSections:
     """Measures the sections of a plan."""
 
     def __init__(
-        self,
-        plan: BenchmarkPlan,
-        measurement: GraphMeasurement,
-        arms: BenchmarkArms,
-        print_line: Callable[[str], None],
+        self, plan: BenchmarkPlan, measurement: GraphMeasurement, arms: BenchmarkArms, print_line: Callable[[str], None]
     ) -> None:
         """Prepare; nothing is measured yet."""
-        self._plan = plan
-        self._measurement = measurement
-        self._arms = arms
-        self._print_line = print_line
+        self._plan, self._measurement, self._arms, self._print_line = plan, measurement, arms, print_line
         self._measured: dict[tuple[Layout, int, int], dict[str, Any]] = {}
 
     def _measure(self, kind: Kind, layout: Layout, joints: int, rate: int, seconds: float) -> MeasuredRun:

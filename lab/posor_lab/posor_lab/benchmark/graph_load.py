@@ -33,7 +33,7 @@ LAYOUTS: Mapping[Layout, str] = {
 PROFILE = "profile.json"
 SPIN_US: int = LiveDriverParameters.model_fields["spin_us"].default
 FALSE_ALARM = 1e-9
-"""Of the chi-square test. The same noise is played again and again: a scan that fails by chance would always fail."""
+"""False-alarm probability of the nodes. The noise is played again and again: a scan that fails once always fails."""
 
 
 @dataclass(frozen=True)

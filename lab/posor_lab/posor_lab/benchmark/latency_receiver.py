@@ -16,7 +16,7 @@ import numpy as np
 import rclpy
 from geometry_msgs.msg import PoseStamped
 from posor.messages.cdr_schema import STAMP
-from posor_ros.cdr_transform import stamp_ns_of
+from posor.messages.joint_transform import stamp_ns_of
 from posor_ros.node_program import StopSignal, non_ros_arguments
 from rclpy.impl.implementation_singleton import rclpy_implementation as implementation
 from rclpy.node import Node

@@ -161,7 +161,7 @@ def _reprocess(bag: str, arm: str, output: str = "") -> None:
 
 
 def _peak_mb() -> float:
-    """Return the peak memory of this process [MB]; getrusage would include that of the parent process."""
+    """Return the peak memory of this process [MB]; getrusage would include the parent process."""
     status = Path("/proc/self/status").read_text(encoding="ascii")
     return next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM:")) / 1024.0
 

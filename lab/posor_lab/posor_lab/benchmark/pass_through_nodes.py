@@ -1,7 +1,7 @@
 """Nodes with the topics, message sizes and connections of posor_node and chain_node that compute nothing.
 
 A graph of these nodes shows the cost of middleware and Python alone. Their messages are prepared; only the
-stamp is that of the received message. ``compose`` finds the nodes by entry points, see ``register_nodes``.
+stamp comes from the received message. ``compose`` finds the nodes by entry points, see ``register_nodes``.
 """
 
 from __future__ import annotations

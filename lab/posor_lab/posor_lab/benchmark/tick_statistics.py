@@ -75,7 +75,7 @@ def evaluate_window(
 
     Raises:
         NothingReceivedError: There is no pose.
-        PosorError: The stamp of a pose is not that of a tick, or occurs twice.
+        PosorError: A pose has the stamp of no tick, or two poses have the same stamp.
 
     """
     ticks = window.stamps_ns

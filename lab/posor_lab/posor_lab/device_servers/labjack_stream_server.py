@@ -32,7 +32,7 @@ class LabJackStreamServer(LabJackServer):
         stream_port: Port of the stream.
         status: Status of the next packet, with its information.
         skip_packet: Leave out the number of the next packet.
-        stalled: No packet is sent while it is set; its frames are lost without a word.
+        stalled: While this event is set, no packet is sent, and the frames of this time are never sent.
 
     """
 

@@ -35,9 +35,9 @@ if TYPE_CHECKING:
 
 RATE, LATENCY_S = 100, 0.1
 SLOWNESS = 20.0
-"""Of the arm: a busy host delays frames, and the motion in this time is no fault of the device."""
+"""The arm moves slowly: a busy host delays frames, and the motion in this time is not a fault of the device."""
 BACK_WITHIN_S = 2.0
-"""From the end of a fault to the first pose."""
+"""Longest time from the end of a fault to the first pose."""
 FRAMES_LOST = 1200
 """Consecutive frames, 0.3 s."""
 
@@ -67,7 +67,7 @@ ACTIONS: Mapping[str, Sequence[Callable[[CapaNcdtServer], None]]] = {
 class DeviceRun(InjectionRun):
     """A run of the test rig over devices."""
 
-    ACKNOWLEDGE_S = 0.0
+    TITLE, ACKNOWLEDGE_S = "devices", 0.0
 
     def __init__(
         self, rows: Sequence[FaultRow], folder: Path, seed: int, interrupted: Callable[[], bool] = lambda: False
@@ -77,11 +77,6 @@ class DeviceRun(InjectionRun):
         self._readings = SimulatedReadings(load_checked_arm(rows[0].arm), SLOWNESS, seed)
         self.arm = self._readings.arm
 
-    @staticmethod
-    def group(_row: FaultRow) -> str:
-        """Return the title of the only run."""
-        return "devices"
-
     def run(self) -> list[RowResult]:
         """Start the devices and run."""
         with ExitStack() as stack:
@@ -89,33 +84,30 @@ class DeviceRun(InjectionRun):
             self._server.merged = 2
             return super().run()
 
-    def programs(self) -> list[Program]:
-        """Return all nodes in one process."""
+    def _programs(self) -> list[Program]:
         trial = DeviceTrial("faults", self.arm.name, RATE, LATENCY_S, 0.0, lambda *_: self._devices)
         arm = write_arm(self._readings.arm, trial, self._devices, self.folder)
         return group_programs(arm_programs(arm), "composed", self.folder)
 
-    def prepare(self) -> None:
+    def _prepare(self) -> None:
         """Begin the motion when the arm has poses."""
-        super().prepare()
+        super()._prepare()
         self._readings.start_motion()
 
-    def begin(self, row: FaultRow) -> None:
-        """Do to the device what the row says."""
+    def _begin(self, row: FaultRow) -> None:
         ACTIONS[row.name.removeprefix("device ")][0](self._server)
 
-    def end(self, row: FaultRow) -> None:
-        """Let the device work again."""
+    def _end(self, row: FaultRow) -> None:
         ACTIONS[row.name.removeprefix("device ")][1](self._server)
 
-    def result(self, row: FaultRow, span: Span) -> RowResult:
+    def _result(self, row: FaultRow, span: Span) -> RowResult:
         """Return what was published about a fault, and when poses came again."""
         arrivals = self.receiver.between(ENDPOINT_COVARIANCE_TOPIC, span.end_ns, span.until_ns)
-        back_s, found = (arrivals[0].time_ns - span.end_ns) / NS, super().result(row, span)
+        back_s, found = (arrivals[0].time_ns - span.end_ns) / NS, super()._result(row, span)
         problem = f"no pose within {BACK_WITHIN_S:g} s of its end" if back_s > BACK_WITHIN_S else ""
         return replace(found, seen=f"{found.seen}; poses after {back_s:.2f} s", problem=problem)
 
-    def count_wrong(self, _row: FaultRow, span: Span) -> int:
+    def _count_wrong(self, _row: FaultRow, span: Span) -> int:
         """Return how many positions of the endpoint are wrong."""
         arrivals = self.receiver.between(ENDPOINT_COVARIANCE_TOPIC, span.begin_ns, span.until_ns)
         poses = [each.message for each in arrivals]

@@ -32,7 +32,7 @@ WAYPOINT_S = 1.0
 IMPERFECTIONS = Imperfections(dropouts=False, zero_drift=False)
 """Zero drift is not part of the stated covariance, and dropouts are faults themselves."""
 IMPERFECTION_PARAMETERS = {f"simulated.{name}": getattr(IMPERFECTIONS, name) for name in ("dropouts", "zero_drift")}
-"""The same as parameters of the drivers."""
+"""The imperfections as parameters of the drivers."""
 
 
 def fault_entry(joint: str, entries: Mapping[str, Any], begin_s: float, end_s: float) -> dict[str, Any]:

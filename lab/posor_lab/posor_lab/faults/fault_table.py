@@ -62,24 +62,14 @@ NAMING_LIMITS_S, FAULT_TABLE = _load_table()
 
 @dataclass(frozen=True)
 class RowResult:
-    """What a run shows of a fault.
-
-    Attributes:
-        row: The fault.
-        seen: Sentence on what was published.
-        naming_s: Time from the fault to the first message that names it [s]; None: not named.
-        wrong_ok: Number of poses published as valid that are beyond 5 standard deviations of the truth.
-        covered: Share of cases within the protection level, of a fault that is not observable.
-        problem: Why the run does not count, such as a joint that had no pose before the fault; empty: it counts.
-
-    """
+    """What a run shows of a fault."""
 
     row: FaultRow
-    seen: str
-    naming_s: float | None
-    wrong_ok: int
-    covered: float = math.nan
-    problem: str = ""
+    seen: str  # sentence on what was published
+    naming_s: float | None  # time from the fault to the first message that names it [s]; None: not named
+    wrong_ok: int  # poses published as valid that are beyond 5 standard deviations of the truth
+    covered: float = math.nan  # share of cases within the protection level, of a fault that is not observable
+    problem: str = ""  # why the run does not count, such as a joint without a pose before the fault; empty: it counts
 
     @property
     def failures(self) -> list[str]:

@@ -53,8 +53,13 @@ LIVE_RUNS: Mapping[str, type[InjectionRun]] = {
     "processes": ProcessRun,
     "devices": DeviceRun,
 }
-"""By section of the table."""
-OFFLINE_RUNS = {"hidden": "hidden faults", "slips": "slips of light sources"}
+"""Live runs by section of the table."""
+TITLES = {
+    **{name: run.TITLE for name, run in LIVE_RUNS.items()},
+    "hidden": "hidden faults",
+    "slips": "slips of sources",
+}
+"""Titles of the runs by section of the table; rows of the same title share a run."""
 
 
 def shorten(options: Namespace) -> None:
@@ -76,7 +81,7 @@ def run_rows(trial: Trial) -> list[RowResult]:
     options, groups = trial.options, defaultdict[str, list["FaultRow"]](list)
     for row in FAULT_TABLE:
         if options.rows in row.title and (row.quick or not options.quick):
-            groups[LIVE_RUNS[row.run].group(row) if row.run in LIVE_RUNS else OFFLINE_RUNS[row.run]].append(row)
+            groups[TITLES[row.run].format(row)].append(row)
     if not groups:
         raise ParameterError(f"--rows '{options.rows}'", where="faults", expected="part of the name of a row")
     results = []

@@ -17,7 +17,7 @@ from posor.model.native_coordinates import native_from_rotation
 from posor.numerics.stamps import NS
 from posor.ros_names import RAW_TOPIC
 from posor_bringup.arm_programs import arm_programs
-from posor_drivers.scan_clock import first_tick_after, tick_stamp_ns
+from posor.numerics.stamps import first_tick_after, tick_stamp_ns
 from posor_drivers.simulated_messages import SimulatedMessages
 from posor_msgs.msg import JointTransform, RawScan
 from posor_ros.message_conversion import pose_message, stamp_ns
@@ -83,27 +83,20 @@ def _change(message: Any, place: str, operation: Callable[[Any], Any]) -> None:
 class MessageRun(InjectionRun):
     """A run of the test rig in which the program plays the publisher of one topic."""
 
+    TITLE = "messages on {0.inject[topic]}"
     SOUND_S, FAULT_S, ACKNOWLEDGE_S, REST_S = 0.4, 0.4, 0.1, 0.4
 
-    @staticmethod
-    def group(row: FaultRow) -> str:
-        """Return the title of the run of a topic."""
-        return f"messages on {row.inject['topic']}"
-
-    def programs(self) -> list[Program]:
+    def _programs(self) -> list[Program]:
         """Return the nodes but driver_node, and but posor_node if the program plays that."""
         (self._joint,) = self.joints
         self._topic = str(self.rows[0].inject["topic"])
-        programs = arm_programs(self.arm, drivers=False)
-        if self._topic == RAW_TOPIC:
-            return programs
-        return [each for each in programs if each.executable != "posor_node"]
+        unused = "" if self._topic == RAW_TOPIC else "posor_node"
+        return [each for each in arm_programs(self.arm, drivers=False) if each.executable != unused]
 
-    def joint_of(self, _row: FaultRow) -> str:
-        """Return the joint if a posor_node runs."""
+    def _joint_of(self, _row: FaultRow) -> str:
         return self._joint if self._topic == RAW_TOPIC else ""
 
-    def prepare(self) -> None:
+    def _prepare(self) -> None:
         """Publish a message at every tick from now on."""
         self._messages = SimulatedMessages(MessageTypes(), self.simulation)
         self._faulty: FaultRow | None = None
@@ -111,14 +104,12 @@ class MessageRun(InjectionRun):
         self._next = first_tick_after(time.time_ns(), RATE)
         self.receiver.create_timer(POLL_S, self._publish_due)
 
-    def begin(self, row: FaultRow) -> None:
-        """Publish faulty messages from now on."""
+    def _begin(self, row: FaultRow) -> None:
         if row.inject.get("beside"):
             self._publishers.append(self._new_publisher())
         self._faulty = row
 
-    def end(self, _row: FaultRow) -> None:
-        """Publish sound messages from now on, with one publisher."""
+    def _end(self, _row: FaultRow) -> None:
         self._faulty = None
         for second in self._publishers[1:]:
             self.receiver.destroy_publisher(second)

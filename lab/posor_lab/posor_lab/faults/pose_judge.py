@@ -11,7 +11,7 @@ from posor_drivers.simulator.pose_array import PoseArray
 from posor_ros.message_conversion import is_usable, stamp_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from posor.estimation.estimate import Estimates
     from posor.numerics.array_types import BoolArray, FloatArray
@@ -82,13 +82,11 @@ class PoseJudge:
 
         """
         arrivals = receiver.between(ENDPOINT_COVARIANCE_TOPIC, begin_ns, end_ns)
-        parts = [(each, each.message.pose.pose, each.message.pose.covariance) for each in arrivals]
-        count = self._count_wrong(parts, lambda truth: truth.endpoint)
-        arrivals = receiver.between(ENDPOINT_STATE_TOPIC, begin_ns, end_ns)
-        count += self._count_wrong(_valid(arrivals), lambda truth: truth.endpoint)
+        count = self._count_wrong([(each, each.message.pose) for each in arrivals])
+        count += self._count_wrong(_valid(receiver.between(ENDPOINT_STATE_TOPIC, begin_ns, end_ns)))
         if joint:
-            arrivals = receiver.between(f"{joint}/{TRANSFORM_TOPIC}", begin_ns, end_ns)
-            count += self._count_wrong(_valid(arrivals), lambda truth: truth.T_parent_child[joint])
+            transforms = receiver.between(f"{joint}/{TRANSFORM_TOPIC}", begin_ns, end_ns)
+            count += self._count_wrong(_valid(transforms), joint)
         return count
 
     def covered_share(self, receiver: ArrivalReceiver, begin_ns: int, end_ns: int) -> float:
@@ -99,12 +97,18 @@ class PoseJudge:
         parts = _valid(receiver.between(ENDPOINT_STATE_TOPIC, begin_ns, end_ns))
         if not parts:
             return 1.0
-        arrivals, poses, covariances = zip(*parts, strict=True)
-        found, true = pose_array(poses), self._truth(arrivals).endpoint
-        wrong = wrong_poses(found, np.reshape(covariances, (-1, 6, 6)), true)
-        levels = np.array([each.message.protection_level for each in arrivals])
+        found, true, wrong = self._compare(parts)
+        levels = np.array([each.message.protection_level for each, _ in parts])
         covered = np.all(np.abs(small_errors(found, true)) <= levels, axis=1)
         return float(np.mean(covered[wrong])) if wrong.any() else 1.0
+
+    def _compare(self, parts: Sequence[tuple[Arrival, Any]], joint: str = "") -> tuple[PoseArray, PoseArray, BoolArray]:
+        """Return found and true poses of the endpoint or a joint, and which are wrong."""
+        found = pose_array([each.pose for _, each in parts])
+        covariances = np.reshape([each.covariance for _, each in parts], (-1, 6, 6))
+        truth = self._truth([each for each, _ in parts])
+        true = truth.T_parent_child[joint] if joint else truth.endpoint
+        return found, true, wrong_poses(found, covariances, true)
 
     def _truth(self, arrivals: Sequence[Arrival]) -> ArmTruth:
         """Return the truth at the stamps of messages."""
@@ -113,29 +117,25 @@ class PoseJudge:
             np.rint(stamps * (self._simulation.scenario.ticks_per_second / NS)).astype(np.int64)
         )
 
-    def _count_wrong(self, parts: Sequence[tuple[Arrival, Any, Any]], true: Callable[[ArmTruth], PoseArray]) -> int:
+    def _count_wrong(self, parts: Sequence[tuple[Arrival, Any]], joint: str = "") -> int:
         if not parts:
             return 0
-        arrivals, poses, covariances = zip(*parts, strict=True)
-        ages_ns = np.array([each.time_ns - stamp_ns(each.message) for each in arrivals])
-        matrices = np.reshape(covariances, (-1, 6, 6))
-        wrong = wrong_poses(pose_array(poses), matrices, true(self._truth(arrivals)))
-        return int(np.count_nonzero(wrong | (ages_ns > STALE_S * NS)))
+        ages_ns = np.array([each.time_ns - stamp_ns(each.message) for each, _ in parts])
+        return int(np.count_nonzero(self._compare(parts, joint)[2] | (ages_ns > STALE_S * NS)))
 
 
-def _valid(arrivals: Sequence[Arrival]) -> list[tuple[Arrival, Any, Any]]:
-    """Return message, pose and covariance of those published as valid."""
-    return [(each, each.message.pose, each.message.covariance) for each in arrivals if is_usable(each.message)]
+def _valid(arrivals: Sequence[Arrival]) -> list[tuple[Arrival, Any]]:
+    """Return the messages published as valid, which hold a pose and its covariance themselves."""
+    return [(each, each.message) for each in arrivals if is_usable(each.message)]
 
 
 def pose_array(poses: Sequence[Any]) -> PoseArray:
     """Return geometry_msgs/Pose messages as arrays; a pose that is not finite stays so."""
     translations = np.array([(each.position.x, each.position.y, each.position.z) for each in poses])
-    w, x, y, z = np.array(
-        [(each.orientation.w, each.orientation.x, each.orientation.y, each.orientation.z) for each in poses]
-    ).T
-    rotations = np.empty((len(poses), 3, 3))
-    rotations[:, 0] = np.column_stack([1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)])
-    rotations[:, 1] = np.column_stack([2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)])
-    rotations[:, 2] = np.column_stack([2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)])
-    return PoseArray(rotations, translations)
+    quaternions = [(each.orientation.x, each.orientation.y, each.orientation.z, each.orientation.w) for each in poses]
+    vectors, scalars = np.hsplit(np.array(quaternions), [3])
+    # Not normalised: an orientation that is no unit quaternion is judged as a reader of the message would use it.
+    crossed = np.cross(vectors[:, None], np.eye(3)).swapaxes(1, 2)
+    squares = np.sum(vectors**2, axis=1)[:, None, None]
+    outer = vectors[:, :, None] * vectors[:, None]
+    return PoseArray(np.eye(3) * (1.0 - 2.0 * squares) + 2.0 * (outer + scalars[:, None] * crossed), translations)

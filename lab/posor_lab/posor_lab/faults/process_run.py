@@ -2,11 +2,11 @@
 
 The nodes run in processes of their own. A relay between driver_node and posor_node is the link: when its process is
 stopped, no scan arrives and no node announces its end, as when a cable is pulled. Lifecycle transitions are faults of
-nodes that share a process: it must survive them. ``inject`` of a row: ``program``, and its ``disturbance``:
+nodes that share a process: it must survive them. ``inject`` of a row: ``layout``, ``program``, its ``disturbance``:
 
 - ``stop``: SIGSTOP, then SIGCONT.
 - ``kill``: SIGKILL, then a new process.
-- ``interrupt``: SIGINT, twice, then a new process; the exit code must be that of an orderly end.
+- ``interrupt``: SIGINT, twice, then a new process; the exit code must show an orderly end.
 - ``clean_up``: two lifecycle transitions of a node that shares its process, then two back.
 """
 
@@ -29,7 +29,6 @@ from posor_lab.faults.fault_arm import IMPERFECTION_PARAMETERS
 from posor_lab.faults.injection_run import InjectionRun
 
 if TYPE_CHECKING:
-    from posor_bringup.arm_programs import Layout
     from posor_bringup.supervisor import RunningProgram
 
     from posor_lab.faults.fault_table import FaultRow
@@ -45,25 +44,16 @@ ABSENCE = "absence"
 """In ``FaultRow.named_by``: the fault is named by the absence of the endpoint's state."""
 
 
-def layout_of(row: FaultRow) -> Layout:
-    """Return which nodes share a process."""
-    return "composed" if row.inject["disturbance"] == "clean_up" else "separate"
-
-
 class ProcessRun(InjectionRun):
     """A run of the test rig with one layout of its processes."""
 
-    @staticmethod
-    def group(row: FaultRow) -> str:
-        """Return the title of the run of a layout."""
-        return f"processes, layout {layout_of(row)}"
+    TITLE = "processes, layout {0.inject[layout]}"
 
-    def programs(self) -> list[Program]:
+    def _programs(self) -> list[Program]:
         """Return the nodes; in separate processes with a relay between the driver and the topic of its scans."""
         programs = arm_programs(self.arm, driver_parameters=IMPERFECTION_PARAMETERS)
-        layout = layout_of(self.rows[0])
-        if layout == "composed":
-            return group_programs(programs, layout, self.folder)
+        if self.rows[0].inject["layout"] == "composed":
+            return group_programs(programs, "composed", self.folder)
         link = f"/{self.arm.name}/link"
         ends = f"{link}/{RAW_TOPIC}", f"/{self.arm.name}/{self.joints[0]}/{RAW_TOPIC}"
         return [
@@ -71,19 +61,14 @@ class ProcessRun(InjectionRun):
             Program("relay", "", str(Path(relay.__file__)), ends),
         ]
 
-    def prepare(self) -> None:
+    def _prepare(self) -> None:
         """Name the running programs by their executables."""
+        super()._prepare()
         self._running: dict[str, RunningProgram] = {
             name.rpartition("/")[2]: running for name, running in self.watch.running.items()
         }
 
-    def begin(self, row: FaultRow) -> None:
-        """Disturb the program.
-
-        Raises:
-            ProcessError: A process ended, or a transition failed.
-
-        """
+    def _begin(self, row: FaultRow) -> None:
         name = row.inject["program"]
         match row.inject["disturbance"]:
             case "stop":
@@ -96,13 +81,7 @@ class ProcessRun(InjectionRun):
             case "clean_up":
                 self._change(name, Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP)
 
-    def end(self, row: FaultRow) -> None:
-        """Let the program work again.
-
-        Raises:
-            ProcessError: The process did not end in order, or a transition failed.
-
-        """
+    def _end(self, row: FaultRow) -> None:
         name = row.inject["program"]
         match row.inject["disturbance"]:
             case "stop":
@@ -130,11 +109,11 @@ class ProcessRun(InjectionRun):
                 raise ProcessError(f"lifecycle transition {transition} failed", where=name)
         self.receiver.destroy_client(client)
 
-    def first_naming_ns(self, row: FaultRow, span: Span) -> int | None:
+    def _first_naming_ns(self, row: FaultRow, span: Span) -> int | None:
         """Return when the first message came that names the fault, or the absence of messages does [ns]."""
         if ABSENCE in row.named_by:
             return first_absence_ns(self.receiver, span.begin_ns, span.end_ns)
-        return super().first_naming_ns(row, span)
+        return super()._first_naming_ns(row, span)
 
 
 def first_absence_ns(receiver: ArrivalReceiver, begin_ns: int, end_ns: int) -> int | None:

@@ -86,22 +86,13 @@ def thetas_of(poses: PoseArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Storm:
-    """Scans with faults, and what is true.
+    """Scans with faults, and what is true."""
 
-    Attributes:
-        scans: As the driver publishes them, (n).
-        faults: Which fault each scan has, (n,): an index of ``names``; -1: none.
-        names: Names of the faults.
-        truth: True poses, (n).
-        acknowledgements: Scans before which an operator acknowledges, in order.
-
-    """
-
-    scans: Scans
-    faults: IntArray
-    names: tuple[str, ...]
-    truth: PoseArray
-    acknowledgements: IntArray
+    scans: Scans  # as the driver publishes them, (n)
+    faults: IntArray  # fault of each scan, (n,): an index of ``names``; -1: no fault
+    names: tuple[str, ...]  # names of the faults
+    truth: PoseArray  # true poses, (n)
+    acknowledgements: IntArray  # scans before which an operator acknowledges, in order
 
 
 class StormMaker:
@@ -244,10 +235,10 @@ def count_storm(
     """Return the figures of a storm.
 
     Args:
-        calibration: Of the stack.
-        storm: The scans.
-        states: ``State`` of each, (n,).
-        faults: ``Fault`` of each, (n,).
+        calibration: Calibration of the stack.
+        storm: The scans, n.
+        states: ``State`` of each scan, (n,).
+        faults: ``Fault`` of each scan, (n,).
         poses: Estimated poses, (n).
         covariances: Total covariances, (n, 6, 6).
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 OBSERVABLE = 2.0
 """Least error of a wrong reading, in minimal detectable biases."""
 RANGES = {"gap_voltages": (-7.0, 7.0), "ring_voltages": (-7.0, 7.0), DIODE_FIELD: (0.0, 1.5e-4)}
-"""Of the converters [V], [A]."""
+"""Ranges of the converters [V], [A]."""
 FLAGS = {"SATURATED": SATURATED, "PROBES_ESTIMATED": PROBES_ESTIMATED, "DIODES_ESTIMATED": DIODES_ESTIMATED}
 
 

@@ -29,9 +29,8 @@ LONGEST_S = 5.0
 
 @dataclass
 class FileCount:
-    """What became of damaged files."""
+    """Numbers of damaged files."""
 
-    mutations: int = 0
     refused: int = 0  # with one sentence
     read: int = 0
     slowest_s: float = 0.0
@@ -64,7 +63,7 @@ def fuzz_files(name: str, mutations: int, seed: int, folder: Path) -> FileCount:
         folder: Existing folder for the damaged file.
 
     Raises:
-        FileFailureError: The reader failed; names the seed and keeps the file.
+        FileFailureError: The reader failed; names the format and keeps the file.
 
     """
     (source, read), count = readers()[name], FileCount()
@@ -75,19 +74,18 @@ def fuzz_files(name: str, mutations: int, seed: int, folder: Path) -> FileCount:
         for _ in range(chance.randint(1, 4)):
             data = mutate(data, chance)
         path.write_bytes(data)
-        began = time.monotonic()
+        began, where = time.monotonic(), f"{path}: {name}"
         try:
             read(path)
             count.read += 1
         except PosorError as error:
             if "\n" in str(error):
-                raise FileFailureError(f"{path}: {name}: more than one line: {error}") from error
+                raise FileFailureError(f"{where}: more than one line: {error}") from error
             count.refused += 1
         except Exception as error:
-            raise FileFailureError(f"{path}: {name}: {type(error).__name__}: {error}") from error
+            raise FileFailureError(f"{where}: {type(error).__name__}: {error}") from error
         took_s = time.monotonic() - began
         if took_s > LONGEST_S:
-            raise FileFailureError(f"{path}: {name}: took {took_s:.1f} s; expected at most {LONGEST_S:g} s")
+            raise FileFailureError(f"{where}: took {took_s:.1f} s; expected at most {LONGEST_S:g} s")
         count.slowest_s = max(count.slowest_s, took_s)
-        count.mutations += 1
     return count

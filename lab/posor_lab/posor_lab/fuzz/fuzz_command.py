@@ -21,7 +21,7 @@ from posor_lab.reports.trial_program import Option, TrialProgram
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from posor_lab.fuzz.message_fuzz import FuzzCount
+    from posor_lab.fuzz.message_fuzz import MessageFuzz
     from posor_lab.fuzz.node_fuzz import NodeFuzz
     from posor_lab.reports.trial_program import Trial
 
@@ -56,13 +56,13 @@ def run_fuzz(trial: Trial) -> tuple[Findings, Mapping[str, Any]]:
     return Findings(tuple(found)), {}
 
 
-def _fuzz_messages(name: str, fuzz: ScanFuzz | TransformFuzz, mutations: int, trial: Trial) -> Iterator[Finding]:
+def _fuzz_messages(name: str, fuzz: MessageFuzz, mutations: int, trial: Trial) -> Iterator[Finding]:
     with trial.progress.stage(name, mutations) as on_done:
         for begin in range(0, mutations, STEP):
             step = min(STEP, mutations - begin)
             fuzz.run(step)
             on_done(step)
-    yield _count_finding(name, fuzz.count)
+    yield _count_finding(name, fuzz)
 
 
 def _fuzz_node(name: str, fuzz: NodeFuzz, mutations: int, trial: Trial) -> Iterator[Finding]:
@@ -71,7 +71,7 @@ def _fuzz_node(name: str, fuzz: NodeFuzz, mutations: int, trial: Trial) -> Itera
             fuzz.run(mutations, trial.folder, on_done)
         except NodeFuzzError as error:
             yield Finding(name, str(error), verdict=Verdict.FAILS)
-    yield _count_finding(name, fuzz.count)
+    yield _count_finding(name, fuzz.fuzz)
     yield Finding(
         f"{name}: slowest answer", f"{fuzz.slowest_s:.2f} s", remark=f"{fuzz.acknowledged} faults acknowledged"
     )
@@ -96,12 +96,10 @@ def _fuzz_format(name: str, trial: Trial) -> Iterator[Finding]:
     yield Finding.judged(f"{name} files", text, "a result or one sentence", holds=True)
 
 
-def _count_finding(name: str, count: FuzzCount) -> Finding:
-    text = (
-        f"{count.mutations} damaged: {count.refused} refused, {count.unharmed} unharmed, {count.covered} "
-        f"within the protection level, {count.possible} possible, {count.wrong} wrong"
-    )
-    return Finding.judged(name, text, "0 wrong", holds=not count.wrong, if_fails="; ".join(count.examples))
+def _count_finding(name: str, fuzz: MessageFuzz) -> Finding:
+    counts = ", ".join(f"{count} {outcome}" for outcome, count in fuzz.outcomes.items())
+    text, wrong = f"{fuzz.outcomes.total()} damaged: {counts}", fuzz.outcomes["wrong"]
+    return Finding.judged(name, text, "0 wrong", holds=wrong == 0, if_fails="; ".join(fuzz.examples))
 
 
 DESCRIPTION = "Damage messages and files and count wrong poses."

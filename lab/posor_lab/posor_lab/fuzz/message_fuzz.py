@@ -1,6 +1,6 @@
 """Damaged raw scans and joint transforms through the byte path of the nodes, compared with the undamaged ones.
 
-A pose published as valid that differs from that of the undamaged message by more than 5 standard deviations is wrong,
+A pose published as valid is wrong if it differs from the pose of the undamaged message by over 5 standard deviations,
 unless the damaged bytes are a message that the sensors could have sent:
 
 - a raw scan in which one reading differs, by less than the redundant readings detect: within the protection level;
@@ -10,7 +10,9 @@ unless the damaged bytes are a message that the sensors could have sent:
 from __future__ import annotations
 
 import random
-from dataclasses import dataclass, field
+from abc import ABC, abstractmethod
+from collections import Counter
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -45,26 +47,11 @@ READINGS = ("gap_voltages", "ring_voltages", "diode_currents", "lit_sources")
 ENVIRONMENT = "supply or temperature"
 COUPLED = (ENVIRONMENT, "diode_currents")
 """Damage to one of these changes several readings: those of all probes, or both coordinates of a spot."""
+OUTCOMES = ("refused", "unharmed", "within the protection level", "possible", "wrong")
+"""No pose, or the message refused; a pose that does not differ; a pose that differs, with one reading damaged; a pose
+that differs, with several readings or the environment damaged, which agree with one another; a pose that differs
+otherwise."""
 MOST_EXAMPLES = 10
-
-
-@dataclass
-class FuzzCount:
-    """What became of damaged messages."""
-
-    mutations: int = 0
-    refused: int = 0  # no pose, or the message as a whole
-    unharmed: int = 0  # a pose that does not differ
-    covered: int = 0  # a pose that differs within the protection level, one reading damaged
-    possible: int = 0  # a pose that differs: several readings, or the environment, which agree with one another
-    wrong: int = 0  # a pose that differs otherwise
-    examples: list[str] = field(default_factory=list)  # of wrong ones
-
-    def add_wrong(self, text: str) -> None:
-        """Count a wrong pose."""
-        self.wrong += 1
-        if len(self.examples) < MOST_EXAMPLES:
-            self.examples.append(text)
 
 
 @dataclass(frozen=True)
@@ -97,13 +84,41 @@ def record(simulation: ArmSimulation, joint: str, count: int = SCANS, cycle: int
     return JointRecording(posor, stream, scans, transforms, estimates, trackers, usable)
 
 
-class ScanFuzz:
+class MessageFuzz(ABC):
+    """Counts what becomes of damaged messages.
+
+    Attributes:
+        outcomes: Number of damaged messages by ``OUTCOMES``.
+        examples: The first ones that gave a wrong pose.
+        chance: Source of the damage.
+
+    """
+
+    def __init__(self, seed: str) -> None:
+        """Count from 0."""
+        self.outcomes, self.examples = Counter(dict.fromkeys(OUTCOMES, 0)), list[str]()
+        self.chance = random.Random(seed)  # noqa: S311  damage
+
+    def run(self, mutations: int) -> None:
+        """Damage messages ``mutations`` times."""
+        for _ in range(mutations):
+            self._damage_one()
+
+    @abstractmethod
+    def _damage_one(self) -> None: ...
+
+    def _count(self, outcome: str, example: str = "") -> None:
+        self.outcomes[outcome] += 1
+        if example and len(self.examples) < MOST_EXAMPLES:
+            self.examples.append(example)
+
+
+class ScanFuzz(MessageFuzz):
     """Damaged raw scans of one joint, each estimated after the undamaged scan before it."""
 
     def __init__(self, simulation: ArmSimulation, joint: str, seed: int) -> None:
         """Estimate the undamaged scans; ``seed`` is that of the damage."""
-        self.count = FuzzCount()
-        self.chance = random.Random(f"{joint} {seed}")  # noqa: S311  damage
+        super().__init__(f"{joint} {seed}")
         self._simulation, self._joint = simulation, joint
         self.begin_cycle(0)
 
@@ -112,42 +127,38 @@ class ScanFuzz:
         self.recording = record(self._simulation, self._joint, cycle=cycle)
         self._levels: dict[int, FloatArray] = {}
 
-    def run(self, mutations: int) -> None:
-        """Damage scans ``mutations`` times."""
-        for _ in range(mutations):
-            n = self.chance.choice(self.recording.usable)
-            data = mutate(self.recording.scans[n], self.chance)
-            found = self._estimate(n, data)
-            self.judge(n, data, None if found is None or found["state"] not in USABLE_STATES else _pose_of(found))
+    def _damage_one(self) -> None:
+        n = self.chance.choice(self.recording.usable)
+        data = mutate(self.recording.scans[n], self.chance)
+        found = self._estimate(n, data)
+        self.judge(n, data, None if found is None or found["state"] not in USABLE_STATES else _pose_of(found))
 
     def judge(self, n: int, data: bytes, found: pin.SE3 | None) -> None:
         """Count what became of damaged bytes in place of scan n: a pose that is published as valid, or None."""
-        count, expected = self.count, self.recording.estimates[n]
-        count.mutations += 1
         if found is None:
-            count.refused += 1
+            self._count("refused")
             return
         if self.is_near(n, found):
-            count.unharmed += 1
+            self._count("unharmed")
             return
-        error = pose_difference(found, _pose_of(expected))
+        error = pose_difference(found, _pose_of(self.recording.estimates[n]))
         changed = changed_readings(self.recording.scans[n], data)
         if len(changed) == 1 and ENVIRONMENT not in changed and np.all(np.abs(error) <= self._protection_level(n)):
-            count.covered += 1
+            self._count("within the protection level")
         elif len(changed) > 1 or any(name.startswith(COUPLED) for name in changed):
-            count.possible += 1
+            self._count("possible")
         else:
             readings = ", ".join(sorted(changed)) or "no reading"
-            count.add_wrong(f"scan {n}, {readings} changed: off by {np.round(1e6 * error, 2).tolist()} um, urad")
+            self._count("wrong", f"scan {n}, {readings} changed: off by {_micro(error)}")
 
     def is_near(self, n: int, found: pin.SE3) -> bool:
-        """Return whether a pose is that of scan n within 5 standard deviations."""
+        """Return whether a pose agrees with scan n within 5 standard deviations."""
         expected = self.recording.estimates[n]
         sigmas = np.sqrt(np.diag(expected["random"] + expected["systematic"]))
         return bool(np.all(np.abs(pose_difference(found, _pose_of(expected))) <= SIGMAS * sigmas))
 
     def _estimate(self, n: int, data: bytes) -> Any | None:
-        """Return the estimate of damaged bytes in place of scan n, as posor_node makes it; None: it refuses them."""
+        """Return the estimate of damaged bytes in place of scan n, as posor_node makes it; None: refused."""
         recording = self.recording
         recording.posor.model.workspace["tracker"] = recording.trackers[n]
         stream = recording.stream
@@ -178,6 +189,10 @@ def _pose_of(estimate: Any) -> pin.SE3:
     return pin.SE3(estimate["rotation"], estimate["translation"])
 
 
+def _micro(error: FloatArray) -> str:
+    return f"{np.round(1e6 * error, 2).tolist()} um, urad"
+
+
 def pose_difference(found: pin.SE3, expected: pin.SE3) -> FloatArray:
     """Return the difference of two poses in ROS order, (6,)."""
     one, other = (PoseArray(np.array([each.rotation]), np.array([each.translation])) for each in (found, expected))
@@ -201,26 +216,23 @@ def changed_readings(before: bytes, after: bytes) -> set[str]:
     return changed
 
 
-class TransformFuzz:
+class TransformFuzz(MessageFuzz):
     """Damaged transforms of one joint of a whole scan, read as chain_node reads them."""
 
     def __init__(self, simulation: ArmSimulation, seed: int) -> None:
         """Estimate the undamaged scans of all joints."""
-        self.count = FuzzCount()
+        super().__init__(f"transforms {seed}")
         chain = simulation.chain
         self._formats = [JointTransformFormat(joint.parent, joint.child) for joint in chain.joints]
         self._estimator = chain.estimator(0.0, [each.row_layout for each in self._formats])
         recordings = [record(simulation, joint.name) for joint in chain.joints]
         usable = set.intersection(*(set(each.usable) for each in recordings))
         self._scans = [[each.transforms[n] for each in recordings] for n in sorted(usable)]
-        self.chance = random.Random(f"transforms {seed}")  # noqa: S311  damage
 
-    def run(self, mutations: int) -> None:
-        """Damage transforms ``mutations`` times."""
-        for _ in range(mutations):
-            scan, j = self.choose()
-            found = self._endpoint([*scan[:j], mutate(scan[j], self.chance), *scan[j + 1 :]])
-            self.judge(scan, j, None if found is None else found[0])
+    def _damage_one(self) -> None:
+        scan, j = self.choose()
+        found = self._endpoint([*scan[:j], mutate(scan[j], self.chance), *scan[j + 1 :]])
+        self.judge(scan, j, None if found is None else found[0])
 
     def choose(self) -> tuple[list[bytes], int]:
         """Return the transforms of a scan, and the index of the joint whose transform is to be damaged."""
@@ -228,25 +240,23 @@ class TransformFuzz:
 
     def judge(self, scan: list[bytes], j: int, found: pin.SE3 | None) -> None:
         """Count what became of a scan whose transform of joint j was damaged: an endpoint pose, or None."""
-        self.count.mutations += 1
         if found is None:
-            self.count.refused += 1
+            self._count("refused")
         elif self.is_near(scan, found):
-            self.count.unharmed += 1
+            self._count("unharmed")
         else:
             error = pose_difference(found, self._expected(scan)[0])
-            self.count.add_wrong(f"joint {j}: endpoint off by {np.round(1e6 * error, 2).tolist()} um, urad")
+            self._count("wrong", f"joint {j}: endpoint off by {_micro(error)}")
 
     def is_near(self, scan: list[bytes], found: pin.SE3) -> bool:
-        """Return whether an endpoint pose is that of the undamaged transforms within 5 standard deviations."""
+        """Return whether an endpoint pose agrees with the undamaged transforms within 5 standard deviations."""
         pose, covariance = self._expected(scan)
         return bool(np.all(np.abs(pose_difference(found, pose)) <= SIGMAS * np.sqrt(np.diag(covariance))))
 
     def _expected(self, scan: list[bytes]) -> tuple[pin.SE3, FloatArray]:
         expected = self._endpoint(scan)
         if expected is None:
-            message = "undamaged transforms were refused"
-            raise AssertionError(message)
+            raise TopicError("undamaged transforms were refused", where="fuzz")
         return expected
 
     def _endpoint(self, scan: list[bytes]) -> tuple[pin.SE3, FloatArray] | None:

@@ -1,7 +1,7 @@
 """Damaged messages over DDS to a running posor_node and chain_node, each before a sound one, which must be answered.
 
 The program plays the driver, or all posor_nodes, in step: it publishes a damaged message and a sound one, and waits for
-the answer to the sound one. What came before that is the answer to the damaged one, judged as in ``message_fuzz``.
+the answer to the sound one. An earlier answer belongs to the damaged message and is judged as in ``message_fuzz``.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
@@ -38,8 +38,9 @@ if TYPE_CHECKING:
     from posor_bringup.supervisor import Parameter, Program
     from posor_drivers.simulator.arm_simulation import ArmSimulation
 
-    from posor_lab.fuzz.message_fuzz import FuzzCount
+    from posor_lab.fuzz.message_fuzz import MessageFuzz
     from posor_lab.reports.graph_receiver import GraphWatch
+    from posor_lab.reports.node_player import Topic
 
 PERIOD_NS = NS // 200
 LONGEST_S = 5.0
@@ -58,7 +59,7 @@ class NodeFuzz(ABC):
     """Damages messages to one node.
 
     Attributes:
-        count: What became of the damaged messages.
+        fuzz: Damages and judges the messages.
         acknowledged: Sound scans without a pose after a damaged one, until an operator acknowledged.
         slowest_s: Slowest answer to a sound message.
 
@@ -67,11 +68,9 @@ class NodeFuzz(ABC):
     player: NodePlayer
     watch: GraphWatch
 
-    def __init__(
-        self, program: Program, count: FuzzCount, inputs: Sequence[tuple[type[Any], str]], answer: tuple[type[Any], str]
-    ) -> None:
+    def __init__(self, program: Program, fuzz: MessageFuzz, inputs: Sequence[Topic], answer: Topic) -> None:
         """Prepare; inputs and answer of the node as in ``NodePlayer``."""
-        self._program, self.count, self._inputs, self._answer = program, count, inputs, answer
+        self._program, self.fuzz, self._inputs, self._answer = program, fuzz, inputs, answer
         self.acknowledged, self.slowest_s = 0, 0.0
         self._sent, self._samples = 0, list[ProcessSample]()
 
@@ -91,10 +90,10 @@ class NodeFuzz(ABC):
         """
         name = f"{self._program.namespace}/{self._program.executable}"
         self.player = NodePlayer(name, self._inputs, self._answer)
-        end = self.count.mutations + mutations
+        end = self.fuzz.outcomes.total() + mutations
         with running_graph([self._program], self.player, folder, "fuzz") as self.watch:
             self.watch.wait(self.player.is_ready, lambda: f"{name}, or one of its connections")
-            while self.count.mutations < end:
+            while self.fuzz.outcomes.total() < end:
                 self.play(end, on_done)
 
     @abstractmethod
@@ -154,7 +153,7 @@ class NodeScanFuzz(NodeFuzz):
         self._fuzz, self._cycle = ScanFuzz(simulation, joint, seed), -1
         programs = arm_programs(simulation.arm, drivers=False, parameters=LOSSLESS)
         program = next(each for each in programs if each.namespace == f"/{simulation.arm.name}/{joint}")
-        super().__init__(program, self._fuzz.count, [(RawScan, RAW_TOPIC)], (JointTransform, TRANSFORM_TOPIC))
+        super().__init__(program, self._fuzz, [(RawScan, RAW_TOPIC)], (JointTransform, TRANSFORM_TOPIC))
 
     def play(self, end: int, on_done: Callable[[int], None]) -> None:
         """Play a cycle of the scenario, which begins at the home marks; end early where a sound scan has no pose."""
@@ -177,7 +176,7 @@ class NodeScanFuzz(NodeFuzz):
                 return
             if not self._fuzz.is_near(sound, pose):
                 raise NodeFuzzError(f"the pose of sound scan {sound} is wrong after a damaged one")
-            if self.count.mutations == end:
+            if self._fuzz.outcomes.total() == end:
                 return
 
 
@@ -190,7 +189,7 @@ class NodeTransformFuzz(NodeFuzz):
         parameters: dict[str, Parameter] = {"acceleration_window": 0.0, "reference": "absolute", "max_wait": 60.0}
         program = arm_programs(simulation.arm, drivers=False, chain_parameters={**LOSSLESS, **parameters})[0]
         inputs = [(JointTransform, f"{joint.name}/{TRANSFORM_TOPIC}") for joint in simulation.chain.joints]
-        super().__init__(program, self._fuzz.count, inputs, (PoseStamped, ENDPOINT_TOPIC))
+        super().__init__(program, self._fuzz, inputs, (PoseStamped, ENDPOINT_TOPIC))
 
     def play(self, _end: int, on_done: Callable[[int], None]) -> None:
         """Send one scan with a damaged transform, and a sound one."""
@@ -210,7 +209,7 @@ class NodeTransformFuzz(NodeFuzz):
         return [data[: STAMP.start] + stamp + data[STAMP.stop :] for data in scan]
 
 
-def _damage(data: bytes, fuzz: ScanFuzz | TransformFuzz) -> bytes:
+def _damage(data: bytes, fuzz: MessageFuzz) -> bytes:
     """Return damaged bytes that DDS delivers: Fast DDS drops a message of 0 bytes, and a reliable reader then waits."""
     return mutate(data, fuzz.chance) or data[:1]
 

@@ -25,11 +25,11 @@ HOST = "127.0.0.1"
 RANGE_M = 5e-4
 """Measuring range of the capacitive sensors; in it the gap voltages of the test rig lie."""
 SCALE_V_PER_M, OFFSET_V = 4e4, -10.0
-"""From distance to the voltage of the simulated probe."""
+"""Voltage of the simulated probe by distance."""
 CAPANCDT_SAMPLE_US = 256
 STREAM_RATE, ASKED_RATE = 1000.0, 250.0
 FEEDBACK_OHM = 1e5
-"""Of the amplifiers that make voltages of the diode currents."""
+"""Feedback of the amplifiers that turn diode currents into voltages."""
 
 
 @dataclass(frozen=True)

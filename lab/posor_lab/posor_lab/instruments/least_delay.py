@@ -1,7 +1,7 @@
-"""Least delay of a server on this host, as a user would find that of a device: from a channel whose motion is known.
+"""Least delay of a server on this host, measured as a user measures a device: by a channel whose motion is known.
 
-The clock of a device cannot show its least delay, so an instruments file states it. That of a server is the time in
-which this host wakes a thread, and depends on host and load.
+The clock of a device cannot show its least delay, so an instruments file states it. A server is late by the time in
+which this host wakes a thread; it depends on host and load.
 """
 
 from __future__ import annotations

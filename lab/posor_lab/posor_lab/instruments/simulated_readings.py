@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray, IntArray
 
 SIMULATED_RATE = 1000
-"""Of the tables [Hz]; between their rows readings and truth are interpolated."""
+"""Rate of the tables [Hz]; between their rows readings and truth are interpolated."""
 SEED = 1985
 
 
@@ -36,7 +36,7 @@ class ReadingChannel(NamedTuple):
 
 
 class SimulatedReadings:
-    """The arm of a scenario, slowed down by a factor; its noise is that of the calibrations in every reading.
+    """The arm of a scenario, slowed down by a factor; every reading has the noise of its calibration.
 
     It rests at the begin of the cycle, where rings see their home marks, until ``start_motion``.
     """

@@ -32,7 +32,7 @@ MessageT = TypeVar("MessageT")
 SILENCE_LIMIT_S = 60.0
 """A run is given up when no message has arrived for this time."""
 WAITING_S = 1.0
-"""A wait that lasts longer is shown, and again after each such time."""
+"""A longer wait is shown, once in this time."""
 
 
 class GraphReceiver(Node):
@@ -40,6 +40,7 @@ class GraphReceiver(Node):
 
     Attributes:
         received: Number of messages stored.
+        statuses: Newest diagnostic status of each name.
 
     """
 
@@ -47,7 +48,7 @@ class GraphReceiver(Node):
         """Subscribe to the diagnostics; ``store_topic`` adds topics."""
         super().__init__(name)
         self.received = 0
-        self._statuses: dict[str, DiagnosticStatus] = {}
+        self.statuses: dict[str, DiagnosticStatus] = {}
         self._status_counts: Counter[str] = Counter()
         self.create_subscription(DiagnosticArray, DIAGNOSTICS_TOPIC, self._on_diagnostics, KEEP_ALL_QOS)
         # One executor for the whole life: messages that arrive between two executors are lost.
@@ -87,7 +88,7 @@ class GraphReceiver(Node):
         store[stamp_ns(message)] = message
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        self._statuses |= {status.name: status for status in message.status}
+        self.statuses |= {status.name: status for status in message.status}
         self._status_counts.update(status.name for status in message.status)
 
     def status_value(self, status: str, key: str) -> str | None:
@@ -98,7 +99,7 @@ class GraphReceiver(Node):
             key: Key of the value; ``message``: the message of the status.
 
         """
-        newest = self._statuses.get(status)
+        newest = self.statuses.get(status)
         if newest is None:
             return None
         return {**{item.key: item.value for item in newest.values}, "message": newest.message}.get(key)
@@ -109,7 +110,7 @@ class GraphReceiver(Node):
 
     def forget_node(self, node: str) -> None:
         """Forget the diagnostics of a node that has ended, such as ``/chain_node``."""
-        self._statuses = {name: status for name, status in self._statuses.items() if not name.startswith(f"{node}:")}
+        self.statuses = {name: status for name, status in self.statuses.items() if not name.startswith(f"{node}:")}
 
 
 class GraphWatch:
@@ -150,13 +151,21 @@ class GraphWatch:
         self._on_waiting = on_waiting
         self._interrupted = interrupted
 
-    def wait(self, condition: Callable[[], bool], missing: Callable[[], str], limit_s: float = math.inf) -> None:
+    def wait(
+        self,
+        condition: Callable[[], bool],
+        missing: Callable[[], str],
+        limit_s: float = math.inf,
+        *,
+        may_be_silent: bool = False,
+    ) -> None:
         """Receive until a condition holds.
 
         Args:
             condition: The condition.
             missing: Returns the text for what is missing.
             limit_s: Longest wait [s].
+            may_be_silent: Whether nothing need arrive.
 
         Raises:
             InterruptedRunError: The user interrupted the run.
@@ -178,7 +187,7 @@ class GraphWatch:
                 return True
             if time.monotonic() - begin_s > limit_s:
                 raise ProcessError(f"missing after {limit_s:g} s: {missing()}", where=self._run_name)
-            if time.monotonic() - since_s > SILENCE_LIMIT_S:
+            if time.monotonic() - since_s > SILENCE_LIMIT_S and not may_be_silent:
                 what = f"no message for {SILENCE_LIMIT_S:g} s, missing: {missing()}"
                 raise ProcessError(what, where=self._run_name)
             if time.monotonic() - shown_s > WAITING_S:
@@ -188,9 +197,10 @@ class GraphWatch:
 
         self._receiver.receive_until(is_done)
 
-    def wait_until(self, end_s: float) -> None:
-        """Receive until a time of the monotonic clock [s]."""
-        self.wait(lambda: time.monotonic() >= end_s, lambda: "any message")
+    def wait_for(self, seconds: float, *, may_be_silent: bool = False) -> None:
+        """Receive for a time."""
+        end_s = time.monotonic() + seconds
+        self.wait(lambda: time.monotonic() >= end_s, lambda: "any message", may_be_silent=may_be_silent)
 
 
 @contextmanager

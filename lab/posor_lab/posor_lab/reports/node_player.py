@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
     from posor_lab.reports.graph_receiver import GraphWatch
 
+Topic = tuple[type[Any], str]
+"""Type and name of a topic."""
+
 
 class NodePlayer(GraphReceiver):
     """Publishes to all topics of a node and keeps its serialised answers.
@@ -28,7 +31,7 @@ class NodePlayer(GraphReceiver):
 
     """
 
-    def __init__(self, node: str, inputs: Sequence[tuple[type[Any], str]], answer: tuple[type[Any], str]) -> None:
+    def __init__(self, node: str, inputs: Sequence[Topic], answer: Topic) -> None:
         """Open the topics.
 
         Args:

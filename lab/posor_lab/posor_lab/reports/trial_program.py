@@ -30,7 +30,7 @@ _METAVARS: Mapping[type, str] = {int: "N", float: "X", str: "TEXT", type(Path())
 
 
 class Option(NamedTuple):
-    """An option of a program; its type is that of the default, False: a flag."""
+    """An option of a program, of the type of its default; False: a flag."""
 
     name: str  # such as ``--seed``
     default: Any
@@ -92,26 +92,15 @@ class Trial:
 
 @dataclass(frozen=True)
 class TrialProgram:
-    """A program that judges nodes in a network of their own.
-
-    Attributes:
-        name: Name of the program.
-        description: Sentence for --help.
-        options: Options; ``--output`` is added if ``output`` is not empty.
-        run: Returns the findings, and the content of the output file.
-        title: Title of the findings.
-        output: Default of the output file; empty: no file is written.
-        check: Changes the options, or raises ParameterError.
-
-    """
+    """A program that judges nodes in a network of their own."""
 
     name: str
-    description: str
-    options: Sequence[Option]
-    run: Callable[[Trial], tuple[Findings, Mapping[str, Any]]]
-    title: str
-    output: str = ""
-    check: Callable[[Namespace], None] = lambda _: None
+    description: str  # sentence for --help
+    options: Sequence[Option]  # ``--output`` is added if ``output`` is not empty
+    run: Callable[[Trial], tuple[Findings, Mapping[str, Any]]]  # returns findings and content of the output file
+    title: str  # title of the findings
+    output: str = ""  # default of the output file; empty: no file is written
+    check: Callable[[Namespace], None] = lambda _: None  # changes the options, or raises ParameterError
 
     def parse(self, arguments: Sequence[str]) -> Namespace:
         """Return the options.

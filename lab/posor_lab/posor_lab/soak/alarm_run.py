@@ -54,7 +54,7 @@ def run_without_faults(
 ) -> AlarmFigures:
     """Run an arm without faults and return its figures.
 
-    The expected rate is that of the same sensors in other simulated scans: the errors of one calibration shift it from
+    The same sensors in other simulated scans give the expected rate: the errors of one calibration shift it from
     the probability that the test states over all calibrations.
 
     Args:

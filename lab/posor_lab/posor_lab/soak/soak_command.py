@@ -25,7 +25,7 @@ LINE_S = 300.0
 """Time between two lines about the process."""
 MOST_GROWTH_MB = 1.0
 MIN_SECONDS = 5.0
-"""Of which the last one is not judged."""
+"""The last second of a run is not judged."""
 OPTIONS = (
     Option("--arm", "five_axis", "simulated arm", choices=tuple(RATES)),
     Option("--seconds", 3600.0, "duration after the warm-up [s]", least=MIN_SECONDS),

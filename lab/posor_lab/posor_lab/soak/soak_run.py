@@ -22,7 +22,7 @@ from posor.messages.cdr_schema import STAMP
 from posor.ros_names import ENDPOINT_STATE_TOPIC, ENDPOINT_TOPIC
 from posor_bringup.arm_programs import arm_programs, group_programs
 from posor_msgs.msg import EndpointState
-from posor_ros.cdr_transform import stamp_ns_of
+from posor.messages.joint_transform import stamp_ns_of
 from posor_ros.message_conversion import is_usable
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 QOS = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.BEST_EFFORT)
 SEED = 1985
-"""Of the motion."""
+"""Seed of the motion."""
 SETTLED_POSES = 100
 """Poses before the run begins."""
 REFRESHES = 3
@@ -104,31 +104,20 @@ class SoakReceiver(GraphReceiver):
 
     def _on_pose(self, data: bytes) -> None:
         self.received += 1
-        self.poses.append(_stamp_of(data))
+        self.poses.append(stamp_ns_of(data[STAMP]))
 
     def _on_state(self, data: bytes) -> None:
         self.received += 1
         message = deserialize_message(data, EndpointState)
         if message.state == EndpointState.STATE_STALE:  # about the absence of scans, with the stamp of an old one
             return
-        self.states.append(stamp := _stamp_of(data))
+        self.states.append(stamp := stamp_ns_of(data[STAMP]))
         if not is_usable(message):
             self.reasons[stamp] = message.reason
 
-    @property
     def missed(self) -> IntArray:
-        """Ticks that each driver has missed since its start, (joints,)."""
+        """Return the ticks that each driver has missed since its start, (joints,)."""
         return self._totals(self._drivers, "pace", "ticks_missed")
-
-    @property
-    def sent(self) -> IntArray:
-        """Raw scans that each driver has published since its start, (joints,)."""
-        return self._totals(self._drivers, "source", "scans_published")
-
-    @property
-    def estimated(self) -> IntArray:
-        """Scans that each posor_node has estimated since its start, (joints,)."""
-        return self._totals(self._posors, "estimate", "scans")
 
     def _totals(self, nodes: Sequence[str], status: str, key: str) -> IntArray:
         return np.array([int(self.status_value(f"{node}: {status}", key) or 0) for node in nodes])
@@ -164,19 +153,20 @@ class SoakReceiver(GraphReceiver):
         reasons = Counter(_without_joints(self.reasons[stamp]) for stamp in ticks[says_none].tolist())
         unseen = int(np.count_nonzero(~has_state & ~has_pose))
         missed_by_all = min(unseen, int(missed.min()))
-        missing = reasons[_MISSING]
+        sent = self._totals(self._drivers, "source", "scans_published")
+        estimated = self._totals(self._posors, "estimate", "scans")
         return SoakFigures(
             seconds=(window.end_ns - window.begin_ns) / 1e9,
             ticks=len(ticks),
             ticks_missed=int(missed.max()),
-            sent=int(self.sent.sum()),
-            transforms=int(self.estimated.sum()),
+            sent=int(sent.sum()),
+            transforms=int(estimated.sum()),
             states=int(has_state.sum()),
             poses=int(has_pose.sum()),
             without_pose=dict(reasons.most_common()),
-            lost_scans=int(np.abs(self.sent - self.estimated).sum()),
+            lost_scans=int(np.abs(sent - estimated).sum()),
             lost_states=unseen - missed_by_all,
-            lost_transforms=max(0, missing - int(np.sum(missed - missed_by_all))),
+            lost_transforms=max(0, reasons[_MISSING] - int(np.sum(missed - missed_by_all))),
             lost_poses=int(np.count_nonzero(has_pose != (has_state & ~says_none))),
             samples=tuple(samples),
         )
@@ -187,11 +177,6 @@ def _without_joints(reason: str) -> str:
     if _MISSING in reason:
         return _MISSING
     return "; ".join(sorted(set(re.findall(r"is ([^;]+)", reason)))) or reason
-
-
-def _stamp_of(data: bytes) -> int:
-    """Return the stamp of a serialised message with a header [ns]."""
-    return stamp_ns_of(data[STAMP])
 
 
 def run_soak(
@@ -223,15 +208,15 @@ def run_soak(
     with running_graph(programs, receiver, folder, "soak", interrupted) as watch:
         (nodes,) = watch.running.values()
         watch.wait(lambda: len(receiver.poses) > SETTLED_POSES, lambda: "endpoint poses")
-        watch.wait_until(time.monotonic() + warm_up)
-        begin_ns, begin_s, missed, samples = time.time_ns(), time.monotonic(), receiver.missed, []
+        watch.wait_for(warm_up)
+        begin_ns, begin_s, missed, samples = time.time_ns(), time.monotonic(), receiver.missed(), []
         while True:
             now_s = time.monotonic() - begin_s
             samples.append(ProcessSample.take(nodes.process.pid, now_s))
             on_sample(samples[-1])
             if now_s >= seconds:
                 break
-            watch.wait_until(begin_s + min(now_s + SAMPLE_S, seconds))
+            watch.wait_for(min(SAMPLE_S, seconds - now_s))
         window = TickWindow(begin_ns, time.time_ns() - SETTLING_NS, RATES[name])
         receiver.stop_drivers(watch)
-        return receiver.figures(window, receiver.missed - missed, samples)
+        return receiver.figures(window, receiver.missed() - missed, samples)

@@ -14,7 +14,7 @@ from posor.model.fault import State
 from posor_drivers.simulator.pose_array import PoseArray
 from posor_lab.faults.device_run import ACTIONS
 from posor_lab.faults.fault_table import FAULT_TABLE, NAMING_LIMITS_S, FaultRow, RowResult
-from posor_lab.faults.faults_command import LIVE_RUNS, OFFLINE_RUNS, PROGRAM, main
+from posor_lab.faults.faults_command import PROGRAM, TITLES, main
 from posor_lab.faults.message_run import change_message
 from posor_lab.faults.offline_faults import run_slips
 from posor_lab.faults.pose_judge import SIGMAS, wrong_poses
@@ -34,7 +34,7 @@ def test_the_table_has_every_kind_stack_and_run_with_unique_names() -> None:
     assert len({row.title for row in FAULT_TABLE}) == len(FAULT_TABLE) == ROWS
     assert {row.kind for row in FAULT_TABLE} == {"off", "stuck", "garbage", "wrong", "slow", "clock", "network"}
     assert {row.arm for row in FAULT_TABLE} == {"six_axis", "five_axis", "test_rig"}
-    assert {row.run for row in FAULT_TABLE} == {*LIVE_RUNS, *OFFLINE_RUNS}
+    assert {row.run for row in FAULT_TABLE} == set(TITLES)
     assert {row.name.removeprefix("device ") for row in FAULT_TABLE if row.run == "devices"} == set(ACTIONS)
     assert len(QUICK_ROWS) > 5
 
