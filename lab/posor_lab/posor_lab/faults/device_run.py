@@ -85,7 +85,7 @@ class DeviceRun(InjectionRun):
             return super().run()
 
     def _programs(self) -> list[Program]:
-        trial = DeviceTrial("faults", self.arm.name, RATE, LATENCY_S, 0.0, lambda *_: self._devices)
+        trial = DeviceTrial("faults", self.arm.name, RATE, LATENCY_S, 0.0, "capancdt_6200")
         arm = write_arm(self._readings.arm, trial, self._devices, self.folder)
         return group_programs(arm_programs(arm), "composed", self.folder)
 

@@ -93,7 +93,6 @@ def run_trial(trial: DeviceTrial, folder: Path, interrupted: Callable[[], bool])
         readings.start_motion()
         begin_ns = time.time_ns()
         watch.wait_for(trial.seconds)
-        arrivals = receiver.between(ENDPOINT_COVARIANCE_TOPIC, begin_ns, time.time_ns())
         clock_s, stall_ns = _clock_uncertainty(receiver), time.time_ns()
         devices.stalled.set()
         watch.wait(lambda: _is_stall_named(receiver, stall_ns), lambda: "diagnostics that name the stall", TIMEOUT_S)
@@ -102,6 +101,7 @@ def run_trial(trial: DeviceTrial, folder: Path, interrupted: Callable[[], bool])
         in_stall = receiver.count(ENDPOINT_COVARIANCE_TOPIC) - at_stall
         devices.stalled.clear()
         back_s = wait_for_poses(1) if trial.returns else None
+    arrivals = receiver.between(ENDPOINT_COVARIANCE_TOPIC, begin_ns, stall_ns)  # decoding them would delay the servers
     return TrialFigures(
         name=trial.name,
         arm=trial.arm,
