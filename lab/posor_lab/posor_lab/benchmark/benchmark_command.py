@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from posor.errors import ParameterError, PosorError
+from posor.errors import ParameterError
 from posor.reporting.program_errors import reports_errors
 from posor_bringup.bringup_options import prepare_output_folder
 from posor_ros.node_program import ros_context
@@ -28,6 +28,7 @@ from posor_lab.benchmark.host_state import host_description
 from posor_lab.benchmark.offline_benchmark import SECONDS
 from posor_lab.benchmark.pass_through_nodes import register_nodes
 from posor_lab.output_files import check_writable, write_json
+from posor_lab.reports.console_progress import InterruptedRunError
 from posor_lab.reports.trial_program import Option
 from posor_lab.reports.trial_program import parse_options as parse
 
@@ -119,7 +120,7 @@ def _measure_sections(options: Namespace, results: dict[str, Any], stop: StopSig
 
     def interrupted() -> bool:
         if stop.requested:
-            raise PosorError("interrupted", where=PROGRAM)
+            raise InterruptedRunError("interrupted", where=PROGRAM)
         return False
 
     sections = BenchmarkSections(plan, GraphMeasurement(folder / "runs", interrupted), arms, console.print)

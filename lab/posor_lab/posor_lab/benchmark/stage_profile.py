@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from posor.messages.cdr_schema import STAMP
-from posor_estimator.compose_command import main as compose
 from posor.messages.joint_transform import stamp_ns_of
+from posor_estimator.compose_command import main as compose
 from posor_ros.intra_process import IntraProcessPublisher
 from posor_ros.node_program import non_ros_arguments
 
@@ -29,9 +29,7 @@ STAGES = {
     "posor_drivers.tick_scheduler:TickTask.run_tick": "driver: schedule the ticks, other",
     "posor.messages.raw_scan:ScanTemplate.at": "driver: stamp into the scan",
     "posor_estimator.posor_node:PosorEstimatorNode._on_raw_scan": "posor_node: other",
-    "posor.messages.message_stream:RawScanStream.estimate_message": (
-        "posor_node: bytes of the scan and the transform"
-    ),
+    "posor.messages.message_stream:RawScanStream.estimate_message": ("posor_node: bytes of the scan and the transform"),
     "posor.messages.message_stream:MessageEstimator.estimate_rows": "posor_node: read, estimate, write",
     "posor_estimator.chain_node:ChainNode._on_transform": "chain_node: other",
     "posor.chain.time_synchroniser:TimeSynchroniser.add": "chain_node: synchronise",

@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from posor.messages.message_definitions import MessageTypes
 from posor.model.native_coordinates import native_from_rotation
-from posor.numerics.stamps import NS
+from posor.numerics.stamps import NS, first_tick_after, tick_stamp_ns
 from posor.ros_names import RAW_TOPIC
 from posor_bringup.arm_programs import arm_programs
-from posor.numerics.stamps import first_tick_after, tick_stamp_ns
 from posor_drivers.simulated_messages import SimulatedMessages
 from posor_msgs.msg import JointTransform, RawScan
 from posor_ros.message_conversion import pose_message, stamp_ns

@@ -19,10 +19,10 @@ from geometry_msgs.msg import PoseStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from posor.messages.cdr_schema import STAMP
+from posor.messages.joint_transform import stamp_ns_of
 from posor.ros_names import ENDPOINT_STATE_TOPIC, ENDPOINT_TOPIC
 from posor_bringup.arm_programs import arm_programs, group_programs
 from posor_msgs.msg import EndpointState
-from posor.messages.joint_transform import stamp_ns_of
 from posor_ros.message_conversion import is_usable
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
