@@ -34,7 +34,7 @@ from rclpy.serialization import deserialize_message
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from posor.chain.arm_file import Arm
+    from posor.chain.arm_file import ArmFile
     from posor.messages.estimate_arrays import EndpointEstimates
 
 HERE = Path(__file__).resolve().parent
@@ -43,7 +43,7 @@ START_S = 1_767_225_600
 """2026-01-01 00:00:00 UTC, the beginning of a cycle of the scenario."""
 
 
-def arm_endpoints(arm: Arm, scans: Mapping[str, Sequence[RawScan]]) -> EndpointEstimates:
+def arm_endpoints(arm: ArmFile, scans: Mapping[str, Sequence[RawScan]]) -> EndpointEstimates:
     """Return the endpoint at every stamp for which a chain_node has one, in order, without any node.
 
     Args:
@@ -74,7 +74,7 @@ def _recorded_scans(messages: Sequence[RawScan]) -> RecordedScans:
 class ArmBag:
     """One cycle of an arm's scenario, as messages."""
 
-    def __init__(self, arm: Arm, types: MessageTypes) -> None:
+    def __init__(self, arm: ArmFile, types: MessageTypes) -> None:
         """Simulate the cycle."""
         self._simulation = ArmSimulation(arm)
         self._make = SimulatedMessages(types, self._simulation)

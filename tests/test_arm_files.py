@@ -13,7 +13,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 import yaml
-from posor.chain.arm_file import Arm, load_arm
+from posor.chain.arm_file import ArmFile, load_arm_file
 from posor.chain.beam_bending import Tube
 from posor.chain.beams_file import load_beams
 from posor_drivers.simulator.motion_phases import Spline
@@ -28,8 +28,8 @@ PLATE_THICKNESS = 0.5 * INCH
 ALUMINIUM = 2700.0
 
 
-def arm_of(name: str) -> Arm:
-    return load_arm(ARMS / name / "arm.yaml")
+def arm_of(name: str) -> ArmFile:
+    return load_arm_file(ARMS / name / "arm.yaml")
 
 
 def outside_diameter(calibration: dict[str, Any]) -> float:

@@ -12,7 +12,7 @@ from posor.bags.reprocess_command import main as reprocess
 from posor.calibration import calibration_file
 from posor.calibration.calibration_file import load_calibration
 from posor.chain import arm_file, beams_file
-from posor.chain.arm_file import load_arm
+from posor.chain.arm_file import load_arm_file
 from posor.chain.beams_file import load_beams
 from posor.errors import BagError, CalibrationError
 from posor.messages.message_definitions import MessageTypes
@@ -71,7 +71,7 @@ def test_beams_of_both_versions_are_the_same_but_for_the_temperature() -> None:
 
 def test_a_bag_of_the_first_version_gives_the_same_results_as_that_of_today(tmp_path: Path) -> None:
     old, new = FORMATS / "version_1", ROOT / "bags/ymo"
-    assert read_scans(old / "ymo").records.tobytes() == read_scans(new).records.tobytes()
+    assert read_scans(old / "ymo")._records.tobytes() == read_scans(new)._records.tobytes()
     for bag, calibration, name in (
         (old / "ymo", old / "calibration.yaml", "old"),
         (new, calibration_path("printed"), "new"),
@@ -100,7 +100,7 @@ def test_a_calibration_from_before_the_kinds_of_maps_says_what_to_add() -> None:
     [
         ("version_3/calibration.yaml", load_calibration, 3),
         ("version_2/beams.yaml", load_beams, 2),
-        ("version_1/arm.yaml", load_arm, 1),
+        ("version_1/arm.yaml", load_arm_file, 1),
         ("version_1/scenario.yaml", load_scenario, 1),
     ],
 )
@@ -127,10 +127,10 @@ def test_a_bag_whose_scans_lack_a_field_names_the_field(tmp_path: Path) -> None:
 def test_every_metadata_version_of_rosbag2_that_rosbags_writes_is_read(tmp_path: Path) -> None:
     records = read_bag_messages(ROOT / "bags/ymo")["/joint1/raw"]
     text, type_hash = MessageTypes().definition(RAW_SCAN)
-    known = read_scans(ROOT / "bags/ymo", "/joint1/raw").records.tobytes()
+    known = read_scans(ROOT / "bags/ymo", "/joint1/raw")._records.tobytes()
     for version in (8, 9):
         with Writer(tmp_path / f"bag{version}", version=version, storage_plugin=StoragePlugin.SQLITE3) as writer:
             topic = writer.add_connection("/joint1/raw", RAW_SCAN, msgdef=text, rihs01=type_hash)
             for number, data in enumerate(records):
                 writer.write(topic, number, data)
-        assert read_scans(tmp_path / f"bag{version}").records.tobytes() == known
+        assert read_scans(tmp_path / f"bag{version}")._records.tobytes() == known

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from posor.calibration.calibration_file import load_calibration
-from posor.chain.arm_file import load_arm
+from posor.chain.arm_file import load_arm_file
 from posor.sensors.diodes import DiodesCalibration
 from posor.sensors.gap_probes import GapProbesCalibration
 from posor_bringup.arms import find_arm, load_checked_arm
@@ -109,7 +109,7 @@ def test_a_starting_file_of_an_unsuitable_device_is_refused(capsys: pytest.Captu
 def test_the_interpolation_error_goes_into_the_noise_of_the_calibrations(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    arm = load_arm(find_arm("test_rig"))
+    arm = load_arm_file(find_arm("test_rig"))
     assert instruments(["start", str(arm.path), "--device", "stream"]) == 0
     content = yaml.safe_load(capsys.readouterr().out)
     (joint,) = content["joints"].values()

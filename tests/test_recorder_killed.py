@@ -12,7 +12,7 @@ import pytest
 from posor.bags.provenance import custom_data, provenance_of
 from posor.bags.recover_command import recover
 from posor.bags.reprocess_task import Settings
-from posor.chain.arm_file import load_arm
+from posor.chain.arm_file import load_arm_file
 from posor.errors import BagError
 from posor_bringup.arms import find_arm
 from posor_lab.harness.graph import Graph
@@ -72,7 +72,7 @@ def check_recovered(folder: Path, published: list[float]) -> float:
 def test_a_killed_recorder_leaves_all_but_the_last_second_and_the_hashes_of_the_arm(tmp_path: Path) -> None:
     arm = find_arm("five_axis")
     check_recovered(tmp_path, record_and_kill(tmp_path / "bag", 2.2, "--arm", str(arm)))
-    hashes = provenance_of(Settings.of_arm(load_arm(arm)))
+    hashes = provenance_of(Settings.of_arm(load_arm_file(arm)))
     assert len(hashes) == 8  # the software, URDF, beams, five calibrations
     assert custom_data(tmp_path / "bag") == custom_data(tmp_path / "recovered") == hashes
 

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from posor.bags.offline_arm import load_arm as load_offline_arm
+from posor.bags.offline_arm import load_arm
 from posor.bags.provenance import SOFTWARE, custom_data, provenance_of
 from posor.bags.reprocess_command import main
 from posor.bags.reprocess_task import Settings
-from posor.chain.arm_file import load_arm
+from posor.chain.arm_file import load_arm_file
 from posor.errors import BagError
 from posor.messages.message_definitions import MessageTypes
 from posor.ros_names import RAW_SCAN
@@ -52,7 +52,7 @@ def test_files_that_differ_from_those_of_the_recording_are_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = find_arm("five_axis")
-    arm = load_arm(path)
+    arm = load_arm_file(path)
     hashes = provenance_of(Settings.of_arm(arm))
     bag = write_bag(tmp_path / "bag", hashes)
     assert custom_data(bag) == hashes
@@ -90,14 +90,16 @@ def test_another_version_of_the_software_is_named_and_a_bag_without_hashes_is_no
 @pytest.mark.long
 @pytest.mark.timeout(900)
 def test_no_flipped_bit_changes_results_without_an_error(tmp_path: Path) -> None:
-    arm, bag = load_offline_arm(find_arm("five_axis")), write_bag(tmp_path / "bag", {})
+    arm, bag = load_arm(find_arm("five_axis")), write_bag(tmp_path / "bag", {})
 
     def results() -> bytes | str:
         try:
             estimates = arm.estimate(bag)
         except BagError as error:
             return str(error)
-        joints = [np.concatenate([each.poses.ravel(), each.covariances.ravel()]) for each in estimates.joints.values()]
+        joints = [
+            np.concatenate([each.poses.ravel(), each.covariances().ravel()]) for each in estimates.joints.values()
+        ]
         return b"".join(each.tobytes() for each in (*joints, estimates.endpoint.poses, estimates.endpoint.covariances))
 
     file, chance, refused = bag / "bag.mcap", np.random.default_rng(43), 0

@@ -42,7 +42,7 @@ def _measure_stack(stack: DesignName, single_count: int, batch_count: int) -> di
     rotations = np.array([rotation_from_native(1e-3 * math.sin(t), 1e-3 * math.cos(t), t) for t in thetas])
     translations = np.tile([1e-4, -1e-4, 0.7e-3], (batch_count, 1))
     stamps = np.arange(1, batch_count + 1, dtype=np.int64) * TICK_NS
-    scans = scans_at(posor.stack, rotations, translations, stamps, noise=np.random.default_rng(1))
+    scans = scans_at(posor.stack, rotations, translations, stamps, noise=np.random.default_rng(1)).editable()
     scans.at_home[0] = STATED_HOME
     batch = posor.estimate_all(scans)
     posor.reset()

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from posor.chain.arm_file import load_arm
+from posor.chain.arm_file import load_arm_file
 from posor.estimation.posor import Posor
 from posor.model.native_coordinates import native_from_rotation, native_jacobian
 from posor.numerics.vector import wrapped_angles
@@ -64,7 +64,7 @@ def confirm_design(folder: Path, draws: int, seed: int) -> DesignConfirmation:
         ChainError: Its URDF is invalid.
 
     """
-    requirement, arm = load_requirement(folder / REQUIREMENT), load_arm(folder / ARM_FILE)
+    requirement, arm = load_requirement(folder / REQUIREMENT), load_arm_file(folder / ARM_FILE)
     gap = float(arm.chain().nominal_joint(JOINT, 0.0).translation[2])
     random = np.random.default_rng(seed)
     posor = Posor(arm.calibration(JOINT), false_alarm=FALSE_ALARM)

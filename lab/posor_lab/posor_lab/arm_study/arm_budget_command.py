@@ -9,7 +9,6 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from posor.chain.arm_file import load_arm
 from posor.chain.kinematic_chain import load_chain
 from posor.errors import ChainError, ParameterError
 from posor.reporting.command_line_parser import CommandLineParser
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterable, Mapping, Sequence
 
-    from posor.chain.arm_file import Arm
+    from posor.chain.arm_file import ArmFile
     from posor.chain.kinematic_chain import Chain
     from posor.numerics.array_types import FloatArray
 
@@ -61,7 +60,7 @@ def _spread_figures(spread: Spread | PrintedEndpoint) -> dict[str, float]:
     return dict(zip(FIGURES, [*turns, *shifts, spread.total / MICROINCH], strict=True))
 
 
-def arm_budget(arm: Arm, draws: int = DRAWS) -> dict[str, dict[str, Any]]:
+def arm_budget(arm: ArmFile, draws: int = DRAWS) -> dict[str, dict[str, Any]]:
     """Return the budgets of an arm, by configuration: ``extended`` and ``bent``.
 
     Each configuration has the figures of ``FIGURES`` by the source of the joints' accuracies: ``sensor_noise``,

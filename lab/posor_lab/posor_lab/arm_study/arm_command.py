@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Sequence
 
-    from posor.chain.arm_file import Arm
+    from posor.chain.arm_file import ArmFile
 
     from posor_lab.reports.findings import Findings
 
@@ -163,7 +163,7 @@ def _run_nodes(
     return ArmOutcome(before, after, count_outcomes(records, simulation, counters))
 
 
-def _measure_coverage(arm: Arm, arms: int, console: Console) -> Coverage:
+def _measure_coverage(arm: ArmFile, arms: int, console: Console) -> Coverage:
     """Draw many arms and show the progress."""
     title = f"{arm.name}: drawing {arms} arms, {POSES} poses of each"
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
-from posor.chain.arm_file import Arm, load_arm
+from posor.chain.arm_file import ArmFile, load_arm_file
 from posor.chain.beams_file import load_beams
 from posor.chain.kinematic_chain import Chain
 from posor.errors import ParameterError
@@ -196,7 +196,7 @@ def _to_pose_array(poses: FloatArray) -> PoseArray:
 
 @cache  # each worker reads the files once
 def _sampler(path: Path, poses: int) -> ArmSampler:
-    return ArmSampler(load_arm(path), poses)
+    return ArmSampler(load_arm_file(path), poses)
 
 
 def _draw(path: Path, poses: int, seeds: range) -> ArmSample:
@@ -204,7 +204,13 @@ def _draw(path: Path, poses: int, seeds: range) -> ArmSample:
 
 
 def sample_arms(
-    arm: Arm, arms: int, poses: int, seed: int, *, workers: int = 0, on_drawn: Callable[[int], None] = lambda _: None
+    arm: ArmFile,
+    arms: int,
+    poses: int,
+    seed: int,
+    *,
+    workers: int = 0,
+    on_drawn: Callable[[int], None] = lambda _: None,
 ) -> ArmSample:
     """Draw many arms, with seeds from ``seed`` on, in several processes; the result does not depend on their number.
 

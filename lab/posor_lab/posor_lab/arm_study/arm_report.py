@@ -20,7 +20,7 @@ from posor_lab.reports.findings import COMPARISON_HEADINGS, Finding, Findings, f
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from posor.chain.arm_file import Arm
+    from posor.chain.arm_file import ArmFile
     from posor.numerics.array_types import FloatArray
     from posor_drivers.simulator.scenario import Scenario
 
@@ -180,7 +180,7 @@ def _range_um(vectors: FloatArray) -> str:
     return f"{lengths.min():.1f} to {lengths.max():.1f}"
 
 
-def arm_page(arm: Arm, scenario: Scenario, outcome: ArmOutcome, findings: Findings) -> str:
+def arm_page(arm: ArmFile, scenario: Scenario, outcome: ArmOutcome, findings: Findings) -> str:
     """Return the page of a run."""
     notes = page_notes("arm")
     parts = {"run": outcome.before, "coverage": outcome.coverage, "controller": outcome.after}
@@ -210,7 +210,7 @@ def _plotted_sections(outcome: ArmOutcome, notes: Mapping[str, Any]) -> Iterator
         yield Section("Many arms", Markup(), plot_coverage(coverage))
 
 
-def _provenance(arm: Arm, scenario: Scenario) -> dict[str, str]:
+def _provenance(arm: ArmFile, scenario: Scenario) -> dict[str, str]:
     return {
         "arm": f"{arm.name}, {len(arm.calibrations)} POSORs",
         "scenario": f"{scenario.name}, seed {scenario.seed}, {scenario.ticks_per_second} Hz, cycle of "

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from posor.chain.arm_file import Arm
+    from posor.chain.arm_file import ArmFile
     from posor_bringup.arm_programs import Layout
 
     from posor_lab.benchmark.graph_load import Kind
@@ -75,16 +75,16 @@ class BenchmarkArms:
         """Generate the largest arm and record the bag."""
         self.folder = folder
         self.bag = folder / "scans"
-        self._arms: dict[int, Arm] = {}
+        self._arms: dict[int, ArmFile] = {}
         record_scans(self[max_joints], self.bag)
 
-    def __getitem__(self, joints: int) -> Arm:
+    def __getitem__(self, joints: int) -> ArmFile:
         """Return the arm with a number of joints."""
         if joints not in self._arms:
             self._arms[joints] = generate_arm(self.folder / f"arm_{joints}", joints, self.bag)
         return self._arms[joints]
 
-    def with_faults(self, joints: int) -> Arm:
+    def with_faults(self, joints: int) -> ArmFile:
         """Return an arm that plays a bag in which scans of the first joint lack a reading."""
         bag = self.folder / "faults"
         record_scans(self[joints], bag, FAULT_INTERVAL)

@@ -37,7 +37,7 @@ from posor.ros_names import (
 from posor_drivers.bag_writer import BagWriter
 from posor_msgs.msg import RawScan
 from posor_ros.message_classes import message_class, schema_of_class
-from posor_ros.message_conversion import scan_from_message, select_covariance, stamp_ns, transform_message
+from posor_ros.message_conversion import scan_from_message, stamp_ns, transform_message
 from posor_ros.qos import sensor_publisher_qos
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.highlevel import AnyReader
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from posor.chain.arm_file import Arm
+    from posor.chain.arm_file import ArmFile
     from posor.numerics.array_types import FloatArray, IntArray
 
 MAX_MESSAGES = 120_000
@@ -64,7 +64,7 @@ ENDPOINT_TYPES = {
 }
 
 
-def run_message_loop(arm: Arm, bag: Path, output: Path) -> float:
+def run_message_loop(arm: ArmFile, bag: Path, output: Path) -> float:
     """Process a bag message by message into a bag of transforms and endpoints; return scans per second."""
     calibrations = {joint: arm.calibration(joint) for joint in arm.calibrations}
     posors = {joint: Posor(calibration) for joint, calibration in calibrations.items()}
@@ -87,7 +87,7 @@ def run_message_loop(arm: Arm, bag: Path, output: Path) -> float:
             writer.write(f"/{arm.name}/{joint}/{TRANSFORM_TOPIC}", time_ns, serialize_message(transform))
             if estimate.T_R_T is not None:
                 measured = open_scans.setdefault(scan.stamp_ns, {})
-                measured[joint] = MeasuredJoint(estimate.T_R_T, select_covariance(estimate, "total"))
+                measured[joint] = MeasuredJoint(estimate.T_R_T, estimate.covariance())
                 estimator.thetas[estimator.joints.index(joint)] = estimate.native[5]
                 if len(measured) == len(posors):
                     estimator.set_measurements(open_scans.pop(scan.stamp_ns))
@@ -97,7 +97,7 @@ def run_message_loop(arm: Arm, bag: Path, output: Path) -> float:
         return (last - first) / (process_time() - begin)
 
 
-def _add_topics(writer: BagWriter, arm: Arm) -> None:
+def _add_topics(writer: BagWriter, arm: ArmFile) -> None:
     types, qos = MessageTypes(), [sensor_publisher_qos(NodeParameters())]
     kinds = {f"{joint}/{TRANSFORM_TOPIC}": JOINT_TRANSFORM for joint in arm.calibrations} | ENDPOINT_TYPES
     for topic, kind in kinds.items():
@@ -129,7 +129,7 @@ def run_reading_loop(bag: Path) -> float:
         return count / (process_time() - begin)
 
 
-def run_bulk_loop(arm: Arm, bag: Path) -> tuple[float, IntArray, FloatArray]:
+def run_bulk_loop(arm: ArmFile, bag: Path) -> tuple[float, IntArray, FloatArray]:
     """Read messages of a bag into arrays, then estimate all poses and endpoints at once.
 
     Returns:
@@ -149,7 +149,7 @@ def run_bulk_loop(arm: Arm, bag: Path) -> tuple[float, IntArray, FloatArray]:
     stamps_ns = scans[0].stamps_ns
     endpoints = estimator.estimate_all(
         np.stack([joint.poses for joint in estimates], axis=1),
-        np.stack([joint.covariances_random + joint.covariances_systematic for joint in estimates], axis=1),
+        np.stack([joint.covariances() for joint in estimates], axis=1),
         stamps_ns,
         np.stack([joint.thetas for joint in estimates], axis=1),
     )
@@ -172,7 +172,7 @@ def _scans_from_messages(messages: Sequence[Any]) -> Scans:
     )
 
 
-def check_same_endpoints(arm: Arm, stamps_ns: IntArray, poses: FloatArray, reprocessed: Path) -> None:
+def check_same_endpoints(arm: ArmFile, stamps_ns: IntArray, poses: FloatArray, reprocessed: Path) -> None:
     """Compare endpoints with the beginning of a reprocessed bag.
 
     Raises:

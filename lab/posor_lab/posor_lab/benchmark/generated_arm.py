@@ -15,7 +15,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import yaml
-from posor.chain.arm_file import Arm, load_arm
+from posor.chain.arm_file import ArmFile, load_arm_file
 from posor.messages.message_definitions import MessageTypes, installed_schema
 from posor.node_parameters import NodeParameters
 from posor.ros_names import RAW_SCAN, RAW_TOPIC
@@ -45,7 +45,7 @@ SIMULATED = Imperfections(dropouts=False, calibration_errors=False, beam_errors=
 PROVENANCE = {"source": "assumed", "method": f"made of the parts of {PARTS} by the benchmark", "date": "none"}
 
 
-def generate_arm(folder: Path, joints: int, scans: Path) -> Arm:
+def generate_arm(folder: Path, joints: int, scans: Path) -> ArmFile:
     """Write the files of an arm and load it.
 
     Args:
@@ -74,10 +74,10 @@ def generate_arm(folder: Path, joints: int, scans: Path) -> Arm:
         "scenario": "scenario.yaml",
     }
     _write(folder / "arm.yaml", content)
-    return load_arm(folder / "arm.yaml")
+    return load_arm_file(folder / "arm.yaml")
 
 
-def record_scans(arm: Arm, path: Path, fault_interval: int = 0) -> None:
+def record_scans(arm: ArmFile, path: Path, fault_interval: int = 0) -> None:
     """Write the scans of one cycle of an arm's scenario into a new bag.
 
     Args:
@@ -110,7 +110,7 @@ def _without_a_reading(data: bytes) -> bytes:
 class _Chain:
     """The first joints of an arm that repeats the same six joints."""
 
-    def __init__(self, parts: Arm, joints: int) -> None:
+    def __init__(self, parts: ArmFile, joints: int) -> None:
         tree = ET.parse(parts.urdf).getroot()  # noqa: S314  installed with this package
         self._links = {str(link.get("name")): link for link in tree.findall("link")}
         self._joints = {_end(joint, "parent"): joint for joint in tree.findall("joint")}

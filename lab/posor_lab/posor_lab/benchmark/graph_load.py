@@ -20,7 +20,7 @@ from posor_lab.benchmark.pass_through_nodes import PassThroughChain, PassThrough
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from posor.chain.arm_file import Arm
+    from posor.chain.arm_file import ArmFile
     from posor_bringup.supervisor import Parameter
 
 Kind = Literal["graph", "pass_through"]
@@ -40,7 +40,7 @@ FALSE_ALARM = 1e-9
 class GraphLoad:
     """A graph to measure."""
 
-    arm: Arm  # from ``generate_arm``
+    arm: ArmFile  # from ``generate_arm``
     kind: Kind  # kind of the nodes
     layout: Layout  # which nodes share a process
     rate: int  # scans per second

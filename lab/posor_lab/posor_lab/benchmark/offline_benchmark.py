@@ -33,7 +33,7 @@ from posor_lab.benchmark.comparison_loops import (
 )
 
 if TYPE_CHECKING:
-    from posor.chain.arm_file import Arm
+    from posor.chain.arm_file import ArmFile
 
 SECONDS = 600
 RATE = 1000
@@ -45,7 +45,7 @@ FREE_FACTOR = 8
 
 
 def offline_figures(
-    arm: Arm, bag: Path, folder: Path, seconds: int = SECONDS, rounds: int = ROUNDS
+    arm: ArmFile, bag: Path, folder: Path, seconds: int = SECONDS, rounds: int = ROUNDS
 ) -> dict[str, float | list[float]]:
     """Return the speed of offline processing of an arm's scans, in scans per second of processor time.
 
@@ -98,7 +98,7 @@ def offline_figures(
             shutil.rmtree(temporary, ignore_errors=True)
 
 
-def repeat_bag(arm: Arm, bag: Path, long: Path, seconds: int, rate: int = RATE) -> None:
+def repeat_bag(arm: ArmFile, bag: Path, long: Path, seconds: int, rate: int = RATE) -> None:
     """Write a bag that repeats the scans of another bag with increasing stamps and scan numbers.
 
     Raises:
@@ -138,7 +138,7 @@ def repeat_bag(arm: Arm, bag: Path, long: Path, seconds: int, rate: int = RATE) 
             writer.write_messages(parts)
 
 
-def _run_reprocess(arm: Arm, bag: Path, output: Path | None) -> dict[str, float]:
+def _run_reprocess(arm: ArmFile, bag: Path, output: Path | None) -> dict[str, float]:
     """Run `reprocess` in a process of its own; return its scans, times and memory."""
     paths = [bag, arm.path, *([] if output is None else [output])]
     command = [sys.executable, "-m", __name__, *(str(path.resolve()) for path in paths)]
@@ -150,11 +150,11 @@ def _reprocess(bag: str, arm: str, output: str = "") -> None:
     """Reprocess a bag and print scans, times and memory."""
     from posor.bags.offline_pipeline import reprocess_bag  # noqa: PLC0415
     from posor.bags.reprocess_command import parser, tasks_of  # noqa: PLC0415
-    from posor.chain.arm_file import load_arm  # noqa: PLC0415
+    from posor.chain.arm_file import load_arm_file  # noqa: PLC0415
 
     options = [bag, "--arm", arm, *(["--output", output] if output else [])]
     (task,) = tasks_of(parser().parse_args(options))
-    load_arm(Path(arm))
+    load_arm_file(Path(arm))
     summary = reprocess_bag(task)
     figures = {"scans": summary.scans, "wall_s": summary.wall_s, "cpu_s": summary.cpu_s, "memory_mb": _peak_mb()}
     print(json.dumps(figures))

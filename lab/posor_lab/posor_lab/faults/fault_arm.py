@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
-from posor.chain.arm_file import load_arm
+from posor.chain.arm_file import load_arm_file
 from posor_bringup.arms import ARM_FILE, find_arm
 from posor_drivers.simulator.imperfections import Imperfections
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from posor.chain.arm_file import Arm as ArmFile
+    from posor.chain.arm_file import ArmFile
 
     from posor_lab.faults.fault_table import Arm
 
@@ -60,7 +60,7 @@ def write_fault_arm(
 
     """
     shutil.copytree(find_arm(name).parent, folder)
-    arm = load_arm(folder / ARM_FILE)
+    arm = load_arm_file(folder / ARM_FILE)
     joints = list(arm.calibrations)
     count = round(duration_s / waypoint_s)
     signs = np.where(np.arange(count) % 2, 1.0, -1.0)[:, None]

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 from posor.calibration.designs import sized_design
-from posor.chain.arm_file import load_arm
+from posor.chain.arm_file import load_arm_file
 from posor.errors import PosorError
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
@@ -71,7 +71,7 @@ def _probe_cases(
     row: FaultRow, cases: int, random: np.random.Generator
 ) -> tuple[int, tuple[FloatArray, FloatArray, FloatArray]]:
     """Return the number of cases without a pose; errors, protection levels and standard deviations of the others."""
-    posor = Posor(load_arm(find_arm(row.arm)).calibration(JOINT))
+    posor = Posor(load_arm_file(find_arm(row.arm)).calibration(JOINT))
     truth = draw_joint_poses(cases, random)
     gap_sensor: Any = posor.calibration.sensors[0]
     slopes = [abs(float(probe.volts_to_gap.array[1])) for probe in gap_sensor.probes]
@@ -111,7 +111,7 @@ def _warm_beam_cases(
 
     The joints are taken as exact: the error of the endpoint is that of the beams alone.
     """
-    arm = load_arm(find_arm("six_axis"))
+    arm = load_arm_file(find_arm("six_axis"))
     chain = arm.chain()
     posors = {joint.name: Posor(arm.calibration(joint.name)) for joint in chain.joints}
     scale = 1.0 + EXPANSION * kelvin

@@ -213,7 +213,7 @@ class StormCount:
 def estimate_storm(posor: Posor, storm: Storm, encoder: np.random.Generator | None = None) -> Estimates:
     """Return the estimates of a storm, acknowledged as an operator would; ``encoder``: its noise, None: no encoder."""
     records = np.zeros(len(storm.scans), dtype=ESTIMATE)
-    scans, begin, thetas = storm.scans.records.copy(), 0, thetas_of(storm.truth)
+    scans, begin, thetas = storm.scans._records.copy(), 0, thetas_of(storm.truth)
     for end in [*storm.acknowledgements.tolist(), len(scans)]:
         posor.estimate_records(scans[begin:end], records[begin:end])
         if end < len(scans):
@@ -221,7 +221,7 @@ def estimate_storm(posor: Posor, storm: Storm, encoder: np.random.Generator | No
         if end < len(scans) and posor.counts_bumps and encoder is not None:
             posor.confirm_theta(thetas[end] + ENCODER_SIGMA * encoder.normal(), ENCODER_SIGMA)
         begin = end
-    return Estimates(records)
+    return Estimates(records, storm.scans, posor.reason)
 
 
 def count_storm(

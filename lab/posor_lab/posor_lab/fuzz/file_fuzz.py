@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from posor.calibration.calibration_file import load_calibration
-from posor.chain.arm_file import load_arm
+from posor.chain.arm_file import load_arm_file
 from posor.chain.beams_file import load_beams
 from posor.chain.kinematic_chain import load_chain
 from posor.errors import PosorError
@@ -46,7 +46,7 @@ def readers() -> dict[str, tuple[Path, Callable[[Path], object]]]:
     return {
         "calibration": (arm / "calibrations" / "elbow.yaml", load_calibration),
         "beams": (arm / "beams.yaml", load_beams),
-        "arm": (arm / "arm.yaml", load_arm),
+        "arm": (arm / "arm.yaml", load_arm_file),
         "scenario": (arm / "scenario.yaml", load_scenario),
         "urdf": (arm / "five_axis.urdf", lambda path: load_chain(path, "endpoint")),
         "table": (data_path("ymo_output.csv"), read_table),

@@ -38,7 +38,7 @@ from posor_lab.faults.storm import sensor_shifts
 from posor_lab.fuzz.mutation import mutate
 
 if TYPE_CHECKING:
-    from posor.chain.arm_file import Arm
+    from posor.chain.arm_file import ArmFile
     from posor.numerics.array_types import FloatArray
 
 SCANS = 200
@@ -276,6 +276,6 @@ class TransformFuzz(MessageFuzz):
         return pin.XYZQUATToSE3(self._estimator.pose), self._estimator.covariance.copy()
 
 
-def fuzz_simulation(arm: Arm) -> ArmSimulation:
+def fuzz_simulation(arm: ArmFile) -> ArmSimulation:
     """Return the simulation of an arm whose only imperfection is noise."""
     return ArmSimulation(arm, Imperfections.only("noise"))

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from posor.chain.arm_file import Arm
+    from posor.chain.arm_file import ArmFile
     from posor.numerics.array_types import FloatArray, IntArray
 
 SIMULATED_RATE = 1000
@@ -41,7 +41,7 @@ class SimulatedReadings:
     It rests at the begin of the cycle, where rings see their home marks, until ``start_motion``.
     """
 
-    def __init__(self, arm: Arm, slowness: float = 1.0, seed: int = SEED) -> None:
+    def __init__(self, arm: ArmFile, slowness: float = 1.0, seed: int = SEED) -> None:
         """Compute one cycle."""
         self._begin_ns: int | None = None
         self.arm = arm

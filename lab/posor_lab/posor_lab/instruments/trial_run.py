@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
-from posor.chain.arm_file import load_arm
+from posor.chain.arm_file import load_arm_file
 from posor.numerics.stamps import NS
 from posor.ros_names import ENDPOINT_COVARIANCE_TOPIC
 from posor_bringup.arm_programs import arm_programs, group_programs
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from posor.chain.arm_file import Arm
     from posor.numerics.array_types import FloatArray
 
     from posor_lab.instruments.device_trials import Devices, DeviceTrial
@@ -185,7 +184,7 @@ def write_arm(arm: Arm, trial: DeviceTrial, devices: Devices, folder: Path) -> A
     parameters = {"instruments.file": "{folder}/instruments.yaml", "instruments.joint": "{joint}"}
     content["driver"] = {"source": "instruments", "parameters": parameters}
     (copy / ARM_FILE).write_text(yaml.safe_dump(content), encoding="utf-8")
-    return load_arm(copy / ARM_FILE)
+    return load_arm_file(copy / ARM_FILE)
 
 
 def _write_exact_beams(path: Path) -> None:

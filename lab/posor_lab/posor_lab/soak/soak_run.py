@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from posor.chain.arm_file import Arm as ArmFile
+    from posor.chain.arm_file import ArmFile
     from posor.numerics.array_types import IntArray
 
     from posor_lab.faults.fault_table import Arm

@@ -6,7 +6,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from posor.chain.arm_file import load_arm
+from posor.chain.arm_file import load_arm_file
 from posor_design.endpoint_budget import thesis_covariance
 from scipy.constants import inch
 
@@ -34,7 +34,7 @@ def five_axis_budgets() -> Mapping[str, Mapping[str, Any]]:
         PosorError: A file of the arm cannot be read.
 
     """
-    return arm_budget(load_arm(thesis_arm_path()), draws=1)
+    return arm_budget(load_arm_file(thesis_arm_path()), draws=1)
 
 
 def joint_contributions(configuration: Literal["extended", "bent"]) -> dict[str, list[Any]]:

@@ -76,14 +76,16 @@ def test_a_tightened_requirement_is_not_confirmed(folder: Path, requirement: Req
 
 
 def test_errors_larger_than_stated_are_inconsistent(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from posor.estimation.estimate import Estimates  # noqa: PLC0415  only here
     from posor.estimation.posor import Posor  # noqa: PLC0415  only here
 
     original = Posor.estimate_each
 
     def optimistic(*arguments: Any) -> Any:
         found = original(*arguments)
-        found.covariances_systematic[:] *= 0.25
-        return found
+        records = found._records.copy()
+        records["systematic"] *= 0.25
+        return Estimates(records, found._scans, found._explain)
 
     monkeypatch.setattr(Posor, "estimate_each", optimistic)
     assert not confirm_design(folder, DRAWS, 1).consistent

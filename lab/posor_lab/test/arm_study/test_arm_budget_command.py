@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from posor.chain.arm_file import load_arm
+from posor.chain.arm_file import load_arm_file
 from posor.errors import DataFileError, PosorError
 from posor_bringup.installed import share
 from posor_design.endpoint_budget import thesis_covariance
@@ -33,7 +33,7 @@ PEDESTAL_IN = 6.0  # assumed
 
 @pytest.fixture(scope="module")
 def budgets() -> dict[str, dict[str, Any]]:
-    return arm_budget(load_arm(ARMS / "five_axis" / "arm.yaml"), DRAWS)
+    return arm_budget(load_arm_file(ARMS / "five_axis" / "arm.yaml"), DRAWS)
 
 
 @pytest.fixture(scope="module")
@@ -126,7 +126,7 @@ def test_noise_is_of_the_size_of_the_thesis(budgets: dict[str, dict[str, Any]]) 
 
 
 def test_distances_of_the_posors_from_the_grip() -> None:
-    chain = load_arm(ARMS / "five_axis" / "arm.yaml").chain()
+    chain = load_arm_file(ARMS / "five_axis" / "arm.yaml").chain()
     angles = dict.fromkeys((joint.name for joint in chain.joints), 0.0)
     end = chain.nominal_endpoint(angles).translation
     pose = chain.links[0].T_nominal
@@ -139,7 +139,7 @@ def test_distances_of_the_posors_from_the_grip() -> None:
 
 
 def test_arm_that_is_not_the_thesis_has_its_own_models_only() -> None:
-    budget = arm_budget(load_arm(ARMS / "six_axis" / "arm.yaml"), 200)
+    budget = arm_budget(load_arm_file(ARMS / "six_axis" / "arm.yaml"), 200)
     assert list(budget) == list(CONFIGURATIONS)
     for case in budget.values():
         assert THESIS not in case
@@ -149,7 +149,7 @@ def test_arm_that_is_not_the_thesis_has_its_own_models_only() -> None:
 
 def test_a_copy_of_the_arm_of_the_thesis_may_differ_and_is_not_compared(tmp_path: Path) -> None:
     folder = shutil.copytree(ARMS / "five_axis", tmp_path / "five_axis")
-    case = arm_budget(load_arm(folder / "arm.yaml"), 2)["extended"]
+    case = arm_budget(load_arm_file(folder / "arm.yaml"), 2)["extended"]
     assert "printed" not in case
     assert THESIS not in case
     assert case["displacement_uin"] == case[WHOLE]["displacement_uin"]

@@ -121,8 +121,8 @@ def storm_maker() -> StormMaker:
 
 def test_a_storm_is_seeded_and_nearly_a_third_is_faulty(storm_maker: StormMaker) -> None:
     one, same, other = (storm_maker.draw(seed) for seed in (1, 1, 2))
-    assert one.scans.records.tobytes() == same.scans.records.tobytes()
-    assert one.scans.records.tobytes() != other.scans.records.tobytes()
+    assert one.scans._records.tobytes() == same.scans._records.tobytes()
+    assert one.scans._records.tobytes() != other.scans._records.tobytes()
     assert 0.2 < np.mean(one.faults >= 0) < 0.4
     assert one.names[0] == "no scans"  # of which nothing is left
     assert set(one.faults.tolist()) == {-1, *range(1, len(one.names))}
@@ -133,7 +133,7 @@ def test_a_pose_that_is_wrong_counts(storm_maker: StormMaker) -> None:
     storm = storm_maker.draw(1)
     storm_maker.posor.reset()
     found = estimate_storm(storm_maker.posor, storm)
-    covariances = found.covariances_random + found.covariances_systematic
+    covariances = found.covariances()
     poses = PoseArray(found.rotations, found.translations)
     sound = count_storm(storm_maker.calibration, storm, found.states, found.faults, poses, covariances)
     first = int(np.flatnonzero(found.states == State.OK)[0])

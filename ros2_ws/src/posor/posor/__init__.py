@@ -19,17 +19,15 @@ if TYPE_CHECKING:
         CalibrationError,
         ChainError,
         FitError,
-        NodeError,
-        OutputError,
         ParameterError,
         PosorError,
         ScanError,
         ShapeError,
-        TopicError,
     )
     from posor.estimation.estimate import Estimate, Estimates
+    from posor.estimation.forward import simulate
     from posor.estimation.posor import Posor
-    from posor.messages.estimate_arrays import ArmEstimates, EndpointEstimates, JointEstimates
+    from posor.messages.estimate_arrays import ArmEstimates, EndpointEstimates
     from posor.model.fault import Fault, State
     from posor.model.scan import Scan, Scans
     from posor.uncertainty.first_order import ErrorBudget, error_budget
@@ -48,9 +46,6 @@ __all__ = [
     "Estimates",
     "Fault",
     "FitError",
-    "JointEstimates",
-    "NodeError",
-    "OutputError",
     "ParameterError",
     "Posor",
     "PosorError",
@@ -60,12 +55,12 @@ __all__ = [
     "Scans",
     "ShapeError",
     "State",
-    "TopicError",
     "error_budget",
     "joint_reliability",
     "load_arm",
     "load_calibration",
     "read_scans",
+    "simulate",
     "to_arrow",
     "to_dataframe",
 ]
@@ -73,11 +68,12 @@ __all__ = [
 _MODULES = {
     "bags.calibration_recording": ("read_scans",),
     "bags.data_frames": ("to_arrow", "to_dataframe"),
-    "messages.estimate_arrays": ("ArmEstimates", "EndpointEstimates", "JointEstimates"),
+    "messages.estimate_arrays": ("ArmEstimates", "EndpointEstimates"),
     "bags.offline_arm": ("Arm", "load_arm"),
     "calibration.calibration_file": ("Calibration", "load_calibration"),
     "estimation.estimate": ("Estimate", "Estimates"),
     "model.fault": ("Fault", "State"),
+    "estimation.forward": ("simulate",),
     "estimation.posor": ("Posor",),
     "model.scan": ("Scan", "Scans"),
     "uncertainty.first_order": ("ErrorBudget", "error_budget"),

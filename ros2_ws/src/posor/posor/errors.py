@@ -7,6 +7,8 @@ are attributes as well, for callers.
 from __future__ import annotations
 
 from difflib import get_close_matches
+from math import isfinite
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -143,3 +145,25 @@ def similar_name(name: str, names: Iterable[str], otherwise: str, *, least: floa
     """
     similar = get_close_matches(name, list(names), n=1, cutoff=least)
     return f"perhaps '{similar[0]}'" if similar else otherwise
+
+
+def checked_path(path: object, where: str, expected: str) -> Path:
+    """Return an argument of a public function as a path; raise ParameterError for another type."""
+    if isinstance(path, str | Path):
+        return Path(path)
+    raise ParameterError(f"{path!r} is of type {type(path).__name__}", where=where, expected=expected)
+
+
+def check_type(value: object, kind: type, where: str) -> None:
+    """Raise ParameterError if an argument of a public function is not of a type."""
+    if not isinstance(value, kind):
+        raise ParameterError(f"an argument is of type {type(value).__name__}", where=where, expected=kind.__name__)
+
+
+def check_probability(value: object, where: str, *, or_zero: bool = False) -> None:
+    """Raise ParameterError if an argument is not a probability between 0 and 1; ``or_zero``: zero is valid, too."""
+    number = isinstance(value, int | float) and isfinite(value) and value < 1.0
+    if not (number and (value > 0.0 or (or_zero and value == 0.0))):  # type: ignore[operator]
+        expected = "a probability from 0 to below 1" if or_zero else "between 0 and 1"
+        text = f"{value:g}" if isinstance(value, int | float) else repr(value)
+        raise ParameterError(text, where=where, expected=expected)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from posor.chain.arm_file import Arm
+    from posor.chain.arm_file import ArmFile
 
     from posor_bringup.supervisor import Parameter
 
@@ -30,7 +30,7 @@ _PLACEHOLDER = re.compile(r"\{(\w+)\}")
 
 
 def arm_programs(
-    arm: Arm,
+    arm: ArmFile,
     *,
     drivers: bool = True,
     driver_parameters: Mapping[str, Parameter] | None = None,
@@ -72,14 +72,14 @@ def _arm_node(package: str, executable: str, namespace: str, parameters: Mapping
     return Program(f"{joint}{executable}", package, executable, (), namespace, parameters, ends, enclave)
 
 
-def _freshness(arm: Arm, driver_parameters: Mapping[str, Parameter]) -> Mapping[str, Parameter]:
+def _freshness(arm: ArmFile, driver_parameters: Mapping[str, Parameter]) -> Mapping[str, Parameter]:
     """Return the freshness that all nodes expect of the stamps: any age of a recording that keeps its stamps."""
     parameters = {"source": arm.driver.source, **arm.driver.parameters, **driver_parameters}
     is_live = issubclass(load_source_class(str(parameters["source"])), LiveSource)
     return {} if is_live or parameters.get("restamp") else RECORDING
 
 
-def _driver_parameters(arm: Arm, joint: str) -> dict[str, Parameter]:
+def _driver_parameters(arm: ArmFile, joint: str) -> dict[str, Parameter]:
     """Return the driver parameters of the arm file with their placeholders filled in."""
     parameters: dict[str, Parameter] = {"source": arm.driver.source}
     if arm.driver.source == "simulated":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from posor.chain.arm_file import Arm, load_arm
+from posor.chain.arm_file import ArmFile, load_arm_file
 from posor.errors import ChainError, ParameterError
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 
@@ -35,7 +35,7 @@ def find_arm(text: str) -> Path:
     raise ParameterError("no such arm", where=f"arm '{text}'", expected=f"the path of an arm file, or one of {names}")
 
 
-def load_checked_arm(text: str) -> Arm:
+def load_checked_arm(text: str) -> ArmFile:
     """Load an arm and check that all its files can be read and are consistent.
 
     Args:
@@ -47,7 +47,7 @@ def load_checked_arm(text: str) -> Arm:
         ChainError: The URDF is invalid, or the calibrations do not match its joints.
 
     """
-    arm = load_arm(find_arm(text))
+    arm = load_arm_file(find_arm(text))
     for joint in arm.chain().joints:
         frames = arm.calibration(joint.name).frames
         if (frames.parent, frames.child) != (joint.parent, joint.child):

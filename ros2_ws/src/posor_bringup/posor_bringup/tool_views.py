@@ -20,7 +20,7 @@ from posor.ros_names import (
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from posor.chain.arm_file import Arm
+    from posor.chain.arm_file import ArmFile
 
 VIEWS = {"rviz": "arm.rviz", "foxglove": "foxglove.json", "plotjuggler": "plotjuggler.xml"}
 """Name of the file for each tool."""
@@ -29,7 +29,7 @@ COLOURS = ("#d62728", "#2ca02c", "#1f77b4")
 """Of X, Y and Z."""
 
 
-def write_views(arm: Arm, folder: Path) -> dict[str, Path]:
+def write_views(arm: ArmFile, folder: Path) -> dict[str, Path]:
     """Write the view of each tool into an existing folder; return the files by tool.
 
     Raises:
@@ -44,7 +44,7 @@ def write_views(arm: Arm, folder: Path) -> dict[str, Path]:
     return files
 
 
-def curves(arm: Arm) -> dict[str, dict[str, str]]:
+def curves(arm: ArmFile) -> dict[str, dict[str, str]]:
     """Return the curves to plot: by title and name, topic and field as ``/topic.field``; NaN, a gap, without a pose."""
     state = f"/{arm.name}/{ENDPOINT_STATE_TOPIC}"
     return {
@@ -57,7 +57,7 @@ def curves(arm: Arm) -> dict[str, dict[str, str]]:
     }
 
 
-def rviz_view(arm: Arm) -> str:
+def rviz_view(arm: ArmFile) -> str:
     """Return the configuration of RViz: the measured arm, its frames, and the endpoint with its covariance."""
 
     def display(kind: str, name: str, **properties: Any) -> dict[str, Any]:
@@ -107,7 +107,7 @@ def rviz_view(arm: Arm) -> str:
     return yaml.safe_dump({"Panels": panels, "Visualization Manager": manager}, sort_keys=False)
 
 
-def foxglove_view(arm: Arm) -> str:
+def foxglove_view(arm: ArmFile) -> str:
     """Return the layout of Foxglove: the arm, the state of the endpoint, the curves, the diagnostics."""
     plots = {
         f"Plot!{number}": _foxglove_plot(title, paths) for number, (title, paths) in enumerate(curves(arm).items())
@@ -143,7 +143,7 @@ def foxglove_view(arm: Arm) -> str:
     return json.dumps(content, indent=2) + "\n"
 
 
-def plotjuggler_view(arm: Arm) -> str:
+def plotjuggler_view(arm: ArmFile) -> str:
     """Return the layout of PlotJuggler: the curves."""
     plots = {title: [path.replace(".", "/") for path in paths.values()] for title, paths in curves(arm).items()}
     root = ET.Element("root")

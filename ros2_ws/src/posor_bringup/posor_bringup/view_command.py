@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Callable, Sequence
 
-    from posor.chain.arm_file import Arm
+    from posor.chain.arm_file import ArmFile
     from posor_ros.node_program import StopSignal
 
     from posor_bringup.view_observation import Observation
@@ -79,7 +79,7 @@ def _view(arguments: Sequence[str]) -> None:
             _follow_arm(arm, geometry, options, stop)
 
 
-def _follow_arm(arm: Arm, geometry: ArmGeometry, options: Namespace, stop: StopSignal) -> None:
+def _follow_arm(arm: ArmFile, geometry: ArmGeometry, options: Namespace, stop: StopSignal) -> None:
     """Show the running arm until a signal."""
     topics = ArmTopics(arm)
     store = MessageStore(arm.name, topics.types)
@@ -98,7 +98,7 @@ def _follow_arm(arm: Arm, geometry: ArmGeometry, options: Namespace, stop: StopS
         _repeat(draw, page, stop, live.unsubscribe)
 
 
-def _replay_bag(arm: Arm, geometry: ArmGeometry, options: Namespace, stop: StopSignal) -> None:
+def _replay_bag(arm: ArmFile, geometry: ArmGeometry, options: Namespace, stop: StopSignal) -> None:
     """Show a bag until a signal."""
     bag = BagTopics(options.bag, arm)
     observer = Observer(bag.topics, bag.store, geometry.joints)
@@ -113,7 +113,7 @@ def _replay_bag(arm: Arm, geometry: ArmGeometry, options: Namespace, stop: StopS
         _repeat(draw, page, stop, lambda: None)
 
 
-def _announce(arm: Arm, page: ViewPage) -> None:
+def _announce(arm: ArmFile, page: ViewPage) -> None:
     print(f"{arm.name}: page at {page.address}; Ctrl-C ends it", flush=True)
 
 

@@ -16,7 +16,7 @@ import pinocchio as pin
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from posor.chain.arm_file import Arm
+    from posor.chain.arm_file import ArmFile
     from posor.numerics.array_types import FloatArray
 
     from posor_bringup.view_observation import ArmScan, EndpointView
@@ -73,7 +73,7 @@ class ArmGeometry:
 
     """
 
-    def __init__(self, arm: Arm) -> None:
+    def __init__(self, arm: ArmFile) -> None:
         """Read the arm's URDF and beams.
 
         Raises:

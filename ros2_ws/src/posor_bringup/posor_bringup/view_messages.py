@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from posor.chain.arm_file import Arm
+    from posor.chain.arm_file import ArmFile
     from posor.messages.cdr_schema import Schema
 
 KEPT = 64
@@ -95,7 +95,7 @@ class ArmTopics:
 
     """
 
-    def __init__(self, arm: Arm, endpoint: str = ENDPOINT_STATE_TOPIC) -> None:
+    def __init__(self, arm: ArmFile, endpoint: str = ENDPOINT_STATE_TOPIC) -> None:
         """Name the topics.
 
         Args:
@@ -114,7 +114,7 @@ class ArmTopics:
         }
 
 
-def _encoder(arm: Arm, joint: str) -> tuple[str, str]:
+def _encoder(arm: ArmFile, joint: str) -> tuple[str, str]:
     """Return topic and name of a joint's encoder: those of its posor_node, or of the simulated arm."""
     parameters = arm.posor_parameters[joint]
     if not parameters.get("encoder.sigma"):
@@ -245,7 +245,7 @@ class BagTopics:
 
     """
 
-    def __init__(self, path: Path, arm: Arm) -> None:
+    def __init__(self, path: Path, arm: ArmFile) -> None:
         """Check the topics and go to the beginning.
 
         Raises:

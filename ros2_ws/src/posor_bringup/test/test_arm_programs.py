@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from posor.bags.reprocess_command import parser, tasks_of
-from posor.chain.arm_file import load_arm
+from posor.chain.arm_file import load_arm_file
 from posor.errors import CalibrationError, ChainError, NodeError, ParameterError
 from posor.node_parameters import RECORDING
 from posor_bringup.arm_programs import arm_programs
@@ -99,7 +99,7 @@ def test_drivers_can_be_left_out() -> None:
 
 def test_placeholders_are_filled_in_for_every_joint(rig_copy: Path) -> None:
     change(rig_copy, "^  source: simulated$", PARAMETERS)
-    driver = arm_programs(load_arm(rig_copy / "arm.yaml"))[-1]
+    driver = arm_programs(load_arm_file(rig_copy / "arm.yaml"))[-1]
     assert driver.parameters == {
         "source": "bag",
         "bag.path": f"{rig_copy}/bags/test_rig_joint1",
@@ -107,13 +107,13 @@ def test_placeholders_are_filled_in_for_every_joint(rig_copy: Path) -> None:
         "rate": 2.0,
         **RECORDING,
     }
-    restamped = arm_programs(load_arm(rig_copy / "arm.yaml"), driver_parameters={"restamp": True})[-1]
+    restamped = arm_programs(load_arm_file(rig_copy / "arm.yaml"), driver_parameters={"restamp": True})[-1]
     assert not restamped.parameters.keys() & RECORDING.keys()
     change(rig_copy, r"\{joint\}", "{joints}")
     with pytest.raises(
         ParameterError, match=r"key driver\.parameters\.bag\.path: '\{joints\}' is an unknown placeholder; "
     ):
-        arm_programs(load_arm(rig_copy / "arm.yaml"))
+        arm_programs(load_arm_file(rig_copy / "arm.yaml"))
 
 
 def test_unknown_parameter_of_chain_node_is_reported_with_its_line(rig_copy: Path) -> None:
@@ -121,7 +121,7 @@ def test_unknown_parameter_of_chain_node_is_reported_with_its_line(rig_copy: Pat
     change(rig_copy, "^joints:", "chain:\n  parameters:\n    aceleration_window: 0.1\njoints:")
     line = path.read_text(encoding="utf-8").splitlines().index("    aceleration_window: 0.1") + 1
     with pytest.raises(NodeError) as caught:
-        arm_programs(load_arm(path))
+        arm_programs(load_arm_file(path))
     place = f"{path}, line {line}, key chain.parameters.aceleration_window"
     assert str(caught.value) == (
         f"{place}: node chain_node, parameter 'aceleration_window': there is no such parameter; "
@@ -131,21 +131,21 @@ def test_unknown_parameter_of_chain_node_is_reported_with_its_line(rig_copy: Pat
     with pytest.raises(NodeError, match=re.escape(place)):
         tasks_of(parser().parse_args(["bag", "--arm", str(path)]))
     change(rig_copy, "aceleration_window: 0.1", "use_sim_time: true")
-    assert arm_programs(load_arm(path))[0].parameters["use_sim_time"] is True
+    assert arm_programs(load_arm_file(path))[0].parameters["use_sim_time"] is True
 
 
 def test_parameters_of_a_joint_go_to_its_posor_node(rig_copy: Path) -> None:
     path = rig_copy / "arm.yaml"
     own = "    parameters: {encoder.sigma: 0.001, encoder.topic: /test_rig/encoders}"
     change(rig_copy, "^  joint1: .*$", f"  joint1:\n    calibration: calibrations/joint1.yaml\n{own}")
-    chain, posor, _ = arm_programs(load_arm(path))
+    chain, posor, _ = arm_programs(load_arm_file(path))
     assert (posor.parameters["encoder.sigma"], posor.parameters["encoder.topic"]) == (0.001, "/test_rig/encoders")
     assert not [name for name in chain.parameters if name.startswith("encoder")]
     line = path.read_text(encoding="utf-8").splitlines().index(own) + 1
     for wrong, says in (("0.001", "'encoder.sigma'"), ("encoder.sigma", "there is no such parameter")):
         change(rig_copy, wrong, "-1.0" if wrong == "0.001" else "encoder.sgma")
         with pytest.raises(NodeError, match=re.escape(f"{path}, line {line}, key joints.joint1.parameters")) as caught:
-            arm_programs(load_arm(path))
+            arm_programs(load_arm_file(path))
         assert says in str(caught.value)
         assert "node joint1/posor_node" in str(caught.value)
 

@@ -32,7 +32,7 @@ from posor_design.endpoint_budget import BEAMS, endpoint_budget
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from posor.chain.arm_file import Arm
+    from posor.chain.arm_file import ArmFile
     from posor.chain.beams_file import BeamFile, BeamsFile
     from posor.numerics.array_types import FloatArray
 
@@ -99,7 +99,7 @@ class EndpointWeights:
 
     """
 
-    def __init__(self, arm: Arm, postures: Sequence[Mapping[str, float]]) -> None:
+    def __init__(self, arm: ArmFile, postures: Sequence[Mapping[str, float]]) -> None:
         """Compute the weights from the endpoint budget.
 
         Raises:
@@ -167,7 +167,7 @@ class EndpointWeights:
         return np.asarray(np.sqrt(self.fixed + self.weights @ np.square(sigmas)))
 
 
-def allot(arm: Arm, required: FloatArray, postures: Sequence[Mapping[str, float]]) -> Allotment:
+def allot(arm: ArmFile, required: FloatArray, postures: Sequence[Mapping[str, float]]) -> Allotment:
     """Return the allotment of least effort.
 
     Args:
@@ -201,7 +201,7 @@ def allot(arm: Arm, required: FloatArray, postures: Sequence[Mapping[str, float]
     )
 
 
-def _require_feasible(arm: Arm, weights: EndpointWeights, required: FloatArray) -> None:
+def _require_feasible(arm: ArmFile, weights: EndpointWeights, required: FloatArray) -> None:
     """Refuse a requirement below what the best parts reach."""
     best = np.max(weights.endpoint(weights.present / LARGEST_IMPROVEMENT), axis=0)
     used = best / required

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from posor.chain.arm_file import load_arm
+from posor.chain.arm_file import load_arm_file
 from posor.errors import ParameterError
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.report_console import report_console
@@ -99,7 +99,7 @@ def main(arguments: Sequence[str]) -> int:
     if not options.arm.is_file():
         expected = "the path of an arm file (arm.yaml); 'posor bringup --help' lists the installed arms"
         raise ParameterError("no such file", where=f"{WHERE}, {options.arm}", expected=expected)
-    arm = load_arm(options.arm)
+    arm = load_arm_file(options.arm)
     if options.layouts and arm.scenario is None:
         what = f"arm '{arm.name}' has no scenario"
         raise ParameterError(what, where=f"{WHERE}, --layouts", expected="an arm that can be simulated")

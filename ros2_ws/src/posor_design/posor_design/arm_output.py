@@ -21,7 +21,7 @@ from posor_design.requirement import Requirement, requirement_content
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from posor.chain.arm_file import Arm
+    from posor.chain.arm_file import ArmFile
     from posor.numerics.array_types import FloatArray
 
     from posor_design.arm_allotment import Allotment
@@ -31,7 +31,7 @@ PROGRAM = "posor design arm"
 BEAMS = "beams.yaml"
 
 
-def joint_requirements(arm: Arm, allotment: Allotment) -> dict[str, Requirement]:
+def joint_requirements(arm: ArmFile, allotment: Allotment) -> dict[str, Requirement]:
     """Return the requirement of each joint's POSOR: its allotment, the size of its plate, and assumed ranges.
 
     Raises:
@@ -56,7 +56,7 @@ def _plate_diameter(urdf: str, link: str, source: str) -> float:
     raise ChainError(f"link '{link}' has no cylinder in its visual", where=source, expected="the receiving plate")
 
 
-def allotted_beams(arm: Arm, allotment: Allotment) -> str | None:
+def allotted_beams(arm: ArmFile, allotment: Allotment) -> str | None:
     """Return the beams file with the allotted uncertainties; None: the arm has none."""
     if arm.beams is None:
         return None
@@ -79,7 +79,7 @@ def _by_part(allotment: Allotment, *, beam: bool) -> dict[str, dict[str, float]]
 
 
 def arm_files(
-    arm: Arm, allotment: Allotment, requirements: Mapping[str, Requirement], layouts: Mapping[str, Candidate]
+    arm: ArmFile, allotment: Allotment, requirements: Mapping[str, Requirement], layouts: Mapping[str, Candidate]
 ) -> dict[str, str]:
     """Return the texts of an arm with designed POSORs, by their paths in its folder; its scenario is that of the arm.
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from posor.calibration.calibration_file import load_calibration
-from posor.chain.arm_file import load_arm
+from posor.chain.arm_file import load_arm_file
 from posor.errors import ParameterError
 from posor.estimation.posor import Posor
 from posor.reporting.command_line_parser import CommandLineParser
@@ -109,7 +109,7 @@ def _angles(text: str) -> tuple[float, ...]:
 
 def _arm_reliability(path: Path, given: Sequence[float] | None) -> ArmReliability:
     """Return the reliability of an arm at the given angles of its joints [rad]; None: all zero."""
-    arm = load_arm(path)
+    arm = load_arm_file(path)
     chain = arm.chain()
     names = [joint.name for joint in chain.joints]
     angles = [0.0] * len(names) if given is None else given

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from posor.chain.arm_file import Arm, load_arm
+from posor.chain.arm_file import ArmFile, load_arm_file
 from posor.chain.beams_file import load_beams
 from posor.chain.kinematic_chain import Chain
 from posor.errors import DesignError
@@ -24,8 +24,8 @@ REQUIRED = np.array([15e-6] * 3 + [8e-6] * 3)
 
 
 @cache
-def arm() -> Arm:
-    return load_arm(ARM_FILE)
+def arm() -> ArmFile:
+    return load_arm_file(ARM_FILE)
 
 
 @cache

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from posor.calibration.calibration_file import load_calibration
-from posor.chain.arm_file import load_arm
+from posor.chain.arm_file import load_arm_file
 from posor.errors import OutputError
 from posor.estimation.posor import Posor
 from posor_design.design_command import main
@@ -43,7 +43,7 @@ def one_kind(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("kind", [RING_OF_LIGHTS, BUMPS], ids=lambda kind: kind.name)
 def test_written_files_load_and_agree(tmp_path: Path, kind: LayoutKind) -> None:
     write_files(tmp_path, output_files(result_of(example(), candidate(kind)), candidate(kind)))
-    arm, layout = load_arm(tmp_path / ARM_FILE), candidate(kind).layout
+    arm, layout = load_arm_file(tmp_path / ARM_FILE), candidate(kind).layout
     (joint,) = arm.chain().joints
     calibration = arm.calibration(JOINT)
     assert (calibration.frames.parent, calibration.frames.child) == (joint.parent, joint.child)

@@ -212,9 +212,9 @@ def _custom_data(arm: Path | None) -> dict[str, str]:
     if arm is None:
         return provenance_of(None)
     from posor.bags.reprocess_task import Settings  # noqa: PLC0415  pinocchio: 50 MB, for this option only
-    from posor.chain.arm_file import load_arm  # noqa: PLC0415
+    from posor.chain.arm_file import load_arm_file  # noqa: PLC0415
 
-    return provenance_of(Settings.of_arm(load_arm(arm)))
+    return provenance_of(Settings.of_arm(load_arm_file(arm)))
 
 
 def _record(arguments: Sequence[str]) -> None:

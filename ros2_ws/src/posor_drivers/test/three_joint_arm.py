@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from posor.calibration.designs import SizedDesignName, sized_design
-from posor.chain.arm_file import load_arm
+from posor.chain.arm_file import load_arm_file
 from posor.errors import CalibrationError
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 
@@ -133,7 +133,7 @@ def simulation(
     folder: Path, switches: Imperfections | None = None, content: dict[str, Any] | None = None
 ) -> ArmSimulation:
     """Write the arm and simulate it."""
-    return ArmSimulation(load_arm(write_arm(folder, content)), switches)
+    return ArmSimulation(load_arm_file(write_arm(folder, content)), switches)
 
 
 def refused(folder: Path, content: dict[str, Any]) -> CalibrationError:

@@ -57,7 +57,7 @@ def moving(posor: Posor, *, start: float = 0.05) -> list[RawScan]:
     rotations = np.array([rotation_from_native(1e-4, -2e-4, start + 2e-3 * n) for n in range(COUNT)])
     translations = np.tile([2e-5, 1e-5, 0.7e-3], (COUNT, 1))
     stamps = np.arange(1, COUNT + 1, dtype=np.int64) * TICK_NS + 1_700_000_000 * 10**9
-    scans = scans_at(posor.stack, rotations, translations, stamps, noise=np.random.default_rng(4))
+    scans = scans_at(posor.stack, rotations, translations, stamps, noise=np.random.default_rng(4)).editable()
     scans.at_home[1 : 1 + MARKS] = 1
     scans.gap_voltages[7, 1] = np.nan
     for spoiled in (scans.ring_voltages, scans.diode_currents[:, :, 0]):

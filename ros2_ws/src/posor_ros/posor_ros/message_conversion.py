@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     import pinocchio as pin
     from posor.estimation.estimate import Estimate
     from posor.node_parameters import CovarianceKind
-    from posor.numerics.array_types import FloatArray
     from sensor_msgs.msg import JointState
 
 
@@ -57,15 +56,6 @@ def pose_from_message(message: Pose) -> pin.SE3:
     return pin.XYZQUATToSE3(np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w]))
 
 
-def select_covariance(estimate: Estimate, kind: CovarianceKind) -> FloatArray:
-    """Return the part of the covariance that ``kind`` selects, (6, 6)."""
-    if kind == "random":
-        return estimate.covariance_random
-    if kind == "systematic":
-        return estimate.covariance_systematic
-    return estimate.covariance_random + estimate.covariance_systematic
-
-
 def transform_message(
     raw: RawScan, estimate: Estimate, parent: str, child: str, kind: CovarianceKind
 ) -> JointTransform:
@@ -76,7 +66,7 @@ def transform_message(
     message.child_frame_id = child
     message.scan = raw.scan
     message.pose = pose_message(estimate.T_R_T)
-    message.covariance = select_covariance(estimate, kind).ravel()
+    message.covariance = estimate.covariance(kind).ravel()
     message.covariance_kind = COVARIANCE_KINDS[kind]
     message.native = estimate.native
     message.residual = estimate.residual

@@ -7,15 +7,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from posor.bags.block_synchroniser import BlockSynchroniser
+from posor.bags.block_synchroniser import JOINT_ROWS, BlockSynchroniser
 from posor.bags.reprocess_task import EndpointSummary, JointSummary
 from posor.errors import ChainError
+from posor.estimation.estimate import Estimates
 from posor.estimation.posor import Posor
-from posor.messages.estimate_arrays import ArmEstimates, EndpointEstimates, JointEstimates, estimate_joint
+from posor.messages.estimate_arrays import ArmEstimates, EndpointEstimates, estimate_joint
 from posor.model.fault import USABLE_STATES, Fault, State
+from posor.model.scan import Scans
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
 
     from posor.bags.reprocess_task import Settings
     from posor.calibration.calibration_file import Calibration
@@ -24,6 +28,8 @@ if TYPE_CHECKING:
     from posor.messages.raw_scan import RecordedScans
     from posor.node_parameters import ChainParameters, CovarianceKind
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
+
+NO_SCANS = Scans.from_fields(stamps_ns=np.empty(0, dtype=np.int64))
 
 
 class ArmEstimator:
@@ -63,7 +69,11 @@ class ArmEstimator:
         joints = {name: joint.estimate(scans[name]) for name, joint in self._joints.items()}
         if self.endpoint is None:
             return ArmEstimates(joints, EndpointEstimates.none())
-        return ArmEstimates(joints, self.endpoint.estimate(joints), self.endpoint.joints)
+        orders = {
+            name: np.concatenate([np.empty(0, dtype=np.int64), *(part.order for part in scans[name])])
+            for name in self.endpoint.joints
+        }
+        return ArmEstimates(joints, self.endpoint.estimate(joints, orders), self.endpoint.joints)
 
     def finish(self) -> None:
         """Count the stamps that are incomplete at the end."""
@@ -99,9 +109,9 @@ class _JointEstimator:
         self.scans = self.lost = 0
         self.faults: Counter[str] = Counter()
 
-    def estimate(self, scans: Sequence[RecordedScans]) -> JointEstimates:
+    def estimate(self, scans: Sequence[RecordedScans]) -> Estimates:
         parts = [estimate_joint(self._posor, each, self._kind) for each in scans]
-        estimates = JointEstimates.concatenate(parts) if parts else JointEstimates.none()
+        estimates = Estimates.concatenate(parts) if parts else self._posor.estimate_all(NO_SCANS)
         lost = estimates.states == int(State.LOST)
         self.scans += len(estimates)
         self.lost += int(np.count_nonzero(lost))
@@ -158,33 +168,41 @@ class EndpointPipeline:
         self.poses = self.degraded = self.unusable = 0
         self.refused = dict.fromkeys(self.joints, 0)
 
-    def estimate(self, joints: Mapping[str, JointEstimates]) -> EndpointEstimates:
-        """Return the endpoint at all stamps that become complete with the next transforms of all joints."""
-        complete = self.synchroniser.join([self._with_stamp(name, joints[name]) for name in self.joints])
-        states = np.array([each.states for each in complete])
+    def estimate(self, joints: Mapping[str, Estimates], orders: Mapping[str, IntArray]) -> EndpointEstimates:
+        """Return the endpoint at all stamps that become complete with the next transforms of all joints.
+
+        Args:
+            joints: The transforms.
+            orders: Positions of their scans among those of all joints that were read together, shape (n,).
+
+        """
+        rows = [self._with_stamp(name, _joint_rows(joints[name], orders[name])) for name in self.joints]
+        complete = self.synchroniser.join(rows)
+        states = np.array([each["state"] for each in complete])
         usable: BoolArray = np.isin(states, USABLE_STATES)
         all_usable: BoolArray = np.all(usable, axis=0)
         if not all_usable.all():
-            complete = [each.select(all_usable) for each in complete]
+            complete = [each[all_usable] for each in complete]
         endpoints = self._estimator.estimate_all(
-            np.stack([each.poses for each in complete], axis=1),
-            np.stack([each.covariances for each in complete], axis=1),
-            complete[0].stamps_ns,
-            np.stack([each.natives[:, 5] for each in complete], axis=1),
+            np.stack([each["pose"] for each in complete], axis=1),
+            np.stack([each["covariance"] for each in complete], axis=1),
+            complete[0]["stamp_ns"],
+            np.stack([each["theta"] for each in complete], axis=1),
         )
         usable[:, all_usable] &= endpoints.faults.T == 0
         self._count(states, usable)
         return self._endpoint_estimates(complete, endpoints)
 
-    def _with_stamp(self, joint: str, estimates: JointEstimates) -> JointEstimates:
+    def _with_stamp(self, joint: str, rows: NDArray[np.void]) -> NDArray[np.void]:
         """Return the transforms with a valid stamp; an invalid one (0) would count as time that goes back."""
-        stamped = estimates.stamps_ns != 0
+        stamped = rows["stamp_ns"] != 0
         if stamped.all():
-            return estimates
+            return rows
         invalid = int(np.count_nonzero(~stamped))
         self.refused[joint] += invalid
         self.unusable += invalid
-        return estimates.select(stamped)
+        usable: NDArray[np.void] = rows[stamped]
+        return usable
 
     def _count(self, states: IntArray, usable: BoolArray) -> None:
         """Count complete stamps by the joints' states and by whether their transforms are usable, (joints, n)."""
@@ -195,13 +213,21 @@ class EndpointPipeline:
         self.unusable += int(np.count_nonzero(~sound))
         self.degraded += int(np.count_nonzero(np.any(states[:, sound] == int(State.DEGRADED), axis=0)))
 
-    def _endpoint_estimates(self, complete: Sequence[JointEstimates], endpoints: Endpoints) -> EndpointEstimates:
+    def _endpoint_estimates(self, complete: Sequence[NDArray[np.void]], endpoints: Endpoints) -> EndpointEstimates:
         """Return the valid endpoints, relative to the first one if requested."""
         sound, poses, covariances = endpoints.usable, endpoints.poses, endpoints.covariances
         if self._relative and sound.any():
             if self._home is None:
                 self._home = poses[int(np.argmax(sound))].copy()
             poses, covariances = endpoints.relative_to(self._home)
-        log_times_ns = np.max([each.log_times_ns for each in complete], axis=0)
-        found = EndpointEstimates(log_times_ns, complete[0].stamps_ns, poses, covariances, endpoints.angles)
+        log_times_ns = np.max([each["log_time_ns"] for each in complete], axis=0)
+        found = EndpointEstimates(log_times_ns, complete[0]["stamp_ns"], poses, covariances, endpoints.angles)
         return found if sound.all() else found.select(sound)
+
+
+def _joint_rows(estimates: Estimates, order: IntArray) -> NDArray[np.void]:
+    rows: NDArray[np.void] = np.empty(len(estimates), dtype=JOINT_ROWS)
+    rows["order"], rows["log_time_ns"], rows["stamp_ns"] = order, estimates.log_times_ns, estimates.stamps_ns
+    rows["state"], rows["theta"], rows["pose"] = estimates.states, estimates.thetas, estimates.poses
+    rows["covariance"] = estimates.covariances()
+    return rows

@@ -8,13 +8,29 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posor.chain.time_synchroniser import TimeSynchroniser, synchronise_stamps
-from posor.messages.estimate_arrays import JointEstimates
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from posor.numerics.array_types import BoolArray
 
+    Rows = NDArray[np.void]
+    """Transforms of a joint, shape (n,), dtype JOINT_ROWS."""
+
+JOINT_ROWS = np.dtype(
+    [
+        ("order", "i8"),  # position of the scan among those of all joints that were read together
+        ("log_time_ns", "i8"),
+        ("stamp_ns", "i8"),
+        ("state", "i8"),
+        ("theta", "f8"),
+        ("pose", "f8", (7,)),
+        ("covariance", "f8", (6, 6)),
+    ]
+)
+"""A joint's transform as the chain needs it."""
 MOST_OPEN = 65_536
 """Transforms of a joint that may wait for the other joints; then the oldest are given up, which bounds the memory."""
 
@@ -33,14 +49,14 @@ class BlockSynchroniser:
 
     def __init__(self, joints: Sequence[str]) -> None:
         self._joints = tuple(joints)
-        self._open = [JointEstimates.none() for _ in self._joints]
-        self._last_complete: list[JointEstimates] = []
+        self._open = [np.empty(0, dtype=JOINT_ROWS) for _ in self._joints]
+        self._last_complete: list[Rows] = []
         self._closed_until = -1
-        self._live: TimeSynchroniser[JointEstimates] | None = None
+        self._live: TimeSynchroniser[Rows] | None = None
         self.incomplete = 0
         self.missing = dict.fromkeys(self._joints, 0)
 
-    def join(self, block: Sequence[JointEstimates]) -> list[JointEstimates]:
+    def join(self, block: Sequence[Rows]) -> list[Rows]:
         """Return the transforms of the complete stamps: of each joint equally many, in the same order.
 
         Args:
@@ -48,8 +64,10 @@ class BlockSynchroniser:
 
         """
         if self._live is None:
-            known = [JointEstimates.concatenate(parts) for parts in zip(self._open, block, strict=True)]
-            if all(np.all(np.diff(each.stamps_ns) > 0) for each in known) and self._follows_last(block):
+            known = [
+                np.concatenate(parts) if len(parts[0]) else parts[1] for parts in zip(self._open, block, strict=True)
+            ]
+            if all(np.all(np.diff(each["stamp_ns"]) > 0) for each in known) and self._follows_last(block):
                 return self._join_increasing(known)
             self._live = self._make_live_joiner()
         return self._join_live(self._live, block)
@@ -62,37 +80,34 @@ class BlockSynchroniser:
         else:
             self._give_up_until(np.iinfo(np.int64).max)
 
-    def _follows_last(self, block: Sequence[JointEstimates]) -> bool:
+    def _follows_last(self, block: Sequence[Rows]) -> bool:
         """Return whether the stamps of every joint increase from the last complete one."""
-        last = [int(each.stamps_ns[0]) for each in self._last_complete] or [-1] * len(block)
-        return all(not len(each) or each.stamps_ns[0] > stamp for each, stamp in zip(block, last, strict=True))
+        last = [int(each["stamp_ns"][0]) for each in self._last_complete] or [-1] * len(block)
+        return all(not len(each) or each["stamp_ns"][0] > stamp for each, stamp in zip(block, last, strict=True))
 
-    def _join_increasing(self, known: list[JointEstimates]) -> list[JointEstimates]:
-        if any(len(each) and each.stamps_ns[0] <= self._closed_until for each in known):
-            known = [each.select(each.stamps_ns > self._closed_until) for each in known]
-        joined = synchronise_stamps([each.stamps_ns for each in known])
+    def _join_increasing(self, known: list[Rows]) -> list[Rows]:
+        if any(len(each) and each["stamp_ns"][0] <= self._closed_until for each in known):
+            known = [each[each["stamp_ns"] > self._closed_until] for each in known]
+        joined = synchronise_stamps([each["stamp_ns"] for each in known])
         complete = [
-            each if len(index) == len(each) else each.select(index)
-            for each, index in zip(known, joined.index.T, strict=True)
+            each if len(index) == len(each) else each[index] for each, index in zip(known, joined.index.T, strict=True)
         ]
-        # Indices copy; a slice would keep the memory of the whole block in use.
-        self._open = [
-            each.select(np.arange(begin, len(each))) for each, begin in zip(known, joined.first_open, strict=True)
-        ]
+        # A slice without a copy would keep the memory of the whole block in use.
+        self._open = [each[begin:].copy() for each, begin in zip(known, joined.first_open, strict=True)]
         self._count_missing(joined.missing)
         if len(joined.stamps):
-            self._last_complete = [each.select(np.array([len(each) - 1])) for each in complete]
+            self._last_complete = [each[-1:].copy() for each in complete]
             self._closed_until = int(joined.stamps[-1])
         if max(len(each) for each in self._open) > MOST_OPEN:
-            self._give_up_until(max(each.stamps_ns[-MOST_OPEN - 1] for each in self._open if len(each) > MOST_OPEN))
+            self._give_up_until(max(each["stamp_ns"][-MOST_OPEN - 1] for each in self._open if len(each) > MOST_OPEN))
         return complete
 
     def _give_up_until(self, last: int) -> None:
         """Give up the open stamps up to one."""
-        stamps = [each.stamps_ns[each.stamps_ns <= last] for each in self._open]
+        stamps = [each["stamp_ns"][each["stamp_ns"] <= last] for each in self._open]
         union = reduce(np.union1d, stamps)
         self._count_missing(np.column_stack([~np.isin(union, own, assume_unique=True) for own in stamps]))
-        self._open = [each.select(each.stamps_ns > last) for each in self._open]
+        self._open = [each[each["stamp_ns"] > last] for each in self._open]
         self._closed_until = max(self._closed_until, int(last))
 
     def _count_missing(self, missing: BoolArray) -> None:
@@ -101,33 +116,31 @@ class BlockSynchroniser:
         for name, count in zip(self._joints, np.count_nonzero(missing, axis=0).tolist(), strict=True):
             self.missing[name] += count
 
-    def _make_live_joiner(self) -> TimeSynchroniser[JointEstimates]:
+    def _make_live_joiner(self) -> TimeSynchroniser[Rows]:
         """Return chain_node's synchroniser in its present state: with the last complete stamp, and all open ones."""
-        live: TimeSynchroniser[JointEstimates] = TimeSynchroniser(self._joints, MOST_OPEN)
+        live: TimeSynchroniser[Rows] = TimeSynchroniser(self._joints, MOST_OPEN)
         for former in (self._last_complete, self._open):
             for name, each in zip(self._joints, former, strict=False):
                 for n in range(len(each)):
-                    live.add(name, int(each.stamps_ns[n]), each.select(slice(n, n + 1)), 0.0)
+                    live.add(name, int(each["stamp_ns"][n]), each[n : n + 1], 0.0)
         return live
 
-    def _join_live(
-        self, live: TimeSynchroniser[JointEstimates], block: Sequence[JointEstimates]
-    ) -> list[JointEstimates]:
+    def _join_live(self, live: TimeSynchroniser[Rows], block: Sequence[Rows]) -> list[Rows]:
         joints = np.repeat(np.arange(len(block)), [len(each) for each in block])
         rows = np.concatenate([np.arange(len(each)) for each in block])
-        complete: list[list[JointEstimates]] = []
-        for n in np.argsort(np.concatenate([each.order for each in block]), kind="stable").tolist():
+        complete: list[list[Rows]] = []
+        for n in np.argsort(np.concatenate([each["order"] for each in block]), kind="stable").tolist():
             each, row = block[joints[n]], int(rows[n])
-            item = each.select(slice(row, row + 1))
-            scan = live.add(self._joints[joints[n]], int(item.stamps_ns[0]), item, 0.0)
+            item = each[row : row + 1]
+            scan = live.add(self._joints[joints[n]], int(item["stamp_ns"][0]), item, 0.0)
             if scan is not None:
                 complete.append([scan[name] for name in self._joints])
             self._count_given_up(live)  # now: in the next round the same stamps come again
         if not complete:
-            return [each.select(slice(0)) for each in block]
-        return [JointEstimates.concatenate(of_joint) for of_joint in zip(*complete, strict=True)]
+            return [each[:0] for each in block]
+        return [np.concatenate(of_joint) for of_joint in zip(*complete, strict=True)]
 
-    def _count_given_up(self, live: TimeSynchroniser[JointEstimates]) -> None:
+    def _count_given_up(self, live: TimeSynchroniser[Rows]) -> None:
         for missing in live.take_incomplete().values():
             self.incomplete += 1
             for name in missing:

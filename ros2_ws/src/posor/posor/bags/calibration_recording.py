@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +13,7 @@ from posor.bags.block_reader import read_blocks
 from posor.bags.recording import POSE, Recording, Track
 from posor.bags.topic_reader import TopicReader
 from posor.chain.joint_measurements import UNIT_QUATERNION_TOLERANCE
-from posor.errors import BagError, TopicError, TrackError
+from posor.errors import BagError, TopicError, TrackError, checked_path
 from posor.messages.message_definitions import schema_of_connection
 from posor.messages.raw_scan import RecordedScans, check_raw_scan_schema
 from posor.model.scan import CONTACTS
@@ -23,6 +22,7 @@ from posor.ros_names import POINT_STAMPED, POSE_STAMPED, RAW_SCAN, REFERENCE_REA
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
+    from pathlib import Path
 
     from rosbags.rosbag2 import Reader
 
@@ -77,10 +77,11 @@ def read_scans(bag: Path | str, topic: str = "") -> Scans:
         topic: Of the scans; empty: the only one of type RawScan.
 
     Raises:
+        ParameterError: ``bag`` is no path.
         BagError: The bag cannot be read, lacks the topic, or the numbers of readings or the stamps are inconsistent.
 
     """
-    path = Path(bag)
+    path = checked_path(bag, "read_scans", "the path of a bag")
     with opened_bag(path) as reader:
         name = scan_topic(reader.connections, topic, str(path), "the topic of the scans")
         return _read_recorded_scans(reader, name, str(path)).scans
@@ -233,7 +234,7 @@ def _track(kind: str, messages: Sequence[tuple[int, Mapping[str, Value]]], refer
             raise TrackError(f"poses in {', '.join(frames)}", where=where, expected="one frame only")
     values = np.array([[message[path] for path in REFERENCE_FIELDS[kind]] for _, message in messages], dtype=float)
     if values.shape[1] == POSE:
-        values = _with_continuous_signs(values, where)
+        values = with_continuous_signs(values, where)
     sigmas = np.array(reference.sigmas, dtype=float)
     if kind == REFERENCE_READING:
         stated = _stated_uncertainty([message for _, message in messages], where)
@@ -255,7 +256,7 @@ def _stated_uncertainty(readings: Sequence[Mapping[str, Value]], where: str) -> 
     return max(float(reading["standard_uncertainty"]) for reading in readings)
 
 
-def _with_continuous_signs(poses: FloatArray, where: str) -> FloatArray:
+def with_continuous_signs(poses: FloatArray, where: str) -> FloatArray:
     """Return poses (n, 7) whose quaternions keep their sign from one to the next (q and -q are the same rotation)."""
     lengths = np.linalg.norm(poses[:, 3:], axis=1)
     bad = np.flatnonzero(~(np.abs(lengths - 1.0) <= UNIT_QUATERNION_TOLERANCE))

@@ -6,20 +6,40 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from posor.errors import ParameterError
-from posor.messages.estimate_arrays import ArmEstimates, EndpointEstimates, JointEstimates
-from posor.messages.estimate_columns import endpoint_columns, joint_columns, scan_columns
+from posor.estimation.estimate import Estimates
+from posor.messages.estimate_arrays import ArmEstimates, EndpointEstimates
+from posor.messages.estimate_columns import (
+    budget_columns,
+    endpoint_columns,
+    joint_columns,
+    reliability_columns,
+    scan_columns,
+)
 from posor.model.scan import Scans
+from posor.uncertainty.first_order import ErrorBudget
+from posor.uncertainty.reliability import Reliability
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     import numpy as np
 
+Result = ArmEstimates | Estimates | EndpointEstimates | Scans | ErrorBudget | Reliability
+COLUMNS: dict[type, Callable[[Any], dict[str, Any]]] = {
+    Estimates: joint_columns,
+    EndpointEstimates: endpoint_columns,
+    Scans: scan_columns,
+    ErrorBudget: budget_columns,
+    Reliability: reliability_columns,
+}
 
-def to_dataframe(data: ArmEstimates | JointEstimates | EndpointEstimates | Scans) -> Any:
-    """Return a pandas DataFrame with one row for each scan; for ``ArmEstimates`` a dictionary of DataFrames.
 
-    Columns are named as in docs/how_to/reprocess.md; those of ``Scans`` after the fields of ``posor_msgs/RawScan``.
+def to_dataframe(data: Result) -> Any:
+    """Return a pandas DataFrame of a result; for ``ArmEstimates`` a dictionary of DataFrames.
+
+    Estimates and scans have a row for each scan, an error budget one for each contribution, a reliability one for each
+    reading. Columns are named as in docs/how_to/reprocess.md; those of ``Scans`` after the fields of
+    ``posor_msgs/RawScan``.
 
     Raises:
         ParameterError: pandas is not installed, or the data cannot be a table.
@@ -28,8 +48,8 @@ def to_dataframe(data: ArmEstimates | JointEstimates | EndpointEstimates | Scans
     return _to_tables(data, _import_library("pandas", "to_dataframe").DataFrame)
 
 
-def to_arrow(data: ArmEstimates | JointEstimates | EndpointEstimates | Scans) -> Any:
-    """Return a pyarrow Table with one row for each scan; for ``ArmEstimates`` a dictionary of Tables.
+def to_arrow(data: Result) -> Any:
+    """Return a pyarrow Table with the columns of ``to_dataframe``; for ``ArmEstimates`` a dictionary of Tables.
 
     Raises:
         ParameterError: pyarrow is not installed, or the data cannot be a table.
@@ -44,16 +64,10 @@ def _to_tables(data: object, make_table: Callable[[Mapping[str, np.ndarray[Any, 
         if data.chain:
             tables["endpoint"] = make_table(endpoint_columns(data.endpoint, data.chain))
         return tables
-    if isinstance(data, JointEstimates):
-        return make_table(joint_columns(data))
-    if isinstance(data, EndpointEstimates):
-        return make_table(endpoint_columns(data))
-    if isinstance(data, Scans):
-        return make_table(scan_columns(data))
-    raise ParameterError(
-        f"data of type {type(data).__name__} cannot be a table",
-        expected="ArmEstimates, JointEstimates, EndpointEstimates or Scans",
-    )
+    if type(data) in COLUMNS:
+        return make_table(COLUMNS[type(data)](data))
+    names = ", ".join(["ArmEstimates", *(kind.__name__ for kind in COLUMNS)])
+    raise ParameterError(f"data of type {type(data).__name__} cannot be a table", expected=f"one of {names}")
 
 
 def _import_library(name: str, function: str) -> Any:

@@ -21,7 +21,7 @@ from posor.bags.executors import dask_cluster, local_processes, run_tasks
 from posor.bags.offline_pipeline import reprocess_bag
 from posor.bags.reprocess_task import FORMATS, JointSettings, Settings, Summary, Task
 from posor.bags.result_folder import check_outside_of_bags, check_replaceable, clear_unfinished
-from posor.chain.arm_file import load_arm
+from posor.chain.arm_file import load_arm_file
 from posor.errors import ParameterError
 from posor.lazy_program import EXIT_INTERRUPTED, handle_interrupts, interrupts_handled
 from posor.reporting.command_line_parser import CommandLineParser
@@ -125,7 +125,7 @@ def tasks_of(options: argparse.Namespace) -> list[Task]:
 
 
 def _settings(options: argparse.Namespace) -> Settings:
-    arm = Settings({}) if options.arm is None else Settings.of_arm(load_arm(options.arm))
+    arm = Settings({}) if options.arm is None else Settings.of_arm(load_arm_file(options.arm))
     joints, chain = dict(arm.joints), dict(arm.chain or {})
     for joint, file in _by_joint("--calibration", options.calibration).items():
         joints[joint] = JointSettings(Path(file).absolute())

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from posor.calibration.calibration_file import load_calibration
 from posor.chain.arm_parameters import CHAIN_NODE, POSOR_NODE, chain_parameters, posor_parameters
 from posor.chain.kinematic_chain import load_chain
-from posor.errors import ParameterError
+from posor.errors import ParameterError, check_probability
 from posor.node_parameters import COVARIANCE_KINDS, ChainParameters, PosorParameters
 from posor.parameter_model import validate_parameters
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from posor.calibration.calibration_file import Calibration
-    from posor.chain.arm_file import Arm, ParameterValue
+    from posor.chain.arm_file import ArmFile, ParameterValue
     from posor.chain.kinematic_chain import Chain
     from posor.node_parameters import CovarianceKind
 
@@ -68,7 +68,7 @@ class Settings:
     chain: Mapping[str, ParameterValue] | None = None
 
     @staticmethod
-    def of_arm(arm: Arm) -> Settings:
+    def of_arm(arm: ArmFile) -> Settings:
         """Return the settings of an arm file.
 
         Raises:
@@ -94,8 +94,7 @@ class Settings:
         changes = {name: value for name, value in changes.items() if value is not None}
         if (kind := changes.get("covariance", "total")) not in COVARIANCE_KINDS:
             raise ParameterError(f"'{kind}' is unknown", where="covariance", expected=", ".join(COVARIANCE_KINDS))
-        if not 0.0 < (probability := changes.get("false_alarm", 0.5)) < 1.0:
-            raise ParameterError(f"{probability:g}", where="false_alarm", expected="between 0 and 1")
+        check_probability(changes.get("false_alarm", 0.5), "false_alarm")
         return replace(self, joints={name: replace(joint, **changes) for name, joint in self.joints.items()})
 
     def load_chain(self) -> tuple[Chain, ChainParameters] | None:

@@ -12,7 +12,6 @@ from __future__ import annotations
 import hashlib
 import json
 from enum import StrEnum
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, Union
 
 from pydantic import Field, PrivateAttr, SerializeAsAny, create_model, field_validator, model_validator
@@ -22,12 +21,13 @@ from posor.calibration.fit_record import FitRecord
 from posor.calibration.quantity import Quantity, measured
 from posor.calibration.session import Session
 from posor.calibration.yaml_document import parse_document, read_text
-from posor.errors import CalibrationError, FitError
+from posor.errors import CalibrationError, FitError, checked_path
 from posor.sensors.base import SensorCalibration
 from posor.sensors.registry import sensor_types
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
 FILE_KIND = "calibration file"
 VERSION = 3
@@ -180,6 +180,14 @@ class Calibration(FrozenModel):
                 )
         return self
 
+    def __repr__(self) -> str:
+        """Return name, frames, sensors and session."""
+        kinds = ", ".join(sensor.type for sensor in self.sensors)  # type: ignore[attr-defined]
+        session = f", session '{self.session}'" if self.session else ""
+        return f"<Calibration '{self.name}' from {self.frames.parent} to {self.frames.child}: {kinds}{session}>"
+
+    __str__ = __repr__
+
     @property
     def content_hash(self) -> str:
         """SHA-256 of the content without layout and comments, 64 hexadecimal digits.
@@ -221,10 +229,12 @@ def load_calibration(path: Path | str) -> Calibration:
     """Read and validate a calibration file (YAML, SI).
 
     Raises:
+        ParameterError: The argument is no path.
         CalibrationError: The file cannot be read, is not YAML, or has invalid content.
 
     """
-    return parse_calibration(read_text(Path(path), FILE_KIND), str(path))
+    file = checked_path(path, "load_calibration", "the path of a calibration file")
+    return parse_calibration(read_text(file, FILE_KIND), str(file))
 
 
 def parse_calibration(text: str, source: str) -> Calibration:

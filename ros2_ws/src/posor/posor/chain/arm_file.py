@@ -68,7 +68,7 @@ class ChainFile(FrozenModel):
     parameters: ParameterValues = Field(default_factory=dict)
 
 
-class ArmFile(FrozenModel):
+class ArmFileContent(FrozenModel):
     """Content of an arm file; paths are relative to the file."""
 
     format: Literal["posor_arm"]
@@ -91,7 +91,7 @@ class ArmFile(FrozenModel):
 
 
 @dataclass(frozen=True)
-class Arm:
+class ArmFile:
     """An arm file with its paths resolved.
 
     Attributes:
@@ -149,7 +149,7 @@ class Arm:
         return load_calibration(self.calibrations[joint]).for_session(self.sessions[joint])
 
 
-def load_arm(path: Path) -> Arm:
+def load_arm_file(path: Path) -> ArmFile:
     """Read an arm file, without opening the files that it names.
 
     Raises:
@@ -163,9 +163,9 @@ def load_arm(path: Path) -> Arm:
             expected="the path of an arm file, such as share/posor_bringup/arms/five_axis/arm.yaml",
         )
     keys = "format, version, name, provenance, urdf, joints, driver"
-    content, locations = load_document(path, "arm file", keys, VERSION, ArmFile.model_validate)
+    content, locations = load_document(path, "arm file", keys, VERSION, ArmFileContent.model_validate)
     folder = path.resolve().parent
-    return Arm(
+    return ArmFile(
         path=path,
         name=content.name,
         urdf=folder / content.urdf,

@@ -10,13 +10,13 @@ from posor.parameter_model import validate_parameters
 from posor.ros_names import ROS_OWN_PARAMETERS
 
 if TYPE_CHECKING:
-    from posor.chain.arm_file import Arm, ParameterValue
+    from posor.chain.arm_file import ArmFile, ParameterValue
     from posor.parameter_model import ParameterGroup
 
 CHAIN_NODE, POSOR_NODE = "chain_node", "posor_node"
 
 
-def chain_parameters(arm: Arm) -> dict[str, ParameterValue]:
+def chain_parameters(arm: ArmFile) -> dict[str, ParameterValue]:
     """Return the ROS parameters of an arm's chain_node.
 
     Raises:
@@ -29,7 +29,7 @@ def chain_parameters(arm: Arm) -> dict[str, ParameterValue]:
     return _checked(arm, "", ChainParameters, {**parameters, **arm.chain_parameters})
 
 
-def posor_parameters(arm: Arm, joint: str) -> dict[str, ParameterValue]:
+def posor_parameters(arm: ArmFile, joint: str) -> dict[str, ParameterValue]:
     """Return the ROS parameters of a joint's posor_node.
 
     Raises:
@@ -41,7 +41,7 @@ def posor_parameters(arm: Arm, joint: str) -> dict[str, ParameterValue]:
 
 
 def _checked(
-    arm: Arm, joint: str, model: type[ParameterGroup], parameters: dict[str, ParameterValue]
+    arm: ArmFile, joint: str, model: type[ParameterGroup], parameters: dict[str, ParameterValue]
 ) -> dict[str, ParameterValue]:
     """Return the parameters if the node (of a joint; '': chain_node) accepts them."""
     own = {name: value for name, value in parameters.items() if not name.startswith(ROS_OWN_PARAMETERS)}

@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from collections import Counter
+from copy import copy
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from posor.errors import ParameterError
 from posor.model.fault import Fault, State
 from posor.model.native_coordinates import native_from_rotation
+from posor.model.scan import Scans
+from posor.node_parameters import COVARIANCE_KINDS
+from posor.numerics.stamps import NS, span_text
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
     import pinocchio as pin
     from numpy.typing import NDArray
 
-    from posor.numerics.array_types import FloatArray, IntArray
+    from posor.model.scan import Scan
+    from posor.node_parameters import CovarianceKind
+    from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
 ESTIMATE = np.dtype(
     [
@@ -39,14 +48,42 @@ ESTIMATE = np.dtype(
 
 
 FIELDS = ESTIMATE.names or ()
+NO_STAMP, OTHER_FRAME = -101, -102
+"""``code`` of a recorded scan that is not estimated: its stamp is invalid, or it comes from another frame."""
 _STATES = tuple(State)
+_ATTRIBUTES = {
+    "numbers": "number",
+    "stamps_ns": "stamp_ns",
+    "states": "state",
+    "faults": "faults",
+    "redundancies": "redundancy",
+    "rotations": "rotation",
+    "translations": "translation",
+    "poses": "pose",
+    "natives": "native",
+    "covariances_random": "random",
+    "covariances_systematic": "systematic",
+}
+"""Attributes of ``Estimates`` that are fields of the records."""
+
+
+def select_covariance(random: FloatArray, systematic: FloatArray, kind: CovarianceKind) -> FloatArray:
+    """Return the part of a covariance that ``kind`` selects: random, systematic, or total, the sum of both.
+
+    Raises:
+        ParameterError: There is no such part.
+
+    """
+    if kind not in COVARIANCE_KINDS:
+        raise ParameterError(f"'{kind}' is unknown", where="covariance", expected=", ".join(COVARIANCE_KINDS))
+    return random + systematic if kind == "total" else (random if kind == "random" else systematic)
 
 
 class Estimate(NamedTuple):
     """The pose ``T_R_T`` that one scan gives.
 
     Attributes:
-        scan: Number of the scan.
+        number: Number of the scan.
         state: Whether the pose can be used.
         faults: Why the state is not OK.
         reason: One sentence on the fault, empty when there is none.
@@ -61,7 +98,7 @@ class Estimate(NamedTuple):
 
     """
 
-    scan: int
+    number: int
     state: State
     faults: Fault
     reason: str
@@ -73,10 +110,11 @@ class Estimate(NamedTuple):
     redundancy: int
 
     @staticmethod
-    def lost(scan: int, faults: Fault, reason: str) -> Estimate:
+    def lost(number: int, faults: Fault, reason: str) -> Estimate:
         """Return the estimate of a scan that gives no pose."""
         unknown, nan = np.full((6, 6), np.nan), float("nan")
-        return Estimate(scan, State.LOST, faults, reason, None, nan, unknown, unknown, nan, 0)
+        unknown.setflags(write=False)
+        return Estimate(number, State.LOST, faults, reason, None, nan, unknown, unknown, nan, 0)
 
     @property
     def native(self) -> FloatArray:
@@ -86,104 +124,187 @@ class Estimate(NamedTuple):
         alpha, beta, _ = native_from_rotation(self.T_R_T.rotation)
         return np.array([*self.T_R_T.translation, alpha, beta, self.theta])
 
+    def covariance(self, kind: CovarianceKind = "total") -> FloatArray:
+        """Return the random, systematic or total covariance, (6, 6)."""
+        return select_covariance(self.covariance_random, self.covariance_systematic, kind)
 
-@dataclass(frozen=True)
+    def __repr__(self) -> str:
+        """Return number, state, position and reason."""
+        place = "" if self.T_R_T is None else ", x, y, z [m]: " + ", ".join(f"{x:.7g}" for x in self.T_R_T.translation)
+        return f"<Estimate of scan {self.number}: {self.state.name}{place}{self.reason and f', {self.reason}'}>"
+
+
+def estimate_of(records: NDArray[np.void], index: int, reason: str) -> Estimate:
+    """Return a copy of an estimate record (n,), dtype ESTIMATE, given the sentence on its fault."""
+    import pinocchio as pin  # noqa: PLC0415  50 MB that a node does not need before its first scan
+
+    fields = dict(zip(FIELDS, records.item(index), strict=True))
+    state, faults = _STATES[fields["state"]], Fault(fields["faults"]) if fields["faults"] else Fault.NONE
+    if state is State.LOST:
+        return Estimate.lost(fields["number"], faults, reason)
+    random, systematic = fields["random"].copy(), fields["systematic"].copy()
+    random.flags.writeable = systematic.flags.writeable = False
+    return Estimate(
+        fields["number"],
+        state,
+        faults,
+        reason,
+        pin.SE3(fields["rotation"], fields["translation"]),
+        float(fields["native"][5]),
+        random,
+        systematic,
+        fields["residual"],
+        fields["redundancy"],
+    )
+
+
 class Estimates:
-    """The poses of n scans: the attributes of ``Estimate`` with a leading axis; NaN in those that are LOST.
+    """The poses of n scans of one POSOR, receiving plate to target plate, from a bag or from ``Scans``.
+
+    Every number of the pose of a LOST scan is NaN. The arrays are read-only.
 
     Attributes:
-        records: The estimates as the kernels write them, shape (n,), dtype ESTIMATE; the properties are views of it.
+        numbers: Number of each scan, shape (n,).
+        stamps_ns: Middle of each exposure [ns], shape (n,); 0: invalid.
+        log_times_ns: When each scan was logged in its bag [ns], shape (n,); 0: not from a bag.
+        statuses: Flags of the driver, ``posor_msgs/RawScan.status``, shape (n,).
+        header_stamps: Seconds and nanoseconds of each stamp as recorded, shape (n, 2).
+        states: ``State`` of each scan, shape (n,).
+        faults: ``Fault`` flags of each scan, shape (n,).
+        rotations: R_R_T, shape (n, 3, 3).
+        translations: Origin of T in R [m], shape (n, 3).
+        poses: ``T_R_T`` as x, y, z [m] and the unit quaternion x, y, z, w, shape (n, 7).
+        natives: x, y, gap [m], alpha, beta, theta [rad], see ``model.native_coordinates``, shape (n, 6).
+        residuals: Chi-square of the redundant readings, shape (n,).
+        redundancies: Degrees of freedom of each chi-square; 0 of a LOST scan, shape (n,).
+        covariances_random: From the noise of the readings, see ``Estimate``, shape (n, 6, 6).
+        covariances_systematic: From the uncertainties of the calibration, shape (n, 6, 6).
+        covariance_kind: Part of the uncertainty in ``covariances()``, ``standard_uncertainties`` and tables.
 
     """
 
-    records: NDArray[np.void]
+    numbers: NDArray[np.uint64]
+    stamps_ns: IntArray
+    states: IntArray
+    faults: IntArray
+    redundancies: IntArray
+    rotations: FloatArray
+    translations: FloatArray
+    poses: FloatArray
+    natives: FloatArray
+    covariances_random: FloatArray
+    covariances_systematic: FloatArray
+
+    def __init__(
+        self,
+        records: NDArray[np.void],
+        scans: Scans,
+        explain: Callable[[Scan, Any], str],
+        *,
+        covariance_kind: CovarianceKind = "total",
+        log_times_ns: IntArray | None = None,
+        header_stamps: IntArray | None = None,
+    ) -> None:
+        """Take records, shape (n,), dtype ESTIMATE, their scans, and ``Posor.reason`` to explain their faults."""
+        self._records = records.view()
+        self._scans, self._explain = scans, explain
+        self.covariance_kind = covariance_kind
+        self.log_times_ns = (np.zeros(len(records), dtype=np.int64) if log_times_ns is None else log_times_ns).view()
+        if header_stamps is None:
+            header_stamps = np.column_stack(np.divmod(records["stamp_ns"], NS))
+        self.header_stamps = header_stamps.view()
+        for array in (self._records, self.log_times_ns, self.header_stamps):
+            array.flags.writeable = False
 
     def __len__(self) -> int:
         """Return the number of scans."""
-        return len(self.records)
+        return len(self._records)
+
+    def __repr__(self) -> str:
+        """Return count, states and time span."""
+        counts = sorted(Counter(self.states.tolist()).items())
+        states = ", ".join(f"{count} {State(state).name}" for state, count in counts)
+        return f"<{len(self)} Estimates: {states or 'none'}{span_text(self.stamps_ns)}>"
+
+    def __getattr__(self, name: str) -> NDArray[Any]:
+        """Return an attribute's array, a view of the records."""
+        if name not in _ATTRIBUTES:
+            raise AttributeError(f"'Estimates' has no attribute '{name}'", name=name, obj=self)
+        return self._records[_ATTRIBUTES[name]]
+
+    def __dir__(self) -> list[str]:
+        """Return the names of attributes and methods."""
+        return sorted({*super().__dir__(), *_ATTRIBUTES})
 
     @property
-    def scans(self) -> NDArray[np.uint64]:
-        """Number of each scan, shape (n,)."""
-        return self.records["number"]
-
-    @property
-    def stamps_ns(self) -> IntArray:
-        """Middle of each exposure [ns], shape (n,)."""
-        return self.records["stamp_ns"]
-
-    @property
-    def states(self) -> IntArray:
-        """``State`` of each scan, shape (n,)."""
-        return self.records["state"]
-
-    @property
-    def faults(self) -> IntArray:
-        """``Fault`` of each scan, shape (n,)."""
-        return self.records["faults"]
-
-    @property
-    def rotations(self) -> FloatArray:
-        """R_R_T, shape (n, 3, 3)."""
-        return self.records["rotation"]
-
-    @property
-    def translations(self) -> FloatArray:
-        """Origin of T in R [m], shape (n, 3)."""
-        return self.records["translation"]
-
-    @property
-    def poses(self) -> FloatArray:
-        """``T_R_T`` as x, y, z [m] and the unit quaternion x, y, z, w, shape (n, 7)."""
-        return self.records["pose"]
-
-    @property
-    def natives(self) -> FloatArray:
-        """The six native coordinates, shape (n, 6)."""
-        return self.records["native"]
+    def statuses(self) -> IntArray:
+        """See the class."""
+        return self._scans.statuses
 
     @property
     def thetas(self) -> FloatArray:
         """The large rotation, turns counted [rad], shape (n,)."""
-        return self.records["native"][:, 5]
+        return self.natives[:, 5]
 
     @property
     def residuals(self) -> FloatArray:
-        """Chi-square of the redundant readings, shape (n,)."""
-        return self.records["residual"]
+        """See the class."""
+        return np.where(self.states == int(State.LOST), np.nan, self._records["residual"])
+
+    def covariances(self, kind: CovarianceKind | None = None) -> FloatArray:
+        """Return the random, systematic or total covariances, shape (n, 6, 6); None: ``covariance_kind``.
+
+        They are of x, y, z [m] and small turns about X, Y, Z [rad], axes of the receiving plate (ROS order, REP-103).
+
+        Raises:
+            ParameterError: There is no such part of the uncertainty.
+
+        """
+        kind = self.covariance_kind if kind is None else kind
+        return select_covariance(self.covariances_random, self.covariances_systematic, kind)
 
     @property
-    def redundancies(self) -> IntArray:
-        """Degrees of freedom of each chi-square, zero of a LOST scan, shape (n,)."""
-        return self.records["redundancy"]
+    def standard_uncertainties(self) -> FloatArray:
+        """Square roots of the variances of ``covariances()``: x, y, z [m], about X, Y, Z [rad], shape (n, 6)."""
+        return np.sqrt(np.diagonal(self.covariances(), axis1=1, axis2=2))
 
-    @property
-    def covariances_random(self) -> FloatArray:
-        """Random covariances, shape (n, 6, 6)."""
-        return self.records["random"]
+    def reason(self, index: int) -> str:
+        """Return the sentence on the faults of a scan, as ``Estimate.reason``; empty without a fault."""
+        return self._explain(self._scans[index], self._records[index])
 
-    @property
-    def covariances_systematic(self) -> FloatArray:
-        """Systematic covariances, shape (n, 6, 6)."""
-        return self.records["systematic"]
+    def lost_reasons(self) -> dict[str, int]:
+        """Return the number of LOST scans by reason, the most frequent first.
 
-    def at(self, index: int, reason: str) -> Estimate:
-        """Return a copy of one scan's estimate, given the sentence on its fault."""
-        import pinocchio as pin  # noqa: PLC0415  50 MB that a node does not need before its first scan
+        Scans with the same faults of the same reading have one reason: the sentence of the first of them.
+        """
+        lost = np.flatnonzero(self.states == int(State.LOST))
+        kinds = np.column_stack([self._records[name][lost] for name in ("faults", "sensor", "code")])
+        _, first, counts = np.unique(kinds, axis=0, return_index=True, return_counts=True)
+        order = np.argsort(-counts, kind="stable")
+        return {self.reason(int(lost[first[n]])): int(counts[n]) for n in order}
 
-        fields = dict(zip(FIELDS, self.records.item(index), strict=True))
-        state, faults = _STATES[fields["state"]], Fault(fields["faults"]) if fields["faults"] else Fault.NONE
-        if state is State.LOST:
-            return Estimate.lost(fields["number"], faults, reason)
-        return Estimate(
-            fields["number"],
-            state,
-            faults,
-            reason,
-            pin.SE3(fields["rotation"], fields["translation"]),
-            float(fields["native"][5]),
-            fields["random"].copy(),
-            fields["systematic"].copy(),
-            fields["residual"],
-            fields["redundancy"],
+    def select(self, which: BoolArray | IntArray | slice) -> Estimates:
+        """Return the estimates of some of the scans, by truth values (n,), indices or a slice."""
+        return Estimates(
+            self._records[which],
+            self._scans.select(which),
+            self._explain,
+            covariance_kind=self.covariance_kind,
+            log_times_ns=self.log_times_ns[which],
+            header_stamps=self.header_stamps[which],
         )
+
+    @staticmethod
+    def concatenate(parts: Sequence[Estimates]) -> Estimates:
+        """Return the estimates of several parts of one POSOR, one after the other; at least one part."""
+        if len(parts) == 1:
+            return parts[0]
+        columns = {
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in ("_records", "log_times_ns", "header_stamps")
+        }
+        for array in columns.values():
+            array.flags.writeable = False
+        joined = copy(parts[0])
+        vars(joined).update(columns, _scans=Scans.concatenate([vars(part)["_scans"] for part in parts]))
+        return joined

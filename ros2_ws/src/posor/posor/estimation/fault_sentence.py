@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+from posor.estimation.estimate import NO_STAMP, OTHER_FRAME
 from posor.estimation.frozen import ALL
 from posor.estimation.linearise import ANY_FINITE
 from posor.model.fault import Fault
+from posor.numerics.stamps import NO_TIME
 
 if TYPE_CHECKING:
     from posor.estimation.sensor_stack import Stack
@@ -36,6 +38,12 @@ def fault_sentence(stack: Stack, settings: Any, scan: Scan, estimate: Any) -> st
     if estimate["sensor"] >= 0:
         return str(stack.sensors[estimate["sensor"]].explain(scan, int(estimate["code"])))
     code = int(estimate["code"])
+    refusals = {
+        NO_STAMP: f"the stamp {NO_TIME}; expected the time of exposure",
+        OTHER_FRAME: "comes from another frame than that of the calibration",
+    }
+    if code in refusals:
+        return f"scan {scan.number}: {refusals[code]}."
     frozen = "every reading" if code == ALL else stack.reading_names[code]
     sentences = {
         Fault.BAD_READING: "its stamp does not come after that of the scan before",

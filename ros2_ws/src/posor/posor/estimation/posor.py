@@ -12,8 +12,8 @@ from scipy.special import chdtri
 
 from posor.calibration.calibration_file import Calibration, Environment, TiltAngle
 from posor.calibration.parameter_covariance import CovarianceSquareRoot, stated_correlation
-from posor.errors import ParameterError, ShapeError
-from posor.estimation.estimate import ESTIMATE, Estimate, Estimates
+from posor.errors import ParameterError, ShapeError, check_probability, check_type
+from posor.estimation.estimate import ESTIMATE, Estimate, Estimates, estimate_of
 from posor.estimation.estimate_scan import DONE, START, estimate_scans
 from posor.estimation.fault_sentence import fault_sentence
 from posor.estimation.frozen import evidence_of_repetition
@@ -70,13 +70,11 @@ class Posor:
                 test rejects no scan.
 
         Raises:
-            ParameterError: ``false_alarm`` is not a probability below one.
+            ParameterError: ``calibration`` is no Calibration, or ``false_alarm`` is not a probability below one.
 
         """
-        if not 0.0 <= false_alarm < 1.0:
-            raise ParameterError(
-                f"false alarm probability {false_alarm:g}", where="Posor", expected="a probability from 0 to below 1"
-            )
+        check_type(calibration, Calibration, "Posor")
+        check_probability(false_alarm, "Posor, false_alarm", or_zero=True)
         self.calibration = calibration
         self.stack = Stack([sensor.build() for sensor in calibration.sensors])
         self.redundancy = max(self.stack.readings - 6, 0)
@@ -87,6 +85,13 @@ class Posor:
             self.stack.parameter_sigmas, stated_correlation(calibration, calibration.session) if correlated else None
         )
         self._prepare()
+
+    def __repr__(self) -> str:
+        """Return calibration and readings."""
+        state = f", latched {self.latched.name}" if self.latched else ""
+        return (
+            f"<Posor of '{self.calibration.name}': {self.stack.readings} readings, {self.redundancy} redundant{state}>"
+        )
 
     def _prepare(self) -> None:
         """Lay the stack out for the kernels; the tracker is reset."""
@@ -274,16 +279,25 @@ class Posor:
         """Return the pose of one scan, starting from the pose of the previous scan.
 
         Raises:
+            ParameterError: The argument is no Scan.
             ShapeError: A reading of the scan has the wrong shape.
 
         """
         return self._one.estimate(scan)
 
     def estimate_all(self, scans: Scans) -> Estimates:
-        """Return the poses of many scans, one after the other: the same numbers as ``estimate`` of each."""
+        """Return the poses of many scans, one after the other: the same numbers as ``estimate`` of each.
+
+        ``Estimates.lost_reasons()`` counts why scans are LOST.
+
+        Raises:
+            ParameterError: The argument is no Scans.
+
+        """
+        check_type(scans, Scans, "Posor.estimate_all")
         estimates = np.zeros(len(scans), dtype=ESTIMATE)
-        self.estimate_records(np.require(scans.records, requirements=["C", "W"]), estimates)
-        return Estimates(estimates)
+        self.estimate_records(np.require(scans._records, requirements=["C", "W"]), estimates)
+        return Estimates(estimates, scans, self.reason)
 
     def estimate_each(self, scans: Scans, thetas: FloatArray | None = None) -> Estimates:
         """Return the poses of scans that are independent of one another: each starts from a closed form.
@@ -299,10 +313,11 @@ class Posor:
             ShapeError: There is not one theta for each scan.
 
         """
+        check_type(scans, Scans, "Posor.estimate_each")
         if thetas is not None and np.shape(thetas) != (len(scans),):
             raise ShapeError("thetas", received=np.shape(thetas), expected=f"({len(scans)},)")
         estimates = np.zeros(len(scans), dtype=ESTIMATE)
-        records = np.require(scans.records, requirements=["C", "W"])
+        records = np.require(scans._records, requirements=["C", "W"])
         try:
             for n in range(len(scans)):
                 self.reset()
@@ -311,7 +326,7 @@ class Posor:
         finally:
             self._known_theta = None
             self.reset()
-        return Estimates(estimates)
+        return Estimates(estimates, scans, self.reason)
 
     def estimate_records(self, scans: NDArray[np.void], estimates: NDArray[np.void]) -> None:
         """Estimate scan records (n,), contiguous, dtype SCAN, into estimate records (n,), dtype ESTIMATE."""
@@ -414,15 +429,18 @@ class _OneScan:
         self._posor = posor
         self._buffer = ScanBuffer()
         self._estimates = np.zeros(1, dtype=ESTIMATE)
-        self._found = Estimates(self._estimates)
         self._faults = self._estimates["faults"]
         self._arguments = posor.model, record_view(self._buffer.records), record_view(self._estimates), 0, 1
         self._compiled: Callable[..., tuple[int, int]] | None = None
 
     def estimate(self, scan: Scan) -> Estimate:
-        self._buffer.write(scan)
+        try:
+            self._buffer.write(scan)
+        except AttributeError:
+            check_type(scan, Scan, "Posor.estimate")
+            raise
         self._run()
-        return self._found.at(0, self._posor.reason(scan, self._estimates[0]) if self._faults[0] else "")
+        return estimate_of(self._estimates, 0, self._posor.reason(scan, self._estimates[0]) if self._faults[0] else "")
 
     def _run(self) -> None:
         if self._posor.has_plain_sensors:

@@ -170,7 +170,7 @@ class Stack:
             np.zeros((n, m), dtype=np.int64),
             np.zeros((n, len(self.sensors)), np.int64),
         )
-        records = record_view(np.require(scans.records, requirements=["C", "W"]))
+        records = record_view(np.require(scans._records, requirements=["C", "W"]))
         linearise_scans(self._linearising_model, records, out.values, out.variances, out.selected, out.codes)
         for number, sensor, readings in self.plain_sensors:
             out.selected[:, readings] = self.affine_rows(number)

@@ -9,9 +9,12 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from posor.messages.estimate_arrays import EndpointEstimates, JointEstimates
+    from posor.estimation.estimate import Estimates
+    from posor.messages.estimate_arrays import EndpointEstimates
     from posor.model.scan import Scans
     from posor.numerics.array_types import FloatArray, IntArray
+    from posor.uncertainty.first_order import ErrorBudget
+    from posor.uncertainty.reliability import Reliability
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 NATIVE = tuple(f"native_{name}" for name in ("x", "y", "gap", "alpha", "beta", "theta"))
@@ -19,23 +22,23 @@ AXES = ("x", "y", "z", "rx", "ry", "rz")
 COVARIANCE = tuple(f"cov_{row}_{column}" for row in AXES for column in AXES)
 """Covariance of x, y, z [m] and small turns about X, Y, Z [rad], row by row (``posor_msgs/JointTransform``)."""
 JOINT_COLUMNS = {
-    "scan": "scans",
-    "residual": "residuals",
-    "redundancy": "redundancies",
-    "state": "states",
-    "faults": "faults",
-    "scan_status": "scan_statuses",
+    "scan": ("numbers", np.uint64),
+    "residual": ("residuals", np.float64),
+    "redundancy": ("redundancies", np.uint8),
+    "state": ("states", np.uint8),
+    "faults": ("faults", np.uint32),
+    "scan_status": ("statuses", np.uint32),
 }
-"""Columns of a joint and the attributes of ``JointEstimates`` that hold them."""
+"""Fields of ``posor_msgs/JointTransform`` that are columns: attribute of ``Estimates`` and type of each."""
 
 
-def joint_columns(estimates: JointEstimates) -> dict[str, Any]:
+def joint_columns(estimates: Estimates) -> dict[str, Any]:
     """Return the columns of a joint's table by name."""
     columns: dict[str, Any] = {"log_time_ns": estimates.log_times_ns, "stamp_ns": estimates.stamps_ns}
-    columns |= {name: getattr(estimates, attribute) for name, attribute in JOINT_COLUMNS.items()}
+    columns |= {name: getattr(estimates, of).astype(kind) for name, (of, kind) in JOINT_COLUMNS.items()}
     columns |= _split(POSE, estimates.poses)
     columns |= _split(NATIVE, estimates.natives)
-    columns |= _split(COVARIANCE, estimates.covariances.reshape(-1, 36))
+    columns |= _split(COVARIANCE, estimates.covariances().reshape(-1, 36))
     return columns
 
 
@@ -65,3 +68,25 @@ def scan_columns(scans: Scans) -> dict[str, Any]:
 def _split(names: Sequence[str], numbers: FloatArray | IntArray) -> dict[str, FloatArray | IntArray]:
     """Return the columns of an array (n, k) by name."""
     return dict(zip(names, np.ascontiguousarray(numbers.T), strict=True))
+
+
+def budget_columns(budget: ErrorBudget) -> dict[str, Any]:
+    """Return the columns of a budget's table: a row for each contribution, its effect on each output [m, rad]."""
+    parts = budget.contributions
+    columns: dict[str, Any] = {
+        "name": np.array([part.name for part in parts], dtype=object),
+        "kind": np.array([str(part.kind) for part in parts], dtype=object),
+    }
+    effects = np.array([part.effects for part in parts]).reshape(-1, len(budget.outputs))
+    return columns | _split([output.name for output in budget.outputs], effects)
+
+
+def reliability_columns(reliability: Reliability) -> dict[str, Any]:
+    """Return the columns of a reliability's table: a row for each reading."""
+    columns: dict[str, Any] = {
+        "name": np.array(reliability.names, dtype=object),
+        "redundancy_number": reliability.redundancy_numbers,
+        "bias": reliability.biases,
+    }
+    columns |= _split([f"gain_{axis}" for axis in AXES], reliability.gains)
+    return columns | _split([f"shift_{axis}" for axis in AXES], reliability.shifts)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from posor.messages.estimate_columns import JOINT_COLUMNS
 from posor.messages.message_table import TableLayout
 from posor.node_parameters import COVARIANCE_KINDS
 from posor.numerics.stamps import NS
@@ -13,21 +14,11 @@ from posor.numerics.stamps import NS
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from posor.estimation.estimate import Estimates
     from posor.messages.cdr_schema import Schema
-    from posor.messages.estimate_arrays import EndpointEstimates, JointEstimates
+    from posor.messages.estimate_arrays import EndpointEstimates
     from posor.messages.message_table import MessageTable
     from posor.node_parameters import CovarianceKind
-
-JOINT_FIELDS = {
-    "scan": "scans",
-    "native": "natives",
-    "residual": "residuals",
-    "redundancy": "redundancies",
-    "state": "states",
-    "faults": "faults",
-    "scan_status": "scan_statuses",
-}
-"""Fields of ``posor_msgs/JointTransform`` and the attributes of ``JointEstimates`` that hold them."""
 
 
 def joint_transform_layout(schema: Schema, parent: str, child: str, kind: CovarianceKind) -> TableLayout:
@@ -36,14 +27,15 @@ def joint_transform_layout(schema: Schema, parent: str, child: str, kind: Covari
     return TableLayout.of(schema.encode(values), schema)
 
 
-def pack_joint_transforms(layout: TableLayout, estimates: JointEstimates) -> MessageTable:
+def pack_joint_transforms(layout: TableLayout, estimates: Estimates) -> MessageTable:
     """Return a JointTransform message for each estimate."""
     table = layout.copies(len(estimates))
     table["header.stamp.sec"], table["header.stamp.nanosec"] = estimates.header_stamps.T
-    for path, name in JOINT_FIELDS.items():
+    for path, (name, _) in JOINT_COLUMNS.items():
         table[path] = getattr(estimates, name)
+    table["native"] = estimates.natives
     table.span("pose.position.x", 7)[:] = estimates.poses
-    table["covariance"] = estimates.covariances.reshape(-1, 36)
+    table["covariance"] = estimates.covariances().reshape(-1, 36)
     return table
 
 

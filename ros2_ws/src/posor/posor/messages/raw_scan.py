@@ -183,7 +183,7 @@ class RecordedScans:
     @staticmethod
     def concatenate(parts: Sequence[RecordedScans]) -> RecordedScans:
         """Return the scans of several parts, all with the same readings; the frame is that of the first part."""
-        scans = Scans(np.concatenate([part.scans.records for part in parts]))
+        scans = Scans.concatenate([part.scans for part in parts])
         names = ("log_times_ns", "order", "header_stamps", "statuses")
         arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
         return RecordedScans(scans=scans, frame=parts[0].frame, **arrays)

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from posor.errors import ShapeError
+from posor.errors import ParameterError, ShapeError, similar_name
+from posor.numerics.stamps import span_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -109,12 +110,19 @@ class Scan:
     at_home: int = 0
     status: int = 0
 
+    def __repr__(self) -> str:
+        """Return number, stamp and numbers of readings."""
+        readings = {name: len(getattr(self, name)) for name in _COUNTS}
+        described = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in readings.items() if count)
+        return f"<Scan {self.number} at {self.stamp_ns} ns: {described or 'no readings'}>"
+
 
 class Scans:
     """Raw readings of n scans of one POSOR: the attributes of ``Scan``, each with a leading axis of length n.
 
+    The arrays are read-only; ``with_fields`` and ``editable`` return scans with other readings.
+
     Attributes:
-        records: The scans as the kernels read them, shape (n,), dtype ``SCAN``; the attributes below are views of it.
         numbers: Scan numbers, shape (n,).
         stamps_ns: Middle of each exposure [ns], shape (n,).
         gap_voltages: Gap probe outputs [V], shape (n, probes).
@@ -128,9 +136,21 @@ class Scans:
 
     """
 
-    def __init__(self, records: NDArray[np.void]) -> None:
-        """Take scan records, shape (n,), which all have the same numbers of readings."""
-        self.records = records
+    numbers: NDArray[np.uint64]
+    stamps_ns: IntArray
+    gap_voltages: FloatArray
+    ring_voltages: FloatArray
+    diode_currents: FloatArray
+    lit_sources: IntArray
+    supply_voltages: FloatArray
+    temperatures: FloatArray
+    at_home: IntArray
+    statuses: IntArray
+
+    def __init__(self, records: NDArray[np.void], *, editable: bool = False) -> None:
+        """Take scan records, shape (n,), dtype SCAN, which all have the same numbers of readings."""
+        self._records = records
+        self._editable = editable
 
     @staticmethod
     def from_fields(**arrays: NDArray[Any]) -> Scans:
@@ -139,142 +159,128 @@ class Scans:
         An attribute that is left out is 0, or NaN for supply voltage and temperature, or has no readings.
 
         Raises:
+            ParameterError: An attribute is unknown, ``stamps_ns`` is missing, or an array does not hold numbers.
             ShapeError: An array has the wrong shape; names the attribute, the expected and the received shape.
 
         """
-        count = len(arrays["stamps_ns"])
-        records = np.zeros(count, dtype=SCAN)
+        if "stamps_ns" not in arrays:
+            raise ParameterError("stamps_ns is missing", where="Scans", expected="the middle of each exposure [ns]")
+        records = np.zeros(np.size(arrays["stamps_ns"]), dtype=SCAN)
         records["supply_voltage"] = records["temperature"] = np.nan
         scans = Scans(records)
         scans._write(arrays)
         return scans
 
     def _write(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        count = len(self.records)
+        count = len(self._records)
         for name, array in arrays.items():
-            if name in _SCALARS:
-                if np.shape(array) != (count,):
-                    raise ShapeError(name, received=np.shape(array), expected=f"({count},)")
-                self.records[_SCALARS[name]] = array
-                continue
-            most = self.records.dtype[name].shape[0]
-            size = int(np.prod(np.shape(array)[1:]))
-            if np.ndim(array) < 2 or len(array) != count or size > most:  # noqa: PLR2004  scans, readings
-                raise ShapeError(
-                    name, received=np.shape(array), expected=f"({count}, ...) with at most {most} readings"
-                )
-            self.records[name][:, :size] = np.reshape(array, (count, size))
-            self.records[_COUNTS[name]] = size
+            if name not in SCAN_FIELDS:
+                expected = similar_name(name, SCAN_FIELDS, f"one of {', '.join(SCAN_FIELDS)}")
+                raise ParameterError(f"'{name}' is unknown", where="Scans", expected=expected)
+            try:
+                shape = np.shape(array)
+                if name in _SCALARS:
+                    if shape != (count,):
+                        raise ShapeError(name, received=shape, expected=f"({count},)", where="Scans")
+                    self._records[_SCALARS[name]] = array
+                    continue
+                most = self._records.dtype[name].shape[0]
+                size = int(np.prod(shape[1:]))
+                if len(shape) < 2 or shape[0] != count or size > most:  # noqa: PLR2004  scans, readings
+                    expected = f"({count}, ...) with at most {most} readings"
+                    raise ShapeError(name, received=shape, expected=expected, where="Scans")
+                self._records[name][:, :size] = np.reshape(array, (count, size))
+                self._records[_COUNTS[name]] = size
+            except (TypeError, ValueError, OverflowError) as error:
+                if isinstance(error, ShapeError):
+                    raise
+                what = f"{name} is of type {type(array).__name__}"
+                raise ParameterError(what, where="Scans", expected="an array of numbers") from None
 
     @staticmethod
     def of(scans: Sequence[Scan]) -> Scans:
-        """Return scans, which all have the same numbers of readings, as one object."""
-        return Scans.from_fields(
-            numbers=np.array([scan.number for scan in scans], dtype=np.uint64),
-            stamps_ns=np.array([scan.stamp_ns for scan in scans], dtype=np.int64),
-            gap_voltages=np.array([scan.gap_voltages for scan in scans], dtype=float),
-            ring_voltages=np.array([scan.ring_voltages for scan in scans], dtype=float),
-            diode_currents=np.array([scan.diode_currents for scan in scans], dtype=float),
-            lit_sources=np.array([scan.lit_sources for scan in scans], dtype=np.int64).reshape(len(scans), -1),
-            supply_voltages=np.array([scan.supply_voltage for scan in scans], dtype=float),
-            temperatures=np.array([scan.temperature for scan in scans], dtype=float),
-            at_home=np.array([scan.at_home for scan in scans], dtype=np.int64),
-            statuses=np.array([scan.status for scan in scans], dtype=np.int64),
-        )
+        """Return scans, which all have the same numbers of readings, as one object.
+
+        Raises:
+            ParameterError: An entry is no Scan, or the scans have different numbers of readings.
+
+        """
+        if not all(isinstance(scan, Scan) for scan in scans):
+            raise ParameterError("an entry is no Scan", where="Scans.of", expected="a sequence of Scan")
+        attributes = {**_SCALARS, **{name: name for name in _COUNTS}}
+        try:
+            arrays = {
+                name: np.array([getattr(scan, attribute) for scan in scans], dtype=SCAN[attribute].base)
+                for name, attribute in attributes.items()
+            }
+        except ValueError:
+            expected = "as many readings in each scan"
+            raise ParameterError("the numbers of readings differ", where="Scans.of", expected=expected) from None
+        return Scans.from_fields(**arrays | {"lit_sources": arrays["lit_sources"].reshape(len(scans), -1)})
 
     def __len__(self) -> int:
         """Return the number of scans."""
-        return len(self.records)
+        return len(self._records)
 
-    def _sequence(self, name: str) -> NDArray[Any]:
-        count = int(self.records[_COUNTS[name]][0]) if len(self.records) else 0
-        return self.records[name][:, :count]
+    def __repr__(self) -> str:
+        """Return count, readings and time span."""
+        readings = {name: getattr(self, name).shape[1] for name in _COUNTS}
+        described = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in readings.items() if count)
+        return f"<{len(self)} Scans: {described or 'no readings'}{span_text(self.stamps_ns)}>"
 
-    @property
-    def numbers(self) -> NDArray[np.uint64]:
-        """See the class."""
-        return self.records["number"]
+    def __getattr__(self, name: str) -> NDArray[Any]:
+        """Return an attribute's array, a view of the records."""
+        if name in _SCALARS:
+            view = self._records[_SCALARS[name]]
+        elif name in _COUNTS:
+            count = int(self._records[_COUNTS[name]][0]) if len(self._records) else 0
+            view = self._records[name][:, :count]
+            view = split_by_diode(view) if name == "diode_currents" else view
+        else:
+            raise AttributeError(f"'Scans' has no attribute '{name}'", name=name, obj=self)
+        view.flags.writeable = self._editable and view.flags.writeable
+        return view
 
-    @property
-    def stamps_ns(self) -> IntArray:
-        """See the class."""
-        return self.records["stamp_ns"]
-
-    @property
-    def gap_voltages(self) -> FloatArray:
-        """See the class."""
-        return self._sequence("gap_voltages")
-
-    @property
-    def ring_voltages(self) -> FloatArray:
-        """See the class."""
-        return self._sequence("ring_voltages")
-
-    @property
-    def diode_currents(self) -> FloatArray:
-        """See the class."""
-        return split_by_diode(self._sequence("diode_currents"))
-
-    @property
-    def lit_sources(self) -> IntArray:
-        """See the class."""
-        return self._sequence("lit_sources")
-
-    @property
-    def supply_voltages(self) -> FloatArray:
-        """See the class."""
-        return self.records["supply_voltage"]
-
-    @property
-    def temperatures(self) -> FloatArray:
-        """See the class."""
-        return self.records["temperature"]
-
-    @property
-    def at_home(self) -> IntArray:
-        """See the class."""
-        return self.records["at_home"]
-
-    @property
-    def statuses(self) -> IntArray:
-        """See the class."""
-        return self.records["status"]
+    def __dir__(self) -> list[str]:
+        """Return the names of attributes and methods."""
+        return sorted({*super().__dir__(), *SCAN_FIELDS})
 
     def __getitem__(self, index: int) -> Scan:
         """Return one scan."""
         if not -len(self) <= index < len(self):
             raise IndexError(f"scan {index} of {len(self)}; expected {-len(self)} to {len(self) - 1}")
         index %= len(self)
-        one = Scans(self.records[index : index + 1])
-        return Scan(
-            number=int(one.numbers[0]),
-            stamp_ns=int(one.stamps_ns[0]),
-            gap_voltages=one.gap_voltages[0],
-            ring_voltages=one.ring_voltages[0],
-            diode_currents=one.diode_currents[0],
-            lit_sources=tuple(one.lit_sources[0].tolist()),
-            supply_voltage=float(one.supply_voltages[0]),
-            temperature=float(one.temperatures[0]),
-            at_home=int(one.at_home[0]),
-            status=int(one.statuses[0]),
-        )
+        one = Scans(self._records[index : index + 1])
+        values = {name: getattr(one, attribute)[0].item() for attribute, name in _SCALARS.items()}
+        sequences = {name: getattr(one, name)[0] for name in ("gap_voltages", "ring_voltages", "diode_currents")}
+        return Scan(**values, **sequences, lit_sources=tuple(one.lit_sources[0].tolist()))
 
     def part(self, begin: int, end: int) -> Scans:
         """Return scans ``begin`` to ``end``, without copying."""
-        return Scans(self.records[begin:end])
+        return Scans(self._records[begin:end])
 
-    def select(self, which: BoolArray | IntArray) -> Scans:
-        """Return the scans selected by truth values (n,) or indices."""
-        return Scans(self.records[which])
+    def select(self, which: BoolArray | IntArray | slice) -> Scans:
+        """Return the scans selected by truth values (n,), indices or a slice."""
+        return Scans(self._records[which])
+
+    @staticmethod
+    def concatenate(parts: Sequence[Scans]) -> Scans:
+        """Return the scans of several parts, one after the other; at least one part."""
+        return Scans(np.concatenate([part._records for part in parts]))
+
+    def editable(self) -> Scans:
+        """Return a copy whose arrays may be written."""
+        return Scans(self._records.copy(), editable=True)
 
     def with_fields(self, arrays: Mapping[str, NDArray[Any]]) -> Scans:
         """Return the same scans with some attributes replaced.
 
         Raises:
+            ParameterError: See ``from_fields``.
             ShapeError: See ``from_fields``.
 
         """
-        scans = Scans(self.records.copy())
+        scans = Scans(self._records.copy(), editable=self._editable)
         scans._write(arrays)
         return scans
 

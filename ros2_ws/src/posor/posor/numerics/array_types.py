@@ -13,3 +13,12 @@ ByteArray: TypeAlias = NDArray[np.uint8]
 WordArray: TypeAlias = NDArray[np.int32]
 BoolArray: TypeAlias = NDArray[np.bool_]
 LongArray: TypeAlias = NDArray[np.uint64]
+
+
+def freeze_arrays(result: object) -> None:
+    """Replace every array that is an attribute of a result by a read-only view."""
+    for name, value in list(vars(result).items()):
+        if isinstance(value, np.ndarray):
+            view = value.view()
+            view.flags.writeable = False
+            object.__setattr__(result, name, view)  # the dataclass is frozen

@@ -50,3 +50,9 @@ def first_tick_after(time_ns: int, rate: int) -> int:
     while tick_stamp_ns(tick, rate) <= time_ns:
         tick += 1
     return tick
+
+
+def span_text(stamps_ns: IntArray) -> str:
+    """Return the time from the first to the last valid stamp [ns], (n,), for a ``repr``: `` over 1.250 s``."""
+    valid = stamps_ns[stamps_ns != 0]
+    return f" over {(int(valid.max()) - int(valid.min())) / NS:.3f} s" if len(valid) else ""

@@ -156,7 +156,9 @@ class Channels:
     def encode(self, gaps: FloatArray, scans: Scans) -> FloatArray:
         """Return the voltages (n, p) of gaps (n, p) [m]; NaN beyond the calibrated range."""
         volts = np.empty(gaps.shape)
-        supplies, temperatures = np.ascontiguousarray(scans.supply_voltages), np.ascontiguousarray(scans.temperatures)
+        supplies, temperatures = (
+            np.require(array, float, ["C", "W"]) for array in (scans.supply_voltages, scans.temperatures)
+        )
         voltages_of_gaps(np.ascontiguousarray(gaps), supplies, temperatures, record_view(self.records), volts)
         return volts
 
@@ -178,7 +180,7 @@ class Channels:
     def _derivatives(self, volts: FloatArray, scan: Scan) -> FloatArray:
         """Return d(gap)/d(channel parameter), shape (p, CHANNEL_PARAMETERS)."""
         out = np.zeros(len(self.names), dtype=CHANNEL_DERIVATIVES)
-        arguments = np.ascontiguousarray(volts), scan.supply_voltage, scan.temperature
+        arguments = np.require(volts, float, ["C", "W"]), scan.supply_voltage, scan.temperature
         linearise_channels(*arguments, record_view(self.records), record_view(out))
         derivatives: FloatArray = -out["parameters"]
         return derivatives

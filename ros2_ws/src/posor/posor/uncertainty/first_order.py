@@ -15,6 +15,7 @@ import numpy as np
 from posor.errors import FitError
 from posor.estimation.solver import ILL_CONDITIONED
 from posor.model.scan import Scans
+from posor.numerics.array_types import freeze_arrays
 from posor.uncertainty.budget_quantities import Output, Outputs, physical_quantities
 from posor.uncertainty.reading_sensitivity import sensitivity_at
 
@@ -54,9 +55,9 @@ class Contribution:
     effects: FloatArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ErrorBudget:
-    """Error budget at one pose.
+    """Error budget at one pose; the arrays are read-only.
 
     Attributes:
         T_R_T: The pose.
@@ -77,6 +78,17 @@ class ErrorBudget:
     covariance: FloatArray
     without_uncertainty: tuple[str, ...]
     correlated: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        for part in (self, *self.contributions):
+            freeze_arrays(part)
+
+    def __repr__(self) -> str:
+        """Return the outputs' standard uncertainties and the number of contributions."""
+        sigmas = zip(self.outputs, self.sigmas, strict=True)
+        described = ", ".join(f"{output.name} {sigma:.3g} {output.unit}" for output, sigma in sigmas)
+        return f"<ErrorBudget of {len(self.contributions)} contributions: {described}>"
 
     @property
     def sigmas(self) -> FloatArray:

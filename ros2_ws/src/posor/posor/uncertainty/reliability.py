@@ -23,7 +23,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import chdtrc, chndtrinc
 
+from posor.errors import check_probability
 from posor.model.scan import Scans
+from posor.numerics.array_types import freeze_arrays
 from posor.uncertainty.first_order import require_determined
 from posor.uncertainty.reading_sensitivity import sensitivity_at
 
@@ -43,9 +45,9 @@ _NO_COEFFICIENT = 1e-9
 """Coefficients below this share of the largest are rounding errors of zero."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Reliability:
-    """Reliability of the m linearised readings of a POSOR at one pose.
+    """Reliability of the m linearised readings of a POSOR at one pose; the arrays are read-only.
 
     Attributes:
         names: Of the readings.
@@ -67,6 +69,15 @@ class Reliability:
     false_alarm: float
     missed_detection: float
 
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        freeze_arrays(self)
+
+    def __repr__(self) -> str:
+        """Return the number of readings, and how many of them are not checked."""
+        unchecked = int(np.count_nonzero(np.isinf(self.biases)))
+        return f"<Reliability of {len(self.names)} readings, {unchecked} without a detectable bias>"
+
 
 def joint_reliability(
     posor: Posor, scan: Scan, T_R_T: pin.SE3, missed_detection: float = MISSED_DETECTION
@@ -80,10 +91,12 @@ def joint_reliability(
         missed_detection: Probability that a bias of the minimal detectable size is missed, between 0 and 1.
 
     Raises:
+        ParameterError: ``missed_detection`` is not a probability.
         ScanError: A reading of the scan is invalid.
         FitError: The readings do not determine all six freedoms at this pose.
 
     """
+    check_probability(missed_detection, "joint_reliability, missed_detection")
     require_determined(posor.stack, posor.stack.linearise(Scans.of([scan])), T_R_T)
     return reliability(posor, sensitivity_at(posor, scan, T_R_T), missed_detection)
 

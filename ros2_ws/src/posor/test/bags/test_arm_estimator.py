@@ -12,9 +12,10 @@ import yaml
 from posor.bags.arm_estimator import ArmEstimator
 from posor.bags.reprocess_task import JointSettings, Settings
 from posor.calibration.designs import design
+from posor.estimation.estimate import Estimates
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
-from posor.messages.estimate_arrays import JointEstimates, estimate_joint
+from posor.messages.estimate_arrays import estimate_joint
 from posor.messages.raw_scan import RecordedScans
 from posor.model.fault import Fault, State
 from posor.model.native_coordinates import rotation_from_native
@@ -69,10 +70,10 @@ def test_each_joint_gets_the_poses_of_its_scans_one_by_one(settings: Settings) -
             expected = [posor.estimate(part.scans[n]) for part in scans[name] for n in range(len(part))]
             joint = found.joints[name]
             assert joint.states.tolist() == [each.state for each in expected]
-            assert joint.scans.tolist() == [each.scan for each in expected]
+            assert joint.numbers.tolist() == [each.number for each in expected]
             for n, each in enumerate(expected):
                 total = each.covariance_random + each.covariance_systematic
-                assert joint.covariances[n].tobytes() == total.tobytes()
+                assert joint.covariances()[n].tobytes() == total.tobytes()
                 np.testing.assert_allclose(joint.natives[n], each.native, rtol=0.0, atol=1e-14)
                 assert joint.residuals[n] == each.residual or np.isnan(each.residual)
     summary, endpoint = estimator.summarise()
@@ -87,20 +88,29 @@ def test_scans_of_another_frame_or_without_a_stamp_are_lost_and_the_others_are_a
     spoilt = recorded_scans(calibration, 0, 30)
     without = np.zeros(30, dtype=np.bool_)
     without[[0, 7, 8]] = True
-    spoilt.scans.stamps_ns[without] = 0
+    stamps_ns = np.where(without, 0, spoilt.scans.stamps_ns)
+    spoilt = replace(spoilt, scans=spoilt.scans.with_fields({"stamps_ns": stamps_ns}))
     found = estimate_joint(Posor(calibration), spoilt, kind)  # type: ignore[arg-type]
     expected = estimate_joint(Posor(calibration), scans.select(~without), kind)  # type: ignore[arg-type]
     kept = found.select(~without)
     assert kept.poses.tobytes() == expected.poses.tobytes()
-    assert kept.covariances.tobytes() == expected.covariances.tobytes()
+    assert kept.covariances().tobytes() == expected.covariances().tobytes()
     lost = found.select(without)
     assert set(lost.states) == {State.LOST}
     assert set(lost.faults) == {Fault.BAD_READING}
     assert np.isnan(lost.poses).all()
-    assert np.isnan(lost.covariances).all()
-    other = replace(scans, frame="elsewhere")
-    assert set(estimate_joint(Posor(calibration), other, "total").states) == {State.LOST}
+    assert np.isnan(lost.covariances()).all()
+    assert found.lost_reasons() == {
+        "scan 0: the stamp is zero, or its nanoseconds are a second or more; expected the time of exposure.": 3
+    }
+    elsewhere = estimate_joint(Posor(calibration), replace(scans, frame="elsewhere"), "total")
+    assert elsewhere.lost_reasons() == {"scan 0: comes from another frame than that of the calibration.": 30}
 
 
-def test_no_estimates_can_be_concatenated() -> None:
-    assert len(JointEstimates.concatenate([JointEstimates.none(), JointEstimates.none()])) == 0
+def test_estimates_in_parts_are_those_of_the_whole() -> None:
+    found = estimate_joint(Posor(design("triad_diodes")), recorded_scans(design("triad_diodes"), 0, 9), "random")
+    again = Estimates.concatenate([found.select(slice(4)), found.select(np.arange(4, 9))])
+    for name in ("numbers", "poses", "log_times_ns", "header_stamps", "statuses", "standard_uncertainties"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(found, name))
+        assert not getattr(again, name).flags.writeable or name == "standard_uncertainties"
+    assert len(Estimates.concatenate([found.select(slice(0)), found.select(slice(0))])) == 0

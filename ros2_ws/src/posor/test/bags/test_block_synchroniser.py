@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from posor.bags import block_synchroniser
-from posor.bags.block_synchroniser import BlockSynchroniser
+from posor.bags.block_synchroniser import JOINT_ROWS, BlockSynchroniser
 from posor.chain.time_synchroniser import TimeSynchroniser
-from posor.messages.estimate_arrays import JointEstimates
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,13 +17,6 @@ if TYPE_CHECKING:
 NAMES = ("a", "b", "c")
 Arrival = tuple[int, int]
 """Joint and stamp."""
-SHAPES = {"header_stamps": (1, 2), "poses": (1, 7), "natives": (1, 6), "covariances": (1, 6, 6)}
-
-
-ZEROS: dict[str, Any] = {
-    field.name: np.zeros(SHAPES.get(field.name, (1,)), dtype=np.int64) for field in fields(JointEstimates)
-}
-ONE = JointEstimates(**ZEROS)
 
 
 def arrivals(random: np.random.Generator, count: int, *, restarts: bool, wrong: float) -> list[Arrival]:
@@ -73,18 +64,18 @@ def in_blocks(given: Sequence[Arrival], size: int) -> tuple[list[int], int, dict
             places = np.array(
                 [n for n in range(begin, min(begin + size, len(given))) if given[n][0] == joint], dtype=int
             )
-            stamps = np.array([given[n][1] for n in places], dtype=np.int64)
-            rows = {field.name: np.repeat(getattr(ONE, field.name), len(places), axis=0) for field in fields(ONE)}
-            block.append(JointEstimates(**rows | {"order": places, "scans": places, "stamps_ns": stamps}))
+            rows = np.zeros(len(places), dtype=JOINT_ROWS)
+            rows["order"], rows["stamp_ns"] = places, [given[n][1] for n in places]
+            block.append(rows)
         found = synchroniser.join(block)
         assert len({len(each) for each in found}) == 1
         assert synchroniser._live is not None or all(
             len(each) <= block_synchroniser.MOST_OPEN for each in synchroniser._open
         )
         for joint, each in enumerate(found):
-            assert np.array_equal(each.stamps_ns, found[0].stamps_ns)
-            assert [given[n] for n in each.scans.tolist()] == [(joint, stamp) for stamp in each.stamps_ns]
-        complete += found[0].stamps_ns.tolist()
+            assert np.array_equal(each["stamp_ns"], found[0]["stamp_ns"])
+            assert [given[n] for n in each["order"].tolist()] == [(joint, stamp) for stamp in each["stamp_ns"]]
+        complete += found[0]["stamp_ns"].tolist()
     synchroniser.finish()
     return complete, synchroniser.incomplete, synchroniser.missing
 

@@ -100,8 +100,7 @@ def test_poses_are_recovered_all_around(name: SizedDesignName, diameter_in: floa
     ]
     found = located(posor, places)
     assert np.all(found.states == State.OK)
-    native = np.array([found.at(n, "").native for n in range(len(places))])
-    np.testing.assert_allclose(native, places, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(found.natives, places, rtol=0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("diameter_in", DIAMETERS_IN)

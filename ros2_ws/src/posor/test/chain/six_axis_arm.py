@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
-from posor.chain.arm_file import load_arm
+from posor.chain.arm_file import load_arm_file
 
 if TYPE_CHECKING:
     from posor.chain.kinematic_chain import Chain
@@ -24,7 +24,7 @@ WINDOW_S = 0.01
 
 def six_axis_chain() -> Chain:
     """Return its chain: six joints, six beams of which five sag, none exact."""
-    return load_arm(FOLDER / "arm.yaml").chain()
+    return load_arm_file(FOLDER / "arm.yaml").chain()
 
 
 def swinging(chain: Chain, scans: int, amplitude: float = 0.3) -> tuple[FloatArray, IntArray]:

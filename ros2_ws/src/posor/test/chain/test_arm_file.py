@@ -3,7 +3,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
-from posor.chain.arm_file import load_arm
+from posor.chain.arm_file import load_arm_file
 from posor.errors import CalibrationError, ChainError
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def path(tmp_path: Path) -> Path:
 
 def test_paths_are_relative_to_the_arm_file(path: Path) -> None:
     path.write_text(GOOD, encoding="utf-8")
-    arm = load_arm(path)
+    arm = load_arm_file(path)
     folder = path.parent
     assert (arm.name, arm.urdf, arm.endpoint_frame) == ("two", folder / "two.urdf", "t2")
     assert (arm.beams, arm.scenario) == (None, None)
@@ -73,7 +73,7 @@ def test_a_wrong_arm_file_is_refused_with_its_line(path: Path, old: str, new: st
     assert old in GOOD
     path.write_text(GOOD.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(CalibrationError) as caught:
-        load_arm(path)
+        load_arm_file(path)
     assert str(caught.value).startswith(str(path))
     assert sentence in str(caught.value)
 
@@ -81,7 +81,7 @@ def test_a_wrong_arm_file_is_refused_with_its_line(path: Path, old: str, new: st
 @pytest.mark.parametrize("name", ["five_axis", "none.yaml", "."])
 def test_a_missing_arm_file_is_named(tmp_path: Path, name: str) -> None:
     with pytest.raises(CalibrationError) as caught:
-        load_arm(tmp_path / name)
+        load_arm_file(tmp_path / name)
     assert str(caught.value) == (
         f"arm file {tmp_path / name}: does not exist; expected the path of an arm file, "
         "such as share/posor_bringup/arms/five_axis/arm.yaml."
@@ -91,7 +91,7 @@ def test_a_missing_arm_file_is_named(tmp_path: Path, name: str) -> None:
 def test_its_joints_are_the_floating_joints_of_the_urdf(path: Path) -> None:
     path.write_text(GOOD.replace("  elbow: {", "  wrist: {"), encoding="utf-8")
     with pytest.raises(ChainError) as caught:
-        load_arm(path).chain()
+        load_arm_file(path).chain()
     assert str(caught.value) == (
         f"{path}: joints shoulder, wrist; expected shoulder, elbow, the floating joints of {path.parent / 'two.urdf'}."
     )
@@ -100,4 +100,4 @@ def test_its_joints_are_the_floating_joints_of_the_urdf(path: Path) -> None:
 def test_a_calibration_is_read_with_its_session(path: Path) -> None:
     path.write_text(GOOD, encoding="utf-8")
     with pytest.raises(CalibrationError, match=r"calibration file .*elbow\.yaml: cannot be read"):
-        load_arm(path).calibration("elbow")
+        load_arm_file(path).calibration("elbow")

@@ -28,7 +28,9 @@ def turning(posor: Posor, thetas: FloatArray, home: tuple[int, ...] = (), marks:
     """Scans at 1 kHz of a target that turns; some are stated to be at home, the home mark is seen in others."""
     rotations = np.array([rotation_from_native(1e-4, -2e-4, theta) for theta in thetas])
     translations = np.tile([2e-5, 1e-5, 0.7e-3], (len(thetas), 1))
-    scans = scans_at(posor.stack, rotations, translations, np.arange(1, len(thetas) + 1, dtype=np.int64) * TICK_NS)
+    scans = scans_at(
+        posor.stack, rotations, translations, np.arange(1, len(thetas) + 1, dtype=np.int64) * TICK_NS
+    ).editable()
     scans.at_home[list(home)], scans.at_home[list(marks)] = STATED_HOME, 1
     return scans
 

@@ -29,7 +29,7 @@ def resting(posor: Posor, count: int, seed: int | None = 3, *, rounded: bool = F
     rotations = np.tile(rotation_from_native(1e-4, -2e-4, 0.02), (count, 1, 1))
     translations = np.tile([2e-5, 1e-5, 0.7e-3], (count, 1))
     noise = None if seed is None else np.random.default_rng(seed)
-    scans = scans_at(posor.stack, rotations, translations, np.arange(1, count + 1) * TICK_NS, noise=noise)
+    scans = scans_at(posor.stack, rotations, translations, np.arange(1, count + 1) * TICK_NS, noise=noise).editable()
     scans.at_home[:1] = STATED_HOME
     scans.supply_voltages[:], scans.temperatures[:] = 15.0, 293.15
     converter = posor.calibration.converter
@@ -147,7 +147,7 @@ def test_frozen_readings_are_lost_at_once_and_a_frozen_channel_soon(stack: Desig
     found = alone.estimate_all(scans)
     first = int(np.flatnonzero(found.faults & Fault.FROZEN)[0])
     assert 104 < first <= 112
-    assert "gap_2 repeats" in Posor.reason(alone, scans[first], found.records[first])
+    assert "gap_2 repeats" in found.reason(first)
 
 
 def test_frozen_diodes_of_a_light_ring_are_lost_at_once() -> None:
@@ -159,7 +159,7 @@ def test_frozen_diodes_of_a_light_ring_are_lost_at_once() -> None:
     assert (found.states[:100] == State.OK).mean() > 0.97
     assert (found.states[100:] == State.LOST).all()
     assert found.faults[100] & Fault.FROZEN
-    assert "repeats" in Posor.reason(posor, scans[100], found.records[100])
+    assert "repeats" in found.reason(100)
 
 
 def test_readings_filled_in_by_the_driver_may_repeat() -> None:

@@ -113,7 +113,7 @@ def turning(posor: Posor, thetas: FloatArray, home: tuple[int, ...] = (), noise:
     translations = np.tile([2e-5, 1e-5, 0.7e-3], (len(thetas), 1))
     stamps = np.arange(1, len(thetas) + 1, dtype=np.int64) * TICK_NS
     random = None if noise is None else np.random.default_rng(noise)
-    scans = scans_at(posor.stack, rotations, translations, stamps, noise=random)
+    scans = scans_at(posor.stack, rotations, translations, stamps, noise=random).editable()
     scans.at_home[list(home)] = STATED_HOME
     return scans
 

@@ -32,7 +32,7 @@ def sweep(posor: Posor, thetas: FloatArray, noise: np.random.Generator | None = 
     rotations = np.array([rotation_from_native(1e-4, -2e-4, theta) for theta in thetas])
     translations = np.tile([2e-5, 1e-5, 0.7e-3], (len(thetas), 1))
     stamps = np.arange(1, len(thetas) + 1, dtype=np.int64) * TICK_NS
-    return scans_at(posor.stack, rotations, translations, stamps, noise=noise), rotations
+    return scans_at(posor.stack, rotations, translations, stamps, noise=noise).editable(), rotations
 
 
 @pytest.mark.parametrize("stack", STACKS)

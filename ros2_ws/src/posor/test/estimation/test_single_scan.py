@@ -28,7 +28,7 @@ def moving(posor: Posor) -> Scans:
     rotations = np.array([rotation_from_native(1e-4, -2e-4, 0.05 + 2e-3 * n) for n in range(COUNT)])
     translations = np.tile([2e-5, 1e-5, 0.7e-3], (COUNT, 1))
     stamps = np.arange(1, COUNT + 1, dtype=np.int64) * TICK_NS
-    scans = scans_at(posor.stack, rotations, translations, stamps, noise=np.random.default_rng(4))
+    scans = scans_at(posor.stack, rotations, translations, stamps, noise=np.random.default_rng(4)).editable()
     scans.at_home[2] = STATED_HOME
     scans.gap_voltages[17, 1] = np.nan
     for spoiled in (scans.ring_voltages, scans.diode_currents[:, :, 0]):
@@ -96,6 +96,6 @@ def test_scans_may_be_read_only_and_strided() -> None:
     scans = moving(posor)
     expected = posor.estimate_all(scans)
     posor.reset()
-    strided = Scans(np.repeat(scans.records, 2)[::2])
-    strided.records.flags.writeable = False
+    strided = Scans(np.repeat(scans._records, 2)[::2])
+    strided._records.flags.writeable = False
     assert posor.estimate_all(strided).poses.tobytes() == expected.poses.tobytes()

@@ -173,7 +173,7 @@ def raw_scans(name: DesignName) -> FloatArray:
     rotations = np.array([rotation_from_native(1e-4, -2e-4, 2e-3 * n) for n in range(count)])
     translations = np.tile([2e-5, 1e-5, 0.7e-3], (count, 1))
     stamps = np.arange(1, count + 1, dtype=np.int64) * 1_000_000
-    scans = scans_at(posor.stack, rotations, translations, stamps, noise=np.random.default_rng(8))
+    scans = scans_at(posor.stack, rotations, translations, stamps, noise=np.random.default_rng(8)).editable()
     scans.at_home[0] = STATED_HOME
     found = posor.estimate_all(scans)
     arrays = (

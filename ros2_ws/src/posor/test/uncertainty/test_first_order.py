@@ -178,10 +178,10 @@ def test_undetermined_degrees_of_freedom_are_refused() -> None:
 def test_a_scan_that_cannot_be_linearised_is_refused() -> None:
     posor = Posor(design("triad_diodes"))
     pose = pose_from_native(NATIVE)
-    scan = scan_at(posor, pose)
-    scan.gap_voltages[1] = np.nan
+    scan = Scans.of([scan_at(posor, pose)]).editable()
+    scan.gap_voltages[0, 1] = np.nan
     with pytest.raises(ScanError, match="gap probe gap_2: voltage nan; expected a finite voltage"):
-        error_budget(posor, scan, pose)
+        error_budget(posor, scan[0], pose)
 
 
 @pytest.mark.parametrize("name", ["printed", "section84"])

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from posor.calibration.calibration_file import load_calibration
 from posor.calibration.save import save_calibration
-from posor.chain.arm_file import Arm, load_arm
+from posor.chain.arm_file import ArmFile, load_arm_file
 from posor.errors import ParameterError
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
@@ -59,14 +59,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; the exit code is 0 if every device works."""
     options = _parse_options(arguments)
     if options.action == "start":
-        print(format_starting_file(load_arm(options.file), options.device, options.probes or options.device), end="")
+        print(
+            format_starting_file(load_arm_file(options.file), options.device, options.probes or options.device), end=""
+        )
         return 0
     file = load_instruments(options.file)
     if options.action == "list":
         _list(file)
         return 0
     if options.action == "noise":
-        _state_noise(file, load_arm(options.arm), options.output)
+        _state_noise(file, load_arm_file(options.arm), options.output)
         return 0
     with ExitStack() as stack:
         readers = [DeviceReader(device) for device in file.new_devices().values()]
@@ -94,7 +96,7 @@ def _list(file: InstrumentsFile) -> None:
             print(f"  {channel.name} [{channel.unit}]: {use}")
 
 
-def _state_noise(file: InstrumentsFile, arm: Arm, output: Path | None) -> None:
+def _state_noise(file: InstrumentsFile, arm: ArmFile, output: Path | None) -> None:
     """Print the noise of the readings in motion, and write the calibrations that state it.
 
     Raises:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from posor.calibration.calibration_file import Calibration
-    from posor.chain.arm_file import Arm
+    from posor.chain.arm_file import ArmFile
 
 CONTACTS = "ABCD"
 HEADING = """\
@@ -26,7 +26,7 @@ HEADING = """\
 """
 
 
-def format_starting_file(arm: Arm, kind: str, probes_kind: str) -> str:
+def format_starting_file(arm: ArmFile, kind: str, probes_kind: str) -> str:
     """Return the text of an instruments file with a device for each joint, and one more for its gap probes.
 
     Args:

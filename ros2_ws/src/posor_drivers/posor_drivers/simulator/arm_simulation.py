@@ -19,7 +19,7 @@ from posor_drivers.simulator.nominal_arm import NominalArm
 from posor_drivers.simulator.scenario import load_scenario
 
 if TYPE_CHECKING:
-    from posor.chain.arm_file import Arm
+    from posor.chain.arm_file import ArmFile
     from posor.model.scan import Scans
     from posor.numerics.array_types import FloatArray, IntArray
 
@@ -38,7 +38,7 @@ class ArmSimulation:
 
     """
 
-    def __init__(self, arm: Arm, imperfections: Imperfections | None = None, rate: int = 0) -> None:
+    def __init__(self, arm: ArmFile, imperfections: Imperfections | None = None, rate: int = 0) -> None:
         """Read the arm's files and compute one cycle.
 
         Args:

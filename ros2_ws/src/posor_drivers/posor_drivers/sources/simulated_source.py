@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from posor.chain.arm_file import load_arm
+from posor.chain.arm_file import load_arm_file
 from posor.errors import ParameterError
 from posor.numerics.stamps import tick_stamp_ns, time_ns
 from posor.parameter_model import ParameterGroup
@@ -62,7 +62,9 @@ class SimulatedSource(LiveSource[SimulatedParameters]):
 
     def open(self) -> Sequence[Topic]:
         """Read the arm's files and compute one cycle."""
-        self._simulation = ArmSimulation(load_arm(Path(self.parameters.arm)), self.parameters, self.parameters.rate)
+        self._simulation = ArmSimulation(
+            load_arm_file(Path(self.parameters.arm)), self.parameters, self.parameters.rate
+        )
         joints, joint = self._simulation.joints, self.parameters.joint
         if joint not in joints:
             raise ParameterError(

@@ -125,7 +125,7 @@ def test_true_motion_stays_within_the_range_of_the_sensors(everything: ArmSimula
 def test_errors_of_estimates_agree_with_their_covariances(everything: ArmSimulation) -> None:
     truth = everything.truth(TICKS).T_parent_child["base"]
     found = Posor(everything.calibrations["base"]).estimate_all(everything.scans("base", TICKS).scans)
-    covariances = found.covariances_random + found.covariances_systematic
+    covariances = found.covariances()
     errors = np.array(
         [
             [*(found.translations[n] - truth.translations[n]), *pin.log3(found.rotations[n] @ truth.rotations[n].T)]
@@ -179,9 +179,9 @@ import sys
 from pathlib import Path
 import numpy as np
 from posor_drivers.simulator.arm_simulation import ArmSimulation
-from posor.chain.arm_file import load_arm
+from posor.chain.arm_file import load_arm_file
 
-arm = ArmSimulation(load_arm(Path(sys.argv[1])))
+arm = ArmSimulation(load_arm_file(Path(sys.argv[1])))
 ticks = np.arange(*map(int, sys.argv[3:]))
 arm.scans("elbow", ticks[::-1].copy())  # earlier calls have no effect
 truth = arm.truth(ticks)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 import pytest
-from posor.chain.arm_file import Arm, load_arm
+from posor.chain.arm_file import ArmFile, load_arm_file
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
 
@@ -21,11 +21,11 @@ TICKS = np.arange(400, 1200)
 
 
 @pytest.fixture(scope="module")
-def arm() -> Arm:
-    return load_arm(FIVE_AXIS)
+def arm() -> ArmFile:
+    return load_arm_file(FIVE_AXIS)
 
 
-def errors(arm: Arm, truth: ArmTruth, window_s: float) -> np.ndarray:
+def errors(arm: ArmFile, truth: ArmTruth, window_s: float) -> np.ndarray:
     """Return how far the chain is off [m], (n, 3), if every POSOR measures exactly."""
     chain = arm.chain()
     poses = np.array(
@@ -41,12 +41,12 @@ def rms(vectors: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum(np.square(vectors), axis=1))))
 
 
-def test_chain_corrects_the_sag_at_rest(arm: Arm) -> None:
+def test_chain_corrects_the_sag_at_rest(arm: ArmFile) -> None:
     truth = ArmSimulation(arm, Imperfections.only("sag")).truth(TICKS)
     assert np.abs(errors(arm, truth, 0.0)).max() < 5e-9  # of second order: the sag turns the beam against gravity
 
 
-def test_chain_corrects_the_sag_in_motion_from_the_acceleration(arm: Arm) -> None:
+def test_chain_corrects_the_sag_in_motion_from_the_acceleration(arm: ArmFile) -> None:
     truth = ArmSimulation(arm, Imperfections.only("sag", "inertia")).truth(TICKS)
     uncorrected, corrected = (rms(errors(arm, truth, window_s)[20:]) for window_s in (0.0, 0.05))
     assert uncorrected > 2e-6

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from posor.chain.arm_file import load_arm
+from posor.chain.arm_file import load_arm_file
 from posor.errors import CalibrationError
 from posor_drivers.simulator.motion_phases import smooth_step
 from posor_drivers.simulator.nominal_arm import NominalArm
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def angles(folder: Path, content: dict[str, Any]) -> tuple[NominalArm, FloatArray]:
-    arm = load_arm(write_arm(folder, content))
+    arm = load_arm_file(write_arm(folder, content))
     nominal = NominalArm(arm.chain())
     assert arm.scenario is not None
     return nominal, load_scenario(arm.scenario).commanded_angles(nominal, "the scenario")

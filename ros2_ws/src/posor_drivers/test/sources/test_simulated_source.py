@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from lifecycle_msgs.msg import Transition
-from posor.chain.arm_file import load_arm
+from posor.chain.arm_file import load_arm_file
 from posor.messages.message_definitions import MessageTypes
 from posor_drivers.driver_node import DriverNode
 from posor_drivers.simulator.arm_simulation import ArmSimulation
@@ -79,7 +79,7 @@ def test_joint_is_published_at_the_ticks_of_the_clock(arm: Path) -> None:
 
 @pytest.mark.long
 def test_drivers_of_one_arm_publish_one_truth(arm: Path) -> None:
-    simulation = ArmSimulation(load_arm(arm))
+    simulation = ArmSimulation(load_arm_file(arm))
     with Graph() as graph:
         topics = {joint: graph.collect(PoseStamped, f"/arm/truth/{joint}") for joint in ("base", "shoulder", LAST)}
         endpoints = graph.collect(PoseStamped, "/arm/truth/endpoint")
@@ -238,7 +238,7 @@ def test_run_of_whole_cycles_ends_with_a_cycle(tmp_path: Path) -> None:
 
 
 def test_stage_follows_commands_and_moves_endpoint_and_last_posor(arm: Path) -> None:
-    simulation = ArmSimulation(load_arm(arm))
+    simulation = ArmSimulation(load_arm_file(arm))
     with Graph() as graph:
         endpoints = graph.collect(PoseStamped, "/arm/truth/endpoint")
         elbows = graph.collect(PoseStamped, "/arm/truth/elbow")
@@ -345,7 +345,7 @@ def test_rate_replaces_that_of_the_scenario(arm: Path) -> None:
     truth = next(message for message in source.read_tick(100) if "truth" in message.topic)
     slow = deserialize_message(truth.data, PoseStamped)
     assert stamp_ns(slow) == 2 * NS
-    as_written = ArmSimulation(load_arm(arm)).truth(np.array([2 * RATE])).T_parent_child["base"]
+    as_written = ArmSimulation(load_arm_file(arm)).truth(np.array([2 * RATE])).T_parent_child["base"]
     assert np.allclose(pose_from_message(slow.pose).translation, as_written.translations[0], rtol=0.0, atol=1e-7)
 
 
