@@ -12,10 +12,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pinocchio as pin
 import posor
+import posor_calibration
 import pytest
 from geometry_msgs.msg import PoseStamped
+from posor.calibration.designs import design
 from posor.model.fault import State
+from posor.model.native_coordinates import rotation_from_native
 from posor.numerics import compiled
 from posor_bringup.arms import find_arm
 from rclpy.serialization import deserialize_message
@@ -23,10 +27,13 @@ from rclpy.serialization import deserialize_message
 from tests.rig_replay import read_bag_messages
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import ModuleType
+
     from posor.chain.arm_file import ParameterValue
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGE = ROOT / "ros2_ws" / "src" / "posor"
+PACKAGES = ("posor", "posor_calibration")
 EXAMPLE = ROOT / "examples" / "estimate_bag.py"
 BAG = ROOT / "bags" / "five_axis"
 MAX_EXAMPLE_LINES = 15
@@ -40,6 +47,21 @@ ros = sorted(name for name in sys.modules if name.split(".")[0] in ("rclpy", "po
 result = {{"ros": ros, "stamps": endpoint.stamps_ns.tolist(), "poses": endpoint.poses.tolist()}}
 print(json.dumps(result), file=sys.stderr)
 """
+FIT = """
+import sys
+import numpy as np
+from posor import load_calibration, simulate
+from posor_calibration import fit
+calibration = "ros2_ws/src/posor_bringup/arms/five_axis/calibrations/elbow.yaml"
+turn = 2e-4 * np.column_stack([np.sin(np.arange(40.0)), np.cos(np.arange(40.0)), np.zeros(40)])
+cosines = np.sqrt(1.0 - np.sum(turn**2, axis=1) / 4.0)
+poses = np.column_stack([np.tile([0.0, 0.0, 0.76e-3], (40, 1)), turn / 2.0, cosines])
+scans = simulate(load_calibration(calibration), poses, rate=10.0, seed=1)
+scans = scans.with_fields({"at_home": np.where(np.arange(40) == 0, 2, 0)})  # stated by the operator
+result = fit("zero_drift", calibration, scans, references={"cmm": poses}, uncertainties={"cmm": (1e-6, 1e-6)})
+assert result.report.startswith("zero_drift: usable.")
+assert not [name for name in sys.modules if name.split(".")[0] in ("rclpy", "posor_msgs")]
+"""
 IMPORT = """
 import sys, time
 begin = time.perf_counter()
@@ -50,17 +72,18 @@ print(time.perf_counter() - begin, "numpy" in sys.modules)
 
 @pytest.fixture(scope="module")
 def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the Python of a virtual environment with nothing but posor and what it requires.
+    """Return the Python of a virtual environment with nothing but the two libraries and what they require.
 
     The pip of the workspace installs. Libraries that no test imports are not compiled to bytecode.
     """
     folder = tmp_path_factory.mktemp("plain")
     ignored = shutil.ignore_patterns("*.egg-info", "build", "__pycache__", "test")
-    source = shutil.copytree(PACKAGE, folder / "posor", ignore=ignored)  # pip builds in the folder
+    sources = ROOT / "ros2_ws" / "src"
+    copies = [shutil.copytree(sources / name, folder / name, ignore=ignored) for name in PACKAGES]
     subprocess.run([sys.executable, "-I", "-m", "venv", "--without-pip", str(folder / "venv")], check=True)
     python = folder / "venv" / "bin" / "python"
     pip = [sys.executable, "-I", "-m", "pip", "--python", str(python), "--quiet", "--disable-pip-version-check"]
-    install = ["install", "--no-compile", "--constraint", str(ROOT / "requirements" / "base.txt"), str(source)]
+    install = ["install", "--no-compile", "--constraint", str(ROOT / "requirements" / "base.txt"), *map(str, copies)]
     subprocess.run([*pip, *install], check=True, env=plain_environment())
     return python
 
@@ -98,6 +121,12 @@ def test_the_example_gives_the_published_poses_without_ros(python: Path) -> None
 
 @pytest.mark.long
 @pytest.mark.timeout(900)
+def test_a_calibration_is_fitted_without_ros(python: Path) -> None:
+    run(python, FIT)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
 def test_the_import_takes_milliseconds(python: Path) -> None:
     seconds, numpy_is_imported = min(run(python, IMPORT).stdout.split() for _ in range(3))
     assert numpy_is_imported == "False"
@@ -111,12 +140,13 @@ def test_the_example_is_short_and_uses_public_names_only() -> None:
     assert imports == ["from posor import load_arm"]
 
 
-def test_every_public_name_exists_and_others_do_not() -> None:
-    assert dir(posor) == sorted(posor.__all__)
-    for name in posor.__all__:
-        assert getattr(posor, name).__name__ == name
-    with pytest.raises(AttributeError, match=r"^module 'posor' has no attribute 'estimate_bag'$"):
-        _ = posor.estimate_bag
+@pytest.mark.parametrize("library", [posor, posor_calibration], ids=PACKAGES)
+def test_every_public_name_exists_and_others_do_not(library: ModuleType) -> None:
+    assert dir(library) == sorted(library.__all__)
+    for name in library.__all__:
+        assert getattr(library, name).__name__ == name
+    with pytest.raises(AttributeError, match=rf"^module '{library.__name__}' has no attribute 'estimate_bag'$"):
+        _ = library.estimate_bag
 
 
 def test_an_arm_gives_joints_and_endpoint_with_covariances_as_arrays() -> None:
@@ -124,16 +154,19 @@ def test_an_arm_gives_joints_and_endpoint_with_covariances_as_arrays() -> None:
     estimates = arm.estimate(BAG)
     assert list(estimates.joints) == list(arm.calibrations)
     elbow, endpoint = estimates.joints["elbow"], estimates.endpoint
-    assert elbow.covariances.shape == (len(elbow), 6, 6)
+    assert elbow.covariances().shape == (len(elbow), 6, 6)
     assert np.count_nonzero(elbow.states == State.LOST) == 4
     assert endpoint.angles.shape == (len(endpoint), len(estimates.chain))
     variances = np.diagonal(endpoint.covariances, axis1=1, axis2=2)
     np.testing.assert_allclose(endpoint.standard_uncertainties**2, variances, rtol=1e-14)
-    random, systematic = (arm.estimate(BAG, covariance=kind).joints["elbow"] for kind in ("random", "systematic"))
-    np.testing.assert_array_equal(random.covariances + systematic.covariances, elbow.covariances)
+    random = arm.estimate(BAG, covariance="random").joints["elbow"]
+    np.testing.assert_array_equal(random.covariances(), elbow.covariances("random"))
+    np.testing.assert_array_equal(random.covariances("total"), elbow.covariances())
+    np.testing.assert_array_equal(random.covariances() + elbow.covariances("systematic"), elbow.covariances())
+    assert sum(elbow.lost_reasons().values()) == 4
     tables = posor.to_arrow(estimates)
     assert tables["endpoint"].column_names[-5:] == [f"angle_{joint}" for joint in estimates.chain]
-    np.testing.assert_array_equal(tables["elbow"]["cov_x_x"].to_numpy(), elbow.covariances[:, 0, 0])
+    np.testing.assert_array_equal(tables["elbow"]["cov_x_x"].to_numpy(), elbow.covariances()[:, 0, 0])
 
 
 def test_an_arm_is_estimated_with_the_parameters_of_its_file() -> None:
@@ -142,9 +175,9 @@ def test_an_arm_is_estimated_with_the_parameters_of_its_file() -> None:
     stated = replace(arm, posor_parameters={**arm.posor_parameters, "elbow": elbow})
     estimates, usual = stated.estimate(BAG), arm.estimate(BAG)
     assert np.count_nonzero(estimates.joints["elbow"].states == State.LOST) > 4
-    ends = [np.trace(each.joints["elbow"].covariances[-1]) for each in (estimates, usual)]
+    ends = [np.trace(each.joints["elbow"].covariances()[-1]) for each in (estimates, usual)]
     assert ends[0] < ends[1]
-    np.testing.assert_array_equal(estimates.joints["shoulder"].covariances, usual.joints["shoulder"].covariances)
+    np.testing.assert_array_equal(estimates.joints["shoulder"].poses, usual.joints["shoulder"].poses)
     with pytest.raises(posor.PosorError, match=r"covariance: 'none' is unknown; expected random, "):
         arm.estimate(BAG, covariance="none")  # type: ignore[arg-type]
 
@@ -167,6 +200,126 @@ def test_a_missing_library_is_named(function: str, library: str, monkeypatch: py
     assert str(caught.value) == f"{function}: the Python library '{library}' is not installed; expected {library}."
 
 
-def test_data_that_cannot_be_a_table_are_refused() -> None:
-    with pytest.raises(posor.ParameterError, match=r"^data of type list cannot be a table; expected ArmEst"):
-        posor.to_arrow([])  # type: ignore[arg-type]
+POSES = [pin.SE3(rotation_from_native(1e-4, -2e-4, 1e-4 * n), np.array([2e-5, 1e-5, 0.7e-3])) for n in range(20)]
+CALIBRATION = design("triad_diodes")
+
+
+def test_simulated_scans_give_back_their_poses() -> None:
+    rows = np.array([pin.SE3ToXYZQUAT(pose) for pose in POSES])
+    scans = posor.simulate(CALIBRATION, rows, rate=2000.0)
+    assert scans.stamps_ns[:2].tolist() == [500_000, 1_000_000]
+    found = posor.Posor(CALIBRATION).estimate_all(scans)
+    np.testing.assert_allclose(found.poses, rows, rtol=0.0, atol=1e-11)
+    assert found.numbers.tolist() == scans.numbers.tolist() == list(range(20))
+    same = posor.simulate(CALIBRATION, POSES, stamps_ns=scans.stamps_ns)
+    np.testing.assert_allclose(same.gap_voltages, scans.gap_voltages, rtol=0.0, atol=1e-9)
+    noisy, again = (posor.simulate(CALIBRATION, POSES, seed=7, temperatures=293.15) for _ in range(2))
+    assert noisy.gap_voltages.tobytes() == again.gap_voltages.tobytes()
+    assert np.all(noisy.gap_voltages != scans.gap_voltages)
+    far = posor.simulate(CALIBRATION, rows + [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0])  # noqa: RUF005  an array
+    assert np.isnan(far.gap_voltages).all()
+
+
+def test_lost_scans_are_explained() -> None:
+    scans = posor.simulate(CALIBRATION, POSES).editable()
+    scans.gap_voltages[5:9, 1] = np.nan
+    scans.diode_currents[12, 0] = 0.0
+    found, single = posor.Posor(CALIBRATION).estimate_all(scans), posor.Posor(CALIBRATION)
+    reasons = [single.estimate(scans[n]).reason for n in range(20)]
+    assert [found.reason(n) for n in range(20)] == reasons
+    assert found.lost_reasons() == {reasons[5]: 4, reasons[12]: 1}
+    assert sum(posor.Posor(CALIBRATION).estimate_all(scans.select(slice(0, 5))).lost_reasons().values()) == 0
+
+
+def results() -> list[Any]:
+    scans, estimator = posor.simulate(CALIBRATION, POSES), posor.Posor(CALIBRATION)
+    return [
+        scans,
+        estimator.estimate_all(scans),
+        posor.error_budget(estimator, scans[0], POSES[0]),
+        posor.joint_reliability(estimator, scans[0], POSES[0]),
+        posor.load_arm(find_arm("five_axis")).estimate(BAG).endpoint,
+    ]
+
+
+def test_results_are_read_only_tables_with_a_short_text() -> None:
+    for result in results():
+        names = [name for name in dir(result) if not name.startswith("_")]
+        arrays = {name: array for name in names if isinstance(array := getattr(result, name), np.ndarray)}
+        derived = {"residuals", "standard_uncertainties", "sigmas"}
+        assert [name for name, array in arrays.items() if array.flags.writeable and name not in derived] == []
+        assert len(repr(result)) < 300
+        assert "\n" not in repr(result)
+        assert len(posor.to_arrow(result)) > 0
+    arm, estimator = posor.load_arm(find_arm("five_axis")), posor.Posor(CALIBRATION)
+    scan = posor.simulate(CALIBRATION, POSES)[0]
+    for each in (arm, arm.calibration("elbow"), estimator, scan, estimator.estimate(scan)):
+        assert len(repr(each)) < 200
+    assert not estimator.estimate(scan).covariance_random.flags.writeable
+    assert len(repr(arm.estimate(BAG)).splitlines()) == 1 + len(arm.calibrations) + 1
+
+
+SCANS = {"stamps_ns": np.arange(3)}
+WRONG: list[tuple[Callable[[], Any], type[posor.PosorError], str]] = [
+    (lambda: posor.Scans.from_fields(**SCANS, gap_volts=np.zeros((3, 3))), posor.ParameterError, "gap_voltages"),
+    (lambda: posor.Scans.from_fields(gap_voltages=np.zeros((3, 3))), posor.ParameterError, "middle of each exposure"),
+    (lambda: posor.Scans.from_fields(stamps_ns=["a"]), posor.ParameterError, "array of numbers"),  # type: ignore[arg-type]
+    (lambda: posor.Scans.from_fields(**SCANS, numbers=np.zeros(2)), posor.ShapeError, "(3,)"),
+    (lambda: posor.Scans.from_fields(stamps_ns=5), posor.ShapeError, "(1,)"),  # type: ignore[arg-type]
+    (lambda: posor.Scans.of([1]), posor.ParameterError, "sequence of Scan"),  # type: ignore[list-item]
+    (lambda: posor.Posor("/x"), posor.ParameterError, "Calibration"),  # type: ignore[arg-type]
+    (lambda: posor.Posor(CALIBRATION, false_alarm=float("nan")), posor.ParameterError, "probability"),
+    (lambda: posor.Posor(CALIBRATION, false_alarm=-0.1), posor.ParameterError, "probability"),
+    (lambda: posor.Posor(CALIBRATION).estimate_all([]), posor.ParameterError, "Scans"),  # type: ignore[arg-type]
+    (lambda: posor.Posor(CALIBRATION).estimate(5), posor.ParameterError, "Scan"),  # type: ignore[arg-type]
+    (lambda: posor.load_arm(5), posor.ParameterError, "path of an arm file"),  # type: ignore[arg-type]
+    (lambda: posor.load_calibration(5), posor.ParameterError, "calibration file"),  # type: ignore[arg-type]
+    (lambda: posor.read_scans(None), posor.ParameterError, "path of a bag"),  # type: ignore[arg-type]
+    (lambda: posor.load_arm(find_arm("five_axis")).estimate(BAG, false_alarm=2.0), posor.ParameterError, "0 and 1"),
+    (lambda: posor.simulate(CALIBRATION, np.zeros((2, 6))), posor.ShapeError, "(n, 7)"),
+    (lambda: posor.simulate(CALIBRATION, np.zeros((2, 7))), posor.ParameterError, "unit quaternion"),
+    (lambda: posor.simulate(CALIBRATION, POSES, rate=-1.0), posor.ParameterError, "above zero"),
+    (lambda: posor.simulate(CALIBRATION, POSES, stamps_ns=np.zeros(20)), posor.ParameterError, "whole numbers"),
+    (lambda: posor.simulate(CALIBRATION, POSES, temperatures="warm"), posor.ParameterError, "numbers"),
+    (lambda: posor.to_arrow([]), posor.ParameterError, "Reliability"),  # type: ignore[arg-type]
+    (lambda: posor_calibration.fit("zero_drif", CALIBRATION, BAG), posor.ParameterError, "zero_drift"),
+    (lambda: posor_calibration.fit("bundle", CALIBRATION, BAG, looss=1), posor.ParameterError, "loss"),
+    (lambda: posor_calibration.fit("bundle", CALIBRATION, [1]), posor.ParameterError, "Scans"),  # type: ignore[arg-type]
+]
+
+
+@pytest.mark.parametrize(("call", "error", "expected"), WRONG)
+def test_a_wrong_argument_is_named_with_the_valid_ones(
+    call: Callable[[], Any], error: type[posor.PosorError], expected: str
+) -> None:
+    with pytest.raises(error) as caught:
+        call()
+    assert expected in caught.value.expected
+    assert caught.value.where or "cannot be a table" in caught.value.what
+
+
+def test_a_fit_in_memory_and_of_a_file_are_the_same(tmp_path: Path) -> None:
+    poses = [
+        pin.SE3(rotation_from_native(4e-3 * np.sin(n), 3e-3 * np.cos(n), 0.0), POSES[0].translation) for n in range(40)
+    ]
+    rows = np.array([pin.SE3ToXYZQUAT(pose) for pose in poses])
+    scans = posor.simulate(CALIBRATION, poses, rate=10.0, seed=3)
+
+    def fit(calibration: posor.Calibration | Path) -> posor_calibration.FitResult:
+        return posor_calibration.fit(
+            "zero_drift", calibration, scans, references={"/cmm": rows}, uncertainties={"/cmm": (1e-6, 1e-6)}
+        )
+
+    found = fit(CALIBRATION)
+    found.save(tmp_path / "new.yaml")
+    assert "zero_drift" in repr(found)
+    assert len(found.covariances[0].matrix) == len(found.covariances[0].entries)
+    assert not found.covariances[0].matrix.flags.writeable
+    [record] = posor.load_calibration(tmp_path / "new.yaml").fits
+    assert record.instruments[0].topic == "/cmm"
+    again = fit(tmp_path / "new.yaml")
+    assert len(again.calibration.fits) == 2
+    with pytest.raises(posor.CalibrationError):
+        again.save(tmp_path / "new.yaml")
+    again.save(tmp_path / "new.yaml", force=True)
+    assert posor.load_calibration(tmp_path / "new.yaml").content_hash == again.calibration.content_hash

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import datetime as dt
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import yaml
 from posor.calibration.calibration_file import load_calibration
 from posor_calibration.calibrate_command import calibrate, make_parser, write_result
-from posor_calibration.calibration_update import FitContext, update_calibration
+from posor_calibration.calibration_fit import fit_recording
 from posor_calibration.procedure_registry import PROCEDURES
 from posor_drivers.calibration_bag import entries, write_bag
 from rich.console import Console
@@ -50,10 +49,9 @@ def run_in_memory(truth: GroundTruth) -> Iterator[CompletedStep]:
     for step in campaign_steps(truth.name):
         procedure = PROCEDURES[step.procedure]
         recording = step.record(truth)
-        outcome = procedure.identify(recording, calibration, procedure.options(**step.options))
-        context = FitContext(procedure.name, {}, [], dt.datetime(2026, 1, 1, tzinfo=dt.UTC))
-        calibration = update_calibration(calibration, outcome, recording, context)
-        yield CompletedStep(step, outcome, calibration)
+        found = fit_recording(procedure, calibration, recording, [], procedure.options(**step.options), {})
+        calibration = found.calibration
+        yield CompletedStep(step, found.outcome, calibration)
 
 
 def step_arguments(step: CampaignStep, bag: Path, calibration: Path, output: Path) -> list[str]:

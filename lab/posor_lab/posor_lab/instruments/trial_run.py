@@ -157,7 +157,7 @@ def _pose_figures(readings: SimulatedReadings, arrivals: Sequence[Arrival], cloc
     }
 
 
-def write_arm(arm: Arm, trial: DeviceTrial, devices: Devices, folder: Path) -> Arm:
+def write_arm(arm: ArmFile, trial: DeviceTrial, devices: Devices, folder: Path) -> ArmFile:
     """Write a copy of an arm whose drivers read an instruments file.
 
     Only noise is simulated behind the servers: one arm has one set of calibration errors, so the share of its poses

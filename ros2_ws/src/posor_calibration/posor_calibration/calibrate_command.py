@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
-import datetime as dt
 import sys
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from posor.bags.calibration_recording import Reference, load_recording
 from posor.bags.recording import POSE
 from posor.bags.result_folder import writing
 from posor.calibration.calibration_file import FILE_KIND, load_calibration, parse_calibration
-from posor.calibration.fit_record import Instrument
-from posor.calibration.save import refuse_existing, save_calibration
+from posor.calibration.save import refuse_existing
 from posor.calibration.yaml_document import read_text
-from posor.errors import BagError, OutputError, ParameterError
+from posor.errors import OutputError, ParameterError
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from posor_calibration.calibration_comparison import compare_calibrations
-from posor_calibration.calibration_update import FitContext, update_text
+from posor_calibration.calibration_fit import fit_recording, read_recording, to_track_sigmas
 from posor_calibration.drift_check import check_drift
 from posor_calibration.option_arguments import add_options, destination, given_options, read_options
 from posor_calibration.outcome_report import judge_outcome, outcome_json, render_outcome_page
@@ -41,12 +38,13 @@ from posor_calibration.procedures.bundle import BundleOptions
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from posor.bags.recording import Recording
     from posor.calibration.calibration_file import Calibration
+    from posor.calibration.fit_record import Instrument
 
-    from posor_calibration.procedure import Outcome, Procedure
+    from posor_calibration.calibration_fit import FitResult
 
 NOT_EXPLAINED = 3
 """Exit code of ``check`` for a calibration that does not explain the bag."""
@@ -119,19 +117,7 @@ def _run_action(options: argparse.Namespace, console: Console) -> int:
     return 0
 
 
-@dataclass(frozen=True)
-class CalibrationResult:
-    """Outcome of a procedure with its inputs."""
-
-    procedure: Procedure[Any]
-    options: Mapping[str, str]  # as given on the command line
-    outcome: Outcome
-    recording: Recording
-    instruments: Sequence[Instrument]
-    text: str  # the calibration file before
-
-
-def calibrate(options: argparse.Namespace, report: Callable[[str], object]) -> CalibrationResult:
+def calibrate(options: argparse.Namespace, report: Callable[[str], object]) -> FitResult:
     """Run the procedure of a command line from ``make_parser``; ``report`` receives the current step.
 
     Raises:
@@ -145,19 +131,15 @@ def calibrate(options: argparse.Namespace, report: Callable[[str], object]) -> C
         for page in _report_files(options.output):
             if page.exists() and not options.force:
                 raise OutputError("exists already", where=str(page), expected="another --output, or --force")
-    text = read_text(options.calibration, FILE_KIND)
-    calibration = parse_calibration(text, str(options.calibration))
+    text, source = read_text(options.calibration, FILE_KIND), str(options.calibration)
+    calibration = parse_calibration(text, source)
     recording, instruments = _read_recording(options, calibration, report)
     report(f"{procedure.name}: fitting")
-    given = {
-        name: " ".join(value) if isinstance(value, list) else value
-        for name, value in given_options(procedure.options, options).items()
-    }
-    outcome = procedure.identify(recording, calibration, settings)
-    return CalibrationResult(procedure, given, outcome, recording, instruments, text)
+    given = given_options(procedure.options, options)
+    return fit_recording(procedure, calibration, recording, instruments, settings, given, text=text, source=source)
 
 
-def write_result(result: CalibrationResult, options: argparse.Namespace, console: Console) -> None:
+def write_result(result: FitResult, options: argparse.Namespace, console: Console) -> None:
     """Print the verdict; write the new calibration file, and its report, if the command line names one.
 
     Raises:
@@ -165,26 +147,19 @@ def write_result(result: CalibrationResult, options: argparse.Namespace, console
         OutputError: The report cannot be written.
 
     """
-    outcome, name = result.outcome, result.procedure.name
-    text, changes = result.text, None
-    if outcome.replacements or outcome.parts:
-        context = FitContext(name, result.options, result.instruments, dt.datetime.now(tz=dt.UTC))
-        text = update_text(result.text, str(options.calibration), outcome, result.recording, context)
-        former, new = (parse_calibration(each, str(options.calibration)) for each in (result.text, text))
-        changes = compare_calibrations(former, new)
+    outcome, name = result.outcome, result.procedure
+    changes = compare_calibrations(result.former, result.calibration) if result.text else None
     verdict = judge_outcome(name, outcome, changes)
     ending = ["No --output: nothing is written."]
     if options.output is not None:
         ending = []
-        if changes is not None:
-            backup = save_calibration(options.output, text, force=options.force)
+        if result.text:
+            backup = result.save(options.output, force=options.force)
             kept = f"; the old file is now {backup}" if backup else ""
-            ending = [f"written to {options.output}{kept}", f"content hash {new.content_hash}"]
+            ending = [f"written to {options.output}{kept}", f"content hash {result.calibration.content_hash}"]
         page, figures = _report_files(options.output)
         with writing(page):
-            page.write_text(
-                render_outcome_page(f"{name}, {result.recording.source}", verdict, outcome), encoding="utf-8"
-            )
+            page.write_text(render_outcome_page(f"{name}, {result.source}", verdict, outcome), encoding="utf-8")
             figures.write_text(outcome_json(name, verdict, outcome), encoding="utf-8")
         ending.append(f"all tables: {page} and {figures.name}")
     if options.all:
@@ -222,35 +197,17 @@ def _read_recording(
     """Read the bag; return it with the given uncertainties, and the instruments of its references."""
     uncertainties = {topic: _parse_sigmas(topic, text) for topic, text in _split("--uncertainty", options.uncertainty)}
     names = dict(_split("--instrument", options.instrument))
-    wanted = getattr(options, destination("reference"), None)
-    topics = sorted({wanted, *uncertainties, *names}) if wanted else []
     report(f"reading {options.bag}")
-    references = [Reference(topic) for topic in topics]
-    recorded = {instrument.topic for fit in calibration.fits for instrument in fit.instruments}
-    known = {*uncertainties, *names, *recorded}
-    found = load_recording(options.bag, topic=options.topic, references=references, named=known)
-    for option, given in (("--uncertainty", uncertainties), ("--instrument", names)):
-        for topic in given:
-            if topic not in found.tracks:
-                expected = ", ".join(found.tracks) or "no option, the bag has no reference"
-                raise ParameterError(f"there is no reference {topic}", where=f"option {option}", expected=expected)
-    tracks = dict(found.tracks)
-    for topic, sigmas in uncertainties.items():
-        columns = tracks[topic].values.shape[1]
-        tracks[topic] = replace(tracks[topic], sigmas=np.array(_to_track_sigmas(topic, sigmas, columns)))
-    instruments = [
-        Instrument(
-            topic=topic, name=names.get(topic, "not stated"), sigmas=_to_record_sigmas(tracks[topic].sigmas.tolist())
-        )
-        for topic in (topics or tracks)
-    ]
-    if found.frame and found.frame != calibration.frames.parent:
-        raise BagError(
-            f"the scans are of the receiving plate '{found.frame}'",
-            where=found.source,
-            expected=f"'{calibration.frames.parent}', that of calibration '{calibration.name}': see the option --topic",
-        )
-    return replace(found, tracks=tracks), instruments
+    wanted = getattr(options, destination("reference"), None)
+    return read_recording(
+        options.bag,
+        calibration,
+        uncertainties,
+        names,
+        topic=options.topic,
+        reference=wanted,
+        where="option --{}",
+    )
 
 
 def _with_recorded_uncertainty(
@@ -271,7 +228,9 @@ def _with_recorded_uncertainty(
         if not recorded:
             what = f"the uncertainty of {topic} is unknown: no fit of '{calibration.name}' records it"
             raise ParameterError(what, where="calibrate check", expected=f"the option --uncertainty {topic}=M,RAD")
-        tracks[topic] = replace(track, sigmas=np.array(_to_track_sigmas(topic, recorded[-1], POSE)))
+        tracks[topic] = replace(
+            track, sigmas=np.array(to_track_sigmas(topic, recorded[-1], POSE, "option --uncertainty"))
+        )
     return replace(recording, tracks=tracks)
 
 
@@ -295,26 +254,6 @@ def _parse_sigmas(topic: str, text: str) -> list[float]:
         expected = "standard uncertainties of zero or more, separated by commas"
         raise ParameterError(f"'{topic}={text}'", where="option --uncertainty", expected=expected)
     return numbers
-
-
-def _to_track_sigmas(topic: str, sigmas: list[float], columns: int) -> list[float]:
-    """Return the standard uncertainty of each column of a track.
-
-    A pose has two, along [m] and about [rad], or six. Its track holds a quaternion, whose components change by half of
-    a small rotation.
-    """
-    if columns == POSE and len(sigmas) in (2, 6):
-        along, about = np.repeat(sigmas, 3).reshape(2, 3) if len(sigmas) == 2 else np.reshape(sigmas, (2, 3))  # noqa: PLR2004
-        return [*along.tolist(), *(0.5 * about).tolist(), 0.5 * float(np.mean(about))]
-    if columns != POSE and len(sigmas) in (1, columns):
-        return sigmas * (columns // len(sigmas))
-    expected = "2 numbers, m,rad, or 6" if columns == POSE else f"1 or {columns} numbers"
-    raise ParameterError(f"{len(sigmas)} numbers for {topic}", where="option --uncertainty", expected=expected)
-
-
-def _to_record_sigmas(sigmas: list[float]) -> list[float]:
-    """Return the uncertainties of a track for a fit record: those of a pose about its axes [rad]."""
-    return sigmas if len(sigmas) != POSE else [*sigmas[:3], *(2.0 * sigma for sigma in sigmas[3:6])]
 
 
 if __name__ == "__main__":

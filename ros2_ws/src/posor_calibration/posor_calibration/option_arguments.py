@@ -5,10 +5,10 @@ from __future__ import annotations
 from types import NoneType
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
-from posor.calibration.file_model import first_problem, format_value
-from posor.errors import ParameterError
-from pydantic import ValidationError
+from posor.calibration.file_model import format_value
 from pydantic_core import PydanticUndefined
+
+from posor_calibration.calibration_fit import NONE, check_options
 
 if TYPE_CHECKING:
     import argparse
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
     from posor_calibration.procedure import Options
 
-NONE = "none"
 TYPE_NAMES: dict[Any, str] = {float: "NUMBER", int: "COUNT", bool: "true|false", str: "TEXT"}
 
 
@@ -35,16 +34,7 @@ def add_options(parser: argparse.ArgumentParser, model: type[Options], *, exclud
 
 def read_options(model: type[Options], arguments: argparse.Namespace) -> Options:
     """Return the options of a parsed command line; raise ParameterError for an invalid one."""
-    given = {
-        name: None if text == NONE and NoneType in get_args(model.model_fields[name].annotation) else text
-        for name, text in given_options(model, arguments).items()
-    }
-    try:
-        return model.model_validate(given)
-    except ValidationError as error:
-        complaint = first_problem(error)
-        where = f"option {flag(str(complaint.location[0]))}" if complaint.location else ""
-        raise ParameterError(complaint.what, where=where, expected=complaint.expected) from None
+    return check_options(model, given_options(model, arguments), lambda name: f"option {flag(name)}")
 
 
 def given_options(model: type[Options], arguments: argparse.Namespace) -> dict[str, Any]:
