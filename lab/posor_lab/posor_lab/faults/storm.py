@@ -149,7 +149,9 @@ class StormMaker:
             values = getattr(scans, name)
             step = (converter.current if name == DIODE_FIELD else converter.voltage).number
             bits = round(math.log2((limits[1] - limits[0]) / step))
-            arrays[name] = convert_to_digital(values, np.array(limits), bits, steps=True)[0] if values.size else values
+            arrays[name] = (
+                convert_to_digital(values, np.array(limits), bits, steps=True)[0] if values.size else values.copy()
+            )
         arrays["lit_sources"] = scans.lit_sources.copy()
         arrays["supply_voltages"], arrays["temperatures"] = np.full(count, 15.0), np.full(count, 293.15)
         arrays["at_home"] = self._at_home(truth).astype(np.int64)

@@ -134,7 +134,7 @@ def test_a_pose_that_is_wrong_counts(storm_maker: StormMaker) -> None:
     storm_maker.posor.reset()
     found = estimate_storm(storm_maker.posor, storm)
     covariances = found.covariances()
-    poses = PoseArray(found.rotations, found.translations)
+    poses = PoseArray(found.rotations, found.translations.copy())
     sound = count_storm(storm_maker.calibration, storm, found.states, found.faults, poses, covariances)
     first = int(np.flatnonzero(found.states == State.OK)[0])
     poses.translations[first, 0] += 1e-3

@@ -113,7 +113,6 @@ class Estimate(NamedTuple):
     def lost(number: int, faults: Fault, reason: str) -> Estimate:
         """Return the estimate of a scan that gives no pose."""
         unknown, nan = np.full((6, 6), np.nan), float("nan")
-        unknown.setflags(write=False)
         return Estimate(number, State.LOST, faults, reason, None, nan, unknown, unknown, nan, 0)
 
     @property
@@ -142,8 +141,6 @@ def estimate_of(records: NDArray[np.void], index: int, reason: str) -> Estimate:
     state, faults = _STATES[fields["state"]], Fault(fields["faults"]) if fields["faults"] else Fault.NONE
     if state is State.LOST:
         return Estimate.lost(fields["number"], faults, reason)
-    random, systematic = fields["random"].copy(), fields["systematic"].copy()
-    random.flags.writeable = systematic.flags.writeable = False
     return Estimate(
         fields["number"],
         state,
@@ -151,8 +148,8 @@ def estimate_of(records: NDArray[np.void], index: int, reason: str) -> Estimate:
         reason,
         pin.SE3(fields["rotation"], fields["translation"]),
         float(fields["native"][5]),
-        random,
-        systematic,
+        fields["random"].copy(),
+        fields["systematic"].copy(),
         fields["residual"],
         fields["redundancy"],
     )
