@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from posor.chain.arm_file import load_arm_file
 from posor.chain.kinematic_chain import load_chain
 from posor.errors import ChainError, ParameterError
 from posor.reporting.command_line_parser import CommandLineParser
@@ -158,7 +159,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parse_options(sys.argv[1:] if arguments is None else arguments)
     if options.output is not None:
         check_writable(options.output)
-    budgets = arm_budget(load_arm(options.arm), options.draws)
+    budgets = arm_budget(load_arm_file(options.arm), options.draws)
     _print_budgets(budgets, Console(width=118, highlight=False))
     if options.output is not None:
         write_json(options.output, budgets)

@@ -108,7 +108,7 @@ def _study_arm(options: Namespace, argv: Sequence[str]) -> Findings:
     return findings
 
 
-def _checked_simulation(arm: Arm, options: Namespace) -> ArmSimulation:
+def _checked_simulation(arm: ArmFile, options: Namespace) -> ArmSimulation:
     """Return the simulation of an arm with the options' driver parameters; the drivers refuse invalid parameters."""
     if arm.driver.source != "simulated":
         raise ParameterError(

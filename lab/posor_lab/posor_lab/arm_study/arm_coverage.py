@@ -75,7 +75,7 @@ class Coverage:
 
 
 def arm_coverage(
-    arm: Arm, arms: int = ARMS, poses: int = POSES, *, on_drawn: Callable[[int], None] = lambda _: None
+    arm: ArmFile, arms: int = ARMS, poses: int = POSES, *, on_drawn: Callable[[int], None] = lambda _: None
 ) -> Coverage:
     """Return how published uncertainty and predicted sag hold for many arms with the files of ``arm``.
 
@@ -122,7 +122,7 @@ def coverage_figures(sample: ArmSample, predicted: FloatArray) -> Coverage:
 class ArmSampler:
     """Draws arms with the files of an arm; a seed determines an arm."""
 
-    def __init__(self, arm: Arm, poses: int) -> None:
+    def __init__(self, arm: ArmFile, poses: int) -> None:
         """Read the files and select a number of poses, evenly spread over the scenario.
 
         Raises:
@@ -160,7 +160,7 @@ class ArmSampler:
             if not known.any():
                 continue
             joint_poses = np.stack([each.poses for each in found.values()], axis=1)[known]
-            totals = [each.covariances_random + each.covariances_systematic for each in found.values()]
+            totals = [each.covariances() for each in found.values()]
             joint_covariances = np.stack(totals, axis=1)[known]
             true = truth.endpoint.select(known)
             endpoints = self.chain.estimate_all(joint_poses, joint_covariances)

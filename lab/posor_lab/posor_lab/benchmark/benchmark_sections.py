@@ -160,7 +160,7 @@ class BenchmarkSections:
         plan, layouts = self._plan, [layout for layout in LAYOUTS if layout != "separate"]
         return {"layouts": {layout: self._graph_figures(layout, plan.joints, plan.rate) for layout in layouts}}
 
-    def _variant_figures(self, text: str, arm: Arm, spin_us: int = SPIN_US, priority: int = 0) -> dict[str, Any]:
+    def _variant_figures(self, text: str, arm: ArmFile, spin_us: int = SPIN_US, priority: int = 0) -> dict[str, Any]:
         """Return the figures of the main graph with another arm, or other waiting of the drivers."""
         plan = self._plan
         self._print_line(f"graph, {plan.joints} joints at {plan.rate} Hz, {text}: {plan.point_s:g} s")

@@ -60,7 +60,7 @@ def small_errors(found: PoseArray, true: PoseArray) -> FloatArray:
 
 def estimated_poses(estimates: Estimates) -> tuple[PoseArray, FloatArray]:
     """Return the poses of estimates, (n), and their total covariances, (n, 6, 6)."""
-    covariances = estimates.covariances_random + estimates.covariances_systematic
+    covariances = estimates.covariances()
     return PoseArray(estimates.rotations, estimates.translations), covariances
 
 

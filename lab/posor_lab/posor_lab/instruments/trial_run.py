@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
-from posor.chain.arm_file import load_arm_file
+from posor.chain.arm_file import ArmFile, load_arm_file
 from posor.numerics.stamps import NS
 from posor.ros_names import ENDPOINT_COVARIANCE_TOPIC
 from posor_bringup.arm_programs import arm_programs, group_programs
