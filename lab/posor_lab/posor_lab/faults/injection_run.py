@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from posor.chain.arm_file import Arm as ArmFile
+    from posor.chain.arm_file import ArmFile
     from posor_bringup.arm_programs import Layout
     from posor_bringup.supervisor import Program
 

@@ -18,7 +18,7 @@ from posor_lab.faults.fault_arm import fault_entry, write_fault_arm
 from posor_lab.faults.injection_run import InjectionRun, Span
 
 if TYPE_CHECKING:
-    from posor.chain.arm_file import Arm as ArmFile
+    from posor.chain.arm_file import ArmFile
 
     from posor_lab.faults.fault_table import FaultRow, RowResult
 

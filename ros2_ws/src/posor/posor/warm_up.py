@@ -18,7 +18,7 @@ from posor.chain.kinematic_chain import Chain
 from posor.compilation import completion_mark
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
-from posor.messages.joint_transform import TRANSFORM_LAYOUT
+from posor.messages.joint_transform import TRANSFORM_LAYOUT, pack_rows
 from posor.messages.message_stream import STATUS, MessageEstimator, MessageStream
 from posor.messages.message_table import MessageRows
 from posor.messages.raw_scan import RAW_SCAN_LAYOUT, unpack_rows
@@ -48,13 +48,15 @@ def warm_up() -> None:
         posor = Posor(design(name))
         rotations, translations = np.tile(np.eye(3), (2, 1, 1)), np.tile([0.0, 0.0, 0.7e-3], (2, 1))
         scans = scans_at(posor.stack, rotations, translations, np.array([1, 2], dtype=np.int64))
-        states = [posor.estimate(scans[0]).state, *posor.estimate_all(scans.part(1, 2)).states]
+        estimates = posor.estimate_all(scans.part(1, 2))
+        states = [posor.estimate(scans[0]).state, *estimates.states]
         if State.LOST in states:
             message = f"design {name} does not estimate its own scans"
             raise AssertionError(message)
         stream = example_stream()
         MessageEstimator(posor, stream).estimate_rows()
         unpack_rows(stream.raw, stream.raw_layout, posor.model.workspace["scan"])
+        pack_rows(record_view(estimates._records), stream.transform_layout, stream.template, stream.transforms)
     warm_up_chain()
     figures_of(np.array([1, 2]), 3, np.empty(FIGURES))
 

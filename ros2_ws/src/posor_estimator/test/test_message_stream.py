@@ -13,7 +13,7 @@ from posor.errors import TopicError
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.estimation.scan_checks import MARKS
-from posor.messages.message_packing import joint_transform_layout
+from posor.messages.joint_transform import joint_transform_layout
 from posor.messages.message_stream import MessageEstimator, MessageStream, RawScanStream
 from posor.messages.message_table import TableLayout
 from posor.messages.raw_scan import ScanTemplate, scan_of

@@ -9,13 +9,9 @@ import numpy as np
 from rosbags.interfaces import QosReliability
 
 from posor.bags.chunk_writer import ChunkedBagWriter, TopicMessages
+from posor.messages.joint_transform import joint_transform_layout, pack_joint_transforms
 from posor.messages.message_definitions import MessageTypes
-from posor.messages.message_packing import (
-    endpoint_layouts,
-    joint_transform_layout,
-    pack_endpoint,
-    pack_joint_transforms,
-)
+from posor.messages.message_packing import endpoint_layouts, pack_endpoint
 from posor.ros_names import (
     ENDPOINT_COVARIANCE_TOPIC,
     ENDPOINT_TOPIC,

@@ -13,14 +13,18 @@ from posor.chain.joint_measurements import JointRowLayout
 from posor.estimation.estimate_scan import LOST
 from posor.messages.cdr_schema import LITTLE_ENDIAN, STAMP
 from posor.messages.message_definitions import installed_schema
-from posor.messages.message_table import LEAD, MessageRows, TableLayout
-from posor.numerics.compiled import inlined
+from posor.messages.message_table import LEAD, MessageRows, MessageTable, TableLayout
+from posor.node_parameters import COVARIANCE_KINDS
+from posor.numerics.compiled import in_place, inlined, record_view
 from posor.numerics.stamps import time_ns
 from posor.ros_names import JOINT_TRANSFORM
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from posor.estimation.estimate import Estimates
+    from posor.messages.cdr_schema import Schema
+    from posor.node_parameters import CovarianceKind
     from posor.numerics.array_types import FloatArray
 
 FIELDS = {
@@ -42,6 +46,12 @@ RANDOM, SYSTEMATIC, TOTAL = 0, 1, 2
 
 _STAMP = struct.Struct("<iI")
 _FAULTS = struct.Struct("<I")
+
+
+def joint_transform_layout(schema: Schema, parent: str, child: str, kind: CovarianceKind) -> TableLayout:
+    """Return the layout of transforms between two frames with one kind of covariance; ``schema``: JointTransform."""
+    values = {"header.frame_id": parent, "child_frame_id": child, "covariance_kind": COVARIANCE_KINDS[kind]}
+    return TableLayout.of(schema.encode(values), schema)
 
 
 def packing_layout(transforms: TableLayout) -> NDArray[np.void]:
@@ -73,6 +83,23 @@ def pack_estimate(estimate: Any, layout: Any, template: FloatArray, rows: Messag
             if kind == TOTAL:
                 value += estimate.systematic[i, j]
             floats[n, covariance + 6 * i + j] = value
+
+
+@in_place
+def pack_rows(estimates: Any, layout: Any, template: FloatArray, rows: MessageRows) -> None:
+    """Write each estimate (records of dtype ESTIMATE) into the row of the same index; see ``pack_estimate``."""
+    for n in range(estimates.shape[0]):
+        pack_estimate(estimates[n], layout[0], template, rows, n)
+
+
+def pack_joint_transforms(layout: TableLayout, estimates: Estimates) -> MessageTable:
+    """Return a JointTransform message for each estimate."""
+    table = MessageTable(layout, np.empty((len(estimates), len(layout.row)), dtype=np.uint8))
+    records, packing = record_view(estimates._records), record_view(packing_layout(layout))
+    pack_rows(records, packing, layout.row.view(np.float64), MessageRows.of(table.rows))
+    table["header.stamp.sec"], table["header.stamp.nanosec"] = estimates.header_stamps.T
+    table["scan"], table["scan_status"] = estimates.numbers, estimates.statuses
+    return table
 
 
 @lru_cache(maxsize=16)

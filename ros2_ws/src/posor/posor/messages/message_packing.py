@@ -1,4 +1,4 @@
-"""Estimates as messages: from arrays to rows of bytes, the messages that the nodes publish."""
+"""Endpoint estimates as messages: from arrays to rows of bytes, the messages that ``chain_node`` publishes."""
 
 from __future__ import annotations
 
@@ -6,37 +6,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from posor.messages.estimate_columns import JOINT_COLUMNS
 from posor.messages.message_table import TableLayout
-from posor.node_parameters import COVARIANCE_KINDS
 from posor.numerics.stamps import NS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from posor.estimation.estimate import Estimates
     from posor.messages.cdr_schema import Schema
     from posor.messages.estimate_arrays import EndpointEstimates
     from posor.messages.message_table import MessageTable
-    from posor.node_parameters import CovarianceKind
-
-
-def joint_transform_layout(schema: Schema, parent: str, child: str, kind: CovarianceKind) -> TableLayout:
-    """Return the layout of transforms between two frames with one kind of covariance; ``schema``: JointTransform."""
-    values = {"header.frame_id": parent, "child_frame_id": child, "covariance_kind": COVARIANCE_KINDS[kind]}
-    return TableLayout.of(schema.encode(values), schema)
-
-
-def pack_joint_transforms(layout: TableLayout, estimates: Estimates) -> MessageTable:
-    """Return a JointTransform message for each estimate."""
-    table = layout.copies(len(estimates))
-    table["header.stamp.sec"], table["header.stamp.nanosec"] = estimates.header_stamps.T
-    for path, (name, _) in JOINT_COLUMNS.items():
-        table[path] = getattr(estimates, name)
-    table["native"] = estimates.natives
-    table.span("pose.position.x", 7)[:] = estimates.poses
-    table["covariance"] = estimates.covariances().reshape(-1, 36)
-    return table
 
 
 def endpoint_layouts(schemas: Sequence[Schema], frame: str, joints: Sequence[str]) -> tuple[TableLayout, ...]:

@@ -15,9 +15,8 @@ import numpy as np
 
 from posor.estimation.estimate_scan import DONE, LOST, estimate_scan, write_lost
 from posor.messages.cdr_schema import STAMP
-from posor.messages.joint_transform import pack_estimate, packing_layout
+from posor.messages.joint_transform import joint_transform_layout, pack_estimate, packing_layout
 from posor.messages.message_definitions import installed_schema
-from posor.messages.message_packing import joint_transform_layout
 from posor.messages.message_table import LEAD, MessageRows, TableLayout
 from posor.messages.raw_scan import raw_scan_layout, scan_of, unpack_scan
 from posor.model.fault import Fault, State
