@@ -75,7 +75,7 @@ def test_excerpts_occur_in_the_example() -> None:
 
 
 def test_files_named_in_the_page_exist() -> None:
-    package = ROOT / "ros2_ws/src/posor/posor"
+    package = ROOT / "ros2_ws/src/posor"
     names = re.findall(r"`([\w./]+\.py|[\w]+/[\w./]+)`", ADDING)
     assert len(names) > 5
     for name in names:

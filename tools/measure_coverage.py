@@ -31,7 +31,7 @@ PACKAGES = {
 }
 """Folders of the numerical packages, and those of their tests."""
 OTHER_FILES = (
-    SOURCE / "posor_estimator" / "test" / "test_raw_scan_stream.py",
+    SOURCE / "posor_estimator" / "test" / "test_message_stream.py",
     THIS.root / "tests" / "test_calibrate_command.py",
 )
 """Tests outside the folders of the packages, of a stream of messages and of the reports on a calibration."""
