@@ -1,7 +1,7 @@
 # POSOR for ROS 2. Every target sets the workspace up first; this takes a fraction of a second if nothing has changed.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup audit demo arm calibrate-demo faults fuzz instruments soak test test-long coverage accuracy budgets thesis bench bench-core data docs lint words lines rooms lock clean
+.PHONY: help setup audit bounds demo arm calibrate-demo faults fuzz instruments soak test test-long coverage accuracy budgets thesis bench bench-core data docs lint words lines rooms lock clean
 
 BAG ?= ymo
 CAL ?= printed
@@ -38,6 +38,7 @@ help:
 	@echo "make docs                                              pages of parameters and calculators, and the site build/docs/index.html"
 	@echo "make setup                                             virtual environment, ROS 2 Jazzy, colcon build"
 	@echo "make audit                                             known vulnerabilities of the pinned libraries; needs pypi.org"
+	@echo "make bounds                                            lowest and newest versions of the libraries, tried; needs pypi.org"
 	@echo "make lock                                              update the exact versions in requirements/*.txt"
 	@echo "make clean                                             remove all results of the targets above"
 	@echo "./run PACKAGE EXECUTABLE [--ros-args ...]              run one node, as 'ros2 run' does"
@@ -49,13 +50,19 @@ setup:
 audit: setup
 	@.venv/bin/python -E -s tools/audit_requirements.py
 
+bounds: setup
+	@$(IN_WORKSPACE) tools/try_bounds.py
+
 demo:
 	@./run posor_lab demo --bag $(BAG) --calibration $(CAL)
 
 arm:
 	@./run posor_lab arm --arm $(ARM) $(if $(CONTROLLER),--controller $(CONTROLLER))
 
-calibrate-demo:
+calibrate-bounds: setup
+	@$(IN_WORKSPACE) tools/try_bounds.py
+
+demo:
 	@./run posor_lab calibrate_demo --campaigns $(CAMPAIGNS) --posor $(POSOR)
 
 faults:

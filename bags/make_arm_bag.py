@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 from posor.bags.arm_estimator import ArmEstimator
 from posor.bags.reprocess_task import Settings
+from posor.bags.bag_writer import replace_bag
 from posor.errors import PosorError
 from posor.messages.message_definitions import MessageTypes
 from posor.messages.raw_scan import RecordedScans
@@ -22,7 +23,6 @@ from posor.model.scan import Scans
 from posor.numerics.stamps import tick_stamp_ns
 from posor.ros_names import ENDPOINT_TOPIC, POSE_STAMPED, RAW_SCAN, RAW_TOPIC
 from posor_bringup.arms import load_checked_arm
-from posor_drivers.bag_writer import replace_bag
 from posor_drivers.simulated_messages import SimulatedMessages
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.sources.source import SourceMessage, Topic

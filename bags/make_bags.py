@@ -10,10 +10,10 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from posor.bags.bag_writer import replace_bag
 from posor.errors import PosorError
 from posor.messages.message_definitions import MessageTypes
 from posor.ros_names import RAW_TOPIC
-from posor_drivers.bag_writer import replace_bag
 from posor_drivers.sources.table_source import TableParameters, TableSource
 from posor_ros.qos import RELIABLE_QOS, SENSOR_QOS
 

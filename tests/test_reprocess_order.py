@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from posor.bags.bag_writer import BagWriter
 from posor.bags.reprocess_command import main
+from posor.messages.message_definitions import Definition
 from posor_bringup.arms import find_arm
-from rosbags.rosbag2 import Reader, StoragePlugin, Writer
-from rosbags.rosbag2.storage_mcap import McapWriter
+from rosbags.rosbag2 import Reader
 
 from tests.rig_replay import read_bag_messages
 
@@ -32,16 +33,13 @@ def raw_scans(bag: Path) -> tuple[list[Connection], list[Logged]]:
 
 
 def write(folder: Path, topics: Sequence[Connection], chunks: Sequence[Sequence[Logged]]) -> Path:
-    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        to = {
-            each.topic: writer.add_connection(each.topic, each.msgtype, msgdef=each.msgdef.data, rihs01=each.digest)
-            for each in topics
-        }
-        assert isinstance(writer.storage, McapWriter)
+    with BagWriter(folder) as writer:
+        for each in topics:
+            writer.add_topic(each.topic, each.msgtype, Definition(each.msgdef.data, each.digest))
         for chunk in chunks:
             for topic, time_ns, data in chunk:
-                writer.write(to[topic], time_ns, data)
-            writer.storage.close_chunk()
+                writer.write(topic, time_ns, data)
+            writer.flush()
     return folder
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from posor.bags.offline_arm import load_arm
+from posor.bags.bag_writer import BagWriter
 from posor.bags.provenance import SOFTWARE, custom_data, provenance_of
 from posor.bags.reprocess_command import main
 from posor.bags.reprocess_task import Settings
@@ -18,7 +19,6 @@ from posor.errors import BagError
 from posor.messages.message_definitions import MessageTypes
 from posor.ros_names import RAW_SCAN
 from posor_bringup.arms import find_arm
-from posor_drivers.bag_writer import BagWriter
 from rosbags.rosbag2 import Reader
 
 if TYPE_CHECKING:

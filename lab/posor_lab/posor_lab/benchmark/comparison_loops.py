@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from geometry_msgs.msg import Point, Pose, PoseStamped, PoseWithCovarianceStamped, Quaternion
 from posor.bags.bag_reader import opened_bag
+from posor.bags.bag_writer import BagWriter
 from posor.chain.arm_parameters import chain_parameters
 from posor.chain.joint_measurements import MeasuredJoint
 from posor.errors import BagError
@@ -34,7 +35,6 @@ from posor.ros_names import (
     RAW_TOPIC,
     TRANSFORM_TOPIC,
 )
-from posor_drivers.bag_writer import BagWriter
 from posor_msgs.msg import RawScan
 from posor_ros.message_classes import message_class, schema_of_class
 from posor_ros.message_conversion import scan_from_message, stamp_ns, transform_message

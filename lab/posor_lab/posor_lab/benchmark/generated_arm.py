@@ -17,10 +17,10 @@ import numpy as np
 import yaml
 from posor.chain.arm_file import ArmFile, load_arm_file
 from posor.messages.message_definitions import MessageTypes, installed_schema
+from posor.bags.bag_writer import BagWriter
 from posor.node_parameters import NodeParameters
 from posor.ros_names import RAW_SCAN, RAW_TOPIC
 from posor_bringup.arms import load_checked_arm
-from posor_drivers.bag_writer import BagWriter
 from posor_drivers.simulated_messages import SimulatedMessages
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections

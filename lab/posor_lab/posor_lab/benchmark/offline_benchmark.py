@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from posor.bags.bag_reader import opened_bag
-from posor.bags.block_reader import read_blocks
-from posor.bags.chunk_writer import ChunkedBagWriter, TopicMessages
-from posor.bags.topic_reader import TopicReader
+from posor.bags.bag_writer import BagWriter, TopicMessages
+from posor.bags.block_reader import TopicReader, read_blocks
 from posor.messages.message_definitions import MessageTypes
 from posor.messages.message_table import MessageTable
 from posor.numerics.stamps import NS, tick_stamp_ns
@@ -119,13 +118,9 @@ def repeat_bag(arm: ArmFile, bag: Path, long: Path, seconds: int, rate: int = RA
     size = seconds * rate * sum(table.rows.shape[1] + 31 for table in scans.values())
     if shutil.disk_usage(long.parent).free < FREE_FACTOR * size:
         raise OSError(f"{long.parent}: the bags of the benchmark need {FREE_FACTOR * size >> 20} MB of free disk space")
-    types = MessageTypes()
-    text, type_hash = types.definition(RAW_SCAN)
-    with ChunkedBagWriter(long) as writer:
-        connections = {
-            joint: writer.add_connection(topic, RAW_SCAN, msgdef=text, rihs01=type_hash)
-            for joint, topic in topics.items()
-        }
+    definition = MessageTypes().definition(RAW_SCAN)
+    with BagWriter(long) as writer:
+        channels = {joint: writer.add_topic(topic, RAW_SCAN, definition) for joint, topic in topics.items()}
         for begin in range(0, seconds * rate, rate):
             ticks = START * rate + np.arange(begin, begin + rate)
             stamps = tick_stamp_ns(ticks, rate)
@@ -134,7 +129,7 @@ def repeat_bag(arm: ArmFile, bag: Path, long: Path, seconds: int, rate: int = RA
                 some = table.select((ticks - START * rate) % len(table))
                 some["header.stamp.sec"], some["header.stamp.nanosec"] = stamps // NS, stamps % NS
                 some["scan"] = ticks
-                parts.append(TopicMessages(connections[joint], stamps, some.messages))
+                parts.append(TopicMessages(channels[joint], stamps, some.messages))
             writer.write_messages(parts)
 
 

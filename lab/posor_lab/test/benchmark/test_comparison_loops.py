@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 from geometry_msgs.msg import PointStamped
+from posor.bags.bag_writer import BagWriter
 from posor.errors import BagError
 from posor.messages.message_definitions import MessageTypes
 from posor.ros_names import POINT_STAMPED
-from posor_drivers.bag_writer import BagWriter
 from posor_lab.benchmark.comparison_loops import check_same_messages
 from rclpy.serialization import serialize_message
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from posor.bags.bag_writer import BagWriter
 from posor.bags.recording import POINT, POSE, SCALAR
 from posor.messages.message_definitions import MessageTypes
 from posor.model.scan import HOME_BUMP
 from posor.ros_names import POINT_STAMPED, RAW_SCAN
 
-from posor_drivers.bag_writer import BagWriter
 from posor_drivers.message_builder import header, point_stamped, raw_scan, scan_fields
 
 if TYPE_CHECKING:

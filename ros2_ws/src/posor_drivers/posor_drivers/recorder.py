@@ -13,6 +13,7 @@ from queue import SimpleQueue
 from threading import Thread
 from typing import TYPE_CHECKING
 
+from posor.bags.bag_writer import BagWriter
 from posor.bags.provenance import provenance_of
 from posor.errors import BagError, ParameterError, PosorError
 from posor.messages.message_definitions import MessageTypes
@@ -26,7 +27,6 @@ from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.validate_topic_name import validate_topic_name
 
-from posor_drivers.bag_writer import BagWriter
 from posor_drivers.recorded_topic import RecordedTopic
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ class _WriterThread(Thread):
 
     def __init__(self) -> None:
         super().__init__(name="bag writer")
-        self.tasks: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
+        self.tasks: SimpleQueue[Callable[[], object] | None] = SimpleQueue()
         self.failure: PosorError | None = None
 
     def run(self) -> None:

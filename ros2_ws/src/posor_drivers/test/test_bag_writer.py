@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 import yaml
-from posor.errors import BagError
+from posor.bags.bag_writer import BagWriter, replace_bag
+from posor.errors import BagError, OutputError
 from posor.messages.message_definitions import MessageTypes
 from posor.ros_names import RAW_SCAN
-from posor_drivers.bag_writer import BagWriter, replace_bag
 from posor_ros.qos import RELIABLE_QOS
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -120,9 +120,9 @@ def test_existing_path_is_refused(tmp_path: Path) -> None:
 
 def test_impossible_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(BagError) as caught:
+    with pytest.raises(OutputError) as caught:
         BagWriter(tmp_path / "file/bag")
-    assert str(caught.value) == f"{tmp_path}/file/bag: the bag cannot be written, not a directory."
+    assert str(caught.value) == f"{tmp_path}/file/bag: cannot be written, Not a directory."
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full to stand for a full disk")
@@ -133,7 +133,7 @@ def test_full_disk_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         return real_open(Path("/dev/full"), "wb") if mode == "xb" else real_open(path, mode, *arguments, **options)
 
     monkeypatch.setattr(Path, "open", onto_full_disk)
-    with pytest.raises(BagError, match="the bag cannot be written, no space left on device"):
+    with pytest.raises(OutputError, match="cannot be written, No space left on device"):
         write(tmp_path / "bag")
 
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rosbags.interfaces import QosReliability
 
-from posor.bags.chunk_writer import ChunkedBagWriter, TopicMessages
 from posor.messages.joint_transform import joint_transform_layout, pack_joint_transforms
+from posor.bags.bag_writer import BagWriter, TopicMessages
 from posor.messages.message_definitions import MessageTypes
 from posor.messages.message_packing import endpoint_layouts, pack_endpoint
 from posor.ros_names import (
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from rosbags.interfaces import Connection, Qos
+    from rosbags.interfaces import Qos
 
     from posor.bags.arm_estimator import ArmEstimator
     from posor.bags.bag_topics import BagTopics
@@ -50,6 +50,7 @@ class BagOutput:
         topics: BagTopics,
         estimator: ArmEstimator,
         custom_data: Mapping[str, str],
+        where: Path,
     ) -> None:
         """Create the bag.
 
@@ -58,13 +59,11 @@ class BagOutput:
             topics: Of the raw scans; the transforms have the same quality of service.
             estimator: Of the arm.
             custom_data: Of the bag's metadata.
+            where: Names the bag in errors.
 
         """
         self._types = types = MessageTypes()
-        self._writer = ChunkedBagWriter(folder)
-        self._writer.open()
-        for key, value in custom_data.items():
-            self._writer.set_custom_data(key, value)
+        self._writer = BagWriter(folder, custom_data, where)
         transform = types.schema(JOINT_TRANSFORM)
         self._joints = {
             name: (
@@ -73,7 +72,7 @@ class BagOutput:
             )
             for name, topic in topics.transforms.items()
         }
-        self._endpoint: tuple[Connection, ...] = ()
+        self._endpoint: tuple[int, ...] = ()
         end = estimator.endpoint
         if end is not None:
             reliable = [profile._replace(reliability=QosReliability.RELIABLE) for profile in topics.offered]
@@ -84,23 +83,20 @@ class BagOutput:
             schemas = [types.schema(kind) for kind in ENDPOINT_TOPICS.values()]
             self._endpoint_layouts = endpoint_layouts(schemas, end.frame, end.joints)
 
-    def _add_topic(self, topic: str, kind: str, profiles: Sequence[Qos]) -> Connection:
-        text, type_hash = self._types.definition(kind)
-        return self._writer.add_connection(
-            topic, kind, msgdef=text, rihs01=type_hash, offered_qos_profiles=list(profiles)
-        )
+    def _add_topic(self, topic: str, kind: str, profiles: Sequence[Qos]) -> int:
+        return self._writer.add_topic(topic, kind, self._types.definition(kind), profiles)
 
     def write(self, estimates: ArmEstimates) -> None:
         """Write the messages of a block."""
         parts = []
         for name, joint in estimates.joints.items():
-            connection, layout = self._joints[name]
+            channel, layout = self._joints[name]
             messages = pack_joint_transforms(layout, joint).messages
-            parts.append(TopicMessages(connection, joint.log_times_ns, messages))
+            parts.append(TopicMessages(channel, joint.log_times_ns, messages))
         if estimates.chain:
             tables = pack_endpoint(self._endpoint_layouts, estimates.endpoint)
-            for connection, table in zip(self._endpoint, tables, strict=True):
-                parts.append(TopicMessages(connection, estimates.endpoint.log_times_ns, table.messages))
+            for channel, table in zip(self._endpoint, tables, strict=True):
+                parts.append(TopicMessages(channel, estimates.endpoint.log_times_ns, table.messages))
         self._write_chunks([part for part in parts if len(part.times_ns)])
 
     def _write_chunks(self, parts: Sequence[TopicMessages]) -> None:
@@ -116,7 +112,7 @@ class BagOutput:
         for begins, ends_ in pairwise(bounds):
             self._writer.write_messages(
                 [
-                    TopicMessages(part.connection, part.times_ns[begin:end], part.messages[begin:end])
+                    TopicMessages(part.channel, part.times_ns[begin:end], part.messages[begin:end])
                     for part, begin, end in zip(parts, begins, ends_, strict=True)
                 ]
             )

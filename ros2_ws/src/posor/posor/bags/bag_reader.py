@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import struct
 from contextlib import contextmanager
+from pathlib import PurePath
 from typing import TYPE_CHECKING
 
+import yaml
 from rosbags.rosbag2 import Reader
 
-from posor.bags.mcap_file import RECOVER, check_index, damage_error, first_damage
+from posor.bags.mcap_file import RECOVER, checked_index, damage_error, first_damage
 from posor.errors import BagError, PosorError
 from posor.ros_names import RAW_SCAN
 
@@ -50,7 +52,7 @@ def opened_bag(path: Path) -> Iterator[Reader]:
     try:
         _check_size(path)
         for file in storage_files(path, ".mcap"):
-            check_index(file)
+            checked_index(file)
         with Reader(path) as reader:
             _check_not_empty(reader, path)
             yield reader
@@ -162,6 +164,14 @@ def counted_messages(reader: Reader, topics: Collection[str], where: str) -> Ite
 def _listed(connections: Sequence[Connection]) -> str:
     """Return the topics of a bag with their types, for errors."""
     return ", ".join(sorted({f"{connection.topic} ({connection.msgtype})" for connection in connections})) or "none"
+
+
+def bag_files(path: Path) -> list[Path]:
+    """Return the files of a readable bag, a folder or a single file, in the order in which they are read."""
+    if not path.is_dir():
+        return [path]
+    information = yaml.safe_load((path / METADATA).read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+    return [path / PurePath(file).name for file in information["relative_file_paths"]]
 
 
 def storage_files(path: Path, *suffixes: str) -> list[Path]:

@@ -1,32 +1,88 @@
 """Reads the messages of some topics of a bag thousands at a time, in the order of rosbags' ``Reader.messages``.
 
-rosbags opens the bag and knows its files, chunks and topics. MCAP files are read a whole chunk at a time; every other
-kind of bag (SQLite, MCAP without an index, messages compressed one by one) is read message by message by rosbags.
+MCAP files with an index are read a whole chunk at a time; every other kind of bag (SQLite, MCAP without an index,
+compressed files or messages) is read message by message by rosbags.
 """
 
 from __future__ import annotations
 
-from itertools import islice
-from typing import TYPE_CHECKING
+import heapq
+from dataclasses import dataclass
+from itertools import islice, pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO, Literal, NamedTuple
 
 import numpy as np
-from rosbags.rosbag2.reader import DirectoryReader
-from rosbags.rosbag2.storage_mcap import McapReader
+from mcap.data_stream import ReadDataStream
+from mcap.records import Channel, Chunk, ChunkIndex
 
-from posor.bags.chunk_merger import ChunkMerger
-from posor.bags.chunk_reader import ChunkReader
-from posor.bags.message_block import MessageBlock
-from posor.errors import BagError
+from posor.bags.bag_reader import bag_files
+from posor.bags.mcap_file import INDEX_HEAD, RECORD_HEAD, checked_index, chunk_records
+from posor.errors import BagError, TopicError
+from posor.messages.byte_kernels import MESSAGE_HEAD, copy_messages, index_messages
+from posor.messages.message_table import MessageTable, TableLayout
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from mcap.records import McapRecord
     from rosbags.rosbag2 import Reader
+
+    from posor.messages.cdr_schema import Schema
+    from posor.numerics.array_types import ByteArray, IntArray
 
 BLOCK_BYTES = 4 << 20
 """Approximate bytes that are read at a time; a single chunk may be larger."""
 BLOCK_MESSAGES = 16_384
 """Messages that are read at a time where rosbags reads them one by one."""
+MOST_WAITING = 512 << 20
+"""Limit of the bytes of messages that wait in memory for chunks that overlap in log time."""
+INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
+"""Entry of a message index: log time, and offset of the message in its chunk."""
+
+
+@dataclass(frozen=True)
+class MessageBlock:
+    """Messages, n of them, in the order of their log times.
+
+    Attributes:
+        data: Bytes that contain all messages.
+        topics: Number of each message's topic, shape (n,).
+        times_ns: Log times, shape (n,).
+        starts: Offset of each message in ``data``, shape (n,).
+        lengths: Bytes of each message, shape (n,).
+
+    """
+
+    data: ByteArray
+    topics: IntArray
+    times_ns: IntArray
+    starts: IntArray
+    lengths: IntArray
+
+    def __len__(self) -> int:
+        """Return the number of messages."""
+        return len(self.times_ns)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that the block holds [bytes]."""
+        return self.data.nbytes + 4 * self.times_ns.nbytes
+
+    def select(self, which: IntArray | slice) -> MessageBlock:
+        """Return some of the messages; they share ``data`` with this block."""
+        return MessageBlock(
+            self.data, self.topics[which], self.times_ns[which], self.starts[which], self.lengths[which]
+        )
+
+    def compact(self) -> MessageBlock:
+        """Return the messages with bytes of their own if they use less than half of ``data``, else this block."""
+        size = int(self.lengths.sum())
+        if 2 * size >= len(self.data):
+            return self
+        starts, data = np.cumsum(self.lengths) - self.lengths, np.empty(size, dtype=np.uint8)
+        copy_messages(self.data, self.starts, self.lengths, data)
+        return MessageBlock(data, self.topics.copy(), self.times_ns.copy(), starts, self.lengths.copy())
 
 
 def read_blocks(reader: Reader, topics: Sequence[str], where: str) -> Iterator[MessageBlock]:
@@ -56,12 +112,11 @@ def read_blocks(reader: Reader, topics: Sequence[str], where: str) -> Iterator[M
 
 
 def _read_blocks(reader: Reader, topics: Sequence[str], where: str) -> Iterator[MessageBlock]:
-    storage = reader.storage
-    files = storage.storages if isinstance(storage, DirectoryReader) else [storage]
-    chunked = [file for file in files if isinstance(file, McapReader) and file.chunks]
-    if len(chunked) == len(files) and reader.compression_mode != "message":
-        for file in chunked:
-            yield from _read_chunks(file, topics, where)
+    files = [] if reader.compression_mode in {"file", "message"} else bag_files(Path(str(reader.path)))
+    indices = [checked_index(file) if file.suffix == ".mcap" else [] for file in files]
+    if indices and all(any(isinstance(record, ChunkIndex) for record in index) for index in indices):
+        for file, index in zip(files, indices, strict=True):
+            yield from _FileReader(file, index, topics, where).read_blocks()
     else:
         yield from _read_messages(reader, topics)
 
@@ -81,12 +136,256 @@ def _read_messages(reader: Reader, topics: Sequence[str]) -> Iterator[MessageBlo
         )
 
 
-def _read_chunks(file: McapReader, topics: Sequence[str], where: str) -> Iterator[MessageBlock]:
-    """Yield the messages of an MCAP file; a message that one of a later chunk may precede waits for that chunk."""
-    chunks, merger = ChunkReader(file, topics, where), ChunkMerger(BLOCK_BYTES, topics, where)
-    while chunks:
-        size = 0
-        while chunks and (not size or size + chunks.next_size <= BLOCK_BYTES):
-            size += chunks.next_size
-            merger.add(*chunks.read_next())
-        yield from merger.take_before(chunks.next_position)
+class _ReadPosition(NamedTuple):
+    """Position of a message in the order in which rosbags reads a file: by log time, then by chunk.
+
+    Attributes:
+        time_ns: Log time of the message.
+        offset: Offset of its chunk in the file [bytes].
+
+    """
+
+    time_ns: int
+    offset: int
+
+
+END = _ReadPosition(np.iinfo(np.int64).max, np.iinfo(np.int64).max)
+
+
+class _PendingChunk(NamedTuple):
+    """A chunk that has not been read; ordered by position, and no two chunks begin at the same offset.
+
+    Attributes:
+        first: None of its messages of the topics comes before this position.
+        time_is_exact: The first of these messages is at ``first``; else that may be a message of another topic.
+        chunk: The chunk.
+
+    """
+
+    first: _ReadPosition
+    time_is_exact: bool
+    chunk: ChunkIndex
+
+
+class _Remainder(NamedTuple):
+    """Messages of a chunk that wait for later chunks; ordered by the position of the first one, which is unique."""
+
+    first: _ReadPosition
+    block: MessageBlock
+
+
+class _FileReader:
+    """Reads an MCAP file chunk by chunk in the order of the first messages of some topics.
+
+    Messages of a chunk wait until no later chunk can contain earlier ones; each is copied a few times at most.
+    """
+
+    def __init__(self, path: Path, index: Sequence[McapRecord], topics: Sequence[str], where: str) -> None:
+        """Select the chunks with messages of some topics; ``where`` names the bag in errors."""
+        self._path, self._topics, self._where = path, topics, where
+        self._numbers = np.full(1 << 16, -1, dtype=np.int64)
+        for record in index:
+            if isinstance(record, Channel) and record.topic in topics:
+                self._numbers[record.id] = topics.index(record.topic)
+        self._pending = [
+            _PendingChunk(
+                _ReadPosition(chunk.message_start_time, chunk.chunk_start_offset), time_is_exact=False, chunk=chunk
+            )
+            for chunk in index
+            if isinstance(chunk, ChunkIndex) and any(self._numbers[number] >= 0 for number in _channels_of(chunk))
+        ]
+        heapq.heapify(self._pending)
+        self._remainders: list[_Remainder] = []
+        self._held_bytes = 0
+
+    def read_blocks(self) -> Iterator[MessageBlock]:
+        """Yield the messages of the file in order."""
+        with self._path.open("rb") as file:
+            self._find_next_chunk(file)
+            while self._pending:
+                size = 0
+                while self._pending and (not size or size + self._pending[0].chunk.uncompressed_size <= BLOCK_BYTES):
+                    size += self._pending[0].chunk.uncompressed_size
+                    self._read_next(file)
+                yield from self._take_before(self._pending[0].first if self._pending else END)
+
+    def _read_next(self, file: BinaryIO) -> None:
+        """Read the messages of the next chunk."""
+        first, _, chunk = heapq.heappop(self._pending)
+        file.seek(first.offset + RECORD_HEAD.size)
+        block = self._index_messages(np.frombuffer(chunk_records(Chunk.read(ReadDataStream(file))), dtype=np.uint8))
+        if len(block) and not first.time_ns <= block.times_ns[0] <= block.times_ns[-1] <= chunk.message_end_time:
+            raise BagError(
+                f"the chunk at byte {first.offset} holds messages logged from {block.times_ns[0]} to "
+                f"{block.times_ns[-1]} ns",
+                where=self._where,
+                expected=f"from {first.time_ns} to {chunk.message_end_time} ns, as its index says",
+            )
+        self._hold(first.offset, block)
+        self._find_next_chunk(file)
+
+    def _find_next_chunk(self, file: BinaryIO) -> None:
+        """Bring the chunk with the first message of the topics to the front, or one that ends before all others."""
+        while self._pending and not self._pending[0].time_is_exact:
+            first, _, chunk = self._pending[0]
+            if all(chunk.message_end_time < other.first.time_ns for other in self._pending[1:3]):
+                return
+            time_ns = max(first.time_ns, self._read_first_time(file, chunk))
+            exact = _PendingChunk(_ReadPosition(time_ns, first.offset), time_is_exact=True, chunk=chunk)
+            heapq.heapreplace(self._pending, exact)
+
+    def _read_first_time(self, file: BinaryIO, chunk: ChunkIndex) -> int:
+        """Return the log time of the first message of the topics in a chunk, from the index records after the chunk."""
+        file.seek(chunk.chunk_start_offset + chunk.chunk_length)
+        data, offset, times = file.read(chunk.message_index_length), 0, []
+        while offset + INDEX_HEAD.size <= len(data):
+            _, length, channel, size = INDEX_HEAD.unpack_from(data, offset)
+            begin, offset = offset + INDEX_HEAD.size, offset + RECORD_HEAD.size + length
+            if begin + size == offset <= len(data) and size >= INDEX_ENTRY.itemsize and self._numbers[channel] >= 0:
+                entries = np.frombuffer(data, INDEX_ENTRY, count=size // INDEX_ENTRY.itemsize, offset=begin)
+                times.append(int(entries["log_time"].min()))
+        if offset != chunk.message_index_length or not times:
+            raise BagError(
+                f"the chunk at byte {chunk.chunk_start_offset} has a damaged message index",
+                where=self._where,
+                expected="the log times of its messages",
+            )
+        return min(times)
+
+    def _index_messages(self, data: ByteArray) -> MessageBlock:
+        """Return the messages of the topics among a chunk's records."""
+        capacity = len(data) // (RECORD_HEAD.size + MESSAGE_HEAD) + 1
+        topics, times, starts, lengths = (np.empty(capacity, dtype=np.int64) for _ in range(4))
+        count, end = index_messages(data, self._numbers, topics, times, starts, lengths)
+        if end != len(data):
+            when = f", after the message logged at {times[count - 1]} ns" if count else ""
+            message = f"a chunk holds a record that runs beyond its end{when}"
+            raise BagError(message, where=self._where, expected="whole records")
+        # Select by indices, which copies: the four arrays have the capacity for the shortest possible messages.
+        return MessageBlock(data, topics, times, starts, lengths).select(np.argsort(times[:count], kind="stable"))
+
+    def _hold(self, offset: int, block: MessageBlock) -> None:
+        """Hold the messages of the chunk at an offset."""
+        if len(block):
+            held = block.compact()
+            self._held_bytes += held.nbytes
+            heapq.heappush(self._remainders, _Remainder(_ReadPosition(int(held.times_ns[0]), offset), held))
+
+    def _take_before(self, limit: _ReadPosition) -> Iterator[MessageBlock]:
+        """Yield the messages before a position, in order."""
+        ready: dict[int, MessageBlock] = {}
+        while self._remainders and self._remainders[0].first < limit:
+            (_, offset), block = heapq.heappop(self._remainders)
+            self._held_bytes -= block.nbytes
+            side: Literal["left", "right"] = "right" if offset < limit.offset else "left"
+            count = int(np.searchsorted(block.times_ns, limit.time_ns, side=side))
+            ready[offset] = block.select(slice(count))
+            self._hold(offset, block.select(slice(count, None)))
+        if ready:
+            yield from _merge_blocks([block for _, block in sorted(ready.items())], BLOCK_BYTES)
+        if self._held_bytes > MOST_WAITING:
+            topics, time_ns = ", ".join(self._topics), self._remainders[0].first.time_ns
+            raise BagError(
+                f"chunks overlap so much in log time that more than {MOST_WAITING >> 20} MiB of messages of {topics} "
+                f"wait for others, at {time_ns} ns",
+                where=self._where,
+                expected="messages about in the order of their log times, as `mcap sort` writes them",
+            )
+
+
+def _channels_of(chunk: ChunkIndex) -> list[int]:
+    """Return the channels with messages in a chunk: those whose index record, of 15 bytes and more, has entries."""
+    offsets = sorted((offset, number) for number, offset in chunk.message_index_offsets.items())
+    end = chunk.chunk_start_offset + chunk.chunk_length + chunk.message_index_length
+    return [number for (begin, number), (end, _) in pairwise([*offsets, (end, 0)]) if end - begin > INDEX_HEAD.size]
+
+
+def _merge_blocks(parts: Sequence[MessageBlock], size: int) -> Iterator[MessageBlock]:
+    """Yield the messages of several blocks in the order of their log times.
+
+    Args:
+        parts: The blocks. Of messages with equal log times those of an earlier block come first.
+        size: Approximate bytes of messages to yield at a time; a single block is yielded as it is.
+
+    """
+    if len(parts) == 1:
+        yield parts[0]
+        return
+    part_of = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    order = np.argsort(np.concatenate([part.times_ns for part in parts]), kind="stable")
+    sizes = np.cumsum(np.concatenate([part.lengths for part in parts])[order])
+    begins = np.zeros(len(parts), dtype=np.int64)
+    cuts = np.unique(np.searchsorted(sizes, np.arange(size, sizes[-1], size)) + 1)
+    for group in np.split(part_of[order], cuts[cuts < len(order)]):
+        ends = begins + np.bincount(group, minlength=len(parts))
+        ranges = zip(parts, begins, ends, strict=True)
+        yield _sorted_by_time([part.select(slice(begin, end)).compact() for part, begin, end in ranges if begin < end])
+        begins = ends
+
+
+def _sorted_by_time(parts: Sequence[MessageBlock]) -> MessageBlock:
+    """Return the messages of several blocks as one block."""
+    sizes = np.array([len(part.data) for part in parts])
+    block = MessageBlock(
+        data=np.concatenate([part.data for part in parts]),
+        topics=np.concatenate([part.topics for part in parts]),
+        times_ns=np.concatenate([part.times_ns for part in parts]),
+        starts=np.concatenate(
+            [part.starts + begin for part, begin in zip(parts, np.cumsum(sizes) - sizes, strict=True)]
+        ),
+        lengths=np.concatenate([part.lengths for part in parts]),
+    )
+    return block.select(np.argsort(block.times_ns, kind="stable"))
+
+
+class TopicReader:
+    """Turns the messages of one topic, block after block, into tables."""
+
+    def __init__(self, number: int, topic: str, schema: Schema, where: str) -> None:
+        """Prepare.
+
+        Args:
+            number: Of the topic in the blocks.
+            topic: Its name, for errors.
+            schema: Of its messages.
+            where: Name of the bag in errors.
+
+        """
+        self._number = number
+        self._topic = topic
+        self._schema = schema
+        self._where = where
+        self._layout: TableLayout | None = None
+
+    def read_tables(self, block: MessageBlock) -> Iterator[tuple[IntArray, IntArray, MessageTable]]:
+        """Yield the topic's messages of a block in order: log times [ns], positions in the block, messages.
+
+        Raises:
+            BagError: A message is invalid.
+
+        """
+        positions = np.flatnonzero(block.topics == self._number)
+        own = block.select(positions)
+        begin, count = 0, len(own)
+        while begin < count:
+            table = None
+            if self._layout is not None:
+                table = self._layout.read(own.data, own.starts[begin:], own.lengths[begin:])
+            if table is None or not len(table):
+                table = self._read_first(own, begin)
+            end = begin + len(table)
+            yield own.times_ns[begin:end], positions[begin:end], table
+            begin = end
+
+    def _read_first(self, block: MessageBlock, n: int) -> MessageTable:
+        """Return message n alone, the first of a new layout."""
+        start, length = int(block.starts[n]), int(block.lengths[n])
+        data = block.data[start : start + length].tobytes()
+        try:
+            data = self._schema.normal(data)
+            self._layout = TableLayout.of(data, self._schema)
+        except TopicError as error:
+            where = f"{self._where}, topic {self._topic}, logged at {block.times_ns[n]} ns"
+            raise BagError(str(error).rstrip("."), where=where, expected="a message that is whole") from error
+        message = np.frombuffer(data, dtype=np.uint8)
+        return self._layout.read(message, np.zeros(1, dtype=np.int64), np.array([len(message)]))

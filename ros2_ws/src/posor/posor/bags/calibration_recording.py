@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posor.bags.bag_reader import check_filled, checked_type, counted_messages, opened_bag, scan_topic
-from posor.bags.block_reader import read_blocks
+from posor.bags.block_reader import TopicReader, read_blocks
 from posor.bags.recording import POSE, Recording, Track
-from posor.bags.topic_reader import TopicReader
 from posor.chain.joint_measurements import UNIT_QUATERNION_TOLERANCE
 from posor.errors import BagError, TopicError, TrackError, checked_path
 from posor.messages.message_definitions import schema_of_connection

@@ -7,13 +7,20 @@ from __future__ import annotations
 
 import re
 from contextlib import ExitStack, contextmanager
-from enum import IntEnum
+from io import BytesIO
 from mmap import ACCESS_READ, mmap
 from struct import Struct
+from struct import error as StructError
 from typing import TYPE_CHECKING, NamedTuple
 from zlib import crc32
 
-from rosbags.rosbag2.storage_mcap import decompress
+import lz4.frame
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Chunk
+from mcap.stream_reader import StreamReader
 
 from posor.errors import BagError
 
@@ -21,51 +28,22 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from mcap.records import McapRecord
+
 RECOVER = "'recover' of posor writes what is whole to a new bag"
 ADVICE = f"an undamaged file; {RECOVER}"
 MAGIC = b"\x89MCAP0\r\n"
 """First and last bytes of a file."""
-
-
-class Opcode(IntEnum):
-    """Types of records."""
-
-    HEADER = 0x01
-    FOOTER = 0x02
-    SCHEMA = 0x03
-    CHANNEL = 0x04
-    MESSAGE = 0x05
-    CHUNK = 0x06
-    MESSAGE_INDEX = 0x07
-    ATTACHMENT = 0x09
-    STATISTICS = 0x0B
-    METADATA = 0x0C
-    DATA_END = 0x0F
-
-
 RECORD_HEAD = Struct("<BQ")
 """Opcode, and length of what follows."""
-CHUNK_HEAD = Struct("<BQQQQII")
-"""Head of the record, first and last log time, size and checksum of the records, length of the compression's name."""
-PACKED_SIZE = Struct("<Q")
-"""Size of the compressed records, after the name of the compression."""
 INDEX_HEAD = Struct("<BQHI")
 """Head of a topic's index record: opcode, length, channel, length of the entries."""
 INDEX_ENTRY_SIZE = 16
 FOOTER = Struct("<BQQQI")
 """Head of the record, offset of the index, offset of its table of contents, checksum of the index."""
-OF_DATA = {
-    Opcode.SCHEMA,
-    Opcode.CHANNEL,
-    Opcode.MESSAGE,
-    Opcode.CHUNK,
-    Opcode.MESSAGE_INDEX,
-    Opcode.ATTACHMENT,
-    Opcode.METADATA,
-    Opcode.DATA_END,
-}
-"""Records between the header and the index."""
 OF_MESSAGES = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE}
+OF_DATA = OF_MESSAGES | {Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END}
+"""Records between the header and the index."""
 MAY_BE_CHUNK = re.compile(rb"(?s)(?=\x06.{5}\x00{3})")
 """Where a chunk of less than 2^40 bytes may begin."""
 
@@ -120,17 +98,18 @@ def mapped(path: Path) -> Iterator[mmap]:
         yield data
 
 
-def check_index(path: Path) -> None:
-    """Refuse a file that is not MCAP, or whose index is missing or does not have the checksum that the file states.
+def checked_index(path: Path) -> list[McapRecord]:
+    """Return the records of the index of a file; an empty list if the file has none.
 
     Raises:
-        BagError: The index is damaged, or the file cannot be read.
+        BagError: The file is not MCAP, its index is damaged, or it cannot be read.
 
     """
     with mapped(path) as data:
-        damage = NOT_MCAP if data[: len(MAGIC)] != MAGIC else read_index(data)
-    if isinstance(damage, Damage):
-        raise damage_error(path, damage)
+        index = read_index(data) if data[: len(MAGIC)] == MAGIC else NOT_MCAP
+    if isinstance(index, Damage):
+        raise damage_error(path, index)
+    return index
 
 
 def first_damage(path: Path) -> Damage | None:
@@ -152,16 +131,15 @@ def damage_error(path: Path, damage: Damage) -> BagError:
     return BagError(damage.what, where=f"{path}, byte {damage.offset}", expected=ADVICE)
 
 
-def read_index(data: mmap | bytes) -> list[Record] | Damage:
+def read_index(data: mmap | bytes) -> list[McapRecord] | Damage:
     """Return the records of the index at the end of a file, or how it is damaged."""
     index = _index_begin(data)
     if isinstance(index, Damage):
         return index
-    begin, end = index.offset, len(data) - FOOTER.size - len(MAGIC)
     try:
-        return list(records_of(data[begin:end]))
-    except ValueError as error:
-        return Damage(begin, end - begin, f"in the index, {error}")
+        return list(StreamReader(BytesIO(data[index.offset :]), skip_magic=True).records)[:-1]  # without the footer
+    except (McapError, ValueError, OverflowError, StructError):
+        return Damage(index.offset, len(data) - index.offset, "the index holds an invalid record")
 
 
 def read_records(data: mmap | bytes) -> Iterator[list[Record] | Damage]:
@@ -258,7 +236,7 @@ def _read_record(data: mmap | bytes, position: int) -> tuple[int, list[Record], 
         raise _DamagedError(f"the file is cut short within a record of {length} bytes, or its length is damaged")
     records: list[Record] = []
     if opcode == Opcode.CHUNK:
-        records = _read_chunk(data, position, after)
+        records = _read_chunk(data[content:after])
     elif opcode in OF_MESSAGES:
         records = [Record(opcode, data[content:after])]
     elif opcode == Opcode.DATA_END and length != 4:  # noqa: PLR2004  its checksum
@@ -270,26 +248,44 @@ def _read_record(data: mmap | bytes, position: int) -> tuple[int, list[Record], 
     return opcode, records, after
 
 
-def _read_chunk(data: mmap | bytes, position: int, after: int) -> list[Record]:
+def _read_chunk(content: bytes) -> list[Record]:
     """Return the records of a chunk.
 
     Raises:
         _DamagedError: The chunk is damaged.
 
     """
-    name_at = position + CHUNK_HEAD.size
-    if after < name_at + PACKED_SIZE.size:
-        raise _DamagedError("a chunk is too short")
-    _, _, _, _, size, checksum, name_length = CHUNK_HEAD.unpack_from(data, position)
-    packed_at = name_at + name_length
-    begin = packed_at + PACKED_SIZE.size
-    if begin > after or begin + PACKED_SIZE.unpack_from(data, packed_at)[0] != after:
-        raise _DamagedError("the sizes in the head of a chunk contradict one another")
+    stream = ReadDataStream(BytesIO(content))
     try:
-        name = bytes(data[name_at:packed_at]).decode("ascii")
-        return list(records_of(decompress(data[begin:after], name, size, checksum)))
+        chunk = Chunk.read(stream)
+        if stream.count != len(content):
+            raise ValueError("its sizes contradict one another")  # noqa: TRY301
+        return list(records_of(chunk_records(chunk)))
     except Exception as error:  # each compression raises errors of its own
         raise _DamagedError(f"a chunk is damaged: {' '.join(str(error).split()).rstrip('.').lower()}") from error
+
+
+def chunk_records(chunk: Chunk) -> bytes:
+    """Return the records of a chunk, decompressed.
+
+    Raises:
+        ValueError: The compression is unknown, or size or checksum differ from those that the chunk states.
+        RuntimeError, zstandard.ZstdError: The compressed data are damaged.
+
+    """
+    if chunk.compression == "zstd":
+        data = zstandard.decompress(chunk.data, chunk.uncompressed_size)
+    elif chunk.compression == "lz4":
+        data = lz4.frame.decompress(chunk.data)
+    elif chunk.compression:
+        raise ValueError(f"unknown compression '{chunk.compression}'")
+    else:
+        data = chunk.data
+    if len(data) != chunk.uncompressed_size:
+        raise ValueError(f"chunk size mismatch: expected {chunk.uncompressed_size} bytes, got {len(data)}")
+    if chunk.uncompressed_crc and crc32(data) != chunk.uncompressed_crc:
+        raise ValueError("chunk checksum mismatch")
+    return data
 
 
 def _find_chunk(data: mmap | bytes, begin: int, end: int) -> int:

@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING
 from posor.bags.arm_estimator import ArmEstimator
 from posor.bags.bag_reader import opened_bag
 from posor.bags.bag_topics import topics_of
-from posor.bags.block_reader import read_blocks
+from posor.bags.block_reader import TopicReader, read_blocks
 from posor.bags.provenance import custom_data, differences, provenance_of
 from posor.bags.reprocess_task import Summary, Task
 from posor.bags.result_folder import new_result_folder, writing
-from posor.bags.topic_reader import TopicReader
 from posor.errors import BagError
 from posor.messages.raw_scan import RecordedScans
 
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
     from typing import Protocol
 
     from posor.bags.bag_topics import BagTopics
-    from posor.bags.message_block import MessageBlock
+    from posor.bags.block_reader import MessageBlock
     from posor.messages.estimate_arrays import ArmEstimates
 
     class Output(Protocol):
@@ -125,7 +124,7 @@ def _open_output(task: Task, folder: Path, topics: BagTopics, estimator: ArmEsti
     if task.format == "bag":
         from posor.bags.bag_output import BagOutput  # noqa: PLC0415
 
-        return BagOutput(folder, topics, estimator, provenance_of(task.settings))
+        return BagOutput(folder, topics, estimator, provenance_of(task.settings), task.output or folder)
     from posor.bags.table_output import TableOutput  # noqa: PLC0415
 
     endpoint = estimator.endpoint

@@ -9,37 +9,33 @@ from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from struct import Struct
+from struct import error as StructError
+from tempfile import NamedTemporaryFile
 from typing import TYPE_CHECKING, Any
 
-from rosbags.rosbag2.storage_mcap import McapReader
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, DataEnd, Footer, Header, McapRecord, Schema, Statistics
+from rosbags.rosbag2 import Reader
 
 from posor.bags.bag_reader import storage_files
-from posor.bags.mcap_file import (
-    RECORD_HEAD,
-    Damage,
-    Opcode,
-    Record,
-    mapped,
-    read_index,
-    read_records,
-)
-from posor.bags.mcap_writer import McapBagWriter
+from posor.bags.bag_writer import BagWriter
+from posor.bags.mcap_file import MAGIC, Damage, Record, mapped, read_index, read_records
 from posor.bags.provenance import custom_data
 from posor.errors import BagError
-from posor.messages.message_definitions import stored_type_hash
+from posor.messages.byte_kernels import MESSAGE_HEAD
+from posor.messages.message_definitions import Definition, stored_type_hash
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from rosbags.interfaces import Connection
 
 MESSAGE = Struct("<HIQ")
 """Head of a message: channel, sequence number, log time; the time of publication follows."""
-MESSAGE_HEAD = 22
-COUNT = Struct("<Q")
-"""First field of the statistics: number of messages."""
 
 
 @dataclass
@@ -77,57 +73,64 @@ class Rescue:
 
 
 class _Topics:
-    """Topics by channel, from the records of schemas and channels that have been found so far."""
+    """Channels of the new bag by channel of a damaged file; topics are added as their definitions are found."""
 
-    def __init__(self) -> None:
-        self._records: dict[tuple[int, bytes], bytes] = {}
-        self.by_channel: Mapping[int, Connection] = {}
+    def __init__(self, output: _Output) -> None:
+        self._output = output
+        self._definitions: dict[tuple[type, int], Schema | Channel] = {}
+        self._connections: dict[int, Connection] = {}
 
-    def add(self, records: Sequence[Record]) -> None:
+    def add(self, records: Iterable[McapRecord]) -> None:
         """Add the definitions among some records; invalid ones, in a file without checksums, are left out."""
-        new = {
-            (opcode, content[:2]): RECORD_HEAD.pack(opcode, len(content)) + content
-            for opcode, content in records
-            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and (opcode, content[:2]) not in self._records
-        }
+        found = {(type(each), each.id): each for each in records if isinstance(each, (Schema, Channel))}
+        new = {key: each for key, each in found.items() if key not in self._definitions}
         if new:
             with suppress(Exception):  # rosbags raises whatever the bytes lead to
-                self.by_channel = _parse_topics(self._records | new)
-                self._records |= new
+                self._connections = _parse_topics([*self._definitions.values(), *new.values()])
+                self._definitions |= new
+
+    def channel(self, number: int) -> int | None:
+        """Return the channel of the new bag for a channel of the file; None: its definition is not known."""
+        connection = self._connections.get(number)
+        return None if connection is None else self._output.channel(connection)
+
+    def add_rest(self) -> None:
+        """Add the topics without messages."""
+        for number in self._connections:
+            self.channel(number)
 
 
-def _parse_topics(records: Mapping[tuple[int, bytes], bytes]) -> dict[int, Connection]:
-    """Have rosbags parse schemas and channels as those of an index."""
-    reader = McapReader(Path())
-    reader.bio = BytesIO(b"".join(record for _, record in sorted(records.items())) + bytes([Opcode.FOOTER]))
-    reader.read_index()
-    return {connection.id: connection for connection in reader.connections}
+def _parse_topics(definitions: Iterable[Schema | Channel]) -> dict[int, Connection]:
+    """Have rosbags read schemas and channels as those of a file without messages."""
+    with NamedTemporaryFile(suffix=".mcap") as file:
+        builder = RecordBuilder()
+        footer = Footer(summary_start=0, summary_offset_start=0, summary_crc=0)
+        ordered = sorted(definitions, key=lambda each: (isinstance(each, Channel), each.id))
+        for record in (Header("ros2", ""), *ordered, DataEnd(0), footer):
+            record.write(builder)
+        file.write(MAGIC + builder.end() + MAGIC)
+        file.flush()
+        with Reader(file.name) as reader:
+            return {connection.id: connection for connection in reader.connections}
 
 
 class _Output:
-    """The new bag; topics are added as they are found."""
+    """The new bag."""
 
-    def __init__(self, path: Path) -> None:
-        self.writer = McapBagWriter(path)
-        self._connections: dict[tuple[str, str, str], Connection] = {}
+    def __init__(self, writer: BagWriter) -> None:
+        self.writer = writer
+        self._channels: dict[tuple[str, str, str], int] = {}
 
-    def write(self, source: Connection, time_ns: int, data: bytes) -> None:
-        self.writer.write(self.add_topic(source), time_ns, data)
-
-    def add_topic(self, source: Connection) -> Connection:
-        """Return the topic of the new bag for one of a damaged file."""
+    def channel(self, source: Connection) -> int:
+        """Return the channel for a topic of a damaged file."""
         ext: Any = source.ext
         key = source.topic, source.msgtype, repr(ext)
-        if key not in self._connections:
-            self._connections[key] = self.writer.add_connection(
-                source.topic,
-                source.msgtype,
-                msgdef=source.msgdef.data,
-                rihs01=stored_type_hash(source),
-                serialization_format=ext.serialization_format,
-                offered_qos_profiles=ext.offered_qos_profiles,
+        if key not in self._channels:
+            definition = Definition(source.msgdef.data, stored_type_hash(source))
+            self._channels[key] = self.writer.add_topic(
+                source.topic, source.msgtype, definition, ext.offered_qos_profiles, ext.serialization_format
             )
-        return self._connections[key]
+        return self._channels[key]
 
 
 def recover(bag: Path, output: Path) -> list[Rescue]:
@@ -144,7 +147,8 @@ def recover(bag: Path, output: Path) -> list[Rescue]:
         What was found, by file.
 
     Raises:
-        BagError: The bag has no MCAP file, no message can be rescued, or the output exists or cannot be written.
+        BagError: The bag has no MCAP file, no message can be rescued, or the output exists.
+        OutputError: The output cannot be written.
 
     """
     if not bag.exists():
@@ -156,10 +160,8 @@ def recover(bag: Path, output: Path) -> list[Rescue]:
         raise BagError("exists already", where=str(output), expected="a new folder")
     try:
         rescues = _write(bag, files, output)
-    except BaseException as error:
+    except BaseException:
         shutil.rmtree(output, ignore_errors=True)
-        if isinstance(error, OSError):
-            raise BagError(f"the bag cannot be written, {error.strerror}", where=str(output)) from error
         raise
     if not any(rescue.messages for rescue in rescues):
         shutil.rmtree(output)
@@ -171,10 +173,9 @@ def recover(bag: Path, output: Path) -> list[Rescue]:
 
 
 def _write(bag: Path, files: Sequence[Path], output: Path) -> list[Rescue]:
-    target, rescues = _Output(output), []
-    with target.writer:
-        for key, value in custom_data(bag if bag.is_dir() else bag.parent).items():
-            target.writer.set_custom_data(key, value)
+    rescues = []
+    with BagWriter(output, custom_data(bag if bag.is_dir() else bag.parent)) as writer:
+        target = _Output(writer)
         for file in files:
             if file.is_file() and not file.stat().st_size:
                 rescues.append(Rescue(file, damages=[Damage(0, 0, "the file is empty")]))
@@ -185,31 +186,39 @@ def _write(bag: Path, files: Sequence[Path], output: Path) -> list[Rescue]:
 
 def _rescue(file: Path, target: _Output) -> Rescue:
     """Write what is whole in a file to the new bag."""
-    rescue, topics = Rescue(file), _Topics()
+    rescue, topics = Rescue(file), _Topics(target)
     with mapped(file) as data:
         index = read_index(data)
         if not isinstance(index, Damage):
             topics.add(index)
-            counts = [COUNT.unpack_from(each.content)[0] for each in index if each.opcode == Opcode.STATISTICS]
-            rescue.stated = counts[0] if counts else None
+            rescue.stated = next((each.message_count for each in index if isinstance(each, Statistics)), None)
         for piece in read_records(data):
             if isinstance(piece, Damage):
                 rescue.damages.append(piece)
                 continue
             rescue.chunks += 1
-            topics.add(piece)
+            topics.add(_definitions(piece))
             for opcode, content in piece:
                 if opcode != Opcode.MESSAGE or len(content) < MESSAGE_HEAD:
                     continue
-                channel, _, time_ns = MESSAGE.unpack_from(content)
-                if channel in topics.by_channel:
-                    target.write(topics.by_channel[channel], time_ns, content[MESSAGE_HEAD:])
-                    rescue.messages += 1
-                else:
+                number, _, time_ns = MESSAGE.unpack_from(content)
+                channel = topics.channel(number)
+                if channel is None:
                     rescue.unknown += 1
-    for connection in topics.by_channel.values():
-        target.add_topic(connection)
+                else:
+                    target.writer.write_message(channel, time_ns, content[MESSAGE_HEAD:])
+                    rescue.messages += 1
+    topics.add_rest()
     return rescue
+
+
+def _definitions(records: Iterable[Record]) -> Iterator[McapRecord]:
+    """Yield the schemas and channels among some records; invalid ones are left out."""
+    for opcode, content in records:
+        if opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
+            kind = Schema if opcode == Opcode.SCHEMA else Channel
+            with suppress(McapError, ValueError, OverflowError, StructError):
+                yield kind.read(ReadDataStream(BytesIO(content)))
 
 
 def parser() -> CommandLineParser:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import TYPE_CHECKING
 
+from mcap.records import ChunkIndex
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
 from posor.bags.bag_reader import opened_bag
 from posor.bags.block_reader import read_blocks
+from posor.bags.mcap_file import checked_index
 from posor.messages.message_definitions import MessageTypes
 from posor.ros_names import RAW_SCAN
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
-from rosbags.rosbag2.storage_mcap import McapWriter
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -17,6 +21,7 @@ if TYPE_CHECKING:
 
 TOPICS = ("/one/raw", "/two/raw", "/other/raw")
 WANTED = list(TOPICS[:2])
+COMPRESSIONS = {CompressionMode.NONE: CompressionType.NONE, CompressionMode.STORAGE: CompressionType.ZSTD}
 Record = tuple[str, int, bytes]
 """Topic, log time [ns], message."""
 
@@ -28,17 +33,35 @@ def write(
     mode: CompressionMode = CompressionMode.NONE,
 ) -> None:
     """Write messages into a bag; where the storage has chunks, into these."""
+    chunks = list(chunks)
     types = MessageTypes()
     text, type_hash = types.definition(RAW_SCAN)
     writer = Writer(path, version=9, storage_plugin=storage)
     writer.set_compression(mode, CompressionFormat.ZSTD)
     with writer:
         connections = {topic: writer.add_connection(topic, RAW_SCAN, msgdef=text, rihs01=type_hash) for topic in TOPICS}
-        for chunk in chunks:
-            for topic, time_ns, data in chunk:
-                writer.write(connections[topic], time_ns, data)
-            if isinstance(writer.storage, McapWriter):
-                writer.storage.close_chunk()
+        for topic, time_ns, data in chain.from_iterable(chunks):
+            writer.write(connections[topic], time_ns, data)
+    if storage == StoragePlugin.MCAP and mode in COMPRESSIONS:
+        with (path / f"{path.name}.mcap").open("wb") as file:
+            write_chunks(McapWriter(file, compression=COMPRESSIONS[mode], enable_crcs=False), chunks, text)
+
+
+def write_chunks(writer: McapWriter, chunks: Iterable[Sequence[Record]], text: str) -> None:
+    """Write an MCAP file chunk by chunk, without checksums."""
+    writer.start("ros2")
+    schema = writer.register_schema(RAW_SCAN, "ros2msg", text.encode())
+    channels = {topic: writer.register_channel(topic, "cdr", schema) for topic in TOPICS}
+    for chunk in chunks:
+        for topic, time_ns, data in chunk:
+            writer.add_message(channels[topic], time_ns, data, time_ns)
+        writer.flush()
+    writer.finish()
+
+
+def chunk_indices(file: Path) -> list[ChunkIndex]:
+    """Return the places of the chunks of an MCAP file."""
+    return [record for record in checked_index(file) if isinstance(record, ChunkIndex)]
 
 
 def in_chunks(records: Sequence[Record], size: int) -> Iterator[list[Record]]:

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from posor.bags import block_reader
 from posor.bags.bag_reader import opened_bag
-from posor.bags.block_reader import read_blocks
-from posor.bags.chunk_writer import ChunkedBagWriter, TopicMessages
-from posor.bags.topic_reader import TopicReader
+from posor.bags.bag_writer import BagWriter, TopicMessages
+from posor.bags.block_reader import TopicReader, read_blocks
 from posor.errors import BagError
 from posor.messages.message_definitions import MessageTypes
 from posor.messages.message_table import TableLayout
@@ -147,25 +146,25 @@ def test_the_error_of_a_truncated_message_names_topic_and_time(cut: int, tmp_pat
 
 
 def test_chunks_written_in_bulk_are_read_by_rosbags(tmp_path: Path) -> None:
-    types = MessageTypes()
-    text, type_hash = types.definition(RAW_SCAN)
+    definition = MessageTypes().definition(RAW_SCAN)
     schema = schema_of_class(RawScan)
     layout = TableLayout.of(schema.serialize(scan(1)), schema)
     expected: list[Record] = []
-    with ChunkedBagWriter(tmp_path / "bag") as writer:
-        connections = [writer.add_connection(topic, RAW_SCAN, msgdef=text, rihs01=type_hash) for topic in WANTED]
+    with BagWriter(tmp_path / "bag") as writer:
+        channels = {topic: writer.add_topic(topic, RAW_SCAN, definition) for topic in WANTED}
         for begin in range(0, 300, 100):
             parts = []
-            for connection in connections:
-                table, times = layout.copies(50), begin + 2 * np.arange(50) + connection.id
+            for topic, channel in channels.items():
+                table, times = layout.copies(50), begin + 2 * np.arange(50) + channel
                 table["scan"] = times
-                parts.append(TopicMessages(connection, times, table.messages))
+                parts.append(TopicMessages(channel, times, table.messages))
                 expected += [
-                    (connection.topic, int(time_ns), data.tobytes())
-                    for time_ns, data in zip(times, table.messages, strict=True)
+                    (topic, int(time_ns), data.tobytes()) for time_ns, data in zip(times, table.messages, strict=True)
                 ]
             writer.write_messages(parts)
-        writer.write_messages([TopicMessages(connections[0], np.empty(0, dtype=np.int64), layout.copies(0).messages)])
+        writer.write_messages(
+            [TopicMessages(channels[WANTED[0]], np.empty(0, dtype=np.int64), layout.copies(0).messages)]
+        )
     assert by_rosbags(tmp_path / "bag") == sorted(expected, key=lambda one: one[1])
     assert list(by_blocks(tmp_path / "bag")) == by_rosbags(tmp_path / "bag")
     with Reader(tmp_path / "bag") as reader:

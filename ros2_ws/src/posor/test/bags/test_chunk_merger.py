@@ -7,20 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from posor.bags import block_reader, chunk_merger
+from posor.bags import block_reader
 from posor.bags.bag_reader import opened_bag
 from posor.errors import BagError
 from posor.messages.byte_kernels import index_messages
-from rosbags.rosbag2 import Reader
 
-from .bag_files import TOPICS, WANTED, Record, by_blocks, by_rosbags, damaged, in_chunks, write
+from .bag_files import TOPICS, WANTED, Record, by_blocks, by_rosbags, chunk_indices, damaged, in_chunks, write
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
     from posor.numerics.array_types import IntArray
-    from rosbags.rosbag2.storage_mcap import ChunkInfo
 
 KILOBYTE = 1000
 BAGS = 20
@@ -86,7 +84,7 @@ def test_only_messages_that_have_to_wait_are_held(
 ) -> None:
     write(tmp_path / "bag", [chunk(n) for n in range(50)])
     monkeypatch.setattr(block_reader, "BLOCK_BYTES", 15 * KILOBYTE)
-    monkeypatch.setattr(chunk_merger, "MOST_WAITING", 30 * KILOBYTE)
+    monkeypatch.setattr(block_reader, "MOST_WAITING", 30 * KILOBYTE)
     assert list(by_blocks(tmp_path / "bag")) == by_rosbags(tmp_path / "bag")
 
 
@@ -104,11 +102,11 @@ def test_chunks_that_span_the_record_are_read_once_and_given_out_by_and_by(
         parsed.append(len(data))
         return index_messages(data, *others)
 
-    monkeypatch.setattr("posor.bags.chunk_reader.index_messages", counted)
+    monkeypatch.setattr("posor.bags.block_reader.index_messages", counted)
     monkeypatch.setattr(block_reader, "BLOCK_BYTES", 25 * KILOBYTE)
     with opened_bag(tmp_path / "bag") as reader:
         found = list(block_reader.read_blocks(reader, WANTED, "the bag"))
-    assert parsed == [chunk.uncompressed_size for chunk in chunks(tmp_path / "bag")]
+    assert parsed == [chunk.uncompressed_size for chunk in chunk_indices(tmp_path / "bag/bag.mcap")]
     assert len(found) > 15
     assert max(block.nbytes for block in found) < 60 * KILOBYTE
     assert list(by_blocks(tmp_path / "bag")) == by_rosbags(tmp_path / "bag")
@@ -117,7 +115,7 @@ def test_chunks_that_span_the_record_are_read_once_and_given_out_by_and_by(
 def test_more_than_memory_may_hold_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write(tmp_path / "bag", SPANNING)
     monkeypatch.setattr(block_reader, "BLOCK_BYTES", 25 * KILOBYTE)
-    monkeypatch.setattr(chunk_merger, "MOST_WAITING", 100 * KILOBYTE)
+    monkeypatch.setattr(block_reader, "MOST_WAITING", 100 * KILOBYTE)
     with pytest.raises(
         BagError,
         match=r"^.*bag: chunks overlap so much in log time that more than 0 MiB of messages of /one/raw, /two/raw wait "
@@ -126,15 +124,9 @@ def test_more_than_memory_may_hold_is_refused(tmp_path: Path, monkeypatch: pytes
         list(by_blocks(tmp_path / "bag"))
 
 
-def chunks(path: Path) -> list[ChunkInfo]:
-    with Reader(path / f"{path.name}.mcap") as reader:
-        storage: Any = reader.storage
-        return list(storage.chunks)
-
-
 def test_a_damaged_message_index_is_refused(tmp_path: Path) -> None:
     write(tmp_path / "bag", SPANNING)
-    third = chunks(tmp_path / "bag")[2]
+    third = chunk_indices(tmp_path / "bag/bag.mcap")[2]
     damaged(
         tmp_path / "bag" / "bag.mcap",
         third.chunk_start_offset + third.chunk_length + 1,

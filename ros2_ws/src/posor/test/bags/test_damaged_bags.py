@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import shutil
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -14,21 +14,16 @@ import pytest
 import yaml
 from posor.bags import recover_command
 from posor.bags.bag_reader import METADATA, counted_messages, opened_bag
-from posor.bags.chunk_writer import ChunkedBagWriter, TopicMessages
+from posor.bags.bag_writer import BagWriter, TopicMessages
 from posor.bags.mcap_file import Damage, first_damage, read_index, read_records
-from posor.bags.mcap_writer import McapBagWriter
 from posor.bags.provenance import PENDING
 from posor.bags.recover_command import Rescue, recover
-from posor.errors import BagError
+from posor.errors import BagError, OutputError
 from posor.messages.message_definitions import MessageTypes
 from posor.ros_names import RAW_SCAN
 from rosbags.rosbag2 import CompressionMode, Reader, StoragePlugin, Writer
-from rosbags.rosbag2.storage_mcap import ChunkInfo, McapReader, McapWriter
 
-from .bag_files import TOPICS, WANTED, Record, by_blocks, write
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from .bag_files import TOPICS, WANTED, Record, by_blocks, chunk_indices, write
 
 CHUNKS, IN_CHUNK = 24, 6
 ADVICE = "expected an undamaged file; 'recover' of posor writes what is whole to a new bag."
@@ -46,12 +41,13 @@ def chunks() -> list[list[Record]]:
 
 def record(path: Path) -> Path:
     """Write the messages as the recorder does, and return the file."""
-    text, type_hash = MessageTypes().definition(RAW_SCAN)
-    with McapBagWriter(path) as writer:
-        connections = {topic: writer.add_connection(topic, RAW_SCAN, msgdef=text, rihs01=type_hash) for topic in TOPICS}
+    definition = MessageTypes().definition(RAW_SCAN)
+    with BagWriter(path) as writer:
+        for topic in TOPICS:
+            writer.add_topic(topic, RAW_SCAN, definition)
         for chunk in chunks():
             for topic, time_ns, data in chunk:
-                writer.write(connections[topic], time_ns, data)
+                writer.write(topic, time_ns, data)
             writer.flush()
     return path / f"{path.name}.mcap"
 
@@ -60,14 +56,6 @@ def record(path: Path) -> Path:
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """Return the bytes of an undamaged file."""
     return record(tmp_path_factory.mktemp("recorded") / "bag").read_bytes()
-
-
-def chunk_infos(path: Path) -> list[ChunkInfo]:
-    reader = McapReader(path)
-    reader.open()
-    found = list(reader.chunks)
-    reader.close()
-    return found
 
 
 def rescued(bag: Path, output: Path) -> tuple[list[Rescue], list[Record]]:
@@ -79,7 +67,7 @@ def rescued(bag: Path, output: Path) -> tuple[list[Rescue], list[Record]]:
 
 def test_chunks_and_index_state_their_checksums(tmp_path: Path) -> None:
     file = record(tmp_path / "bag")
-    data, infos = file.read_bytes(), chunk_infos(file)
+    data, infos = file.read_bytes(), chunk_indices(file)
     assert len(infos) == CHUNKS
     for info in infos:
         begin = info.chunk_start_offset
@@ -93,17 +81,16 @@ def test_chunks_and_index_state_their_checksums(tmp_path: Path) -> None:
 
 
 def test_chunks_written_from_tables_state_their_checksums(tmp_path: Path) -> None:
-    text, type_hash = MessageTypes().definition(RAW_SCAN)
     messages = np.frombuffer(np.random.default_rng(5).bytes(50 * 64), dtype=np.uint8).reshape(50, 64)
-    with ChunkedBagWriter(tmp_path / "bag") as writer:
-        topic = writer.add_connection(TOPICS[0], RAW_SCAN, msgdef=text, rihs01=type_hash)
+    with BagWriter(tmp_path / "bag") as writer:
+        topic = writer.add_topic(TOPICS[0], RAW_SCAN, MessageTypes().definition(RAW_SCAN))
         for begin in (0, 20):
             part = slice(begin, begin + 30)
             writer.write_messages([TopicMessages(topic, np.arange(50)[part], messages[part])])
     file = tmp_path / "bag/bag.mcap"
     data = bytearray(file.read_bytes())
     assert first_damage(file) is None
-    for info in chunk_infos(file):
+    for info in chunk_indices(file):
         spoilt = data.copy()
         spoilt[info.chunk_start_offset + 100] ^= 1
         file.write_bytes(spoilt)
@@ -152,7 +139,7 @@ def test_no_flipped_bit_changes_what_is_read_without_an_error(recorded: bytes, t
 def test_the_error_of_a_damaged_chunk_names_file_and_offset(recorded: bytes, tmp_path: Path) -> None:
     bag = tmp_path / "bag"
     file = record(bag)
-    info, data = chunk_infos(file)[7], bytearray(recorded)
+    info, data = chunk_indices(file)[7], bytearray(recorded)
     data[info.chunk_start_offset + 80] ^= 4
     file.write_bytes(data)
     for read in (lambda: list(by_blocks(bag)), lambda: read_both_ways(bag)):
@@ -165,7 +152,7 @@ def test_the_error_of_a_damaged_chunk_names_file_and_offset(recorded: bytes, tmp
 def check_cuts(recorded: bytes, folder: Path, count: int) -> None:
     """Cut the file at random places; compare with the chunks that end before the cut."""
     file, chance = record(folder / "bag"), np.random.default_rng(31)
-    ends = [info.chunk_start_offset + info.chunk_length for info in chunk_infos(file)]
+    ends = [info.chunk_start_offset + info.chunk_length for info in chunk_indices(file)]
     cut, contents = folder / "cut.mcap", chunks()
     for length in chance.integers(8, len(recorded), size=count).tolist():
         cut.write_bytes(recorded[:length])
@@ -194,7 +181,7 @@ def test_every_whole_chunk_of_200_cut_files_is_rescued(recorded: bytes, tmp_path
 def check_flips(recorded: bytes, folder: Path, count: int) -> None:
     """Flip bits; every chunk but the damaged one is rescued, and the loss is counted."""
     file, chance, contents = record(folder / "bag"), np.random.default_rng(37), chunks()
-    infos = chunk_infos(file)
+    infos = chunk_indices(file)
     for _ in range(count):
         data, at = bytearray(recorded), int(chance.integers(len(recorded)))
         data[at] ^= 1 << int(chance.integers(8))
@@ -225,7 +212,7 @@ def test_all_chunks_but_the_damaged_one_are_rescued_from_200_files(recorded: byt
 def test_files_of_rosbags_without_checksums_are_rescued(tmp_path: Path, mode: CompressionMode) -> None:
     write(tmp_path / "bag", chunks(), mode=mode)
     file = tmp_path / "bag/bag.mcap"
-    infos, data = chunk_infos(file), file.read_bytes()
+    infos, data = chunk_indices(file), file.read_bytes()
     cut_at = infos[5].chunk_start_offset + 20
     file.write_bytes(data[:cut_at])
     (rescue,), messages = rescued(tmp_path / "bag", tmp_path / "out")
@@ -248,7 +235,7 @@ def test_messages_outside_of_chunks_are_rescued(recorded: bytes, tmp_path: Path)
 
 def test_topics_come_from_the_index_if_the_chunk_that_defines_them_is_damaged(recorded: bytes, tmp_path: Path) -> None:
     file = record(tmp_path / "bag")
-    info, data = chunk_infos(file)[0], bytearray(recorded)
+    info, data = chunk_indices(file)[0], bytearray(recorded)
     data[info.chunk_start_offset + 200] ^= 1
     file.write_bytes(data)
     with Reader(record(tmp_path / "whole").parent) as reader:
@@ -324,18 +311,19 @@ def test_an_undamaged_bag_of_several_files_is_copied_whole(tmp_path: Path) -> No
     assert [rescue.path.name for rescue in rescues] == ["x_0.mcap", "x_2.mcap", "x_10.mcap"]
     assert [data for *_, data in messages] == [b"\x00", b"\x02", b"\x0a"]
     assert all(rescue.stated == rescue.messages == 1 for rescue in rescues)
-    assert issubclass(McapBagWriter.STORAGE_PLUGINS[StoragePlugin.MCAP], McapWriter)
 
 
 def test_a_full_disk_is_named_and_nothing_is_left(
     recorded: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(*_arguments: object) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    real_open = Path.open
+
+    def onto_full_disk(path: Path, mode: str = "r", **options: Any) -> Any:
+        return real_open(Path("/dev/full"), "wb") if mode == "xb" else real_open(path, mode, **options)
 
     (tmp_path / "bag.mcap").write_bytes(recorded)
-    monkeypatch.setattr(McapBagWriter, "write", full)
-    with pytest.raises(BagError, match="out: the bag cannot be written, No space left on device"):
+    monkeypatch.setattr(Path, "open", onto_full_disk)
+    with pytest.raises(OutputError, match="out: cannot be written, No space left on device"):
         recover(tmp_path / "bag.mcap", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
@@ -352,7 +340,7 @@ def test_a_pipe_is_refused_at_once(tmp_path: Path) -> None:
 def test_a_wrong_place_of_an_index_without_a_checksum_hides_no_chunk(tmp_path: Path) -> None:
     write(tmp_path / "bag", chunks())
     file = tmp_path / "bag/bag.mcap"
-    data, infos = bytearray(file.read_bytes()), chunk_infos(file)
+    data, infos = bytearray(file.read_bytes()), chunk_indices(file)
     data[-28:-20] = infos[3].chunk_start_offset.to_bytes(8, "little")
     file.write_bytes(data)
     assert len(rescued(tmp_path / "bag", tmp_path / "out")[1]) == CHUNKS * IN_CHUNK

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import yaml
+from posor.bags.bag_writer import BagWriter
 from posor.bags.calibration_recording import Reference, load_recording
 from posor.errors import CalibrationError, TrackError
 from posor.messages.message_definitions import MessageTypes
 from posor.ros_names import RAW_SCAN, REFERENCE_READING
 from posor.uncertainty.air_index import Air
-from posor_drivers.bag_writer import BagWriter
 from posor_drivers.sources.instrument_source import InstrumentParameters, InstrumentSource
 from posor_lab.device_servers.stream_server import LEAD, StreamServer
 from posor_lab.harness.program import wait_until

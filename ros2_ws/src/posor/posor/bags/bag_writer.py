@@ -1,0 +1,417 @@
+"""Writes rosbag2 bags: MCAP with checksums, metadata of version 9, type definitions and hashes, quality of service.
+
+A file consists of the records of ``mcap.records``. The writer of that library takes messages one by one, too slowly for
+``reprocess``: here a table of messages becomes a chunk at once. The checksum of the data section is not stated: the
+chunks hold all messages, and a reader would have to read the file twice.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from collections import defaultdict
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from struct import Struct
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from zlib import crc32
+
+import numpy as np
+import yaml
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    Message,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+
+from posor.bags.mcap_file import INDEX_HEAD, MAGIC, RECORD_HEAD
+from posor.bags.provenance import PENDING
+from posor.bags.result_folder import writing
+from posor.errors import BagError
+from posor.messages.byte_kernels import write_records
+from posor.numerics.stamps import NS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from mcap.records import McapRecord
+
+    from posor.messages.message_definitions import Definition
+    from posor.numerics.array_types import ByteArray, IntArray
+
+CHUNK_BYTES = 1 << 20
+"""Size of a chunk of messages that are written one by one."""
+INFINITE_NS = 2**63 - 1
+POLICIES = ("history", "reliability", "durability", "liveliness")
+DURATIONS = ("deadline", "lifespan", "liveliness_lease_duration")
+CHUNK_HEAD = Struct("<BQQQQIIQ")
+"""Head of the record, first and last log time, size, checksum, no name of a compression, size again."""
+MESSAGE_HEAD = Struct("<BQHIQQ")
+"""Head of the record, channel, sequence number, log and publish time."""
+
+
+class TopicMessages(NamedTuple):
+    """Messages of one topic with the same length.
+
+    Attributes:
+        channel: Of the topic, see ``BagWriter.add_topic``.
+        times_ns: Log times, which do not go back, shape (n,).
+        messages: Shape (n, s).
+
+    """
+
+    channel: int
+    times_ns: IntArray
+    messages: ByteArray
+
+
+@dataclass
+class _Topic:
+    """A topic, and what metadata.yaml says of it."""
+
+    channel: Channel
+    metadata: dict[str, Any]
+    count: int = 0
+
+
+@dataclass
+class _Chunk:
+    """Records that wait to become a chunk, and log time and offset of each message by channel."""
+
+    records: RecordBuilder = field(default_factory=RecordBuilder)
+    entries: defaultdict[int, list[tuple[int, int]]] = field(default_factory=lambda: defaultdict(list))
+
+
+class BagWriter:
+    """A bag that is being written; as a context manager it closes the bag, also after an error.
+
+    Equal calls give equal bytes.
+
+    Attributes:
+        path: The folder.
+
+    """
+
+    def __init__(self, path: Path, custom_data: Mapping[str, str] | None = None, where: Path | None = None) -> None:
+        """Create the bag's folder.
+
+        Args:
+            path: The folder.
+            custom_data: Of the bag's metadata; until the bag is closed it is in a file of its own.
+            where: Names the bag in errors; None: its folder.
+
+        Raises:
+            BagError: The folder exists already.
+            OutputError: It cannot be created.
+
+        """
+        if path.exists():
+            raise BagError("exists already", where=str(path), expected="a new folder")
+        self.path = path
+        self._where = where or path
+        self._custom_data = dict(custom_data or {})
+        self._schemas: dict[str, Schema] = {}
+        self._topics: list[_Topic] = []
+        self._channels: dict[str, int] = {}
+        self._indices: list[ChunkIndex] = []
+        self._chunk = _Chunk()
+        self._buffer: ByteArray = np.empty(0, dtype=np.uint8)
+        with writing(self._where):
+            path.mkdir(parents=True)
+            if custom_data:
+                (path / PENDING).write_text(json.dumps(self._custom_data, indent=1) + "\n", encoding="utf-8")
+            self._file = (path / f"{path.name}.mcap").open("xb")
+            self._file.write(MAGIC + _bytes_of(Header("ros2", "posor")))
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of messages by topic."""
+        counts = dict.fromkeys(self._channels, 0)
+        for topic in self._topics:
+            counts[topic.channel.topic] += topic.count
+        return counts
+
+    def add_topic(
+        self, name: str, type_name: str, definition: Definition, qos: Sequence[Any] = (), encoding: str = "cdr"
+    ) -> int:
+        """Add a topic and return the number of its channel.
+
+        Args:
+            name: Of the topic; a bag may hold several channels of a topic.
+            type_name: Message type.
+            definition: Of the type.
+            qos: Profiles that the publishers offer: ``QoSProfile`` of rclpy or ``Qos`` of rosbags.
+            encoding: Of the messages.
+
+        """
+        profiles = [_qos_entry(profile) for profile in qos]
+        if type_name not in self._schemas:
+            form = "ros2idl" if definition.text.startswith("=" * 80 + "\nIDL: ") else "ros2msg"
+            number, data = len(self._schemas) + 1, definition.text.encode()
+            schema = Schema(id=number, name=type_name, encoding=form, data=data)
+            schema.write(self._chunk.records)
+            self._schemas[type_name] = schema
+        number = self._channels[name] = len(self._topics) + 1
+        offered = {"offered_qos_profiles": yaml.safe_dump(profiles).strip()}
+        channel = Channel(
+            id=number,
+            topic=name,
+            message_encoding=encoding,
+            metadata=offered,
+            schema_id=self._schemas[type_name].id,
+        )
+        channel.write(self._chunk.records)
+        metadata = {
+            "name": name,
+            "type": type_name,
+            "serialization_format": encoding,
+            "offered_qos_profiles": profiles,
+            "type_description_hash": definition.type_hash,
+        }
+        self._topics.append(_Topic(channel, metadata))
+        return number
+
+    def write(self, topic: str, time_ns: int, data: bytes) -> None:
+        """Write one serialised message with its log time [ns].
+
+        Raises:
+            OutputError: The storage fails.
+
+        """
+        self.write_message(self._channels[topic], time_ns, data)
+
+    def write_message(self, channel: int, time_ns: int, data: bytes) -> None:
+        """Write one serialised message of a channel with its log time [ns].
+
+        Raises:
+            OutputError: The storage fails.
+
+        """
+        records = self._chunk.records
+        self._chunk.entries[channel].append((time_ns, records.count))
+        message = Message(channel_id=channel, log_time=time_ns, publish_time=time_ns, sequence=0, data=data)
+        message.write(records)
+        self._topics[channel - 1].count += 1
+        if records.count > CHUNK_BYTES:
+            self._close_chunk()
+
+    def write_messages(self, parts: Sequence[TopicMessages]) -> None:
+        """Write messages as one chunk; every channel has one part at most.
+
+        Raises:
+            OutputError: The storage fails.
+
+        """
+        parts = [part for part in parts if len(part.times_ns)]
+        if not parts:
+            return
+        if self._chunk.entries:
+            self._close_chunk()
+        begin = np.frombuffer(self._chunk.records.end(), dtype=np.uint8)  # schemas and channels
+        head_size = MESSAGE_HEAD.size
+        size = len(begin) + sum(len(part.times_ns) * (head_size + part.messages.shape[1]) for part in parts)
+        if len(self._buffer) < size:
+            self._buffer = np.empty(size, dtype=np.uint8)  # reused: allocating would double the time
+        records, offset, entries = self._buffer[:size], len(begin), {}
+        records[:offset] = begin
+        for part in parts:
+            count, length = len(part.times_ns), head_size + part.messages.shape[1]
+            rows = records[offset : offset + count * length].reshape(count, length)
+            head = MESSAGE_HEAD.pack(Opcode.MESSAGE, length - RECORD_HEAD.size, part.channel, 0, 0, 0)
+            entries[part.channel] = index = np.empty((count, 2), dtype=np.int64)
+            write_records(np.frombuffer(head, np.uint8), part.times_ns, part.messages, offset, rows, index)
+            offset += rows.nbytes
+            self._topics[part.channel - 1].count += count
+        self._write_chunk(records, entries)
+
+    def flush(self) -> None:
+        """Hand all messages so far to the operating system; they survive the end of this process, not a loss of power.
+
+        Raises:
+            OutputError: The storage fails.
+
+        """
+        if self._chunk.entries:
+            self._close_chunk()
+        with writing(self._where):
+            self._file.flush()
+
+    def close(self) -> None:
+        """Write index and metadata.
+
+        Raises:
+            OutputError: The storage fails.
+
+        """
+        if self._chunk.records.count:
+            self._close_chunk()
+        with writing(self._where):
+            information = self._information()
+            self._write_index(information)
+            self._file.close()
+            text = yaml.safe_dump({"rosbag2_bagfile_information": information}, allow_unicode=True)
+            (self.path / "metadata.yaml").write_text(text, encoding="utf-8")
+            (self.path / PENDING).unlink(missing_ok=True)
+
+    def __enter__(self) -> Self:
+        """Return the writer."""
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        """Close the bag, so that it is readable even after an error."""
+        self.close()
+
+    def _close_chunk(self) -> None:
+        """Write the messages since the last chunk as a chunk."""
+        chunk, self._chunk = self._chunk, _Chunk()
+        entries = {channel: np.array(index, dtype=np.int64) for channel, index in chunk.entries.items()}
+        self._write_chunk(np.frombuffer(chunk.records.end(), dtype=np.uint8), entries)
+
+    def _write_chunk(self, records: ByteArray, entries: Mapping[int, IntArray]) -> None:
+        """Write records as a chunk; ``entries``: log time and offset of each message, shape (n, 2), by channel."""
+        times = [(int(index[:, 0].min()), int(index[:, 0].max())) for index in entries.values()] or [(0, 0)]
+        first, last = min(first for first, _ in times), max(last for _, last in times)
+        size = len(records)
+        length = CHUNK_HEAD.size - RECORD_HEAD.size + size
+        head = CHUNK_HEAD.pack(Opcode.CHUNK, length, first, last, size, crc32(records.data), 0, size)
+        with writing(self._where):
+            begin = self._file.tell()
+            self._file.write(head)
+            self._file.write(records.data)
+            end, offsets = self._file.tell(), {}
+            for channel, index in entries.items():
+                offsets[channel] = self._file.tell()
+                length = INDEX_HEAD.size - RECORD_HEAD.size + index.nbytes
+                self._file.write(INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, length, channel, index.nbytes))
+                self._file.write(index.data)
+            chunk = ChunkIndex(
+                chunk_start_offset=begin,
+                chunk_length=end - begin,
+                message_start_time=first,
+                message_end_time=last,
+                message_index_offsets=offsets,
+                message_index_length=self._file.tell() - end,
+                compression="",
+                compressed_size=size,
+                uncompressed_size=size,
+            )
+            self._indices.append(chunk)
+
+    def _information(self) -> dict[str, Any]:
+        """Return the content of metadata.yaml."""
+        file, (first, last) = f"{self.path.name}.mcap", self._time_span()
+
+        def extent() -> dict[str, Any]:  # a new one each time: YAML would refer to the first one
+            return {
+                "starting_time": {"nanoseconds_since_epoch": first},
+                "duration": {"nanoseconds": max(0, last - first)},
+                "message_count": sum(topic.count for topic in self._topics),
+            }
+
+        topics = [{"topic_metadata": topic.metadata, "message_count": topic.count} for topic in self._topics]
+        return extent() | {
+            "version": 9,
+            "storage_identifier": "mcap",
+            "relative_file_paths": [file],
+            "topics_with_message_count": topics,
+            "compression_format": "",
+            "compression_mode": "",
+            "files": [extent() | {"path": file}],
+            "custom_data": self._custom_data or None,
+            "ros_distro": "jazzy",
+        }
+
+    def _time_span(self) -> tuple[int, int]:
+        """Return the earliest and the latest log time; as rosbag2 states them for a bag without messages."""
+        chunks = [chunk for chunk in self._indices if chunk.message_index_offsets]
+        first = min((chunk.message_start_time for chunk in chunks), default=INFINITE_NS)
+        return first, max((chunk.message_end_time for chunk in chunks), default=0)
+
+    def _write_index(self, information: Mapping[str, Any]) -> None:
+        """Write what follows the chunks: metadata, index and footer."""
+        text = {"serialized_metadata": yaml.safe_dump(information).strip()}
+        metadata = _bytes_of(Metadata(name="rosbag2", metadata=text))
+        metadata_at = self._file.tell()
+        self._file.write(metadata + _bytes_of(DataEnd(0)))
+        first, last = self._time_span()
+        counts = {topic.channel.id: topic.count for topic in self._topics}
+        statistics = Statistics(
+            attachment_count=0,
+            channel_count=len(self._topics),
+            channel_message_counts=counts,
+            chunk_count=len(self._indices),
+            message_count=sum(counts.values()),
+            message_end_time=last,
+            message_start_time=first,
+            metadata_count=1,
+            schema_count=len(self._schemas),
+        )
+        groups: dict[Opcode, Sequence[McapRecord]] = {
+            Opcode.SCHEMA: list(self._schemas.values()),
+            Opcode.CHANNEL: [topic.channel for topic in self._topics],
+            Opcode.CHUNK_INDEX: self._indices,
+            Opcode.METADATA_INDEX: [MetadataIndex(name="rosbag2", offset=metadata_at, length=len(metadata))],
+            Opcode.STATISTICS: [statistics],
+        }
+        index_at, index, contents = self._file.tell(), RecordBuilder(), RecordBuilder()
+        for opcode, records in groups.items():
+            begin = index.count
+            for record in records:
+                record.write(index)
+            if records:
+                length = index.count - begin
+                SummaryOffset(group_opcode=opcode, group_start=index_at + begin, group_length=length).write(contents)
+        footer = Footer(summary_start=index_at, summary_offset_start=index_at + index.count, summary_crc=0)
+        whole = index.end() + contents.end()
+        footer.summary_crc = crc32(_bytes_of(footer)[:-4], crc32(whole))
+        self._file.write(whole + _bytes_of(footer) + MAGIC)
+
+
+@contextmanager
+def replace_bag(bag: Path) -> Iterator[BagWriter]:
+    """Write a bag that replaces an existing bag only once it is complete.
+
+    Raises:
+        OutputError: The storage fails.
+
+    """
+    bag.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=bag.parent, prefix=".making-") as folder:
+        new = Path(folder) / bag.name
+        with BagWriter(new) as writer:
+            yield writer
+        if bag.exists():
+            shutil.rmtree(bag)
+        new.rename(bag)
+
+
+def _bytes_of(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())
+
+
+def _qos_entry(profile: Any) -> dict[str, Any]:
+    """Return an offered profile as metadata of version 9 state it; an unspecified duration (zero) is infinite."""
+    entry: dict[str, Any] = {name: getattr(profile, name).name.lower() for name in POLICIES}
+    for name in DURATIONS:
+        duration = getattr(profile, name)
+        if hasattr(duration, "nanoseconds"):
+            sec, nsec = divmod(duration.nanoseconds or INFINITE_NS, NS)
+        else:
+            sec, nsec = duration
+        entry[name] = {"sec": sec, "nsec": nsec}
+    avoid = profile.avoid_ros_namespace_conventions
+    return entry | {"depth": profile.depth, "avoid_ros_namespace_conventions": avoid}
