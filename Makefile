@@ -59,10 +59,7 @@ demo:
 arm:
 	@./run posor_lab arm --arm $(ARM) $(if $(CONTROLLER),--controller $(CONTROLLER))
 
-calibrate-bounds: setup
-	@$(IN_WORKSPACE) tools/try_bounds.py
-
-demo:
+calibrate-demo:
 	@./run posor_lab calibrate_demo --campaigns $(CAMPAIGNS) --posor $(POSOR)
 
 faults:

@@ -13,6 +13,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from pip._vendor.packaging.requirements import Requirement as PipRequirement
 from setup_state import NAMED_LISTS, NAMED_LOCKS, WHEEL_LOCKS
+from try_bounds import LIBRARY, bounds
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -43,6 +44,13 @@ def test_lock_meets_its_list(name: str) -> None:
     for line in lines((FOLDER / name).with_suffix(".in")):
         requirement = Requirement(line)
         assert requirement.specifier.contains(locked[canonicalize_name(requirement.name)])
+
+
+def test_the_library_and_the_list_state_the_same_bounds() -> None:
+    of_library, of_list = bounds(LIBRARY / "setup.py"), bounds(FOLDER / "base.in")
+    different = {name for name in of_library.keys() & of_list.keys() if of_library[name][0] != of_list[name][0]}
+    assert different == {"numpy", "scipy", "numba", "matplotlib"}, "those of an official Jazzy"
+    assert set(of_library) - set(of_list) == {"pandas"}
 
 
 def test_locks_have_one_version_of_each_library() -> None:

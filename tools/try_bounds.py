@@ -29,23 +29,30 @@ def bounds(path: Path) -> dict[str, re.Match[str]]:
 
 def requirements() -> dict[str, list[str]]:
     """Return the two sets of requirements."""
-    stated = bounds(LIBRARY / "setup.py") | bounds(ROOT / "requirements/base.in")
+    stated = bounds(ROOT / "requirements/base.in") | bounds(LIBRARY / "setup.py")
     lowest = [f"{name}=={match['lowest']}" for name, match in stated.items()]
     return {"lowest": lowest, "newest": [match.group() for match in stated.values()]}
 
 
 def install(name: str, lines: list[str], source: Path) -> Path:
     """Install a set of requirements and the library into a virtual environment of its own; return its Python."""
-    venv = FOLDER / name
-    subprocess.run([sys.executable, "-I", "-m", "venv", "--clear", str(venv)], check=True)
-    pip = [str(venv / "bin/pip"), "install", "--quiet", "--disable-pip-version-check", "--prefer-binary"]
+    venv = FOLDER / name / "venv"
+    subprocess.run([sys.executable, "-I", "-m", "venv", str(venv)], check=True)
+    pip = [
+        str(venv / "bin/pip"),
+        "install",
+        "--quiet",
+        "--disable-pip-version-check",
+        "--prefer-binary",
+        "--no-compile",
+    ]
     subprocess.run([*pip, *lines, f"{source}[reports,tables]"], check=True)
     return venv / "bin/python"
 
 
-def poses(python: Path | str, *options: str) -> list[list[float]]:
-    """Return the poses that the check prints with a Python."""
-    run = subprocess.run([str(python), str(CHECK), *options], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True)
+def poses(*command: str | Path) -> list[list[float]]:
+    """Return the poses that a command prints in its last line."""
+    run = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True)
     found: list[list[float]] = json.loads(run.stdout.splitlines()[-1])
     return found
 
@@ -56,22 +63,22 @@ def largest_difference(one: list[list[float]], other: list[list[float]]) -> floa
 
 
 def main() -> int:
-    """Try both sets."""
-    known, failed = poses(sys.executable, "--poses"), False
+    """Try both sets, or that which is named."""
+    known, failed = poses(sys.executable, CHECK, "--poses"), False
     ignored = shutil.ignore_patterns("*.egg-info", "build", "__pycache__", "test")
-    shutil.rmtree(FOLDER, ignore_errors=True)
-    source = shutil.copytree(LIBRARY, FOLDER / "source", ignore=ignored)  # pip builds in the folder
     for name, lines in requirements().items():
+        if name not in (sys.argv[1:] or requirements()):
+            continue
+        shutil.rmtree(FOLDER / name, ignore_errors=True)
+        source = shutil.copytree(LIBRARY, FOLDER / name / "source", ignore=ignored)  # pip builds in the folder
         try:
-            difference = largest_difference(poses(install(name, lines, source)), known)
+            difference = largest_difference(poses(install(name, lines, source), "-I", CHECK), known)
         except (subprocess.CalledProcessError, ValueError, IndexError) as error:
             print(f"make bounds: the {name} versions fail, {error}")
             failed = True
             continue
         failed |= difference > TOLERANCE
-        print(
-            f"make bounds: the {name} versions differ by {difference:g} from this workspace, {TOLERANCE:g} is allowed"
-        )
+        print(f"make bounds: the {name} versions differ by {difference:g} from here, {TOLERANCE:g} is allowed")
     return int(failed)
 
 
