@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 from posor.bags.arm_estimator import ArmEstimator
-from posor.bags.reprocess_task import Settings
 from posor.bags.bag_writer import replace_bag
+from posor.bags.reprocess_task import Settings
 from posor.errors import PosorError
 from posor.messages.message_definitions import MessageTypes
 from posor.messages.raw_scan import RecordedScans

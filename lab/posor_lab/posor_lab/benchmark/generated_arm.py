@@ -15,9 +15,9 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import yaml
+from posor.bags.bag_writer import BagWriter
 from posor.chain.arm_file import ArmFile, load_arm_file
 from posor.messages.message_definitions import MessageTypes, installed_schema
-from posor.bags.bag_writer import BagWriter
 from posor.node_parameters import NodeParameters
 from posor.ros_names import RAW_SCAN, RAW_TOPIC
 from posor_bringup.arms import load_checked_arm

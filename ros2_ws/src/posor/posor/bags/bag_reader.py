@@ -16,6 +16,8 @@ from rosbags.rosbag2 import Reader
 
 from posor.bags.mcap_file import RECOVER, checked_index, damage_error, first_damage
 from posor.errors import BagError, PosorError
+from posor.messages.message_definitions import schema_of_connection
+from posor.messages.raw_scan import check_raw_scan_schema
 from posor.ros_names import RAW_SCAN
 
 if TYPE_CHECKING:
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
 
     from rosbags.interfaces import Connection
 
+    from posor.messages.cdr_schema import Schema
     from posor.messages.message_definitions import MessageTypes
 
 METADATA = "metadata.yaml"
@@ -93,7 +96,13 @@ def scan_topic(connections: Sequence[Connection], wanted: str, where: str, setti
 
 
 def checked_type(
-    connections: Sequence[Connection], topic: str, where: str, types: MessageTypes | None, allowed: Collection[str] = ()
+    connections: Sequence[Connection],
+    topic: str,
+    where: str,
+    types: MessageTypes | None,
+    allowed: Collection[str] = (),
+    *,
+    filled: bool = False,
 ) -> str:
     """Return the type of a recorded topic after checking that all its connections have the same type and version.
 
@@ -103,9 +112,10 @@ def checked_type(
         where: Name of the bag in errors.
         types: The installed types, whose version the topic must have; None: any version.
         allowed: Types that the topic may have; empty: any.
+        filled: Whether it must hold messages.
 
     Raises:
-        BagError: There is no such topic, or it has another type, another version of it, or several.
+        BagError: There is no such topic, it has another type or version, or several, or it holds no messages.
 
     """
     found = [connection for connection in connections if connection.topic == topic]
@@ -129,18 +139,22 @@ def checked_type(
             if digest != expected:
                 what = f"topic {topic} was recorded with another version of {first}, {digest}"
                 raise BagError(what, where=where, expected=expected)
+    if filled and not sum(connection.msgcount for connection in found):
+        raise BagError(f"topic {topic} holds no messages", where=where)
     return first
 
 
-def check_filled(connections: Sequence[Connection], topic: str, where: str) -> None:
-    """Refuse a recorded topic without messages.
+def scan_schema(connections: Sequence[Connection], topic: str, where: str) -> Schema:
+    """Return the schema of a topic of raw scans, as its bag defines it.
 
     Raises:
-        BagError: The topic holds no messages.
+        BagError: There is no such topic, it is of another type or holds no messages, or its definition is invalid.
 
     """
-    if not sum(connection.msgcount for connection in connections if connection.topic == topic):
-        raise BagError(f"topic {topic} holds no messages", where=where)
+    checked_type(connections, topic, where, None, (RAW_SCAN,), filled=True)
+    schema = schema_of_connection(next(each for each in connections if each.topic == topic), where)
+    check_raw_scan_schema(schema, f"{where}, topic {topic}")
+    return schema
 
 
 def counted_messages(reader: Reader, topics: Collection[str], where: str) -> Iterator[tuple[Connection, int, bytes]]:

@@ -12,7 +12,7 @@ import shutil
 import tempfile
 from collections import defaultdict
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from struct import Struct
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
@@ -33,7 +33,6 @@ from mcap.records import (
     MetadataIndex,
     Schema,
     Statistics,
-    SummaryOffset,
 )
 
 from posor.bags.mcap_file import INDEX_HEAD, MAGIC, RECORD_HEAD
@@ -86,18 +85,10 @@ class _Topic:
     count: int = 0
 
 
-@dataclass
-class _Chunk:
-    """Records that wait to become a chunk, and log time and offset of each message by channel."""
-
-    records: RecordBuilder = field(default_factory=RecordBuilder)
-    entries: defaultdict[int, list[tuple[int, int]]] = field(default_factory=lambda: defaultdict(list))
-
-
 class BagWriter:
     """A bag that is being written; as a context manager it closes the bag, also after an error.
 
-    Equal calls give equal bytes.
+    Equal calls give equal bytes. Every method raises an OutputError if the storage fails.
 
     Attributes:
         path: The folder.
@@ -114,7 +105,6 @@ class BagWriter:
 
         Raises:
             BagError: The folder exists already.
-            OutputError: It cannot be created.
 
         """
         if path.exists():
@@ -126,7 +116,8 @@ class BagWriter:
         self._topics: list[_Topic] = []
         self._channels: dict[str, int] = {}
         self._indices: list[ChunkIndex] = []
-        self._chunk = _Chunk()
+        self._records = RecordBuilder()  # that wait to become a chunk
+        self._entries = defaultdict[int, list[tuple[int, int]]](list)  # log time and offset of each message, by channel
         self._buffer: ByteArray = np.empty(0, dtype=np.uint8)
         with writing(self._where):
             path.mkdir(parents=True)
@@ -146,10 +137,10 @@ class BagWriter:
     def add_topic(
         self, name: str, type_name: str, definition: Definition, qos: Sequence[Any] = (), encoding: str = "cdr"
     ) -> int:
-        """Add a topic and return the number of its channel.
+        """Add a topic, unless it is there already, and return the number of its channel.
 
         Args:
-            name: Of the topic; a bag may hold several channels of a topic.
+            name: Of the topic; with another type, other profiles or another encoding it has another channel.
             type_name: Message type.
             definition: Of the type.
             qos: Profiles that the publishers offer: ``QoSProfile`` of rclpy or ``Qos`` of rosbags.
@@ -157,22 +148,6 @@ class BagWriter:
 
         """
         profiles = [_qos_entry(profile) for profile in qos]
-        if type_name not in self._schemas:
-            form = "ros2idl" if definition.text.startswith("=" * 80 + "\nIDL: ") else "ros2msg"
-            number, data = len(self._schemas) + 1, definition.text.encode()
-            schema = Schema(id=number, name=type_name, encoding=form, data=data)
-            schema.write(self._chunk.records)
-            self._schemas[type_name] = schema
-        number = self._channels[name] = len(self._topics) + 1
-        offered = {"offered_qos_profiles": yaml.safe_dump(profiles).strip()}
-        channel = Channel(
-            id=number,
-            topic=name,
-            message_encoding=encoding,
-            metadata=offered,
-            schema_id=self._schemas[type_name].id,
-        )
-        channel.write(self._chunk.records)
         metadata = {
             "name": name,
             "type": type_name,
@@ -180,46 +155,47 @@ class BagWriter:
             "offered_qos_profiles": profiles,
             "type_description_hash": definition.type_hash,
         }
+        for topic in self._topics:
+            if topic.metadata == metadata:
+                return topic.channel.id
+        if type_name not in self._schemas:
+            form = "ros2idl" if definition.text.startswith("=" * 80 + "\nIDL: ") else "ros2msg"
+            number, data = len(self._schemas) + 1, definition.text.encode()
+            self._schemas[type_name] = Schema(id=number, name=type_name, encoding=form, data=data)
+            self._schemas[type_name].write(self._records)
+        channel = Channel(
+            id=len(self._topics) + 1,
+            topic=name,
+            message_encoding=encoding,
+            metadata={"offered_qos_profiles": yaml.safe_dump(profiles).strip()},
+            schema_id=self._schemas[type_name].id,
+        )
+        channel.write(self._records)
+        self._channels[name] = channel.id
         self._topics.append(_Topic(channel, metadata))
-        return number
+        return channel.id
 
     def write(self, topic: str, time_ns: int, data: bytes) -> None:
-        """Write one serialised message with its log time [ns].
-
-        Raises:
-            OutputError: The storage fails.
-
-        """
+        """Write one serialised message with its log time [ns]."""
         self.write_message(self._channels[topic], time_ns, data)
 
     def write_message(self, channel: int, time_ns: int, data: bytes) -> None:
-        """Write one serialised message of a channel with its log time [ns].
-
-        Raises:
-            OutputError: The storage fails.
-
-        """
-        records = self._chunk.records
-        self._chunk.entries[channel].append((time_ns, records.count))
+        """Write one serialised message of a channel with its log time [ns]."""
+        self._entries[channel].append((time_ns, self._records.count))
         message = Message(channel_id=channel, log_time=time_ns, publish_time=time_ns, sequence=0, data=data)
-        message.write(records)
+        message.write(self._records)
         self._topics[channel - 1].count += 1
-        if records.count > CHUNK_BYTES:
+        if self._records.count > CHUNK_BYTES:
             self._close_chunk()
 
     def write_messages(self, parts: Sequence[TopicMessages]) -> None:
-        """Write messages as one chunk; every channel has one part at most.
-
-        Raises:
-            OutputError: The storage fails.
-
-        """
+        """Write messages as one chunk; every channel has one part at most."""
         parts = [part for part in parts if len(part.times_ns)]
         if not parts:
             return
-        if self._chunk.entries:
+        if self._entries:
             self._close_chunk()
-        begin = np.frombuffer(self._chunk.records.end(), dtype=np.uint8)  # schemas and channels
+        begin = np.frombuffer(self._records.end(), dtype=np.uint8)  # schemas and channels
         head_size = MESSAGE_HEAD.size
         size = len(begin) + sum(len(part.times_ns) * (head_size + part.messages.shape[1]) for part in parts)
         if len(self._buffer) < size:
@@ -237,32 +213,24 @@ class BagWriter:
         self._write_chunk(records, entries)
 
     def flush(self) -> None:
-        """Hand all messages so far to the operating system; they survive the end of this process, not a loss of power.
-
-        Raises:
-            OutputError: The storage fails.
-
-        """
-        if self._chunk.entries:
+        """Hand all messages to the operating system; they survive the end of this process, not a loss of power."""
+        if self._entries:
             self._close_chunk()
         with writing(self._where):
             self._file.flush()
 
     def close(self) -> None:
-        """Write index and metadata.
-
-        Raises:
-            OutputError: The storage fails.
-
-        """
-        if self._chunk.records.count:
+        """Write index and metadata."""
+        if self._records.count:
             self._close_chunk()
         with writing(self._where):
             information = self._information()
             self._write_index(information)
             self._file.close()
             text = yaml.safe_dump({"rosbag2_bagfile_information": information}, allow_unicode=True)
-            (self.path / "metadata.yaml").write_text(text, encoding="utf-8")
+            unfinished = self.path / "metadata.yaml.tmp"
+            unfinished.write_text(text, encoding="utf-8")
+            unfinished.replace(self.path / "metadata.yaml")
             (self.path / PENDING).unlink(missing_ok=True)
 
     def __enter__(self) -> Self:
@@ -275,9 +243,9 @@ class BagWriter:
 
     def _close_chunk(self) -> None:
         """Write the messages since the last chunk as a chunk."""
-        chunk, self._chunk = self._chunk, _Chunk()
-        entries = {channel: np.array(index, dtype=np.int64) for channel, index in chunk.entries.items()}
-        self._write_chunk(np.frombuffer(chunk.records.end(), dtype=np.uint8), entries)
+        entries = {channel: np.array(index, dtype=np.int64) for channel, index in self._entries.items()}
+        self._entries.clear()
+        self._write_chunk(np.frombuffer(self._records.end(), dtype=np.uint8), entries)
 
     def _write_chunk(self, records: ByteArray, entries: Mapping[int, IntArray]) -> None:
         """Write records as a chunk; ``entries``: log time and offset of each message, shape (n, 2), by channel."""
@@ -348,35 +316,22 @@ class BagWriter:
         first, last = self._time_span()
         counts = {topic.channel.id: topic.count for topic in self._topics}
         statistics = Statistics(
-            attachment_count=0,
-            channel_count=len(self._topics),
-            channel_message_counts=counts,
-            chunk_count=len(self._indices),
             message_count=sum(counts.values()),
-            message_end_time=last,
-            message_start_time=first,
-            metadata_count=1,
             schema_count=len(self._schemas),
+            channel_count=len(self._topics),
+            attachment_count=0,
+            metadata_count=1,
+            chunk_count=len(self._indices),
+            message_start_time=first,
+            message_end_time=last,
+            channel_message_counts=counts,
         )
-        groups: dict[Opcode, Sequence[McapRecord]] = {
-            Opcode.SCHEMA: list(self._schemas.values()),
-            Opcode.CHANNEL: [topic.channel for topic in self._topics],
-            Opcode.CHUNK_INDEX: self._indices,
-            Opcode.METADATA_INDEX: [MetadataIndex(name="rosbag2", offset=metadata_at, length=len(metadata))],
-            Opcode.STATISTICS: [statistics],
-        }
-        index_at, index, contents = self._file.tell(), RecordBuilder(), RecordBuilder()
-        for opcode, records in groups.items():
-            begin = index.count
-            for record in records:
-                record.write(index)
-            if records:
-                length = index.count - begin
-                SummaryOffset(group_opcode=opcode, group_start=index_at + begin, group_length=length).write(contents)
-        footer = Footer(summary_start=index_at, summary_offset_start=index_at + index.count, summary_crc=0)
-        whole = index.end() + contents.end()
-        footer.summary_crc = crc32(_bytes_of(footer)[:-4], crc32(whole))
-        self._file.write(whole + _bytes_of(footer) + MAGIC)
+        place = MetadataIndex(name="rosbag2", offset=metadata_at, length=len(metadata))
+        channels = [topic.channel for topic in self._topics]
+        footer = Footer(summary_start=self._file.tell(), summary_offset_start=0, summary_crc=0)
+        index = b"".join(map(_bytes_of, [*self._schemas.values(), *channels, *self._indices, place, statistics]))
+        footer.summary_crc = crc32(index + _bytes_of(footer)[:-4])
+        self._file.write(index + _bytes_of(footer) + MAGIC)
 
 
 @contextmanager

@@ -6,15 +6,13 @@ compressed files or messages) is read message by message by rosbags.
 
 from __future__ import annotations
 
-import heapq
 from dataclasses import dataclass
 from itertools import islice, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Literal, NamedTuple
 
 import numpy as np
-from mcap.data_stream import ReadDataStream
-from mcap.records import Channel, Chunk, ChunkIndex
+from mcap.records import Channel, ChunkIndex
 
 from posor.bags.bag_reader import bag_files
 from posor.bags.mcap_file import INDEX_HEAD, RECORD_HEAD, checked_index, chunk_records
@@ -116,7 +114,8 @@ def _read_blocks(reader: Reader, topics: Sequence[str], where: str) -> Iterator[
     indices = [checked_index(file) if file.suffix == ".mcap" else [] for file in files]
     if indices and all(any(isinstance(record, ChunkIndex) for record in index) for index in indices):
         for file, index in zip(files, indices, strict=True):
-            yield from _FileReader(file, index, topics, where).read_blocks()
+            with file.open("rb") as opened:
+                yield from _FileReader(opened, index, topics, where).read_blocks()
     else:
         yield from _read_messages(reader, topics)
 
@@ -137,13 +136,7 @@ def _read_messages(reader: Reader, topics: Sequence[str]) -> Iterator[MessageBlo
 
 
 class _ReadPosition(NamedTuple):
-    """Position of a message in the order in which rosbags reads a file: by log time, then by chunk.
-
-    Attributes:
-        time_ns: Log time of the message.
-        offset: Offset of its chunk in the file [bytes].
-
-    """
+    """Position of a message in the order in which rosbags reads a file: by log time, then by offset of the chunk."""
 
     time_ns: int
     offset: int
@@ -152,25 +145,10 @@ class _ReadPosition(NamedTuple):
 END = _ReadPosition(np.iinfo(np.int64).max, np.iinfo(np.int64).max)
 
 
-class _PendingChunk(NamedTuple):
-    """A chunk that has not been read; ordered by position, and no two chunks begin at the same offset.
+class _Held(NamedTuple):
+    """Messages of the chunk at an offset that wait for later chunks."""
 
-    Attributes:
-        first: None of its messages of the topics comes before this position.
-        time_is_exact: The first of these messages is at ``first``; else that may be a message of another topic.
-        chunk: The chunk.
-
-    """
-
-    first: _ReadPosition
-    time_is_exact: bool
-    chunk: ChunkIndex
-
-
-class _Remainder(NamedTuple):
-    """Messages of a chunk that wait for later chunks; ordered by the position of the first one, which is unique."""
-
-    first: _ReadPosition
+    offset: int
     block: MessageBlock
 
 
@@ -180,40 +158,43 @@ class _FileReader:
     Messages of a chunk wait until no later chunk can contain earlier ones; each is copied a few times at most.
     """
 
-    def __init__(self, path: Path, index: Sequence[McapRecord], topics: Sequence[str], where: str) -> None:
+    def __init__(self, file: BinaryIO, index: Sequence[McapRecord], topics: Sequence[str], where: str) -> None:
         """Select the chunks with messages of some topics; ``where`` names the bag in errors."""
-        self._path, self._topics, self._where = path, topics, where
+        self._file, self._topics, self._where = file, topics, where
         self._numbers = np.full(1 << 16, -1, dtype=np.int64)
         for record in index:
             if isinstance(record, Channel) and record.topic in topics:
                 self._numbers[record.id] = topics.index(record.topic)
-        self._pending = [
-            _PendingChunk(
-                _ReadPosition(chunk.message_start_time, chunk.chunk_start_offset), time_is_exact=False, chunk=chunk
-            )
+        self._held: list[_Held] = []
+        chunks = [
+            chunk
             for chunk in index
             if isinstance(chunk, ChunkIndex) and any(self._numbers[number] >= 0 for number in _channels_of(chunk))
         ]
-        heapq.heapify(self._pending)
-        self._remainders: list[_Remainder] = []
-        self._held_bytes = 0
+        chunks.sort(key=lambda chunk: (chunk.message_start_time, chunk.chunk_start_offset))
+        firsts = [chunk.message_start_time for chunk in chunks]
+        if any(chunk.message_end_time >= following for chunk, following in zip(chunks, firsts[1:], strict=False)):
+            firsts = [max(chunk.message_start_time, self._read_first_time(chunk)) for chunk in chunks]
+        positions = [_ReadPosition(*each) for each in zip(firsts, (c.chunk_start_offset for c in chunks), strict=True)]
+        self._chunks = sorted(zip(positions, chunks, strict=True), key=lambda each: each[0])
 
     def read_blocks(self) -> Iterator[MessageBlock]:
         """Yield the messages of the file in order."""
-        with self._path.open("rb") as file:
-            self._find_next_chunk(file)
-            while self._pending:
+        size = 0
+        for n, (first, chunk) in enumerate(self._chunks, start=1):
+            size += chunk.uncompressed_size
+            block = self._read_chunk(first, chunk)
+            if len(block):
+                self._held.append(_Held(first.offset, block.compact()))
+            limit, following = self._chunks[n] if n < len(self._chunks) else (END, None)
+            if following is None or size + following.uncompressed_size > BLOCK_BYTES:
+                yield from self._take_before(limit)
                 size = 0
-                while self._pending and (not size or size + self._pending[0].chunk.uncompressed_size <= BLOCK_BYTES):
-                    size += self._pending[0].chunk.uncompressed_size
-                    self._read_next(file)
-                yield from self._take_before(self._pending[0].first if self._pending else END)
 
-    def _read_next(self, file: BinaryIO) -> None:
-        """Read the messages of the next chunk."""
-        first, _, chunk = heapq.heappop(self._pending)
-        file.seek(first.offset + RECORD_HEAD.size)
-        block = self._index_messages(np.frombuffer(chunk_records(Chunk.read(ReadDataStream(file))), dtype=np.uint8))
+    def _read_chunk(self, first: _ReadPosition, chunk: ChunkIndex) -> MessageBlock:
+        self._file.seek(first.offset)
+        records = chunk_records(self._file.read(chunk.chunk_length)[RECORD_HEAD.size :])
+        block = self._index_messages(np.frombuffer(records, dtype=np.uint8))
         if len(block) and not first.time_ns <= block.times_ns[0] <= block.times_ns[-1] <= chunk.message_end_time:
             raise BagError(
                 f"the chunk at byte {first.offset} holds messages logged from {block.times_ns[0]} to "
@@ -221,23 +202,12 @@ class _FileReader:
                 where=self._where,
                 expected=f"from {first.time_ns} to {chunk.message_end_time} ns, as its index says",
             )
-        self._hold(first.offset, block)
-        self._find_next_chunk(file)
+        return block
 
-    def _find_next_chunk(self, file: BinaryIO) -> None:
-        """Bring the chunk with the first message of the topics to the front, or one that ends before all others."""
-        while self._pending and not self._pending[0].time_is_exact:
-            first, _, chunk = self._pending[0]
-            if all(chunk.message_end_time < other.first.time_ns for other in self._pending[1:3]):
-                return
-            time_ns = max(first.time_ns, self._read_first_time(file, chunk))
-            exact = _PendingChunk(_ReadPosition(time_ns, first.offset), time_is_exact=True, chunk=chunk)
-            heapq.heapreplace(self._pending, exact)
-
-    def _read_first_time(self, file: BinaryIO, chunk: ChunkIndex) -> int:
+    def _read_first_time(self, chunk: ChunkIndex) -> int:
         """Return the log time of the first message of the topics in a chunk, from the index records after the chunk."""
-        file.seek(chunk.chunk_start_offset + chunk.chunk_length)
-        data, offset, times = file.read(chunk.message_index_length), 0, []
+        self._file.seek(chunk.chunk_start_offset + chunk.chunk_length)
+        data, offset, times = self._file.read(chunk.message_index_length), 0, []
         while offset + INDEX_HEAD.size <= len(data):
             _, length, channel, size = INDEX_HEAD.unpack_from(data, offset)
             begin, offset = offset + INDEX_HEAD.size, offset + RECORD_HEAD.size + length
@@ -264,30 +234,25 @@ class _FileReader:
         # Select by indices, which copies: the four arrays have the capacity for the shortest possible messages.
         return MessageBlock(data, topics, times, starts, lengths).select(np.argsort(times[:count], kind="stable"))
 
-    def _hold(self, offset: int, block: MessageBlock) -> None:
-        """Hold the messages of the chunk at an offset."""
-        if len(block):
-            held = block.compact()
-            self._held_bytes += held.nbytes
-            heapq.heappush(self._remainders, _Remainder(_ReadPosition(int(held.times_ns[0]), offset), held))
-
     def _take_before(self, limit: _ReadPosition) -> Iterator[MessageBlock]:
         """Yield the messages before a position, in order."""
-        ready: dict[int, MessageBlock] = {}
-        while self._remainders and self._remainders[0].first < limit:
-            (_, offset), block = heapq.heappop(self._remainders)
-            self._held_bytes -= block.nbytes
+        ready, waiting = [], []
+        for offset, block in sorted(self._held, key=lambda held: held.offset):
             side: Literal["left", "right"] = "right" if offset < limit.offset else "left"
             count = int(np.searchsorted(block.times_ns, limit.time_ns, side=side))
-            ready[offset] = block.select(slice(count))
-            self._hold(offset, block.select(slice(count, None)))
+            if count:
+                ready.append(block.select(slice(count)))
+            if count < len(block):
+                rest = block.select(slice(count, None)) if count else block
+                waiting.append(_Held(offset, rest.compact()))
+        self._held = waiting
         if ready:
-            yield from _merge_blocks([block for _, block in sorted(ready.items())], BLOCK_BYTES)
-        if self._held_bytes > MOST_WAITING:
-            topics, time_ns = ", ".join(self._topics), self._remainders[0].first.time_ns
+            yield from _merge_blocks(ready, BLOCK_BYTES)
+        if sum(block.nbytes for _, block in waiting) > MOST_WAITING:
+            time_ns = min(int(block.times_ns[0]) for _, block in waiting)
             raise BagError(
-                f"chunks overlap so much in log time that more than {MOST_WAITING >> 20} MiB of messages of {topics} "
-                f"wait for others, at {time_ns} ns",
+                f"chunks overlap so much in log time that more than {MOST_WAITING >> 20} MiB of messages of "
+                f"{', '.join(self._topics)} wait for others, at {time_ns} ns",
                 where=self._where,
                 expected="messages about in the order of their log times, as `mcap sort` writes them",
             )
@@ -301,13 +266,7 @@ def _channels_of(chunk: ChunkIndex) -> list[int]:
 
 
 def _merge_blocks(parts: Sequence[MessageBlock], size: int) -> Iterator[MessageBlock]:
-    """Yield the messages of several blocks in the order of their log times.
-
-    Args:
-        parts: The blocks. Of messages with equal log times those of an earlier block come first.
-        size: Approximate bytes of messages to yield at a time; a single block is yielded as it is.
-
-    """
+    """Yield the messages of several blocks in the order of their log times."""
     if len(parts) == 1:
         yield parts[0]
         return

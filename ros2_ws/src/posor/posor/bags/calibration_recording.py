@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from posor.bags.bag_reader import check_filled, checked_type, counted_messages, opened_bag, scan_topic
+from posor.bags.bag_reader import checked_type, counted_messages, opened_bag, scan_schema, scan_topic
 from posor.bags.block_reader import TopicReader, read_blocks
 from posor.bags.recording import POSE, Recording, Track
 from posor.chain.joint_measurements import UNIT_QUATERNION_TOLERANCE
 from posor.errors import BagError, TopicError, TrackError, checked_path
 from posor.messages.message_definitions import schema_of_connection
-from posor.messages.raw_scan import RecordedScans, check_raw_scan_schema
+from posor.messages.raw_scan import RecordedScans
 from posor.model.scan import CONTACTS
 from posor.numerics.stamps import time_ns
-from posor.ros_names import POINT_STAMPED, POSE_STAMPED, RAW_SCAN, REFERENCE_READING
+from posor.ros_names import POINT_STAMPED, POSE_STAMPED, REFERENCE_READING
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
@@ -127,10 +127,7 @@ def load_recording(
 def _read_recorded_scans(reader: Reader, topic: str, where: str) -> RecordedScans:
     """Return the scans of a topic, all with the same readings, in the order of their stamps."""
     place = f"{where}, topic {topic}"
-    checked_type(reader.connections, topic, where, None, (RAW_SCAN,))
-    check_filled(reader.connections, topic, where)
-    schema = schema_of_connection(next(each for each in reader.connections if each.topic == topic), where)
-    check_raw_scan_schema(schema, place)
+    schema = scan_schema(reader.connections, topic, where)
     topic_reader = TopicReader(0, topic, schema, where)
     parts = [
         RecordedScans.unpack(*table)
@@ -178,12 +175,9 @@ def _read_tracks(reader: Reader, references: Sequence[Reference], where: str) ->
     if not references:
         return {}  # rosbags would take an empty list for all topics
     topics = [reference.topic for reference in references]
-    kinds = {topic: checked_type(reader.connections, topic, where, None, tuple(REFERENCE_FIELDS)) for topic in topics}
-    schemas = {}
-    for connection in reader.connections:
-        if connection.topic in kinds:
-            check_filled(reader.connections, connection.topic, where)
-            schemas[connection.topic] = schema_of_connection(connection, where)
+    known = reader.connections
+    kinds = {topic: checked_type(known, topic, where, None, REFERENCE_FIELDS, filled=True) for topic in topics}
+    schemas = {each.topic: schema_of_connection(each, where) for each in known if each.topic in kinds}
     messages: dict[str, list[tuple[int, dict[str, Value]]]] = {topic: [] for topic in topics}
     for connection, logged_ns, data in counted_messages(reader, kinds, where):
         try:

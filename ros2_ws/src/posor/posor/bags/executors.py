@@ -12,7 +12,7 @@ import time
 from _thread import interrupt_main
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from ipaddress import ip_address
 from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
@@ -119,14 +119,7 @@ def dask_cluster(scheduler: str, *, unencrypted: bool = False) -> Iterator[Execu
             or no scheduler answers.
 
     """
-    if not _is_address(scheduler):
-        raise ParameterError(f"'{scheduler}'", where=OPTION, expected=EXPECTED)
-    if not (unencrypted or _is_protected(scheduler)):
-        raise ParameterError(
-            f"{scheduler} is on another machine and not encrypted: whoever reaches it runs code on its workers",
-            where=OPTION,
-            expected="a tls:// address, or --unencrypted too",
-        )
+    _check_address(scheduler, unencrypted=unencrypted)
     try:
         import distributed  # noqa: PLC0415  an optional library
     except ImportError:
@@ -178,34 +171,29 @@ def _init_worker() -> None:
     threading.Thread(target=end_with_parent, daemon=True).start()
 
 
-def _is_address(text: str) -> bool:
+def _check_address(scheduler: str, *, unencrypted: bool) -> None:
+    """Refuse an invalid address, and the address of another machine without TLS."""
     try:
-        address = urlsplit(text)
-        port = address.port
+        address = urlsplit(scheduler)
+        rest = address.path or address.query or address.fragment or address.username
+        is_valid = address.scheme in SCHEMES and bool(address.hostname) and bool(address.port) and not rest
     except ValueError:
-        return False
-    rest = address.path or address.query or address.fragment or address.username
-    return address.scheme in SCHEMES and bool(address.hostname) and bool(port) and not rest
-
-
-def _is_protected(scheduler: str) -> bool:
-    """Return whether a valid address is one with TLS, or one of this machine."""
-    address = urlsplit(scheduler)
-    if address.scheme in ENCRYPTED_SCHEMES or address.hostname == "localhost":
-        return True
-    try:
-        return ip_address(address.hostname or "").is_loopback
-    except ValueError:  # a name
-        return False
+        is_valid = False
+    if not is_valid:
+        raise ParameterError(f"'{scheduler}'", where=OPTION, expected=EXPECTED)
+    is_here = address.hostname == "localhost"
+    with suppress(ValueError):  # a name
+        is_here = is_here or ip_address(address.hostname or "").is_loopback
+    if not (unencrypted or is_here or address.scheme in ENCRYPTED_SCHEMES):
+        raise ParameterError(
+            f"{scheduler} is on another machine and not encrypted: whoever reaches it runs code on its workers",
+            where=OPTION,
+            expected="a tls:// address, or --unencrypted too",
+        )
 
 
 def _connection_security(dask: Any, scheduler: str) -> dict[str, Any]:
-    """Return Dask's arguments of a connection, with the certificates of Dask's configuration.
-
-    Raises:
-        ParameterError: Certificates are missing or cannot be read.
-
-    """
+    """Return Dask's arguments of a connection, with the certificates of Dask's configuration."""
     expected = "'distributed.comm.tls' in Dask's configuration, see docs/how_to/secure_network.md"
     try:
         security: dict[str, Any] = dask.Security().get_connection_args("client")
@@ -224,12 +212,7 @@ def _connection_security(dask: Any, scheduler: str) -> dict[str, Any]:
 
 
 async def _ping_scheduler(dask: Any, scheduler: str, security: dict[str, Any]) -> None:
-    """Connect to the scheduler once: a client without an answer cannot be closed, and may wait for ever.
-
-    Raises:
-        OSError: No answer in time.
-
-    """
+    """Connect to the scheduler once: a client without an answer cannot be closed, and may wait for ever."""
     async with asyncio.timeout(CONNECT_WITHIN_S):
         comm = await dask.comm.connect(scheduler, CONNECT_WITHIN_S, **security)
     await comm.close()

@@ -219,12 +219,7 @@ def _after_header(data: mmap | bytes) -> int:
 
 
 def _read_record(data: mmap | bytes, position: int) -> tuple[int, list[Record], int]:
-    """Return type, records of messages, and end of the record at an offset.
-
-    Raises:
-        _DamagedError: There is no whole record.
-
-    """
+    """Return type, records of messages, and end of the record at an offset."""
     content = position + RECORD_HEAD.size
     if content > len(data):
         raise _DamagedError("the file is cut short within a record")
@@ -236,7 +231,11 @@ def _read_record(data: mmap | bytes, position: int) -> tuple[int, list[Record], 
         raise _DamagedError(f"the file is cut short within a record of {length} bytes, or its length is damaged")
     records: list[Record] = []
     if opcode == Opcode.CHUNK:
-        records = _read_chunk(data[content:after])
+        try:
+            records = list(records_of(chunk_records(data[content:after])))
+        except Exception as error:  # each compression raises errors of its own
+            what = " ".join(str(error).split()).rstrip(".").lower()
+            raise _DamagedError(f"a chunk is damaged: {what}") from error
     elif opcode in OF_MESSAGES:
         records = [Record(opcode, data[content:after])]
     elif opcode == Opcode.DATA_END and length != 4:  # noqa: PLR2004  its checksum
@@ -248,31 +247,18 @@ def _read_record(data: mmap | bytes, position: int) -> tuple[int, list[Record], 
     return opcode, records, after
 
 
-def _read_chunk(content: bytes) -> list[Record]:
-    """Return the records of a chunk.
+def chunk_records(content: bytes) -> bytes:
+    """Return the records of a chunk, decompressed; ``content``: the chunk's record without its head.
 
     Raises:
-        _DamagedError: The chunk is damaged.
+        ValueError: The compression is unknown, or sizes or the checksum differ from those that the chunk states.
+        McapError, RuntimeError, zstandard.ZstdError: The content is damaged.
 
     """
     stream = ReadDataStream(BytesIO(content))
-    try:
-        chunk = Chunk.read(stream)
-        if stream.count != len(content):
-            raise ValueError("its sizes contradict one another")  # noqa: TRY301
-        return list(records_of(chunk_records(chunk)))
-    except Exception as error:  # each compression raises errors of its own
-        raise _DamagedError(f"a chunk is damaged: {' '.join(str(error).split()).rstrip('.').lower()}") from error
-
-
-def chunk_records(chunk: Chunk) -> bytes:
-    """Return the records of a chunk, decompressed.
-
-    Raises:
-        ValueError: The compression is unknown, or size or checksum differ from those that the chunk states.
-        RuntimeError, zstandard.ZstdError: The compressed data are damaged.
-
-    """
+    chunk = Chunk.read(stream)
+    if stream.count != len(content):
+        raise ValueError("its sizes contradict one another")
     if chunk.compression == "zstd":
         data = zstandard.decompress(chunk.data, chunk.uncompressed_size)
     elif chunk.compression == "lz4":

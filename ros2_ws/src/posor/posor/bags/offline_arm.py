@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from posor.bags.arm_estimator import ArmEstimator
-from posor.bags.bag_topics import topics_of
-from posor.bags.offline_pipeline import estimate_bag
+from posor.bags.offline_pipeline import estimate_bag, topics_of
 from posor.bags.reprocess_task import Settings
 from posor.chain.arm_file import ArmFile, load_arm_file
 from posor.errors import checked_path

@@ -10,32 +10,73 @@ from time import perf_counter, process_time
 from typing import TYPE_CHECKING
 
 from posor.bags.arm_estimator import ArmEstimator
-from posor.bags.bag_reader import opened_bag
-from posor.bags.bag_topics import topics_of
+from posor.bags.bag_reader import opened_bag, scan_schema
 from posor.bags.block_reader import TopicReader, read_blocks
 from posor.bags.provenance import custom_data, differences, provenance_of
-from posor.bags.reprocess_task import Summary, Task
+from posor.bags.reprocess_task import BagTopics, Summary, Task
 from posor.bags.result_folder import new_result_folder, writing
+from posor.bags.result_output import BagOutput, TableOutput
 from posor.errors import BagError
 from posor.messages.raw_scan import RecordedScans
+from posor.ros_names import RAW_SCAN, RAW_TOPIC
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
-    from typing import Protocol
 
-    from posor.bags.bag_topics import BagTopics
+    from rosbags.interfaces import Connection
+
     from posor.bags.block_reader import MessageBlock
+    from posor.bags.reprocess_task import JointSettings
     from posor.messages.estimate_arrays import ArmEstimates
 
-    class Output(Protocol):
-        """Receives the estimates of a bag, block after block."""
 
-        def write(self, estimates: ArmEstimates) -> None:
-            """Write the estimates of a block."""
+def topics_of(bag: Path, joints: Mapping[str, JointSettings]) -> BagTopics:
+    """Return the topics of a bag after checking them.
 
-        def close(self) -> None:
-            """Write what belongs at the end."""
+    Raises:
+        BagError: The bag cannot be read, a joint has no scans or scans on several topics, or a topic has another type.
+
+    """
+    where = str(bag)
+    with opened_bag(bag) as reader:
+        connections = list(reader.connections)
+        raw = {joint: settings.topic or _topic(joint, connections, where) for joint, settings in joints.items()}
+        schemas = {}
+        for joint, topic in raw.items():
+            schemas[joint] = scan_schema(connections, topic, where)
+            twice = [other for other, same in raw.items() if same == topic and other != joint]
+            if twice:
+                raise BagError(
+                    f"topic {topic} is taken for the scans of {joint} and of {twice[0]}",
+                    where=where,
+                    expected="a topic for each joint",
+                )
+        own = [connection for connection in connections if connection.topic in raw.values()]
+        scans = {connection.topic for connection in connections if connection.msgtype == RAW_SCAN}
+        offered = getattr(own[0].ext, "offered_qos_profiles", [])
+        return BagTopics(
+            raw,
+            schemas,
+            tuple(sorted(scans - set(raw.values()))),
+            list(offered[:1]),
+            sum(connection.msgcount for connection in own),
+        )
+
+
+def _topic(joint: str, connections: Sequence[Connection], where: str) -> str:
+    names = sorted({connection.topic for connection in connections if connection.msgtype == RAW_SCAN})
+    found = [name for name in names if name.endswith(f"/{joint}/{RAW_TOPIC}")]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        what, expected = f"scans of joint {joint} may be on {', '.join(found)}", f"--topic {joint}=ONE of them"
+    elif names:
+        what = f"there are no scans of joint {joint} on .../{joint}/{RAW_TOPIC}"
+        expected = f"one of {', '.join(names)}"
+    else:
+        what, expected = f"there are no raw scans of joint {joint}, nor of any other", "a bag of recorded raw scans"
+    raise BagError(what, where=where, expected=expected)
 
 
 def reprocess_bag(task: Task, progress: Callable[[int], object] = lambda _: None) -> Summary:
@@ -119,13 +160,9 @@ def _scan_count(estimates: ArmEstimates) -> int:
     return sum(len(joint) for joint in estimates.joints.values())
 
 
-def _open_output(task: Task, folder: Path, topics: BagTopics, estimator: ArmEstimator) -> Output:
-    """Return the output in the requested format; each imports libraries of its own."""
+def _open_output(task: Task, folder: Path, topics: BagTopics, estimator: ArmEstimator) -> BagOutput | TableOutput:
+    """Return the output in the requested format."""
     if task.format == "bag":
-        from posor.bags.bag_output import BagOutput  # noqa: PLC0415
-
         return BagOutput(folder, topics, estimator, provenance_of(task.settings), task.output or folder)
-    from posor.bags.table_output import TableOutput  # noqa: PLC0415
-
     endpoint = estimator.endpoint
     return TableOutput(folder, task.format, list(topics.raw), None if endpoint is None else endpoint.joints)

@@ -73,34 +73,28 @@ class Rescue:
 
 
 class _Topics:
-    """Channels of the new bag by channel of a damaged file; topics are added as their definitions are found."""
+    """Topics of a damaged file by channel; they are added to the new bag as their definitions are found."""
 
-    def __init__(self, output: _Output) -> None:
-        self._output = output
+    def __init__(self, writer: BagWriter) -> None:
+        self._writer = writer
         self._definitions: dict[tuple[type, int], Schema | Channel] = {}
-        self._connections: dict[int, Connection] = {}
+        self.channels: dict[int, int] = {}
 
     def add(self, records: Iterable[McapRecord]) -> None:
         """Add the definitions among some records; invalid ones, in a file without checksums, are left out."""
         found = {(type(each), each.id): each for each in records if isinstance(each, (Schema, Channel))}
-        new = {key: each for key, each in found.items() if key not in self._definitions}
-        if new:
+        if new := {key: each for key, each in found.items() if key not in self._definitions}:
             with suppress(Exception):  # rosbags raises whatever the bytes lead to
-                self._connections = _parse_topics([*self._definitions.values(), *new.values()])
+                for source in _parse_topics([*self._definitions.values(), *new.values()]):
+                    ext: Any = source.ext
+                    definition = Definition(source.msgdef.data, stored_type_hash(source))
+                    self.channels[source.id] = self._writer.add_topic(
+                        source.topic, source.msgtype, definition, ext.offered_qos_profiles, ext.serialization_format
+                    )
                 self._definitions |= new
 
-    def channel(self, number: int) -> int | None:
-        """Return the channel of the new bag for a channel of the file; None: its definition is not known."""
-        connection = self._connections.get(number)
-        return None if connection is None else self._output.channel(connection)
 
-    def add_rest(self) -> None:
-        """Add the topics without messages."""
-        for number in self._connections:
-            self.channel(number)
-
-
-def _parse_topics(definitions: Iterable[Schema | Channel]) -> dict[int, Connection]:
+def _parse_topics(definitions: Iterable[Schema | Channel]) -> list[Connection]:
     """Have rosbags read schemas and channels as those of a file without messages."""
     with NamedTemporaryFile(suffix=".mcap") as file:
         builder = RecordBuilder()
@@ -111,26 +105,7 @@ def _parse_topics(definitions: Iterable[Schema | Channel]) -> dict[int, Connecti
         file.write(MAGIC + builder.end() + MAGIC)
         file.flush()
         with Reader(file.name) as reader:
-            return {connection.id: connection for connection in reader.connections}
-
-
-class _Output:
-    """The new bag."""
-
-    def __init__(self, writer: BagWriter) -> None:
-        self.writer = writer
-        self._channels: dict[tuple[str, str, str], int] = {}
-
-    def channel(self, source: Connection) -> int:
-        """Return the channel for a topic of a damaged file."""
-        ext: Any = source.ext
-        key = source.topic, source.msgtype, repr(ext)
-        if key not in self._channels:
-            definition = Definition(source.msgdef.data, stored_type_hash(source))
-            self._channels[key] = self.writer.add_topic(
-                source.topic, source.msgtype, definition, ext.offered_qos_profiles, ext.serialization_format
-            )
-        return self._channels[key]
+            return list(reader.connections)
 
 
 def recover(bag: Path, output: Path) -> list[Rescue]:
@@ -175,18 +150,17 @@ def recover(bag: Path, output: Path) -> list[Rescue]:
 def _write(bag: Path, files: Sequence[Path], output: Path) -> list[Rescue]:
     rescues = []
     with BagWriter(output, custom_data(bag if bag.is_dir() else bag.parent)) as writer:
-        target = _Output(writer)
         for file in files:
             if file.is_file() and not file.stat().st_size:
                 rescues.append(Rescue(file, damages=[Damage(0, 0, "the file is empty")]))
             else:
-                rescues.append(_rescue(file, target))
+                rescues.append(_rescue(file, writer))
     return rescues
 
 
-def _rescue(file: Path, target: _Output) -> Rescue:
+def _rescue(file: Path, writer: BagWriter) -> Rescue:
     """Write what is whole in a file to the new bag."""
-    rescue, topics = Rescue(file), _Topics(target)
+    rescue, topics = Rescue(file), _Topics(writer)
     with mapped(file) as data:
         index = read_index(data)
         if not isinstance(index, Damage):
@@ -202,13 +176,12 @@ def _rescue(file: Path, target: _Output) -> Rescue:
                 if opcode != Opcode.MESSAGE or len(content) < MESSAGE_HEAD:
                     continue
                 number, _, time_ns = MESSAGE.unpack_from(content)
-                channel = topics.channel(number)
+                channel = topics.channels.get(number)
                 if channel is None:
                     rescue.unknown += 1
                 else:
-                    target.writer.write_message(channel, time_ns, content[MESSAGE_HEAD:])
+                    writer.write_message(channel, time_ns, content[MESSAGE_HEAD:])
                     rescue.messages += 1
-    topics.add_rest()
     return rescue
 
 

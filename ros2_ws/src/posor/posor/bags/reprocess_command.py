@@ -16,9 +16,8 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from posor.bags.bag_topics import topics_of
 from posor.bags.executors import dask_cluster, local_processes, run_tasks
-from posor.bags.offline_pipeline import reprocess_bag
+from posor.bags.offline_pipeline import reprocess_bag, topics_of
 from posor.bags.reprocess_task import FORMATS, JointSettings, Settings, Summary, Task
 from posor.bags.result_folder import check_outside_of_bags, check_replaceable, clear_unfinished
 from posor.chain.arm_file import load_arm_file

@@ -12,13 +12,17 @@ from posor.chain.kinematic_chain import load_chain
 from posor.errors import ParameterError, check_probability
 from posor.node_parameters import COVARIANCE_KINDS, ChainParameters, PosorParameters
 from posor.parameter_model import validate_parameters
+from posor.ros_names import RAW_TOPIC, TRANSFORM_TOPIC
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
+
+    from rosbags.interfaces import Qos
 
     from posor.calibration.calibration_file import Calibration
     from posor.chain.arm_file import ArmFile, ParameterValue
     from posor.chain.kinematic_chain import Chain
+    from posor.messages.cdr_schema import Schema
     from posor.node_parameters import CovarianceKind
 
 Format = Literal["bag", "parquet", "csv"]
@@ -111,6 +115,38 @@ class Settings:
         parameters = validate_parameters(ChainParameters, dict(self.chain), node=CHAIN_NODE)
         beams = Path(parameters.beams) if parameters.beams else None
         return load_chain(Path(parameters.urdf), parameters.endpoint_frame, beams), parameters
+
+
+@dataclass(frozen=True)
+class BagTopics:
+    """The topics of a bag with raw scans, and how they were recorded.
+
+    Attributes:
+        raw: Topic of each joint's raw scans.
+        schemas: Of the raw scans, by joint, as the bag defines them.
+        left_out: Topics of raw scans of other joints.
+        offered: Quality of service with which the raw scans were recorded.
+        messages: Number of raw scans of the joints.
+
+    """
+
+    raw: Mapping[str, str]
+    schemas: Mapping[str, Schema]
+    left_out: tuple[str, ...]
+    offered: Sequence[Qos]
+    messages: int
+
+    @property
+    def transforms(self) -> dict[str, str]:
+        """Topic of each joint's transforms, beside its raw scans."""
+        return {joint: f"{topic.rpartition('/')[0]}/{TRANSFORM_TOPIC}" for joint, topic in self.raw.items()}
+
+    @property
+    def namespace(self) -> str:
+        """The common prefix of ``/<joint>/raw`` in all joints' topics; empty if the prefixes differ."""
+        found = {topic.removesuffix(f"/{joint}/{RAW_TOPIC}") for joint, topic in self.raw.items()}
+        same = len(found) == 1 and not found & set(self.raw.values())
+        return found.pop() if same else ""
 
 
 @dataclass(frozen=True)

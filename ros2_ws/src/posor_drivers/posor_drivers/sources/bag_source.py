@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from posor.bags.bag_reader import check_filled, checked_type, counted_messages, opened_bag, scan_topic
+from posor.bags.bag_reader import checked_type, counted_messages, opened_bag, scan_topic
 from posor.errors import BagError
 from posor.parameter_model import ParameterGroup
 from posor.ros_names import RAW_SCAN, RAW_TOPIC
@@ -58,13 +58,9 @@ class BagSource(RecordedSource[BagParameters]):
                     expected="other topics only",
                 )
             self._names = {scans: RAW_TOPIC} | {name: name for name in self.parameters.other_topics}
-            allowed = {scans: (RAW_SCAN,)}
-            topics = [
-                Topic(public, checked_type(reader.connections, name, where, self.types, allowed.get(name, ())))
-                for name, public in self._names.items()
-            ]
-            check_filled(reader.connections, scans, where)
-        return topics
+            known = reader.connections
+            checked_type(known, scans, where, self.types, (RAW_SCAN,), filled=True)
+            return [Topic(public, checked_type(known, name, where, self.types)) for name, public in self._names.items()]
 
     def read_messages(self) -> Iterator[SourceMessage]:
         """Yield the recorded messages in the order of their log times."""

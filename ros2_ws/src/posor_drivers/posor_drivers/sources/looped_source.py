@@ -12,7 +12,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from posor.bags.bag_reader import check_filled, checked_type, counted_messages, opened_bag, scan_topic
+from posor.bags.bag_reader import checked_type, counted_messages, opened_bag, scan_topic
 from posor.errors import BagError, TopicError
 from posor.messages.raw_scan import ScanTemplate
 from posor.numerics.stamps import tick_stamp_ns
@@ -69,8 +69,7 @@ class LoopedSource(LiveSource[LoopedParameters]):
         where = self.parameters.path
         with opened_bag(Path(where)) as reader:
             name = scan_topic(reader.connections, self.parameters.topic, where, "parameter 'looped.topic'")
-            checked_type(reader.connections, name, where, self.types, (RAW_SCAN,))
-            check_filled(reader.connections, name, where)
+            checked_type(reader.connections, name, where, self.types, (RAW_SCAN,), filled=True)
             count = self._scan_count(reader, name)
             records = islice(enumerate(counted_messages(reader, (name,), where), start=1), count)
             self._scans = [_scan_template(data, f"{where}, message {n} of {name}") for n, (_, _, data) in records]

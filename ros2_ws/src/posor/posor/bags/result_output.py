@@ -1,15 +1,16 @@
-"""Results as a rosbag2 bag: the messages that the nodes would have published, on the same topics."""
+"""Results of ``reprocess``: a rosbag2 bag with the messages that the nodes would have published, or tables."""
 
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from rosbags.interfaces import QosReliability
 
-from posor.messages.joint_transform import joint_transform_layout, pack_joint_transforms
 from posor.bags.bag_writer import BagWriter, TopicMessages
+from posor.messages.estimate_columns import endpoint_columns, joint_columns
+from posor.messages.joint_transform import joint_transform_layout, pack_joint_transforms
 from posor.messages.message_definitions import MessageTypes
 from posor.messages.message_packing import endpoint_layouts, pack_endpoint
 from posor.ros_names import (
@@ -29,9 +30,10 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Qos
 
     from posor.bags.arm_estimator import ArmEstimator
-    from posor.bags.bag_topics import BagTopics
+    from posor.bags.reprocess_task import BagTopics
     from posor.messages.estimate_arrays import ArmEstimates
 
+TableFormat = Literal["parquet", "csv"]
 CHUNK_BYTES = 4 << 20
 """Approximate bytes of messages in a chunk."""
 ENDPOINT_TOPICS = {
@@ -120,3 +122,59 @@ class BagOutput:
     def close(self) -> None:
         """Write index and metadata."""
         self._writer.close()
+
+
+class TableOutput:
+    """Writes a folder of tables."""
+
+    def __init__(self, folder: Path, kind: TableFormat, joints: Sequence[str], chain: Sequence[str] | None) -> None:
+        """Create the files.
+
+        Args:
+            folder: Does not exist yet.
+            kind: Format of the files.
+            joints: Names of the joints.
+            chain: Names of the chain's joints; None: no chain.
+
+        """
+        folder.mkdir()
+        self._tables = {name: _Table(folder / f"{name}.{kind}", kind) for name in joints}
+        self._endpoint = None if chain is None else _Table(folder / f"endpoint.{kind}", kind)
+
+    def write(self, estimates: ArmEstimates) -> None:
+        """Write the estimates of a block."""
+        for name, joint in estimates.joints.items():
+            self._tables[name].write(joint_columns(joint))
+        if self._endpoint is not None:
+            self._endpoint.write(endpoint_columns(estimates.endpoint, estimates.chain))
+
+    def close(self) -> None:
+        """Write what belongs at the end of the files."""
+        for table in [*self._tables.values(), self._endpoint]:
+            if table is not None:
+                table.close()
+
+
+class _Table:
+    """One file; created with its first rows."""
+
+    def __init__(self, path: Path, kind: TableFormat) -> None:
+        self._path, self._kind = path, kind
+        self._writer: Any = None
+
+    def write(self, columns: Mapping[str, Any]) -> None:
+        import pyarrow.csv  # noqa: PLC0415  pyarrow is an optional library
+        import pyarrow.parquet  # noqa: PLC0415
+
+        batch = pyarrow.RecordBatch.from_pydict(dict(columns))
+        if self._writer is None and self._kind == "csv":
+            self._writer = pyarrow.csv.CSVWriter(self._path, batch.schema)
+        elif self._writer is None:
+            self._writer = pyarrow.parquet.ParquetWriter(
+                self._path, batch.schema, compression="zstd", use_dictionary=False
+            )
+        self._writer.write(batch)
+
+    def close(self) -> None:
+        if self._writer is not None:
+            self._writer.close()
