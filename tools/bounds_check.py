@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 import pyvisa
 import viser
-from matplotlib.figure import Figure
 from posor import ArmEstimates, load_arm, read_scans, to_arrow, to_dataframe
 from posor.bags.bag_reader import opened_bag
 from posor.bags.bag_writer import BagWriter
@@ -48,10 +47,7 @@ def check_bags(folder: Path, poses: np.ndarray) -> None:
 
 
 def check_pages(folder: Path) -> None:
-    """Write a page with plots, and a figure."""
-    figure = Figure()
-    figure.subplots().plot([0.0, 1.0])
-    figure.savefig(folder / "figure.png")
+    """Write a page with plots."""
     calibration = ARM.parent / "calibrations/elbow.yaml"
     assert budget([str(calibration), "--draws", "20000", "--output", str(folder / "budget")]) == 0
     assert max(page.stat().st_size for page in (folder / "budget").glob("*.html")) > PAGE_BYTES

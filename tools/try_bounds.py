@@ -1,6 +1,7 @@
 """Try POSOR with the lowest and with the newest versions of its libraries that the requirements admit: ``make bounds``.
 
-pip installs both sets into virtual environments below ``build/bounds``, together with a plain ``posor_estimator``.
+pip installs both sets into virtual environments below ``build/bounds``, together with the plain packages ``posor`` and
+``posor_design``.
 There ``bounds_check.py`` must pass, and its poses must be those of this workspace. Exit code 1: a set fails.
 """
 
@@ -14,7 +15,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-LIBRARY = ROOT / "ros2_ws/src/posor_estimator"
+LIBRARY, DESIGN = ROOT / "ros2_ws/src/posor", ROOT / "ros2_ws/src/posor_design"
 FOLDER = ROOT / "build/bounds"
 CHECK = ROOT / "tools/bounds_check.py"
 BOUND = re.compile(r"(?P<name>[A-Za-z][\w-]*)>=(?P<lowest>[\d.]+)(?:,<(?P<limit>[\d.]+))?")
@@ -23,19 +24,19 @@ TOLERANCE = 1e-12
 
 
 def bounds(path: Path) -> dict[str, re.Match[str]]:
-    """Return the bounds that a list of requirements or a setup.py states, by library."""
+    """Return the bounds that a list of requirements or a setup.cfg states, by library."""
     return {match["name"]: match for match in BOUND.finditer(path.read_text(encoding="utf-8"))}
 
 
 def requirements() -> dict[str, list[str]]:
     """Return the two sets of requirements."""
-    stated = bounds(ROOT / "requirements/base.in") | bounds(LIBRARY / "setup.py")
+    stated = bounds(ROOT / "requirements/base.in") | bounds(LIBRARY / "setup.cfg")
     lowest = [f"{name}=={match['lowest']}" for name, match in stated.items()]
     return {"lowest": lowest, "newest": [match.group() for match in stated.values()]}
 
 
-def install(name: str, lines: list[str], source: Path) -> Path:
-    """Install a set of requirements and the library into a virtual environment of its own; return its Python."""
+def install(name: str, lines: list[str]) -> Path:
+    """Install a set of requirements and the packages into a virtual environment of its own; return its Python."""
     venv = FOLDER / name / "venv"
     subprocess.run([sys.executable, "-I", "-m", "venv", str(venv)], check=True)
     pip = [
@@ -46,7 +47,7 @@ def install(name: str, lines: list[str], source: Path) -> Path:
         "--prefer-binary",
         "--no-compile",
     ]
-    subprocess.run([*pip, *lines, f"{source}[reports,tables]"], check=True)
+    subprocess.run([*pip, *lines, f"{LIBRARY}[reports,tables]", str(DESIGN)], check=True)
     return venv / "bin/python"
 
 
@@ -65,14 +66,12 @@ def largest_difference(one: list[list[float]], other: list[list[float]]) -> floa
 def main() -> int:
     """Try both sets, or that which is named."""
     known, failed = poses(sys.executable, CHECK, "--poses"), False
-    ignored = shutil.ignore_patterns("*.egg-info", "build", "__pycache__", "test")
     for name, lines in requirements().items():
         if name not in (sys.argv[1:] or requirements()):
             continue
         shutil.rmtree(FOLDER / name, ignore_errors=True)
-        source = shutil.copytree(LIBRARY, FOLDER / name / "source", ignore=ignored)  # pip builds in the folder
         try:
-            difference = largest_difference(poses(install(name, lines, source), "-I", CHECK), known)
+            difference = largest_difference(poses(install(name, lines), "-I", CHECK), known)
         except (subprocess.CalledProcessError, ValueError, IndexError) as error:
             print(f"make bounds: the {name} versions fail, {error}")
             failed = True

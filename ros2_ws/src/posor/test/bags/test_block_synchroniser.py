@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from posor.bags import block_synchroniser
 from posor.bags.block_synchroniser import JOINT_ROWS, BlockSynchroniser
 from posor.chain.time_synchroniser import TimeSynchroniser
 
@@ -69,7 +70,7 @@ def in_blocks(given: Sequence[Arrival], size: int) -> tuple[list[int], int, dict
         found = synchroniser.join(block)
         assert len({len(each) for each in found}) == 1
         assert synchroniser._live is not None or all(
-            len(each) <= arm_estimator.MOST_OPEN for each in synchroniser._open
+            len(each) <= block_synchroniser.MOST_OPEN for each in synchroniser._open
         )
         for joint, each in enumerate(found):
             assert np.array_equal(each["stamp_ns"], found[0]["stamp_ns"])
@@ -90,7 +91,7 @@ def test_blocks_of_any_size_give_the_result_of_the_live_synchroniser(size: int, 
 
 
 def test_a_joint_that_falls_silent_does_not_fill_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(arm_estimator, "MOST_OPEN", 50)
+    monkeypatch.setattr(block_synchroniser, "MOST_OPEN", 50)
     given = [(joint, n) for n in range(1, 1001) for joint in range(len(NAMES)) if joint != 2 or n < 100 or n > 990]
     complete, incomplete, missing = in_blocks(given, 90)
     assert complete == [*range(1, 100), *range(991, 1001)]
