@@ -27,12 +27,7 @@ if TYPE_CHECKING:
 
 
 def parse_options(arguments: Sequence[str]) -> Namespace:
-    """Return the options.
-
-    Raises:
-        ParameterError: An option is unknown or its value is invalid.
-
-    """
+    """Return the options. Raises ParameterError: an option is unknown or its value is invalid."""
     parser = CommandLineParser(
         prog="posor bringup", description="Start all nodes of an arm and watch them until Ctrl-C."
     )
@@ -75,10 +70,7 @@ def _run_arm(options: Namespace) -> None:
     if options.use_sim_time:
         parameters["use_sim_time"] = True
     nodes = arm_programs(
-        arm,
-        drivers=not options.no_driver,
-        driver_parameters=dict(options.parameters),
-        parameters=parameters,
+        arm, drivers=not options.no_driver, driver_parameters=dict(options.parameters), parameters=parameters
     )
     folder = prepare_output_folder(options.output / arm.name, tuple(VIEWS.values()))
     write_views(arm, folder)
@@ -93,12 +85,7 @@ def _run_arm(options: Namespace) -> None:
 
 
 def _watch(supervisor: Supervisor, running: Sequence[RunningProgram], stop: StopSignal, console: Console) -> None:
-    """Wait for Ctrl-C; print a line when a driver has played all its scans.
-
-    Raises:
-        ProcessError: A node failed.
-
-    """
+    """Wait for Ctrl-C; print a line when a driver has played all its scans. Raises ProcessError: a node failed."""
     drivers = [started for started in running if started.program.ends]
     while not stop.requested:
         supervisor.check()

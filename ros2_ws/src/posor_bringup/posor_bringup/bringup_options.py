@@ -48,9 +48,7 @@ def add_driver_parameters(parser: ArgumentParser) -> None:
 def parse_driver_parameters(text: str) -> dict[str, Parameter]:
     """Return the parameters ``name:=value name:=value ...`` of a launch argument.
 
-    Raises:
-        ParameterError: A part of the text is not a parameter.
-
+    Raises ParameterError: a part of the text is not a parameter.
     """
     try:
         return dict(_parse_parameter(part) for part in text.split())

@@ -32,9 +32,7 @@ COLOURS = ("#d62728", "#2ca02c", "#1f77b4")
 def write_views(arm: ArmFile, folder: Path) -> dict[str, Path]:
     """Write the view of each tool into an existing folder; return the files by tool.
 
-    Raises:
-        OutputError: A file cannot be written.
-
+    Raises OutputError: a file cannot be written.
     """
     texts = {"rviz": rviz_view(arm), "foxglove": foxglove_view(arm), "plotjuggler": plotjuggler_view(arm)}
     files = {tool: folder / name for tool, name in VIEWS.items()}

@@ -45,12 +45,7 @@ def _port(text: str) -> int:
 
 
 def parse_options(arguments: Sequence[str]) -> Namespace:
-    """Return the options.
-
-    Raises:
-        ParameterError: An option is unknown or its value is invalid.
-
-    """
+    """Return the options. Raises ParameterError: an option is unknown or its value is invalid."""
     parser = CommandLineParser(prog="posor view", description="Show an arm on a web page of this host until Ctrl-C.")
     parser.add_argument(
         "arm", metavar="ARM", help=f"path of an arm file, or name of an installed arm: {', '.join(installed_arms())}"

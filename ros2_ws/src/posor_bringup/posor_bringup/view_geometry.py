@@ -25,39 +25,24 @@ DEFAULT_COLOUR = (0.6, 0.6, 0.6)
 
 
 class Body(NamedTuple):
-    """A body of a link.
+    """A body of a link."""
 
-    Attributes:
-        link: Of the URDF.
-        shape: ``cylinder``, ``box`` or ``sphere``.
-        size: Radius and length; the three edges; the radius [m].
-        T_link_body: Its pose.
-        colour: Red, green, blue, 0 to 1.
-
-    """
-
-    link: str
-    shape: str
-    size: tuple[float, ...]
-    T_link_body: pin.SE3
-    colour: tuple[float, ...]
+    link: str  # of the URDF
+    shape: str  # ``cylinder``, ``box`` or ``sphere``
+    size: tuple[float, ...]  # radius and length; the three edges; the radius [m]
+    T_link_body: pin.SE3  # its pose
+    colour: tuple[float, ...]  # red, green, blue, 0 to 1
 
 
 @dataclass(frozen=True)
 class DrawnArm:
-    """An arm at one time.
+    """An arm at one time."""
 
-    Attributes:
-        nominal: Child link in parent link of each joint and beam, by the encoders.
-        measured: The same as measured; None: a joint is lost.
-        deviation: Measured endpoint relative to that of the encoders, (6,): translation [m], rotation vector [rad], in
-            axes of the base; NaN: not known.
-
-    """
-
-    nominal: Sequence[pin.SE3]
-    measured: Sequence[pin.SE3] | None
+    nominal: Sequence[pin.SE3]  # child link in parent link of each joint and beam, by the encoders
+    measured: Sequence[pin.SE3] | None  # the same as measured; None: a joint is lost
     deviation: FloatArray
+    """Measured endpoint relative to that of the encoders, (6,): translation [m], rotation vector [rad], in axes of the
+    base; NaN: not known."""
 
 
 class ArmGeometry:
@@ -76,10 +61,7 @@ class ArmGeometry:
     def __init__(self, arm: ArmFile) -> None:
         """Read the arm's URDF and beams.
 
-        Raises:
-            ChainError: The URDF is invalid.
-            CalibrationError: The beams file is invalid.
-
+        Raises ChainError: the URDF is invalid; CalibrationError: the beams file is invalid.
         """
         self._chain = arm.chain()
         self._estimator = self._chain.estimator()

@@ -60,20 +60,12 @@ ENDPOINT_TOPICS = {
 
 
 class Message(NamedTuple):
-    """A serialised message.
+    """A serialised message."""
 
-    Attributes:
-        arrival_s: When it was taken (steady clock) or recorded [s].
-        received_ns: When it was received or recorded (system clock) [ns].
-        stamp_ns: Its stamp [ns]; 0: invalid.
-        data: In plain CDR.
-
-    """
-
-    arrival_s: float
-    received_ns: int
-    stamp_ns: int
-    data: bytes
+    arrival_s: float  # when it was taken (steady clock) or recorded [s]
+    received_ns: int  # when it was received or recorded (system clock) [ns]
+    stamp_ns: int  # its stamp [ns]; 0: invalid
+    data: bytes  # in plain CDR
 
 
 class StatusLine(NamedTuple):
@@ -248,10 +240,8 @@ class BagTopics:
     def __init__(self, path: Path, arm: ArmFile) -> None:
         """Check the topics and go to the beginning.
 
-        Raises:
-            BagError: The bag cannot be read, or a topic was recorded with another type.
-            ParameterError: The bag does not hold the endpoint of the arm.
-
+        Raises BagError: the bag cannot be read, or a topic was recorded with another type; ParameterError: the bag does
+        not hold the endpoint of the arm.
         """
         self._path, types = path, MessageTypes()
         with opened_bag(path) as reader:
@@ -274,12 +264,7 @@ class BagTopics:
         self._position_s = -1.0
 
     def seek(self, position_s: float) -> None:
-        """Store the messages up to a position [s] after the beginning.
-
-        Raises:
-            BagError: The bag is damaged there.
-
-        """
+        """Store the messages up to a position [s] after the beginning. Raises BagError: the bag is damaged there."""
         if not self._block_s[0] <= position_s <= self._block_s[1] or not self._loaded:
             self._load(position_s)
         if not self._position_s <= position_s < self._position_s + LEAD_S:

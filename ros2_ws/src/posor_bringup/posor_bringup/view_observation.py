@@ -48,68 +48,38 @@ class Health:
 
 @dataclass(frozen=True)
 class EndpointView:
-    """The newest endpoint.
+    """The newest endpoint."""
 
-    Attributes:
-        stamp_ns: Of its scan [ns].
-        latency_s: From the stamp to the reception of the message [s].
-        age_s: From the stamp to the publication [s]; NaN: not known.
-        frame: In which the pose is.
-        pose: (7,): x, y, z [m], unit quaternion x, y, z, w.
-        covariance: (6, 6), as published; NaN: not known.
-        protection_level: (6,) [m], [rad]; NaN: not known.
-
-    """
-
-    stamp_ns: int
-    latency_s: float
-    age_s: float
-    frame: str
-    pose: FloatArray
-    covariance: FloatArray
-    protection_level: FloatArray
+    stamp_ns: int  # of its scan [ns]
+    latency_s: float  # from the stamp to the reception of the message [s]
+    age_s: float  # from the stamp to the publication [s]; NaN: not known
+    frame: str  # in which the pose is
+    pose: FloatArray  # (7,): x, y, z [m], unit quaternion x, y, z, w
+    covariance: FloatArray  # (6, 6), as published; NaN: not known
+    protection_level: FloatArray  # (6,) [m], [rad]; NaN: not known
 
 
 @dataclass(frozen=True)
 class ArmScan:
-    """The joints at the newest stamp of which all have a transform.
+    """The joints at the newest stamp of which all have a transform."""
 
-    Attributes:
-        stamp_ns: [ns].
-        poses: (j, 7), as ``EndpointEstimator.poses``; NaN: not usable.
-        covariances: (j, 6, 6).
-        thetas: (j,) [rad].
-        residuals: Chi-square of each joint divided by its redundancy, (j,); zero without redundancy.
-        encoders: Angle of each joint by its encoder [rad], (j,); NaN without.
-
-    """
-
-    stamp_ns: int
-    poses: FloatArray
-    covariances: FloatArray
-    thetas: FloatArray
-    residuals: FloatArray
-    encoders: FloatArray
+    stamp_ns: int  # [ns]
+    poses: FloatArray  # (j, 7), as ``EndpointEstimator.poses``; NaN: not usable
+    covariances: FloatArray  # (j, 6, 6)
+    thetas: FloatArray  # (j,) [rad]
+    residuals: FloatArray  # chi-square of each joint divided by its redundancy, (j,); zero without redundancy
+    encoders: FloatArray  # angle of each joint by its encoder [rad], (j,); NaN without
 
 
 @dataclass(frozen=True)
 class Observation:
-    """All that the page shows at one time.
+    """All that the page shows at one time."""
 
-    Attributes:
-        is_fresh: Whether messages about the endpoint arrive; otherwise nothing else is fresh.
-        overall: Health of the endpoint.
-        endpoint: None: there is no message yet.
-        scan: None: there is no stamp with a transform of every joint, or it is too old.
-        joints: Of each joint.
-
-    """
-
-    is_fresh: bool
-    overall: Health
-    endpoint: EndpointView | None = None
-    scan: ArmScan | None = None
-    joints: Mapping[str, Health] = field(default_factory=dict)
+    is_fresh: bool  # whether messages about the endpoint arrive; otherwise nothing else is fresh
+    overall: Health  # health of the endpoint
+    endpoint: EndpointView | None = None  # None: there is no message yet
+    scan: ArmScan | None = None  # None: there is no stamp with a transform of every joint, or it is too old
+    joints: Mapping[str, Health] = field(default_factory=dict)  # of each joint
 
 
 class Observer:

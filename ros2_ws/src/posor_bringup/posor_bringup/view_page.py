@@ -149,9 +149,7 @@ class _LocalServer(viser.ViserServer):
 def _check_port(port: int) -> None:
     """Refuse a port that another program uses; viser would take the next one.
 
-    Raises:
-        ParameterError: The port cannot be used.
-
+    Raises ParameterError: the port cannot be used.
     """
     try:
         socket.create_server((HOST, port)).close()

@@ -19,13 +19,7 @@ from posor.model.native_coordinates import native_from_rotation, native_jacobian
 from posor.uncertainty.reading_sensitivity import sensitivity_at
 
 from posor_calibration.calibration_parameters import FixedParameters, replace_values
-from posor_calibration.data_checks import (
-    READING_KINDS,
-    check_axis,
-    check_channels_vary,
-    check_clock,
-    check_unit,
-)
+from posor_calibration.data_checks import READING_KINDS, check_axis, check_channels_vary, check_clock, check_unit
 from posor_calibration.fit_report import check_spread, enlarge_if_improbable
 from posor_calibration.least_squares import Fit, Loss, fit_parameters
 from posor_calibration.procedure import Figure
@@ -76,12 +70,8 @@ def read_reference_attitude(
     """Return the reference attitude at the times of the scans.
 
     The reference is a point at the end of a ``lever`` [m], whose twist alpha is known within ``twist_sigma`` [rad], or,
-    with a lever of zero, a pose. Values further apart than ``longest_gap_s`` are not interpolated.
-
-    Raises:
-        TrackError: There is no such reference.
-        FitError: The lever is implausible.
-
+    with a lever of zero, a pose. Values further apart than ``longest_gap_s`` are not interpolated. Raises TrackError:
+    there is no such reference; FitError: the lever is implausible.
     """
     gap_ns = round(longest_gap_s * 1e9)
     if lever > 0.0:

@@ -47,12 +47,8 @@ def make_bundle_data(
     """Return the data of a bundle fit.
 
     Substituted and saturated scans are already left out of the recording, the session is applied to the calibration.
-    ``topic`` is that of the pose reference; empty: the only one; None: fit without a reference.
-
-    Raises:
-        FitError: No scan is left.
-        TrackError: The reference is unusable, or does not move as this POSOR.
-
+    ``topic`` is that of the pose reference; empty: the only one; None: fit without a reference. Raises FitError: no
+    scan is left; TrackError: the reference is unusable, or does not move as this POSOR.
     """
     check_channels_vary(recording.scans, READING_KINDS, recording.source)
     # The estimator must not reject scans: the fit judges them.

@@ -102,9 +102,7 @@ class BundleProblem:
     def __init__(self, stack: Stack, free: FreeParameters, data: BundleData) -> None:
         """Set up the problem; ``data`` are within the range of the ``stack``, the sensors before the fit.
 
-        Raises:
-            FitError: Without a reference, the scans have no more readings than their poses take.
-
+        Raises FitError: without a reference, the scans have no more readings than their poses take.
         """
         scans, reference = data.scans, data.reference
         self._stack, self._free, self._scans, self._reference = stack, free, scans, reference

@@ -11,13 +11,7 @@ import numpy as np
 from posor.calibration.calibration_file import VERSION, calibration_from, parse_calibration
 from posor.calibration.edit import edit_document, parse_key_path
 from posor.calibration.file_model import first_problem
-from posor.calibration.fit_record import (
-    CovarianceRecord,
-    FitRecord,
-    Instrument,
-    RecordedData,
-    Residuals,
-)
+from posor.calibration.fit_record import CovarianceRecord, FitRecord, Instrument, RecordedData, Residuals
 from posor.calibration.quantity import Quantity
 from posor.errors import CalibrationError
 from pydantic import ValidationError

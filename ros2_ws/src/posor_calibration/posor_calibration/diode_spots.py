@@ -155,10 +155,7 @@ def average_stage_dwells(
 ) -> DwellMeans:
     """Return the mean scans at ``least`` or more dwells of a stage, without substituted or saturated readings.
 
-    Raises:
-        TrackError: The reference is unusable.
-        FitError: There are too few dwells, or a channel is stuck.
-
+    Raises TrackError: the reference is unusable; FitError: there are too few dwells, or a channel is stuck.
     """
     scans = recording.without_status(DIODES_ESTIMATED | SATURATED).scans
     dwells = find_dwells(track, still, round(least_dwell * NS), settle_ns=round(settle * NS))
@@ -172,10 +169,7 @@ def find_dwell_spots(
 ) -> DwellSpots:
     """Return the spots at the dwells of a stage.
 
-    Raises:
-        TrackError: The reference is unusable.
-        FitError: There are too few dwells, or no diode sees a source.
-
+    Raises TrackError: the reference is unusable; FitError: there are too few dwells, or no diode sees a source.
     """
     limits = options.model_dump(include={"still", "least_dwell", "settle"})
     means = average_stage_dwells(recording, track, MIN_DWELLS, **limits, what=what)

@@ -56,11 +56,7 @@ def find_dwells(track: Track, tolerance: float, least_ns: int, *, settle_ns: int
     """Return the times of at least ``least_ns`` [ns] during which the reference stood still.
 
     Each value lies within ``tolerance`` of the mean of its dwell so far. ``settle_ns`` [ns] is left out at its
-    beginning.
-
-    Raises:
-        TrackError: A value lacks a quantity, so that it is unknown whether the reference stood still.
-
+    beginning. Raises TrackError: a value lacks a quantity, so that it is unknown whether the reference stood still.
     """
     incomplete = np.flatnonzero(np.isnan(track.values).any(axis=1))
     if incomplete.size:
@@ -224,10 +220,7 @@ def mask_outliers(
     """Return the scans of each dwell with outliers replaced by NaN, and sentences that name them.
 
     ``motion`` (d,) is the motion of the reference within each dwell over its whole travel; channels may follow it.
-
-    Raises:
-        FitError: More than a tenth of the readings of a channel are outliers.
-
+    Raises FitError: more than a tenth of the readings of a channel are outliers.
     """
     warnings: list[str] = []
     lengths = [len(part) for part in parts]
@@ -315,9 +308,7 @@ class DwellOptions(Options):
 def scans_with_reference(scans: Scans, track: Track, longest_gap_ns: int) -> tuple[Scans, FloatArray]:
     """Return the scans at whose times the reference is known, and its interpolated values there, (n, k).
 
-    Raises:
-        TrackError: There is no such scan.
-
+    Raises TrackError: there is no such scan.
     """
     values = track.interpolate(scans.stamps_ns, longest_gap_ns)
     known = np.asarray(np.isfinite(values).all(axis=1))
@@ -335,10 +326,7 @@ def average_recording(
 ) -> DwellMeans:
     """Return the dwell means of a recording as the options ask for them; ``kinds`` as in ``average_dwells``.
 
-    Raises:
-        TrackError: There is no dwell.
-        FitError: Too many readings disagree with their dwell.
-
+    Raises TrackError: there is no dwell; FitError: too many readings disagree with their dwell.
     """
     if options.least_dwell == 0.0:
         scans, values = scans_with_reference(recording.scans, track, round(options.longest_gap * NS))

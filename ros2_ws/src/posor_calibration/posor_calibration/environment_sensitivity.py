@@ -17,11 +17,7 @@ from posor.numerics.stamps import NS
 from posor.sensors.gap_probes import GapProbesCalibration
 from pydantic import Field
 
-from posor_calibration.calibration_parameters import (
-    FixedParameters,
-    first_parameter,
-    parameter_indices,
-)
+from posor_calibration.calibration_parameters import FixedParameters, first_parameter, parameter_indices
 from posor_calibration.data_checks import check_channels_vary, check_count
 from posor_calibration.dwells import Settle, average_dwells, find_dwells
 from posor_calibration.fit_report import describe_enlargement, describe_rejected, enlarge_if_improbable

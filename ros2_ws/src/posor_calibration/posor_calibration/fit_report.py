@@ -123,11 +123,7 @@ def describe_enlargement(fit: Fit, where: str) -> tuple[str, ...]:
 def describe_rejected(rejected: BoolArray, names: Sequence[str], where: str) -> tuple[str, ...]:
     """Return the sentence that names the data that were left out as outliers, or none.
 
-    ``rejected`` (n,) are the outliers among data with ``names`` (n,).
-
-    Raises:
-        FitError: More than a tenth are outliers.
-
+    ``rejected`` (n,) are the outliers among data with ``names`` (n,). Raises FitError: more than a tenth are outliers.
     """
     count = int(rejected.sum())
     if count > MOST_OUTLIERS * len(rejected):

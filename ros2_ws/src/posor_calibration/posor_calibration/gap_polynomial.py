@@ -78,11 +78,7 @@ def select_polynomial(polynomials: list[GapPolynomial], criterion: Criterion, wh
 
     ``aicc`` prefers the least. ``cross_validation`` prefers the lowest order that no other beats by more than one
     standard error of the difference (Breiman, Friedman, Olshen and Stone 1984, 3.4.3, dwell by dwell): a useless order
-    more would only enlarge the uncertainty of the coefficients.
-
-    Raises:
-        FitError: No polynomial is monotonic.
-
+    more would only enlarge the uncertainty of the coefficients. Raises FitError: no polynomial is monotonic.
     """
     monotonic = [polynomial for polynomial in polynomials if polynomial.is_monotonic]
     if not monotonic:

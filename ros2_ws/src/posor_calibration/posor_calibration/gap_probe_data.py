@@ -174,10 +174,7 @@ class GapData:
 def average_gap_dwells(recording: Recording, options: GapReferenceOptions, where: str) -> DwellMeans:
     """Return the dwell means of a recording, without scans whose probe voltages were substituted or saturated.
 
-    Raises:
-        FitError: There are too few dwells.
-        TrackError: The reference is unusable.
-
+    Raises FitError: there are too few dwells; TrackError: the reference is unusable.
     """
     track = recording.find_track(options.reference, _COLUMNS[options.kind])
     found = average_recording(recording.without_status(PROBES_ESTIMATED | SATURATED), track, options)
@@ -190,12 +187,8 @@ def match_gap_data(
 ) -> GapData:
     """Return the data of one probe, after checking that reference and readings belong together.
 
-    Where the reference is a pose, the geometry of the calibration converts it into gaps.
-
-    Raises:
-        FitError: The channel is stuck.
-        TrackError: The reference has another unit or sign, or moves along another axis.
-
+    Where the reference is a pose, the geometry of the calibration converts it into gaps. Raises FitError: the channel
+    is stuck; TrackError: the reference has another unit or sign, or moves along another axis.
     """
     volts = probe.shifted_volts(means.scans)
     spreads = means.sigmas("gap_voltages")[:, probe.index]

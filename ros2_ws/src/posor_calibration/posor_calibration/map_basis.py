@@ -73,11 +73,8 @@ def choose_order(
     """Return the lowest order whose leave-one-out residual is nearly the least, and the table against order.
 
     The residual is the root mean square over both axes; it may be 1 / ``WORTHWHILE`` times the least. ``design`` is
-    called with an order and an axis (0, 1); ``positions`` [m] are (d, 2).
-
-    Raises:
-        FitError: There are too few dwells for any of the orders.
-
+    called with an order and an axis (0, 1); ``positions`` [m] are (d, 2). Raises FitError: there are too few dwells for
+    any of the orders.
     """
     rows, scores = [], []
     for order in orders:

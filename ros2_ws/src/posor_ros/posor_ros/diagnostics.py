@@ -151,11 +151,7 @@ class Status:
             self._enqueue(level, "", {}, formatter)
 
     def _enqueue(
-        self,
-        level: Level,
-        message: str,
-        values: Mapping[str, Value],
-        formatter: Callable[[], StatusText] | None,
+        self, level: Level, message: str, values: Mapping[str, Value], formatter: Callable[[], StatusText] | None
     ) -> None:
         values = self._report.updated_values({**values, "since": f"{self._now_s():.3f}"})
         self._report = StatusReport(level, message, values, formatter)

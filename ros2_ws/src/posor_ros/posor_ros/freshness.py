@@ -32,20 +32,12 @@ MISSING, REPEATED, BACKWARD = "numbers_missing", "scans_repeated", "numbers_back
 
 
 class StampLimits(NamedTuple):
-    """Ages of stamps that a node accepts.
+    """Ages of stamps that a node accepts."""
 
-    Attributes:
-        now_ns: The node's ROS time [ns].
-        parameters: The limits.
-        youngest_ns: Least age [ns]; negative: ahead of ROS time.
-        oldest_ns: Greatest age [ns].
-
-    """
-
-    now_ns: Callable[[], int]
-    parameters: FreshnessParameters
-    youngest_ns: float
-    oldest_ns: float
+    now_ns: Callable[[], int]  # the node's ROS time [ns]
+    parameters: FreshnessParameters  # the limits
+    youngest_ns: float  # least age [ns]; negative: ahead of ROS time
+    oldest_ns: float  # greatest age [ns]
 
     @classmethod
     def of(cls, now_ns: Callable[[], int], parameters: FreshnessParameters) -> StampLimits:

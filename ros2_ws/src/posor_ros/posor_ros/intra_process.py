@@ -394,9 +394,7 @@ class IntraProcessManager:
     def check_type(self, end: IntraProcessPublisher | IntraProcessSubscription) -> None:
         """Compare the message type of a new publisher or subscription with that of its topic.
 
-        Raises:
-            TopicError: This process uses the topic with another type.
-
+        Raises TopicError: this process uses the topic with another type.
         """
         for other in self._ends.get(end.topic_name, ()):
             if other.message_type is not end.message_type:

@@ -261,12 +261,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
             raise self._failure
 
     def start(self) -> None:
-        """Configure and activate the node if ``autostart`` is true.
-
-        Raises:
-            PosorError: A hook refused.
-
-        """
+        """Configure and activate the node if ``autostart`` is true. Raises PosorError: a hook refused."""
         if not self.parameters.autostart:
             return
         self._starting = True

@@ -15,20 +15,13 @@ if TYPE_CHECKING:
 def schema_of_class(message_type: type[Any]) -> Schema:
     """Return the schema of the rclpy class of a message type.
 
-    Raises:
-        TypeError: A field's type is not supported, such as a wide string.
-
+    Raises TypeError: a field's type is not supported, such as a wide string.
     """
     return installed_schema(f"{message_type.__module__.partition('.')[0]}/msg/{message_type.__name__}")
 
 
 def message_class(name: str) -> Any:
-    """Return the rclpy class of message type ``name``.
-
-    Raises:
-        BagError: The type has no Python class here.
-
-    """
+    """Return the rclpy class of message type ``name``. Raises BagError: the type has no Python class here."""
     package, _, leaf = name.split("/")
     try:
         return getattr(import_module(f"{package}.msg"), leaf)

@@ -20,12 +20,7 @@ from rclpy.utilities import remove_ros_args, try_shutdown
 
 from posor_ros.idle_scheduler import run_when_idle
 from posor_ros.lifecycle_node import INPUT_CHECK_S
-from posor_ros.realtime_process import (
-    PROCESS_STATUS,
-    ProcessHealth,
-    apply_realtime_parameters,
-    prepare_heap,
-)
+from posor_ros.realtime_process import PROCESS_STATUS, ProcessHealth, apply_realtime_parameters, prepare_heap
 from posor_ros.service_manager import ServiceManager
 
 if TYPE_CHECKING:
@@ -91,9 +86,7 @@ def ros_context(arguments: Sequence[str]) -> Iterator[StopSignal]:
 def non_ros_arguments(arguments: Sequence[str]) -> list[str]:
     """Return a command line without the program name and without ROS arguments.
 
-    Raises:
-        ParameterError: ROS cannot parse its part.
-
+    Raises ParameterError: ROS cannot parse its part.
     """
     try:
         return list(remove_ros_args(list(arguments)))[1:]
@@ -198,13 +191,8 @@ class NodeGroup:
         """Start the nodes in the order of their addition and execute them until ``stop()``.
 
         A node that requests its exit, such as a driver at the end of its recording, is stopped; the others continue
-        until no node is left.
-
-        Raises:
-            NodeError: One of several nodes, or a node of a file, cannot start or has failed.
-            PosorError: The only node cannot start or has failed.
-            SystemRefusal: The system refuses a required setting.
-
+        until no node is left. Raises NodeError: one of several nodes, or a node of a file, cannot start or has failed;
+        PosorError: the only node cannot start or has failed; SystemRefusal: the system refuses a required setting.
         """
         several = len(self._locations) > 1
         manager = ServiceManager()

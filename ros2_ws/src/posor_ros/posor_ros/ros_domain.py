@@ -22,9 +22,7 @@ FIRST_LEASE_PORT = 32_768
 def leased_domain() -> Iterator[int]:
     """Lease a ROS domain that no other user of this scheme on this host holds; the bound port is the lease.
 
-    Raises:
-        PosorError: All domains are in use.
-
+    Raises PosorError: all domains are in use.
     """
     for domain in DOMAINS:
         with closing(socket.socket(socket.AF_INET, socket.SOCK_STREAM)) as lease:

@@ -10,14 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from posor.ros_names import DIAGNOSTICS_TOPIC
 from posor_lab.harness.graph import Graph, values_of
 from posor_ros import diagnostics as diagnostics_module
-from posor_ros.diagnostics import (
-    MAX_QUEUED,
-    MIN_INTERVAL_S,
-    Diagnostics,
-    LastingErrorLog,
-    Level,
-    StatusReport,
-)
+from posor_ros.diagnostics import MAX_QUEUED, MIN_INTERVAL_S, Diagnostics, LastingErrorLog, Level, StatusReport
 from posor_ros.qos import RELIABLE_QOS
 
 if TYPE_CHECKING:

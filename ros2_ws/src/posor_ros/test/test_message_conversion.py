@@ -8,14 +8,7 @@ import pinocchio as pin
 import pytest
 from posor.estimation.estimate import Estimate
 from posor.model.fault import Fault, State
-from posor.model.scan import (
-    DIODES_ESTIMATED,
-    HOME_BUMP,
-    NO_SOURCE,
-    PROBES_ESTIMATED,
-    SATURATED,
-    SIMULATED,
-)
+from posor.model.scan import DIODES_ESTIMATED, HOME_BUMP, NO_SOURCE, PROBES_ESTIMATED, SATURATED, SIMULATED
 from posor_msgs.msg import JointTransform, RawScan
 from posor_ros.message_conversion import (
     is_usable,

@@ -26,15 +26,7 @@ from pydantic import Field
 from posor_calibration.data_checks import check_axis, check_count, check_unit
 from posor_calibration.fit_report import check_spread, correlation_table, describe_fit, parameter_table
 from posor_calibration.least_squares import fit_parameters
-from posor_calibration.procedure import (
-    LongestGapOption,
-    LossOption,
-    Options,
-    Outcome,
-    Procedure,
-    SessionOption,
-    Table,
-)
+from posor_calibration.procedure import LongestGapOption, LossOption, Options, Outcome, Procedure, SessionOption, Table
 
 if TYPE_CHECKING:
     from posor.bags.recording import Recording

@@ -14,24 +14,12 @@ from posor.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED, SATURATED
 from pydantic import Field
 
 from posor_calibration.bundle_data import Matching, make_bundle_data
-from posor_calibration.bundle_problem import (
-    BundleData,
-    BundleProblem,
-    OutOfRangeError,
-    add_unfitted_uncertainty,
-)
+from posor_calibration.bundle_problem import BundleData, BundleProblem, OutOfRangeError, add_unfitted_uncertainty
 from posor_calibration.calibration_parameters import FreeParameters
 from posor_calibration.data_checks import check_count
 from posor_calibration.dwells import Settle, Still
 from posor_calibration.fit_report import check_spread, describe_spread, parameter_table, table_row
-from posor_calibration.least_squares import (
-    UNDETERMINED,
-    Fit,
-    Loss,
-    WeakDirection,
-    fit_parameters,
-    weak_directions,
-)
+from posor_calibration.least_squares import UNDETERMINED, Fit, Loss, WeakDirection, fit_parameters, weak_directions
 from posor_calibration.pose_advice import propose_poses
 from posor_calibration.procedure import LongestGapOption, LossOption, Options, Outcome, Procedure, Table
 

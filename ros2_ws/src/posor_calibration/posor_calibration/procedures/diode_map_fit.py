@@ -17,11 +17,7 @@ from posor.errors import FitError
 from posor.sensors.diodes import DiodesCalibration
 from pydantic import Field
 
-from posor_calibration.curve_interpolation import (
-    FEWEST_CURVES,
-    doubled_grid_errors,
-    tabulate_interpolation,
-)
+from posor_calibration.curve_interpolation import FEWEST_CURVES, doubled_grid_errors, tabulate_interpolation
 from posor_calibration.data_checks import check_axis, check_channels_move, check_count, check_unit
 from posor_calibration.diode_spots import AXES, SingleDiode, average_stage_dwells, current_ratios
 from posor_calibration.dwells import DwellMeans, LeastDwell, Settle, Still

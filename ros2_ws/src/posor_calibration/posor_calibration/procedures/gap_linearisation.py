@@ -10,13 +10,7 @@ from posor.calibration.quantity import Quantity
 from pydantic import Field
 
 from posor_calibration.fit_report import describe_enlargement, describe_rejected
-from posor_calibration.gap_polynomial import (
-    Criterion,
-    GapPolynomial,
-    find_outliers,
-    fit_orders,
-    select_polynomial,
-)
+from posor_calibration.gap_polynomial import Criterion, GapPolynomial, find_outliers, fit_orders, select_polynomial
 from posor_calibration.gap_probe_data import (
     MICRO,
     GapReferenceOptions,
@@ -132,9 +126,7 @@ def linearise_gap_probes(recording: Recording, calibration: Calibration, options
 def linearise_probe(probe: SingleProbe, data: GapData, options: GapLinearisationOptions) -> LinearisedProbe:
     """Return the polynomials of one probe; outliers are left out and named.
 
-    Raises:
-        FitError: There are too few dwells, or too many outliers.
-
+    Raises FitError: there are too few dwells, or too many outliers.
     """
     outliers = find_outliers(probe, data)
     warnings = describe_rejected(outliers, [f"dwell {n + 1}" for n in range(len(outliers))], probe.name)

@@ -21,13 +21,7 @@ from posor.sensors.diodes import DiodesCalibration
 from pydantic import Field
 
 from posor_calibration.calibration_parameters import FixedParameters, parameter_indices
-from posor_calibration.diode_spots import (
-    DwellSpots,
-    SingleDiode,
-    StageOptions,
-    find_dwell_spots,
-    vector_parameters,
-)
+from posor_calibration.diode_spots import DwellSpots, SingleDiode, StageOptions, find_dwell_spots, vector_parameters
 from posor_calibration.fit_report import (
     check_spread,
     correlation_table,

@@ -22,12 +22,7 @@ from posor.sensors.gap_probes import GapProbesCalibration
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
-from posor_calibration.calibration_parameters import (
-    FixedParameters,
-    first_parameter,
-    parameter_indices,
-    replace_values,
-)
+from posor_calibration.calibration_parameters import FixedParameters, first_parameter, parameter_indices, replace_values
 from posor_calibration.data_checks import PLAUSIBLE_RATIO, check_channels_move, check_count
 from posor_calibration.dwells import DwellMeans, DwellOptions, average_recording
 from posor_calibration.fit_report import (
@@ -62,8 +57,7 @@ class ProbeSpacingOptions(DwellOptions):
     """Options of ``probe_spacing``."""
 
     coordinates: tuple[str, ...] = Field(
-        default=(),
-        description="fitted coordinates, such as gap_1.x; none: of each probe the larger one of x and y",
+        default=(), description="fitted coordinates, such as gap_1.x; none: of each probe the larger one of x and y"
     )
     lift_sigma: float | None = Field(
         default=None, gt=0.0, description="standard uncertainty of the reference's height of the target [m]; none: free"

@@ -30,13 +30,7 @@ from posor.model.scan import PROBES_ESTIMATED, SATURATED, STATED_HOME
 from posor.sensors.bumpy_ring import BumpyRingCalibration
 from pydantic import Field
 
-from posor_calibration.bundle_problem import (
-    UNKNOWN_SIGMA,
-    BundleData,
-    BundleProblem,
-    OutOfRangeError,
-    PoseReference,
-)
+from posor_calibration.bundle_problem import UNKNOWN_SIGMA, BundleData, BundleProblem, OutOfRangeError, PoseReference
 from posor_calibration.calibration_parameters import FreeParameters
 from posor_calibration.data_checks import check_channels_move, check_count
 from posor_calibration.fit_report import check_spread, describe_residuals

@@ -17,12 +17,7 @@ from posor.model.scan import PROBES_ESTIMATED, SATURATED
 from posor.sensors.gap_probes import GapProbesCalibration
 from pydantic import Field
 
-from posor_calibration.attitude_fit import (
-    AttitudeParameter,
-    ReferenceAttitude,
-    fit_attitude,
-    read_reference_attitude,
-)
+from posor_calibration.attitude_fit import AttitudeParameter, ReferenceAttitude, fit_attitude, read_reference_attitude
 from posor_calibration.calibration_parameters import parameter_indices
 from posor_calibration.data_checks import check_count
 from posor_calibration.fit_report import correlation_table, describe_fit, parameter_table

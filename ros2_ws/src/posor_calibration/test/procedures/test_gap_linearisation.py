@@ -15,12 +15,7 @@ from posor.errors import FitError, TrackError
 from posor.model.scan import SATURATED
 from posor_calibration.gap_polynomial import akaike_criterion
 from posor_calibration.procedures.gap_linearisation import PROCEDURE
-from posor_lab.harness.simulated_recordings import (
-    diode_calibration,
-    dwell_path,
-    lifted_recording,
-    simulated_recording,
-)
+from posor_lab.harness.simulated_recordings import diode_calibration, dwell_path, lifted_recording, simulated_recording
 from scipy.stats import binomtest
 
 from .simulated_case import SimulatedCase

@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 from posor.errors import FitError, TrackError
 from posor_calibration.procedures.probe_spacing import PROCEDURE
-from posor_lab.harness.simulated_recordings import (
-    diode_calibration,
-    tilted_recording,
-    with_tips,
-    without_uncertainties,
-)
+from posor_lab.harness.simulated_recordings import diode_calibration, tilted_recording, with_tips, without_uncertainties
 from scipy.spatial.transform import Rotation
 from scipy.stats import binomtest, chi2
 
