@@ -16,13 +16,15 @@ from posor.bags.recording import POINT, POSE, unpack_poses
 from posor.errors import FitError, TrackError
 from posor.estimation.posor import Posor
 from posor.model.native_coordinates import native_from_rotation, native_jacobian
+from posor.model.scan import PROBES_ESTIMATED, SATURATED
 from posor.uncertainty.reading_sensitivity import sensitivity_at
+from pydantic import Field
 
 from posor_calibration.calibration_parameters import FixedParameters, replace_values
 from posor_calibration.data_checks import READING_KINDS, check_axis, check_channels_vary, check_clock, check_unit
-from posor_calibration.fit_report import check_spread, enlarge_if_improbable
-from posor_calibration.least_squares import Fit, Loss, fit_parameters
-from posor_calibration.procedure import Figure
+from posor_calibration.fit_report import check_spread, describe_fit, enlarge_if_improbable
+from posor_calibration.least_squares import Fit, fit_parameters
+from posor_calibration.procedure import Figure, LongestGapOption, LossOption, Options, SessionOption, TrustSigmasOption
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -40,6 +42,19 @@ APPARENT_MOTION = 0.03
 LARGEST_ANGLE = 0.5
 """Largest plausible angle at the end of a lever [rad]."""
 URAD = 1e-6
+
+
+class AttitudeOptions(Options):
+    """Options of procedures that compare the target's angles with a reference."""
+
+    reference: str
+    lever: float = Field(
+        default=0.0, ge=0.0, description="distance of a reference point from the pivot [m]; 0: the reference is a pose"
+    )
+    session: SessionOption = ""
+    longest_gap: LongestGapOption = 0.5
+    loss: LossOption = "linear"
+    trust_sigmas: TrustSigmasOption = True
 
 
 # The reference.
@@ -121,6 +136,11 @@ class AttitudeFit:
     before: FloatArray  # POSOR less reference with the former parameters, referred to the first scan used [rad], (n, 3)
     after: FloatArray  # the same with the fitted parameters
     fixed: FixedParameters
+    scales: FloatArray  # prior standard uncertainty of each parameter of the fit, (p,)
+
+    def describe(self, count: int) -> tuple[str, ...]:
+        """Return the warnings on a fit whose first ``count`` parameters are the result."""
+        return describe_fit(self.fit, self.scales, count, self.readings)
 
     def error_figures(
         self, x: FloatArray, x_label: str, angles: Sequence[str], title: str = "error of {}"
@@ -171,36 +191,32 @@ class _AngleModel:
 
 def fit_attitude(
     calibration: Calibration,
-    session: str,
-    scans: Scans,
-    valid: BoolArray,
+    recording: Recording,
+    options: AttitudeOptions,
     reference: ReferenceAttitude,
     parameters: Sequence[AttitudeParameter],
     angles: Sequence[str],
     *,
-    first_sigma: float | None,
+    first_sigma: float | None = None,
     check_reference: bool,
     estimate_fixed: bool,
-    loss: Loss,
-    trust_sigmas: bool,
     what: str,
 ) -> AttitudeFit:
     """Find the parameters with which the angles change as those of the reference.
 
+    Scans with substituted or saturated readings only lead from one scan to the next.
+
     Args:
         calibration: The calibration, its session not yet applied.
-        session: The session in force; empty: none.
-        scans: In order of time.
-        valid: Scans that count, (n,); the others only lead from one to the next.
+        recording: The scans.
+        options: Session, loss, and whether the readings scatter as stated.
         reference: Attitude at the time of each scan.
-        parameters: What to fit.
-        angles: Which of alpha, beta, theta to compare.
+        parameters: Those to fit.
+        angles: The compared ones of alpha, beta, theta.
         first_sigma: Standard uncertainty of the angles' zero at the first scan [rad]. Zero: exact, all motion is
             referred to it, as in 1985; None: as uncertain as at any other scan.
         check_reference: Whether to refuse a reference that moves unlike the angles.
         estimate_fixed: Whether fixed parameters are estimated along; requires motion far larger than its noise.
-        loss: Of the fit.
-        trust_sigmas: Whether the readings scatter as stated.
         what: Name of the fit for error messages.
 
     Raises:
@@ -208,8 +224,9 @@ def fit_attitude(
         TrackError: The reference moves unlike the angles.
 
     """
+    scans, valid = recording.scans, ~recording.has_status(PROBES_ESTIMATED | SATURATED)
     check_channels_vary(scans.select(valid), READING_KINDS, what)
-    model = _AngleModel(calibration.for_session(session), scans)
+    model = _AngleModel(calibration.for_session(options.session), scans)
     where = np.array([parameter.index for parameter in parameters])
     columns = [ANGLES.index(angle) for angle in angles]
     start = model.start[where]
@@ -253,7 +270,7 @@ def fit_attitude(
         prior = zero[: len(zeros)] / first_sigma if zeros else np.empty(0)
         return np.concatenate([white[1:].ravel(), prior])
 
-    fixed = FixedParameters(calibration, where, session)
+    fixed = FixedParameters(calibration, where, options.session)
     derivatives = model.derivatives(used)
     derivatives = (derivatives - derivatives[first])[used][:, columns]
     effects = fixed.effects(np.einsum("nij,njp->nip", whiten, derivatives))
@@ -261,25 +278,27 @@ def fit_attitude(
         effects = np.concatenate(list(effects))
     else:
         effects = np.concatenate([*effects[1:], np.zeros((len(zeros), effects.shape[2]))])
+    scales = np.array([*(parameter.scale for parameter in parameters), *(1e-3 for _ in zeros)])
     fit = fit_parameters(
         residuals,
         np.concatenate([start, np.zeros(len(zeros))]),
         [*(parameter.name for parameter in parameters), *(f"zero of {angle}" for angle in zeros)],
         [*(parameter.unit for parameter in parameters), *("rad" for _ in zeros)],
-        np.array([*(parameter.scale for parameter in parameters), *(1e-3 for _ in zeros)]),
+        scales,
         fixed_effects=effects if estimate_fixed else None,
-        loss=loss,
-        trust_sigmas=trust_sigmas,
+        loss=options.loss,
+        trust_sigmas=options.trust_sigmas,
         what=what,
     )
     fit = fit if estimate_fixed else fit.consider(effects)
     numbers = scans.numbers[used][0 if first_sigma is None else 1 :]
     readings = [f"{angle} of scan {number}" for number in numbers for angle in angles]
     readings += [] if first_sigma is None else [f"zero of {angle}" for angle in zeros]
-    if trust_sigmas:
+    if options.trust_sigmas:
         check_spread(fit, readings, what)
-        fit = enlarge_if_improbable(fit) if loss == "linear" else fit
-    return AttitudeFit(fit, tuple(readings), used, found[:, 2], errors(start), errors(fit.values[:count]), fixed)
+        fit = enlarge_if_improbable(fit) if options.loss == "linear" else fit
+    before, after = errors(start), errors(fit.values[:count])
+    return AttitudeFit(fit, tuple(readings), used, found[:, 2], before, after, fixed, scales)
 
 
 def _check_reference(

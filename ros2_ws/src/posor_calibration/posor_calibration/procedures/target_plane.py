@@ -17,20 +17,17 @@ from posor.model.scan import PROBES_ESTIMATED, SATURATED
 from posor.sensors.gap_probes import GapProbesCalibration
 from pydantic import Field
 
-from posor_calibration.attitude_fit import AttitudeParameter, ReferenceAttitude, fit_attitude, read_reference_attitude
+from posor_calibration.attitude_fit import (
+    AttitudeOptions,
+    AttitudeParameter,
+    ReferenceAttitude,
+    fit_attitude,
+    read_reference_attitude,
+)
 from posor_calibration.calibration_parameters import parameter_indices
 from posor_calibration.data_checks import check_count
-from posor_calibration.fit_report import correlation_table, describe_fit, parameter_table
-from posor_calibration.procedure import (
-    LongestGapOption,
-    LossOption,
-    Options,
-    Outcome,
-    Procedure,
-    Replacement,
-    SessionOption,
-    TrustSigmasOption,
-)
+from posor_calibration.fit_report import correlation_table, parameter_table
+from posor_calibration.procedure import Outcome, Procedure, Replacement
 
 if TYPE_CHECKING:
     from posor.bags.recording import Recording
@@ -40,23 +37,16 @@ NAME = "target_plane"
 MIN_SCANS = 6
 
 
-class TargetPlaneOptions(Options):
+class TargetPlaneOptions(AttitudeOptions):
     """Options of ``target_plane``."""
 
     reference: str = Field(default="", description="topic of a reference of the lean; empty: the axis is steady")
-    lever: float = Field(
-        default=0.0, ge=0.0, description="distance of a reference point from the pivot [m]; 0: the reference is a pose"
-    )
     wobble_sigma: float = Field(
         default=5e-6,
         gt=0.0,
         description="standard deviation of alpha and beta of the axis, or of alpha beside a reference point [rad]",
     )
-    session: SessionOption = ""
     expected_tilt: float = Field(default=1e-3, gt=0.0, description="prior standard uncertainty of the tilts [rad]")
-    longest_gap: LongestGapOption = 0.5
-    loss: LossOption = "linear"
-    trust_sigmas: TrustSigmasOption = True
 
 
 def find_target_plane(recording: Recording, calibration: Calibration, options: TargetPlaneOptions) -> Outcome:
@@ -80,24 +70,19 @@ def find_target_plane(recording: Recording, calibration: Calibration, options: T
         reference = ReferenceAttitude(np.zeros((len(recording.scans), 3)), sigmas)
     found = fit_attitude(
         calibration,
-        options.session,
-        recording.scans,
-        valid,
+        recording,
+        options,
         reference,
         [
             AttitudeParameter(f"tilt about {a}", "rad", int(i), options.expected_tilt)
             for a, i in zip("XY", where, strict=True)
         ],
         ("alpha", "beta"),
-        first_sigma=None,
         check_reference=False,  # a wrong tilt looks like such a motion
         estimate_fixed=False,  # the motion is mostly noise, from which a scale of the readings would be estimated
-        loss=options.loss,
-        trust_sigmas=options.trust_sigmas,
         what=NAME,
     )
     fit = found.fit
-    scales = np.array([options.expected_tilt] * 2 + [1e-3] * (len(fit.names) - 2))
     key = f"sensors[{sensor}].target_plane.tilt"
     return Outcome(
         method=f"least squares of alpha and beta over a turn of {np.ptp(found.thetas[found.used]):.3g} rad of an axis "
@@ -109,7 +94,7 @@ def find_target_plane(recording: Recording, calibration: Calibration, options: T
             parameter_table("tilt of the target plane", fit, part.target_plane.tilt.array, 2),
             correlation_table(fit, len(fit.names)),
         ),
-        warnings=describe_fit(fit, scales, 2, found.readings),
+        warnings=found.describe(2),
         figures=found.error_figures(found.thetas, "theta [rad]", ("alpha", "beta"), "apparent {}"),
     )
 

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from posor.calibration.calibration_file import find_sensor
-from posor.model.scan import PROBES_ESTIMATED, SATURATED
 from posor.sensors.gap_probes import GapProbesCalibration
 from pydantic import Field
 
@@ -19,6 +18,7 @@ from posor_calibration.attitude_fit import (
     ANGLES,
     URAD,
     AttitudeFit,
+    AttitudeOptions,
     AttitudeParameter,
     deviation_from_first,
     fit_attitude,
@@ -26,17 +26,8 @@ from posor_calibration.attitude_fit import (
 )
 from posor_calibration.calibration_parameters import parameter_indices
 from posor_calibration.data_checks import check_channels_move, check_count
-from posor_calibration.fit_report import correlation_table, describe_fit, parameter_table, table_row
-from posor_calibration.procedure import (
-    LongestGapOption,
-    LossOption,
-    Options,
-    Outcome,
-    Procedure,
-    Replacement,
-    Table,
-    TrustSigmasOption,
-)
+from posor_calibration.fit_report import correlation_table, parameter_table, table_row
+from posor_calibration.procedure import Outcome, Procedure, Replacement, Table
 
 if TYPE_CHECKING:
     from posor.bags.recording import Recording
@@ -48,13 +39,10 @@ AT_REST = 1e-5
 """Change of the reference's angles [rad] below which a reading may repeat to the last digit."""
 
 
-class ZeroDriftOptions(Options):
+class ZeroDriftOptions(AttitudeOptions):
     """Options of ``zero_drift``."""
 
     reference: str = Field(default="", description="topic of the reference; empty: the only one of its kind")
-    lever: float = Field(
-        default=0.0, ge=0.0, description="distance of a reference point from the pivot [m]; 0: the reference is a pose"
-    )
     twist_sigma: float = Field(
         default=17e-6, gt=0.0, description="standard deviation of alpha, which a reference point does not show [rad]"
     )
@@ -69,9 +57,6 @@ class ZeroDriftOptions(Options):
         description="standard uncertainty of the angles' zero at the first scan [rad]; 0: exact, motion is referred to "
         "it as in 1985; none: as at any other scan",
     )
-    longest_gap: LongestGapOption = 0.5
-    loss: LossOption = "linear"
-    trust_sigmas: TrustSigmasOption = True
 
 
 def find_zero_drift(recording: Recording, calibration: Calibration, options: ZeroDriftOptions) -> Outcome:
@@ -95,9 +80,8 @@ def find_zero_drift(recording: Recording, calibration: Calibration, options: Zer
     where = parameter_indices(applied, sensor, [f"zero_shifts[{k}]" for k in range(count)])
     found = fit_attitude(
         calibration,
-        options.session,
-        recording.scans,
-        ~recording.has_status(PROBES_ESTIMATED | SATURATED),
+        recording,
+        options,
         reference,
         [
             AttitudeParameter(f"zero shift of {probe.name}", "V", int(index), options.expected_drift)
@@ -107,8 +91,6 @@ def find_zero_drift(recording: Recording, calibration: Calibration, options: Zer
         first_sigma=options.first_sigma,
         check_reference=True,
         estimate_fixed=True,
-        loss=options.loss,
-        trust_sigmas=options.trust_sigmas,
         what=NAME,
     )
     fit = found.fit
@@ -125,7 +107,6 @@ def find_zero_drift(recording: Recording, calibration: Calibration, options: Zer
         f"{unused} of {len(found.used)} scans are not used: they give no pose, have no reference, or a reading was "
         "substituted or saturated."
     )
-    scales = np.array([*[options.expected_drift] * count, *[1e-3] * (len(fit.names) - count)])
     before = np.array([probe.zero_shift.number for probe in part.probes])
     seconds = (recording.scans.stamps_ns - recording.scans.stamps_ns[0]) * 1e-9
     return Outcome(
@@ -139,7 +120,7 @@ def find_zero_drift(recording: Recording, calibration: Calibration, options: Zer
             correlation_table(fit, count),
             _tabulate_errors(found),
         ),
-        warnings=(*([warning] if unused else []), *describe_fit(fit, scales, count, found.readings)),
+        warnings=(*([warning] if unused else []), *found.describe(count)),
         figures=found.error_figures(seconds, "time [s]", ANGLES),
     )
 
