@@ -108,11 +108,7 @@ def _fill_placeholders(text: str, known: Mapping[str, str], where: str) -> str:
 def group_programs(programs: Sequence[Program], layout: Layout, folder: Path) -> list[Program]:
     """Return programs that run the same nodes in fewer processes.
 
-    Args:
-        programs: Programs of one node each, subscribers first.
-        layout: Which nodes share a process.
-        folder: Existing folder for the composition files.
-
+    ``programs`` are of one node each, subscribers first; ``folder`` exists and receives the composition files.
     """
     if layout == "separate":
         return list(programs)

@@ -19,14 +19,9 @@ def installed_arms() -> list[str]:
 
 
 def find_arm(text: str) -> Path:
-    """Return the path of an arm file.
+    """Return the path of an arm file, from its path, its folder's path, or the name of an installed arm.
 
-    Args:
-        text: Path of an arm file or of the folder that holds ``arm.yaml``, or the name of an installed arm.
-
-    Raises:
-        ParameterError: There is no such arm.
-
+    Raises ParameterError: there is no such arm.
     """
     for path in (Path(text), Path(text) / ARM_FILE, share() / "arms" / text / ARM_FILE):
         if path.is_file():
@@ -36,16 +31,10 @@ def find_arm(text: str) -> Path:
 
 
 def load_checked_arm(text: str) -> ArmFile:
-    """Load an arm and check that all its files can be read and are consistent.
+    """Load an arm, given as for ``find_arm``, and check that all its files can be read and are consistent.
 
-    Args:
-        text: Path or name, see ``find_arm``.
-
-    Raises:
-        ParameterError: There is no such arm.
-        CalibrationError: A file cannot be read or is invalid, or the scenario does not fit the arm.
-        ChainError: The URDF is invalid, or the calibrations do not match its joints.
-
+    Raises ParameterError: there is no such arm; CalibrationError: a file cannot be read or is invalid, or the scenario
+    does not fit the arm; ChainError: the URDF is invalid, or the calibrations do not match its joints.
     """
     arm = load_arm_file(find_arm(text))
     for joint in arm.chain().joints:

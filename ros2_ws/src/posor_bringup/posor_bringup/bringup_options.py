@@ -59,13 +59,8 @@ def parse_driver_parameters(text: str) -> dict[str, Parameter]:
 def prepare_output_folder(folder: Path, outputs: Sequence[str]) -> Path:
     """Create an output folder with an empty folder for logs; replace the outputs of an earlier run.
 
-    Args:
-        folder: The folder.
-        outputs: Files and folders that the program writes there; everything else in the folder stays.
-
-    Raises:
-        OutputError: The folder holds one of these names, but not from an earlier run; or it cannot be written.
-
+    The other files of the folder stay. Raises OutputError: the folder holds one of these names, but not from an earlier
+    run; or it cannot be written.
     """
     prepare_outputs(folder, (*outputs, LOGS))
     with writing(folder):

@@ -88,13 +88,7 @@ class ArmTopics:
     """
 
     def __init__(self, arm: ArmFile, endpoint: str = ENDPOINT_STATE_TOPIC) -> None:
-        """Name the topics.
-
-        Args:
-            arm: The arm.
-            endpoint: Which of ``ENDPOINT_TOPICS`` holds its endpoint.
-
-        """
+        """Name the topics; ``endpoint`` is one of ``ENDPOINT_TOPICS``."""
         self.endpoint = f"/{arm.name}/{endpoint}"
         self.transforms = {joint: f"/{arm.name}/{joint}/{TRANSFORM_TOPIC}" for joint in arm.calibrations}
         self.encoders = {joint: _encoder(arm, joint) for joint in arm.calibrations}

@@ -165,17 +165,10 @@ class ViewPage:
     """The page and its web server."""
 
     def __init__(self, name: str, geometry: ArmGeometry, port: int, duration_s: float | None) -> None:
-        """Serve the page.
+        """Serve the page on a port of this host, 0: any free one.
 
-        Args:
-            name: Of the arm.
-            geometry: Of the arm.
-            port: On this host; 0: any free port.
-            duration_s: Of the bag that is replayed [s]; None: the arm is running.
-
-        Raises:
-            ParameterError: The port cannot be used.
-
+        ``duration_s`` is that of the bag that is replayed [s]; None: the arm is running. Raises ParameterError: the
+        port cannot be used.
         """
         self._name, self._geometry = name, geometry
         _check_port(port)

@@ -75,13 +75,10 @@ class FixedParameters:
         return np.asarray(derivatives @ self.root)
 
     def joint_covariance(self, entries: tuple[str, ...], fit: Fit, basis: FloatArray | None = None) -> JointCovariance:
-        """Return the covariance of fitted numbers, and with the fixed ones.
+        """Return the covariance of fitted numbers with the keys ``entries``, (k,), and with the fixed ones.
 
-        Args:
-            entries: Key of each fitted number, (k,).
-            fit: The fit, made with ``effects``.
-            basis: d(number)/d(parameter of the fit), (k, p); None: they are its first parameters.
-
+        ``fit`` was made with ``effects``; ``basis`` is d(number)/d(parameter of the fit), (k, p), None: its first
+        parameters.
         """
         basis = np.eye(len(entries), len(fit.names)) if basis is None else basis
         return self.join(entries, basis @ fit.covariance @ basis.T, basis @ fit.cross_covariance)
@@ -142,19 +139,12 @@ class FreeParameters:
         excluded: Sequence[str] = (),
         first: str = "",
     ) -> None:
-        """Find the free parameters.
+        """Find the free parameters of a calibration whose session is not yet applied.
 
-        Args:
-            calibration: The calibration, its session not yet applied.
-            session: The session in force; the quantities that it replaces are found there.
-            patterns: Keys of quantities that may change, ``*`` for anything: ``sensors[0].probes[*].tip``.
-            excluded: Keys of quantities that stay fixed nevertheless.
-            first: Keys of parameters that come before the others.
-
-        Raises:
-            FitError: A pattern matches no quantity with an uncertainty.
-            CalibrationError: The session is unknown.
-
+        Keys of the ``patterns`` may change and those of ``excluded`` may not; ``*`` stands for anything:
+        ``sensors[0].probes[*].tip``. Quantities that the session replaces are found there. Parameters whose key matches
+        ``first`` come before the others. Raises FitError: a pattern matches no quantity with an uncertainty;
+        CalibrationError: the session is unknown.
         """
         stack = Stack([sensor.build() for sensor in calibration.for_session(session).sensors])
         self._values, sigmas = stack.parameter_values, stack.parameter_sigmas

@@ -41,16 +41,8 @@ class FitContext:
 def update_text(text: str, source: str, outcome: Outcome, recording: Recording, context: FitContext) -> str:
     """Return the text of a calibration file with the outcome of a procedure.
 
-    Args:
-        text: The file that the procedure began from; whatever is not replaced stays, comments too.
-        source: Name of the file for error messages.
-        outcome: What the procedure found; it must replace something.
-        recording: The data.
-        context: Procedure, options, instruments and date.
-
-    Raises:
-        CalibrationError: The file has no such key, or the new values are invalid.
-
+    Everything that is not replaced in ``text`` stays, comments too; ``source`` names the file in errors. Raises
+    CalibrationError: the file has no such key, or the new values are invalid.
     """
     result = edit_document(text, source, _list_changes(parse_calibration(text, source), outcome, recording, context))
     parse_calibration(result, f"{source} with the result of {context.procedure}")

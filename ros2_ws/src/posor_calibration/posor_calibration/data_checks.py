@@ -121,16 +121,10 @@ def check_channels_move(
     """Raise FitError if a channel is not finite, or stands still while the reference moves.
 
     The readings of a converter also repeat where the motion reverses or hardly affects a channel. A channel is stuck
-    only if, by its readings elsewhere, the motion should have changed it.
-
-    Args:
-        names: Of the channels, (c,).
-        means: Their readings, (d, c).
-        sigmas: Standard uncertainties of the readings, (d, c); NaN where unknown.
-        moved: What the readings follow roughly in proportion: the reference, or other channels, (d, k).
-        where: The recording, for the error message.
-        sample: What the d rows are, for the error message.
-
+    only if, by its readings elsewhere, the motion should have changed it. ``means`` (d, c) are the readings of the
+    channels ``names`` (c,), with standard uncertainties ``sigmas`` (d, c), NaN where unknown. The readings follow
+    ``moved`` (d, k) roughly in proportion: the reference, or other channels. The error names ``where`` and the number
+    of the ``sample``.
     """
     places_change = np.any(np.diff(moved, axis=0) != 0.0, axis=1)
     for index, name in enumerate(names):

@@ -51,18 +51,9 @@ def check_drift(recording: Recording, calibration: Calibration, options: BundleO
 
     All parameters may change within their uncertainties, so chi-square allows for noise and calibration together. If
     the calibration holds, a parameter with the prior standard uncertainty s0 and the fitted one s1 changes by a
-    quantity of variance s0^2 - s1^2.
-
-    Args:
-        recording: With a pose reference; without one only the redundancy of the readings is tested.
-        calibration: The calibration.
-        options: Of the bundle fit; the loss is always linear.
-
-    Raises:
-        FitError: The recording is unusable, or shows no contradiction and is below the noise.
-        TrackError: The reference is unusable.
-        CalibrationError: The session is unknown.
-
+    quantity of variance s0^2 - s1^2. Without a pose reference only the redundancy of the readings is tested. The loss
+    is always linear. Raises as ``Procedure.identify``, and FitError where the recording shows no contradiction and is
+    below the noise.
     """
     solved = solve_bundle(recording, calibration, options.model_copy(update={"loss": "linear"}))
     problem, fit = solved.problem, solved.fit

@@ -122,17 +122,9 @@ def average_dwells(
 ) -> DwellMeans:
     """Return the mean scan of each dwell that holds scans, without the outliers.
 
-    Args:
-        scans: With increasing stamps.
-        track: The reference in which the dwells were found.
-        dwells: When the reference stood still.
-        source: The recording, for error messages.
-        kinds: Readings that matter, fields of ``Scans``; outliers of these are left out.
-
-    Raises:
-        TrackError: No dwell holds a scan, or the lit source changes within a dwell.
-        FitError: More than a tenth of the readings of a channel are outliers.
-
+    ``scans`` have increasing stamps; the dwells were found in ``track``; ``source`` names the recording in errors.
+    Outliers of ``kinds``, fields of ``Scans``, are left out. Raises TrackError: no dwell holds a scan, or the lit
+    source changes within a dwell; FitError: more than a tenth of the readings of a channel are outliers.
     """
     source = source or track.source
     bounds = [

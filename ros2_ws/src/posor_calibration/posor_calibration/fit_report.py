@@ -64,12 +64,8 @@ def enlarge_if_improbable(fit: Fit) -> Fit:
 def describe_fit(fit: Fit, scales: FloatArray, count: int, readings: Sequence[str] = ()) -> tuple[str, ...]:
     """Return warnings of weakly determined parameters, correlations, outliers, and wrong stated uncertainties.
 
-    Args:
-        fit: The fit.
-        scales: Prior standard uncertainty of each parameter, (p,).
-        count: How many parameters, the first ones, are the procedure's result; the others are auxiliary.
-        readings: Name of each residual, (n,); empty: outliers are only counted.
-
+    ``scales`` (p,) are the prior standard uncertainties. The first ``count`` parameters are the procedure's result, the
+    others are auxiliary. ``readings`` names each residual, (n,); empty: outliers are only counted.
     """
     sentences = [
         f"The data hardly determine {' and '.join(direction.names)}: along this combination "

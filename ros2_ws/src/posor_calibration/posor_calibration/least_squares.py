@@ -332,12 +332,9 @@ class WeakDirection:
 
 
 def weak_directions(scaled_jacobian: FloatArray, names: Sequence[str]) -> tuple[WeakDirection, ...]:
-    """Return the combinations of parameters that the readings determine weakly, the weakest first.
+    """Return the combinations of the parameters ``names`` (p,) that the readings determine weakly, the weakest first.
 
-    Args:
-        scaled_jacobian: d(normalised residual)/d(parameter over its prior standard uncertainty), (n, p).
-        names: Of the parameters, (p,).
-
+    ``scaled_jacobian``: d(normalised residual)/d(parameter over its prior standard uncertainty), (n, p).
     """
     size = len(names)
     padded = np.vstack([scaled_jacobian, np.zeros((max(0, size - len(scaled_jacobian)), size))])

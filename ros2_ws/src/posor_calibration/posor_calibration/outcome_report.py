@@ -42,13 +42,7 @@ class ProcedureVerdict:
     notes: tuple[str, ...]  # warnings of the procedure
 
     def lines(self, ending: Sequence[str], elsewhere: str) -> list[str]:
-        """Return at most ``MAX_LINES`` lines.
-
-        Args:
-            ending: Sentences after the notes.
-            elsewhere: Where the notes are in full.
-
-        """
+        """Return at most ``MAX_LINES`` lines, ``ending`` last; ``elsewhere`` tells where the notes are in full."""
         lines, end = _wrap([self.headline, *self.findings]), _wrap(ending)
         shown = self.notes[: max(0, MAX_LINES - 1 - len(lines) - len(end))]
         lines += [textwrap.shorten(f"Note: {note}", WIDTH, placeholder=" ...") for note in shown]

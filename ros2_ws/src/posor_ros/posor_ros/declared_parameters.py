@@ -81,18 +81,10 @@ class DeclaredParameters(Generic[ParametersT]):
         accept: Callable[[ParametersT], None],
         on_change: Callable[[ParametersT], None],
     ) -> None:
-        """Validate ``overrides`` and declare every parameter of ``model``.
+        """Validate ``overrides``, see ``take_overrides``, and declare every parameter of ``model`` on a node.
 
-        Args:
-            node: The node to declare on.
-            model: Declaration of the parameters.
-            overrides: The user's values by name, see ``take_overrides``.
-            accept: Called with new values before a change; may raise a PosorError to refuse them.
-            on_change: Called with the new values after a change.
-
-        Raises:
-            ParameterError: A value is wrong or missing, or a name is unknown.
-
+        ``accept`` is called with new values before a change and may raise a PosorError to refuse them, ``on_change``
+        after it. Raises ParameterError: a value is wrong or missing, or a name is unknown.
         """
         self._model = model
         self._node = node.get_fully_qualified_name()

@@ -179,13 +179,7 @@ class Diagnostics:
     """
 
     def __init__(self, node: Node, hardware_id: str = "") -> None:
-        """Start publishing.
-
-        Args:
-            node: The reporting node.
-            hardware_id: Hardware behind the node; empty: its namespace, or its name in the root namespace.
-
-        """
+        """Start publishing; without ``hardware_id`` the node's namespace, else its name, stands for the hardware."""
         self._node = node
         self._hardware_id = hardware_id or node.get_namespace().strip("/") or node.get_name()
         self._statuses: list[Status] = []
@@ -203,13 +197,7 @@ class Diagnostics:
         )
 
     def add_status(self, name: str, *, logged: bool = False) -> Status:
-        """Add a status line.
-
-        Args:
-            name: Name of the line.
-            logged: Whether lasting errors, and their end, are logged too.
-
-        """
+        """Add a status line; if it is ``logged``, lasting errors and their end are logged too."""
         with self._lock:
             status = Status(name, self._schedule, self._now_s, self._lock)
             self._statuses.append(status)

@@ -76,15 +76,9 @@ class ScanOrder:
         self.counts = {MISSING: 0, REPEATED: 0, BACKWARD: 0}
 
     def describe(self, identity: tuple[int, int], last: tuple[int, int]) -> tuple[str, str]:
-        """Count a scan that is out of order.
+        """Count a scan that is out of order, by its stamp [ns] and number and those of the scan before.
 
-        Args:
-            identity: Stamp [ns] and number of the scan.
-            last: Of the scan before.
-
-        Returns:
-            The kind and the sentence, both empty for a scan in order. A repeated scan is to be dropped.
-
+        Return the kind and the sentence, both empty for a scan in order. A repeated scan is to be dropped.
         """
         number, last_number = identity[1], last[1]
         if identity == last:
@@ -113,11 +107,8 @@ class InputMonitor:
     def __init__(self, node: PosorNode[Any], on_check: Callable[[bool], None] = lambda _: None) -> None:
         """Create the status line.
 
-        Args:
-            node: The node.
-            on_check: Called after each check (``INPUT_CHECK_S``) with whether the report has changed or is repeated
-                after another second.
-
+        ``on_check`` is called after each check (``INPUT_CHECK_S``) with whether the report has changed, or is repeated
+        after another second.
         """
         self._node = node
         self._on_check = on_check

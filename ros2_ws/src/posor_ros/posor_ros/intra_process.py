@@ -107,19 +107,11 @@ class IntraProcessPublisher:
         count_listeners: bool = False,
         cancelled: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Create the publisher.
+        """Create the publisher of a topic, whose name is relative to the node's namespace.
 
-        Args:
-            node: The publishing node.
-            message_type: Class of the messages.
-            topic: Topic name, relative to the node's namespace.
-            qos: Quality of service of the DDS publisher.
-            count_listeners: Whether the node's diagnostics count the subscriptions, see `PosorNode.report_listeners`.
-            cancelled: Polled while a subscription blocks ``publish``; true gives the message up.
-
-        Raises:
-            TopicError: This process uses the topic with another type.
-
+        With ``count_listeners`` the node's diagnostics count the subscriptions, see `PosorNode.report_listeners`.
+        ``cancelled`` is polled while a subscription blocks ``publish``; true gives the message up. Raises TopicError:
+        this process uses the topic with another type.
         """
         self.topic_name: str = node.resolve_topic_name(topic)
         self.message_type = message_type
@@ -154,14 +146,9 @@ class IntraProcessPublisher:
         return bool(self._subscriptions) or bool(self._handle.get_subscription_count())
 
     def publish(self, data: bytes) -> bool:
-        """Deliver a serialised message within this process, then publish it over DDS.
+        """Deliver a serialised message within this process, then publish it over DDS; return whether all received it.
 
-        Returns:
-            Whether the message was delivered or sent to all subscriptions.
-
-        Raises:
-            TopicError: A reliable subscription has blocked the publisher for too long.
-
+        Raises TopicError: a reliable subscription has blocked the publisher for too long.
         """
         if not self._node.may_publish:
             return False
@@ -194,12 +181,8 @@ class IntraProcessPublisher:
     def wait_for_all_acked(self, timeout_s: float, cancelled: Callable[[], bool] = lambda: False) -> bool:
         """Wait until every reliable DDS subscription has acknowledged all messages; return whether they have.
 
-        Other threads continue meanwhile, unlike during rclpy's own call with a timeout.
-
-        Args:
-            timeout_s: Longest wait [s].
-            cancelled: Polled; true ends the wait.
-
+        Other threads continue meanwhile, unlike during rclpy's own call with a timeout. ``cancelled`` is polled; true
+        ends the wait.
         """
         deadline = time.monotonic() + timeout_s
         while not self._publisher.wait_for_all_acked(Duration()):
@@ -259,18 +242,10 @@ class IntraProcessSubscription:
         qos: QoSProfile,
         callback: Callable[[bytes], None],
     ) -> None:
-        """Subscribe.
+        """Subscribe to a topic, whose name is relative to the node's namespace.
 
-        Args:
-            node: The subscribing node.
-            message_type: Class of the messages.
-            topic: Topic name, relative to the node's namespace.
-            qos: Quality of service of the DDS subscription, if one is needed.
-            callback: Called with each message by the executor, or in the thread of a publisher of this process.
-
-        Raises:
-            TopicError: This process uses the topic with another type.
-
+        ``qos`` is of the DDS subscription, if one is needed. The executor calls ``callback`` with each message, or a
+        publisher of this process in its thread. Raises TopicError: this process uses the topic with another type.
         """
         self.topic_name: str = node.resolve_topic_name(topic)
         self.message_type = message_type

@@ -74,14 +74,9 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
     USES_KERNELS: ClassVar[bool] = False
 
     def __init__(self, **options: Any) -> None:
-        """Create the node and declare its parameters.
+        """Create the node and declare its parameters; rclpy receives the options: ``context``, ``namespace``...
 
-        Args:
-            options: Passed on to rclpy: ``context``, ``namespace``, ``parameter_overrides``...
-
-        Raises:
-            ParameterError: A parameter is wrong, missing or unknown.
-
+        Raises ParameterError: a parameter is wrong, missing or unknown.
         """
         try:
             # The two steps of LifecycleNode's initialiser; the parameters decide whether the second opens services.

@@ -62,14 +62,9 @@ class StopSignal:
 
 @contextmanager
 def ros_context(arguments: Sequence[str]) -> Iterator[StopSignal]:
-    """Initialise ROS for a ``with`` block; yields the flag that a signal sets.
+    """Initialise ROS for a ``with`` block by a command line, program name first; yield the flag that a signal sets.
 
-    Args:
-        arguments: The command line, program name first.
-
-    Raises:
-        ParameterError: ROS cannot parse its part of the command line.
-
+    Raises ParameterError: ROS cannot parse its part of the command line.
     """
     with StopSignal() as stop:
         try:
@@ -143,12 +138,7 @@ class NodeGroup:
     """The nodes of this process; leaving the ``with`` block stops them, the last one first."""
 
     def __init__(self, realtime: RealtimeParameters | None = None) -> None:
-        """Create an empty group.
-
-        Args:
-            realtime: Real-time settings of the process; None: those of its only node.
-
-        """
+        """Create an empty group; ``realtime`` are the settings of the process, None: those of its only node."""
         self._realtime = realtime
         self._locations: dict[PosorNode[Any], Callable[[PosorError], str]] = {}
         self._health: ProcessHealth | None = None
@@ -169,15 +159,9 @@ class NodeGroup:
             self._locations = {}
 
     def add(self, node: PosorNode[Any], location: Callable[[PosorError], str] = lambda _: "") -> None:
-        """Add a node.
+        """Add a node; ``location`` returns the place in a file that causes an error of the node.
 
-        Args:
-            node: The node.
-            location: Returns the place in a file that causes an error of the node.
-
-        Raises:
-            ParameterError: The node sets real-time parameters, which belong to the whole process.
-
+        Raises ParameterError: the node sets real-time parameters, which belong to the whole process.
         """
         self._locations[node] = location
         if self._realtime is not None and node.parameters.realtime != RealtimeParameters():
@@ -256,15 +240,9 @@ def _name_node_in_errors(
 
 @reports_errors
 def run_node(node_class: type[PosorNode[Any]], arguments: Sequence[str] | None = None) -> int:
-    """Run one node as a program, until a signal or the end of the node.
+    """Run one node as a program, until a signal or the end of the node; return the exit code.
 
-    Args:
-        node_class: Class of the node.
-        arguments: The command line, program name first; ``None``: that of this process.
-
-    Returns:
-        The exit code.
-
+    ``arguments`` is the command line, program name first; None: that of this process.
     """
     arguments = sys.argv if arguments is None else arguments
     with ros_context(arguments) as stop:

@@ -96,14 +96,7 @@ class Timing:
     """
 
     def __init__(self, status: Status, clock: Clock, limits: Callable[[], LimitParameters]) -> None:
-        """Create an empty record.
-
-        Args:
-            status: The status line.
-            clock: The node's clock, by which scans are stamped.
-            limits: Returns the limits in force.
-
-        """
+        """Create an empty record; ``clock`` stamps the scans, ``limits`` returns the limits in force."""
         self._status = status
         self._clock = clock
         self._limits = limits

@@ -28,16 +28,7 @@ class QosOverrides:
     """The user's overrides of one node, and the topics that they may name."""
 
     def __init__(self, node: str, values: Mapping[str, object]) -> None:
-        """Check the values.
-
-        Args:
-            node: Full name of the node.
-            values: The user's values by the name of the parameter.
-
-        Raises:
-            ParameterError: A value is wrong.
-
-        """
+        """Check the user's values by the name of the parameter. Raises ParameterError: a value is wrong."""
         self._node = node
         self._names = list(values)
         self._possible: set[str] = set()

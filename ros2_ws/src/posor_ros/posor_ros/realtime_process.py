@@ -37,14 +37,9 @@ _RLIMIT_RTPRIO = 14
 
 
 def apply_realtime_parameters(parameters: RealtimeParameters) -> list[SystemRefusal]:
-    """Apply the settings to all threads of the process; later threads inherit them.
+    """Apply the settings to all threads of the process; later threads inherit them. Return the refused settings.
 
-    Returns:
-        The refused settings; the process continues without them.
-
-    Raises:
-        SystemRefusal: The first refusal, if all settings are required.
-
+    Raises SystemRefusal: the first refusal, if all settings are required.
     """
     refusals = []
     for apply in _requested_settings(parameters):
@@ -146,14 +141,7 @@ class ProcessHealth:
     """The status line of the process, reported by one of its nodes: refused settings, collections and their pauses."""
 
     def __init__(self, status: Status, refusals: Sequence[PosorError], limits: Callable[[], LimitParameters]) -> None:
-        """Count garbage collections from now on.
-
-        Args:
-            status: The status line.
-            refusals: The settings that the system refused.
-            limits: Returns the limits in force.
-
-        """
+        """Count garbage collections from now on; ``limits`` returns the limits in force."""
         self._status = status
         self._refusals = " ".join(map(str, refusals))
         self._limits = limits

@@ -18,15 +18,10 @@ def ros_arguments(
     remappings: Mapping[str, str] | None = None,
     enclave: str = "",
 ) -> list[str]:
-    """Return ``--ros-args`` and what follows; an empty text is left out.
+    """Return ``--ros-args`` and the arguments of a node; an empty text is left out.
 
-    Args:
-        parameters: Values by name.
-        namespace: Such as ``/joint1``.
-        name: Of the node.
-        remappings: Old name: new name.
-        enclave: Identity of the process in a network with SROS 2.
-
+    ``remappings`` give the new name by the old one; ``enclave`` is the identity of the process in a network with SROS
+    2.
     """
     rules = {"__ns": namespace, "__node": name} | dict(remappings or {})
     arguments = ["--ros-args"]

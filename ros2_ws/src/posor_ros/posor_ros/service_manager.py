@@ -21,15 +21,10 @@ class ServiceManager:
     """The connection to the service manager."""
 
     def __init__(self, environ: Mapping[str, str] = os.environ) -> None:
-        """Connect.
+        """Connect, as the environment of the process says.
 
-        Args:
-            environ: Environment of the process. WATCHDOG_USEC is the longest time between two signs of life that the
-                manager accepts [us]; WATCHDOG_PID, if set, is the process that sends them.
-
-        Raises:
-            SystemRefusal: There is no such socket, or it refuses the connection.
-
+        WATCHDOG_USEC is the longest time between two signs of life that the manager accepts [us]; WATCHDOG_PID, if set,
+        is the process that sends them. Raises SystemRefusal: there is no such socket, or it refuses the connection.
         """
         self._socket: socket.socket | None = None
         self._period_s = self._due_s = float("inf")
