@@ -120,7 +120,6 @@ class MessageStore:
     """
 
     def __init__(self, arm: str, types: Mapping[str, str]) -> None:
-        """Create an empty store for topics of these types."""
         self._prefix = f"/{arm}/"
         self._schemas = {topic: schema_of_class(message_class(name)) for topic, name in types.items()}
         self._messages: dict[str, deque[Message]] = {topic: deque(maxlen=KEPT) for topic in types}
@@ -177,7 +176,6 @@ class LiveTopics:
     """
 
     def __init__(self, store: MessageStore, topics: ArmTopics) -> None:
-        """Create the node, without subscriptions."""
         self._store, self._topics = store, topics
         self._node = Node("view", enable_rosout=False, start_parameter_services=False)
         self._subscriptions: list[Any] = []

@@ -67,7 +67,6 @@ class BundleData:
     warnings: tuple[str, ...] = ()
 
     def __len__(self) -> int:
-        """Return the number of scans."""
         return len(self.counts)
 
     def select(self, which: IntArray) -> BundleData:

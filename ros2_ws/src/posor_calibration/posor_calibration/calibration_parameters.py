@@ -183,7 +183,6 @@ class FreeParameters:
         self.covariance = correlations * np.outer(self.sigmas, self.sigmas)
 
     def __len__(self) -> int:
-        """Return the number of free parameters."""
         return len(self.names)
 
     def parameter_vector(self, free: FloatArray) -> FloatArray:

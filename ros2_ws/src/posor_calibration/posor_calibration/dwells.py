@@ -98,7 +98,6 @@ class DwellMeans:
     warnings: tuple[str, ...] = ()  # what was left out, one sentence each
 
     def __len__(self) -> int:
-        """Return the number of dwells."""
         return len(self.counts)
 
     def select(self, which: BoolArray) -> DwellMeans:

@@ -277,7 +277,6 @@ class LastingErrorLog:
     """Logs an error of a status that lasts, and its end. The error of a single scan is not logged."""
 
     def __init__(self, node: Node, name: str) -> None:
-        """Start without an error."""
         self._node = node
         self._name = name
         self._error_since_s: float | None = None

@@ -72,7 +72,6 @@ class ScanOrder:
     """
 
     def __init__(self) -> None:
-        """Start with counts of zero."""
         self.counts = {MISSING: 0, REPEATED: 0, BACKWARD: 0}
 
     def describe(self, identity: tuple[int, int], last: tuple[int, int]) -> tuple[str, str]:

@@ -40,7 +40,6 @@ class TickSchedule:
     __slots__ = ("due_ns", "margin_ns", "period_ns")
 
     def __init__(self, rate: float) -> None:
-        """Register a thread with ``rate`` ticks per second."""
         global _schedules  # noqa: PLW0603  one process, one interpreter lock
         self.period_ns = int(1e9 / rate)
         self.margin_ns = min(int(MARGIN_PERIODS * self.period_ns), MAX_MARGIN_NS)

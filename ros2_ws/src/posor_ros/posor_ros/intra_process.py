@@ -356,7 +356,6 @@ class IntraProcessManager:
     _managers_lock = RLock()
 
     def __init__(self) -> None:
-        """Create a manager without topics."""
         self._ends: dict[str, tuple[IntraProcessPublisher | IntraProcessSubscription, ...]] = {}
         self._lock = RLock()
 

@@ -45,7 +45,6 @@ class StopSignal:
         self.requested = False
 
     def __enter__(self) -> Self:
-        """Handle the signals."""
         self._former = {number: signal.signal(number, self._on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
         return self
 
@@ -55,7 +54,6 @@ class StopSignal:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Restore the former handlers."""
         for number, handler in self._former.items():
             signal.signal(number, handler)
 
@@ -144,7 +142,6 @@ class NodeGroup:
         self._health: ProcessHealth | None = None
 
     def __enter__(self) -> Self:
-        """Return the group."""
         return self
 
     def __exit__(

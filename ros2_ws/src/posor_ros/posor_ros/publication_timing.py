@@ -45,7 +45,6 @@ class TimestampLog:
     __slots__ = ("_arrays", "_drained", "_recorded", "_recording_times", "_reference_times", "now_ns")
 
     def __init__(self, now_ns: Callable[[], int] = time_ns) -> None:
-        """Create an empty buffer."""
         self.now_ns = now_ns
         self._reference_times = array("q", bytes(8 * CAPACITY))
         self._recording_times = array("q", bytes(8 * CAPACITY))
