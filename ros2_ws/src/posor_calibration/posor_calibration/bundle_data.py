@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,26 +22,16 @@ if TYPE_CHECKING:
     from posor.calibration.calibration_file import Calibration
     from posor.numerics.array_types import FloatArray
 
+    from posor_calibration.procedures.bundle import BundleOptions
+
 AXES = ("x", "y", "z", "alpha", "beta")
 CLEAR_TRAVEL = 20.0
 """Travel along an axis, over the uncertainty of the calibration, above which it is compared with the reference's."""
 MIN_COMPARED = 4
 
 
-@dataclass(frozen=True)
-class Matching:
-    """How scans and reference are matched."""
-
-    least_dwell_s: float  # shortest dwell; each dwell is one mean scan [s]; 0: every scan, reference interpolated
-    still: float  # tolerance of a dwell [m], and of the quaternion
-    settle_s: float  # left out at the beginning of each dwell [s]
-    longest_gap_s: float  # no interpolation between reference values further apart [s]
-    at_most: int  # more scans are thinned out evenly
-    mounting_sigmas: FloatArray  # see PoseReference, (12,)
-
-
 def make_bundle_data(
-    recording: Recording, calibration: Calibration, topic: str | None, matching: Matching
+    recording: Recording, calibration: Calibration, topic: str | None, options: BundleOptions
 ) -> BundleData:
     """Return the data of a bundle fit.
 
@@ -59,29 +48,28 @@ def make_bundle_data(
         poses = [pin.SE3(estimates.rotations[i], estimates.translations[i]) for i in found]
         left_out = len(recording.scans) - len(found)
         data = BundleData(recording.scans.select(found), np.ones(len(found)), poses, None, left_out)
-        return _thin_out(data, matching, recording.source)
+        return _thin_out(data, options.at_most, recording.source)
     track = recording.find_track(topic, POSE)
-    if matching.least_dwell_s > 0.0:
-        dwells = find_dwells(
-            track, matching.still, int(matching.least_dwell_s * NS), settle_ns=int(matching.settle_s * NS)
-        )
+    if options.least_dwell > 0.0:
+        dwells = find_dwells(track, options.still, int(options.least_dwell * NS), settle_ns=int(options.settle * NS))
         means = average_dwells(recording.scans, track, dwells, source=recording.source)
         scans, counts, left_out = means.scans, means.counts.astype(float), 0
         values, sigmas, warnings = means.reference, means.reference_sigmas, means.warnings
     else:
-        scans, values = scans_with_reference(recording.scans, track, int(matching.longest_gap_s * NS))
+        scans, values = scans_with_reference(recording.scans, track, int(options.longest_gap * NS))
         counts, left_out = np.ones(len(scans)), len(recording.scans) - len(scans)
         sigmas, warnings = np.tile(track.sigmas, (len(scans), 1)), ()
     poses = [pin.SE3(r, t) for r, t in zip(*unpack_poses(values), strict=True)]
-    reference = PoseReference(poses, _tangent_sigmas(poses, sigmas), matching.mounting_sigmas)
+    mounting = np.tile([options.mounting_m] * 3 + [options.mounting_rad] * 3, 2)
+    reference = PoseReference(poses, _tangent_sigmas(poses, sigmas), mounting)
     data = BundleData(scans, counts, poses, reference, left_out, warnings)
     valid = np.flatnonzero(posor.stack.linearise(data.scans).valid)
-    data = _thin_out(data.select(valid), matching, recording.source)
+    data = _thin_out(data.select(valid), options.at_most, recording.source)
     _check_motion(posor, data, track)
     return data
 
 
-def _thin_out(data: BundleData, matching: Matching, source: str) -> BundleData:
+def _thin_out(data: BundleData, at_most: int, source: str) -> BundleData:
     """Return at most ``at_most`` scans; raise FitError if there are none."""
     if not len(data):
         raise FitError(
@@ -89,9 +77,9 @@ def _thin_out(data: BundleData, matching: Matching, source: str) -> BundleData:
             where=source,
             expected="scans of the POSOR that the calibration file describes",
         )
-    if len(data) <= matching.at_most:
+    if len(data) <= at_most:
         return data
-    return data.select(np.round(np.linspace(0, len(data) - 1, matching.at_most)).astype(np.int64))
+    return data.select(np.round(np.linspace(0, len(data) - 1, at_most)).astype(np.int64))
 
 
 def _tangent_sigmas(poses: list[pin.SE3], sigmas: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ basis nearest to the readings is used, so that each number belongs to one readin
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -19,13 +19,16 @@ from posor.errors import FitError
 from posor.estimation.solver import LENGTH, TOLERANCE
 from scipy.linalg import block_diag
 
+from posor_calibration.least_squares import Fit, fit_parameters
+
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from posor.estimation.sensor_stack import Stack
     from posor.model.scan import Scans
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
     from posor_calibration.calibration_parameters import FreeParameters
-    from posor_calibration.least_squares import Fit
 
 POSE_SIZE = 6
 MAX_ITERATIONS = 10
@@ -130,6 +133,11 @@ class BundleProblem:
         if reference is not None:
             self._pose_prior[:] = np.eye(POSE_SIZE) / np.maximum(reference.sigmas, LEAST_SIGMA)[:, :, None] * LEVER
         self._last: tuple[bytes, FloatArray, FloatArray] | None = None
+
+    def fit(self, names: Sequence[str] = (), **options: Any) -> Fit:
+        """Fit the unknowns, by other names if given; options and errors of ``fit_parameters``, and OutOfRangeError."""
+        how = {"jacobian": self.jacobian, "prior": self.prior, **options}
+        return fit_parameters(self.residuals, self.start, names or self.names, self.units, self.scales, **how)
 
     def residuals(self, unknowns: FloatArray) -> FloatArray:
         """Return the residuals (n * per_scan,), scan after scan; raises OutOfRangeError."""

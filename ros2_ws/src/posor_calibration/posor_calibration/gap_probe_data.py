@@ -171,25 +171,26 @@ class GapData:
         )
 
 
-def average_gap_dwells(recording: Recording, options: GapReferenceOptions, where: str) -> DwellMeans:
-    """Return the dwell means of a recording, without scans whose probe voltages were substituted or saturated.
+def read_gap_data(
+    recording: Recording, calibration: Calibration, options: GapReferenceOptions, where: str
+) -> tuple[DwellMeans, list[tuple[SingleProbe, GapData]]]:
+    """Return the dwell means of a recording, and the data of each probe.
 
-    Raises FitError: there are too few dwells; TrackError: the reference is unusable.
+    Scans whose probe voltages were substituted or saturated are left out. Where the reference is a pose, the geometry
+    of the calibration converts it into gaps. Raises FitError: there are too few dwells, or a channel is stuck;
+    TrackError: the reference is unusable, has another unit or sign, or moves along another axis.
     """
     track = recording.find_track(options.reference, _COLUMNS[options.kind])
     found = average_recording(recording.without_status(PROBES_ESTIMATED | SATURATED), track, options)
     check_count(len(found), MIN_DWELLS, "dwells of the reference with scans", where)
-    return found
+    probes = list_probes(calibration)
+    return found, [(probe, _match_gap_data(probe, found, calibration, options, recording.source)) for probe in probes]
 
 
-def match_gap_data(
+def _match_gap_data(
     probe: SingleProbe, means: DwellMeans, calibration: Calibration, options: GapReferenceOptions, source: str
 ) -> GapData:
-    """Return the data of one probe, after checking that reference and readings belong together.
-
-    Where the reference is a pose, the geometry of the calibration converts it into gaps. Raises FitError: the channel
-    is stuck; TrackError: the reference has another unit or sign, or moves along another axis.
-    """
+    """Return the data of one probe, after checking that reference and readings belong together."""
     volts = probe.shifted_volts(means.scans)
     spreads = means.sigmas("gap_voltages")[:, probe.index]
     volt_sigmas = np.where(np.isfinite(spreads), spreads, probe.calibration.noise.number)

@@ -13,13 +13,13 @@ from posor.estimation.sensor_stack import Stack
 from posor.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED, SATURATED
 from pydantic import Field
 
-from posor_calibration.bundle_data import Matching, make_bundle_data
+from posor_calibration.bundle_data import make_bundle_data
 from posor_calibration.bundle_problem import BundleData, BundleProblem, OutOfRangeError, add_unfitted_uncertainty
 from posor_calibration.calibration_parameters import FreeParameters
 from posor_calibration.data_checks import check_count
 from posor_calibration.dwells import Settle, Still
 from posor_calibration.fit_report import check_spread, describe_spread, parameter_table, table_row
-from posor_calibration.least_squares import UNDETERMINED, Fit, Loss, WeakDirection, fit_parameters, weak_directions
+from posor_calibration.least_squares import UNDETERMINED, Fit, Loss, WeakDirection, weak_directions
 from posor_calibration.pose_advice import propose_poses
 from posor_calibration.procedure import LongestGapOption, LossOption, Options, Outcome, Procedure, Table
 
@@ -96,13 +96,9 @@ def solve_bundle(recording: Recording, calibration: Calibration, options: Bundle
     applied = calibration.for_session(options.session)
     excluded = _find_unmeasured(recording.scans)
     free = FreeParameters(calibration, options.session, options.parameters, excluded)
-    mounting = np.tile([options.mounting_m] * 3 + [options.mounting_rad] * 3, 2)
-    matching = Matching(
-        options.least_dwell, options.still, options.settle, options.longest_gap, options.at_most, mounting
-    )
     has_poses = any(track.values.shape[1] == POSE for track in recording.tracks.values())
     topic = options.reference if options.reference or has_poses else None
-    data = make_bundle_data(recording, applied, topic, matching)
+    data = make_bundle_data(recording, applied, topic, options)
     stack = Stack([sensor.build() for sensor in applied.sensors])
     problem, data, found = _fit(stack, free, data, options.loss, recording.source)
     every = FreeParameters(calibration, options.session, excluded=excluded)
@@ -119,17 +115,7 @@ def _fit(
     while True:
         problem = BundleProblem(stack, free, data)
         try:
-            found = fit_parameters(
-                problem.residuals,
-                problem.start,
-                problem.names,
-                problem.units,
-                problem.scales,
-                jacobian=problem.jacobian,
-                prior=problem.prior,
-                loss=loss,
-                what=NAME,
-            )
+            found = problem.fit(loss=loss, what=NAME)
         except OutOfRangeError as error:
             data = data.select(np.flatnonzero(~error.which))
             if len(data) < (1.0 - MOST_OUT_OF_RANGE) * count:

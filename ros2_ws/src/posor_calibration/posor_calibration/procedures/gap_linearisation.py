@@ -11,14 +11,7 @@ from pydantic import Field
 
 from posor_calibration.fit_report import describe_enlargement, describe_rejected
 from posor_calibration.gap_polynomial import Criterion, GapPolynomial, find_outliers, fit_orders, select_polynomial
-from posor_calibration.gap_probe_data import (
-    MICRO,
-    GapReferenceOptions,
-    SingleProbe,
-    average_gap_dwells,
-    list_probes,
-    match_gap_data,
-)
+from posor_calibration.gap_probe_data import MICRO, GapReferenceOptions, SingleProbe, read_gap_data
 from posor_calibration.procedure import Figure, JointCovariance, Outcome, Procedure, Replacement, Table
 
 if TYPE_CHECKING:
@@ -85,11 +78,8 @@ class LinearisedProbe:
 
 def linearise_gap_probes(recording: Recording, calibration: Calibration, options: GapLinearisationOptions) -> Outcome:
     """Linearise all gap probes of a POSOR; raises as ``Procedure.identify``."""
-    means = average_gap_dwells(recording, options, NAME)
-    results = [
-        linearise_probe(probe, match_gap_data(probe, means, calibration, options, recording.source), options)
-        for probe in list_probes(calibration)
-    ]
+    means, probes = read_gap_data(recording, calibration, options, NAME)
+    results = [linearise_probe(probe, data, options) for probe, data in probes]
     order = f"order {options.order} as asked" if options.order else f"order by {options.criterion}"
     return Outcome(
         method=f"polynomials through {len(means)} dwells, {order} (thesis 7.5.1)",

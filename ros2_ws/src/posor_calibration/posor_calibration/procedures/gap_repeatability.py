@@ -10,14 +10,7 @@ from posor.errors import FitError
 from posor.numerics.stamps import NS
 from pydantic import Field
 
-from posor_calibration.gap_probe_data import (
-    MICRO,
-    GapReferenceOptions,
-    SingleProbe,
-    average_gap_dwells,
-    list_probes,
-    match_gap_data,
-)
+from posor_calibration.gap_probe_data import MICRO, GapReferenceOptions, SingleProbe, read_gap_data
 from posor_calibration.least_squares import Fit, fit_linear
 from posor_calibration.procedure import Figure, Outcome, Procedure, Replacement, Table
 
@@ -65,7 +58,7 @@ class RepeatedProbe:
 
 def measure_repeatability(recording: Recording, calibration: Calibration, options: GapRepeatabilityOptions) -> Outcome:
     """Find repeatability, hysteresis and drift of all gap probes; raises as ``Procedure.identify``."""
-    means = average_gap_dwells(recording, options, NAME)
+    means, probes = read_gap_data(recording, calibration, options, NAME)
     places = group_places(means.reference, options.same)
     counts = np.bincount(places)
     if counts.max() < MIN_VISITS:
@@ -76,10 +69,7 @@ def measure_repeatability(recording: Recording, calibration: Calibration, option
         )
     seconds = (means.scans.stamps_ns - means.scans.stamps_ns[0]) / NS
     duration = float(seconds[-1])
-    results = [
-        _fit_probe(probe, match_gap_data(probe, means, calibration, options, recording.source), means, places)
-        for probe in list_probes(calibration)
-    ]
+    results = [_fit_probe(probe, data, means, places) for probe, data in probes]
     return Outcome(
         method=f"{len(means)} visits of {len(counts)} places, with drift and hysteresis fitted (thesis 7.5.3)",
         fits={result.probe.name: result.fit for result in results},

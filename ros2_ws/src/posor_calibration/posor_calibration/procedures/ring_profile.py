@@ -34,7 +34,7 @@ from posor_calibration.bundle_problem import UNKNOWN_SIGMA, BundleData, BundlePr
 from posor_calibration.calibration_parameters import FreeParameters
 from posor_calibration.data_checks import check_channels_move, check_count
 from posor_calibration.fit_report import check_spread, describe_residuals
-from posor_calibration.least_squares import WEAK, Fit, fit_parameters
+from posor_calibration.least_squares import WEAK, Fit
 from posor_calibration.procedure import (
     Figure,
     LongestGapOption,
@@ -113,18 +113,8 @@ def find_ring_profile(recording: Recording, calibration: Calibration, options: R
     reference = _make_pose_reference(turns, recording, options)
     problem = BundleProblem(stack, free, BundleData(turns.scans, np.ones(len(turns.scans)), turns.poses, reference))
     try:
-        found = fit_parameters(
-            problem.residuals,
-            problem.start,
-            [_shorten(name, orders) for name in problem.names],
-            problem.units,
-            problem.scales,
-            jacobian=problem.jacobian,
-            prior=problem.prior,
-            uninformative=problem.uninformative,
-            loss=options.loss,
-            what=NAME,
-        )
+        names = [_shorten(name, orders) for name in problem.names]
+        found = problem.fit(names, uninformative=problem.uninformative, loss=options.loss, what=NAME)
     except OutOfRangeError as error:
         raise FitError(
             f"{int(error.which.sum())} scans leave the calibrated range of the probes", where=NAME, expected="none"
