@@ -6,6 +6,7 @@ Each level of the quantity is a dwell. A slow drift counts as many short dwells.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -15,7 +16,7 @@ from posor.errors import FitError
 from posor.model.scan import PROBES_ESTIMATED, SATURATED
 from posor.numerics.stamps import NS
 from posor.sensors.gap_probes import GapProbesCalibration
-from pydantic import Field
+from pydantic import Field, create_model
 
 from posor_calibration.calibration_parameters import FixedParameters, first_parameter, parameter_indices
 from posor_calibration.data_checks import check_channels_vary, check_count
@@ -23,7 +24,7 @@ from posor_calibration.dwells import Settle, average_dwells, find_dwells
 from posor_calibration.fit_report import describe_enlargement, describe_rejected, enlarge_if_improbable
 from posor_calibration.gap_probe_data import MICRO, SingleProbe, list_probes
 from posor_calibration.least_squares import Fit, fit_linear
-from posor_calibration.procedure import Figure, LossOption, Options, Outcome, Part, Table
+from posor_calibration.procedure import Figure, LossOption, Options, Outcome, Part, Procedure, Table
 
 if TYPE_CHECKING:
     from posor.bags.recording import Recording
@@ -41,12 +42,17 @@ class Environment:
     """A quantity of the environment on which the gaps depend."""
 
     procedure: str
-    title: str  # for messages, such as "supply voltage"
+    summary: str  # of the procedure
+    title: str  # for messages: ``supply voltage``
     short_title: str
     field: Literal["supply_voltages", "temperatures"]  # of the scans
     part: Literal["supply", "temperature"]  # of a probe in the file
     unit: str
     source: str  # section or table of the thesis
+    still: float  # default of the option, as the next ones
+    least_dwell: float
+    span: float
+    variation: float
 
     def values(self, scans: Any) -> FloatArray:
         """Return the quantity in each scan, (n,)."""
@@ -72,6 +78,28 @@ class EnvironmentOptions(Options):
         default=0.0, ge=0.0, description="standard uncertainty of ``reference``, in its unit"
     )
     loss: LossOption = "linear"
+
+
+def make_procedure(environment: Environment) -> Procedure[EnvironmentOptions]:
+    """Return the procedure for a quantity, with its unit in the options."""
+    name, unit = environment.short_title, environment.unit
+
+    def option(default: float, description: str) -> tuple[type, Any]:
+        return float, Field(default=default, gt=0.0, description=description)
+
+    variation = f"standard uncertainty of the {name} in use, for the table of its effect [{unit}]"
+    reference = f"{name} at which the gaps are as linearised [{unit}]; none: as calibrated, or the mean of the levels"
+    options = create_model(
+        EnvironmentOptions.__name__,
+        __base__=EnvironmentOptions,
+        still=option(environment.still, f"the {name} is constant within this [{unit}]"),
+        least_dwell=option(environment.least_dwell, "shortest dwell at a level [s]"),
+        span=option(environment.span, f"least span of the {name} [{unit}]"),
+        variation=option(environment.variation, variation),
+        reference=(float | None, Field(default=None, description=reference)),
+    )
+    identify = partial(find_sensitivity, environment=environment)
+    return Procedure(environment.procedure, environment.summary, options, identify)
 
 
 def find_sensitivity(
