@@ -1,7 +1,7 @@
 """view: shows a running arm, or a bag of one, on a web page of this host until SIGINT or SIGTERM.
 
-It joins the graph as the node ``view`` and publishes nothing. The way of the data: DDS keeps the newest messages of
-each topic; a loop takes them ten times a second, and only while a browser shows the page.
+The program joins the graph as the node ``view`` without publishers. DDS keeps the newest messages of each topic; a loop
+takes the messages ten times a second, and only while a browser shows the page.
 """
 
 from __future__ import annotations

@@ -41,8 +41,8 @@ class DrawnArm:
     nominal: Sequence[pin.SE3]  # child link in parent link of each joint and beam, by the encoders
     measured: Sequence[pin.SE3] | None  # the same as measured; None: a joint is lost
     deviation: FloatArray
-    """Measured endpoint relative to that of the encoders, (6,): translation [m], rotation vector [rad], in axes of the
-    base; NaN: not known."""
+    """Measured endpoint relative to the endpoint by the encoders, (6,): translation [m], rotation vector [rad], in axes
+    of the base; NaN: not known."""
 
 
 class ArmGeometry:
@@ -102,7 +102,7 @@ class ArmGeometry:
         return pose
 
     def path(self, link: str) -> str:
-        """Return a link as a path of links from the base, such as ``base/plate/arm``."""
+        """Return a link as a path of links from the base, for example ``base/plate/arm``."""
         parents = {child: parent for parent, child in (*self.ends, *((each.parent, each.child) for each in self.fixed))}
         names = [link]
         while names[-1] in parents:

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from posor.messages.cdr_schema import Schema
 
 KEPT = 64
-"""Messages kept of each topic: those of one scan are found by their stamp."""
+"""Messages kept of each topic; the stamp finds the messages of one scan."""
 BLOCK_S = 10.0
 """Part of a bag after its position that is in memory."""
 LEAD_S = 2.0
@@ -101,7 +101,7 @@ class ArmTopics:
 
 
 def _encoder(arm: ArmFile, joint: str) -> tuple[str, str]:
-    """Return topic and name of a joint's encoder: those of its posor_node, or of the simulated arm."""
+    """Return topic and name of a joint's encoder, by the parameters of its posor_node, or of the simulated arm."""
     parameters = arm.posor_parameters[joint]
     if not parameters.get("encoder.sigma"):
         return f"/{arm.name}/encoders", joint
@@ -194,7 +194,7 @@ class LiveTopics:
             self._subscriptions.append(subscription)
 
     def unsubscribe(self) -> None:
-        """End the subscriptions, so that a page that nobody looks at costs the arm nothing."""
+        """End the subscriptions, so that a page without a browser costs the arm no time."""
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         self._subscriptions.clear()

@@ -1,4 +1,4 @@
-"""What the newest messages say about an arm: endpoint, measured joints, and whether each of them can be trusted.
+"""The state of an arm by the newest messages: endpoint, measured joints, and whether each of them can be trusted.
 
 Silence is a fault: a joint or an endpoint without new messages is reported as silent, with its last numbers left out.
 """
@@ -92,7 +92,7 @@ class Observer:
         self._has_state = topics.endpoint.endswith(f"/{ENDPOINT_STATE_TOPIC}")
 
     def observe(self, now_s: float) -> Observation:
-        """Return what the messages say at a time of the clock that stamped their arrival."""
+        """Return the state of the arm at a time of the clock that stamped the arrival of the messages."""
         topic = self._topics.endpoint
         messages = self._store.messages(topic)
         values = self._store.values(topic, messages[-1]) if messages else None
@@ -167,7 +167,7 @@ class Observer:
         return Health(state, sentences)
 
     def _diagnostics(self, prefix: str, now_s: float) -> tuple[str, ...]:
-        """Return what the nodes under a prefix report besides OK, and which of them have become silent."""
+        """Return the reports besides OK of the nodes under a prefix, and the names of silent nodes."""
         found: dict[str, None] = {}  # a set that keeps its order
         for name, status in sorted(self._store.statuses.items()):
             if name.partition(":")[0] != prefix and not name.startswith(f"{prefix}/"):

@@ -167,7 +167,7 @@ class ViewPage:
     def __init__(self, name: str, geometry: ArmGeometry, port: int, duration_s: float | None) -> None:
         """Serve the page on a port of this host, 0: any free one.
 
-        ``duration_s`` is that of the bag that is replayed [s]; None: the arm is running. Raises ParameterError: the
+        ``duration_s`` is the length of the replayed bag [s]; None: the arm is running. Raises ParameterError: the
         port cannot be used.
         """
         self._name, self._geometry = name, geometry

@@ -11,6 +11,7 @@ from posor.errors import CalibrationError, ChainError, NodeError, ParameterError
 from posor.node_parameters import RECORDING
 from posor_bringup.arm_programs import arm_programs
 from posor_bringup.arms import find_arm, installed_arms, load_checked_arm
+from posor_bringup.bringup_options import parse_driver_parameters
 from posor_bringup.installed import share
 
 if TYPE_CHECKING:
@@ -90,6 +91,19 @@ def test_five_axis_arm() -> None:
         "use_sim_time": True,
     }
     assert [program.ends for program in programs] == [False] * 6 + [True] * 5
+
+
+def test_driver_parameters_of_a_launch_argument_go_to_all_drivers() -> None:
+    parameters = parse_driver_parameters("simulated.sag:=false  simulated.cycles:=2")
+    assert parameters == {"simulated.sag": False, "simulated.cycles": 2}
+    programs = arm_programs(load_checked_arm("five_axis"), driver_parameters=parameters)
+    assert [program.parameters["simulated.sag"] for program in programs if program.ends] == [False] * 5
+    assert parse_driver_parameters("") == {}
+    with pytest.raises(ParameterError) as caught:
+        parse_driver_parameters("simulated.sag=false")
+    assert str(caught.value) == (
+        "launch argument 'driver_parameters': 'simulated.sag=false' is not a parameter, name:=value."
+    )
 
 
 def test_drivers_can_be_left_out() -> None:

@@ -114,21 +114,19 @@ def test_joint_that_the_chain_refuses_is_not_ok(rig: Rig) -> None:
     assert rig.observe(1.0).joints["joint1"].state == "LOST"
 
 
-def test_angle_of_the_encoder_at_the_stamp_of_the_scan(rig: Rig) -> None:
+@pytest.mark.parametrize(
+    ("messages", "angle"),
+    [([(0.99, 0.1), (1.01, 0.3)], pytest.approx(0.2)), ([(0.99, 0.1)], pytest.approx(math.nan, nan_ok=True))],
+)
+def test_angle_of_the_encoder_is_interpolated_at_the_stamp_of_the_scan_and_not_extrapolated(
+    rig: Rig, messages: list[tuple[float, float]], angle: Any
+) -> None:
     rig.add_scan(1.0)
-    for stamp_s, angle in ((0.99, 0.1), (1.01, 0.3)):
-        rig.add(ENCODERS, JointState(name=["other", "joint1"], position=[9.0, angle]), 1.02, stamp_s)
+    for stamp_s, position in messages:
+        rig.add(ENCODERS, JointState(name=["other", "joint1"], position=[9.0, position]), 1.02, stamp_s)
     scan = rig.observe(1.02).scan
     assert scan is not None
-    assert scan.encoders[0] == pytest.approx(0.2)
-
-
-def test_encoder_without_a_later_message_is_not_extrapolated(rig: Rig) -> None:
-    rig.add_scan(1.0)
-    rig.add(ENCODERS, JointState(name=["joint1"], position=[0.1]), 1.0, 0.99)
-    scan = rig.observe(1.0).scan
-    assert scan is not None
-    assert math.isnan(scan.encoders[0])
+    assert scan.encoders[0] == angle
 
 
 def test_diagnostics_of_the_joint_and_their_silence(rig: Rig) -> None:

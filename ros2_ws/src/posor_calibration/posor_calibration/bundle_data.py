@@ -36,7 +36,7 @@ def make_bundle_data(
     """Return the data of a bundle fit.
 
     Substituted and saturated scans are already left out of the recording, the session is applied to the calibration.
-    ``topic`` is that of the pose reference; empty: the only one; None: fit without a reference. Raises FitError: no
+    ``topic`` names the pose reference; empty: the only reference; None: fit without a reference. Raises FitError: no
     scan is left; TrackError: the reference is unusable, or does not move as this POSOR.
     """
     check_channels_vary(recording.scans, READING_KINDS, recording.source)
@@ -83,7 +83,7 @@ def _thin_out(data: BundleData, at_most: int, source: str) -> BundleData:
 
 
 def _tangent_sigmas(poses: list[pin.SE3], sigmas: FloatArray) -> FloatArray:
-    """Return standard uncertainties along and about the target's axes (n, 6) of those of pose tracks (n, 7)."""
+    """Return standard uncertainties along and about the target's axes (n, 6) for pose tracks (n, 7)."""
     along = np.array([np.square(pose.rotation.T) @ np.square(s[:3]) for pose, s in zip(poses, sigmas, strict=True)])
     # A small rotation is twice the change of the quaternion's vector part.
     about = 2.0 * np.sqrt(np.mean(np.square(sigmas[:, 3:]), axis=1))

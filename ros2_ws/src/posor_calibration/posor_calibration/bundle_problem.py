@@ -1,7 +1,7 @@
 """Residuals of a bundle fit: every reading of every scan, with the poses eliminated.
 
-The pose of each scan is unknown except for what a reference tells. For given parameters the pose is found by
-Gauss-Newton. The remaining readings of the scan, and their derivatives with respect to the parameters, are projected
+The pose of each scan is unknown, or known by a reference with its uncertainty. Gauss-Newton finds the pose for given
+parameters. The remaining readings of the scan, and their derivatives with respect to the parameters, are projected
 onto the complement of the pose's directions: as many numbers as the scan has readings beyond those of its pose, each of
 standard deviation 1 (variable projection: Golub and Pereyra 1973, in the form of Kaufman 1975). With a reference, the
 basis nearest to the readings is used, so that each number belongs to one reading and a robust loss can act on it.
@@ -191,7 +191,7 @@ class BundleProblem:
         return flat[:, -1], flat[:, :-1]
 
     def _whiten(self, projector: FloatArray) -> FloatArray:
-        """Return what turns projected readings into independent ones of variance 1, (n, per_scan, m)."""
+        """Return the matrices that turn projected readings into independent numbers of variance 1, (n, per_scan, m)."""
         shares, directions = np.linalg.eigh(projector)
         shares, directions = shares[:, -self.per_scan :], directions[:, :, -self.per_scan :]
         roots = np.swapaxes(directions, 1, 2) / np.sqrt(shares)[:, :, None]

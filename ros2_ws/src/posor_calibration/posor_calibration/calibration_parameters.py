@@ -231,7 +231,7 @@ class FreeParameters:
     def joint_covariance(self, covariance: FloatArray, count: int) -> JointCovariance:
         """Return the covariance of the first ``count`` parameters after a fit, and with the others, which stay fixed.
 
-        ``covariance`` is that of all free parameters after the fit, (q, q); each of the first is a number by itself.
+        ``covariance`` (q, q) is of all free parameters after the fit; each of the first is a number of the file.
         """
         derivatives = self.derivatives(self.start)
         cross = covariance[:count, count:] @ derivatives[:, count:].T @ np.linalg.pinv(self._fixed.root).T

@@ -30,7 +30,7 @@ SIGNIFICANT_DIGITS = 12
 
 @dataclass(frozen=True)
 class FitContext:
-    """What a fit record states besides the outcome."""
+    """Content of a fit record besides the outcome."""
 
     procedure: str
     options: Mapping[str, str]

@@ -66,7 +66,7 @@ LAG_IMPROVEMENT = 3.0
 
 
 def check_count(count: int, least: int, what: str, where: str) -> None:
-    """Raise FitError if there are fewer than ``least`` of ``what``, such as dwells."""
+    """Raise FitError if a recording holds fewer than ``least`` of ``what``, for example dwells."""
     if count < least:
         raise FitError(f"{count} {what}", where=where, expected=f"at least {least}")
 

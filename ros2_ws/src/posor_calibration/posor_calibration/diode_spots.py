@@ -78,8 +78,8 @@ class SingleDiode:
     def predict_spots(self, new: Mapping[str, float], rotations: FloatArray, translations: FloatArray) -> FloatArray:
         """Return the predicted spots [m], (m, 2), at the scans in which the diode sees a source.
 
-        ``new`` has parameters of a sensor with this diode only that are not as calibrated, such as ``origins[0,1]``;
-        ``rotations`` (m, 3, 3) and ``translations`` [m] (m, 3) are those of T in R.
+        ``new`` gives new values of parameters of a sensor with this diode only: ``origins[0,1]``. ``rotations`` (m, 3,
+        3) and ``translations`` [m] (m, 3) give T in R.
         """
         names = self._sensor.parameter_names
         where = np.array([names.index(name) for name in new], dtype=np.int64)

@@ -24,7 +24,7 @@ LEAST_INFORMATION = 1e-3
 LARGEST_SIGMA = 3.0
 """Standard uncertainty of a parameter from the recording alone, in stated ones, beyond which it is below the noise.
 
-Only a drift many times larger than the stated uncertainty would show, so that 'no drift' means nothing.
+The recording shows only drifts many times larger than the stated uncertainty.
 """
 
 

@@ -60,7 +60,7 @@ class Environment:
         return values
 
     def present(self, probe: SingleProbe) -> SupplyCalibration | TemperatureCalibration | None:
-        """Return what the calibration states for a probe."""
+        """Return the entry of the calibration for a probe."""
         found: SupplyCalibration | TemperatureCalibration | None = getattr(probe.calibration, self.part)
         return found
 
@@ -184,8 +184,8 @@ def _fit_probe(
 ) -> Fit:
     """Return the fit of ``sensitivity`` [m per unit] and ``gap`` at the mean of the quantity [m] of one probe.
 
-    The sensitivity is what is added to the linearised gap per unit, so the gap without it falls by as much. ``effects``
-    of fixed parameters on the gaps [m], (d, q).
+    The calibration adds the sensitivity times the quantity to the linearised gap; the linearised gap falls by as much.
+    ``effects`` of fixed parameters on the gaps [m], (d, q).
     """
     gaps = probe.gaps(levels.scans, without=environment.part)
     slopes = probe.slopes(levels.scans)

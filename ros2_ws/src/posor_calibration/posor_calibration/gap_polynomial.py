@@ -31,7 +31,7 @@ Criterion: TypeAlias = Literal["cross_validation", "aicc"]
 SPARE_READINGS = 3
 """Degrees of freedom that a fit must leave."""
 HIGHEST_SMOOTH_ORDER = 9
-"""Order of the robust fit that finds outliers; that of 1985."""
+"""Order of the robust fit that finds outliers, as in 1985."""
 ROUGH_ORDER = 6
 """Order of the robust fit that gives the slopes for the uncertainties."""
 PLACEHOLDER_SIGMA = 1e-9
@@ -65,7 +65,7 @@ class GapPolynomial:
 
 
 def fit_orders(probe: SingleProbe, data: GapData, highest: int) -> list[GapPolynomial]:
-    """Return the polynomials of order 1 to ``highest``, or to what the dwells allow; FitError: too few dwells."""
+    """Return the polynomials of order 1 to ``highest``, as far as the dwells allow. Raises FitError: too few dwells."""
     check_count(len(data.reference), MIN_DWELLS, "usable dwells", probe.name)
     orders = range(1, min(highest, len(data.reference) - SPARE_READINGS) + 1)
     powers = _Powers(probe, data, max(*orders, ROUGH_ORDER))

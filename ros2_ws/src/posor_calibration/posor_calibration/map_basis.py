@@ -49,7 +49,7 @@ def surface_terms(order: int) -> list[tuple[int, int]]:
 
 
 def curve_design(ratios: FloatArray, lines: IntArray, order: int) -> Design:
-    """Return powers of one ratio (d,), separately for each line of the grid; ``lines`` (d,) is that of each dwell."""
+    """Return powers of one ratio (d,), separately for each line of the grid; ``lines``: line of each dwell, (d,)."""
     count = int(lines.max()) + 1
     matrix = np.zeros((len(ratios), count, order + 1))
     matrix[np.arange(len(ratios)), lines] = polynomial.polyvander(ratios, order)
@@ -109,8 +109,8 @@ def fit_positions(
 ) -> tuple[Fit, BoolArray]:
     """Return the fit of coefficients [m] to positions (d,) with standard uncertainties (d,) [m], and the outliers (d,).
 
-    Outliers of a robust fit are left out. The uncertainty follows the residuals of the others: what the functions
-    cannot follow counts as scatter.
+    Outliers of a robust fit are left out. The uncertainty follows the residuals of the others, so the misfit of
+    the functions counts as scatter.
     """
     names = [f"{axis} {name}" for name in design.names]
 

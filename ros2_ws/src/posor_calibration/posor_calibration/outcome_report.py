@@ -34,7 +34,7 @@ COLOURS = (BLUE, ORANGE, GREEN, LIGHT_BLUE, GREY)
 
 @dataclass(frozen=True)
 class ProcedureVerdict:
-    """What a user has to know about an outcome."""
+    """Summary of an outcome for a user."""
 
     holds: bool  # whether the residuals agree with the stated uncertainties
     headline: str

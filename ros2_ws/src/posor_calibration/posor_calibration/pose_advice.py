@@ -1,4 +1,4 @@
-"""Propose further poses that would determine what a bundle fit leaves open."""
+"""Propose further poses that would determine parameters that a bundle fit leaves open."""
 
 from __future__ import annotations
 

@@ -27,14 +27,9 @@ def curves_of(at: FloatArray) -> FloatArray:
 @pytest.mark.parametrize("at", [AT, np.array([-5e-3, -1e-3, 0.0, 3e-3])])
 def test_curves_that_change_as_a_parabola_have_its_error(at: FloatArray) -> None:
     bend = 3.0
-    curves = np.column_stack([bend * at**2, np.full(len(at), 7e-3)])
+    curves = np.column_stack([bend * at**2 + 0.01 * at, 7e-3 + 0.1 * at])  # a linear change has no error
     expected = bend * (at[1:-1] - at[:-2]) * (at[2:] - at[1:-1])
     assert doubled_grid_errors(curves, at, RATIOS) == pytest.approx(np.tile(expected[:, None], len(RATIOS)))
-
-
-def test_curves_that_change_linearly_have_no_error() -> None:
-    curves = np.column_stack([0.01 * AT, 7e-3 + 0.1 * AT])
-    assert np.abs(doubled_grid_errors(curves, AT, RATIOS)).max() < 1e-17
 
 
 def test_a_quarter_is_the_error_of_the_grid_itself() -> None:
@@ -60,11 +55,7 @@ def test_a_quarter_is_the_error_of_the_grid_itself() -> None:
         (curves_of(AT)[:2], AT[:2], r"interpolation: 2 curves at 2 positions; expected at least 3 curves"),
         (curves_of(AT), AT[:5], "15 curves at 5 positions"),
         (curves_of(AT), AT[::-1], r"the positions of the curves do not ascend; expected ascending positions\."),
-        (
-            curves_of(AT),
-            np.full(15, np.nan),
-            r"the positions of the curves do not ascend; expected ascending positions\.",
-        ),
+        (curves_of(AT), np.full(15, np.nan), "the positions of the curves do not ascend"),
     ],
 )
 def test_curves_without_a_grid_are_refused(curves: FloatArray, at: FloatArray, message: str) -> None:

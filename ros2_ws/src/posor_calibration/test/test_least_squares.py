@@ -74,16 +74,20 @@ def test_stated_uncertainties_cover_the_truth(loss: Any, prior: bool) -> None:  
     np.testing.assert_allclose(inside / runs, 0.95, atol=0.03)
 
 
-def test_prior_knowledge_counts_once() -> None:
+@pytest.mark.parametrize("correlation", [0.0, 0.9])
+def test_prior_knowledge_counts_once(correlation: float) -> None:
     readings, known = noisy(2), np.array([2.01, -0.48, 2e-3])
     sigmas = np.array([5e-3, 2e-3, 1e-4])
-    found = fit_linear(DESIGN, readings, SIGMAS, known, NAMES, UNITS, sigmas, prior=True)
-    information = DESIGN.T @ DESIGN / SIGMA**2 + np.diag(1.0 / sigmas**2)
-    expected = np.linalg.solve(information, DESIGN.T @ readings / SIGMA**2 + known / sigmas**2)
-    np.testing.assert_allclose(found.values, expected, rtol=1e-9)
+    mixed = np.array([[1.0, correlation, 0.0], [correlation, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    weight = np.linalg.inv(np.outer(sigmas, sigmas) * mixed)
+    prior = np.linalg.inv(weight) if correlation else True
+    found = fit_linear(DESIGN, readings, SIGMAS, known, NAMES, UNITS, sigmas, prior=prior)
+    information = DESIGN.T @ DESIGN / SIGMA**2 + weight
+    expected = np.linalg.solve(information, DESIGN.T @ readings / SIGMA**2 + weight @ known)
+    np.testing.assert_allclose(found.values, expected, rtol=1e-8)
     np.testing.assert_allclose(found.covariance, np.linalg.inv(information), rtol=1e-6, atol=1e-14)
     assert (len(found.residuals), found.freedoms) == (40, 40)
-    squares = np.sum(found.residuals**2) + np.sum(((found.values - known) / sigmas) ** 2)
+    squares = np.sum(found.residuals**2) + (found.values - known) @ weight @ (found.values - known)
     assert found.spread == pytest.approx(np.sqrt(squares / 40))
 
 
@@ -132,6 +136,8 @@ def test_too_few_or_no_readings_and_no_start_are_refused() -> None:
         fit_parameters(lambda p: p, np.zeros(0), (), (), np.zeros(0))
     with pytest.raises(FitError, match=r"expected finite residuals at the start\.$"):
         fit_parameters(lambda p: p * np.nan, np.zeros(3), NAMES, UNITS, SCALES)
+    with pytest.raises(FitError, match=r"^the fit: the prior is no covariance; expected a positive definite matrix\.$"):
+        fit_parameters(lambda p: p, np.zeros(3), NAMES, UNITS, SCALES, prior=-np.eye(3))
 
 
 def test_weak_directions_are_named_and_candidate_poses_ranked() -> None:
@@ -167,16 +173,3 @@ def test_fixed_parameters_add_to_the_uncertainty(estimated_along: bool) -> None:
     np.testing.assert_allclose(
         together / found.sigmas[:, None], found.cross_covariance / found.sigmas[:, None], atol=0.1
     )
-
-
-def test_a_prior_may_be_a_covariance() -> None:
-    readings, known = noisy(2), np.array([2.01, -0.48, 2e-3])
-    sigmas = np.array([5e-3, 2e-3, 1e-4])
-    covariance = np.outer(sigmas, sigmas) * np.array([[1.0, 0.9, 0.0], [0.9, 1.0, 0.0], [0.0, 0.0, 1.0]])
-    found = fit_linear(DESIGN, readings, SIGMAS, known, NAMES, UNITS, sigmas, prior=covariance)
-    information = DESIGN.T @ DESIGN / SIGMA**2 + np.linalg.inv(covariance)
-    expected = np.linalg.solve(information, DESIGN.T @ readings / SIGMA**2 + np.linalg.solve(covariance, known))
-    np.testing.assert_allclose(found.values, expected, rtol=1e-8)
-    np.testing.assert_allclose(found.covariance, np.linalg.inv(information), rtol=1e-6, atol=1e-14)
-    with pytest.raises(FitError, match=r"^bench: the prior is no covariance"):
-        fit_linear(DESIGN, readings, SIGMAS, known, NAMES, UNITS, sigmas, prior=-covariance, what="bench")

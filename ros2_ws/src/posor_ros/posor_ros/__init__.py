@@ -1,1 +1,1 @@
-"""What every node of the stack shares: parameters, lifecycle, diagnostics, quality of service and the main loop."""
+"""Shared parts of all nodes of the stack: parameters, lifecycle, diagnostics, quality of service and the main loop."""

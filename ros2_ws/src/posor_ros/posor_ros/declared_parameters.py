@@ -30,7 +30,8 @@ def take_overrides(node: Node) -> dict[str, object]:
     """Return the user's values by name, and undeclare them on a node that declared them automatically.
 
     The node must have been created with ``automatically_declare_parameters_from_overrides``: this is rclpy's only
-    public way to see an override that nobody declares, such as a misspelt one. rclpy's own parameters stay declared.
+    public way to see an override that nobody declares, for example a misspelt name. rclpy's own parameters stay
+    declared.
     """
     names = [name for name in node.get_parameters_by_prefix("") if not name.startswith(ROS_OWN_PARAMETERS)]
     overrides = {name: node.get_parameter(name).value for name in names}

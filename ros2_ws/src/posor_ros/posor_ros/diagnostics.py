@@ -34,7 +34,7 @@ MIN_INTERVAL_S = 0.1
 MAX_QUEUED = 4
 """Queued changes of a status, the present one included; of more, the most severe."""
 DELIVERY_S = 0.1
-"""Longest wait for the subscribers of the last reports: what a process has not sent at its end is lost."""
+"""Longest wait for the subscribers of the last reports: messages that a process has not sent at its end are lost."""
 LASTING_ERROR_S = 2.0
 """How long a status must be an error before it is logged."""
 

@@ -140,7 +140,7 @@ class InputMonitor:
         return watch
 
     def clear(self) -> None:
-        """Watch nothing."""
+        """Stop watching all inputs."""
         self.stop()
         self._watches, self._subscriptions = [], []
         self.several = ""

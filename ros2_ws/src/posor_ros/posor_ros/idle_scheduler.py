@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 MARGIN_PERIODS, MAX_MARGIN_NS = 0.6, 300_000
-"""Time that must be left before the next tick: a share of the period, at most what most pieces of work take [ns]."""
+"""Time that must be left before the next tick: a share of the period, at most the length of most work [ns]."""
 MAX_WAIT_PERIODS, MAX_WAIT_NS = 4, 5_000_000
 """Longest wait for an idle moment: a number of periods, at most a time [ns]; other threads may wait for the caller."""
 

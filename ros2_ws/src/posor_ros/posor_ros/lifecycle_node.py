@@ -199,7 +199,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         )
 
     def _qos_options(self, kind: Literal["publisher", "subscription"], topic: str) -> dict[str, Any]:
-        """Return rclpy's argument for the overrides; empty for what rclpy creates before they are known."""
+        """Return rclpy's argument for the overrides; empty before the overrides are known."""
         if "qos_overrides" not in self.__dict__:
             return {}
         return {"qos_overriding_options": self.qos_overrides.options(kind, self.resolve_topic_name(topic))}

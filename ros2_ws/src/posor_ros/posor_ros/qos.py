@@ -30,28 +30,28 @@ TF_QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 """For /tf, as the broadcasters of tf2."""
 
 LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""For what does not change and late subscribers need: /tf_static, the robot description."""
+"""For constant messages that late subscribers need: /tf_static, the robot description."""
 
 
 def sensor_publisher_qos(parameters: NodeParameters) -> QoSProfile:
-    """Return the profile of a publisher of a sensor topic (raw scans, transforms): that of the results.
+    """Return the profile of a publisher of a sensor topic (raw scans, transforms): as for results, with a deadline.
 
-    It serves reliable and best-effort subscriptions.
+    The publisher serves reliable and best-effort subscriptions.
     """
     return _with_deadline(result_qos(parameters), parameters)
 
 
 def sensor_subscription_qos(parameters: NodeParameters) -> QoSProfile:
-    """Return the profile of a subscription to a sensor topic: that of other inputs, and its publisher's deadline."""
+    """Return the profile of a subscription to a sensor topic: as for other inputs, with its publisher's deadline."""
     return _with_deadline(input_qos(parameters), parameters)
 
 
 def input_qos(parameters: NodeParameters) -> QoSProfile:
-    """Return the profile of a subscription to a topic that others publish, such as that of encoders.
+    """Return the profile of a subscription to a topic of other publishers, for example encoders.
 
     The default is best effort with a small depth, as REP-2003 recommends: a servo needs the newest scan, not all of
-    them. With ``lossless`` it is reliable and keeps all, so that publishers that keep all wait for it. It requests no
-    deadline: publishers of others offer none, and would not match.
+    them. With ``lossless`` it is reliable and keeps all, so that publishers that keep all wait for it. The profile
+    has no deadline: other publishers offer none, and would not match.
     """
     return KEEP_ALL_QOS if parameters.lossless else SENSOR_QOS
 

@@ -70,10 +70,6 @@ class WaitingThread:
         return bool(self._was_idle)
 
 
-def test_work_runs_at_once_without_ticks() -> None:
-    assert run_when_idle(no_work)
-
-
 def test_work_runs_at_once_long_before_a_tick(schedule: TickSchedule) -> None:
     schedule.end_tick(time_ns() + schedule.period_ns)
     assert run_when_idle(no_work)

@@ -41,37 +41,38 @@ def test_a_signal_ends_an_active_node_cleanly(number: signal.Signals) -> None:
         assert node.errors == []
 
 
-def test_a_wrong_parameter_ends_the_program_with_one_sentence() -> None:
-    assert run_to_end("--ros-args", "-p", "count:=10") == (
-        2,
-        ["node /example, parameter 'count': 10 is wrong; expected an integer at least 1 and at most 9."],
-        [],
-    )
-    assert run_to_end("--ros-args", "-r", "__ns:=/joint1", "-p", "gian:=1.0") == (
-        2,
-        ["node /joint1/example, parameter 'gian': there is no such parameter; expected perhaps 'gain'."],
-        [],
-    )
+COUNT_IS_WRONG = "node /example, parameter 'count': 10 is wrong; expected an integer at least 1 and at most 9."
+WRONG_FILE = "example:\n  ros__parameters:\n    names: [a, b]\n    count: 10\n"
 
 
-def test_parameter_file_is_checked_in_the_same_way(tmp_path: Path) -> None:
-    file = tmp_path / "parameters.yaml"
-    file.write_text("example:\n  ros__parameters:\n    names: [a, b]\n    count: 0\n", encoding="utf-8")
-    assert run_to_end("--ros-args", "--params-file", str(file))[:2] == (
-        2,
-        ["node /example, parameter 'count': 0 is wrong; expected an integer at least 1 and at most 9."],
-    )
-
-
-def test_a_refusing_hook_ends_the_program_with_its_sentence_and_exit_code() -> None:
-    assert run_to_end("--ros-args", "-p", "fail:=configure") == (
-        1,
-        ["some.yaml: is wrong; expected a right one."],
-        ["configure"],
-    )
-    code, stderr, stdout = run_to_end("--ros-args", "-p", "fail:=activate")
-    assert (code, stderr) == (1, ["some.yaml: is wrong."])
-    assert stdout == [*HOOKS_TO_ACTIVE, "cleanup"]
+@pytest.mark.parametrize(
+    ("arguments", "code", "error", "stdout"),
+    [
+        (["-p", "count:=10"], 2, COUNT_IS_WRONG, []),
+        (["--params-file", WRONG_FILE], 2, COUNT_IS_WRONG, []),
+        (
+            ["-r", "__ns:=/joint1", "-p", "gian:=1.0"],
+            2,
+            "node /joint1/example, parameter 'gian': there is no such parameter; expected perhaps 'gain'.",
+            [],
+        ),
+        (["-p", "fail:=configure"], 1, "some.yaml: is wrong; expected a right one.", ["configure"]),
+        (["-p", "fail:=activate"], 1, "some.yaml: is wrong.", [*HOOKS_TO_ACTIVE, "cleanup"]),
+        (["-p"], 2, "ROS arguments: cannot be understood, ", []),
+        (["--params-file", "nowhere.yaml"], 2, "ROS arguments: cannot be understood, ", []),
+        (["-x"], 2, "ROS arguments: cannot be understood, ", []),
+    ],
+)
+def test_a_wrong_argument_or_a_refusing_hook_ends_the_program_with_one_sentence(
+    arguments: list[str], code: int, error: str, stdout: list[str], tmp_path: Path
+) -> None:
+    if arguments[-1] == WRONG_FILE:
+        file = tmp_path / "parameters.yaml"
+        file.write_text(WRONG_FILE, encoding="utf-8")
+        arguments = [*arguments[:-1], str(file)]
+    found, errors, lines = run_to_end("--ros-args", *arguments)
+    assert (found, len(errors), lines) == (code, 1, stdout)
+    assert errors[0].startswith(error)
 
 
 def test_an_exception_in_a_hook_shows_its_traceback() -> None:
@@ -80,14 +81,9 @@ def test_an_exception_in_a_hook_shows_its_traceback() -> None:
     assert stderr[-1] == "KeyError: 'a bug'"
 
 
-def test_unknown_arguments_are_refused() -> None:
+def test_an_argument_that_is_not_of_ros_is_refused() -> None:
     code, stderr, _ = run_to_end("--calibration", "x.yaml")
     assert (code, stderr) == (2, ["example: argument '--calibration' is unknown; expected --ros-args -p name:=value."])
-    for arguments in (["-p"], ["--params-file", "nowhere.yaml"], ["-x"]):
-        code, stderr, _ = run_to_end("--ros-args", *arguments)
-        assert code == 2
-        assert len(stderr) == 1
-        assert stderr[0].startswith("ROS arguments: cannot be understood, ")
 
 
 @pytest.mark.parametrize(
@@ -157,24 +153,17 @@ def test_a_refused_transition_leaves_the_node_in_its_former_state() -> None:
         assert node.end() == 0
 
 
-def test_a_refused_configuration_is_cleaned_up() -> None:
-    with start_example(autostart=False, fail="late") as node, Graph() as graph:
+@pytest.mark.parametrize(("fail", "configures"), [("late", False), ("active bug", True)])
+def test_a_node_that_fails_is_cleaned_up_and_may_begin_again(fail: str, *, configures: bool) -> None:
+    with start_example(autostart=False, fail=fail) as node, Graph() as graph:
         for _ in range(2):
-            assert not graph.change_state("/example", Transition.TRANSITION_CONFIGURE)
-            graph.wait_until(lambda: graph.node.count_publishers("/output") == 0, "the publisher's end")
-        assert node.end() == 0
-        assert node.stdout == ["configure", "cleanup"] * 2
-
-
-def test_an_exception_in_a_hook_is_followed_by_cleanup() -> None:
-    with start_example(autostart=False, fail="active bug") as node, Graph() as graph:
-        for _ in range(2):
-            assert graph.change_state("/example", Transition.TRANSITION_CONFIGURE)
-            assert not graph.change_state("/example", Transition.TRANSITION_ACTIVATE)
+            assert graph.change_state("/example", Transition.TRANSITION_CONFIGURE) == configures
+            if configures:
+                assert not graph.change_state("/example", Transition.TRANSITION_ACTIVATE)
             assert graph.state("/example") == "unconfigured"
             graph.wait_until(lambda: graph.node.count_publishers("/output") == 0, "the publisher's end")
         assert node.end() == 0
-        assert [line for line in node.stdout if line == "cleanup"] == ["cleanup"] * 2
+        assert node.stdout.count("cleanup") == 2
 
 
 def test_a_refused_activation_leaves_no_publisher_active() -> None:
@@ -248,11 +237,7 @@ def test_diagnostics_are_published_at_each_change_and_once_a_second() -> None:
         assert {status.hardware_id for status in work} == {"joint1"}
         first = next(status for status in work if status.message == "first")
         assert first.level == b"\x01"
-        assert {key: values_of(first)[key] for key in ("number", "flag", "real")} == {
-            "number": "1",
-            "flag": "true",
-            "real": "0.1",
-        }
+        assert [values_of(first)[key] for key in ("number", "flag", "real")] == ["1", "true", "0.1"]
         assert values_of(work[-1])["number"] == "2"
         lifecycle = graph.latest("/joint1/example: lifecycle")
         assert lifecycle is not None

@@ -9,28 +9,21 @@ from posor_ros import ros_domain
 from posor_ros.ros_domain import isolated_network, leased_domain
 
 
-def test_two_leases_never_share_a_domain() -> None:
-    with leased_domain() as first, leased_domain() as second:
+def test_two_leases_never_share_a_domain_or_the_port_of_the_domain_coordinator() -> None:
+    with leased_domain() as first, leased_domain() as second, socket.socket() as other:
         assert first != second
         assert {first, second} <= set(ros_domain.DOMAINS)
+        with pytest.raises(OSError, match="in use"):
+            other.bind(("127.0.0.1", ros_domain.FIRST_LEASE_PORT + first))
 
 
-def test_a_taken_domain_is_skipped_and_an_exhausted_range_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_exhausted_range_is_an_error_until_a_domain_is_free(monkeypatch: pytest.MonkeyPatch) -> None:
     with leased_domain() as taken:
         monkeypatch.setattr(ros_domain, "DOMAINS", range(taken, taken + 1))
         with pytest.raises(PosorError, match="all ROS domains"), leased_domain():
             pass
     with leased_domain() as again:
         assert again == taken
-
-
-def test_a_lease_holds_the_port_of_the_domain_coordinator() -> None:
-    with (
-        leased_domain() as leased,
-        socket.socket(socket.AF_INET, socket.SOCK_STREAM) as other,
-        pytest.raises(OSError, match="in use"),
-    ):
-        other.bind(("127.0.0.1", ros_domain.FIRST_LEASE_PORT + leased))
 
 
 def test_the_network_is_isolated_unless_the_user_has_chosen_a_domain(monkeypatch: pytest.MonkeyPatch) -> None:

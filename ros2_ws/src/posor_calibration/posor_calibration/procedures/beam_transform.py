@@ -1,7 +1,7 @@
 """Transform of a measuring beam between two POSORs, as in hand-eye calibration.
 
 A beam carries the target plate of one POSOR at one end and the receiving plate of the next at the other. With both
-POSORs moving and a reference that watches what the second one carries,
+POSORs moving and a reference that watches the load of the second POSOR,
 
     T_world_seen = T_base T_receiving1_target1 T_beam T_receiving2_target2 T_end
 
@@ -107,7 +107,7 @@ class _Chain:
                 check_unit(drawn[:, axis], seen[:, axis], f"{source}, {name}", "m")
 
     def _make_whitening(self, covariances: FloatArray, second: FloatArray, reference: FloatArray) -> FloatArray:
-        """Return what makes the misfits (n, 6) independent, of variance 1, (n, 6, 6)."""
+        """Return the matrices that make the misfits (n, 6) independent, of variance 1, (n, 6, 6)."""
         out = []
         end = self.nominal[2].inverse().toActionMatrix()
         for covariance, first, pose in zip(covariances, self._first, self._second, strict=True):

@@ -89,7 +89,7 @@ def measure_repeatability(recording: Recording, calibration: Calibration, option
 
 
 def group_places(reference: FloatArray, same: float) -> IntArray:
-    """Return the place of each dwell, (d,): that of the first dwell that is nearer than ``same``."""
+    """Return the place of each dwell, (d,): the place of the first dwell that is nearer than ``same``."""
     places: list[FloatArray] = []
     out = np.empty(len(reference), dtype=np.int64)
     for n, value in enumerate(reference):

@@ -241,7 +241,7 @@ class _Problem:
     def _derivatives(
         self, sensor: Sensor, whiten: FloatArray, rotations: FloatArray, translations: FloatArray
     ) -> FloatArray:
-        """Return d(residual)/d(parameter of the calibration), (n, p); only those of the gap probes are not zero."""
+        """Return d(residual)/d(parameter of the calibration), (n, p); the columns of other sensors are zero."""
         at, _ = find_sensor(self.calibration, GapProbesCalibration, NAME)
         first, size = (first_parameter(self.calibration, number) for number in (at, len(self.calibration.sensors)))
         out = np.zeros((*whiten.shape[:2], size))
@@ -251,7 +251,7 @@ class _Problem:
         return out.reshape(-1, size)
 
     def _whiten(self, stack: Stack, rotations: FloatArray, translations: FloatArray) -> FloatArray:
-        """Return what turns the c readings of each dwell into independent residuals of variance 1, (d, c or c - 1, c).
+        """Return matrices that make the c readings of a dwell independent, of variance 1, (d, c or c - 1, c).
 
         An error of the angles moves all readings of a dwell together, and so does the height. A free height takes one
         residual of each dwell: the combinations of the readings that the height does not move remain.

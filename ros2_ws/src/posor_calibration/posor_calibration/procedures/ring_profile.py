@@ -1,7 +1,7 @@
 """Profile of a bumpy ring from full turns: self-calibration by several probes around the ring.
 
 Each probe sees every bump, the others see the same bump at another time. In each scan three unknowns are free, the two
-runouts and theta; what the probes read beyond these belongs to the profile. With four probes and full turns that gives
+runouts and theta; the rest of the readings belongs to the profile. With four probes and full turns that gives
 the even orders to some nanometres. Orders that all probes see like runout or rotation are not observable: the odd
 orders, near the bumps too, look like runout, and the phase of the bumps is the zero of theta. A reference of theta
 determines that phase, an axis that is known to run true determines the odd orders; order 1 is then the eccentricity
@@ -220,7 +220,7 @@ def _estimate_poses(
 
 
 def _make_pose_reference(turns: _Turns, recording: Recording, options: RingProfileOptions) -> PoseReference | None:
-    """Return what is known of the poses besides the readings: theta, the runout of the axis, or nothing."""
+    """Return the knowledge of the poses besides the readings: theta, the runout of the axis, or None."""
     if turns.reference is None and options.runout_sigma is None:
         return None
     sigmas = np.full((len(turns.poses), 6), UNKNOWN_SIGMA)

@@ -34,15 +34,9 @@ class SimulatedCase:
     def at_rest(
         cls, procedure: Procedure[Any], calibration: Calibration, count: int, seed: int = 0, **environment: Any
     ) -> SimulatedCase:
-        """Return scans of a resting target in a varied environment; the design is the input of the procedure.
+        """Return scans of a resting target in an environment, as for ``simulated_recording``, by the true calibration.
 
-        Args:
-            procedure: The procedure.
-            calibration: True calibration.
-            count: Number of scans.
-            seed: Seed of the noise.
-            environment: As for ``simulated_recording``, one value for each scan.
-
+        The design is the input of the procedure.
         """
         recording = simulated_recording(
             calibration,
@@ -81,10 +75,12 @@ class SimulatedCase:
     def with_scans(self, scans: Scans) -> SimulatedCase:
         return self.with_recording(scans=scans)
 
-    def with_readings(self, kind: str, change: Callable[[FloatArray], None]) -> SimulatedCase:
-        """Return the case with the readings of a kind changed in place."""
+    def with_readings(
+        self, kind: str, new: float | Callable[[FloatArray], FloatArray], where: Any = slice(None)
+    ) -> SimulatedCase:
+        """Return the case with some readings of a kind replaced by a number or by a function of themselves."""
         values = getattr(self.recording.scans, kind).copy()
-        change(values)
+        values[where] = new(values[where]) if callable(new) else new
         return self.with_scans(self.recording.scans.with_fields({kind: values}))
 
 

@@ -141,11 +141,7 @@ def test_bad_data(rng: np.random.Generator) -> None:
     inches.check_refusal(TrackError, sentence, diode="diode_1", still=1e-4)
     case.check_refusal(TrackError, "falls where the readings rise", diode="diode_1", direction=-1)
     case.check_refusal(FitError, "diode 'nobody'; expected one of diode_1, diode_2", diode="nobody")
-
-    def stick(currents: FloatArray) -> None:
-        currents[:, 0] = currents[0, 0]
-
-    stuck = case.with_readings("diode_currents", stick)
+    stuck = case.with_readings("diode_currents", lambda currents: currents[:1], np.s_[:, 0])
     stuck.check_refusal(FitError, r"diode diode_1, x ratio .*stuck", diode="diode_1")
 
 

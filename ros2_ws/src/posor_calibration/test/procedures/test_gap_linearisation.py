@@ -226,15 +226,9 @@ def test_swapped_axes_are_named() -> None:
 
 
 def test_a_stuck_channel_is_named() -> None:
-    def stick(volts: FloatArray) -> None:
-        volts[:, 1] = 0.3
-
-    def stick_later(volts: FloatArray) -> None:
-        volts[len(volts) // 2 :, 2] = 0.7
-
-    stuck = simulate().with_readings("gap_voltages", stick)
+    stuck = simulate().with_readings("gap_voltages", 0.3, np.s_[:, 1])
     stuck.check_refusal(FitError, r"gap probe gap_2 stays at 0\.3 while the reference moves")
-    stuck = simulate().with_readings("gap_voltages", stick_later)
+    stuck = simulate().with_readings("gap_voltages", 0.7, np.s_[260:, 2])
     stuck.check_refusal(FitError, r"gap probe gap_3 is stuck at 0\.7 from dwell \d+ on")
 
 
@@ -245,10 +239,7 @@ def test_too_few_dwells_are_refused() -> None:
 
 
 def test_saturated_scans_are_not_used() -> None:
-    def saturate(volts: FloatArray) -> None:
-        volts[::3] = 10.0
-
-    case = simulate().with_readings("gap_voltages", saturate)
+    case = simulate().with_readings("gap_voltages", 10.0, np.s_[::3])
     statuses = np.zeros(len(case.recording.scans), dtype=np.int64)
     statuses[::3] = SATURATED
     found, sigmas = coefficients(case.with_recording(statuses=statuses).identify(order=4), 0)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 from posor.calibration.designs import STANDOFF
@@ -13,9 +11,6 @@ from posor_lab.harness.simulated_recordings import PERIOD_NS, diode_calibration,
 from scipy.stats import binomtest
 
 from .simulated_case import SimulatedCase
-
-if TYPE_CHECKING:
-    from posor.numerics.array_types import FloatArray
 
 UP = np.linspace(-0.4e-3, 0.4e-3, 9)
 THERE_AND_BACK = STANDOFF + np.tile(np.concatenate([UP, UP[::-1]]), 3)
@@ -63,11 +58,7 @@ def test_repeatability_is_the_scatter_of_the_visits() -> None:
 
 def test_scatter_from_visit_to_visit_adds_to_the_noise_of_a_scan() -> None:
     visits = np.repeat(5e-3 * np.random.default_rng(5).normal(size=len(THERE_AND_BACK)), SCANS + 5)
-
-    def scatter(volts: FloatArray) -> None:
-        volts += visits[:, None]
-
-    outcome = simulate(4).with_readings("gap_voltages", scatter).identify()
+    outcome = simulate(4).with_readings("gap_voltages", lambda volts: volts + visits[:, None]).identify()
     for new in outcome.replacements:
         assert abs(new.value - np.hypot(1e-3, 5e-3)) < 4.0 * new.sigma  # type: ignore[operator]
 

@@ -111,20 +111,15 @@ def test_angles_of_the_wrong_size_or_sign_are_named(factor: float, times: str) -
 
 
 def test_a_dwell_that_does_not_fit_is_named_and_survived() -> None:
-    def displace(volts: FloatArray) -> None:
-        volts[17 * 6 : 17 * 6 + 12, 1] += 0.2
-
-    outcome = simulate().with_readings("gap_voltages", displace).identify()
+    displaced = simulate().with_readings("gap_voltages", lambda volts: volts + 0.2, np.s_[17 * 6 : 17 * 6 + 12, 1])
+    outcome = displaced.identify()
     assert outcome.warnings[0] == "probe_spacing: left out dwell 7, which do not fit the others."
     fit = outcome.fits["probe_spacing"]
     assert np.all(np.abs(fit.values[:3] - TRUE) < 4.0 * fit.sigmas[:3])
 
 
 def test_a_stuck_channel_and_too_few_dwells_are_refused() -> None:
-    def stick(volts: FloatArray) -> None:
-        volts[:, 2] = -1.5
-
-    stuck = simulate().with_readings("gap_voltages", stick)
+    stuck = simulate().with_readings("gap_voltages", -1.5, np.s_[:, 2])
     stuck.check_refusal(FitError, r"^simulated: gap probe gap_3 stays at -1\.5 while the reference moves")
     sentence = r"^probe_spacing: 4 dwells of the reference with scans; expected at least 5\.$"
     simulate(angles=ANGLES[::4]).check_refusal(FitError, sentence)

@@ -16,83 +16,70 @@ from posor.model.native_coordinates import rotation_from_native
 from posor_calibration.procedures.target_plane import PROCEDURE
 
 from .recordings_1985 import LEVER, recorded
+from .simulated_case import SimulatedCase, check_coverage
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from posor.calibration.designs import DesignName
     from posor.numerics.array_types import FloatArray
-    from posor_calibration.least_squares import Fit
+    from posor_calibration.procedure import Outcome
 
 WOBBLE = 5e-6
 
 
-def turned(
-    random: np.random.Generator, name: DesignName, thetas: FloatArray, axis: tuple[float, float] = (1e-3, -2e-3)
-) -> tuple[Recording, FloatArray]:
-    """Return a recording of a target that turns about an axis at ``axis``, and the true tilts."""
+def turned(random: np.random.Generator, name: DesignName, thetas: FloatArray) -> SimulatedCase:
+    """Return scans of a target that turns about an unsteady axis, and the true tilts."""
     posor = Posor(design(name))
     names, values = list(posor.stack.parameter_names), posor.stack.parameter_values
     where = [names.index(f"GapProbes.plane_tilt[{i}]") for i in range(2)]
     values[where] += 1e-3 * random.normal(size=2)
-    leans = np.array(axis) + WOBBLE * random.normal(size=(len(thetas), 2))
+    leans = np.array([1e-3, -2e-3]) + WOBBLE * random.normal(size=(len(thetas), 2))
     rotations = np.array([rotation_from_native(a, b, t) for (a, b), t in zip(leans, thetas, strict=True)])
     translations = np.tile([2e-4, -1e-4, 0.7e-3], (len(thetas), 1))
     stamps = (1 + np.arange(len(thetas), dtype=np.int64)) * 10_000_000
-    stack = posor.stack.with_parameter_values(values)
-    return Recording(scans_at(stack, rotations, translations, stamps, noise=random), {}, "simulated"), values[where]
+    scans = scans_at(posor.stack.with_parameter_values(values), rotations, translations, stamps, noise=random)
+    return SimulatedCase(PROCEDURE, design(name), Recording(scans, {}, "simulated"), values[where])
 
 
-def identify(name: DesignName, recording: Recording, **options: Any) -> Fit:
-    return PROCEDURE.identify(recording, design(name), PROCEDURE.options(**options)).fits["target_plane"]
+def normalised_errors(case: SimulatedCase, outcome: Outcome) -> FloatArray:
+    fit = outcome.fits["target_plane"]
+    return np.asarray((fit.values[:2] - case.truth) / fit.sigmas[:2])
 
 
 @pytest.mark.long
 def test_intervals_cover(rng: np.random.Generator) -> None:
-    normalised = []
-    thetas = np.linspace(-np.pi, np.pi, 25)
-    for _ in range(25):
-        recording, truth = turned(rng, "triad_light_ring", thetas)
-        fit = identify("triad_light_ring", recording)
-        normalised.append((fit.values[:2] - truth) / fit.sigmas[:2])
-    assert np.mean(np.abs(normalised) < 1.96) == pytest.approx(0.95, abs=0.05)
-    assert np.std(normalised) == pytest.approx(1.0, abs=0.2)
+    cases = [turned(rng, "triad_light_ring", np.linspace(-np.pi, np.pi, 25)) for _ in range(25)]
+    check_coverage([normalised_errors(case, case.identify()) for case in cases], 0.05, 0.2)
 
 
 @pytest.mark.parametrize("loss", ["soft_l1", "huber"])
 def test_five_percent_of_outliers_are_named_and_survived(rng: np.random.Generator, loss: Any) -> None:
-    recording, truth = turned(rng, "triad_light_ring", np.linspace(-np.pi, np.pi, 80))
-    volts = recording.scans.gap_voltages.copy()
-    volts[[5, 23, 41, 70], [0, 1, 2, 1]] += 1.0
-    bad = Recording(recording.scans.with_fields({"gap_voltages": volts}), {}, "simulated")
-    with pytest.raises(FitError, match="times as large as the stated uncertainties explain, the worst is"):
-        identify("triad_light_ring", bad)
-    outcome = PROCEDURE.identify(bad, design("triad_light_ring"), PROCEDURE.options(loss=loss))
-    fit = outcome.fits["target_plane"]
-    assert np.all(np.abs(fit.values[:2] - truth) < 4.0 * fit.sigmas[:2])
-    assert np.max(fit.sigmas[:2]) < 5e-6
+    case = turned(rng, "triad_light_ring", np.linspace(-np.pi, np.pi, 80))
+    where = np.s_[[5, 23, 41, 70], [0, 1, 2, 1]]
+    bad = case.with_readings("gap_voltages", lambda volts: volts + 1.0, where)
+    bad.check_refusal(FitError, "times as large as the stated uncertainties explain, the worst is")
+    outcome = bad.identify(loss=loss)
+    assert np.abs(normalised_errors(case, outcome)).max() < 4.0
+    assert np.max(outcome.fits["target_plane"].sigmas[:2]) < 5e-6
     warning = next(sentence for sentence in outcome.warnings if "readings are outliers" in sentence)
     assert "beta of scan 5, alpha of scan 23, beta of scan 23" in warning
 
 
 def test_full_turns_determine_more_than_small_ones(rng: np.random.Generator) -> None:
-    recording, _ = turned(rng, "triad_light_ring", np.linspace(-np.pi, np.pi, 40))
-    full = identify("triad_light_ring", recording)
+    full = turned(rng, "triad_light_ring", np.linspace(-np.pi, np.pi, 40)).identify().fits["target_plane"]
     assert np.max(full.sigmas[:2]) < 5e-6
-    recording, truth = turned(rng, "triad_diodes", np.linspace(-0.08, 0.08, 40))
-    outcome = PROCEDURE.identify(recording, design("triad_diodes"), PROCEDURE.options(expected_tilt=2e-5))
-    fit = outcome.fits["target_plane"]
-    assert np.min(fit.sigmas[:2]) > 1e-5
-    assert np.all(np.abs(fit.values[:2] - truth) < 4.0 * fit.sigmas[:2])
+    case = turned(rng, "triad_diodes", np.linspace(-0.08, 0.08, 40))
+    outcome = case.identify(expected_tilt=2e-5)
+    assert np.min(outcome.fits["target_plane"].sigmas[:2]) > 1e-5
+    assert np.abs(normalised_errors(case, outcome)).max() < 4.0
     assert any(sentence.startswith("The data hardly determine tilt") for sentence in outcome.warnings)
 
 
 def test_without_a_turn_there_is_no_tilt(rng: np.random.Generator) -> None:
-    recording, _ = turned(rng, "triad_diodes", np.zeros(40))
-    outcome = PROCEDURE.identify(recording, design("triad_diodes"), PROCEDURE.options())
-    assert any("hardly determine tilt" in sentence for sentence in outcome.warnings)
-    with pytest.raises(FitError, match="3 scans; expected at least 6"):
-        identify("triad_diodes", Recording(recording.scans.part(0, 3), {}, "simulated"))
+    case = turned(rng, "triad_diodes", np.zeros(40))
+    assert any("hardly determine tilt" in sentence for sentence in case.identify().warnings)
+    case.with_scans(case.recording.scans.part(0, 3)).check_refusal(FitError, "3 scans; expected at least 6")
 
 
 def test_the_vertical_test_of_1985_separates_the_two_flatness_constants(rig_calibrations: dict[str, Path]) -> None:

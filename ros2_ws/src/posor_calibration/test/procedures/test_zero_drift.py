@@ -23,8 +23,6 @@ from .simulated_case import SimulatedCase, check_coverage
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from posor.numerics.array_types import FloatArray
-
 
 TOPIC = "/truth"
 STEP_NS = 100_000_000
@@ -96,11 +94,7 @@ def test_bad_data(rng: np.random.Generator) -> None:
         (turns.inv(), "turns opposite to the POSOR"),
     ):
         with_rotations(case, rotations).check_refusal(TrackError, f"alpha of the reference: {words}")
-
-    def stick(volts: FloatArray) -> None:
-        volts[20:, 1] = volts[20, 1]
-
-    stuck = case.with_readings("gap_voltages", stick)
+    stuck = case.with_readings("gap_voltages", lambda volts: volts[:1], np.s_[20:, 1])
     stuck.check_refusal(FitError, r"gap probe gap_2 is stuck at .* from sample 21 on")
     few = case.with_scans(case.recording.scans.part(0, 2))
     few.check_refusal(FitError, "2 scans while the reference was recorded; expected at least 5")
