@@ -12,44 +12,63 @@ from posor.estimation.posor import Posor
 from posor.model.fault import USABLE_STATES, State
 from posor.model.native_coordinates import native_from_rotation, thetas_of
 from posor.numerics.stamps import NS
+from pydantic import Field
 
 from posor_calibration.bundle_problem import BundleData, PoseReference
 from posor_calibration.data_checks import READING_KINDS, check_axis, check_channels_vary, check_unit
-from posor_calibration.dwells import average_dwells, find_dwells, scans_with_reference
+from posor_calibration.dwells import Settle, Still, average_dwells, find_dwells, scans_with_reference
+from posor_calibration.procedure import LongestGapOption, Options
 
 if TYPE_CHECKING:
     from posor.bags.recording import Recording, Track
     from posor.calibration.calibration_file import Calibration
     from posor.numerics.array_types import FloatArray
 
-    from posor_calibration.procedures.bundle import BundleOptions
-
 AXES = ("x", "y", "z", "alpha", "beta")
 CLEAR_TRAVEL = 20.0
 """Travel along an axis, over the uncertainty of the calibration, above which it is compared with the reference's."""
 MIN_COMPARED = 4
+MIN_POSES = 8
 
 
-def make_bundle_data(
-    recording: Recording, calibration: Calibration, topic: str | None, options: BundleOptions
-) -> BundleData:
+class BundleDataOptions(Options):
+    """Options of the bundle fit that select its data."""
+
+    reference: str = Field(
+        default="", description="topic of the pose reference; empty: the only one, or none if there is none"
+    )
+    mounting_m: float = Field(
+        default=0.0,
+        ge=0.0,
+        description="standard uncertainty of the positions of the reference's frames on the plates [m]; 0: exact",
+    )
+    mounting_rad: float = Field(default=0.0, ge=0.0, description="the same for their orientations [rad]")
+    least_dwell: float = Field(
+        default=0.0, ge=0.0, description="average dwells of the reference at least this long [s]; 0: use every scan"
+    )
+    still: Still = 2e-6
+    settle: Settle = 0.0
+    longest_gap: LongestGapOption = 0.5
+    at_most: int = Field(default=500, ge=MIN_POSES, description="more poses than this are thinned out evenly")
+
+
+def make_bundle_data(recording: Recording, calibration: Calibration, options: BundleDataOptions) -> BundleData:
     """Return the data of a bundle fit.
 
     Substituted and saturated scans are already left out of the recording, the session is applied to the calibration.
-    ``topic`` names the pose reference; empty: the only reference; None: fit without a reference. Raises FitError: no
-    scan is left; TrackError: the reference is unusable, or does not move as this POSOR.
+    Raises FitError: no scan is left; TrackError: the reference is unusable, or does not move as this POSOR.
     """
     check_channels_vary(recording.scans, READING_KINDS, recording.source)
     # The estimator must not reject scans: the fit judges them.
     posor = Posor(calibration.model_copy(update={"motion": None}), false_alarm=0.0)
-    if topic is None:
+    if not options.reference and all(track.values.shape[1] != POSE for track in recording.tracks.values()):
         estimates = posor.estimate_all(recording.scans)
         found = np.flatnonzero(np.isin(estimates.states, USABLE_STATES))
         poses = [pin.SE3(estimates.rotations[i], estimates.translations[i]) for i in found]
         left_out = len(recording.scans) - len(found)
         data = BundleData(recording.scans.select(found), np.ones(len(found)), poses, None, left_out)
         return _thin_out(data, options.at_most, recording.source)
-    track = recording.find_track(topic, POSE)
+    track = recording.find_track(options.reference, POSE)
     if options.least_dwell > 0.0:
         dwells = find_dwells(track, options.still, int(options.least_dwell * NS), settle_ns=int(options.settle * NS))
         means = average_dwells(recording.scans, track, dwells, source=recording.source)

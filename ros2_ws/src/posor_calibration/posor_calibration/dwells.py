@@ -15,6 +15,7 @@ from posor.errors import FitError, TrackError
 from posor.model.scan import Scans
 from posor.numerics.stamps import NS
 from pydantic import Field
+from scipy.ndimage import median
 
 from posor_calibration.data_checks import MOST_OUTLIERS, READING_KINDS, ROUNDING, channel_name
 from posor_calibration.procedure import Options
@@ -183,10 +184,7 @@ def _mean_scans(parts: Sequence[Scans]) -> Scans:
 
 def _finite_mean(readings: FloatArray) -> FloatArray:
     """Return the mean of the finite readings (n, ...) along n; NaN without a warning where there are none."""
-    finite = np.isfinite(readings)
-    count = finite.sum(axis=0)
-    total = np.where(finite, readings, 0.0).sum(axis=0)
-    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+    return np.asarray(np.ma.filled(np.ma.masked_invalid(readings).mean(axis=0), np.nan))
 
 
 def _pool_deviations(parts: Sequence[FloatArray]) -> FloatArray:
@@ -238,9 +236,10 @@ def _find_outliers(readings: FloatArray, dwell_of: IntArray, motion: FloatArray)
     if not finite.any():
         return bad  # an absent channel: the procedure knows whether it needs the channel
     counts = np.bincount(dwell_of[finite], minlength=len(motion))
-    off = readings[finite] - np.repeat(_medians(readings[finite], counts), counts)
+    dwells = np.arange(len(counts))
+    off = readings[finite] - np.repeat(median(readings[finite], dwell_of[finite], dwells), counts)
     enough = counts >= MIN_SCANS_FOR_OUTLIERS
-    scatters = MAD_TO_SIGMA * _medians(np.abs(off), counts)
+    scatters = MAD_TO_SIGMA * median(np.abs(off), dwell_of[finite], dwells)  # any number for an empty dwell
     scattered = scatters[enough & (scatters > 0.0)]
     noise = float(np.median(scattered)) if scattered.size else 0.0
     levels = np.unique(readings[finite])
@@ -250,17 +249,6 @@ def _find_outliers(readings: FloatArray, dwell_of: IntArray, motion: FloatArray)
     bad[finite] = np.abs(off) > OUTLIER_SIGMAS * np.repeat(allowed, counts)
     bad |= ~finite
     return np.asarray(bad & enough[dwell_of])
-
-
-def _medians(values: FloatArray, counts: IntArray) -> FloatArray:
-    """Return the median of each dwell, (d,), from the values of all dwells in turn, (n,); NaN if it has none."""
-    order = np.lexsort((values, np.repeat(np.arange(len(counts)), counts)))
-    ranked, ends = values[order], np.cumsum(counts)
-    medians = np.full(len(counts), np.nan)
-    some = counts > 0
-    begin, count = (ends - counts)[some], counts[some]
-    medians[some] = 0.5 * (ranked[begin + (count - 1) // 2] + ranked[begin + count // 2])
-    return medians
 
 
 def _describe_outliers(bad: BoolArray, numbers: FloatArray, channel: str, source: str) -> str:

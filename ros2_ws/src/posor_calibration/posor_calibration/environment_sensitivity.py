@@ -59,11 +59,6 @@ class Environment:
         values: FloatArray = getattr(scans, self.field)
         return values
 
-    def present(self, probe: SingleProbe) -> SupplyCalibration | TemperatureCalibration | None:
-        """Return the entry of the calibration for a probe."""
-        found: SupplyCalibration | TemperatureCalibration | None = getattr(probe.calibration, self.part)
-        return found
-
 
 class EnvironmentOptions(Options):
     """Options that the procedures share; each states those without a default in its unit."""
@@ -212,7 +207,7 @@ def _fit_probe(
 def _file_entry(
     probe: SingleProbe, found: Fit, mean: float, options: EnvironmentOptions, environment: Environment
 ) -> dict[str, Any]:
-    present = environment.present(probe)
+    present: SupplyCalibration | TemperatureCalibration | None = getattr(probe.calibration, environment.part)
     reference, sigma = (mean, 0.0) if present is None else (present.reference.number, present.reference.sigma)
     if options.reference is not None:
         reference, sigma = options.reference, options.reference_sigma

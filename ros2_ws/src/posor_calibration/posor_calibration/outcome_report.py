@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import textwrap
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
@@ -59,7 +59,8 @@ def judge_outcome(name: str, outcome: Outcome, changes: Comparison | None) -> Pr
     what, worst = max(outcome.fits.items(), key=lambda item: item[1].spread)
     holds = all(fit.probability >= IMPROBABLE for fit in outcome.fits.values())
     usable = "usable" if holds else "usable with care: the residuals exceed the stated uncertainties"
-    outliers, readings = (sum(map(count, outcome.fits.values())) for count in (_count_outliers, _count_residuals))
+    outliers = sum(map(_count_outliers, outcome.fits.values()))
+    readings = sum(len(fit.residuals) for fit in outcome.fits.values())
     several = f" ({what}, the worst of {len(outcome.fits)} fits)" if len(outcome.fits) > 1 else ""
     residuals = (
         f"Residuals: {worst.spread:.3g} times the stated uncertainties{several}, probability {worst.probability:.2g}; "
@@ -72,10 +73,6 @@ def judge_outcome(name: str, outcome: Outcome, changes: Comparison | None) -> Pr
 
 def _count_outliers(fit: Fit) -> int:
     return int(fit.outliers().sum())
-
-
-def _count_residuals(fit: Fit) -> int:
-    return len(fit.residuals)
 
 
 def _describe_changes(changes: Comparison) -> list[str]:
@@ -174,10 +171,7 @@ def outcome_json(name: str, verdict: ProcedureVerdict, outcome: Outcome) -> str:
             }
             for what, fit in outcome.fits.items()
         },
-        "tables": [
-            {"title": each.title, "columns": each.columns, "units": each.units, "rows": each.rows}
-            for each in outcome.tables
-        ],
+        "tables": [asdict(each) for each in outcome.tables],
         "figures": [
             {
                 "title": each.title,

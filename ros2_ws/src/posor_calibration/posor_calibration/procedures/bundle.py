@@ -6,22 +6,20 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from posor.bags.recording import POSE
 from posor.calibration.calibration_file import Calibration, TiltAngle
 from posor.errors import FitError
 from posor.estimation.sensor_stack import Stack
 from posor.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED, SATURATED
 from pydantic import Field
 
-from posor_calibration.bundle_data import make_bundle_data
+from posor_calibration.bundle_data import MIN_POSES, BundleDataOptions, make_bundle_data
 from posor_calibration.bundle_problem import BundleData, BundleProblem, OutOfRangeError, add_unfitted_uncertainty
 from posor_calibration.calibration_parameters import FreeParameters
 from posor_calibration.data_checks import check_count
-from posor_calibration.dwells import Settle, Still
 from posor_calibration.fit_report import check_spread, describe_spread, parameter_table, table_row
 from posor_calibration.least_squares import UNDETERMINED, Fit, Loss, WeakDirection, weak_directions
 from posor_calibration.pose_advice import propose_poses
-from posor_calibration.procedure import LongestGapOption, LossOption, Options, Outcome, Procedure, Table
+from posor_calibration.procedure import LossOption, Outcome, Procedure, Table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,7 +29,6 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
 NAME = "bundle"
-MIN_POSES = 8
 LARGE_CHANGE = 4.0
 """Change of a parameter, in prior standard uncertainties, that is reported."""
 SHOWN_DIRECTIONS = 12
@@ -39,7 +36,7 @@ MOST_OUT_OF_RANGE = 0.1
 """Share of scans that may leave the calibrated range as the parameters change."""
 
 
-class BundleOptions(Options):
+class BundleOptions(BundleDataOptions):
     """Options of ``bundle``."""
 
     parameters: tuple[str, ...] = Field(
@@ -50,23 +47,7 @@ class BundleOptions(Options):
     session: str = Field(
         default="", description="session of the calibration file in force during the recording; empty: none"
     )
-    reference: str = Field(
-        default="", description="topic of the pose reference; empty: the only one, or none if there is none"
-    )
-    mounting_m: float = Field(
-        default=0.0,
-        ge=0.0,
-        description="standard uncertainty of the positions of the reference's frames on the plates [m]; 0: exact",
-    )
-    mounting_rad: float = Field(default=0.0, ge=0.0, description="the same for their orientations [rad]")
     loss: LossOption = "huber"
-    least_dwell: float = Field(
-        default=0.0, ge=0.0, description="average dwells of the reference at least this long [s]; 0: use every scan"
-    )
-    still: Still = 2e-6
-    settle: Settle = 0.0
-    longest_gap: LongestGapOption = 0.5
-    at_most: int = Field(default=500, ge=MIN_POSES, description="more poses than this are thinned out evenly")
     covariance: bool = Field(default=True, description="write the whole covariance into the file")
     seed: int = Field(default=1985, ge=0, description="seed of the proposed poses")
 
@@ -96,9 +77,7 @@ def solve_bundle(recording: Recording, calibration: Calibration, options: Bundle
     applied = calibration.for_session(options.session)
     excluded = _find_unmeasured(recording.scans)
     free = FreeParameters(calibration, options.session, options.parameters, excluded)
-    has_poses = any(track.values.shape[1] == POSE for track in recording.tracks.values())
-    topic = options.reference if options.reference or has_poses else None
-    data = make_bundle_data(recording, applied, topic, options)
+    data = make_bundle_data(recording, applied, options)
     stack = Stack([sensor.build() for sensor in applied.sensors])
     problem, data, found = _fit(stack, free, data, options.loss, recording.source)
     every = FreeParameters(calibration, options.session, excluded=excluded)

@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 
 NAME = "diode_axes"
 MIN_DIODES = 2
+SENSOR_NAMES = {"origin": "origins", "x_axis": "x_axes", "y_axis": "y_axes"}
+"""Vectors of a diode: key in the file, and name among the sensor's parameters."""
 ACROSS = 0.5
 """Components of a rotation axis' cross product above this lie across the rotated axis."""
 
@@ -111,15 +113,10 @@ class _Model:
         def predict(diode: SingleDiode) -> FloatArray:
             new: dict[str, float] = {}
             for name, vector in self.diode_vectors(self.spots.diodes.index(diode), unknowns).items():
-                new.update(vector_parameters(_sensor_name(name), vector))
+                new.update(vector_parameters(SENSOR_NAMES[name], vector))
             return diode.predict_spots(new, *self.poses(diode, unknowns))
 
         return self.spots.residuals(predict)
-
-
-def _sensor_name(name: str) -> str:
-    """Return the name of a diode's vector among the sensor's parameters: ``origins``, ``x_axes``, ``y_axes``."""
-    return {"origin": "origins", "x_axis": "x_axes", "y_axis": "y_axes"}[name]
 
 
 def find_diode_axes(recording: Recording, calibration: Calibration, options: DiodeAxesOptions) -> Outcome:
@@ -140,7 +137,8 @@ def find_diode_axes(recording: Recording, calibration: Calibration, options: Dio
         moved = np.column_stack([along @ axes.x_axis.array, along @ axes.y_axis.array, along[:, 2]])
         check_spot_motion(diode, moved, track.source)
     numbers = _fitted_numbers(model, part)
-    fixed = FixedParameters(calibration, parameter_indices(calibration, sensor, [n.parameter for n in numbers]))
+    parameters = [f"{SENSOR_NAMES[n.vector]}[{n.diode},{n.component}]" for n in numbers]
+    fixed = FixedParameters(calibration, parameter_indices(calibration, sensor, parameters))
     derivatives = spots.derivatives(lambda diode: model.poses(diode, model.start), calibration, sensor)
     found = fit_parameters(
         model.residuals,
@@ -157,13 +155,13 @@ def find_diode_axes(recording: Recording, calibration: Calibration, options: Dio
     basis = np.zeros((len(numbers), len(found.names)))
     for row, number in enumerate(numbers):
         basis[row, number.unknown] = number.slope
-    entries = tuple(f"sensors[{sensor}].diodes[{number.diode}].{number.entry}" for number in numbers)
+    entries = tuple(f"sensors[{sensor}].diodes[{n.diode}].{n.vector}[{n.component}]" for n in numbers)
     count = len(found.names)
     return Outcome(
         method=f"one source seen by {len(spots.diodes)} diodes at {len(spots.means)} dwells "
         "(thesis 7.4.4, equations 7.2 to 7.4, by least squares)",
         fits={NAME: found},
-        replacements=tuple(_replacements(found, model, part, sensor)),
+        replacements=tuple(_replacements(found, model, part, sensor, numbers)),
         covariances=(fixed.joint_covariance(entries, found, basis),),
         tables=(
             _tabulate_offsets(found, model, part),
@@ -178,9 +176,9 @@ def find_diode_axes(recording: Recording, calibration: Calibration, options: Dio
 class _Number:
     """A number of the file that is fitted."""
 
-    entry: str  # its key within the diode
     diode: int
-    parameter: str  # its name among the sensor's parameters
+    vector: str  # key of the vector within the diode
+    component: int
     unknown: int  # the unknown that moves it
     slope: float  # d(number)/d(unknown)
 
@@ -191,31 +189,27 @@ def _fitted_numbers(model: _Model, part: DiodesCalibration) -> list[_Number]:
     for position, diode in enumerate(model.spots.diodes):
         own, k = part.diodes[diode.index], diode.index
         if position > 0:
-            found += [_Number(f"origin[{i}]", k, f"origins[{k},{i}]", 4 * position + i, 1.0) for i in range(2)]
+            found += [_Number(k, "origin", i, 4 * position + i, 1.0) for i in range(2)]
         normal = np.cross(own.x_axis.array, own.y_axis.array)
         for name, unknown in model.axis_unknowns(position).items():
             slopes = np.cross(normal, getattr(own, name).array)
-            found += [
-                _Number(f"{name}[{i}]", k, f"{_sensor_name(name)}[{k},{i}]", unknown, float(slopes[i]))
-                for i in range(3)
-                if abs(slopes[i]) > ACROSS
-            ]
+            found += [_Number(k, name, i, unknown, float(slopes[i])) for i in range(3) if abs(slopes[i]) > ACROSS]
     return found
 
 
-def _replacements(found: Fit, model: _Model, part: DiodesCalibration, sensor: int) -> list[Replacement]:
+def _replacements(
+    found: Fit, model: _Model, part: DiodesCalibration, sensor: int, numbers: list[_Number]
+) -> list[Replacement]:
+    """Return the fitted vectors; components that are not fitted keep their uncertainty."""
     replacements = []
     for position, diode in enumerate(model.spots.diodes):
-        key, own = f"sensors[{sensor}].diodes[{diode.index}]", part.diodes[diode.index]
-        vectors = model.diode_vectors(position, found.values)
-        for name, index in model.axis_unknowns(position).items():
-            # A rotation moves the components across the axis within the diode's plane; the others keep their sigma.
-            across = np.abs(np.cross(np.cross(own.x_axis.array, own.y_axis.array), vectors[name]))
-            sigma = np.where(across > ACROSS, found.sigmas[index] * across, getattr(own, name).sigmas)
-            replacements.append(Replacement(f"{key}.{name}", vectors[name].tolist(), sigma.tolist()))
-        if position > 0:
-            sigmas = [*found.sigmas[4 * position : 4 * position + 2].tolist(), float(own.origin.sigmas[2])]
-            replacements.append(Replacement(f"{key}.origin", vectors["origin"].tolist(), sigmas))
+        for name, vector in model.diode_vectors(position, found.values).items():
+            sigmas = getattr(part.diodes[diode.index], name).sigmas.copy()
+            for number in numbers:
+                if (number.diode, number.vector) == (diode.index, name):
+                    sigmas[number.component] = abs(number.slope) * found.sigmas[number.unknown]
+            key = f"sensors[{sensor}].diodes[{diode.index}].{name}"
+            replacements.append(Replacement(key, vector.tolist(), sigmas.tolist()))
     return replacements
 
 

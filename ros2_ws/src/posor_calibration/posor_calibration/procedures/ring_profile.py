@@ -286,14 +286,13 @@ def _tabulate_profile(found: Fit, part: BumpyRingCalibration, orders: list[int],
 
 def _plot_change(found: Fit, part: BumpyRingCalibration, orders: list[int]) -> Figure:
     azimuths = np.linspace(0.0, 2.0 * np.pi, 40 * part.ring.bumps)
-    after = np.zeros_like(azimuths)
-    before = np.zeros_like(azimuths)
+    change = np.zeros_like(azimuths)
     for k in orders:
-        after += found.value(f"cos {k}") * np.cos(k * azimuths) + found.value(f"sin {k}") * np.sin(k * azimuths)
+        change += found.value(f"cos {k}") * np.cos(k * azimuths) + found.value(f"sin {k}") * np.sin(k * azimuths)
     for k, c, s in zip(part.ring.orders, part.ring.cos.array, part.ring.sin.array, strict=True):
-        before += c * np.cos(k * azimuths) + s * np.sin(k * azimuths)
-    change = {"found less before": (azimuths, (after - before) / UM)}
-    return Figure("change of the profile", "azimuth [rad]", "radius [um]", change)
+        change -= c * np.cos(k * azimuths) + s * np.sin(k * azimuths)
+    series = {"found less before": (azimuths, change / UM)}
+    return Figure("change of the profile", "azimuth [rad]", "radius [um]", series)
 
 
 PROCEDURE = Procedure(NAME, "profile of a bumpy ring from full turns", RingProfileOptions, find_ring_profile)
