@@ -97,15 +97,10 @@ def test_table_has_the_offset(rng: np.random.Generator) -> None:
 
 def test_bad_data(rng: np.random.Generator) -> None:
     case = simulate(rng)
-    case.with_values(lambda values: values[:, [1, 0, 2]]).check_refusal(TrackError, "the axes look swapped")
-    case.with_values(lambda values: 25.4 * values).check_refusal(TrackError, r"moves 25\.\d* times as far", still=1e-4)
     case.check_refusal(TrackError, "falls where the readings rise", direction=-1)
-    scans = case.recording.scans
-    half = case.with_scans(scans.part(0, DWELLS * PER_DWELL))
-    half.check_refusal(FitError, "only diode_1 sees the light; expected at least two diodes")
-    lit = scans.lit_sources.copy()
+    lit = case.recording.scans.lit_sources.copy()
     lit[DWELLS * PER_DWELL :] = 1
-    other = case.with_scans(scans.with_fields({"lit_sources": lit}))
+    other = case.with_scans(case.recording.scans.with_fields({"lit_sources": lit}))
     other.check_refusal(FitError, "the diodes see source_1, source_2; expected one and the same source")
 
 

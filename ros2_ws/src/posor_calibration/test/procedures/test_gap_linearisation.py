@@ -11,7 +11,7 @@ import pytest
 from numpy.polynomial import polynomial
 from posor.calibration.calibration_file import load_calibration
 from posor.calibration.designs import STANDOFF
-from posor.errors import FitError, TrackError
+from posor.errors import TrackError
 from posor.model.scan import SATURATED
 from posor_calibration.gap_polynomial import akaike_criterion
 from posor_calibration.procedures.gap_linearisation import PROCEDURE
@@ -195,47 +195,10 @@ def test_five_percent_of_outliers_are_named_and_survived() -> None:
         assert sentence in outcome.warnings
 
 
-def test_many_outliers_are_refused() -> None:
-    def spoil(values: FloatArray) -> FloatArray:
-        for dwell in range(0, 31, 6):
-            values[17 * dwell : 17 * dwell + 12] += 50e-6 * (1 + dwell % 4)
-        return values
-
-    sentence = r"^gap probe gap_1: \d of 31 readings do not fit, such as dwell \d+; expected"
-    simulate().with_values(spoil).check_refusal(FitError, sentence)
-
-
-@pytest.mark.parametrize(
-    ("factor", "sentence"),
-    [
-        (25.4, r"moves 25.\d+ times as far as the present calibration says, as if it was converted from inches but"),
-        (1 / 0.0254, r"moves 39.\d+ times as far as the present calibration says, as if it is in inches;"),
-        (1e3, "as if it is in millimetres; expected values in metres"),
-        (-1.0, "falls where the readings rise"),
-    ],
-)
-def test_a_reference_in_the_wrong_unit_or_sign_is_named(factor: float, sentence: str) -> None:
-    scaled = simulate().with_values(lambda values: factor * values)
-    scaled.check_refusal(TrackError, sentence, still=1e-6 * abs(factor))
-
-
 def test_swapped_axes_are_named() -> None:
     point = with_columns(simulate(), lambda values: np.hstack([0.0 * values, values, 0.0 * values]))
     sentence = "axis y moves with the readings, axis z does not; the axes look swapped"
     point.check_refusal(TrackError, sentence, kind="point", axis="z")
-
-
-def test_a_stuck_channel_is_named() -> None:
-    stuck = simulate().with_readings("gap_voltages", 0.3, np.s_[:, 1])
-    stuck.check_refusal(FitError, r"gap probe gap_2 stays at 0\.3 while the reference moves")
-    stuck = simulate().with_readings("gap_voltages", 0.7, np.s_[260:, 2])
-    stuck.check_refusal(FitError, r"gap probe gap_3 is stuck at 0\.7 from dwell \d+ on")
-
-
-def test_too_few_dwells_are_refused() -> None:
-    few = lifted_recording(diode_calibration(), LIFTS[::8], np.random.default_rng(0), sigma=SIGMA)
-    case = SimulatedCase(PROCEDURE, diode_calibration(), few)
-    case.check_refusal(FitError, "4 dwells of the reference with scans; expected at least 6")
 
 
 def test_saturated_scans_are_not_used() -> None:

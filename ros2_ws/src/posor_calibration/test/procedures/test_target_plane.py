@@ -79,7 +79,6 @@ def test_full_turns_determine_more_than_small_ones(rng: np.random.Generator) -> 
 def test_without_a_turn_there_is_no_tilt(rng: np.random.Generator) -> None:
     case = turned(rng, "triad_diodes", np.zeros(40))
     assert any("hardly determine tilt" in sentence for sentence in case.identify().warnings)
-    case.with_scans(case.recording.scans.part(0, 3)).check_refusal(FitError, "3 scans; expected at least 6")
 
 
 def test_the_vertical_test_of_1985_separates_the_two_flatness_constants(rig_calibrations: dict[str, Path]) -> None:
