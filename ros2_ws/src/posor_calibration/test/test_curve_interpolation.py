@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.polynomial import polynomial
 from posor.errors import FitError
-from posor_calibration.curve_interpolation import GRID_ERROR_RATIO, doubled_grid_errors, tabulate_interpolation
+from posor_calibration.map_basis import GRID_ERROR_RATIO, doubled_grid_errors, tabulate_interpolation
 
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray

@@ -17,19 +17,21 @@ from posor.errors import FitError
 from posor.sensors.diodes import DiodesCalibration
 from pydantic import Field
 
-from posor_calibration.curve_interpolation import FEWEST_CURVES, doubled_grid_errors, tabulate_interpolation
 from posor_calibration.data_checks import check_axis, check_channels_move, check_count, check_unit
 from posor_calibration.diode_spots import AXES, SingleDiode, average_stage_dwells, current_ratios
 from posor_calibration.dwells import DwellMeans, LeastDwell, Settle, Still
 from posor_calibration.fit_report import describe_enlargement, describe_rejected
 from posor_calibration.map_basis import (
+    FEWEST_CURVES,
     UM,
     Design,
     choose_order,
     curve_design,
+    doubled_grid_errors,
     fit_positions,
     surface_design,
     surface_terms,
+    tabulate_interpolation,
 )
 from posor_calibration.procedure import Figure, Options, Outcome, Part, Procedure, Table
 
