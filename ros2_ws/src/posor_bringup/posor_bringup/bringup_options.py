@@ -15,8 +15,7 @@ if TYPE_CHECKING:
 
     from posor_bringup.supervisor import Parameter
 
-LOGS = "logs"
-"""Name of the folder for log files in an output folder."""
+LOGS = "logs"  # name of the folder for log files in an output folder
 
 
 def _parse_parameter(text: str) -> tuple[str, Parameter]:

@@ -7,14 +7,11 @@ from typing import Literal, get_args
 
 from ament_index_python.packages import get_package_share_directory
 
-Bag = Literal["ymo", "yzmo", "zmo"]
-"""Recorded motion tests of 1985."""
-CalibrationName = Literal["printed", "section84"]
-"""Calibration files of the 1985 rig."""
+Bag = Literal["ymo", "yzmo", "zmo"]  # recorded motion tests of 1985
+CalibrationName = Literal["printed", "section84"]  # calibration files of the 1985 rig
 BAGS: tuple[Bag, ...] = get_args(Bag)
 CALIBRATIONS: tuple[CalibrationName, ...] = get_args(CalibrationName)
-JOINT = "joint1"
-"""Name of the rig's only joint in the URDF."""
+JOINT = "joint1"  # name of the rig's only joint in the URDF
 
 
 def share() -> Path:

@@ -32,8 +32,7 @@ if TYPE_CHECKING:
 
     from posor_bringup.view_observation import Observation
 
-PERIOD_S = 0.1
-"""Time between two drawings."""
+PERIOD_S = 0.1  # time between two drawings
 PORT = 8085
 MAX_PORT = 65535
 

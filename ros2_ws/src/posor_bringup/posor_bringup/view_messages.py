@@ -42,14 +42,10 @@ if TYPE_CHECKING:
     from posor.chain.arm_file import ArmFile
     from posor.messages.cdr_schema import Schema
 
-KEPT = 64
-"""Messages kept of each topic; the stamp finds the messages of one scan."""
-BLOCK_S = 10.0
-"""Part of a bag after its position that is in memory."""
-LEAD_S = 2.0
-"""Time before the position of a bag from which messages are shown, such as diagnostics."""
-DIAGNOSTICS_QOS = QoSProfile(depth=100)
-"""Every node of the arm may report at once."""
+KEPT = 64  # messages kept of each topic; the stamp finds the messages of one scan
+BLOCK_S = 10.0  # part of a bag after its position that is in memory
+LEAD_S = 2.0  # time before the position of a bag from which messages are shown, such as diagnostics
+DIAGNOSTICS_QOS = QoSProfile(depth=100)  # every node of the arm may report at once
 DIAGNOSTIC_ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 ENDPOINT_TOPICS = {
     ENDPOINT_STATE_TOPIC: ENDPOINT_STATE,

@@ -22,19 +22,15 @@ if TYPE_CHECKING:
 
     from posor_bringup.view_messages import ArmTopics, Message, MessageStore
 
-SILENCE_S = 0.3
-"""Time without a message after which a topic is silent; below 10 Hz, three median periods."""
+SILENCE_S = 0.3  # time without a message after which a topic is silent; below 10 Hz, three median periods
 PERIODS = 5
 """Number of last periods whose median is used, so that an earlier pause does not count; before, ``SILENCE_S`` holds."""
-FIRST_MESSAGE_S = 1.0
-"""Time in which a running joint must be heard of for the first time; discovery takes a part of it."""
-DIAGNOSTICS_SILENCE_S = 3.0
-"""The same for the diagnostics of a node, which come once a second."""
+FIRST_MESSAGE_S = 1.0  # time in which a running joint must be heard of for the first time; discovery takes a part of it
+DIAGNOSTICS_SILENCE_S = 3.0  # the same for the diagnostics of a node, which come once a second
 STATES = {**{int(state): state.name for state in State}, int(EndpointState.STATE_STALE): "STALE"}
 SILENT, NO_MESSAGE, NO_STATE = "SILENT", "NO MESSAGE", "NO STATE"
 """Further states, which follow from the absence of messages; the last one: a bag without ``endpoint/state``."""
-USABLE = tuple(state.name for state in USABLE_STATES)
-"""States of a joint whose pose may be used."""
+USABLE = tuple(state.name for state in USABLE_STATES)  # states of a joint whose pose may be used
 _POSE = (*(f"position.{axis}" for axis in "xyz"), *(f"orientation.{axis}" for axis in "xyzw"))
 
 

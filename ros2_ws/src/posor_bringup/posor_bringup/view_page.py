@@ -30,10 +30,8 @@ if TYPE_CHECKING:
 HOST = "127.0.0.1"
 CHART_PERIOD_S, TEXT_PERIOD_S = 0.25, 0.2
 """Time between two updates of the charts and of the numbers; a change of state is shown at once."""
-CHART_S = 30.0
-"""Time that a chart shows."""
-MAX_POWER, USUAL_POWER = 4.0, 2.0
-"""Of ten, of the enlargement."""
+CHART_S = 30.0  # time that a chart shows
+MAX_POWER, USUAL_POWER = 4.0, 2.0  # of ten, of the enlargement
 PANEL_WIDTH = 520
 GREY, RED, AMBER, GREEN, BLUE = (150, 150, 150), (218, 54, 51), (227, 150, 20), (46, 150, 67), (70, 120, 220)
 COLOURS = {

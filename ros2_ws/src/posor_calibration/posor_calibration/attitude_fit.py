@@ -35,12 +35,9 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
 ANGLES = ("alpha", "beta", "theta")
-CLEAR_MOTION = 50.0
-"""Standard deviations of noise above which a motion is compared with the reference's."""
-APPARENT_MOTION = 0.03
-"""Share of a motion that a wrong calibration can produce in an angle that is at rest."""
-LARGEST_ANGLE = 0.5
-"""Largest plausible angle at the end of a lever [rad]."""
+CLEAR_MOTION = 50.0  # standard deviations of noise above which a motion is compared with the reference's
+APPARENT_MOTION = 0.03  # share of a motion that a wrong calibration can produce in an angle that is at rest
+LARGEST_ANGLE = 0.5  # largest plausible angle at the end of a lever [rad]
 URAD = 1e-6
 
 

@@ -34,10 +34,8 @@ POSE_SIZE = 6
 MAX_ITERATIONS = 10
 UNKNOWN_SIGMA = 1e-2
 """Standard uncertainty [m, rad] of a direction that a reference does not measure, far above that of the readings."""
-LEAST_SIGMA = 1e-10
-"""Least standard uncertainty of a reference [m, rad]: the size of an atom."""
-LEVER = np.array([1.0, 1.0, 1.0, 1.0 / LENGTH, 1.0 / LENGTH, 1.0 / LENGTH])
-"""Scales the tangent to lengths."""
+LEAST_SIGMA = 1e-10  # least standard uncertainty of a reference [m, rad]: the size of an atom
+LEVER = np.array([1.0, 1.0, 1.0, 1.0 / LENGTH, 1.0 / LENGTH, 1.0 / LENGTH])  # scales the tangent to lengths
 AXES = ("x", "y", "z", "about x", "about y", "about z")
 
 

@@ -28,11 +28,9 @@ if TYPE_CHECKING:
 
     from posor_calibration.least_squares import Fit
 
-SMALLEST_CORRELATION = 1e-3
-"""Correlation below which two numbers are written as independent."""
+SMALLEST_CORRELATION = 1e-3  # correlation below which two numbers are written as independent
 UNIT_LENGTH_TOLERANCE = 1e-6
-LEAST_VARIANCE = 1e-9
-"""Share of a variance that is at least left open, however strong the correlations in a file are."""
+LEAST_VARIANCE = 1e-9  # share of a variance that is at least left open, however strong the correlations in a file are
 LISTED_KEYS = 12
 
 

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
     from posor_calibration.procedure import Outcome
 
-SIGNIFICANT_DIGITS = 12
-"""Digits that are written: more than any sensor has, and still readable."""
+SIGNIFICANT_DIGITS = 12  # digits that are written: more than any sensor has, and still readable
 
 
 @dataclass(frozen=True)

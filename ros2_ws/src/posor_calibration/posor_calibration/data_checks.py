@@ -18,23 +18,16 @@ if TYPE_CHECKING:
 READING_KINDS = ("gap_voltages", "ring_voltages", "diode_currents")
 """Fields of ``Scans`` that hold the channels of sensors."""
 CONTACTS = "ABCD"
-MOST_OUTLIERS = 0.1
-"""Share of outliers beyond which data are refused."""
-ROUNDING = 1e-12
-"""Relative rounding error of a mean of equal numbers."""
+MOST_OUTLIERS = 0.1  # share of outliers beyond which data are refused
+ROUNDING = 1e-12  # relative rounding error of a mean of equal numbers
 
-STUCK_SCANS = 20
-"""Equal readings in a row that noise does not produce."""
-NOISY_SHARE = 0.2
-"""Share of scans in which a neighbour's reading changes if the converter resolves its noise."""
-STUCK_SIGMAS = 6.0
-"""Travel of a channel below which it shows only noise, in standard uncertainties."""
-STUCK_RUN = 3
-"""Equal readings in a row, at different places, that may show a stuck channel."""
+STUCK_SCANS = 20  # equal readings in a row that noise does not produce
+NOISY_SHARE = 0.2  # share of scans in which a neighbour's reading changes if the converter resolves its noise
+STUCK_SIGMAS = 6.0  # travel of a channel below which it shows only noise, in standard uncertainties
+STUCK_RUN = 3  # equal readings in a row, at different places, that may show a stuck channel
 STUCK_STEPS, STUCK_SHARE = 3.0, 0.1
 """Change that a stuck channel has missed: in steps of the converter, and as a share of the channel's travel."""
-SINGULAR = 1e-10
-"""Singular values below this share of the largest one count as zero."""
+SINGULAR = 1e-10  # singular values below this share of the largest one count as zero
 SAME_STEP, SMALLEST_STEP = 1e-9, 1e-6
 """Relative to the readings: tolerance of multiples of a converter's step, and the smallest step."""
 
@@ -50,19 +43,15 @@ WRONG_UNITS = {
     math.pi / 180.0: "it was converted from degrees but was in radians",
 }
 """Mistake that makes a reference travel by this factor too far."""
-UNIT_TOLERANCE = 0.1
-"""Relative distance from such a factor."""
-PLAUSIBLE_RATIO = (0.5, 2.0)
-"""Travel of the reference over that computed with the present calibration."""
+UNIT_TOLERANCE = 0.1  # relative distance from such a factor
+PLAUSIBLE_RATIO = (0.5, 2.0)  # travel of the reference over that computed with the present calibration
 SAME_MOTION, OTHER_MOTION = 0.9, 0.5
 """Rank correlation above which two motions are the same, and below which they are different."""
 
 LAG_SHARE, LARGEST_LAG_S, LAGS = 0.2, 5.0, 201
 """Lags that are tried: up to this share of the recording and this time [s], and how many."""
-SMALLEST_MISFIT = 1e-6
-"""Misfit over the travel of the reference that may come from rounding."""
-LAG_IMPROVEMENT = 3.0
-"""Factor by which a lag must reduce the misfit to be reported."""
+SMALLEST_MISFIT = 1e-6  # misfit over the travel of the reference that may come from rounding
+LAG_IMPROVEMENT = 3.0  # factor by which a lag must reduce the misfit to be reported
 
 
 def check_count(count: int, least: int, what: str, where: str) -> None:

@@ -28,10 +28,8 @@ if TYPE_CHECKING:
 
 AXES = ("x", "y", "z")
 MIN_DWELLS = 4
-CLEAR_MOTION = 10.0
-"""Travel of a spot over its noise above which it is compared with the reference's."""
-OF_ONE_DIODE = ("origins", "x_axes", "y_axes", "maps")
-"""Parameters of a diode sensor that each diode has for itself."""
+CLEAR_MOTION = 10.0  # travel of a spot over its noise above which it is compared with the reference's
+OF_ONE_DIODE = ("origins", "x_axes", "y_axes", "maps")  # parameters of a diode sensor that each diode has for itself
 
 
 class StageOptions(Options):

@@ -17,10 +17,8 @@ if TYPE_CHECKING:
     from posor.bags.recording import Recording
     from posor.calibration.calibration_file import Calibration
 
-FALSE_ALARM = 1e-3
-"""Probability that a valid calibration fails, for each of the two tests."""
-LEAST_INFORMATION = 1e-3
-"""Share of a parameter's variance that the recording must remove for its drift to be tested."""
+FALSE_ALARM = 1e-3  # probability that a valid calibration fails, for each of the two tests
+LEAST_INFORMATION = 1e-3  # share of a parameter's variance that the recording must remove for its drift to be tested
 LARGEST_SIGMA = 3.0
 """Standard uncertainty of a parameter from the recording alone, in stated ones, beyond which it is below the noise.
 

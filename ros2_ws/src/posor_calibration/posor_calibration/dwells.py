@@ -27,14 +27,10 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
 AVERAGED_FIELDS = (*READING_KINDS, "supply_voltages", "temperatures")
-POSE_LEVER = 0.1
-"""Lever [m] by which the rotations of a pose are compared with its translations."""
-OUTLIER_SIGMAS = 10.0
-"""A reading this many standard deviations from the median of its dwell is an outlier."""
-MAD_TO_SIGMA = 1.4826
-"""Standard deviation of a normal distribution over the median of its absolute deviations."""
-MIN_SCANS_FOR_OUTLIERS = 4
-"""Scans in a dwell below which an outlier cannot be distinguished from the others."""
+POSE_LEVER = 0.1  # lever [m] by which the rotations of a pose are compared with its translations
+OUTLIER_SIGMAS = 10.0  # a reading this many standard deviations from the median of its dwell is an outlier
+MAD_TO_SIGMA = 1.4826  # standard deviation of a normal distribution over the median of its absolute deviations
+MIN_SCANS_FOR_OUTLIERS = 4  # scans in a dwell below which an outlier cannot be distinguished from the others
 NAMED_SCANS = 3
 
 Still = Annotated[float, Field(gt=0.0, description="the reference stands still within this, in its own unit")]

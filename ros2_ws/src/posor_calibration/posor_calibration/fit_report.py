@@ -19,13 +19,10 @@ if TYPE_CHECKING:
 
     from posor_calibration.least_squares import Fit
 
-HIGH_CORRELATION = 0.9
-"""Correlation above which two parameters are hard to separate."""
+HIGH_CORRELATION = 0.9  # correlation above which two parameters are hard to separate
 NAMED_OUTLIERS = 5
-IMPROBABLE = 1e-3
-"""Probability of chi-square below which the stated uncertainties are not believed."""
-MOST_SPREAD = 10.0
-"""Residuals over the stated uncertainties beyond which data and model do not belong together."""
+IMPROBABLE = 1e-3  # probability of chi-square below which the stated uncertainties are not believed
+MOST_SPREAD = 10.0  # residuals over the stated uncertainties beyond which data and model do not belong together
 
 
 def table_row(name: str | int, numbers: Iterable[float]) -> tuple[float | int | str, ...]:

@@ -28,14 +28,10 @@ if TYPE_CHECKING:
 
 Criterion: TypeAlias = Literal["cross_validation", "aicc"]
 
-SPARE_READINGS = 3
-"""Degrees of freedom that a fit must leave."""
-HIGHEST_SMOOTH_ORDER = 9
-"""Order of the robust fit that finds outliers, as in 1985."""
-ROUGH_ORDER = 6
-"""Order of the robust fit that gives the slopes for the uncertainties."""
-PLACEHOLDER_SIGMA = 1e-9
-"""Used where no uncertainty is stated [m]; the residuals then scale the covariance."""
+SPARE_READINGS = 3  # degrees of freedom that a fit must leave
+HIGHEST_SMOOTH_ORDER = 9  # order of the robust fit that finds outliers, as in 1985
+ROUGH_ORDER = 6  # order of the robust fit that gives the slopes for the uncertainties
+PLACEHOLDER_SIGMA = 1e-9  # used where no uncertainty is stated [m]; the residuals then scale the covariance
 MONOTONIC_POINTS = 257
 
 

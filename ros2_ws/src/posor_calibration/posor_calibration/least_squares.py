@@ -22,21 +22,15 @@ if TYPE_CHECKING:
 
 Loss: TypeAlias = Literal["linear", "huber", "soft_l1", "cauchy"]
 
-ROBUST_SCALE = 2.0
-"""Normalised residual at which a robust loss departs from the square."""
+ROBUST_SCALE = 2.0  # normalised residual at which a robust loss departs from the square
 NEGLIGIBLE_EFFECT = 1e-3
 """Effect of fixed parameters on all residuals together, in standard deviations, that is neglected."""
-COST_TOLERANCE = 1e-10
-"""Relative change of the cost at convergence: of a thousand residuals, 3e-4 standard deviations."""
+COST_TOLERANCE = 1e-10  # relative change of the cost at convergence: of a thousand residuals, 3e-4 standard deviations
 MAX_EVALUATIONS = 200
-DIFFERENCE_STEP = 1e-4
-"""Step of central differences over the scale of a parameter."""
-UNDETERMINED = 1e-9
-"""Singular values below this share of the largest one count as zero."""
-WEAK = 0.5
-"""A direction is weak if the fit leaves more than this share of its prior standard uncertainty."""
-NAMED_SHARE = 0.3
-"""Parameters with at least this component in a direction are named."""
+DIFFERENCE_STEP = 1e-4  # step of central differences over the scale of a parameter
+UNDETERMINED = 1e-9  # singular values below this share of the largest one count as zero
+WEAK = 0.5  # a direction is weak if the fit leaves more than this share of its prior standard uncertainty
+NAMED_SHARE = 0.3  # parameters with at least this component in a direction are named
 
 
 @dataclass(frozen=True)

@@ -18,14 +18,10 @@ if TYPE_CHECKING:
 
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
-WORTHWHILE = 0.95
-"""A higher order must reduce the leave-one-out residual to this share to be chosen."""
-COEFFICIENT_SCALE = 1e-3
-"""Typical size of a coefficient [m]."""
-SATURATED_LEVERAGE = 1e-9
-"""A reading with less than this share of its own residual left determines the fit alone."""
-FEWEST_CURVES = 3
-"""Curves from which the error between them can be estimated."""
+WORTHWHILE = 0.95  # a higher order must reduce the leave-one-out residual to this share to be chosen
+COEFFICIENT_SCALE = 1e-3  # typical size of a coefficient [m]
+SATURATED_LEVERAGE = 1e-9  # a reading with less than this share of its own residual left determines the fit alone
+FEWEST_CURVES = 3  # curves from which the error between them can be estimated
 GRID_ERROR_RATIO = 0.25
 """Error of a grid over the error of one of twice the pitch: the error of a linear weighting goes by the square."""
 UM = 1e-6

@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from posor_calibration.least_squares import Fit
     from posor_calibration.procedure import Figure, Outcome
 
-MAX_LINES = 15
-"""Lines of a verdict on a terminal of ``WIDTH`` columns, with the names of the written files."""
+MAX_LINES = 15  # lines of a verdict on a terminal of ``WIDTH`` columns, with the names of the written files
 NAMED = 3
 COLOURS = (BLUE, ORANGE, GREEN, LIGHT_BLUE, GREY)
 

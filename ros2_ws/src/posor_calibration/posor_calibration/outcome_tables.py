@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from posor_calibration.procedure import Outcome
 
 WIDTH = 118
-MAX_ROWS = 5
-"""Rows of a table that are printed unless all are asked for."""
+MAX_ROWS = 5  # rows of a table that are printed unless all are asked for
 
 
 def print_table(table: Table, console: Console, *, every: bool = True) -> None:

@@ -23,15 +23,11 @@ if TYPE_CHECKING:
     from posor_calibration.least_squares import WeakDirection
 
 CANDIDATES = 400
-SPAN_FACTOR = 1.5
-"""Candidates are drawn from the span of the recorded poses, widened by this factor."""
-LEAST_SPAN = np.array([1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-2])
-"""Least span of x, y, gap [m], alpha, beta, theta [rad]."""
+SPAN_FACTOR = 1.5  # candidates are drawn from the span of the recorded poses, widened by this factor
+LEAST_SPAN = np.array([1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-2])  # least span of x, y, gap [m], alpha, beta, theta [rad]
 PER_DIRECTION, MAX_PROPOSALS = 2, 6
-REPETITIONS = 10.0
-"""Measurements of a proposed pose."""
-WORTHWHILE = 0.9
-"""A pose is proposed if it leaves less than this share of the present uncertainty."""
+REPETITIONS = 10.0  # measurements of a proposed pose
+WORTHWHILE = 0.9  # a pose is proposed if it leaves less than this share of the present uncertainty
 
 
 def propose_poses(

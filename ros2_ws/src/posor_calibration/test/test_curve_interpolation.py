@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
 RATIOS = np.linspace(-0.8, 0.8, 21)
-AT = np.linspace(-6.35e-3, 6.35e-3, 15)
-"""Positions of fifteen curves over half an inch, as in 1985."""
+AT = np.linspace(-6.35e-3, 6.35e-3, 15)  # positions of fifteen curves over half an inch, as in 1985
 
 
 def curves_of(at: FloatArray) -> FloatArray:

@@ -29,14 +29,11 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 PERIOD_S = 1.0
-MIN_INTERVAL_S = 0.1
-"""Shortest time between two publications."""
-MAX_QUEUED = 4
-"""Queued changes of a status, the present one included; of more, the most severe."""
+MIN_INTERVAL_S = 0.1  # shortest time between two publications
+MAX_QUEUED = 4  # queued changes of a status, the present one included; of more, the most severe
 DELIVERY_S = 0.1
 """Longest wait for the subscribers of the last reports: messages that a process has not sent at its end are lost."""
-LASTING_ERROR_S = 2.0
-"""How long a status must be an error before it is logged."""
+LASTING_ERROR_S = 2.0  # how long a status must be an error before it is logged
 
 
 class Level(Enum):
@@ -52,8 +49,7 @@ SEVERITY = {Level.OK: 0, Level.STALE: 0, Level.WARN: 1, Level.ERROR: 2}
 """Order of the levels; missing data are not a fault."""
 
 Value = str | bool | int | float
-StatusText = tuple[str, "Mapping[str, Value]"]
-"""A message and values that belong to it."""
+StatusText = tuple[str, "Mapping[str, Value]"]  # a message and values that belong to it
 
 
 class StatusReport:

@@ -23,10 +23,8 @@ if TYPE_CHECKING:
     from posor_ros.intra_process import IntraProcessSubscription
     from posor_ros.lifecycle_node import PosorNode
 
-PUBLISHER_GONE_S = 0.2
-"""Time after a second publisher has gone in which its last messages may still arrive [s]."""
-INPUT_STATUS = "input"
-"""Name of the status line."""
+PUBLISHER_GONE_S = 0.2  # time after a second publisher has gone in which its last messages may still arrive [s]
+INPUT_STATUS = "input"  # name of the status line
 MISSING, REPEATED, BACKWARD = "numbers_missing", "scans_repeated", "numbers_backward"
 """Kinds of scans out of order, as the diagnostics count them."""
 

@@ -23,8 +23,7 @@ MARGIN_PERIODS, MAX_MARGIN_NS = 0.6, 300_000
 MAX_WAIT_PERIODS, MAX_WAIT_NS = 4, 5_000_000
 """Longest wait for an idle moment: a number of periods, at most a time [ns]; other threads may wait for the caller."""
 
-_tick_ended = Event()
-"""Set by threads with ticks after each tick; cleared by a thread before it waits for the next."""
+_tick_ended = Event()  # set by threads with ticks after each tick; cleared by a thread before it waits for the next
 _schedules: tuple[TickSchedule, ...] = ()
 _lock = Lock()
 

@@ -38,10 +38,8 @@ if TYPE_CHECKING:
     from posor_ros.lifecycle_node import PosorNode
 
 
-SILENT_PERIODS = 10
-"""Median periods without input that count as silence, unless ``max_silence`` is longer."""
-PERIODS = 5
-"""Number of last measured periods whose median is used, so that neither a pause nor a burst changes it."""
+SILENT_PERIODS = 10  # median periods without input that count as silence, unless ``max_silence`` is longer
+PERIODS = 5  # number of last measured periods whose median is used, so that neither a pause nor a burst changes it
 
 
 class InputWatch:
@@ -88,8 +86,7 @@ DESTROY_TIMEOUT_S = 5.0
 """How long a keep-all publisher waits for acknowledgements when it is destroyed.
 
 Longer than Fast DDS takes by itself to request them, 3 s."""
-ACK_POLL_S = 2e-3
-"""Time between two checks of the acknowledgements."""
+ACK_POLL_S = 2e-3  # time between two checks of the acknowledgements
 PUBLISH_TIMEOUT_S = 60.0
 """How long a full history may block a keep-all publisher. DDS drops a dead subscription sooner."""
 

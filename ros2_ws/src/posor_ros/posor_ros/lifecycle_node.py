@@ -34,8 +34,7 @@ if TYPE_CHECKING:
     from rclpy.subscription import Subscription
     from rclpy.waitable import Waitable
 
-INPUT_CHECK_S = 0.08
-"""Time between two checks of the inputs."""
+INPUT_CHECK_S = 0.08  # time between two checks of the inputs
 GRAPH_CHECK_EVERY = 4
 """Number of these checks after which the node also takes the events of its publishers and subscriptions and counts the
 publishers of its topics. These are calls into ROS, after which the thread waits for the interpreter lock."""

@@ -21,14 +21,11 @@ if TYPE_CHECKING:
 
     from posor_ros.diagnostics import Status, Value
 
-TIMING_STATUS = "timing"
-"""Name of the status line."""
+TIMING_STATUS = "timing"  # name of the status line
 NS_PER_S = 1_000_000_000
 NEVER_NS = 2**63 - 1
-CAPACITY = 1 << 14
-"""Number of times that a ``TimestampLog`` holds."""
-MAX_LATENCY_NS = 10 * NS_PER_S
-"""A stamp further than this from the present belongs to a recording and has no latency."""
+CAPACITY = 1 << 14  # number of times that a ``TimestampLog`` holds
+MAX_LATENCY_NS = 10 * NS_PER_S  # a stamp further than this from the present belongs to a recording and has no latency
 
 
 class TimestampLog:

@@ -24,16 +24,14 @@ if TYPE_CHECKING:
 
     from posor_ros.diagnostics import Status
 
-PROCESS_STATUS = "process"
-"""Name of the status line."""
+PROCESS_STATUS = "process"  # name of the status line
 SWITCH_INTERVAL_S = 1e-4
 """How long one Python thread may hold up another one. Python's default of 5 ms is ten periods at 2 kHz; below this
 value busy threads lose time by switching."""
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _CAP_IPC_LOCK = 14
-_RLIMIT_RTPRIO = 14
-"""Constant of Linux; Python's ``resource`` has it from 3.12 on."""
+_RLIMIT_RTPRIO = 14  # constant of Linux; Python's ``resource`` has it from 3.12 on
 
 
 def apply_realtime_parameters(parameters: RealtimeParameters) -> list[SystemRefusal]:

@@ -12,8 +12,7 @@ from posor.errors import PosorError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-DOMAINS = range(1, 101)
-"""Valid on every platform with the standard port mapping of DDS."""
+DOMAINS = range(1, 101)  # valid on every platform with the standard port mapping of DDS
 FIRST_LEASE_PORT = 32_768
 """Convention of ROS's domain_coordinator: who binds this port plus the domain number owns the domain."""
 

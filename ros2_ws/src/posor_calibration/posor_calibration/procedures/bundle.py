@@ -29,11 +29,9 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
 NAME = "bundle"
-LARGE_CHANGE = 4.0
-"""Change of a parameter, in prior standard uncertainties, that is reported."""
+LARGE_CHANGE = 4.0  # change of a parameter, in prior standard uncertainties, that is reported
 SHOWN_DIRECTIONS = 12
-MOST_OUT_OF_RANGE = 0.1
-"""Share of scans that may leave the calibrated range as the parameters change."""
+MOST_OUT_OF_RANGE = 0.1  # share of scans that may leave the calibrated range as the parameters change
 
 
 class BundleOptions(BundleDataOptions):

@@ -46,8 +46,7 @@ NAME = "diode_axes"
 MIN_DIODES = 2
 SENSOR_NAMES = {"origin": "origins", "x_axis": "x_axes", "y_axis": "y_axes"}
 """Vectors of a diode: key in the file, and name among the sensor's parameters."""
-ACROSS = 0.5
-"""Components of a rotation axis' cross product above this lie across the rotated axis."""
+ACROSS = 0.5  # components of a rotation axis' cross product above this lie across the rotated axis
 
 
 class DiodeAxesOptions(StageOptions):

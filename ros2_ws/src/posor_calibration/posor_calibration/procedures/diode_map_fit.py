@@ -46,10 +46,8 @@ if TYPE_CHECKING:
 
 NAME = "diode_map"
 MIN_DWELLS = 9
-SAME_LINE = 0.25
-"""Dwells closer than this across a line of the grid, over its pitch, lie on the same line."""
-COMPARED_RATIOS = 50
-"""Ratios at which neighbouring curves of a map are compared."""
+SAME_LINE = 0.25  # dwells closer than this across a line of the grid, over its pitch, lie on the same line
+COMPARED_RATIOS = 50  # ratios at which neighbouring curves of a map are compared
 MM = 1e-3
 
 

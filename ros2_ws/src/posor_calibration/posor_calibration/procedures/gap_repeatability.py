@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 NAME = "gap_repeatability"
 DRIFT, HYSTERESIS = "drift", "hysteresis"
 MIN_VISITS = 2
-RECTANGULAR = float(np.sqrt(12.0))
-"""Width of a rectangular distribution over its standard deviation (JCGM 100, 4.3.7)."""
+RECTANGULAR = float(np.sqrt(12.0))  # width of a rectangular distribution over its standard deviation (JCGM 100, 4.3.7)
 
 
 class GapRepeatabilityOptions(GapReferenceOptions):

@@ -38,12 +38,9 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
 NAME = "light_sources"
-SAME_SEAT = 0.02
-"""Turns of the target closer than this [rad] are the same seat."""
-LONGEST_TRAVEL = 2.0
-"""Travel over the width across diodes and light sources."""
-LEAST_MOTION = 20.0
-"""Motion of a spot by ``expected_lean`` over the travel, in its standard uncertainties."""
+SAME_SEAT = 0.02  # turns of the target closer than this [rad] are the same seat
+LONGEST_TRAVEL = 2.0  # travel over the width across diodes and light sources
+LEAST_MOTION = 20.0  # motion of a spot by ``expected_lean`` over the travel, in its standard uncertainties
 
 
 class LightSourcesOptions(StageOptions):

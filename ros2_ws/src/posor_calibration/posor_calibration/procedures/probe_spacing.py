@@ -45,12 +45,9 @@ if TYPE_CHECKING:
 
 NAME = "probe_spacing"
 MIN_DWELLS = 5
-SWAP_IMPROVEMENT = 3.0
-"""Factor by which exchanged angles must reduce the residuals for the axes to be called swapped."""
-WEAK_SHARE = 0.1
-"""A coordinate is not determined if its standard uncertainty exceeds this share of the coordinate."""
-STEP = 1e-6
-"""Of differences in pose [m, rad]."""
+SWAP_IMPROVEMENT = 3.0  # factor by which exchanged angles must reduce the residuals for the axes to be called swapped
+WEAK_SHARE = 0.1  # a coordinate is not determined if its standard uncertainty exceeds this share of the coordinate
+STEP = 1e-6  # of differences in pose [m, rad]
 
 
 class ProbeSpacingOptions(DwellOptions):

@@ -55,8 +55,7 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
 NAME = "ring_profile"
-SCANS_PER_BUMP = 4
-"""Least number of scans for each bump."""
+SCANS_PER_BUMP = 4  # least number of scans for each bump
 COHERENCE = 0.8
 """Least mean of exp(i bumps angle) over the angles by which the reference leads the ring; 1 for a constant lead."""
 UM = 1e-6

@@ -35,8 +35,7 @@ if TYPE_CHECKING:
 
 NAME = "zero_drift"
 MIN_SCANS = 5
-AT_REST = 1e-5
-"""Change of the reference's angles [rad] below which a reading may repeat to the last digit."""
+AT_REST = 1e-5  # change of the reference's angles [rad] below which a reading may repeat to the last digit
 
 
 class ZeroDriftOptions(AttitudeOptions):

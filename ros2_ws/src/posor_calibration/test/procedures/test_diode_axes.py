@@ -25,8 +25,7 @@ TOPIC = "/stage"
 STEP_NS = 20_000_000
 PER_DWELL = 15
 LINES = 6
-DWELLS = LINES**2
-"""Over each diode."""
+DWELLS = LINES**2  # over each diode
 SIGMA = 0.3e-6
 
 

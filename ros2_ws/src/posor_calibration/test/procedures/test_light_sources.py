@@ -21,8 +21,7 @@ STEP_NS = 20_000_000
 SIGMA = 0.3e-6
 FACING, TURN = np.radians(-151.3), np.radians(-120.0)
 """Where a source stands over the middle of the second diode, and the turn that brings it to the first one [rad]."""
-LEAN = 2e-3
-"""Spread of the true leans of the rays [rad]."""
+LEAN = 2e-3  # spread of the true leans of the rays [rad]
 STAGE_LEAN = np.array([1.5e-3, -0.8e-3])
 
 

@@ -28,8 +28,7 @@ RUNOUT = 1e-6
 AMPLITUDE = 1e-6
 RADIUS = 5e-6
 CAMPAIGNS = 8
-ORDERS = (1, 2, 3, 4, 35, 36, 37, 38, 72, 108)
-"""Of the true ring; the calibration has 1, 2, 36, 72, 108."""
+ORDERS = (1, 2, 3, 4, 35, 36, 37, 38, 72, 108)  # of the true ring; the calibration has 1, 2, 36, 72, 108
 OBSERVABLE = ("cos 36", *(f"{phase} {order}" for order in (2, 4, 38, 72, 108) for phase in ("cos", "sin")))
 """Amplitudes that turns without a reference determine."""
 OPTIONS = {"orders": ORDERS, "expected_amplitude": AMPLITUDE}
