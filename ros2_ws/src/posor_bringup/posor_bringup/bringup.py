@@ -63,7 +63,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run_arm(options: Namespace) -> None:
-    """Start the nodes of an arm and wait for Ctrl-C."""
     console = Console(highlight=False, soft_wrap=True, markup=False)
     arm = load_checked_arm(options.arm)
     parameters: dict[str, bool | float] = dict(RECORDING) if options.recording else {}

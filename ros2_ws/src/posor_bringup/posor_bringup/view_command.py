@@ -74,7 +74,6 @@ def _view(arguments: Sequence[str]) -> None:
 
 
 def _follow_arm(arm: ArmFile, geometry: ArmGeometry, options: Namespace, stop: StopSignal) -> None:
-    """Show the running arm until a signal."""
     topics = ArmTopics(arm)
     store = MessageStore(arm.name, topics.types)
     observer = Observer(topics, store, geometry.joints)
@@ -93,7 +92,6 @@ def _follow_arm(arm: ArmFile, geometry: ArmGeometry, options: Namespace, stop: S
 
 
 def _replay_bag(arm: ArmFile, geometry: ArmGeometry, options: Namespace, stop: StopSignal) -> None:
-    """Show a bag until a signal."""
     bag = BagTopics(options.bag, arm)
     observer = Observer(bag.topics, bag.store, geometry.joints)
     with closing(ViewPage(arm.name, geometry, options.port, bag.duration_s)) as page:

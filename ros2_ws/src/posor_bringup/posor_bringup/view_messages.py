@@ -216,13 +216,9 @@ def _no_callback(_data: bytes) -> None:
 
 
 class BagTopics:
-    """The topics of an arm in a bag, ``LEAD_S`` and ``BLOCK_S`` of them in memory.
+    """The ``topics`` of an arm in a bag of ``duration_s`` [s], ``LEAD_S`` and ``BLOCK_S`` of it in memory.
 
-    Attributes:
-        topics: Those of the arm.
-        store: Messages up to the present position.
-        duration_s: Of the bag [s].
-
+    The ``store`` holds the messages up to the present position.
     """
 
     def __init__(self, path: Path, arm: ArmFile) -> None:

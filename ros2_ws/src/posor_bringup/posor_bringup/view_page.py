@@ -105,7 +105,6 @@ class _DrawnLinks:
 
 
 def _place(handle: Any, transform: pin.SE3) -> None:
-    """Set the pose of something in the scene."""
     x, y, z, w = pin.Quaternion(transform.rotation).coeffs()
     handle.position, handle.wxyz = transform.translation, (w, x, y, z)
 
@@ -349,7 +348,6 @@ def _health_row(name: str, health: Health, colour: tuple[int, int, int]) -> str:
 
 
 def _numbers(endpoint: EndpointView | None, drawn: DrawnArm | None) -> str:
-    """Return the rows on the six coordinates of the endpoint."""
     columns = np.full((4, 6), np.nan)
     if drawn is not None:
         columns[1] = 1e6 * drawn.deviation

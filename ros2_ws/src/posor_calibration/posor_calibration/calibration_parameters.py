@@ -56,9 +56,7 @@ def replace_values(values: FloatArray, where: IntArray, new: FloatArray) -> Floa
 class FixedParameters:
     """The numbers of a calibration that a procedure does not fit: fixed, but with their stated uncertainties.
 
-    Attributes:
-        root: Square root of their covariance in the stack's parameter vector, (p, r).
-
+    ``root`` is the square root of their covariance in the stack's parameter vector, (p, r).
     """
 
     def __init__(self, calibration: Calibration, fitted: IntArray, session: str = "") -> None:

@@ -68,7 +68,6 @@ def update_calibration(
 def _list_changes(
     calibration: Calibration, outcome: Outcome, recording: Recording, context: FitContext
 ) -> dict[str, Any]:
-    """Return the new content of the file by key."""
     changes: dict[str, Any] = {"version": VERSION}
     for new in outcome.replacements:
         unit = _find_quantity(calibration, new.key).unit

@@ -88,7 +88,6 @@ def select_polynomial(polynomials: list[GapPolynomial], criterion: Criterion, wh
 
 
 def _predicts_better(candidate: GapPolynomial, polynomial: GapPolynomial) -> bool:
-    """Return whether a candidate predicts left-out dwells significantly better."""
     gain = np.square(polynomial.left_out) - np.square(candidate.left_out)
     return bool(np.mean(gain) > np.std(gain, ddof=1) / np.sqrt(len(gain)))
 

@@ -139,7 +139,6 @@ def render_outcome_page(title: str, verdict: ProcedureVerdict, outcome: Outcome)
 
 
 def _plot(chart: Figure) -> Plot:
-    """Return a chart of a procedure as an interactive plot."""
     from posor.reporting.plot import Plot  # noqa: PLC0415  takes a second to load
 
     plot = Plot(chart.title, chart.x_label, chart.y_label)

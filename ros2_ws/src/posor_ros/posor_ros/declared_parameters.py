@@ -66,12 +66,7 @@ def _ros_type(spec: ParameterSpec) -> Parameter.Type:
 
 
 class DeclaredParameters(Generic[ParametersT]):
-    """The parameters of one node: declared at construction, then kept up to date.
-
-    Attributes:
-        current: The values in force; a new frozen model after each accepted change.
-
-    """
+    """The parameters of one node, in force as ``current``: a new frozen model after each accepted change."""
 
     def __init__(
         self,

@@ -248,7 +248,6 @@ class Diagnostics:
             run_when_idle(work)
 
     def _publish(self) -> None:
-        """Publish the next report of each status; if more are queued, schedule another publication."""
         with self._lock:
             self._scheduled = False
             reports = [(status, *status.next_report()) for status in self._statuses]

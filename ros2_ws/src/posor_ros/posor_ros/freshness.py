@@ -62,12 +62,7 @@ class StampLimits(NamedTuple):
 
 
 class ScanOrder:
-    """Order of scan numbers: counts missing, repeated and backward numbers.
-
-    Attributes:
-        counts: Counts by name, for the diagnostics.
-
-    """
+    """Order of scan numbers: ``counts`` missing, repeated and backward numbers by name, for the diagnostics."""
 
     def __init__(self) -> None:
         self.counts = {MISSING: 0, REPEATED: 0, BACKWARD: 0}
@@ -195,7 +190,6 @@ class InputMonitor:
         return self._several_publishers() or self.stamp_limits.fault(stamp_ns)
 
     def _find_publishers(self) -> None:
-        """Count the publishers of all topics."""
         if self._is_active:
             for each in self._subscriptions:
                 each.find_publishers()

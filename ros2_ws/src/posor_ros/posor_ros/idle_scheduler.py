@@ -31,9 +31,7 @@ _lock = Lock()
 class TickSchedule:
     """The ticks of one thread.
 
-    Attributes:
-        due_ns: When the next tick is due [ns of the system clock]. A tick is running from then until ``end_tick``.
-
+    The next tick is due at ``due_ns`` [ns of the system clock] and runs from then until ``end_tick``.
     """
 
     __slots__ = ("due_ns", "margin_ns", "period_ns")

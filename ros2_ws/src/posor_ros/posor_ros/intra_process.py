@@ -43,12 +43,7 @@ PERIODS = 5  # number of last measured periods whose median is used, so that nei
 
 
 class InputWatch:
-    """Arrivals of one input.
-
-    Attributes:
-        name: Topic or source, for the reports.
-
-    """
+    """Arrivals of one input; its ``name`` for the reports is a topic or a source."""
 
     __slots__ = ("_arrivals", "_arrived_s", "_counted", "_counted_s", "_periods", "name")
 
@@ -305,7 +300,6 @@ class IntraProcessSubscription:
         self._set_publishers(publishers)
 
     def _use_dds(self, *, needed: bool) -> None:
-        """Create the DDS subscription if it is needed, else destroy it."""
         if needed and self._handle is None:
             self._dead = 0
             self._dds_subscription = self._node.create_subscription(
@@ -319,7 +313,6 @@ class IntraProcessSubscription:
             self._node.destroy_subscription(self._dds_subscription)
 
     def _on_message(self, data: bytes) -> None:
-        """Handle a message of another process."""
         if self._handle is not None:
             self._count_matched()
             self.watch.record(time.monotonic())

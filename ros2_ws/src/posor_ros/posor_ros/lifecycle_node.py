@@ -379,7 +379,6 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         super().on_deactivate(state)
 
     def _run_steps(self, goal: str, *steps: Callable[[], object]) -> TransitionCallbackReturn:
-        """Run the steps of a transition and report the state reached, or the refusal."""
         try:
             for step in steps:
                 step()

@@ -32,11 +32,8 @@ class TimestampLog:
     """Ring buffer of reference times, such as stamps, each with the time of its recording [ns].
 
     One thread records, another drains. Nothing is allocated or locked: a pair counts once both times are written. If
-    more than ``CAPACITY`` pairs are recorded between two drains, the last ones are kept.
-
-    Attributes:
-        now_ns: The clock; may be replaced.
-
+    more than ``CAPACITY`` pairs are recorded between two drains, the last ones are kept. ``now_ns`` is the clock; it
+    may be replaced.
     """
 
     __slots__ = ("_arrays", "_drained", "_recorded", "_recording_times", "_reference_times", "now_ns")

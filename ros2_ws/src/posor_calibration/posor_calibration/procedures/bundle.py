@@ -158,7 +158,6 @@ def _find_weak(scaled_jacobian: FloatArray, names: Sequence[str]) -> tuple[tuple
 
 
 def _tabulate_remaining(found: Fit, problem: BundleProblem) -> Table:
-    """Return how much of the prior uncertainty of each parameter remains."""
     sigmas, scales = found.sigmas, problem.scales
     changes = (found.values - problem.start) / scales
     rows = tuple(
@@ -176,7 +175,6 @@ def _tabulate_weak(weak: tuple[WeakDirection, ...]) -> Table:
 
 
 def _describe(solved: SolvedBundle, readings: tuple[str, ...], unseen: tuple[str, ...]) -> list[str]:
-    """Return the warnings of a bundle fit."""
     found, problem, data = solved.fit, solved.problem, solved.data
     sentences = []
     unfitted = solved.uncertain - len(solved.free)

@@ -160,7 +160,6 @@ def _quantity(value: FloatArray, unit: str, sigma: FloatArray | None = None) -> 
 
 
 def _make_surface(grid: _Grid) -> MapKind:
-    """Return design and file content of a smooth surface."""
     scaled = (grid.ratios - grid.domain.mean(axis=1)) / (0.5 * np.ptp(grid.domain, axis=1))
 
     def content(order: int, fits: list[Fit]) -> dict[str, Any]:

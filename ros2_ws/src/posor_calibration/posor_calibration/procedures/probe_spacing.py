@@ -198,7 +198,6 @@ class _Problem:
             )
 
     def _fit_swapped(self) -> Fit:
-        """Return the fit with X and Y of the reference exchanged."""
         order = [1, 0, 2, 4, 3, 5, 6]
         reference, sigmas = self.means.reference[:, order], self.means.reference_sigmas[:, order]
         return replace(self, means=replace(self.means, reference=reference, reference_sigmas=sigmas)).fit("linear")

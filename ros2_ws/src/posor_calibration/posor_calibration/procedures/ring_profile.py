@@ -257,8 +257,6 @@ def _describe_unobservable(
 
 
 def _ring_entry(found: Fit, part: BumpyRingCalibration, orders: list[int]) -> dict[str, object]:
-    """Return the ring as the calibration file has it."""
-
     def quantity(*names: str) -> dict[str, object]:
         return {"value": [found.value(n) for n in names], "sigma": [found.sigma(n) for n in names], "unit": "m"}
 

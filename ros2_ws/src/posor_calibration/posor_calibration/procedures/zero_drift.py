@@ -125,7 +125,6 @@ def find_zero_drift(recording: Recording, calibration: Calibration, options: Zer
 
 
 def _tabulate_errors(found: AttitudeFit) -> Table:
-    """Return standard deviation and maximum of the angles' errors, before and after the fit."""
     compared = np.isfinite(found.after).all(axis=1)
     both = (found.before[compared], found.after[compared])
     figures = [deviation_from_first(errors) for errors in both]
