@@ -54,9 +54,6 @@ class AttitudeOptions(Options):
     trust_sigmas: TrustSigmasOption = True
 
 
-# The reference.
-
-
 @dataclass(frozen=True)
 class ReferenceAttitude:
     """Alpha, beta, theta of the target by a reference whose axes are parallel to those of R."""
@@ -107,9 +104,6 @@ def read_reference_attitude(
         angles[known, 2] = np.unwrap(angles[known, 2])
     # A small rotation changes the components of a quaternion by half its angle.
     return ReferenceAttitude(angles, np.full(3, 2.0 * np.sqrt(np.mean(np.square(track.sigmas[3:])))))
-
-
-# The fit.
 
 
 @dataclass(frozen=True)

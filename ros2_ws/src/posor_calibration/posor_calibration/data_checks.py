@@ -60,9 +60,6 @@ def check_count(count: int, least: int, what: str, where: str) -> None:
         raise FitError(f"{count} {what}", where=where, expected=f"at least {least}")
 
 
-# Stuck channels.
-
-
 def channel_name(kind: str, channel: int) -> str:
     """Return the name of a channel of a scan: ``gap voltage 2``, ``current C of diode 1``."""
     if kind == "diode_currents":
@@ -171,9 +168,6 @@ def _converter_step(readings: FloatArray, rounding: float) -> float:
             rest = math.fmod(step, remainder)
             step, remainder = remainder, min(rest, remainder - rest)
     return step if step > SMALLEST_STEP * largest else 0.0
-
-
-# References.
 
 
 def check_unit(measured: FloatArray, reference: FloatArray, source: str, unit: str) -> None:

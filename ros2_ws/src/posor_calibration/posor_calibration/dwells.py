@@ -196,9 +196,6 @@ def _deviations(readings: FloatArray) -> FloatArray:
     return np.asarray(above_least - _finite_mean(above_least))
 
 
-# Outliers within a dwell.
-
-
 def mask_outliers(
     parts: Sequence[Scans], motion: FloatArray, kinds: Sequence[str], source: str
 ) -> tuple[list[Scans], tuple[str, ...]]:
@@ -261,9 +258,6 @@ def _describe_outliers(bad: BoolArray, numbers: FloatArray, channel: str, source
     return (
         f"{source}: left out {count} of {len(bad)} readings of {channel} that disagree with their dwell (scan {named})."
     )
-
-
-# The dwells of a recording.
 
 
 class DwellOptions(Options):

@@ -306,9 +306,6 @@ def _evaluate_loss(squares: FloatArray, loss: Loss) -> FloatArray:
     return np.vstack([np.where(large, 2.0 * roots - 1.0, squares), 1.0 / roots, np.where(large, -0.5 / roots**3, 0.0)])
 
 
-# Combinations of parameters that the data determine weakly.
-
-
 @dataclass(frozen=True)
 class WeakDirection:
     """A combination of parameters that the data determine weakly."""

@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from posor.calibration.designs import DesignName
 
 
-# Entries of the file.
-
-
 @pytest.mark.parametrize("name", STACKS)
 def test_every_parameter_is_found_in_the_file(name: DesignName) -> None:
     calibration = design(name)
@@ -47,9 +44,6 @@ def test_entries_that_a_session_replaces_are_found_there(rig_calibrations: dict[
     assert "sensors[0].probes[0].zero_shift" not in keys
     with pytest.raises(CalibrationError, match="session 'none' is unknown"):
         parameter_entries(calibration, "none")
-
-
-# Free parameters.
 
 
 def test_directions_keep_their_length_and_their_derivatives_are_right(rng: np.random.Generator) -> None:

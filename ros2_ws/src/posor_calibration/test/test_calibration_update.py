@@ -98,9 +98,6 @@ def test_an_invalid_outcome_is_refused(replacement: Replacement, words: str, rig
     assert str(caught.value).endswith(words)
 
 
-# Fit records of a file.
-
-
 def record() -> dict[str, Any]:
     return {
         "procedure": "bench",
@@ -163,9 +160,6 @@ def test_a_file_of_version_1_keeps_its_hash_and_has_no_fits(tmp_path: Path, rig_
     path.write_text(yaml.safe_dump({**content, "fits": [record()]}, sort_keys=False), encoding="utf-8")
     with pytest.raises(CalibrationError, match=r"key fits: fits in a file of version 1; expected version 2\.$"):
         load_calibration(path)
-
-
-# Records of several fits.
 
 
 SECOND_SHIFT, TILT = "sensors[0].probes[1].zero_shift", "sensors[0].target_plane.tilt"

@@ -39,9 +39,6 @@ def test_too_few_dwells_are_refused() -> None:
     assert refusal(lambda: check_count(5, 6, "dwells", "bag"), FitError) == "bag: 5 dwells; expected at least 6."
 
 
-# Channels.
-
-
 def test_channels_have_names() -> None:
     assert channel_name("gap_voltages", 1) == "gap voltage 2"
     assert channel_name("diode_currents", 6) == "current C of diode 2"
@@ -127,9 +124,6 @@ def test_a_converter_that_repeats_where_the_motion_reverses_is_not_stuck(rng: np
 def test_slow_motion_through_a_converter_is_not_stuck() -> None:
     moved = np.linspace(0.0, 1e-3, 9000)[:, None]
     check_channels_move(("gap_1",), converted(1000.0 * moved), np.zeros((9000, 1)), moved, "bag")
-
-
-# References.
 
 
 @pytest.mark.parametrize(

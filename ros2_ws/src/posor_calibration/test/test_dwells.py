@@ -69,9 +69,6 @@ def test_dwells_need_every_quantity_of_the_reference() -> None:
         find_dwells(track(np.array([[0.0, 1.0], [np.nan, 1.0]]), 100), 0.1, 100)
 
 
-# Means.
-
-
 def scans_of(volts: FloatArray, stamps: list[int] | None = None, lit: list[list[int]] | None = None) -> Scans:
     times = np.arange(1, len(volts) + 1) * 20_000_000 if stamps is None else np.array(stamps)
     scans = empty_scans(times.astype(np.int64)).with_fields({"gap_voltages": volts})
@@ -148,9 +145,6 @@ def test_reference_that_never_rests_is_refused() -> None:
     sentence = r"^bag, topic /reference: never stands still within 0\.1 for 0\.2 s; expected dwells"
     with pytest.raises(TrackError, match=sentence):
         average_recording(recording, moving, DwellOptions(still=0.1))
-
-
-# Outliers.
 
 
 def noise(count: int, rng: np.random.Generator) -> FloatArray:

@@ -24,9 +24,6 @@ if TYPE_CHECKING:
 PROBES = "sensors[0].probes[*].*"
 
 
-# Recovered parameters.
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("name", STACKS)
 @pytest.mark.parametrize("with_reference", [True, False])
@@ -184,9 +181,6 @@ def test_new_poses_are_proposed() -> None:
     for row in advice.rows:
         assert float(row[-1]) < 0.9 * float(row[-2])
         assert abs(float(row[3]) - 0.735e-3) > 20e-6 or max(abs(float(row[4])), abs(float(row[5]))) > 3e-4
-
-
-# Unusable data.
 
 
 def test_scans_of_another_posor_are_refused() -> None:

@@ -48,9 +48,6 @@ def coefficients(outcome: Outcome, probe: int) -> tuple[FloatArray, FloatArray]:
     return np.array(new.value), np.array(new.sigma)
 
 
-# Simulated truth.
-
-
 def test_polynomials_are_recovered_and_keep_the_zero() -> None:
     outcome = simulate().identify(order=4)
     for probe in range(3):
@@ -99,9 +96,6 @@ def test_the_curve_of_the_selected_order_is_as_good_as_stated() -> None:
     assert orders.count(4) > 0.85 * len(orders)
 
 
-# Tables and replaced quantities.
-
-
 @pytest.mark.parametrize(("criterion", "orders"), [("cross_validation", {4}), ("aicc", {4, 5, 6})])
 def test_table_shows_residuals_against_order(criterion: str, orders: set[int]) -> None:
     outcome = simulate().identify(criterion=criterion)
@@ -141,9 +135,6 @@ def test_noise_and_range_come_from_the_dwells() -> None:
     assert not any(new.key.endswith("noise") for new in simulate().identify(update_noise=False).replacements)
 
 
-# Use of the reference.
-
-
 def test_the_zero_of_the_reference_is_used_when_asked_for() -> None:
     outcome = simulate().with_values(lambda values: values + 1e-4).identify(zero="reference", order=4)
     found, sigmas = coefficients(outcome, 1)
@@ -175,9 +166,6 @@ def test_a_probe_without_a_calibration_follows_the_reference() -> None:
     np.testing.assert_allclose(found[1], 3.0 * TRUE[1], rtol=1e-2)
 
 
-# Bad data.
-
-
 @pytest.mark.long
 def test_five_percent_of_outliers_are_named_and_survived() -> None:
     clean = simulate(sigma=0.0, scans_each=20).identify(order=4)
@@ -207,9 +195,6 @@ def test_saturated_scans_are_not_used() -> None:
     statuses[::3] = SATURATED
     found, sigmas = coefficients(case.with_recording(statuses=statuses).identify(order=4), 0)
     assert np.all(np.abs(found - TRUE)[1:] < 4.0 * sigmas[1:])
-
-
-# The probes of 1985.
 
 
 def read_table(name: str) -> list[list[str]]:
