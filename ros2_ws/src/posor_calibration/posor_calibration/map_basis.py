@@ -130,10 +130,10 @@ def doubled_grid_errors(curves: FloatArray, at: FloatArray, ratios: FloatArray) 
     """Return the errors that the weighting would have on a grid of twice the pitch [m], (n - 2, r).
 
     Each inner curve is left out and weighted from its two neighbours; the error is the weighted less the actual
-    position, as in thesis 8.3.3. It contains the noise of the three fits. ``curves`` are the coefficients of each curve,
-    from the constant to the highest power [m], (n, order + 1); ``at`` the ascending positions of the curves across [m],
-    (n,); ``ratios`` (r,) those at which the curves are compared. Raises FitError: there are fewer than three curves, or
-    their positions do not ascend.
+    position, as in thesis 8.3.3. It contains the noise of the three fits. ``curves`` are the coefficients of each
+    curve, from the constant to the highest power [m], (n, order + 1); ``at`` the ascending positions of the curves
+    across [m], (n,); ``ratios`` (r,) those at which the curves are compared. Raises FitError: there are fewer than
+    three curves, or their positions do not ascend.
     """
     if len(curves) < FEWEST_CURVES or len(at) != len(curves):
         what = f"{len(curves)} curves at {len(at)} positions"
