@@ -22,9 +22,17 @@ from pydantic import Field
 
 from posor_calibration.calibration_parameters import FixedParameters, replace_values
 from posor_calibration.data_checks import READING_KINDS, check_axis, check_channels_vary, check_clock, check_unit
-from posor_calibration.fit_report import check_spread, describe_fit, enlarge_if_improbable
+from posor_calibration.fit_report import check_spread, describe_fit, enlarge_if_improbable, table_row
 from posor_calibration.least_squares import Fit, fit_parameters
-from posor_calibration.procedure import Figure, LongestGapOption, LossOption, Options, SessionOption, TrustSigmasOption
+from posor_calibration.procedure import (
+    Figure,
+    LongestGapOption,
+    LossOption,
+    Options,
+    SessionOption,
+    Table,
+    TrustSigmasOption,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -52,6 +60,11 @@ class AttitudeOptions(Options):
     longest_gap: LongestGapOption = 0.5
     loss: LossOption = "linear"
     trust_sigmas: TrustSigmasOption = True
+
+    def read_reference(self, recording: Recording, twist_sigma: float) -> ReferenceAttitude:
+        """Return the reference attitude at the times of the scans; see ``read_reference_attitude``."""
+        how = {"lever": self.lever, "twist_sigma": twist_sigma, "longest_gap_s": self.longest_gap}
+        return read_reference_attitude(recording, self.reference, **how)
 
 
 @dataclass(frozen=True)
@@ -134,7 +147,7 @@ class AttitudeFit:
         return describe_fit(self.fit, self.scales, count, self.readings)
 
     def error_figures(
-        self, x: FloatArray, x_label: str, angles: Sequence[str], title: str = "error of {}"
+        self, x: FloatArray, x_label: str, angles: Sequence[str] = ANGLES, title: str = "error of {}"
     ) -> tuple[Figure, ...]:
         """Return charts of the angles' errors before and after the fit over a quantity x, (n,)."""
         return tuple(
@@ -148,6 +161,19 @@ class AttitudeFit:
                 },
             )
             for angle in angles
+        )
+
+    def error_table(self) -> Table:
+        """Return standard deviation and maximum of the angles' errors, before and after the fit."""
+        compared = np.isfinite(self.after).all(axis=1)
+        both = (self.before[compared], self.after[compared])
+        figures = [deviation_from_first(errors) for errors in both]
+        figures += [np.max(np.abs(errors), axis=0, initial=0.0) for errors in both]
+        return Table(
+            "error of the angles, POSOR less reference, referred to the first scan",
+            ("angle", "sd before", "sd after", "largest before", "largest after"),
+            ("", *("urad",) * 4),
+            tuple(table_row(angle, np.array(figures)[:, i] / URAD) for i, angle in enumerate(ANGLES)),
         )
 
 

@@ -50,6 +50,11 @@ def correlation_table(fit: Fit, count: int) -> Table:
     return Table("correlations", ("", *fit.names[:count]), ("",) * (count + 1), rows)
 
 
+def result_tables(title: str, fit: Fit, before: FloatArray, count: int) -> tuple[Table, Table]:
+    """Return the first ``count`` parameters of a fit with their values before the fit, (count,), and correlations."""
+    return parameter_table(title, fit, before, count), correlation_table(fit, count)
+
+
 def enlarge_if_improbable(fit: Fit) -> Fit:
     """Return a fit without prior, its uncertainty enlarged if the residuals exceed the stated uncertainties."""
     if fit.probability >= IMPROBABLE:

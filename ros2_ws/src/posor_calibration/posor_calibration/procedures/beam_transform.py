@@ -24,7 +24,7 @@ from posor.model.scan import PROBES_ESTIMATED, SATURATED
 from pydantic import Field
 
 from posor_calibration.data_checks import check_axis, check_count, check_unit
-from posor_calibration.fit_report import check_spread, correlation_table, describe_fit, parameter_table
+from posor_calibration.fit_report import check_spread, describe_fit, result_tables
 from posor_calibration.least_squares import fit_parameters
 from posor_calibration.procedure import LongestGapOption, LossOption, Options, Outcome, Procedure, SessionOption, Table
 
@@ -164,8 +164,7 @@ def find_beam_transform(recording: Recording, calibration: Calibration, options:
         fits={NAME: found},
         tables=(
             _tabulate_transforms(chain, found),
-            parameter_table("corrections, in the axes of each transform's end", found, np.zeros(18), 18),
-            correlation_table(found, 18),
+            *result_tables("corrections, in the axes of each transform's end", found, np.zeros(18), 18),
         ),
         warnings=describe_fit(found, scales, 0, chain.names),
     )

@@ -27,13 +27,7 @@ from posor_calibration.diode_spots import (
     find_dwell_spots,
     vector_parameters,
 )
-from posor_calibration.fit_report import (
-    check_spread,
-    correlation_table,
-    describe_fit,
-    enlarge_if_improbable,
-    parameter_table,
-)
+from posor_calibration.fit_report import check_spread, describe_fit, enlarge_if_improbable, result_tables
 from posor_calibration.least_squares import Fit, fit_parameters
 from posor_calibration.procedure import Outcome, Procedure, Replacement, Table
 
@@ -162,11 +156,7 @@ def find_diode_axes(recording: Recording, calibration: Calibration, options: Dio
         fits={NAME: found},
         replacements=tuple(_replacements(found, model, part, sensor, numbers)),
         covariances=(fixed.joint_covariance(entries, found, basis),),
-        tables=(
-            _tabulate_offsets(found, model, part),
-            parameter_table("diodes and stage", found, model.start, count),
-            correlation_table(found, count),
-        ),
+        tables=(_tabulate_offsets(found, model, part), *result_tables("diodes and stage", found, model.start, count)),
         warnings=spots.means.warnings + describe_fit(found, model.scales, count, spots.names()),
     )
 

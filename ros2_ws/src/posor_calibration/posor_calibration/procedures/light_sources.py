@@ -22,13 +22,7 @@ from pydantic import Field
 
 from posor_calibration.calibration_parameters import FixedParameters, parameter_indices
 from posor_calibration.diode_spots import DwellSpots, SingleDiode, StageOptions, find_dwell_spots, vector_parameters
-from posor_calibration.fit_report import (
-    check_spread,
-    correlation_table,
-    describe_fit,
-    enlarge_if_improbable,
-    parameter_table,
-)
+from posor_calibration.fit_report import check_spread, describe_fit, enlarge_if_improbable, result_tables
 from posor_calibration.least_squares import fit_parameters
 from posor_calibration.procedure import Outcome, Procedure, Replacement
 
@@ -172,10 +166,7 @@ def find_light_sources(recording: Recording, calibration: Calibration, options: 
             for i, (key, source) in enumerate(zip(keys, model.sources, strict=True))
         ),
         covariances=(fixed.joint_covariance(tuple(f"{key}[{i}]" for key in keys for i in range(2)), found),),
-        tables=(
-            parameter_table("leans, of rays against the former ones", found, np.zeros(shown), shown),
-            correlation_table(found, shown),
-        ),
+        tables=result_tables("leans, of rays against the former ones", found, np.zeros(shown), shown),
         warnings=spots.means.warnings + describe_fit(found, model.scales, model.count, readings),
     )
 

@@ -27,11 +27,10 @@ from posor_calibration.data_checks import PLAUSIBLE_RATIO, check_channels_move, 
 from posor_calibration.dwells import DwellMeans, DwellOptions, average_recording
 from posor_calibration.fit_report import (
     IMPROBABLE,
-    correlation_table,
     describe_enlargement,
     describe_rejected,
     enlarge_if_improbable,
-    parameter_table,
+    result_tables,
 )
 from posor_calibration.gap_probe_data import AXES, SingleProbe, list_probes
 from posor_calibration.least_squares import Fit, Loss, fit_parameters
@@ -94,10 +93,7 @@ def find_probe_spacing(recording: Recording, calibration: Calibration, options: 
         fits={NAME: found},
         replacements=problem.replacements(values, sigmas),
         covariances=(JointCovariance(joint.entries, matrix),),
-        tables=(
-            parameter_table("positions of the probes", found, problem.before, count),
-            correlation_table(found, count),
-        ),
+        tables=result_tables("positions of the probes", found, problem.before, count),
         warnings=warnings,
         figures=(
             Figure(

@@ -17,13 +17,7 @@ from posor.model.scan import PROBES_ESTIMATED, SATURATED
 from posor.sensors.gap_probes import GapProbesCalibration
 from pydantic import Field
 
-from posor_calibration.attitude_fit import (
-    AttitudeOptions,
-    AttitudeParameter,
-    ReferenceAttitude,
-    fit_attitude,
-    read_reference_attitude,
-)
+from posor_calibration.attitude_fit import AttitudeOptions, AttitudeParameter, ReferenceAttitude, fit_attitude
 from posor_calibration.calibration_parameters import parameter_indices
 from posor_calibration.data_checks import check_count
 from posor_calibration.fit_report import correlation_table, parameter_table
@@ -58,13 +52,7 @@ def find_target_plane(recording: Recording, calibration: Calibration, options: T
     where = parameter_indices(applied, sensor, ["plane_tilt[0]", "plane_tilt[1]"])
     has_reference = bool(options.reference or options.lever)
     if has_reference:
-        reference = read_reference_attitude(
-            recording,
-            options.reference,
-            lever=options.lever,
-            twist_sigma=options.wobble_sigma,
-            longest_gap_s=options.longest_gap,
-        )
+        reference = options.read_reference(recording, options.wobble_sigma)
     else:
         sigmas = np.array([options.wobble_sigma] * 2 + [np.inf])
         reference = ReferenceAttitude(np.zeros((len(recording.scans), 3)), sigmas)

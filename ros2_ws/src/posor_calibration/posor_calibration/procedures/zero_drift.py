@@ -14,20 +14,11 @@ from posor.calibration.calibration_file import find_sensor
 from posor.sensors.gap_probes import GapProbesCalibration
 from pydantic import Field
 
-from posor_calibration.attitude_fit import (
-    ANGLES,
-    URAD,
-    AttitudeFit,
-    AttitudeOptions,
-    AttitudeParameter,
-    deviation_from_first,
-    fit_attitude,
-    read_reference_attitude,
-)
+from posor_calibration.attitude_fit import AttitudeOptions, AttitudeParameter, fit_attitude
 from posor_calibration.calibration_parameters import parameter_indices
 from posor_calibration.data_checks import check_channels_move, check_count
-from posor_calibration.fit_report import correlation_table, parameter_table, table_row
-from posor_calibration.procedure import Outcome, Procedure, Replacement, Table
+from posor_calibration.fit_report import result_tables
+from posor_calibration.procedure import Outcome, Procedure, Replacement
 
 if TYPE_CHECKING:
     from posor.bags.recording import Recording
@@ -63,13 +54,7 @@ def find_zero_drift(recording: Recording, calibration: Calibration, options: Zer
     applied = calibration.for_session(options.session)
     sensor, part = find_sensor(applied, GapProbesCalibration, NAME)
     count = len(part.probes)
-    reference = read_reference_attitude(
-        recording,
-        options.reference,
-        lever=options.lever,
-        twist_sigma=options.twist_sigma,
-        longest_gap_s=options.longest_gap,
-    )
+    reference = options.read_reference(recording, options.twist_sigma)
     volts = recording.scans.gap_voltages
     whole = np.isfinite(volts).all(axis=1) & np.isfinite(reference.angles).all(axis=1)
     check_count(int(whole.sum()), MIN_SCANS, "scans while the reference was recorded", NAME)
@@ -114,26 +99,9 @@ def find_zero_drift(recording: Recording, calibration: Calibration, options: Zer
         fits={NAME: fit},
         replacements=replacements,
         covariances=(found.fixed.joint_covariance(entries, fit),),
-        tables=(
-            parameter_table("zero shifts", fit, before, count),
-            correlation_table(fit, count),
-            _tabulate_errors(found),
-        ),
+        tables=(*result_tables("zero shifts", fit, before, count), found.error_table()),
         warnings=(*([warning] if unused else []), *found.describe(count)),
-        figures=found.error_figures(seconds, "time [s]", ANGLES),
-    )
-
-
-def _tabulate_errors(found: AttitudeFit) -> Table:
-    compared = np.isfinite(found.after).all(axis=1)
-    both = (found.before[compared], found.after[compared])
-    figures = [deviation_from_first(errors) for errors in both]
-    figures += [np.max(np.abs(errors), axis=0, initial=0.0) for errors in both]
-    return Table(
-        "error of the angles, POSOR less reference, referred to the first scan",
-        ("angle", "sd before", "sd after", "largest before", "largest after"),
-        ("", *("urad",) * 4),
-        tuple(table_row(angle, np.array(figures)[:, i] / URAD) for i, angle in enumerate(ANGLES)),
+        figures=found.error_figures(seconds, "time [s]"),
     )
 
 
