@@ -12,20 +12,14 @@ if TYPE_CHECKING:
     from posor.node_parameters import NodeParameters
 
 LEASE_S = 1.0  # time after which the publishers of a process that was killed count as dead, where a deadline is set
-
 STATE_DEADLINE_S = 0.3
 """Shortest deadline that the endpoint's state offers: silence is found after 0.2 to 0.28 s, and then named."""
-
 RELIABLE_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 """Default of publishers, and of subscriptions to other than sensor topics."""
-
 SENSOR_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)  # for subscriptions to sensor topics
-
 KEEP_ALL_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL, depth=0, reliability=ReliabilityPolicy.RELIABLE)
 """For all topics of nodes with ``lossless``."""
-
 TF_QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)  # for /tf, as the broadcasters of tf2
-
 LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """For constant messages that late subscribers need: /tf_static, the robot description."""
 
