@@ -10,7 +10,13 @@ from posor.calibration.calibration_file import load_calibration
 from posor.uncertainty.interferometer import ZERO, AirQuantities, Input, Interferometer, correct_reading
 from posor_bringup.installed import calibration_path
 from posor_calibration.map_basis import doubled_grid_errors
-from posor_design.machine_metrology import abbe_error, alignment, probe_zero, straightness_runs, thermal_growth
+from posor_design.machine_metrology import (
+    abbe_error,
+    alignment,
+    probe_zero,
+    straightness_runs,
+    thermal_growth,
+)
 from posor_design.sensor_noise import angle_resolution, converter_resolution
 from scipy.constants import arcsec, inch
 
