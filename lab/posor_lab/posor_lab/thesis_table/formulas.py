@@ -12,7 +12,7 @@ from posor.calibration.calibration_file import load_calibration
 from posor.uncertainty.air_index import ICE_POINT
 from posor.uncertainty.interferometer import ZERO, AirQuantities, Input, Interferometer, correct_reading
 from posor_bringup.installed import calibration_path
-from posor_calibration.curve_interpolation import doubled_grid_errors
+from posor_calibration.map_basis import doubled_grid_errors
 from posor_design.contact import hertz_contact
 from posor_design.interferometry import air_effects
 from scipy.constants import inch
