@@ -23,7 +23,7 @@ from posor.model.scan import Scans
 from posor.numerics.stamps import tick_stamp_ns
 from posor.ros_names import ENDPOINT_TOPIC, POSE_STAMPED, RAW_SCAN, RAW_TOPIC
 from posor_bringup.arms import load_checked_arm
-from posor_drivers.simulated_messages import SimulatedMessages
+from posor_drivers.message_builder import SimulatedMessages
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.sources.source import SourceMessage, Topic
 from posor_msgs.msg import RawScan

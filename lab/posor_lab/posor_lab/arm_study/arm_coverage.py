@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 ARMS = 1000
 POSES = 6
 BATCH = 25  # arms per task of a worker
-IN_THE_BUDGET = Imperfections(zero_drift=False, supply_drift=False, contamination=False, dropouts=False, latency=False)
+IN_THE_BUDGET = Imperfections.only("noise", "quantisation", "calibration_errors", "beam_errors", "sag")
 """What the published covariance accounts for: noise, quantisation, calibration, beams and their sag."""
 FALSE_ALARM = 1e-9  # of the chi-square test, so that noise is not taken for a fault: that would trim the errors
 
@@ -152,9 +152,7 @@ class ArmSampler:
         errors, without_sag = np.full((2, arms, poses, 6), np.nan)
         for n, seed in enumerate(seeds):
             scenario = self._scenario.model_copy(update={"seed": seed})
-            truth = true_cycle(
-                scenario, self.chain, self._nominal, self._commanded, beam_errors=True, sag=IN_THE_BUDGET.sag
-            )
+            truth = true_cycle(scenario, self.chain, self._nominal, self._commanded, IN_THE_BUDGET)
             found = {joint: self._estimate_joint(joint, scenario, seen) for joint, seen in truth.T_parent_child.items()}
             known = np.all([estimates.states != State.LOST for estimates in found.values()], axis=0)
             if not known.any():

@@ -9,7 +9,7 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Vector3Sta
 from posor.model.fault import Fault, State
 from posor.numerics.stamps import NS, tick_stamp_ns
 from posor.ros_names import ENDPOINT_COVARIANCE_TOPIC, TRANSFORM_TOPIC
-from posor_drivers.simulated_messages import SimulatedTopics
+from posor_drivers.message_builder import SimulatedTopics
 from posor_msgs.msg import JointTransform
 from posor_ros.lifecycle_node import LISTENERS_STATUS as LISTENERS
 from posor_ros.message_conversion import is_usable, pose_from_message

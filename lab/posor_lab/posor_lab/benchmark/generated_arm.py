@@ -21,7 +21,7 @@ from posor.messages.message_definitions import MessageTypes, installed_schema
 from posor.node_parameters import NodeParameters
 from posor.ros_names import RAW_SCAN, RAW_TOPIC
 from posor_bringup.arms import load_checked_arm
-from posor_drivers.simulated_messages import SimulatedMessages
+from posor_drivers.message_builder import SimulatedMessages
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_ros.qos import sensor_publisher_qos

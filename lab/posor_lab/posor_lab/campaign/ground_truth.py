@@ -11,7 +11,7 @@ from posor.calibration.edit import parse_key_path
 from posor.calibration.parameter_covariance import parameter_entries
 from posor.estimation.posor import Posor
 from posor_calibration.calibration_parameters import FreeParameters
-from posor_drivers.simulator.random_stream import RandomStream
+from posor_drivers.simulator.imperfections import RandomStream
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -17,7 +17,7 @@ from posor.model.native_coordinates import native_from_rotation
 from posor.numerics.stamps import NS, first_tick_after, tick_stamp_ns
 from posor.ros_names import RAW_TOPIC
 from posor_bringup.arm_programs import arm_programs
-from posor_drivers.simulated_messages import SimulatedMessages
+from posor_drivers.message_builder import SimulatedMessages
 from posor_msgs.msg import JointTransform, RawScan
 from posor_ros.message_conversion import pose_message, stamp_ns
 from rclpy.duration import Duration

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from posor.estimation.estimate import Estimates
     from posor.numerics.array_types import BoolArray, FloatArray
     from posor_drivers.simulator.arm_simulation import ArmSimulation
-    from posor_drivers.simulator.arm_truth import ArmTruth
+    from posor_drivers.simulator.pose_array import ArmTruth
 
     from posor_lab.reports.arrival_receiver import Arrival, ArrivalReceiver
 

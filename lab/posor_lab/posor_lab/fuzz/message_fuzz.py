@@ -28,7 +28,7 @@ from posor.model.fault import USABLE_STATES
 from posor.ros_names import JOINT_TRANSFORM, RAW_SCAN
 from posor.uncertainty.protection_level import endpoint_protection_level
 from posor.uncertainty.reliability import joint_reliability
-from posor_drivers.simulated_messages import SimulatedMessages
+from posor_drivers.message_builder import SimulatedMessages
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_drivers.simulator.pose_array import PoseArray

@@ -37,20 +37,14 @@ ItemT = TypeVar("ItemT", bound=SourceMessage | Pause)
 
 @dataclass
 class ScanGroup:
-    """Scans (posor_msgs/RawScan) that become one, in the order of exposure.
-
-    Attributes:
-        lit: Scans to average; without background subtraction these are all scans, lit or dark.
-        earlier_dark: Dark scans directly before the first lit scan that also belong to the group before.
-        dark: Dark scans before, between and directly after the lit scans.
-        trailing: Number of dark scans after the last lit scan.
-
-    """
+    """Scans (posor_msgs/RawScan) that become one, in the order of exposure."""
 
     lit: list[Any] = field(default_factory=list)
+    """Scans to average; without background subtraction these are all scans, lit or dark."""
     earlier_dark: list[Any] = field(default_factory=list)
-    dark: list[Any] = field(default_factory=list)
-    trailing: int = 0
+    """Dark scans directly before the first lit scan that also belong to the group before."""
+    dark: list[Any] = field(default_factory=list)  # dark scans before, between and directly after the lit scans
+    trailing: int = 0  # number of dark scans after the last lit scan
 
     @property
     def status(self) -> int:
@@ -178,11 +172,8 @@ def _condition(items: Iterator[ItemT], parameters: ConditioningParameters) -> It
     if failure is not None:
         raise failure
     if parameters.subtract_dark and all_dark:
-        raise ParameterError(
-            f"no light source was lit in any of the {count} scans",
-            where="parameter 'conditioning.subtract_dark'",
-            expected="false, or lit scans among the dark ones",
-        )
+        what, where = f"no light source was lit in any of the {count} scans", "parameter 'conditioning.subtract_dark'"
+        raise ParameterError(what, where=where, expected="false, or lit scans among the dark ones")
 
 
 def _decode(content: Any) -> Any:

@@ -31,19 +31,17 @@ from posor_drivers.driver_parameters import (
     ReplayDriverParameters,
     driver_parameters_for,
 )
-from posor_drivers.live_publisher import LivePublisher, MissedTicks, PaceReport, schedule_ticks
+from posor_drivers.live_publisher import LivePublisher
 from posor_drivers.replay_publisher import ReplayPublisher, schedule_replay
 from posor_drivers.sources.source import LiveSource, RecordedSource, load_source_class, registered_sources
-from posor_drivers.tick_scheduler import RunState
+from posor_drivers.tick_scheduler import RunCalls, RunState
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from posor_ros.diagnostics import Status
 
-    from posor_drivers.ros_clock import TickClock
     from posor_drivers.sources.source import Input, Source, SourceMessage
-    from posor_drivers.tick_scheduler import Pause
 
 DELIVERY_TIMEOUT_S = 10.0
 """Longest wait, after the last message, for slow reliable subscribers before the program ends."""
@@ -68,7 +66,7 @@ class DriverNode(PosorNode[DriverParameters]):
         self._counts: dict[str, int] = {}
         self._rate_reference = (time.monotonic(), 0)
         self._run: ReplayPublisher | LivePublisher | None = None
-        self._pace: PaceReport | None = None
+        self._pace: Status | None = None
         self._inputs = InputSubscriptions(self)
         self._status = self.diagnostics.add_status("source")
         self._monitor = InputMonitor(self, lambda _: self._report_source())
@@ -98,7 +96,8 @@ class DriverNode(PosorNode[DriverParameters]):
         self._classes = {topic.name: message_class(topic.type_name) for topic in topics}
         self._topic_publishers = {topic.name: self._new_publisher(topic.name) for topic in topics}
         if isinstance(self._source, LiveSource):
-            self._pace = self._pace or PaceReport(self, self.diagnostics.add_status("pace"))
+            self._pace = self._pace or self.diagnostics.add_status("pace")
+            self._pace.report(Level.OK, "in time")
             self.add_cleanup(self._inputs.close)
             self._inputs.open(self._source.inputs())
             self._report_source()
@@ -120,22 +119,12 @@ class DriverNode(PosorNode[DriverParameters]):
 
     def _start_run(self) -> None:
         source, parameters = self._source, self.parameters
-        if isinstance(source, LiveSource) and isinstance(parameters, LiveDriverParameters) and self._pace is not None:
-            publications = partial(self._live_publications, source, self._pace.restart())
-            self._run = LivePublisher(
-                self,
-                source.rate,
-                parameters.spin_us,
-                publications,
-                self._publish,
-                self._has_subscribers,
-                self._on_run_state,
-            )
-            self._pace.follow(self._run)
+        calls = RunCalls(self._publish, self._has_subscribers, self._on_run_state)
+        if isinstance(source, LiveSource) and isinstance(parameters, LiveDriverParameters):
+            condition = partial(condition_scans, parameters=parameters.conditioning)
+            self._run = LivePublisher(self, source, parameters.spin_us, condition, calls)
         else:
-            self._run = ReplayPublisher(
-                self._replay_publications, self._publish, self._has_subscribers, self._on_run_state
-            )
+            self._run = ReplayPublisher(self._replay_publications, calls)
         self._run.start()
 
     def deactivate(self) -> None:
@@ -151,11 +140,6 @@ class DriverNode(PosorNode[DriverParameters]):
             raise TypeError(message)
         now_ns = self.get_clock().now().nanoseconds
         return condition_scans(schedule_replay(source, self._classes, parameters, now_ns), parameters.conditioning)
-
-    def _live_publications(
-        self, source: LiveSource[Any], missed: MissedTicks, clock: TickClock
-    ) -> Iterator[SourceMessage | Pause]:
-        return condition_scans(schedule_ticks(source, clock, missed), self.parameters.conditioning)
 
     def _has_subscribers(self) -> bool:
         """Return whether every topic has the subscribers to wait for; report those that are missing."""
@@ -212,10 +196,8 @@ class DriverNode(PosorNode[DriverParameters]):
         """Wait until every reliable subscription has all messages."""
         deadline = time.monotonic() + DELIVERY_TIMEOUT_S
         for publisher in self._topic_publishers.values():
-            if (
-                not publisher.wait_for_all_acked(deadline - time.monotonic(), self._is_stopping)
-                and not self._is_stopping()
-            ):
+            received = publisher.wait_for_all_acked(deadline - time.monotonic(), self._is_stopping)
+            if not received and not self._is_stopping():
                 self.get_logger().warning(f"not all messages of {publisher.topic_name} were received")
 
     def _refresh_diagnostics(self) -> None:
@@ -232,8 +214,8 @@ class DriverNode(PosorNode[DriverParameters]):
         rate = (count - counted) / (now - before) if now > before else 0.0
         messages = sum(self._counts.values())
         self._status.update({"scans_published": count, "messages_published": messages, "scans_per_second": rate})
-        if self._pace is not None:
-            self._pace.report()
+        if self._pace is not None and isinstance(self._run, LivePublisher):
+            self._run.report_pace(self._pace)
 
 
 class InputSubscriptions:
@@ -255,11 +237,8 @@ class InputSubscriptions:
             self._counts[name] = {"taken": 0, "refused": 0}
             self._statuses[name].report(Level.OK, "no message yet", self._counts[name])
             callback = partial(self._on_message, source_input)
-            self._subscriptions.append(
-                self._node.create_subscription(
-                    message_class(source_input.topic.type_name), name, callback, RELIABLE_QOS
-                )
-            )
+            kind = message_class(source_input.topic.type_name)
+            self._subscriptions.append(self._node.create_subscription(kind, name, callback, RELIABLE_QOS))
 
     def close(self) -> None:
         """Close all subscriptions."""

@@ -38,17 +38,11 @@ class ConditioningParameters(ParameterGroup):
     def _check_samples(self) -> ConditioningParameters:
         least = {"none": 1, "mean": 2, "trimmed": MIN_SAMPLES}[self.method]
         if self.samples < least:
-            text = (
-                f"'conditioning.samples' {self.samples} is too few for 'conditioning.method' '{self.method}'; "
-                f"expected at least {least}"
-            )
-            raise ValueError(text)
+            text = f"{self.samples} is too few for 'conditioning.method' '{self.method}'; expected at least {least}"
+            raise ValueError(f"'conditioning.samples' {text}")
         if self.method == "none" and self.samples > 1:
-            text = (
-                f"'conditioning.samples' is {self.samples} but 'conditioning.method' is 'none'; "
-                "expected method 'mean' or 'trimmed', or 1 sample"
-            )
-            raise ValueError(text)
+            text = "but 'conditioning.method' is 'none'; expected method 'mean' or 'trimmed', or 1 sample"
+            raise ValueError(f"'conditioning.samples' is {self.samples} {text}")
         return self
 
     @property
@@ -128,9 +122,6 @@ def driver_parameters_for(overrides: Mapping[str, object]) -> type[DriverParamet
         return create_model("DriverParameters", __base__=ReplayDriverParameters, **{name: group})
     for parameter in sorted(ReplayParameters.model_fields.keys() - NodeParameters.model_fields.keys()):
         if parameter in overrides:
-            raise ParameterError(
-                f"source '{name}' is live and cannot be replayed",
-                where=f"parameter '{parameter}'",
-                expected="a recorded source, or no parameters of a replay",
-            )
+            what, where = f"source '{name}' is live and cannot be replayed", f"parameter '{parameter}'"
+            raise ParameterError(what, where=where, expected="a recorded source, or no parameters of a replay")
     return create_model("DriverParameters", __base__=LiveDriverParameters, **{name: group})

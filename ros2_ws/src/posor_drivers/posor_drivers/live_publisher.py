@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from threading import Thread
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +11,14 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
 from posor_drivers.ros_clock import is_simulated
-from posor_drivers.tick_scheduler import SUBSCRIBER_POLL_S, Pause, RunState, TickScheduler, TickTask
+from posor_drivers.tick_scheduler import (
+    SUBSCRIBER_POLL_S,
+    MissedTicks,
+    RunState,
+    TickScheduler,
+    TickTask,
+    schedule_ticks,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -22,56 +28,7 @@ if TYPE_CHECKING:
 
     from posor_drivers.ros_clock import TickClock
     from posor_drivers.sources.source import LiveSource, SourceMessage
-
-
-@dataclass
-class MissedTicks:
-    """Number of late wake-ups, and of ticks that were missed because of them, in one run."""
-
-    overruns: int = 0
-    ticks: int = 0
-
-
-def schedule_ticks(source: LiveSource[Any], clock: TickClock, missed: MissedTicks) -> Iterator[SourceMessage | Pause]:
-    """Yield what is to be published, and pauses until the next is due; ends with the run.
-
-    A tick is missed when the next tick is due as well: it is skipped and counted, so scans are never bunched, unless
-    the source keeps the readings of past ticks (``LiveSource.ticks_kept``). All drivers of a thread decide this by the
-    same time, so they miss the same ticks. When the clock goes back (a simulation that restarts) or is stepped, the run
-    restarts and no tick counts as missed.
-    """
-    while True:
-        while clock.turn_ns < 1:  # simulated time is 0 before the first clock message
-            yield Pause(1)
-        epoch = clock.epoch
-        tick, last = source.start_run(clock.turn_ns)
-        due_ns = source.publication_time_ns(tick)
-        while last is None or tick <= last:
-            yield Pause(due_ns)
-            if clock.epoch != epoch:
-                break
-            due_ns = source.publication_time_ns(tick + 1)
-            if due_ns <= clock.turn_ns:
-                present = _newest_due_tick(source, tick + 1, clock.turn_ns)
-                present = present if last is None else min(present, last)
-                present -= source.ticks_kept
-                if present > tick:
-                    missed.overruns += 1
-                    missed.ticks += present - tick
-                    tick = present
-                    due_ns = source.publication_time_ns(tick + 1)
-            yield from source.read_tick(tick)
-            tick += 1
-        else:
-            return
-
-
-def _newest_due_tick(source: LiveSource[Any], tick: int, now_ns: int) -> int:
-    """Return the newest tick that is due; ``tick`` is."""
-    newest = max(tick, source.newest_tick(now_ns))
-    while newest > tick and source.publication_time_ns(newest) > now_ns:
-        newest -= 1
-    return newest
+    from posor_drivers.tick_scheduler import Pause, RunCalls
 
 
 class LivePublisher:
@@ -80,60 +37,45 @@ class LivePublisher:
     def __init__(
         self,
         node: Node,
-        rate: float,
+        source: LiveSource[Any],
         spin_us: int,
-        publications: Callable[[TickClock], Iterator[SourceMessage | Pause]],
-        publish: Callable[[SourceMessage], None],
-        has_subscribers: Callable[[], bool],
-        on_state: Callable[[RunState, Exception | None], None],
+        condition: Callable[[Iterator[SourceMessage | Pause]], Iterator[SourceMessage | Pause]],
+        calls: RunCalls,
     ) -> None:
-        """Prepare a run.
-
-        Args:
-            node: The driver.
-            rate: Ticks of the source per second.
-            spin_us: See the driver's parameter.
-            publications: Makes the schedule for a clock; called when the run starts.
-            publish: Publishes one message.
-            has_subscribers: Whether enough subscribers are connected.
-            on_state: Called with each new state, and with the error of a failure; may block.
-
-        """
-        self._node = node
-        self._rate = rate
+        """Prepare a run; ``spin_us`` is the driver's parameter, ``condition`` changes what the source yields."""
+        self._node, self._source, self._condition, self._calls = node, source, condition, calls
         self._spin_ns = 1000 * spin_us
-        self._publications = publications
-        self._publish = publish
-        self._has_subscribers = has_subscribers
-        self._on_state = on_state
         self._scheduler: TickScheduler | None = None
         self._end_thread: Thread | None = None
         self._timer: Any = None
+        self._task: TickTask | None = None
         self._simulated = False
-        self.task: TickTask | None = None
+        self._missed, self._reported_ticks, self._reported_steps = MissedTicks(), 0, 0
         self.stopping = False
 
     @property
     def clock_has_changed(self) -> bool:
         """Whether the node has changed between wall time and simulated time since the run started."""
-        return self.task is not None and is_simulated(self._node.get_clock()) != self._simulated
+        return self._task is not None and is_simulated(self._node.get_clock()) != self._simulated
 
     def start(self) -> None:
         """Start as soon as there are enough subscribers; a timer checks."""
-        self._on_state(RunState.WAITING, None)
+        self._calls.on_state(RunState.WAITING, None)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self._node.create_timer(SUBSCRIBER_POLL_S, self._start_if_ready, clock=steady)
 
     def _start_if_ready(self) -> None:
-        if self._timer is not None and self._has_subscribers():
+        if self._timer is not None and self._calls.has_subscribers():
             self._stop_timer()
             clock = self._node.get_clock()
             self._simulated = is_simulated(clock)
-            self._on_state(RunState.RUNNING, None)
-            self._scheduler, self.task = TickScheduler.add_task(clock, self._rate, self._spin_ns, self._make_task)
+            self._calls.on_state(RunState.RUNNING, None)
+            rate = self._source.rate
+            self._scheduler, self._task = TickScheduler.add_task(clock, rate, self._spin_ns, self._make_task)
 
     def _make_task(self, clock: TickClock) -> TickTask:
-        return TickTask(clock, self._publications(clock), self._publish, self._on_end)
+        publications = self._condition(schedule_ticks(self._source, clock, self._missed))
+        return TickTask(clock, publications, self._calls.publish, self._on_end)
 
     def _stop_timer(self) -> None:
         if self._timer is not None:
@@ -144,10 +86,10 @@ class LivePublisher:
         """Stop after the present message; return whether the run had not ended yet."""
         self.stopping = True
         self._stop_timer()
-        if self._scheduler is None or self.task is None:
+        if self._scheduler is None or self._task is None:
             return True
-        was_running = self.task.end()
-        self._scheduler.remove_task(self.task)
+        was_running = self._task.end()
+        self._scheduler.remove_task(self._task)
         if self._end_thread is not None:
             self._end_thread.join()
         return was_running
@@ -155,39 +97,17 @@ class LivePublisher:
     def _on_end(self, error: Exception | None) -> None:
         """Report the end in a thread of its own, because waiting for slow subscribers must not delay other drivers."""
         state = RunState.ENDED if error is None else RunState.FAILED
-        self._end_thread = Thread(target=self._on_state, args=(state, error), name="end of run")
+        self._end_thread = Thread(target=self._calls.on_state, args=(state, error), name="end of run")
         self._end_thread.start()
 
-
-class PaceReport:
-    """Status line of a live driver: missed ticks, lateness, and steps of the wall clock, reported once a second."""
-
-    def __init__(self, node: Node, status: Status) -> None:
-        """Report on no run yet; steps of the clock go into the node's log too."""
-        self._node = node
-        self._status = status
-        self._publisher: LivePublisher | None = None
-        self.restart()
-
-    def restart(self) -> MissedTicks:
-        """Return the counts of a new run, initially zero."""
-        self._missed, self._reported_ticks, self._reported_steps = MissedTicks(), 0, 0
-        return self._missed
-
-    def follow(self, publisher: LivePublisher) -> None:
-        """Report on this publisher from now on."""
-        self._publisher = publisher
-
-    def report(self) -> None:
-        """Update the line."""
+    def report_pace(self, status: Status) -> None:
+        """Update the status line of missed ticks, lateness and steps of the wall clock; called once a second."""
         warnings: list[str] = []
         values: dict[str, Value] = {"ticks_missed": self._missed.ticks, "overruns": self._missed.overruns}
-        if self._missed.ticks > self._reported_ticks:
-            missed = self._missed.ticks - self._reported_ticks
-            warnings.append(f"late: {missed} ticks missed; this host is overloaded, or the clock leapt")
-            self._reported_ticks = self._missed.ticks
-        task = None if self._publisher is None else self._publisher.task
-        if task is not None:
+        if new := self._missed.ticks - self._reported_ticks:
+            self._reported_ticks += new
+            warnings.append(f"late: {new} ticks missed; this host is overloaded, or the clock leapt")
+        if (task := self._task) is not None:
             due_ns, begun_ns = task.lateness.drain()
             values |= time_statistics("lateness", begun_ns - due_ns)
             steps = task.clock.steps - task.steps_before
@@ -196,4 +116,4 @@ class PaceReport:
                 self._reported_steps = steps
                 warnings.append(f"the wall clock was stepped by {task.clock.step_s:.6g} s, the run has restarted")
                 self._node.get_logger().warning(warnings[-1])
-        self._status.report(Level.WARN if warnings else Level.OK, "; ".join(warnings) or "in time", values)
+        status.report(Level.WARN if warnings else Level.OK, "; ".join(warnings) or "in time", values)

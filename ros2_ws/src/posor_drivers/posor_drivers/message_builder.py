@@ -8,13 +8,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 from posor.numerics.stamps import NS
-from posor.ros_names import POINT_STAMPED, POSE_STAMPED, RAW_SCAN
+from posor.ros_names import JOINT_STATE, POINT_STAMPED, POSE_STAMPED, RAW_SCAN, RAW_TOPIC, VECTOR_STAMPED
+
+from posor_drivers.sources.source import SourceMessage, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from posor.messages.message_definitions import MessageTypes
     from posor.model.scan import Scan
+    from posor.numerics.array_types import FloatArray
+
+    from posor_drivers.simulator.arm_simulation import ArmSimulation
+    from posor_drivers.simulator.pose_array import ArmTruth
+    from posor_drivers.simulator.simulated_scans import SimulatedScans
 
 
 def header(types: MessageTypes, stamp_ns: int, frame_id: str) -> Any:
@@ -71,3 +78,74 @@ def pose_stamped(types: MessageTypes, stamp_ns: int, frame_id: str, pose: pin.SE
     orientation = types.new("geometry_msgs/msg/Quaternion", x=qx, y=qy, z=qz, w=qw)
     content = types.new("geometry_msgs/msg/Pose", position=position, orientation=orientation)
     return types.new(POSE_STAMPED, header=header(types, stamp_ns, frame_id), pose=content)
+
+
+class SimulatedTopics:
+    """Topics of an arm; all names are absolute because they belong to the arm, not to a joint."""
+
+    def __init__(self, arm: str) -> None:
+        """Make the names for the arm of this name."""
+        self._arm = arm
+        self.endpoint = Topic(f"/{arm}/truth/endpoint", POSE_STAMPED)
+        self.target = Topic(f"/{arm}/target/endpoint", POSE_STAMPED)
+        self.encoders = Topic(f"/{arm}/encoders", JOINT_STATE)
+        self.stage = Topic(f"/{arm}/stage/position", VECTOR_STAMPED)
+        self.stage_command = Topic(f"/{arm}/stage/command", VECTOR_STAMPED)
+
+    def joint_truth(self, joint: str) -> Topic:
+        """Return the topic of a joint's true ``T_parent_child``."""
+        return Topic(f"/{self._arm}/truth/{joint}", POSE_STAMPED)
+
+
+class SimulatedMessages:
+    """Serialises the results of an ``ArmSimulation``; ``n`` is the index of a tick in them."""
+
+    def __init__(self, types: MessageTypes, simulation: ArmSimulation) -> None:
+        """Take the names of topics and frames from the arm."""
+        self.topics = SimulatedTopics(simulation.arm.name)
+        self._types = types
+        self._base = simulation.chain.base_frame
+        self._endpoint = simulation.arm.endpoint_frame
+        self._receiving = {joint.name: joint.parent for joint in simulation.chain.joints}
+
+    def raw_scan(self, joint: str, scans: SimulatedScans, n: int) -> SourceMessage:
+        """Return a scan of a joint."""
+        scan, status = scans.scans[n], int(scans.statuses[n])
+        message = raw_scan(self._types, scan.stamp_ns, self._receiving[joint], status=status, **scan_fields(scan))
+        return self._serialize(Topic(RAW_TOPIC, RAW_SCAN), scan.stamp_ns, message)
+
+    def joint_truth(self, joint: str, stamp_ns: int, truth: ArmTruth, n: int) -> SourceMessage:
+        """Return a joint's true ``T_parent_child``."""
+        pose = truth.T_parent_child[joint][n]
+        return self.pose(self.topics.joint_truth(joint), stamp_ns, self._receiving[joint], pose)
+
+    def arm_truth(self, stamp_ns: int, truth: ArmTruth, n: int) -> list[SourceMessage]:
+        """Return the messages about the whole arm: true endpoint, commanded endpoint, encoders."""
+        empty = np.empty(0)
+        encoders = self._types.new(
+            JOINT_STATE,
+            header=header(self._types, stamp_ns, ""),
+            name=list(truth.joints),
+            position=truth.encoder[n],
+            velocity=empty,
+            effort=empty,
+        )
+        return [
+            self.pose(self.topics.endpoint, stamp_ns, self._base, truth.endpoint[n]),
+            self.pose(self.topics.target, stamp_ns, self._base, truth.target[n]),
+            self._serialize(self.topics.encoders, stamp_ns, encoders),
+        ]
+
+    def stage_position(self, stamp_ns: int, position: FloatArray) -> SourceMessage:
+        """Return the position of the stage, (3,) [m], axes of the endpoint."""
+        x, y, z = position.tolist()
+        vector = self._types.new("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+        message = self._types.new(VECTOR_STAMPED, header=header(self._types, stamp_ns, self._endpoint), vector=vector)
+        return self._serialize(self.topics.stage, stamp_ns, message)
+
+    def pose(self, topic: Topic, stamp_ns: int, frame: str, pose: pin.SE3) -> SourceMessage:
+        """Return a pose in a frame (geometry_msgs/PoseStamped), on any topic."""
+        return self._serialize(topic, stamp_ns, pose_stamped(self._types, stamp_ns, frame, pose))
+
+    def _serialize(self, topic: Topic, stamp_ns: int, message: Any) -> SourceMessage:
+        return SourceMessage(topic.name, stamp_ns, self._types.serialize(message, topic.type_name))

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from posor_drivers.driver_parameters import ReplayParameters
     from posor_drivers.sources.source import RecordedSource
+    from posor_drivers.tick_scheduler import RunCalls
 
 
 @dataclass
@@ -102,22 +103,16 @@ class StampRewriter:
         try:
             return deserialize_message(message.data, self.classes[message.topic])
         except RuntimeError:
-            raise BagError(
-                f"the {len(message.data)} bytes recorded at {message.time_ns} ns cannot be decoded",
-                where=f"topic {message.topic}",
-            ) from None
+            what = f"the {len(message.data)} bytes recorded at {message.time_ns} ns cannot be decoded"
+            raise BagError(what, where=f"topic {message.topic}") from None
 
 
 def schedule_replay(
     source: RecordedSource[Any], classes: Mapping[str, Any], options: ReplayParameters, now_ns: int
 ) -> Iterator[SourceMessage]:
-    """Yield what is to be published, in order; endless if the replay loops.
+    """Yield what is to be published, in order, from an open source; endless if the replay loops.
 
-    Args:
-        source: An open source.
-        classes: Message class of each of its topics.
-        options: Rate, offsets, looping and stamps.
-        now_ns: ROS time at the start of the replay [ns].
+    ``classes`` are the message classes by topic, ``now_ns`` is the ROS time at the start of the replay [ns].
 
     Raises:
         ParameterError: No scan lies between the offsets.
@@ -138,10 +133,8 @@ def schedule_replay(
             after_s = after_ns / NS / speed if options.rate else 0.0
             yield SourceMessage(message.topic, 0, stamps.rewrite(message), after_s)
         if not scans.count:
-            raise ParameterError(
-                f"no scan lies between 'start_offset' {options.start_offset} and 'stop_offset' {options.stop_offset}",
-                expected="offsets within the record",
-            )
+            what = f"between 'start_offset' {options.start_offset} and 'stop_offset' {options.stop_offset}"
+            raise ParameterError(f"no scan lies {what}", expected="offsets within the record")
         if not options.loop:
             return
         length_ns = everything.span + scans.period
@@ -165,26 +158,9 @@ class ReplayPublisher:
     The steady clock sets the pace. A late message is published at once; none is skipped.
     """
 
-    def __init__(
-        self,
-        publications: Callable[[], Iterator[SourceMessage]],
-        publish: Callable[[SourceMessage], None],
-        has_subscribers: Callable[[], bool],
-        on_state: Callable[[RunState, Exception | None], None],
-    ) -> None:
-        """Prepare a replay.
-
-        Args:
-            publications: Makes the schedule; called when the replay starts.
-            publish: Publishes one message.
-            has_subscribers: Whether enough subscribers are connected.
-            on_state: Called in the replay's thread with each new state, and with the error of a failure.
-
-        """
-        self._publications = publications
-        self._publish = publish
-        self._has_subscribers = has_subscribers
-        self._on_state = on_state
+    def __init__(self, publications: Callable[[], Iterator[SourceMessage]], calls: RunCalls) -> None:
+        """Prepare a replay; ``publications`` makes the schedule when it starts, in the thread of all calls."""
+        self._publications, self._calls = publications, calls
         self._state = RunState.WAITING
         self._stop = Event()
         self._thread = Thread(target=self._run, name="replay")
@@ -206,12 +182,12 @@ class ReplayPublisher:
 
     def _enter(self, state: RunState, error: Exception | None = None) -> None:
         self._state = state
-        self._on_state(state, error)
+        self._calls.on_state(state, error)
 
     def _run(self) -> None:
         try:
             self._enter(RunState.WAITING)
-            while not self._has_subscribers():
+            while not self._calls.has_subscribers():
                 if self._stop.wait(SUBSCRIBER_POLL_S):
                     return
             self._enter(RunState.RUNNING)
@@ -219,7 +195,7 @@ class ReplayPublisher:
             for publication in self._publications():
                 if self._stop.wait(max(0.0, begin + publication.after_s - time.monotonic())):
                     return
-                self._publish(publication)
+                self._calls.publish(publication)
         except Exception as error:  # noqa: BLE001  the main thread ends the program with it
             self._enter(RunState.FAILED, error)
         else:

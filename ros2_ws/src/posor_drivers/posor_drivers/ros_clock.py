@@ -92,14 +92,9 @@ class WallClock(TickClock):
         wall_ns: Callable[[], int] = time_ns,
         sleep_s: Callable[[float], object] = sleep,
     ) -> None:
-        """Compare the clocks for the first time.
+        """Compare the clocks for the first time; tests replace the clocks and the sleep.
 
-        Args:
-            spin_ns: Last part of a wait, in which the thread polls the clock instead of sleeping [ns].
-            steady_ns: The steady clock.
-            wall_ns: The wall clock.
-            sleep_s: Sleeps for a time [s] of the steady clock.
-
+        ``spin_ns`` is the last part of a wait, in which the thread polls the clock instead of sleeping [ns].
         """
         super().__init__()
         self.spin_ns = spin_ns

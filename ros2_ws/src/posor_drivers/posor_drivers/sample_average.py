@@ -27,20 +27,13 @@ MIN_SAMPLES = 3
 
 @dataclass(frozen=True)
 class SampleAverage:
-    """Statistics of n samples of u units with w readings each.
-
-    Attributes:
-        means: Mean of the remaining samples, in the readings' unit, shape (u, w); NaN where no sample is finite.
-        spreads: Sample standard deviation of one reading, shape (u, w); NaN for a single reading.
-        counts: Readings averaged in each unit, shape (u,).
-        dropped: Whether a sample of any unit was left out.
-
-    """
+    """Statistics of n samples of u units with w readings each."""
 
     means: FloatArray
-    spreads: FloatArray
-    counts: IntArray
-    dropped: bool
+    """Mean of the remaining samples, in the readings' unit, shape (u, w); NaN where no sample is finite."""
+    spreads: FloatArray  # sample standard deviation of one reading, shape (u, w); NaN for a single reading
+    counts: IntArray  # readings averaged in each unit, shape (u,)
+    dropped: bool  # whether a sample of any unit was left out
 
 
 def average_samples(

@@ -1,4 +1,4 @@
-"""Threads that run the ticks of live drivers: one thread of the process for all drivers of the same rate."""
+"""Ticks of live drivers: their schedule, and one thread of the process for all drivers of the same rate."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import sys
 from dataclasses import dataclass
 from enum import Enum
 from threading import Lock, Thread
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from posor_ros.idle_scheduler import TickSchedule
 from posor_ros.publication_timing import NEVER_NS, TimestampLog
@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 
     from rclpy.clock import Clock
 
-    from posor_drivers.sources.source import SourceMessage
-
+    from posor_drivers.sources.source import LiveSource, SourceMessage
 
 SUBSCRIBER_POLL_S = 0.02
 """Time between two checks whether enough subscribers are connected."""
@@ -42,10 +41,63 @@ class RunState(Enum):
     FAILED = "failed"
 
 
+class RunCalls(NamedTuple):
+    """What the run of a source calls in its driver."""
+
+    publish: Callable[[SourceMessage], None]
+    has_subscribers: Callable[[], bool]
+    """Whether enough subscribers are connected."""
+    on_state: Callable[[RunState, Exception | None], None]
+    """Takes each new state, and the error of a failure; may block."""
+
+
 SWITCH_AT_TICK_S = 2e-5
 """Switch interval of Python while this thread waits: how long another thread may delay a tick."""
 SWITCH_DURING_TICK_S = 5e-3
 """Switch interval of Python during a tick, so that other threads do not interrupt it; ticks are short."""
+
+
+@dataclass
+class MissedTicks:
+    """Number of late wake-ups, and of ticks that were missed because of them, in one run."""
+
+    overruns: int = 0
+    ticks: int = 0
+
+
+def schedule_ticks(source: LiveSource[Any], clock: TickClock, missed: MissedTicks) -> Iterator[SourceMessage | Pause]:
+    """Yield what is to be published, and pauses until the next is due; ends with the run.
+
+    A tick is missed when the next tick is due as well: it is skipped and counted, so scans are never bunched, unless
+    the source keeps the readings of past ticks (``LiveSource.ticks_kept``). All drivers of a thread decide this by the
+    same time, so they miss the same ticks. When the clock goes back (a simulation that restarts) or is stepped, the run
+    restarts and no tick counts as missed.
+    """
+    while True:
+        while clock.turn_ns < 1:  # simulated time is 0 before the first clock message
+            yield Pause(1)
+        epoch = clock.epoch
+        tick, last = source.start_run(clock.turn_ns)
+        due_ns = source.publication_time_ns(tick)
+        while last is None or tick <= last:
+            yield Pause(due_ns)
+            if clock.epoch != epoch:
+                break
+            due_ns = source.publication_time_ns(tick + 1)
+            if due_ns <= clock.turn_ns:
+                present = max(tick + 1, source.newest_tick(clock.turn_ns))
+                while present > tick + 1 and source.publication_time_ns(present) > clock.turn_ns:
+                    present -= 1
+                present = (present if last is None else min(present, last)) - source.ticks_kept
+                if present > tick:
+                    missed.overruns += 1
+                    missed.ticks += present - tick
+                    tick = present
+                    due_ns = source.publication_time_ns(tick + 1)
+            yield from source.read_tick(tick)
+            tick += 1
+        else:
+            return
 
 
 class TickTask:
@@ -66,25 +118,16 @@ class TickTask:
         publish: Callable[[SourceMessage], None],
         on_end: Callable[[Exception | None], None],
     ) -> None:
-        """Start at the first tick.
+        """Start at the first tick of ``publications``, what to publish and pauses until the next is due.
 
-        Args:
-            clock: The ROS time that ``publications`` follows.
-            publications: What to publish, with pauses until the next is due.
-            publish: Publishes one message.
-            on_end: Called in the scheduler's thread after the last message, with the error if there was one.
-
+        ``on_end`` is called in the scheduler's thread after the last message, with the error if there was one.
         """
         self.due_ns = 0
         self.lateness = TimestampLog() if isinstance(clock, WallClock) else TimestampLog(lambda: clock.now_ns)
         self.clock = clock
         self.steps_before = clock.steps
-        self._epoch = clock.epoch
-        self._publications = publications
-        self._publish = publish
-        self._on_end = on_end
-        self._lock = Lock()
-        self._ended = False
+        self._epoch, self._lock, self._ended = clock.epoch, Lock(), False
+        self._publications, self._publish, self._on_end = publications, publish, on_end
 
     def run_tick(self, now_ns: int) -> bool:
         """Publish the messages that are due; return whether the task continues."""
@@ -137,14 +180,10 @@ class TickScheduler:
     def add_task(
         cls, clock: Clock, rate: float, spin_ns: int, make_task: Callable[[TickClock], TickTask]
     ) -> tuple[TickScheduler, TickTask]:
-        """Add a task to this process's scheduler of a rate; return both.
+        """Add a task to this process's scheduler of a rate [Hz]; return both.
 
-        Args:
-            clock: The driver's clock; each simulated clock has a scheduler of its own.
-            rate: Ticks per second; only drivers of the same rate share a thread.
-            spin_ns: See ``WallClock``; drivers that share a thread use the longest.
-            make_task: Makes the task for a clock.
-
+        Only drivers of the same rate share a thread, with the longest ``spin_ns`` of all, see ``WallClock``. Each
+        simulated clock has a scheduler of its own.
         """
         simulated = is_simulated(clock)
         key = (rate, clock if simulated else None)

@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PointStamped
 from lifecycle_msgs.msg import Transition
-from posor_drivers.conditioning import stamp_ns
+from posor_drivers.conditioning import condition_scans, stamp_ns
 from posor_drivers.driver_node import DriverNode
+from posor_drivers.driver_parameters import ConditioningParameters
+from posor_drivers.sources.source import SourceMessage
 from posor_lab.harness.graph import Graph, values_of
 from posor_lab.harness.in_process_nodes import run_refused_node as refused
 from posor_msgs.msg import RawScan
 from rclpy.qos import QoSProfile
+from rclpy.serialization import serialize_message
 
 from .driver_program import LOSSLESS, driver_program, ros_names
 from .sample_bags import SECOND, Record, point, scan, write_bag
@@ -214,79 +217,32 @@ def test_incomplete_record_is_published_before_the_program_ends(tmp_path: Path) 
         assert graph.wait_for_status(STATUS, sentence).level == b"\x02"
 
 
-TICK = SECOND // 1000
-GROUPS = 40
-SAMPLES = 5
-NOISE_V, NOISE_A = 1e-3, 1e-8
-OUTLIER_GROUP, OUTLIER_SAMPLE = 7, 3
+def noisy_records() -> list[Record]:
+    """Return scans of which every fourth is dark, with an outlier among the voltages."""
+    random, count = np.random.default_rng(1985), 42
+    volts, currents = random.normal(0.5, 1e-3, (count, 3)), random.normal(5e-5, 1e-8, (count, 8))
+    volts[17, 1] += 0.4
+    sources = [np.array([255, 255] if n % 4 == 0 else [0, 1], dtype=np.uint8) for n in range(count)]
+    readings = zip(volts, currents, sources, strict=True)
+    return [
+        scan(n, START + n * SECOND // 1000, gap_voltages=gaps, diode_currents=amperes, lit_sources=lit)
+        for n, (gaps, amperes, lit) in enumerate(readings)
+    ]
 
 
-def conditioned_scans(bag: Path, count: int, **conditioning: Any) -> list[RawScan]:
-    parameters = {f"conditioning__{name}": value for name, value in conditioning.items()}
+@pytest.mark.parametrize(
+    "options", [{"method": "mean"}, {"method": "trimmed"}, {"method": "mean", "subtract_dark": True}]
+)
+def test_scans_of_a_bag_are_conditioned(tmp_path: Path, options: dict[str, Any]) -> None:
+    records = noisy_records()
+    raw = (SourceMessage("raw", 0, record.data) for record in records)
+    expected = [each.data for each in condition_scans(raw, ConditioningParameters(samples=3, **options))]
+    assert any(each.status for each in expected) == (options != {"method": "mean"})
+    parameters = {f"conditioning__{name}": value for name, value in {"samples": 3, **options}.items()}
     with Graph() as graph:
         scans = graph.collect(RawScan, "/joint1/raw")
-        with replay(bag, rate=0.0, **parameters) as program:
-            graph.wait_until(lambda: len(scans) == count, f"{count} scans")
+        with replay(write_bag(tmp_path / "bag", records), rate=0.0, **parameters) as program:
+            graph.wait_until(lambda: len(scans) == len(expected), f"{len(expected)} scans")
             assert program.wait() == 0
             assert program.errors == []
-        return scans
-
-
-def noisy_readings(count: int) -> tuple[Any, Any]:
-    """Return voltages (count, 3) and currents (count, 8) with one outlier among the voltages."""
-    random = np.random.default_rng(1985)
-    volts = random.normal([0.25, 0.5, 0.75], NOISE_V, (count, 3))
-    volts[OUTLIER_GROUP * SAMPLES + OUTLIER_SAMPLE, 1] += 0.4
-    return volts, random.normal(5e-5, NOISE_A, (count, 8))
-
-
-@pytest.mark.parametrize("method", ["mean", "trimmed"])
-def test_noisy_samples_of_a_bag_are_averaged(tmp_path: Path, method: str) -> None:
-    count = GROUPS * SAMPLES + 2
-    volts, currents = noisy_readings(count)
-    records = [
-        scan(n, START + n * TICK, gap_voltages=volts[n], diode_currents=currents[n], status=RawScan.STATUS_SIMULATED)
-        for n in range(count)
-    ]
-    bag = write_bag(tmp_path / "bag", records)
-    results = conditioned_scans(bag, GROUPS + 1, method=method, samples=SAMPLES)
-    assert [result.scan for result in results] == [*range(2, 5 * GROUPS, 5), 5 * GROUPS]
-    assert [stamp_ns(result) - START for result in results] == [
-        *(n * TICK for n in range(2, 5 * GROUPS, 5)),
-        5 * GROUPS * TICK + TICK // 2,
-    ]
-    flagged = []
-    for group, result in enumerate(results):
-        part = slice(group * SAMPLES, group * SAMPLES + SAMPLES)
-        dropped = bool(result.status & RawScan.STATUS_OUTLIERS_DROPPED)
-        flagged += [group] if dropped else []
-        assert result.status & ~RawScan.STATUS_OUTLIERS_DROPPED == RawScan.STATUS_SIMULATED
-        assert result.samples == len(volts[part]) - dropped
-        if not dropped:
-            np.testing.assert_allclose(result.gap_voltages, volts[part].mean(axis=0), rtol=1e-13)
-            np.testing.assert_allclose(result.gap_voltage_spreads, volts[part].std(axis=0, ddof=1), rtol=1e-9)
-            np.testing.assert_allclose(result.diode_currents, currents[part].mean(axis=0), rtol=1e-13)
-            np.testing.assert_allclose(result.diode_current_spreads, currents[part].std(axis=0, ddof=1), rtol=1e-9)
-    assert (OUTLIER_GROUP in flagged) == (method == "trimmed")
-    if method == "mean":
-        assert flagged == []
-        return
-    kept = [OUTLIER_GROUP * SAMPLES + n for n in range(SAMPLES) if n != OUTLIER_SAMPLE]
-    assert results[OUTLIER_GROUP].gap_voltages[1] == pytest.approx(volts[kept, 1].mean(), rel=1e-13)
-    assert results[OUTLIER_GROUP].gap_voltage_spreads[1] == pytest.approx(volts[kept, 1].std(ddof=1), rel=1e-9)
-
-
-def test_dark_samples_of_a_bag_are_subtracted(tmp_path: Path) -> None:
-    net, background = np.linspace(1e-5, 8e-5, 8), np.linspace(3e-6, 1e-6, 8)
-    records: list[Record] = []
-    for n in range(21):
-        lit = n % 2 == 1
-        sources = np.array([0, 1] if lit else [255, 255], dtype=np.uint8)
-        currents = background * (1.0 + 0.05 * n) + (net if lit else 0.0)
-        records.append(scan(n, START + n * TICK, gap_voltages=np.ones(3), diode_currents=currents, lit_sources=sources))
-    bag = write_bag(tmp_path / "bag", records)
-    results = conditioned_scans(bag, 2, method="mean", samples=SAMPLES, subtract_dark=True)
-    assert [(result.scan, result.samples) for result in results] == [(5, 5), (15, 5)]
-    for result in results:
-        assert result.status == RawScan.STATUS_DARK_SUBTRACTED
-        np.testing.assert_allclose(result.diode_currents, net, rtol=1e-12)
+    assert [serialize_message(each) for each in scans] == [serialize_message(each) for each in expected]

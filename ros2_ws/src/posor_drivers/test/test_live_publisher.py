@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import pytest
 from posor.messages.message_definitions import MessageTypes
 from posor.parameter_model import ParameterGroup
-from posor_drivers.live_publisher import MissedTicks, schedule_ticks
 from posor_drivers.sources.source import LiveSource, SourceMessage
-from posor_drivers.tick_scheduler import Pause
+from posor_drivers.tick_scheduler import MissedTicks, Pause, schedule_ticks
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -84,27 +84,25 @@ def ticks(wall: Wall, source: Metronome | None = None, count: int = 1000) -> tup
     return published, misses
 
 
-def test_run_goes_from_the_next_tick_to_the_end_of_a_cycle() -> None:
-    assert ticks(Wall(600)) == (list(range(61, 72)), MissedTicks())
-    assert ticks(Wall(599)) == (list(range(60, 66)), MissedTicks())
-
-
-def test_missed_ticks_are_counted_and_skipped() -> None:
-    # Asked to wait for tick 62 at 623, the process comes back at 655: 62, 63, 64 are over, 65 is due.
-    assert ticks(Wall(600, {623: 655})) == ([61, *range(65, 72)], MissedTicks(overruns=1, ticks=3))
-
-
-def test_late_tick_is_published_if_the_next_is_not_due() -> None:
-    assert ticks(Wall(600, {623: 632})) == (list(range(61, 72)), MissedTicks())
-
-
-def test_tick_is_missed_when_the_next_is_due_not_when_it_has_happened() -> None:
-    assert ticks(Wall(600, {623: 651})) == ([61, 64, *range(65, 72)], MissedTicks(overruns=1, ticks=2))
-    assert ticks(Wall(600, {623: 633})) == ([61, *range(63, 72)], MissedTicks(overruns=1, ticks=1))
-
-
-def test_last_tick_is_published_even_if_the_process_wakes_after_the_end() -> None:
-    assert ticks(Wall(600, {693: 90_000})) == ([*range(61, 69), 71], MissedTicks(overruns=1, ticks=2))
+@pytest.mark.parametrize(
+    ("begin_ns", "late", "published", "missed"),
+    [
+        (600, {}, [*range(61, 72)], MissedTicks()),  # from the next tick to the end of a cycle
+        (599, {}, [*range(60, 66)], MissedTicks()),
+        # Asked to wait for tick 62 at 623, the process comes back at 655: 62, 63, 64 are over, 65 is due.
+        (600, {623: 655}, [61, *range(65, 72)], MissedTicks(overruns=1, ticks=3)),
+        (600, {623: 632}, [*range(61, 72)], MissedTicks()),  # late, but the next is not due
+        # A tick is missed when the next one is due, not when it has happened.
+        (600, {623: 651}, [61, 64, *range(65, 72)], MissedTicks(overruns=1, ticks=2)),
+        (600, {623: 633}, [61, *range(63, 72)], MissedTicks(overruns=1, ticks=1)),
+        # The last tick is published even if the process wakes after the end.
+        (600, {693: 90_000}, [*range(61, 69), 71], MissedTicks(overruns=1, ticks=2)),
+    ],
+)
+def test_missed_ticks_are_counted_and_skipped(
+    begin_ns: int, late: dict[int, int], published: list[int], missed: MissedTicks
+) -> None:
+    assert ticks(Wall(begin_ns, dict(late))) == (published, missed)
 
 
 def test_ticks_that_the_source_keeps_are_published_late() -> None:

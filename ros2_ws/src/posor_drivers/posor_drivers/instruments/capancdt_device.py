@@ -45,8 +45,7 @@ from posor.calibration.quantity import Quantity, measured
 from pydantic import Field, model_validator
 
 from posor_drivers.instruments.device import DeviceSettings, Frames, Port, refuse_repeated_numbers
-from posor_drivers.instruments.packet_device import PacketDevice
-from posor_drivers.instruments.tcp_connection import TcpConnection
+from posor_drivers.instruments.tcp_device import PacketDevice, TcpConnection
 from posor_drivers.quantity_limits import POSITIVE
 
 if TYPE_CHECKING:

@@ -32,20 +32,12 @@ MAX_COMPARISONS = 100
 
 
 class ClockLine(NamedTuple):
-    """ROS time of a frame: ``start_ns + (number - first) * period_ns``.
+    """ROS time of a frame: ``start_ns + (number - first) * period_ns``."""
 
-    Attributes:
-        first: Number of the frame at ``start_ns``.
-        start_ns: Its time [ns].
-        period_ns: Time from frame to frame [ns].
-        uncertainty_s: Standard uncertainty of the times of the newest frames [s], without that of the least delay.
-
-    """
-
-    first: int
-    start_ns: int
-    period_ns: float
-    uncertainty_s: float
+    first: int  # number of the frame at ``start_ns``
+    start_ns: int  # its time [ns]
+    period_ns: float  # time from frame to frame [ns]
+    uncertainty_s: float  # standard uncertainty of the times of the newest frames [s], without that of the least delay
 
     def times_ns(self, counters: IntArray) -> IntArray:
         """Return the ROS times of frames [ns], (n,)."""
@@ -61,7 +53,12 @@ class _Arrival(NamedTuple):
 
 
 class ClockMapping:
-    """Follows the clock of a device by the arrivals of its frames."""
+    """Follows the clock of a device by the arrivals of its frames.
+
+    Attributes:
+        line: The present line; None before there have been arrivals for a second.
+
+    """
 
     def __init__(self, frame_rate: float) -> None:
         """Start without arrivals; ``frame_rate`` is nominal [Hz]."""
@@ -71,21 +68,10 @@ class ClockMapping:
         self._first: tuple[int, int] | None = None
         self._least: _Arrival | None = None
         self._interval = 0
-        self._line: ClockLine | None = None
-
-    @property
-    def line(self) -> ClockLine | None:
-        """The present line; None before there have been arrivals for a second."""
-        return self._line
+        self.line: ClockLine | None = None
 
     def add(self, counter: int, arrived_ns: int) -> None:
-        """Add an arrival; of frames that arrived together the last one suffices, because it has the least delay.
-
-        Args:
-            counter: Number of the frame.
-            arrived_ns: ROS time of its arrival [ns].
-
-        """
+        """Add the arrival of a frame at a ROS time [ns]; of frames that arrived together the last one suffices."""
         first, start_ns = self._first = self._first or (counter, arrived_ns)
         elapsed_ns = (counter - first) * self._nominal_ns
         arrival = _Arrival(elapsed_ns / NS, (arrived_ns - start_ns - elapsed_ns) / NS)
@@ -113,7 +99,7 @@ class ClockMapping:
         spread_s = math.sqrt(sum(each * each for each in self._differences) / len(self._differences))
         first, start_ns = self._first
         period_ns = self._nominal_ns * (1.0 + drift)
-        self._line = ClockLine(first, start_ns + round(late_s * NS), period_ns, spread_s)
+        self.line = ClockLine(first, start_ns + round(late_s * NS), period_ns, spread_s)
 
 
 def _lower_line(points: Sequence[_Arrival]) -> tuple[float, float]:

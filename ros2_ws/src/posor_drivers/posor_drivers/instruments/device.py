@@ -19,7 +19,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from contextlib import suppress
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, TypeVar
 
 from posor.calibration.file_model import EntryError, FrozenModel
@@ -30,7 +30,7 @@ from pydantic import Field
 from posor_drivers.quantity_limits import NOT_NEGATIVE, POSITIVE
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from posor.numerics.array_types import FloatArray, IntArray
 
@@ -175,16 +175,13 @@ class Device(ABC, Generic[SettingsT]):
         return DeviceError(what, where=self.name, expected=expected)
 
 
-def analogue_readings(units: Mapping[str, str]) -> list[str]:
-    """Return the names of the readings that are not whole numbers, by the units of all."""
-    return [name for name, unit in units.items() if unit != "1"]
+def starting_channels(units: Mapping[str, str], channel: Callable[[int], dict[str, Any]]) -> dict[str, Any]:
+    """Return example settings of a channel, by its number, for each reading that is not a whole number (unit 1)."""
+    return {name: channel(n) for n, name in enumerate(name for name, unit in units.items() if unit != "1")}
 
 
 def refuse_repeated_numbers(numbers: Mapping[str, int]) -> None:
-    """Check that the channels of a device have different numbers.
-
-    Args:
-        numbers: Number of each channel by its name.
+    """Check that the channels of a device, by name, have different numbers.
 
     Raises:
         EntryError: An earlier channel has the number too; names the later one.
@@ -196,6 +193,7 @@ def refuse_repeated_numbers(numbers: Mapping[str, int]) -> None:
             raise EntryError(f"number {number}, used twice", key=("channels", name), expected="a number for each")
 
 
-def registered_devices() -> dict[str, EntryPoint]:
-    """Return the entry points of all kinds of devices by name."""
-    return {entry.name: entry for entry in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name)}
+def device_classes() -> dict[str, type[Device[Any]]]:
+    """Return the classes of all kinds of devices by name."""
+    entries = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name)
+    return {entry.name: entry.load() for entry in entries}

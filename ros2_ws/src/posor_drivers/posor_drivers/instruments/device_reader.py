@@ -1,9 +1,10 @@
-"""Reads a device in a thread of its own, finds the ROS time of its frames, and keeps the newest frames."""
+"""Reads a device in a thread that joints share, finds the ROS time of its frames, and keeps the newest."""
 
 from __future__ import annotations
 
 import math
 import time
+from contextlib import contextmanager
 from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -15,7 +16,8 @@ from posor_drivers.instruments.device import DeviceError
 from posor_drivers.instruments.interpolation import FrameWeights, frame_weights
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
 
     from posor.numerics.array_types import FloatArray
 
@@ -105,15 +107,9 @@ class DeviceReader:
     def values_at(self, time_ns: int, whole: Sequence[int] = ()) -> FloatArray | None:
         """Return the values of all channels at a ROS time [ns], (c,), interpolated between the three nearest frames.
 
-        Their noise is that of one frame, see ``interpolation``.
-
-        Args:
-            time_ns: The time.
-            whole: Columns of channels that cannot be interpolated, such as the number of the lit source.
-
-        Returns:
-            The values; None where one of the frames is missing (not there yet, lost, or before the connection), or
-            where a channel of ``whole`` differs between them.
+        Their noise is that of one frame, see ``interpolation``. None where one of the frames is missing (not there yet,
+        lost, or before the connection), or where a column of ``whole`` differs between them: a channel that cannot be
+        interpolated, such as the number of the lit source.
 
         Raises:
             Exception: What has ended the thread, if it was no ``DeviceError``.
@@ -299,3 +295,31 @@ class DeviceReader:
         if abs(rate / nominal - 1.0) > MAX_DRIFT:
             raise self.device.error(f"{rate:.6g} frames per second", f"{nominal:g}, as stated")
         return ""
+
+
+_sharing = Lock()
+_readers: dict[tuple[str, str, str], DeviceReader] = {}
+_users: dict[tuple[str, str, str], int] = {}
+
+
+@contextmanager
+def shared_reader(file: Path, device: Device[Any]) -> Iterator[DeviceReader]:
+    """Yield the running reader of a device, which all users of it in this process share.
+
+    A device of the same name and with the same settings in the same instruments file is the same.
+    """
+    key = (str(file.resolve()), device.name, device.settings.model_dump_json())
+    with _sharing:
+        if key not in _readers:
+            _readers[key] = DeviceReader(device)
+            _readers[key].start()
+        _users[key] = _users.get(key, 0) + 1
+        reader = _readers[key]
+    try:
+        yield reader
+    finally:
+        with _sharing:
+            _users[key] -= 1
+            if not _users[key]:
+                del _readers[key], _users[key]
+                reader.stop()

@@ -1,4 +1,4 @@
-"""instruments: lists the devices of an instruments file, tries them, and shows their live values."""
+"""instruments: lists the devices of an instruments file, tries them, shows live values, prints a first file."""
 
 from __future__ import annotations
 
@@ -6,29 +6,44 @@ import sys
 import time
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import yaml
 from posor.calibration.calibration_file import load_calibration
 from posor.calibration.save import save_calibration
 from posor.chain.arm_file import ArmFile, load_arm_file
 from posor.errors import ParameterError
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
+from posor.sensors.bumpy_ring import BumpyRingCalibration
+from posor.sensors.diodes import DiodesCalibration
+from posor.sensors.gap_probes import GapProbesCalibration
 
-from posor_drivers.instruments.device import DeviceError
+from posor_drivers.instruments.device import DeviceError, device_classes
 from posor_drivers.instruments.device_reader import DeviceReader
-from posor_drivers.instruments.instruments_file import InstrumentsFile, device_classes, load_instruments
+from posor_drivers.instruments.instruments_file import (
+    READINGS,
+    WHOLE_NUMBERS,
+    InstrumentsFile,
+    load_instruments,
+)
 from posor_drivers.instruments.reading_noise import calibration_in_motion, noise_in_motion
-from posor_drivers.instruments.starting_file import format_starting_file
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
+
+    from posor.calibration.calibration_file import Calibration
 
 PROBE_S = 5.0
 """Time in which a device must deliver frames whose clock is known."""
 POLL_S = 0.05
 WATCH_S = 1.0
+CONTACTS = "ABCD"
+HEADING = """\
+# Instruments file of {arm}, to be completed: replace addresses, rates, numbers of channels, and every scale of 1.0.
+# `posor instruments list FILE` checks it, `posor instruments probe FILE` tries it.
+"""
 
 
 def _parse_options(arguments: Sequence[str] | None) -> Namespace:
@@ -59,9 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; the exit code is 0 if every device works."""
     options = _parse_options(arguments)
     if options.action == "start":
-        print(
-            format_starting_file(load_arm_file(options.file), options.device, options.probes or options.device), end=""
-        )
+        print(_format_starting_file(load_arm_file(options.file), options.device, options.probes or options.device), end="")
         return 0
     file = load_instruments(options.file)
     if options.action == "list":
@@ -157,6 +170,80 @@ def _watch(readers: Sequence[DeviceReader]) -> None:
                 print(f"{reader.device.name}: {_channel_line(reader).strip()}", flush=True)
     except KeyboardInterrupt:
         return
+
+
+def _format_starting_file(arm: ArmFile, kind: str, probes_kind: str) -> str:
+    """Return the text of an instruments file with every reading of an arm's calibrations and example addresses.
+
+    Each joint has a device, and one more for its gap probes if that is of another kind.
+
+    Raises:
+        CalibrationError: A calibration file is invalid.
+        ParameterError: There is no such kind, or the device has not enough channels.
+
+    """
+    content: dict[str, Any] = {
+        "format": "posor_instruments",
+        "version": 1,
+        "name": arm.name,
+        "rate": {"value": 100, "unit": "Hz"},
+        "latency": {"value": 0.05, "unit": "s"},
+        "devices": {},
+        "joints": {},
+    }
+    for joint, path in arm.calibrations.items():
+        calibration = load_calibration(path)
+        readings = _readings(calibration)
+        entry = content["joints"][joint] = {"frame_id": calibration.frames.parent}
+        if kind != probes_kind:
+            gaps = {name: readings.pop(name) for name in [*readings] if readings[name] == "gap_voltages"}
+            _add_device(content, entry, f"{joint}_probes", probes_kind, gaps)
+        _add_device(content, entry, joint, kind, readings)
+    return HEADING.format(arm=arm.name) + yaml.safe_dump(content, sort_keys=False, width=120)
+
+
+def _readings(calibration: Calibration) -> dict[str, str]:
+    """Return the kind of each reading of a POSOR by the name of its channel, in the order of the calibration file."""
+    readings: dict[str, str] = {}
+    for sensor in calibration.sensors:
+        if isinstance(sensor, GapProbesCalibration):
+            readings |= {probe.name: "gap_voltages" for probe in sensor.probes}
+        elif isinstance(sensor, BumpyRingCalibration):
+            readings |= {probe.name: "ring_voltages" for probe in sensor.probes} | {"home": "home_mark"}
+        elif isinstance(sensor, DiodesCalibration):
+            names = [diode.name for diode in sensor.diodes]
+            readings |= {f"{name}_{contact}": "diode_currents" for name in names for contact in CONTACTS}
+            readings |= {f"{name}_source": "lit_sources" for name in names}
+    return readings
+
+
+def _add_device(
+    content: dict[str, Any], entry: dict[str, Any], device: str, kind: str, readings: Mapping[str, str]
+) -> None:
+    """Add a device with channels for some readings, and these readings to a joint."""
+    classes = device_classes()
+    if kind not in classes:
+        raise ParameterError(f"kind '{kind}'", where="instruments start", expected=f"one of {', '.join(classes)}")
+    units = {name: READINGS[reading] for name, reading in readings.items()}
+    settings = {"kind": kind, **classes[kind].starting_settings(units)}
+    made = classes[kind](device, classes[kind].Settings.model_validate(settings))
+    content["devices"][device] = settings
+    units_of_device = {channel.name: channel.unit for channel in made.channels}
+    for name, reading in readings.items():
+        part: Any = {"channel": f"{device}/{name}"}
+        if name not in units_of_device:
+            if reading == "home_mark":
+                continue
+            if reading != "lit_sources":
+                what = f"a {kind} has no channel for '{name}' of {device}"
+                raise ParameterError(what, where="instruments start", expected="another --device or --probes")
+            part = len(entry.get("lit_sources", []))
+        elif reading not in WHOLE_NUMBERS and units_of_device[name] != READINGS[reading]:
+            part["scale"] = {"value": 1.0, "unit": f"{READINGS[reading]}/{units_of_device[name]}"}
+        if reading == "home_mark":
+            entry[reading] = part
+        else:
+            entry.setdefault(reading, []).append(part)
 
 
 if __name__ == "__main__":

@@ -32,8 +32,8 @@ from posor.calibration.quantity import Quantity, measured
 from posor.calibration.yaml_document import load_document
 from pydantic import Field, model_validator
 
-from posor_drivers.instruments.device import Device, DeviceSettings, registered_devices
-from posor_drivers.instruments.reference_entry import MeasuredQuantity, ReferenceEntry
+from posor_drivers.instruments.device import Device, DeviceSettings, device_classes
+from posor_drivers.instruments.reference_entry import ChannelEntry, ReferenceEntry
 from posor_drivers.quantity_limits import NOT_NEGATIVE
 from posor_drivers.simulator.scenario import MAX_RATE_HZ
 
@@ -56,23 +56,10 @@ WHOLE_NUMBERS = ("lit_sources", "home_mark")
 """Readings that are never interpolated."""
 
 
-class ReadingEntry(FrozenModel):
-    """A reading: ``scale`` times a channel plus ``offset``."""
+class ReadingEntry(ChannelEntry):
+    """A reading of a joint."""
 
-    channel: Annotated[str, Field(pattern=r"^[^/]+/[^/]+$")]
-    scale: Quantity | None = None
-    offset: Quantity | None = None
     acceleration: Annotated[Quantity, NOT_NEGATIVE] | None = None
-
-    @property
-    def factor(self) -> float:
-        """Amount of the reading in one unit of the channel."""
-        return 1.0 if self.scale is None else self.scale.number
-
-    @property
-    def shift(self) -> float:
-        """The reading at zero of the channel."""
-        return 0.0 if self.offset is None else self.offset.number
 
 
 LitSource = Annotated[int, Field(strict=True, ge=0, le=254)] | ReadingEntry
@@ -112,14 +99,7 @@ class JointEntry(FrozenModel):
         return self
 
 
-def device_classes() -> dict[str, type[Device[Any]]]:
-    """Return the classes of all kinds of devices."""
-    return {kind: entry.load() for kind, entry in registered_devices().items()}
-
-
-def _device_settings() -> Any:
-    models = {kind: device.Settings for kind, device in device_classes().items()}
-    return select_model_by_key("kind", models)
+SETTINGS: Any = select_model_by_key("kind", {kind: device.Settings for kind, device in device_classes().items()})
 
 
 class InstrumentsFile(FrozenModel):
@@ -130,7 +110,7 @@ class InstrumentsFile(FrozenModel):
     name: str
     rate: Annotated[Quantity, measured("Hz")]
     latency: Annotated[Quantity, measured("s"), NOT_NEGATIVE]
-    devices: Annotated[dict[str, Annotated[DeviceSettings, _device_settings()]], Field(min_length=1)]
+    devices: Annotated[dict[str, Annotated[DeviceSettings, SETTINGS]], Field(min_length=1)]
     joints: Annotated[dict[str, JointEntry], Field(min_length=1)]
     references: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")], ReferenceEntry] = Field(default_factory=dict)
 
@@ -162,15 +142,9 @@ class InstrumentsFile(FrozenModel):
         return {name: classes[settings.kind](name, settings) for name, settings in self.devices.items()}
 
 
-def _check_units(
-    unit: str,
-    entry: ReadingEntry | ReferenceEntry | MeasuredQuantity,
-    units: dict[str, str],
-    key: tuple[str | int, ...],
-) -> None:
+def _check_units(unit: str, entry: ChannelEntry, units: dict[str, str], key: tuple[str | int, ...]) -> None:
     if entry.channel not in units:
-        known = ", ".join(units)
-        raise EntryError(f"channel '{entry.channel}'", key=(*key, "channel"), expected=f"one of {known}")
+        raise EntryError(f"channel '{entry.channel}'", key=(*key, "channel"), expected=f"one of {', '.join(units)}")
     per_channel = units[entry.channel]
     if isinstance(entry, ReadingEntry) and unit == "1" and (entry.scale is not None or entry.offset is not None):
         raise EntryError("a scale or offset of a whole number", key=key, expected="only a channel of unit 1")

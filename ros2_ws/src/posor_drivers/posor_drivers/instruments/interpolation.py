@@ -44,11 +44,5 @@ def frame_weights(since_before: float, until_after: float, offset: float) -> Fra
 
 
 def interpolation_error(acceleration: float, interval: float) -> float:
-    """Return the largest error of an interpolated value.
-
-    Args:
-        acceleration: Largest second derivative of the value, such as [V/s^2].
-        interval: Longest time between two of the frames [s].
-
-    """
+    """Return the largest error of a value by its largest ``acceleration``, such as [V/s^2], and frame interval [s]."""
     return ERROR_FACTOR * acceleration * interval * interval

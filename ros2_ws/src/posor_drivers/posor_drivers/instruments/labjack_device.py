@@ -18,24 +18,21 @@ a LabJack, only with a Modbus server. ``labjack_stream`` is the stream mode.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from posor.calibration.file_model import FrozenModel
-from posor.calibration.quantity import Quantity, measured
 from pydantic import Field
 
-from posor_drivers.instruments.device import Port, analogue_readings
+from posor_drivers.instruments.device import Port
 from posor_drivers.instruments.labjack_registers import (
     LONG_REGISTERS,
-    NEGATIVE_INPUT,
-    RANGE,
     RESOLUTION_INDEX,
     VOLTAGE,
+    LabJackInput,
     LabJackRegisters,
+    starting_inputs,
 )
 from posor_drivers.instruments.polled_device import PolledDevice, PolledSettings
-from posor_drivers.quantity_limits import POSITIVE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -44,13 +41,9 @@ MOST_REGISTERS = 124
 """That one question can ask for, in whole floats."""
 
 
-class LabJackChannel(FrozenModel):
-    """An analogue input."""
+class LabJackChannel(LabJackInput):
+    """An analogue input that is asked for."""
 
-    unit: ClassVar[str] = "V"
-    input: Annotated[int, Field(strict=True, ge=0, le=254)]
-    range: Annotated[Quantity, measured("V"), POSITIVE] | None = None
-    negative_input: Annotated[int, Field(strict=True, ge=0, le=199)] | None = None
     resolution_index: Annotated[int, Field(strict=True, ge=0, le=12)] | None = None
 
 
@@ -74,21 +67,13 @@ class LabJackDevice(PolledDevice[LabJackSettings]):
         super().__init__(name, settings)
         self._inputs = [channel.input for channel in settings.channels.values()]
         self._questions = _questions(self._inputs)
-        self._greatest = [
-            np.inf if channel.range is None else channel.range.number for channel in settings.channels.values()
-        ]
+        ranges = [channel.range for channel in settings.channels.values()]
+        self._greatest = np.array([np.inf if each is None else each.number for each in ranges])
 
     @classmethod
     def starting_settings(cls, units: Mapping[str, str]) -> dict[str, Any]:
         """Return an input for each reading that is not a whole number."""
-        return {
-            "host": "192.168.0.8",
-            "rate": {"value": 500, "unit": "Hz"},
-            "channels": {
-                name: {"input": n, "range": {"value": 10.0, "unit": "V"}}
-                for n, name in enumerate(analogue_readings(units))
-            },
-        }
+        return starting_inputs(units, 500)
 
     @property
     def address(self) -> str:
@@ -102,13 +87,9 @@ class LabJackDevice(PolledDevice[LabJackSettings]):
         self.connection = registers = LabJackRegisters(self.name, settings.host, settings.port, limit_s)
         identity = registers.identity()
         for channel in settings.channels.values():
-            n = channel.input
-            if channel.range is not None:
-                registers.write_float(RANGE + LONG_REGISTERS * n, channel.range.number)
-            if channel.negative_input is not None:
-                registers.write_short(NEGATIVE_INPUT + n, channel.negative_input)
+            registers.set_up(channel)
             if channel.resolution_index is not None:
-                registers.write_short(RESOLUTION_INDEX + n, channel.resolution_index)
+                registers.write_short(RESOLUTION_INDEX + channel.input, channel.resolution_index)
         return identity
 
     def ask(self) -> Sequence[float]:
@@ -119,10 +100,9 @@ class LabJackDevice(PolledDevice[LabJackSettings]):
         for first, count in self._questions:
             found = self.connection.read_floats(VOLTAGE + LONG_REGISTERS * first, count)
             voltages |= {first + n: voltage for n, voltage in enumerate(found)}
-        values = [voltages[number] for number in self._inputs]
-        return [
-            value if abs(value) <= greatest else np.nan for value, greatest in zip(values, self._greatest, strict=True)
-        ]
+        values = np.array([voltages[number] for number in self._inputs])
+        valid: Sequence[float] = np.where(np.abs(values) <= self._greatest, values, np.nan).tolist()
+        return valid
 
 
 def _questions(inputs: Sequence[int]) -> list[tuple[int, int]]:

@@ -1,4 +1,4 @@
-"""Registers of a LabJack over Modbus TCP, for its devices.
+"""Inputs and registers of a LabJack over Modbus TCP, for its devices.
 
 Source: Modbus map of the T series. Registers hold big-endian numbers with the high word first: the voltage of input n
 (``AIN#``) is a 32-bit float at 2 n, its range (``AIN#_RANGE``) at 40000 + 2 n, its negative input
@@ -7,14 +7,18 @@ Source: Modbus map of the T series. Registers hold big-endian numbers with the h
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
+from posor.calibration.file_model import FrozenModel
+from posor.calibration.quantity import Quantity, measured
+from pydantic import Field
 
-from posor_drivers.instruments.device import DeviceError
+from posor_drivers.instruments.device import DeviceError, starting_channels
+from posor_drivers.quantity_limits import POSITIVE
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
 PRODUCTS = {4: "LabJack T4", 7: "LabJack T7", 8: "LabJack T8"}
 VOLTAGE, RANGE, NEGATIVE_INPUT, RESOLUTION_INDEX = 0, 40_000, 41_000, 41_500
@@ -22,6 +26,21 @@ VOLTAGE, RANGE, NEGATIVE_INPUT, RESOLUTION_INDEX = 0, 40_000, 41_000, 41_500
 PRODUCT, FIRMWARE = 60_000, 60_004
 LONG_REGISTERS = 2
 """Of a float or a 32-bit number."""
+
+
+class LabJackInput(FrozenModel):
+    """An analogue input."""
+
+    unit: ClassVar[str] = "V"
+    input: Annotated[int, Field(strict=True, ge=0, le=254)]
+    range: Annotated[Quantity, measured("V"), POSITIVE] | None = None
+    negative_input: Annotated[int, Field(strict=True, ge=0, le=199)] | None = None
+
+
+def starting_inputs(units: Mapping[str, str], rate_hz: int) -> dict[str, Any]:
+    """Return example settings with an input for each reading that is not a whole number."""
+    channels = starting_channels(units, lambda n: {"input": n, "range": {"value": 10.0, "unit": "V"}})
+    return {"host": "192.168.0.8", "rate": {"value": rate_hz, "unit": "Hz"}, "channels": channels}
 
 
 class LabJackRegisters:
@@ -57,6 +76,13 @@ class LabJackRegisters:
             expected = ", ".join(f"{n} ({PRODUCTS[n]})" for n in products)
             raise self.error(f"the product is {product:g}", expected)
         return f"{PRODUCTS[int(product)]}, firmware {firmware:.4f}"
+
+    def set_up(self, channel: LabJackInput) -> None:
+        """Write the settings of an input that are stated."""
+        if channel.range is not None:
+            self.write_float(RANGE + LONG_REGISTERS * channel.input, channel.range.number)
+        if channel.negative_input is not None:
+            self.write_short(NEGATIVE_INPUT + channel.input, channel.negative_input)
 
     def read_floats(self, register: int, count: int) -> Sequence[float]:
         """Return consecutive floats."""

@@ -30,16 +30,15 @@ from __future__ import annotations
 
 import struct
 from contextlib import suppress
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from posor.calibration.file_model import FrozenModel
 from posor.calibration.quantity import Quantity, measured
 from pydantic import Field
 
-from posor_drivers.instruments.device import DeviceError, DeviceSettings, Frames, Port, analogue_readings
-from posor_drivers.instruments.labjack_registers import LONG_REGISTERS, NEGATIVE_INPUT, RANGE, LabJackRegisters
-from posor_drivers.instruments.packet_device import PacketDevice
+from posor_drivers.instruments.device import DeviceError, DeviceSettings, Frames, Port
+from posor_drivers.instruments.labjack_registers import LONG_REGISTERS, LabJackInput, LabJackRegisters, starting_inputs
+from posor_drivers.instruments.tcp_device import PacketDevice
 from posor_drivers.quantity_limits import POSITIVE
 
 if TYPE_CHECKING:
@@ -63,13 +62,10 @@ HIGHEST_SAMPLE = 0xFFFF
 RATE_TOLERANCE = 0.01
 
 
-class StreamChannel(FrozenModel):
-    """An analogue input."""
+class StreamChannel(LabJackInput):
+    """An analogue input of the stream."""
 
-    unit: ClassVar[str] = "V"
-    input: Annotated[int, Field(strict=True, ge=0, le=254)]
     range: Annotated[Quantity, measured("V"), POSITIVE] = Quantity(value=10.0, unit="V")
-    negative_input: Annotated[int, Field(strict=True, ge=0, le=199)] | None = None
 
 
 class LabJackStreamSettings(DeviceSettings):
@@ -97,14 +93,7 @@ class LabJackStreamDevice(PacketDevice[LabJackStreamSettings]):
     @classmethod
     def starting_settings(cls, units: Mapping[str, str]) -> dict[str, Any]:
         """Return an input for each reading that is not a whole number."""
-        return {
-            "host": "192.168.0.8",
-            "rate": {"value": 1000, "unit": "Hz"},
-            "channels": {
-                name: {"input": n, "range": {"value": 10.0, "unit": "V"}}
-                for n, name in enumerate(analogue_readings(units))
-            },
-        }
+        return starting_inputs(units, 1000)
 
     @property
     def address(self) -> str:
@@ -119,9 +108,7 @@ class LabJackStreamDevice(PacketDevice[LabJackStreamSettings]):
         if registers.read_number(ENABLE):
             registers.write_number(ENABLE, 0)
         for n, channel in enumerate(settings.channels.values()):
-            registers.write_float(RANGE + LONG_REGISTERS * channel.input, channel.range.number)
-            if channel.negative_input is not None:
-                registers.write_short(NEGATIVE_INPUT + channel.input, channel.negative_input)
+            registers.set_up(channel)
             self._constants[n] = self._read_constants(registers, channel.range.number)
         self._write_setup(registers)
         self._packet, self._next = 0, 0

@@ -25,7 +25,7 @@ from posor.calibration.file_model import FrozenModel
 from posor.calibration.quantity import Quantity, measured
 from pydantic import Field
 
-from posor_drivers.instruments.device import Device, DeviceError, DeviceSettings, Frames, analogue_readings
+from posor_drivers.instruments.device import Device, DeviceError, DeviceSettings, Frames, starting_channels
 from posor_drivers.quantity_limits import POSITIVE
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ class NiDevice(Device[NiSettings]):
     @classmethod
     def starting_settings(cls, units: Mapping[str, str]) -> dict[str, Any]:
         """Return an input for each reading that is not a whole number."""
-        channels = {name: {"input": f"Dev1/ai{n}"} for n, name in enumerate(analogue_readings(units))}
+        channels = starting_channels(units, lambda n: {"input": f"Dev1/ai{n}"})
         return {"rate": {"value": 1000, "unit": "Hz"}, "channels": channels}
 
     @property

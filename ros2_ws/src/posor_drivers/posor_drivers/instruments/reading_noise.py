@@ -58,8 +58,7 @@ def noise_in_motion(file: InstrumentsFile, joint: str, calibration: Calibration)
         """Return the largest interpolation error of a reading, in its unit; zero without a stated acceleration."""
         if reading.acceleration is None:
             return 0.0
-        interval_s = intervals[reading.channel.partition("/")[0]]
-        return interpolation_error(abs(reading.factor) * reading.acceleration.number, interval_s)
+        return interpolation_error(abs(reading.factor) * reading.acceleration.number, intervals[reading.device])
 
     found = []
     for s, sensor in enumerate(calibration.sensors):

@@ -27,7 +27,7 @@ References:
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from posor.calibration.file_model import EntryError, FrozenModel
 from posor.calibration.quantity import Quantity, measured
@@ -39,25 +39,42 @@ from posor_drivers.quantity_limits import NOT_NEGATIVE, POSITIVE
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-ChannelName = Annotated[str, Field(pattern=r"^[^/]+/[^/]+$")]
 Metres = Annotated[Quantity, measured("m")]
 Radians = Annotated[Quantity, measured("rad")]
 AIR_UNITS = {"temperature": "K", "pressure": "Pa", "relative_humidity": "1", "co2_fraction": "1"}
 
 
-class MeasuredQuantity(FrozenModel):
-    """A quantity that a channel measures: ``scale`` times the channel plus ``offset``, and its standard uncertainty."""
+class ChannelEntry(FrozenModel):
+    """What a channel measures: ``scale`` times the channel plus ``offset``."""
 
-    channel: ChannelName
+    channel: Annotated[str, Field(pattern=r"^[^/]+/[^/]+$")]
     scale: Quantity | None = None
     offset: Quantity | None = None
-    sigma: Annotated[Quantity, NOT_NEGATIVE]
 
-    def at(self, channels: Mapping[str, float]) -> Input:
+    @property
+    def device(self) -> str:
+        """Name of the channel's device."""
+        return self.channel.partition("/")[0]
+
+    @property
+    def factor(self) -> float:
+        """Amount of the quantity in one unit of the channel."""
+        return 1.0 if self.scale is None else self.scale.number
+
+    @property
+    def shift(self) -> float:
+        """The quantity at zero of the channel."""
+        return 0.0 if self.offset is None else self.offset.number
+
+    def value(self, channels: Mapping[str, float]) -> float:
         """Return the quantity by the values of the channels."""
-        factor = 1.0 if self.scale is None else self.scale.number
-        shift = 0.0 if self.offset is None else self.offset.number
-        return Input(factor * channels[self.channel] + shift, self.sigma.number)
+        return self.factor * channels[self.channel] + self.shift
+
+
+class MeasuredQuantity(ChannelEntry):
+    """A quantity that a channel measures, with its standard uncertainty."""
+
+    sigma: Annotated[Quantity, NOT_NEGATIVE]
 
 
 AirQuantity = MeasuredQuantity | Quantity
@@ -92,15 +109,6 @@ class AirEntry(FrozenModel):
         return self
 
 
-class FixedAir(FrozenModel):
-    """Air when the interferometer was set to zero, with the uncertainty of the change since."""
-
-    temperature: Annotated[Quantity, measured("K")]
-    pressure: Annotated[Quantity, measured("Pa")]
-    relative_humidity: Annotated[Quantity, measured("1")]
-    co2_fraction: Annotated[Quantity, measured("1")]
-
-
 class AbbeEntry(FrozenModel):
     """Distance between beam and point of interest, and turn of the carriage."""
 
@@ -123,7 +131,8 @@ class InterferometerEntry(FrozenModel):
     assumed_index: Annotated[float, Field(ge=1.0, le=1.001)]
     index_uncertainty: Annotated[float, Field(ge=0.0)]
     air: AirEntry
-    air_at_zero: FixedAir | None = None
+    air_at_zero: AirEntry | None = None
+    """Air when the interferometer was set to zero, without channels; its uncertainty is that of the change since."""
     dead_path: Metres | None = None
     misalignment: tuple[Radians, Radians] | None = None
     abbe_offsets: tuple[AbbeEntry, ...] = ()
@@ -133,6 +142,8 @@ class InterferometerEntry(FrozenModel):
     def _check_zero(self) -> Self:
         if (self.dead_path is None) != (self.air_at_zero is None):
             raise EntryError("only one of dead_path and air_at_zero", expected="both or neither")
+        for name, entry in self.air_at_zero.channels if self.air_at_zero else ():
+            raise EntryError(f"channel '{entry.channel}'", key=("air_at_zero", name), expected="a quantity")
         return self
 
     def setup(self, channels: Mapping[str, float]) -> Interferometer:
@@ -142,23 +153,19 @@ class InterferometerEntry(FrozenModel):
             ParameterError: A quantity is not finite, or out of range.
 
         """
-        air, zero = self.air.at(channels), Input(0.0)
-        change = AirQuantities(zero, zero, zero, zero)
-        if self.air_at_zero is not None:
-            before = [_quantity(getattr(self.air_at_zero, name)) for name in AIR_UNITS]
-            pairs = zip(air.each, before, strict=True)
-            change = AirQuantities(*(Input(now.value - then.value, then.uncertainty) for now, then in pairs))
-        angles = (zero, zero)
+        air, optional = self.air.at(channels), dict[str, Any]()
+        if self.air_at_zero is not None and self.dead_path is not None:
+            pairs = zip(air.each, self.air_at_zero.at({}).each, strict=True)
+            change = [Input(now.value - then.value, then.uncertainty) for now, then in pairs]
+            optional |= {"air_change": AirQuantities(*change), "dead_path": _quantity(self.dead_path)}
         if self.misalignment is not None:
-            angles = (_quantity(self.misalignment[0]), _quantity(self.misalignment[1]))
+            optional["misalignment"] = tuple(map(_quantity, self.misalignment))
         return Interferometer(
             wavelength=_quantity(self.wavelength),
             assumed_index=self.assumed_index,
             air=air,
             index_uncertainty=self.index_uncertainty,
-            air_change=change,
-            dead_path=zero if self.dead_path is None else _quantity(self.dead_path),
-            misalignment=angles,
+            **optional,
             abbe_offsets=tuple(AbbeOffset(_quantity(each.offset), _quantity(each.angle)) for each in self.abbe_offsets),
             expansions=tuple(
                 Expansion(_quantity(each.length), _quantity(each.coefficient), _quantity(each.temperature_change))
@@ -167,15 +174,12 @@ class InterferometerEntry(FrozenModel):
         )
 
 
-class ReferenceEntry(FrozenModel):
+class ReferenceEntry(ChannelEntry):
     """A reference of a calibration: a channel and what is known of it."""
 
     joint: str
     frame_id: Annotated[str, Field(min_length=1)]
     unit: Literal["m", "rad"]
-    channel: ChannelName
-    scale: Quantity | None = None
-    offset: Quantity | None = None
     standard_uncertainty: Annotated[Quantity, NOT_NEGATIVE]
     interferometer: InterferometerEntry | None = None
 
@@ -189,7 +193,7 @@ class ReferenceEntry(FrozenModel):
         return self
 
     @property
-    def measured(self) -> Iterator[tuple[tuple[str, ...], str, MeasuredQuantity | ReferenceEntry]]:
+    def measured(self) -> Iterator[tuple[tuple[str, ...], str, ChannelEntry]]:
         """Yield location in the entry, unit and entry of everything that a channel measures."""
         yield (), self.unit, self
         if self.interferometer is not None:
@@ -202,4 +206,4 @@ def _quantity(quantity: Quantity) -> Input:
 
 
 def _input(entry: AirQuantity, channels: Mapping[str, float]) -> Input:
-    return entry.at(channels) if isinstance(entry, MeasuredQuantity) else _quantity(entry)
+    return Input(entry.value(channels), entry.sigma.number) if isinstance(entry, MeasuredQuantity) else _quantity(entry)

@@ -27,7 +27,7 @@ from posor.calibration.file_model import EntryError, FrozenModel
 from posor.calibration.yaml_document import load_document
 from pydantic import Field, model_validator
 
-from posor_drivers.instruments.device import analogue_readings, refuse_repeated_numbers
+from posor_drivers.instruments.device import refuse_repeated_numbers, starting_channels
 from posor_drivers.instruments.polled_device import PolledDevice, PolledSettings
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
             "address": "TCPIP::192.168.0.7::5025::SOCKET",
             "dialect": "keysight_daq970a",
             "rate": {"value": 5, "unit": "Hz"},
-            "channels": {name: {"number": 101 + n, "unit": "V"} for n, name in enumerate(analogue_readings(units))},
+            "channels": starting_channels(units, lambda n: {"number": 101 + n, "unit": "V"}),
         }
 
     @property
@@ -180,9 +180,8 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
             what = f"the answer to '{dialect.read}' is '{answer}'"
             raise self.error(what, f"{len(self._numbers)} numbers, separated by '{dialect.separator}'")
         by_number = dict(zip(sorted(self._numbers), readings, strict=True))
-        return [
-            by_number[number] if abs(by_number[number]) < dialect.overload else math.nan for number in self._numbers
-        ]
+        values = [by_number[number] for number in self._numbers]
+        return [value if abs(value) < dialect.overload else math.nan for value in values]
 
     def _check_errors(self) -> None:
         """Empty the error queue.

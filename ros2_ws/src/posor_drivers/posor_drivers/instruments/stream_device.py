@@ -28,7 +28,7 @@ from posor.calibration.file_model import EntryError, FrozenModel
 from pydantic import Field, model_validator
 
 from posor_drivers.instruments.device import Device, DeviceSettings, Frames, Port
-from posor_drivers.instruments.tcp_connection import TcpConnection
+from posor_drivers.instruments.tcp_device import TcpConnection
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -13,12 +13,13 @@ plate at the end of beam i - 1; the first receiving plate is on the base.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 
+from posor_drivers.simulator.imperfections import RandomStream
 from posor_drivers.simulator.mechanics import (
     LinkCompliance,
     apply_backlash,
@@ -26,104 +27,31 @@ from posor_drivers.simulator.mechanics import (
     bend_links,
     quantise_encoder,
 )
-from posor_drivers.simulator.pose_array import PoseArray
-from posor_drivers.simulator.random_stream import RandomStream
+from posor_drivers.simulator.pose_array import ArmTruth, PoseArray
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from posor.chain.kinematic_chain import Chain, FixedLink
-    from posor.numerics.array_types import FloatArray, IntArray
+    from posor.numerics.array_types import FloatArray
 
+    from posor_drivers.simulator.imperfections import Imperfections
     from posor_drivers.simulator.nominal_arm import NominalArm
     from posor_drivers.simulator.scenario import Scenario
 
 
 @dataclass(frozen=True)
-class ArmTruth:
-    """The truth at n ticks; joints j in order from the base.
-
-    Attributes:
-        joints: Names.
-        commanded: Commanded angles, which the motors follow exactly [rad], (n, j).
-        encoder: Readings of the motors' encoders [rad], (n, j).
-        angles: True joint angles [rad], (n, j).
-        T_parent_child: Target plate in the receiving plate of each POSOR, by joint.
-        R_parent_base: Rotation of vectors of the base into the axes of the last receiving plate, (n, 3, 3).
-        endpoint: In the base.
-        target: Commanded endpoint: nominal kinematics of the commanded angles, in the base.
-        by_encoders: Endpoint from the encoder readings and nominal kinematics, in the base.
-        stage: Position of the stage, axes of the endpoint [m], (n, 3).
-
-    """
-
-    joints: tuple[str, ...]
-    commanded: FloatArray
-    encoder: FloatArray
-    angles: FloatArray
-    T_parent_child: Mapping[str, PoseArray]
-    R_parent_base: FloatArray
-    endpoint: PoseArray
-    target: PoseArray
-    by_encoders: PoseArray
-    stage: FloatArray
-
-    def select(self, indices: IntArray) -> ArmTruth:
-        """Return the truth at some indices, (n,)."""
-        arrays = ("commanded", "encoder", "angles", "R_parent_base", "stage")
-        poses = ("endpoint", "target", "by_encoders")
-        return replace(
-            self,
-            T_parent_child={joint: seen.select(indices) for joint, seen in self.T_parent_child.items()},
-            **{name: getattr(self, name)[indices] for name in arrays},
-            **{name: getattr(self, name).select(indices) for name in poses},
-        )
-
-    def with_stage(self, positions: FloatArray) -> ArmTruth:
-        """Return the truth with the stage at positions [m], (n, 3), axes of the endpoint.
-
-        The stage displaces the last measuring beam, and with it the last target plate and the endpoint.
-        """
-        shift = self.endpoint.rotate(positions)
-        endpoint = PoseArray(self.endpoint.rotations, self.endpoint.translations + shift)
-        last = self.T_parent_child[self.joints[-1]]
-        shift_in_parent = np.einsum("nij,nj->ni", self.R_parent_base, shift)
-        moved = PoseArray(last.rotations, last.translations + shift_in_parent)
-        poses = {**self.T_parent_child, self.joints[-1]: moved}
-        return replace(self, T_parent_child=poses, endpoint=endpoint, stage=positions)
-
-
-@dataclass(frozen=True)
 class TrueBeam:
-    """One true beam from target plate to receiving plate; a link without beam in the beams file is straight and exact.
+    """One true beam from target plate to receiving plate; without beam in the beams file a link is exact."""
 
-    Attributes:
-        before: From the target plate to the beam's start.
-        end: From the beam's start to its end, without sag.
-        after: From the beam's end to the next receiving plate, or to the endpoint.
-        start_gain: Motion of the plate at the start per specific force, axes of the start, (6, 3), see
-            ``MeasuringBeam``.
-        end_gain: The same for the plate at the end.
-
-    """
-
-    before: pin.SE3
-    end: pin.SE3
-    after: pin.SE3
+    before: pin.SE3  # from the target plate to the beam's start
+    end: pin.SE3  # from the beam's start to its end, without sag
+    after: pin.SE3  # from the beam's end to the next receiving plate, or to the endpoint
     start_gain: FloatArray
-    end_gain: FloatArray
+    """Motion of the plate at the start per specific force, axes of the start, (6, 3), see ``MeasuringBeam``."""
+    end_gain: FloatArray  # the same for the plate at the end
 
     @classmethod
-    def draw(cls, link: FixedLink, seed: int, *, errors: bool, sag: bool) -> TrueBeam:
-        """Return the true beam of a link.
-
-        Args:
-            link: The link as the chain knows it.
-            seed: Of the scenario.
-            errors: Whether beam and sag differ from the beams file, by as much as it says is uncertain.
-            sag: Whether the beam sags.
-
-        """
+    def draw(cls, link: FixedLink, seed: int, imperfections: Imperfections) -> TrueBeam:
+        """Return the true beam of a link; ``seed`` is that of the scenario."""
         beam, zero = link.beam, np.zeros((6, 3))
         if beam is None:
             return cls(link.before, pin.SE3.Identity(), link.after, zero, zero)
@@ -131,18 +59,16 @@ class TrueBeam:
         error = np.sqrt(np.diagonal(beam.covariance)) * random.normal(size=6)
         scale = 1.0 + beam.sag_sigma * float(random.normal())
         end = beam.T_start_end
-        if errors:
+        if imperfections.beam_errors:
             end = pin.SE3(pin.exp3(error[3:]) @ end.rotation, end.translation + error[:3])
-        factor = (scale if errors else 1.0) if sag else 0.0
+        factor = (scale if imperfections.beam_errors else 1.0) if imperfections.sag else 0.0
         return cls(link.before, end, link.after, factor * beam.start_gain, factor * beam.end_gain)
 
     def plates(self, lines: PoseArray, specific_force: FloatArray) -> tuple[PoseArray, PoseArray]:
         """Return the target plate at the start and the receiving plate at the end.
 
-        Args:
-            lines: Line of the beam through its gimbals, (n): the target plate without sag.
-            specific_force: Gravity minus acceleration [m/s^2], (3,) or (n, 3), in the parent frame of ``lines``.
-
+        ``lines`` (n) go through the gimbals: the target plate without sag. ``specific_force`` is gravity minus
+        acceleration [m/s^2], (3,) or (n, 3), in their parent frame.
         """
         start = lines @ self.before
         force = start.rotate_back(specific_force)
@@ -152,26 +78,11 @@ class TrueBeam:
 
 
 def true_cycle(
-    scenario: Scenario,
-    chain: Chain,
-    arm: NominalArm,
-    commanded: FloatArray,
-    *,
-    beam_errors: bool,
-    sag: bool,
-    inertia: bool = False,
+    scenario: Scenario, chain: Chain, arm: NominalArm, commanded: FloatArray, imperfections: Imperfections
 ) -> ArmTruth:
-    """Return the truth over one cycle, with the stage in its middle.
+    """Return the truth over one cycle of commanded angles [rad], (n, j), with the stage in its middle.
 
-    Args:
-        scenario: The imperfections.
-        chain: The arm as its files describe it.
-        arm: Its nominal kinematics.
-        commanded: Angles [rad], (n, j).
-        beam_errors: Whether the measuring beams differ from their file.
-        sag: Whether they sag.
-        inertia: Whether acceleration changes the sag.
-
+    ``chain`` is the arm as its files describe it. Of the imperfections, those of the measuring beams have an effect.
     """
     settings = [scenario.joints[name] for name in arm.joints]
     encoder, angles = commanded.copy(), commanded.copy()
@@ -186,8 +97,8 @@ def true_cycle(
         for joint, span in zip(settings, spans, strict=True)
     ]
     bends = bend_links(arm.target_plates(angles), spans, compliances, scenario.payload.mass.number, chain.gravity)
-    beams = [TrueBeam.draw(link, scenario.seed, errors=beam_errors, sag=sag) for link in chain.links]
-    forces = _specific_forces(chain, arm, commanded, scenario.ticks_per_second, inertia=inertia)
+    beams = [TrueBeam.draw(link, scenario.seed, imperfections) for link in chain.links]
+    forces = _specific_forces(chain, arm, commanded, scenario.ticks_per_second, inertia=imperfections.inertia)
     base = PoseArray.repeat(pin.SE3.Identity(), len(commanded))
     structure = base @ arm.links[0]
     last_receiving = receiving = beams[0].plates(base, forces[0])[1]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from posor.errors import CalibrationError
@@ -14,25 +14,32 @@ from posor.numerics.stamps import NS, tick_stamp_ns
 from posor.numerics.vector import wrapped_angles
 from posor.sensors.base import RowSensor
 
-from posor_drivers.simulator.random_stream import RandomStream
-from posor_drivers.simulator.simulated_scans import (
-    DIODE_FIELD,
-    PROBE_FIELDS,
-    SimulatedScans,
-    find_channel,
-)
+from posor_drivers.simulator.imperfections import RandomStream
+from posor_drivers.simulator.simulated_scans import DIODE_FIELD, PROBE_FIELDS, SimulatedScans, find_channel
 
 if TYPE_CHECKING:
     from posor.calibration.calibration_file import Calibration
     from posor.model.scan import Scans
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
+    from posor_drivers.simulator.electronics_settings import ElectronicsSettings
     from posor_drivers.simulator.imperfections import Imperfections
     from posor_drivers.simulator.pose_array import PoseArray
     from posor_drivers.simulator.scenario import Scenario
 
 HOME_MARK = 0.25
 """Half the width of the home mark, in bumps; the mark is unambiguous within half a bump."""
+
+
+class _Dirt(NamedTuple):
+    """Contamination of a channel: a field of ``Scans`` and an index in a scan, times [s], and a shift or a share."""
+
+    field: str
+    channel: tuple[int, ...]
+    begin_s: float
+    end_s: float
+    size: float
+    is_shift: bool
 
 
 class JointElectronics:
@@ -43,19 +50,15 @@ class JointElectronics:
     ) -> None:
         """Draw the errors that are constant in time.
 
-        Args:
-            scenario: Magnitudes of the imperfections.
-            joint: Name of the joint.
-            calibration: Calibration of its POSOR.
-            imperfections: Which imperfections are simulated.
-            source: Name of the scenario in error messages.
+        ``scenario`` holds the magnitudes of the imperfections; ``source`` is its name in error messages.
 
         Raises:
             CalibrationError: A sensor cannot be simulated, or the scenario names a channel that does not exist.
 
         """
         self._rate, self._cycle_ticks = scenario.ticks_per_second, scenario.cycle_ticks
-        self._settings, self._imperfections = scenario.electronics, imperfections
+        self._steps, self._noise = imperfections.quantisation, imperfections.noise
+        self._read_settings(scenario.electronics, imperfections)
         self._stack = Stack([sensor.build() for sensor in calibration.sensors])
         if imperfections.calibration_errors:
             random = RandomStream(scenario.seed, "calibration", joint).generator()
@@ -71,13 +74,36 @@ class JointElectronics:
         random = RandomStream(scenario.seed, "zero drift", joint).generator()
         phases = random.uniform(0.0, 2.0 * np.pi, size=(len(PROBE_FIELDS), 16))
         self._drift_phases = dict(zip(PROBE_FIELDS, phases, strict=True))
-        self._dirt = [
-            (dirt, *find_channel(calibration, dirt, f"{source}, key electronics.contamination[{index}]"))
-            for index, dirt in enumerate(scenario.electronics.contamination)
-            if dirt.joint == joint
+        dirt = [
+            _Dirt(
+                *find_channel(calibration, each, f"{source}, key electronics.contamination[{index}]"),
+                begin_s=each.begin.number,
+                end_s=each.end.number,
+                size=each.size.number,
+                is_shift=each.contact is None,
+            )
+            for index, each in enumerate(scenario.electronics.contamination)
+            if each.joint == joint
         ]
+        self._dirt = dirt if imperfections.contamination else []
         counted = [sensor for sensor in calibration.sensors if sensor.bump_angle > 0.0]
         self._home = (counted[0].bump_angle, counted[0].home_theta) if counted else None
+
+    def _read_settings(self, settings: ElectronicsSettings, imperfections: Imperfections) -> None:
+        """Take the numbers of what is simulated: amplitudes [V], periods [s], limits [V] or [A], times [s]."""
+        converter, supply, self._bits = settings.converter, settings.supply, settings.converter.bits
+        self._limits = dict.fromkeys(PROBE_FIELDS, converter.probes.array) | {DIODE_FIELD: converter.diodes.array}
+        self._supply = None
+        if supply is not None:
+            amplitude = supply.amplitude.number if imperfections.supply_drift else 0.0
+            self._supply = supply.mean.number, amplitude, supply.period.number
+        self._hides_supply = supply is not None and not supply.measured
+        drift = settings.zero_drift if imperfections.zero_drift else None
+        self._drift = None if drift is None else (drift.amplitude.number, drift.period.number)
+        dropouts = settings.dropouts if imperfections.dropouts else None
+        self._lost_share = 0.0 if dropouts is None else dropouts.probability.number
+        latency = settings.latency if imperfections.latency else None
+        self._latency = (0.0, 0.0) if latency is None else (latency.mean.number, latency.jitter.number)
 
     @property
     def home(self) -> float | None:
@@ -110,22 +136,19 @@ class JointElectronics:
         home = self.is_at_home(poses.rotations)
         scans = scans.with_fields({"numbers": ticks, "at_home": home.astype(np.int64)})
         scans, chances = self._add_noise(scans, ticks)
-        scans = self._add_zero_drift(scans, ticks)
-        scans = self._add_contamination(scans, ticks)
+        scans = self._add_contamination(self._add_zero_drift(scans, ticks), ticks)
         scans, saturated = self._convert(scans, out_of_range)
-        if supply is not None and not (self._settings.supply and self._settings.supply.measured):
+        if self._hides_supply:
             scans = scans.with_fields({"supply_voltages": np.full(len(ticks), np.nan)})
         statuses = SIMULATED | SATURATED * saturated | HOME_BUMP * home
-        dropouts = self._settings.dropouts if self._imperfections.dropouts else None
-        sent = np.asarray(chances[:, 0] >= (0.0 if dropouts is None else dropouts.probability.number))
+        sent = np.asarray(chances[:, 0] >= self._lost_share)
         return SimulatedScans(scans, statuses, sent, self._latencies_ns(chances[:, 1]))
 
     def _supply_voltages(self, ticks: IntArray) -> FloatArray | None:
-        supply = self._settings.supply
-        if supply is None:
+        if self._supply is None:
             return None
-        amplitude = supply.amplitude.number if self._imperfections.supply_drift else 0.0
-        return np.asarray(supply.mean.number + amplitude * np.sin(self._phases(ticks, supply.period.number)))
+        mean, amplitude, period = self._supply
+        return np.asarray(mean + amplitude * np.sin(self._phases(ticks, period)))
 
     def _phases(self, ticks: IntArray, period: float) -> FloatArray:
         """Return the phase [rad] at ticks of a slow sine with this period [s]."""
@@ -138,7 +161,7 @@ class JointElectronics:
         for n, tick in enumerate(ticks.tolist()):
             random = self._readings.generator(tick)
             chances[n] = random.uniform(size=2)
-            if self._imperfections.noise:
+            if self._noise:
                 scan = scans.part(n, n + 1)
                 for sensor in self._sensors:
                     for name, values in sensor.disturbed(scan, random).items():
@@ -146,28 +169,26 @@ class JointElectronics:
         return scans.with_fields({name: np.concatenate(values) for name, values in noisy.items()}), chances
 
     def _add_zero_drift(self, scans: Scans, ticks: IntArray) -> Scans:
-        drift = self._settings.zero_drift
-        if drift is None or not self._imperfections.zero_drift:
+        if self._drift is None:
             return scans
-        phase = self._phases(ticks, drift.period.number)[:, None]
+        amplitude, period = self._drift
+        phase = self._phases(ticks, period)[:, None]
         drifted = {}
         for name, offsets in self._drift_phases.items():
             volts = getattr(scans, name)
-            drifted[name] = volts + drift.amplitude.number * np.sin(phase + offsets[: volts.shape[1]])
+            drifted[name] = volts + amplitude * np.sin(phase + offsets[: volts.shape[1]])
         return scans.with_fields(drifted)
 
     def _add_contamination(self, scans: Scans, ticks: IntArray) -> Scans:
-        if not self._imperfections.contamination:
-            return scans
         seconds = np.mod(ticks, self._cycle_ticks) / self._rate
-        for dirt, name, channel in self._dirt:
-            dirty = (seconds >= dirt.begin.number) & (seconds < dirt.end.number)
-            values = getattr(scans, name).copy()
-            if dirt.contact is None:
-                values[(dirty, *channel)] += dirt.size.number
+        for dirt in self._dirt:
+            dirty = (seconds >= dirt.begin_s) & (seconds < dirt.end_s)
+            values = getattr(scans, dirt.field).copy()
+            if dirt.is_shift:
+                values[(dirty, *dirt.channel)] += dirt.size
             else:
-                values[(dirty, *channel)] *= 1.0 + dirt.size.number
-            scans = scans.with_fields({name: values})
+                values[(dirty, *dirt.channel)] *= 1.0 + dirt.size
+            scans = scans.with_fields({dirt.field: values})
         return scans
 
     def _convert(self, scans: Scans, out_of_range: dict[str, BoolArray]) -> tuple[Scans, BoolArray]:
@@ -176,23 +197,18 @@ class JointElectronics:
         A probe beyond its calibrated range drives its channel to the upper end; a diode that the light misses gives no
         current.
         """
-        converter = self._settings.converter
         saturated = np.zeros(len(scans), dtype=bool)
         out: dict[str, FloatArray] = {}
         for name, invalid in out_of_range.items():
-            limits = converter.diodes.array if name == DIODE_FIELD else converter.probes.array
+            limits = self._limits[name]
             values = np.where(invalid, 0.0 if name == DIODE_FIELD else limits[1], getattr(scans, name))
-            steps = self._imperfections.quantisation
-            out[name], at_end = convert_to_digital(values, limits, converter.bits, steps=steps)
+            out[name], at_end = convert_to_digital(values, limits, self._bits, steps=self._steps)
             saturated |= at_end
         return scans.with_fields(out), saturated
 
     def _latencies_ns(self, chances: FloatArray) -> IntArray:
-        latency = self._settings.latency
-        if latency is None or not self._imperfections.latency:
-            return np.zeros(len(chances), dtype=np.int64)
-        seconds = latency.mean.number + latency.jitter.number * (2.0 * chances - 1.0)
-        return np.round(seconds * NS).astype(np.int64)
+        mean, jitter = self._latency
+        return np.round((mean + jitter * (2.0 * chances - 1.0)) * NS).astype(np.int64)
 
 
 def convert_to_digital(
@@ -200,14 +216,8 @@ def convert_to_digital(
 ) -> tuple[FloatArray, BoolArray]:
     """Return the values after an analogue-to-digital converter, and which scans have a channel at the end of its range.
 
-    Code c of the ``2^bits`` codes means ``low + c (high - low) / 2^bits``.
-
-    Args:
-        values: (n, ...).
-        limits: Low and high end of the range, (2,).
-        bits: Of the converter.
-        steps: Whether values are rounded to codes; the range is limited in any case.
-
+    Code c of the ``2^bits`` codes means ``low + c (high - low) / 2^bits``. ``values`` are of shape (n, ...), ``limits``
+    are low and high, (2,). Without ``steps`` values are not rounded to codes, only limited.
     """
     low, high = limits
     step = (high - low) / 2**bits

@@ -38,31 +38,44 @@ class Supply(FrozenModel):
     measured: bool = Field(strict=True)
 
 
-class Contamination(FrozenModel):
-    """Dirt on one channel during a part of each cycle, between two scenario times.
+class TimedEntry(FrozenModel):
+    """Disturbance of a joint during a part of each cycle, between two scenario times.
 
-    ``channel`` is the name of a probe or diode in the joint's calibration. ``size`` is a shift of the probe's voltage
-    [V], or the relative change [1] of the current of one ``contact`` of a diode (-0.1: a tenth less).
+    ``channel`` is the name of a probe or diode in the joint's calibration, ``contact`` a contact of a diode.
     """
 
     joint: str
-    channel: str
+    channel: str | None = None
     contact: Literal["A", "B", "C", "D"] | None = None
     begin: Annotated[Quantity, measured("s"), NOT_NEGATIVE] = Field(alias="from")
     end: Annotated[Quantity, measured("s"), POSITIVE] = Field(alias="until")
-    size: Quantity
+    size: Quantity | None = None
 
     @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _check_times(self) -> Self:
         if not self.begin.number < self.end.number:
             expected = f"more than {self.begin.number:g} s, where it begins"
             raise EntryError(f"until {self.end.number:g} s", key=("until", "value"), expected=expected)
+        return self
+
+
+class Contamination(TimedEntry):
+    """Dirt on one channel.
+
+    ``size`` is a shift of the probe's voltage [V], or the relative change [1] of the current of one ``contact`` of a
+    diode (-0.1: a tenth less).
+    """
+
+    channel: str
+    size: Quantity
+
+    @model_validator(mode="after")
+    def _check_size(self) -> Self:
         unit = "V" if self.contact is None else "1"
         if self.size.unit != unit or self.size.array.shape:
             expected = f"one number, unit '{unit}'"
-            raise EntryError(
-                f"size {format_value(self.size.value)} '{self.size.unit}'", key=("size",), expected=expected
-            )
+            what = f"size {format_value(self.size.value)} '{self.size.unit}'"
+            raise EntryError(what, key=("size",), expected=expected)
         if self.contact is not None and not self.size.number > -1.0:
             expected = "more than -1, which leaves no current"
             raise EntryError(f"size {self.size.number:g}", key=("size", "value"), expected=expected)

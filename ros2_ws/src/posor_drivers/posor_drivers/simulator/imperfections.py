@@ -1,9 +1,11 @@
-"""Switches for the simulated imperfections; their magnitudes are in the scenario and in the arm's own files."""
+"""Switches for the simulated imperfections, and their random numbers; magnitudes are in scenario and arm files."""
 
 from __future__ import annotations
 
+import hashlib
 from typing import Self
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 
@@ -32,3 +34,21 @@ class Imperfections(BaseModel):
     def only(cls, *names: str) -> Self:
         """Return the model with only the named switches on."""
         return cls(**{name: name in names for name in cls.model_fields})
+
+
+class RandomStream:
+    """Random numbers for one purpose, such as ``"readings", "elbow"``; seed and purpose form the Philox key.
+
+    They are counter-based: equal in every process and independent of the order of the calls.
+    """
+
+    def __init__(self, seed: int, *purpose: str) -> None:
+        """Derive the key from seed and purpose."""
+        name = "\0".join([str(seed), *purpose])
+        self._key = np.frombuffer(hashlib.blake2b(name.encode(), digest_size=16).digest(), dtype="<u8")
+
+    def generator(self, tick: int = 0) -> np.random.Generator:
+        """Return the generator of a tick; the default is for values drawn once."""
+        # The lowest counter word counts the draws, so the tick uses a word that draws never reach.
+        counter = np.array([0, 0, tick, 0], dtype=np.uint64)
+        return np.random.Generator(np.random.Philox(key=self._key, counter=counter))

@@ -66,26 +66,15 @@ def bearing_error_motions(bearing: Bearing, angles: FloatArray, random: np.rando
 
 @dataclass(frozen=True)
 class LinkCompliance:
-    """Deflection [m] and slope [rad] of a link's end for unit loads, and its twist for a unit torque.
+    """Deflection [m] and slope [rad] of a link's end for unit loads, and its twist for a unit torque."""
 
-    Attributes:
-        length: [m].
-        load: Deflection and slope for 1 N/m across, along the whole link.
-        force: Deflection and slope for 1 N across, at the end.
-        moment: Deflection and slope for 1 N m about an axis across, at the end.
-        twist: [rad] for 1 N m about the link's axis, at the end.
-        mass_per_length: [kg/m].
-        end_mass: [kg].
-
-    """
-
-    length: float
-    load: tuple[float, float] = (0.0, 0.0)
-    force: tuple[float, float] = (0.0, 0.0)
-    moment: tuple[float, float] = (0.0, 0.0)
-    twist: float = 0.0
-    mass_per_length: float = 0.0
-    end_mass: float = 0.0
+    length: float  # [m]
+    load: tuple[float, float] = (0.0, 0.0)  # deflection and slope for 1 N/m across, along the whole link
+    force: tuple[float, float] = (0.0, 0.0)  # deflection and slope for 1 N across, at the end
+    moment: tuple[float, float] = (0.0, 0.0)  # deflection and slope for 1 N m about an axis across, at the end
+    twist: float = 0.0  # [rad] for 1 N m about the link's axis, at the end
+    mass_per_length: float = 0.0  # [kg/m]
+    end_mass: float = 0.0  # [kg]
 
     @classmethod
     def from_structure(cls, structure: Structure | None, length: float) -> LinkCompliance:

@@ -136,11 +136,9 @@ class Circle(FrozenModel):
         on_circle = arm.solve_angles(np.vstack([points, self._points(points[0], np.zeros(1))]), posture)
         if on_circle is None:
             centre = ", ".join(f"{x:g}" for x in self.centre.array)
-            raise CalibrationError(
-                f"the arm cannot follow the circle of {self.radius.number:g} m about ({centre}) m from its posture",
-                where=f"{where}, keys centre, radius, posture",
-                expected="three joints or more, and a circle within reach, away from where the arm is stretched",
-            )
+            what = f"the arm cannot follow the circle of {self.radius.number:g} m about ({centre}) m from its posture"
+            expected = "three joints or more, and a circle within reach, away from where the arm is stretched"
+            raise CalibrationError(what, where=f"{where}, keys centre, radius, posture", expected=expected)
         share = smooth_step(np.minimum(times, duration - times) / approach)[:, None]
         approaching = start + share * (on_circle[-1] - start)
         moving = (times >= approach) & (times <= duration - approach)
@@ -172,8 +170,8 @@ class Dither(FrozenModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        for key, quantity in (("amplitude", self.amplitude), ("frequency", self.frequency)):
-            _check_count(key, quantity, len(self.joints), "entry of joints")
+        _check_count("amplitude", self.amplitude, len(self.joints), "entry of joints")
+        _check_count("frequency", self.frequency, len(self.joints), "entry of joints")
         return self
 
     def angles(self, times: FloatArray, start: FloatArray, arm: NominalArm, _where: str) -> FloatArray:

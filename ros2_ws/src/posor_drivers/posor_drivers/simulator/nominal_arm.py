@@ -65,15 +65,9 @@ class NominalArm:
     def solve_angles(self, positions: FloatArray, posture: FloatArray) -> FloatArray | None:
         """Return the joint angles nearest to a posture that bring the endpoint to positions.
 
-        Minimises ``|q - posture|`` subject to ``p(q) = p`` by least-norm solutions of the linearised constraint.
-
-        Args:
-            positions: Of the endpoint in the base [m], (n, 3).
-            posture: [rad], (j,).
-
-        Returns:
-            Angles [rad], (n, j); None where the iteration does not reach the positions.
-
+        Minimises ``|q - posture|`` subject to ``p(q) = p`` by least-norm solutions of the linearised constraint, for
+        positions in the base [m], (n, 3), and a posture [rad], (j,). The angles are in rad, (n, j); None where the
+        iteration does not reach the positions.
         """
         angles = np.tile(posture, (len(positions), 1))
         for _ in range(_MAX_ITERATIONS):

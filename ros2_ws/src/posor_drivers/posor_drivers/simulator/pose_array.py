@@ -1,8 +1,8 @@
-"""Arrays of poses: the operations of pinocchio's SE3, vectorised."""
+"""Arrays of poses, with the operations of pinocchio's SE3, and the true poses of an arm."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -10,6 +10,8 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
 
@@ -78,3 +80,43 @@ class PoseArray:
         """Return the poses after small motions [m], [rad] in the parent axes; rotations are about each own origin."""
         rotations = Rotation.from_rotvec(rotation_vectors).as_matrix()
         return PoseArray(rotations @ self.rotations, self.translations + translations)
+
+
+@dataclass(frozen=True)
+class ArmTruth:
+    """The truth at n ticks; joints j in order from the base."""
+
+    joints: tuple[str, ...]  # names
+    commanded: FloatArray  # commanded angles, which the motors follow exactly [rad], (n, j)
+    encoder: FloatArray  # readings of the motors' encoders [rad], (n, j)
+    angles: FloatArray  # true joint angles [rad], (n, j)
+    T_parent_child: Mapping[str, PoseArray]  # target plate in the receiving plate of each POSOR, by joint
+    R_parent_base: FloatArray  # rotation of vectors of the base into the axes of the last receiving plate, (n, 3, 3)
+    endpoint: PoseArray  # in the base
+    target: PoseArray  # commanded endpoint: nominal kinematics of the commanded angles, in the base
+    by_encoders: PoseArray  # endpoint from the encoder readings and nominal kinematics, in the base
+    stage: FloatArray  # position of the stage, axes of the endpoint [m], (n, 3)
+
+    def select(self, indices: IntArray) -> ArmTruth:
+        """Return the truth at some indices, (n,)."""
+        arrays = ("commanded", "encoder", "angles", "R_parent_base", "stage")
+        poses = ("endpoint", "target", "by_encoders")
+        return replace(
+            self,
+            T_parent_child={joint: seen.select(indices) for joint, seen in self.T_parent_child.items()},
+            **{name: getattr(self, name)[indices] for name in arrays},
+            **{name: getattr(self, name).select(indices) for name in poses},
+        )
+
+    def with_stage(self, positions: FloatArray) -> ArmTruth:
+        """Return the truth with the stage at positions [m], (n, 3), axes of the endpoint.
+
+        The stage displaces the last measuring beam, and with it the last target plate and the endpoint.
+        """
+        shift = self.endpoint.rotate(positions)
+        endpoint = PoseArray(self.endpoint.rotations, self.endpoint.translations + shift)
+        last = self.T_parent_child[self.joints[-1]]
+        shift_in_parent = np.einsum("nij,nj->ni", self.R_parent_base, shift)
+        moved = PoseArray(last.rotations, last.translations + shift_in_parent)
+        poses = {**self.T_parent_child, self.joints[-1]: moved}
+        return replace(self, T_parent_child=poses, endpoint=endpoint, stage=positions)

@@ -21,7 +21,7 @@ from posor.errors import ParameterError
 from pydantic import Field, model_validator
 
 from posor_drivers.quantity_limits import NOT_NEGATIVE, POSITIVE, Seconds
-from posor_drivers.simulator.electronics_settings import Contamination, ElectronicsSettings
+from posor_drivers.simulator.electronics_settings import ElectronicsSettings
 from posor_drivers.simulator.faults import SimulatedFault
 from posor_drivers.simulator.motion_phases import Phase, Rest, Spline
 
@@ -144,14 +144,15 @@ class Scenario(FrozenModel):
         if abs(total - duration) > _TOLERANCE:
             expected = f"{duration:g} s, the duration of the scenario"
             raise EntryError(f"the phases take {total:g} s", key=("motion",), expected=expected)
-        dirt = [(("electronics", "contamination", i), each) for i, each in enumerate(self.electronics.contamination)]
-        timed: list[tuple[tuple[str | int, ...], Contamination | SimulatedFault]] = [*dirt]
-        timed += [(("faults", i), each) for i, each in enumerate(self.faults)]
-        for key, entry in timed:
-            if entry.end.number > duration + _TOLERANCE:
-                expected = f"at most {duration:g} s, the duration of the scenario"
-                raise EntryError(f"until {entry.end.number:g} s", key=(*key, "until", "value"), expected=expected)
-            self._check_joint(entry.joint, (*key, "joint"))
+        dirt = self.electronics.contamination
+        for key, timed in ((("electronics", "contamination"), dirt), (("faults",), self.faults)):
+            for i, entry in enumerate(timed):
+                if entry.end.number > duration + _TOLERANCE:
+                    expected = f"at most {duration:g} s, the duration of the scenario"
+                    raise EntryError(
+                        f"until {entry.end.number:g} s", key=(*key, i, "until", "value"), expected=expected
+                    )
+                self._check_joint(entry.joint, (*key, i, "joint"))
         return self
 
     @model_validator(mode="after")
@@ -197,19 +198,15 @@ class Scenario(FrozenModel):
         """
         duration = self.duration.number
         if abs(duration * rate - round(duration * rate)) > _TOLERANCE * rate:
-            raise ParameterError(
-                f"{rate} Hz does not fit the scenario '{self.name}'",
-                where="parameter 'simulated.rate'",
-                expected=f"a whole number of ticks in {duration:g} s",
-            )
+            what = f"{rate} Hz does not fit the scenario '{self.name}'"
+            expected = f"a whole number of ticks in {duration:g} s"
+            raise ParameterError(what, where="parameter 'simulated.rate'", expected=expected)
         return self.model_copy(update={"rate": Quantity(value=float(rate), unit="Hz")})
 
     def commanded_angles(self, arm: NominalArm, source: str) -> FloatArray:
         """Return the commanded joint angles at each tick of a cycle [rad], (n, j).
 
-        Args:
-            arm: Nominal kinematics, for circles.
-            source: Name of the scenario in error messages, such as its file.
+        ``arm`` is needed for circles; ``source`` names the scenario in error messages.
 
         Raises:
             CalibrationError: The arm cannot follow a circle.

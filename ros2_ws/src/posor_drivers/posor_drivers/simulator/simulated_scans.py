@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from posor.errors import CalibrationError
 from posor.sensors.bumpy_ring import BumpyRingCalibration
@@ -15,54 +15,28 @@ if TYPE_CHECKING:
     from posor.model.scan import Scans
     from posor.numerics.array_types import BoolArray, IntArray
 
+    from posor_drivers.simulator.electronics_settings import TimedEntry
+
 PROBE_FIELDS = ("gap_voltages", "ring_voltages")
 DIODE_FIELD = "diode_currents"
 
 
 @dataclass(frozen=True)
 class SimulatedScans:
-    """n scans of one joint.
+    """n scans of one joint."""
 
-    Attributes:
-        scans: Raw readings.
-        statuses: Flags of ``posor_msgs/RawScan.status``, (n,).
-        sent: Whether the scan is published at all, (n,).
-        latencies_ns: From the stamp to the publication [ns], (n,).
-
-    """
-
-    scans: Scans
-    statuses: IntArray
-    sent: BoolArray
-    latencies_ns: IntArray
-
-
-class ChannelEntry(Protocol):
-    """Entry of a scenario file that names a channel of a joint: a probe, or a diode and one of its contacts."""
-
-    @property
-    def joint(self) -> str:
-        """Name of the joint."""
-
-    @property
-    def channel(self) -> str | None:
-        """Name of the probe or diode; None: not stated."""
-
-    @property
-    def contact(self) -> str | None:
-        """Letter of the diode's contact; None: not stated."""
+    scans: Scans  # raw readings
+    statuses: IntArray  # flags of ``posor_msgs/RawScan.status``, (n,)
+    sent: BoolArray  # whether the scan is published at all, (n,)
+    latencies_ns: IntArray  # from the stamp to the publication [ns], (n,)
 
 
 def find_channel(
-    calibration: Calibration, entry: ChannelEntry, where: str, *, whole_diode: bool = False
+    calibration: Calibration, entry: TimedEntry, where: str, *, whole_diode: bool = False
 ) -> tuple[str, tuple[int, ...]]:
     """Return the field of ``Scans`` that holds a channel, and the channel's index in one scan.
 
-    Args:
-        calibration: Of the joint's POSOR.
-        entry: Entry of the scenario file that names the channel.
-        where: Where it stands.
-        whole_diode: Whether a diode without a contact is all of its contacts.
+    With ``whole_diode``, a diode without a contact is all of its contacts. ``where`` is the place of the entry.
 
     Raises:
         CalibrationError: There is no such channel.
@@ -84,8 +58,5 @@ def find_channel(
     kind, known = (
         ("probe", [*probes, *(diodes if whole_diode else ())]) if entry.contact is None else ("diode", [*diodes])
     )
-    raise CalibrationError(
-        f"joint '{entry.joint}' has no {kind} '{entry.channel}'",
-        where=where,
-        expected=f"one of {', '.join(known)}" if known else f"a joint with {kind}s",
-    )
+    expected = f"one of {', '.join(known)}" if known else f"a joint with {kind}s"
+    raise CalibrationError(f"joint '{entry.joint}' has no {kind} '{entry.channel}'", where=where, expected=expected)

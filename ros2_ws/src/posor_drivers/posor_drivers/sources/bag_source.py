@@ -52,11 +52,8 @@ class BagSource(RecordedSource[BagParameters]):
         with opened_bag(Path(where)) as reader:
             scans = scan_topic(reader.connections, self.parameters.topic, where, "parameter 'bag.topic'")
             if scans in self.parameters.other_topics:
-                raise BagError(
-                    f"topic {scans} holds this joint's scans",
-                    where="parameter 'bag.other_topics'",
-                    expected="other topics only",
-                )
+                what, place = f"topic {scans} holds this joint's scans", "parameter 'bag.other_topics'"
+                raise BagError(what, where=place, expected="other topics only")
             self._names = {scans: RAW_TOPIC} | {name: name for name in self.parameters.other_topics}
             known = reader.connections
             checked_type(known, scans, where, self.types, (RAW_SCAN,), filled=True)

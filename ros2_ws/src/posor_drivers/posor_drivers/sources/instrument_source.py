@@ -19,10 +19,9 @@ from posor.parameter_model import ParameterGroup
 from posor.ros_names import RAW_SCAN, RAW_TOPIC
 from pydantic import Field
 
+from posor_drivers.instruments.device_reader import shared_reader
 from posor_drivers.instruments.instruments_file import WHOLE_NUMBERS, InstrumentsFile, JointEntry, load_instruments
-from posor_drivers.instruments.reference_reading import ReferenceReading
-from posor_drivers.instruments.scan_writer import LitSourceError, ScanWriter
-from posor_drivers.instruments.shared_readers import shared_reader
+from posor_drivers.instruments.tick_messages import LitSourceError, ReferenceReading, ScanWriter
 from posor_drivers.sources.source import LiveSource, SourceMessage, SourceStatus, Topic
 
 if TYPE_CHECKING:
@@ -68,25 +67,19 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
         where, name = self.parameters.file, self.parameters.joint
         self._file = load_instruments(Path(where))
         if name not in self._file.joints:
-            expected = f"one of {', '.join(self._file.joints)}"
-            raise ParameterError(
-                f"'{name}' is not a joint of {where}", where="parameter 'instruments.joint'", expected=expected
-            )
+            what, expected = f"'{name}' is not a joint of {where}", f"one of {', '.join(self._file.joints)}"
+            raise ParameterError(what, where="parameter 'instruments.joint'", expected=expected)
         self._joint = joint = self._file.joints[name]
         self._references = [
             ReferenceReading(reference, entry, self.types)
             for reference, entry in self._file.references.items()
             if entry.joint == name
         ]
-        self._of_scan = {entry.channel.partition("/")[0] for _, _, entry in joint.entries()}
+        self._of_scan = {entry.device for _, _, entry in joint.entries()}
         used = self._of_scan.union(*(reference.devices for reference in self._references))
         devices = [device for each, device in self._file.new_devices().items() if each in used]
-        channels = [
-            f"{device.name}/{channel.name}"
-            for device in devices
-            if device.name in self._of_scan
-            for channel in device.channels
-        ]
+        of_scan = [device for device in devices if device.name in self._of_scan]
+        channels = [f"{device.name}/{channel.name}" for device in of_scan for channel in device.channels]
         columns = {channel: n for n, channel in enumerate(channels)}
         whole = {entry.channel for kind, _, entry in joint.entries() if kind in WHOLE_NUMBERS}
         self._whole = {

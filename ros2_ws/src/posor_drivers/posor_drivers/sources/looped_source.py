@@ -80,17 +80,11 @@ class LoopedSource(LiveSource[LoopedParameters]):
         wanted, where = self.parameters.scans, self.parameters.path
         recorded = sum(connection.msgcount for connection in reader.connections if connection.topic == name)
         if wanted > recorded:
-            raise BagError(
-                f"{wanted} scans are wanted",
-                where="parameter 'looped.scans'",
-                expected=f"at most {recorded}, the scans of {name} in {where}",
-            )
+            expected = f"at most {recorded}, the scans of {name} in {where}"
+            raise BagError(f"{wanted} scans are wanted", where="parameter 'looped.scans'", expected=expected)
         if (wanted or recorded) > MAX_SCANS:
-            raise BagError(
-                f"topic {name} holds {recorded} scans",
-                where=where,
-                expected=f"at most {MAX_SCANS}, or parameter 'looped.scans' to limit the scans that are played",
-            )
+            expected = f"at most {MAX_SCANS}, or parameter 'looped.scans' to limit the scans that are played"
+            raise BagError(f"topic {name} holds {recorded} scans", where=where, expected=expected)
         return wanted or None
 
     @property

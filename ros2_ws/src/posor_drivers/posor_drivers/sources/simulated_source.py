@@ -17,7 +17,7 @@ from posor.parameter_model import ParameterGroup
 from posor.ros_names import RAW_SCAN, RAW_TOPIC
 from pydantic import Field
 
-from posor_drivers.simulated_messages import SimulatedMessages
+from posor_drivers.message_builder import SimulatedMessages
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_drivers.simulator.scenario import MAX_RATE_HZ
@@ -67,12 +67,10 @@ class SimulatedSource(LiveSource[SimulatedParameters]):
         )
         joints, joint = self._simulation.joints, self.parameters.joint
         if joint not in joints:
-            raise ParameterError(
-                f"'{joint}' is not a joint of {self.parameters.arm}",
-                where="parameter 'simulated.joint'",
-                expected=f"one of {', '.join(joints)}",
-            )
+            what, expected = f"'{joint}' is not a joint of {self.parameters.arm}", f"one of {', '.join(joints)}"
+            raise ParameterError(what, where="parameter 'simulated.joint'", expected=expected)
         self._messages = SimulatedMessages(self.types, self._simulation)
+        self._rate = self._simulation.scenario.ticks_per_second
         self._latest = (-1, 0)
         self._is_last = joint == joints[-1]
         settings = self._simulation.scenario.stage if self._is_last else None
@@ -100,7 +98,7 @@ class SimulatedSource(LiveSource[SimulatedParameters]):
     @property
     def rate(self) -> int:
         """Scans per second."""
-        return self._simulation.scenario.ticks_per_second
+        return self._rate
 
     def start_run(self, now_ns: int) -> tuple[int, int | None]:
         """Start at the next tick; end with a cycle, so that all drivers of an arm end at the same tick."""
@@ -117,7 +115,7 @@ class SimulatedSource(LiveSource[SimulatedParameters]):
         """Return the time of a tick plus its simulated latency [ns]."""
         known, time_ns = self._latest
         if tick != known:
-            time_ns = super().publication_time_ns(tick) + self._simulation.latency_ns(self.parameters.joint, tick)
+            time_ns = tick_stamp_ns(tick, self._rate) + self._simulation.latency_ns(self.parameters.joint, tick)
             self._latest = (tick, time_ns)
         return time_ns
 

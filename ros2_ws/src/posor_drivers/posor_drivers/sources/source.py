@@ -190,7 +190,6 @@ def load_source_class(name: str) -> type[Source[Any]]:
     except (ImportError, AttributeError) as error:
         raise ParameterError(f"source '{name}' cannot be loaded, {error}", where=where) from None
     if not (isinstance(found, type) and issubclass(found, Source)):
-        raise ParameterError(
-            f"the entry point of source '{name}' is not a source", where=where, expected="a subclass of Source"
-        )
+        what = f"the entry point of source '{name}' is not a source"
+        raise ParameterError(what, where=where, expected="a subclass of Source")
     return found

@@ -104,12 +104,10 @@ class TableSource(RecordedSource[TableParameters]):
 
 
 def contact_currents(ratios: Sequence[float], total: float) -> FloatArray:
-    """Return the currents A, B, C, D [A] of each diode in turn with the given ratios.
+    """Return the currents A, B, C, D [A] of each diode in turn.
 
-    Args:
-        ratios: dx = (A - C) / (A + C) and dy = (B - D) / (B + D) [-] of each diode in turn.
-        total: A + B + C + D [A]; half of it falls on either axis.
-
+    Their ratios are dx = (A - C) / (A + C) and dy = (B - D) / (B + D) [-] of each diode in turn, and half of their
+    ``total`` [A] falls on either axis.
     """
     dx, dy = np.asarray(ratios, dtype=np.float64).reshape(-1, 2).T
     return total / 4.0 * np.stack([1.0 + dx, 1.0 + dy, 1.0 - dx, 1.0 - dy], axis=1).ravel()
@@ -117,24 +115,14 @@ def contact_currents(ratios: Sequence[float], total: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class TableRow:
-    """One step of a recorded test, in SI units.
+    """One step of a recorded test, in SI units."""
 
-    Attributes:
-        step: Number of the step.
-        truth: Machining centre's x, y, z [m]; NaN where not recorded.
-        gap_voltages: [V].
-        ratios: Contact current ratios dx1, dy1, dx2, dy2 [-].
-        probes_estimated: Whether a probe voltage was filled in.
-        diodes_estimated: Whether a diode ratio was filled in.
-
-    """
-
-    step: int
-    truth: tuple[float, ...]
-    gap_voltages: tuple[float, ...]
-    ratios: tuple[float, ...]
-    probes_estimated: bool
-    diodes_estimated: bool
+    step: int  # number of the step
+    truth: tuple[float, ...]  # machining centre's x, y, z [m]; NaN where not recorded
+    gap_voltages: tuple[float, ...]  # [V]
+    ratios: tuple[float, ...]  # contact current ratios dx1, dy1, dx2, dy2 [-]
+    probes_estimated: bool  # whether a probe voltage was filled in
+    diodes_estimated: bool  # whether a diode ratio was filled in
 
 
 def read_table(path: Path) -> list[TableRow]:

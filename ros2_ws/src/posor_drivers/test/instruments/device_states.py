@@ -1,16 +1,28 @@
-"""Waits for the states of a device reader."""
+"""Device readers that run, and waits for their states."""
 
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
 
+from posor_drivers.instruments.device_reader import DeviceReader
 from posor_lab.harness.program import wait_until
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
-    from posor_drivers.instruments.device_reader import DeviceReader
+    from posor_drivers.instruments.device import Device
+
+
+@contextmanager
+def running(device: Device[Any]) -> Iterator[DeviceReader]:
+    reader = DeviceReader(device)
+    reader.start()
+    try:
+        yield reader
+    finally:
+        reader.stop()
 
 
 def wait_for(condition: Callable[[], object], what: str) -> None:

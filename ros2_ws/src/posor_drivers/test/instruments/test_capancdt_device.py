@@ -135,17 +135,12 @@ def test_connection_sets_up_the_controller(server: CapaNcdtServer) -> None:
     device.close()
 
 
-def test_version_may_end_with_ok(server: CapaNcdtServer) -> None:
-    server.answers["VER"] = "DT6220;V2.0OK"
+def test_version_may_end_with_ok_and_a_line_of_the_command_alone_is_an_echo(server: CapaNcdtServer) -> None:
+    server.answers |= {"VER": "DT6220;V2.0OK", "CHS": "\r\n$CHS1,0,1,1OK"}
     device = CapaNcdtDevice("probes", settings(server))
     assert device.connect(TIMEOUT_S) == "DT6220 V2.0"
+    check_all(server, read(device))
     device.close()
-
-
-def test_line_of_the_command_alone_is_an_echo(server: CapaNcdtServer) -> None:
-    server.answers["CHS"] = "\r\n$CHS1,0,1,1OK"
-    with connected(server) as device:
-        check_all(server, read(device))
 
 
 @pytest.mark.parametrize("preamble", [b"MEAS", b"SAEM"])
@@ -238,29 +233,28 @@ def test_counter_goes_back(server: CapaNcdtServer, first: int) -> None:
     assert first + 7 <= int(match[1]) < first + 10_000
 
 
-def test_wrong_preamble(server: CapaNcdtServer) -> None:
-    with connected(server) as device:
-        read(device)
-        server.preamble = b"MEAX"
-        assert error_of(device) == "probes: a packet begins with b'MEAX'; expected 'MEAS' or 'SAEM'."
+LENGTHS = "a packet states 8 and 4 as number of frames and bytes per frame"
 
 
-def test_impossible_lengths(server: CapaNcdtServer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "_frame", lambda number: bytes(8))  # noqa: ARG005
+@pytest.mark.parametrize(
+    ("attribute", "value", "sentence"),
+    [
+        ("preamble", b"MEAX", "a packet begins with b'MEAX'; expected 'MEAS' or 'SAEM'."),
+        ("_frame", lambda _: bytes(8), f"{LENGTHS}; expected 12 bytes per frame of 3 channels, and a frame or more."),
+    ],
+)
+def test_invalid_packet(server: CapaNcdtServer, attribute: str, value: object, sentence: str) -> None:
+    setattr(server, attribute, value)
     with connected(server) as device:
-        assert error_of(device) == (
-            "probes: a packet states 8 and 4 as number of frames and bytes per frame; "
-            "expected 12 bytes per frame of 3 channels, and a frame or more."
-        )
+        assert error_of(device) == f"probes: {sentence}"
 
 
 def test_packet_without_a_channel() -> None:
     with CapaNcdtServer(lambda _: (0.0, 0.0), {1: 1.0, 2: 1.0}) as server:
         server.states = [1, 1, 1, 0]
         with connected(server) as device:
-            assert error_of(device) == (
-                "probes: a packet has no channel 3, only [1, 2]; expected the channels of the settings."
-            )
+            sentence = "probes: a packet has no channel 3, only [1, 2]; expected the channels of the settings."
+            assert error_of(device) == sentence
 
 
 @pytest.mark.parametrize(("distance", "valid"), [(0.0, True), (1.999e-3, True), (2e-3, False), (math.nan, False)])
@@ -299,41 +293,33 @@ def test_reading_needs_a_connection(server: CapaNcdtServer) -> None:
         CapaNcdtDevice("probes", settings(server)).read(0.0)
 
 
-def test_clock_and_delay_of_the_controller() -> None:
-    """The earliest arrivals show the drift of the clock, whatever the delays of the others."""
-    with CapaNcdtServer(distances, RANGES, drift=0.02, delay_s=1e-3) as server, connected(server) as device:
-        counters: list[int] = []
-        arrivals_s: list[float] = []
-        while not counters or counters[-1] < 2000:
-            frames = device.read(TIMEOUT_S)
-            assert frames is not None
-            arrivals_s.append(time.monotonic())
-            counters.append(int(frames.counters[-1]))
-    late_s = np.array(arrivals_s) - np.array(counters) / device.frame_rate
-    half = len(late_s) // 2
-    span = (counters[half + int(late_s[half:].argmin())] - counters[int(late_s[:half].argmin())]) / device.frame_rate
-    assert span > 0.05
-    assert (late_s[half:].min() - late_s[:half].min()) / span == pytest.approx(0.02, abs=0.008)
-    steps = np.diff(arrivals_s)
-    assert steps.max() > 2.0 * np.median(steps)
+VERSION = "expected '$VERDT62' and the version."
+STATES = "expected '$CHS', the state of each channel, 'OK'."
+ANSWER = "expected '$STI256,', a sample time, 'OK'."
+SAMPLE_TIME = "expected a rate that the controller has; in Hz, 1e6 divided by the sample time."
 
 
-@pytest.mark.parametrize(
-    ("answers", "message"),
-    [
-        ({"VER": "DT3100;V1.0;1"}, "the answer to '$VER' is '$VERDT3100;V1.0;1'; expected '$VERDT62' and the version."),
-        (
-            {"VER": "$UNKNOWN COMMAND"},
-            "the answer to '$VER' is '$UNKNOWN COMMAND'; expected '$VERDT62' and the version.",
-        ),
-        ({"CHS": "OK"}, "the answer to '$CHS' is '$CHSOK'; expected '$CHS', the state of each channel, 'OK'."),
-        ({"TRG": "$WRONG PARAMETER"}, "the answer to '$TRG0' is '$WRONG PARAMETER'; expected '$TRG0OK'."),
-        ({"STI": ",xOK"}, "the answer to '$STI256' is '$STI256,xOK'; expected '$STI256,', a sample time, 'OK'."),
-    ],
-)
-def test_unexpected_answer(server: CapaNcdtServer, answers: dict[str, str | None], message: str) -> None:
+CONTROLLERS: list[tuple[dict[str, str], list[int], float, str]] = [
+    ({"VER": "DT3100;V1.0;1"}, [], 3906.25, f"the answer to '$VER' is '$VERDT3100;V1.0;1'; {VERSION}"),
+    ({"VER": "$UNKNOWN COMMAND"}, [], 3906.25, f"the answer to '$VER' is '$UNKNOWN COMMAND'; {VERSION}"),
+    ({"CHS": "OK"}, [], 3906.25, f"the answer to '$CHS' is '$CHSOK'; {STATES}"),
+    ({"TRG": "$WRONG PARAMETER"}, [], 3906.25, "the answer to '$TRG0' is '$WRONG PARAMETER'; expected '$TRG0OK'."),
+    ({"STI": ",xOK"}, [], 3906.25, f"the answer to '$STI256' is '$STI256,xOK'; {ANSWER}"),
+    ({}, [1, 0, 0, 1], 3906.25, "channel 3, 'wide', has no module; expected one of 1, 4."),
+    ({}, [1, 1], 3906.25, "channel 3, 'wide', has no module; expected one of 1, 2."),
+    ({}, [0, 0, 0, 0], 3906.25, "channel 3, 'wide', has no module; expected one of no channels."),
+    ({}, [1, 0, 2, 1], 3906.25, "channel 3, 'wide', has the state 2, which is no sensor; expected one of 1, 4."),
+    ({}, [], 1000, f"the controller has no sample time of 1000 us, the next one is 960 us; {SAMPLE_TIME}"),
+]
+
+
+@pytest.mark.parametrize(("answers", "states", "rate_hz", "message"), CONTROLLERS)
+def test_unsuitable_controller_is_refused(
+    server: CapaNcdtServer, answers: dict[str, str], states: list[int], rate_hz: float, message: str
+) -> None:
     server.answers |= answers
-    with pytest.raises(DeviceError) as caught, connected(server):
+    server.states = states or server.states
+    with pytest.raises(DeviceError) as caught, connected(server, rate={"value": rate_hz, "unit": "Hz"}):
         pass
     assert str(caught.value) == f"probes: {message}"
 
@@ -347,41 +333,14 @@ def test_no_answer_within_the_time(server: CapaNcdtServer) -> None:
     assert 0.19 < time.monotonic() - started_s < 1.0
 
 
-@pytest.mark.parametrize(
-    ("states", "message"),
-    [
-        ([1, 0, 0, 1], "channel 3, 'wide', has no module; expected one of 1, 4."),
-        ([1, 1], "channel 3, 'wide', has no module; expected one of 1, 2."),
-        ([0, 0, 0, 0], "channel 3, 'wide', has no module; expected one of no channels."),
-        ([1, 0, 2, 1], "channel 3, 'wide', has the state 2, which is no sensor; expected one of 1, 4."),
-    ],
-)
-def test_missing_channel(server: CapaNcdtServer, states: list[int], message: str) -> None:
-    server.states = states
-    with pytest.raises(DeviceError) as caught, connected(server):
-        pass
-    assert str(caught.value) == f"probes: {message}"
-
-
-def test_rate_that_the_controller_does_not_have(server: CapaNcdtServer) -> None:
-    device = CapaNcdtDevice("probes", settings(server, rate={"value": 1000, "unit": "Hz"}))
-    with pytest.raises(DeviceError) as caught:
-        device.connect(TIMEOUT_S)
-    assert str(caught.value) == (
-        "probes: the controller has no sample time of 1000 us, the next one is 960 us; "
-        "expected a rate that the controller has; in Hz, 1e6 divided by the sample time."
-    )
-
-
 @pytest.mark.parametrize("port", ["command_port", "data_port"])
-def test_port_refused(server: CapaNcdtServer, port: str) -> None:
+def test_closed_port_and_unknown_host_are_named(server: CapaNcdtServer, port: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as closed:
         number = closed.getsockname()[1]
-    device = CapaNcdtDevice("probes", settings(server, **{port: number}))
-    with pytest.raises(DeviceError) as caught:
-        device.connect(TIMEOUT_S)
-    assert str(caught.value).startswith(f"probes: no connection to 127.0.0.1:{number}: ")
-    assert "refused" in str(caught.value)
+    for changes, place in (({port: number}, f"127.0.0.1:{number}: "), ({"host": "no host" + 80 * "x"}, "no host")):
+        device = CapaNcdtDevice("probes", settings(server, **changes))
+        with pytest.raises(DeviceError, match=f"probes: no connection to {place}"):
+            device.connect(TIMEOUT_S)
 
 
 def test_connection_times_out(server: CapaNcdtServer) -> None:
@@ -398,10 +357,8 @@ def test_connection_times_out(server: CapaNcdtServer) -> None:
             device.connect(0.2)
 
 
-def test_unknown_host() -> None:
-    device = CapaNcdtDevice("probes", settings(host="no host" + 80 * "x"))
-    with pytest.raises(DeviceError, match="probes: no connection to no host"):
-        device.connect(TIMEOUT_S)
+def channel(number: int, value: float = 1e-3, unit: str = "m") -> dict[str, Any]:
+    return {"number": number, "range": {"value": value, "unit": unit}}
 
 
 @pytest.mark.parametrize(
@@ -412,14 +369,11 @@ def test_unknown_host() -> None:
         ({"rate": {"value": 1000, "unit": "kHz"}}, "unit 'kHz'"),
         ({"rate": 1000}, "1000 has no unit"),
         ({"channels": {}}, "has 0 entries"),
-        ({"channels": {"a": {"number": 5, "range": {"value": 1e-3, "unit": "m"}}}}, "5"),
-        ({"channels": {"a": {"number": 0, "range": {"value": 1e-3, "unit": "m"}}}}, "0"),
-        ({"channels": {"a": {"number": 1, "range": {"value": 0, "unit": "m"}}}}, "0.0 m"),
-        ({"channels": {"a": {"number": 1, "range": {"value": 1, "unit": "V"}}}}, "unit 'V'"),
-        (
-            {"channels": {name: {"number": 1, "range": {"value": 1, "unit": "m"}} for name in "ab"}},
-            "number 1, used twice",
-        ),
+        ({"channels": {"a": channel(5)}}, "5"),
+        ({"channels": {"a": channel(0)}}, "0"),
+        ({"channels": {"a": channel(1, 0)}}, "0.0 m"),
+        ({"channels": {"a": channel(1, 1, "V")}}, "unit 'V'"),
+        ({"channels": {"a": channel(1), "b": channel(1)}}, "number 1, used twice"),
         ({"data_port": 0}, "0"),
         ({"command_port": 65_536}, "65536"),
         ({"port": 23}, "unknown key 'port'"),

@@ -6,49 +6,22 @@ import re
 from typing import TYPE_CHECKING, Any
 
 import pytest
-import yaml
 from posor_drivers.instruments.instruments_command import main
-from posor_lab.device_servers.stream_server import LEAD, MAGIC, StreamServer
+from posor_lab.device_servers.stream_server import StreamServer
+
+from .stream_rig import quantity, stream_rig, write_rig
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 
 def content(port: int) -> dict[str, Any]:
-    box = {
-        "kind": "stream",
-        "transport": "tcp",
-        "host": "127.0.0.1",
-        "port": port,
-        "rate": {"value": 500, "unit": "Hz"},
-        "format": f"{LEAD}2d",
-        "fields": ["magic", "counter", "gap1", "plate"],
-        "constants": {"magic": MAGIC},
-        "channels": {"gap1": {"unit": "m"}, "plate": {"unit": "degC"}},
-    }
-    joint = {
-        "frame_id": "receiving",
-        "gap_voltages": [{"channel": "box/gap1", "scale": {"value": 1e4, "unit": "V/m"}}],
-    }
-    return {
-        "format": "posor_instruments",
-        "version": 1,
-        "name": "rig",
-        "rate": {"value": 100, "unit": "Hz"},
-        "latency": {"value": 0.02, "unit": "s"},
-        "devices": {"box": box},
-        "joints": {"elbow": joint},
-    }
-
-
-def write(folder: Path, file: dict[str, Any]) -> str:
-    path = folder / "instruments.yaml"
-    path.write_text(yaml.safe_dump(file), encoding="utf-8")
-    return str(path)
+    gap = {"channel": "box/gap1", "scale": quantity(1e4, "V/m")}
+    return stream_rig(port, {"gap1": "m", "plate": "degC"}, {"gap_voltages": [gap]}, rate_hz=500, latency_s=0.02)
 
 
 def test_devices_are_listed_without_a_connection(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["list", write(tmp_path, content(1))]) == 0
+    assert main(["list", write_rig(tmp_path, content(1))]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[1:] == [
         "box: stream at tcp 127.0.0.1:1, 500 frames per second",
@@ -59,7 +32,7 @@ def test_devices_are_listed_without_a_connection(tmp_path: Path, capsys: pytest.
 
 def test_probe_prints_rate_and_values(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with StreamServer(lambda _: (2.5e-4, 21.5), 500.0) as server:
-        assert main(["probe", write(tmp_path, content(server.port))]) == 0
+        assert main(["probe", write_rig(tmp_path, content(server.port))]) == 0
         first, second = capsys.readouterr().out.splitlines()
         found = re.match(rf"box: tcp 127.0.0.1:{server.port}; ([\d.]+) frames per second, stamps within", first)
         assert found
@@ -73,53 +46,44 @@ def test_probe_of_an_absent_device_fails(
     monkeypatch.setattr("posor_drivers.instruments.instruments_command.PROBE_S", 0.5)
     with StreamServer(lambda _: (0.0, 0.0)) as server:
         port = server.port
-    assert main(["probe", write(tmp_path, content(port))]) == 1
+    assert main(["probe", write_rig(tmp_path, content(port))]) == 1
     printed = capsys.readouterr()
     assert printed.out == "box: FAULT\n"
     assert printed.err.startswith(f"instruments probe: box: no connection to 127.0.0.1:{port}")
 
 
+ELBOW = "joints.elbow"
+GAP = "joints.elbow.gap_voltages.0"
+
+
 @pytest.mark.parametrize(
-    ("change", "sentence"),
+    ("place", "change", "sentence"),
     [
+        (GAP, {"channel": "box/gap2"}, "channel 'box/gap2'; expected one of box/gap1, box/plate."),
+        (GAP, {"scale": None}, "channel 'box/gap1' is in m; expected a scale in V/m."),
+        (f"{GAP}.scale", {"unit": "V/mm"}, "scale in V/mm; expected one number in V/m."),
+        (ELBOW, {"lit_sources": [0]}, "0 diode currents and 1 lit sources; expected one source for the four currents"),
+        (ELBOW, {"home_mark": {"channel": "box/gap1"}}, "channel 'box/gap1' is in m; expected a channel of unit 1."),
         (
-            lambda file: file["joints"]["elbow"]["gap_voltages"][0].update(channel="box/gap2"),
-            "channel 'box/gap2'; expected one of box/gap1, box/plate.",
-        ),
-        (
-            lambda file: file["joints"]["elbow"]["gap_voltages"][0].pop("scale"),
-            "channel 'box/gap1' is in m; expected a scale in V/m.",
-        ),
-        (
-            lambda file: file["joints"]["elbow"]["gap_voltages"][0]["scale"].update(unit="V/mm"),
-            "scale in V/mm; expected one number in V/m.",
-        ),
-        (
-            lambda file: file["joints"]["elbow"].update(lit_sources=[0]),
-            "0 diode currents and 1 lit sources; expected one source for the four currents of each diode.",
-        ),
-        (
-            lambda file: file["joints"]["elbow"].update(home_mark={"channel": "box/gap1"}),
-            "channel 'box/gap1' is in m; expected a channel of unit 1.",
-        ),
-        (
-            lambda file: file["joints"]["elbow"].update(
-                home_mark={"channel": "box/gap1", "offset": {"value": 1, "unit": "m"}}
-            ),
+            ELBOW,
+            {"home_mark": {"channel": "box/gap1", "offset": quantity(1, "m")}},
             "a scale or offset of a whole number; expected only a channel of unit 1.",
         ),
-        (lambda file: file["devices"]["box"].update(kind="strean"), "kind 'strean'; expected "),
-        (lambda file: file["devices"]["box"].update(rate=500), "500 has no unit; expected a mapping such as"),
-        (lambda file: file["rate"].update(value=0.5), "rate 0.5 Hz; expected a whole number from 1 to 10000."),
-        (lambda file: file["joints"]["elbow"].update(gap_voltages=[]), "no reading; expected at least one of"),
+        (ELBOW, {"gap_voltages": []}, "no reading; expected at least one of"),
+        ("devices.box", {"kind": "strean"}, "kind 'strean'; expected "),
+        ("devices.box", {"rate": 500}, "500 has no unit; expected a mapping such as"),
+        ("rate", {"value": 0.5}, "rate 0.5 Hz; expected a whole number from 1 to 10000."),
     ],
 )
 def test_invalid_file_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: Any, sentence: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], place: str, change: dict[str, Any], sentence: str
 ) -> None:
     file = content(1)
-    change(file)
-    assert main(["list", write(tmp_path, file)]) == 1
+    entry: Any = file
+    for key in place.split("."):
+        entry = entry[int(key) if key.isdigit() else key]
+    entry |= change
+    assert main(["list", write_rig(tmp_path, file)]) == 1
     error = capsys.readouterr().err
     assert sentence in error
     assert re.match(r".*instruments\.yaml, line \d+, key ", error)

@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from posor_drivers.instruments.device import DeviceError
-from posor_drivers.instruments.device_reader import DeviceReader
 from posor_drivers.instruments.labjack_stream_device import LabJackStreamDevice, LabJackStreamSettings
 from posor_lab.device_servers.labjack_stream_server import LabJackStreamServer
 
-from .device_states import wait_for, wait_for_fault, wait_for_frames
+from .device_states import running, wait_for, wait_for_fault, wait_for_frames
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+
+    from posor_drivers.instruments.device_reader import DeviceReader
 
 STEP_V = 3.2e-4
 """A little more than a step of the converter at 10 V."""
@@ -51,10 +52,8 @@ def server() -> Iterator[LabJackStreamServer]:
 
 @pytest.fixture
 def reader(server: LabJackStreamServer) -> Iterator[DeviceReader]:
-    reader = DeviceReader(LabJackStreamDevice("box", settings(server)))
-    reader.start()
-    yield reader
-    reader.stop()
+    with running(LabJackStreamDevice("box", settings(server))) as reader:
+        yield reader
 
 
 def test_values_are_the_voltages_of_their_time(server: LabJackStreamServer, reader: DeviceReader) -> None:

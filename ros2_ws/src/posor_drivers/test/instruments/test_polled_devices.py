@@ -16,7 +16,7 @@ from posor_lab.device_servers.labjack_server import LabJackServer
 from posor_lab.device_servers.scpi_server import ScpiServer
 from pydantic import ValidationError
 
-from .device_states import wait_for, wait_for_fault, wait_for_frames
+from .device_states import running, wait_for, wait_for_fault, wait_for_frames
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -76,13 +76,10 @@ def server(request: pytest.FixtureRequest) -> Any:
 
 @pytest.fixture
 def reader(server: LabJackServer | ScpiServer) -> Iterator[DeviceReader]:
-    if isinstance(server, LabJackServer):
-        reader = DeviceReader(LabJackDevice("box", labjack_settings(server.port)))
-    else:
-        reader = DeviceReader(ScpiDevice("box", scpi_settings(server.port)))
-    reader.start()
-    yield reader
-    reader.stop()
+    is_labjack, port = isinstance(server, LabJackServer), server.port
+    device = LabJackDevice("box", labjack_settings(port)) if is_labjack else ScpiDevice("box", scpi_settings(port))
+    with running(device) as reader:
+        yield reader
 
 
 def test_values_are_those_of_their_time(server: LabJackServer | ScpiServer, reader: DeviceReader) -> None:
@@ -94,10 +91,8 @@ def test_values_are_those_of_their_time(server: LabJackServer | ScpiServer, read
         if (values := reader.values_at(at_ns)) is not None:
             expected = ramp(at_ns)
             numbers = (5, 0, 1) if isinstance(server, LabJackServer) else (2, 0)
-            scale = [expected[number] if np.isfinite(values[n]) else np.nan for n, number in enumerate(numbers)]
-            slopes = 0.01 * (np.array(numbers) + 1)
-            late_s = (values - scale) / slopes
-            errors.append(np.nanmax(np.abs(late_s)))
+            late_s = (values - np.array(expected)[[*numbers]]) / (0.01 * (np.array(numbers) + 1))
+            errors.append(np.nanmax(np.abs(late_s)))  # NaN: out of range
         return len(errors) >= 20
 
     wait_for(take, "20 values")
@@ -125,14 +120,10 @@ def test_a_stall_and_a_restart_of_the_device_are_named_and_end(
 
 def test_inputs_of_a_labjack_are_set_up_and_a_value_beyond_its_range_is_invalid(labjack: LabJackServer) -> None:
     labjack.registers.voltages = lambda _time_ns: [0.25, -0.5, 0.0, 0.0, 0.0, 10.5]
-    reader = DeviceReader(LabJackDevice("box", labjack_settings(labjack.port)))
-    reader.start()
-    try:
+    with running(LabJackDevice("box", labjack_settings(labjack.port))) as reader:
         wait_for_frames(reader)
         assert reader.state.text == "LabJack T7, firmware 1.0292"
         np.testing.assert_array_equal(reader.newest_values(), [np.nan, np.nan, -0.5])
-    finally:
-        reader.stop()
     assert labjack.written_float(40_010) == 10.0
     assert labjack.written_float(40_000) == pytest.approx(0.1)
     assert labjack.registers.written[41_000] == 1
@@ -142,17 +133,11 @@ def test_inputs_of_a_labjack_are_set_up_and_a_value_beyond_its_range_is_invalid(
 
 def test_another_product_and_an_input_that_does_not_exist_are_refused(labjack: LabJackServer) -> None:
     channels = {"none": {"input": 60}}
-    reader = DeviceReader(LabJackDevice("box", labjack_settings(labjack.port, channels=channels)))
-    reader.start()
-    try:
-        wait_for_fault(
-            reader,
-            "box: Modbus exception 2 for register 120; expected registers of a LabJack; the input may not exist.",
-        )
+    with running(LabJackDevice("box", labjack_settings(labjack.port, channels=channels))) as reader:
+        sentence = "Modbus exception 2 for register 120; expected registers of a LabJack; the input may not exist."
+        wait_for_fault(reader, f"box: {sentence}")
         labjack.registers.product = 6.0
         wait_for_fault(reader, "box: the product is 6; expected 4 (LabJack T4), 7 (LabJack T7), 8 (LabJack T8).")
-    finally:
-        reader.stop()
 
 
 def test_neighbouring_inputs_are_one_question() -> None:
@@ -165,9 +150,7 @@ def test_neighbouring_inputs_are_one_question() -> None:
 
 
 def test_faults_of_a_scanner_are_named(scanner: ScpiServer) -> None:
-    reader = DeviceReader(ScpiDevice("meter", scpi_settings(scanner.port)))
-    reader.start()
-    try:
+    with running(ScpiDevice("meter", scpi_settings(scanner.port))) as reader:
         wait_for_frames(reader)
         assert scanner.scanned == [101, 103]
         assert reader.state.text == "Keysight Technologies,DAQ970A,MY12345678,A.02.04"
@@ -181,8 +164,6 @@ def test_faults_of_a_scanner_are_named(scanner: ScpiServer) -> None:
         np.testing.assert_array_equal(reader.newest_values(), [np.nan, 1.5])
         scanner.answer, scanner.model = "no number", "34401A"
         wait_for_fault(reader, "expected a model that matches 'DAQ97[03]A'.")
-    finally:
-        reader.stop()
 
 
 def test_invalid_settings_are_refused(tmp_path: Path) -> None:

@@ -9,17 +9,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from posor_drivers.instruments.device_reader import DeviceReader
-from posor_drivers.instruments.shared_readers import shared_reader
+from posor_drivers.instruments.device_reader import shared_reader
 from posor_drivers.instruments.stream_device import StreamDevice, StreamSettings
 from posor_lab.device_servers.stream_server import LEAD, StreamServer
 from pydantic import ValidationError
 
-from .device_states import wait_for, wait_for_fault, wait_for_frames
+from .device_states import running, wait_for, wait_for_fault, wait_for_frames
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
+
+    from posor_drivers.instruments.device_reader import DeviceReader
 
 
 def settings(port: int, **changes: Any) -> StreamSettings:
@@ -57,10 +58,8 @@ def server() -> Iterator[StreamServer]:
 
 @pytest.fixture
 def reader(server: StreamServer) -> Iterator[DeviceReader]:
-    reader = DeviceReader(StreamDevice("box", settings(server.port)))
-    reader.start()
-    yield reader
-    reader.stop()
+    with running(StreamDevice("box", settings(server.port))) as reader:
+        yield reader
 
 
 def test_values_are_interpolated_at_a_ros_time(reader: DeviceReader) -> None:
@@ -83,27 +82,22 @@ def test_values_are_interpolated_at_a_ros_time(reader: DeviceReader) -> None:
 def test_free_running_devices_have_values_at_common_times() -> None:
     """997 and 1003 frames per second: the interpolated sines agree within the bound a T^2 / 8 and their stamps."""
     with StreamServer(slow_sine, 997.0) as slow, StreamServer(slow_sine, 1003.0) as fast:
-        rates = {slow.port: 997, fast.port: 1003}
-        readers = [
-            DeviceReader(StreamDevice("box", settings(port, rate={"value": rate, "unit": "Hz"})))
-            for port, rate in rates.items()
-        ]
-        for reader in readers:
-            reader.start()
-        pairs = []
+        pairs: list[Any] = []
+        settings_of = {
+            rate: settings(server.port, rate={"value": rate, "unit": "Hz"})
+            for rate, server in ((997, slow), (1003, fast))
+        }
 
         def take() -> bool:
             tick_ns = time.time_ns() // 5_000_000 * 5_000_000 - 50_000_000
-            values = [reader.values_at(tick_ns) for reader in readers]
+            values = [reader.values_at(tick_ns) for reader in (one, other)]
             if values[0] is not None and values[1] is not None:
                 pairs.append(np.concatenate([*values]))
             return len(pairs) >= 100
 
-        try:
+        one_box, other_box = (StreamDevice("box", each) for each in settings_of.values())
+        with running(one_box) as one, running(other_box) as other:
             wait_for(take, "100 common values")
-        finally:
-            for reader in readers:
-                reader.stop()
     sine_a, time_a, sine_b, time_b = (np.array(pairs) / (2.0, 1.0, 2.0, 1.0)).T
     bound = 2.0 * (2.0 * np.pi / 997.0) ** 2 / 8.0
     assert np.all(np.abs(sine_a - sine_b) <= bound + 2.0 * np.pi * np.abs(time_a - time_b) + 1e-9)
@@ -175,37 +169,23 @@ def test_fault_is_named_at_once_and_the_device_read_again(
 def test_absent_device_is_named_and_read_when_it_comes() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-    reader = DeviceReader(StreamDevice("box", settings(port)))
-    reader.start()
-    try:
-        wait_for(lambda: "not connected" not in reader.state.fault, "fault")
-        assert reader.state.fault.startswith(f"box: no connection to 127.0.0.1:{port}")
+    with running(StreamDevice("box", settings(port))) as reader:
+        wait_for_fault(reader, f"box: no connection to 127.0.0.1:{port}")
         assert reader.values_at(time.time_ns()) is None
-    finally:
-        reader.stop()
 
 
 def test_another_rate_than_stated_is_a_fault(server: StreamServer) -> None:
-    reader = DeviceReader(StreamDevice("box", settings(server.port, rate={"value": 900, "unit": "Hz"})))
-    reader.start()
-    try:
-        wait_for(lambda: "frames per second" in reader.state.fault, "fault")
-        assert reader.state.fault.endswith("frames per second; expected 900, as stated.")
-    finally:
-        reader.stop()
+    with running(StreamDevice("box", settings(server.port, rate={"value": 900, "unit": "Hz"}))) as reader:
+        wait_for_fault(reader, "frames per second; expected 900, as stated.")
 
 
 def test_datagrams_are_read() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    reader = DeviceReader(StreamDevice("box", settings(port, transport="udp")))
-    with StreamServer(slow_sine, udp_port=port):
-        reader.start()
-        try:
-            wait_for_frames(reader)
-        finally:
-            reader.stop()
+    device = StreamDevice("box", settings(port, transport="udp"))
+    with StreamServer(slow_sine, udp_port=port), running(device) as reader:
+        wait_for_frames(reader)
 
 
 @pytest.mark.parametrize(
@@ -225,21 +205,15 @@ def test_invalid_settings_are_refused(changes: dict[str, Any], sentence: str) ->
 
 
 def test_a_whole_number_is_never_interpolated() -> None:
-    with StreamServer(source_number) as server:
-        reader = DeviceReader(StreamDevice("box", settings(server.port)))
-        reader.start()
-        try:
-            wait_for_frames(reader)
-            wait_for(lambda: reader.state.values["frames"] > 1500, "frames of half a second")
-            end_ns = time.time_ns() - 50_000_000
-            found = [reader.values_at(end_ns - n * 200_000, whole=[1]) for n in range(2000)]
-            numbers = [values[1] for values in found if values is not None]
-            assert set(numbers) <= set(range(100))
-            assert len(set(numbers)) > 5
-            assert None in [None if values is None else 0 for values in found]
-            assert len(numbers) > 1900
-        finally:
-            reader.stop()
+    with StreamServer(source_number) as server, running(StreamDevice("box", settings(server.port))) as reader:
+        wait_for_frames(reader)
+        wait_for(lambda: reader.state.values["frames"] > 1500, "frames of half a second")
+        end_ns = time.time_ns() - 50_000_000
+        found = [reader.values_at(end_ns - n * 200_000, whole=[1]) for n in range(2000)]
+        numbers = [values[1] for values in found if values is not None]
+        assert set(numbers) <= set(range(100))
+        assert len(set(numbers)) > 5
+        assert 1900 < len(numbers) < len(found)
 
 
 def test_users_of_one_file_share_the_reader_of_a_device(tmp_path: Path, server: StreamServer) -> None:
@@ -260,26 +234,20 @@ def test_users_of_one_file_share_the_reader_of_a_device(tmp_path: Path, server: 
 def test_frames_of_a_triggered_device_are_checked_and_not_interpolated() -> None:
     """The server starts at any time, so its frames are off the ticks by a constant part of a period."""
     with StreamServer(slow_sine) as server:
-        readers = [
-            DeviceReader(StreamDevice("box", settings(server.port, trigger_tolerance={"value": value, "unit": "s"})))
+        loose, strict = (
+            StreamDevice("box", settings(server.port, trigger_tolerance={"value": value, "unit": "s"}))
             for value in (6e-4, 1e-9)
-        ]
-        readers[0].start()
-        try:
-            wait_for_frames(readers[0])
+        )
+        with running(loose) as reader:
+            wait_for_frames(reader)
             at_ns = time.time_ns() - 50_000_000
-            found = [readers[0].values_at(at_ns + n * 100_000) for n in range(40)]
+            found = [reader.values_at(at_ns + n * 100_000) for n in range(40)]
             times = {values[1] for values in found if values is not None}
             assert len(times) in {4, 5}  # of 4 ms: whole frames only
-        finally:
-            readers[0].stop()
-        readers[1].start()
-        try:
-            wait_for_frames(readers[1])
-            wait_for(lambda: readers[1].values_at(time.time_ns() - 50_000_123) is None, "a frame off its tick")
+        with running(strict) as reader:
+            wait_for_frames(reader)
+            wait_for(lambda: reader.values_at(time.time_ns() - 50_000_123) is None, "a frame off its tick")
             assert re.fullmatch(
                 r"box: frame \d+ is [-+]0\.\d+(e-\d+)? ms from its tick; expected at most 1e-06 ms, as it is triggered",
-                readers[1].state.fault,
+                reader.state.fault,
             )
-        finally:
-            readers[1].stop()

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from posor_drivers.simulator.arm_simulation import ArmSimulation
-    from posor_drivers.simulator.arm_truth import ArmTruth
+    from posor_drivers.simulator.pose_array import ArmTruth
 
 READINGS = ("gap_voltages", "ring_voltages", "diode_currents")
 

@@ -13,7 +13,7 @@ from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
 
 if TYPE_CHECKING:
-    from posor_drivers.simulator.arm_truth import ArmTruth
+    from posor_drivers.simulator.pose_array import ArmTruth
 
 FIVE_AXIS = Path(__file__).resolve().parents[3] / "posor_bringup" / "arms" / "five_axis" / "arm.yaml"
 PERIOD_NS = 5_000_000

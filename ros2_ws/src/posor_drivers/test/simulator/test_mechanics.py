@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from posor_drivers.simulator.imperfections import RandomStream
 from posor_drivers.simulator.mechanics import (
     LinkCompliance,
     apply_backlash,
@@ -12,7 +13,6 @@ from posor_drivers.simulator.mechanics import (
     quantise_encoder,
 )
 from posor_drivers.simulator.pose_array import PoseArray
-from posor_drivers.simulator.random_stream import RandomStream
 from posor_drivers.simulator.scenario import Bearing, Structure
 from scipy.spatial.transform import Rotation
 
@@ -28,16 +28,15 @@ G = 9.80665
 
 
 def structure() -> Structure:
-    return Structure.model_validate(
-        {
-            "outer_diameter": {"value": OUTER, "unit": "m"},
-            "inner_diameter": {"value": INNER, "unit": "m"},
-            "modulus": {"value": MODULUS, "unit": "Pa"},
-            "shear_modulus": {"value": SHEAR, "unit": "Pa"},
-            "density": {"value": DENSITY, "unit": "kg/m^3"},
-            "end_mass": {"value": END_MASS, "unit": "kg"},
-        }
-    )
+    numbers = {
+        "outer_diameter": (OUTER, "m"),
+        "inner_diameter": (INNER, "m"),
+        "modulus": (MODULUS, "Pa"),
+        "shear_modulus": (SHEAR, "Pa"),
+        "density": (DENSITY, "kg/m^3"),
+        "end_mass": (END_MASS, "kg"),
+    }
+    return Structure.model_validate({name: {"value": value, "unit": unit} for name, (value, unit) in numbers.items()})
 
 
 def test_joint_follows_the_motor_half_the_backlash_behind() -> None:
@@ -123,37 +122,27 @@ def test_upright_link_does_not_bend_and_a_slanted_one_less() -> None:
     assert slanted @ [1.0, 0.0, 1.0] == pytest.approx(0.0, abs=1e-18)
 
 
-def test_second_link_bends_and_twists_the_first() -> None:
-    # The first along X, the second off its end along Y: its weight twists the first.
-    here = PoseArray.repeat(PoseArray.from_axis_angles(2, np.zeros(1))[0], 1)
-    first, second = np.array([LENGTH, 0.0, 0.0]), np.array([0.0, 0.4, 0.0])
-    links = [LinkCompliance.from_structure(structure(), LENGTH), LinkCompliance.from_structure(structure(), 0.4)]
-    bend, _ = bend_links([here, here], [first, second], links, PAYLOAD, GRAVITY)
-    torque = -0.4 * (END_MASS + PAYLOAD) * G - 0.2 * WEIGHT * 0.4
-    force = (2.0 * END_MASS + PAYLOAD) * G + WEIGHT * 0.4
-    slope = WEIGHT * LENGTH**3 / (6.0 * STIFFNESS) + force * LENGTH**2 / (2.0 * STIFFNESS)
-    assert bend.rotations[0] == pytest.approx([torque * LENGTH / TORSION, slope, 0.0], rel=1e-9, abs=1e-18)
+HERE = PoseArray(np.eye(3)[None], np.zeros((1, 3)))
 
 
-def test_link_in_line_bends_the_first_by_its_moment() -> None:
-    here = PoseArray.repeat(PoseArray.from_axis_angles(2, np.zeros(1))[0], 1)
-    ends = [np.array([LENGTH, 0.0, 0.0]), np.array([0.4, 0.0, 0.0])]
-    links = [LinkCompliance.from_structure(structure(), LENGTH), LinkCompliance.from_structure(structure(), 0.4)]
-    bend, _ = bend_links([here, here], ends, links, PAYLOAD, GRAVITY)
-    moment = 0.4 * (END_MASS + PAYLOAD) * G + 0.2 * WEIGHT * 0.4
+@pytest.mark.parametrize("second", [[0.0, 0.4, 0.0], [0.4, 0.0, 0.0]])
+def test_second_link_bends_and_twists_the_first(second: list[float]) -> None:
+    """Off its end along Y, its weight twists the first link; in line, its moment bends it."""
+    ends = [np.array([LENGTH, 0.0, 0.0]), np.array(second)]
+    links = [LinkCompliance.from_structure(structure(), length) for length in (LENGTH, 0.4)]
+    bend, _ = bend_links([HERE, HERE], ends, links, PAYLOAD, GRAVITY)
+    lever = 0.4 * (END_MASS + PAYLOAD) * G + 0.2 * WEIGHT * 0.4
+    twist, moment = (-lever, 0.0) if second[1] else (0.0, lever)
     force = (2.0 * END_MASS + PAYLOAD) * G + WEIGHT * 0.4
-    down = (
-        WEIGHT * LENGTH**4 / (8.0 * STIFFNESS)
-        + force * LENGTH**3 / (3.0 * STIFFNESS)
-        + moment * LENGTH**2 / (2.0 * STIFFNESS)
-    )
+    slope = (WEIGHT * LENGTH**3 / 6.0 + force * LENGTH**2 / 2.0 + moment * LENGTH) / STIFFNESS
+    down = (WEIGHT * LENGTH**4 / 8.0 + force * LENGTH**3 / 3.0 + moment * LENGTH**2 / 2.0) / STIFFNESS
+    assert bend.rotations[0] == pytest.approx([twist * LENGTH / TORSION, slope, 0.0], rel=1e-9, abs=1e-18)
     assert bend.translations[0] == pytest.approx([0.0, 0.0, -down], rel=1e-9, abs=1e-18)
 
 
 def test_link_without_length_or_structure_does_not_bend() -> None:
-    here = PoseArray.repeat(PoseArray.from_axis_angles(2, np.zeros(1))[0], 1)
     none, rigid = bend_links(
-        [here, here],
+        [HERE, HERE],
         [np.zeros(3), np.array([LENGTH, 0.0, 0.0])],
         [LinkCompliance.from_structure(structure(), 0.0), LinkCompliance.from_structure(None, LENGTH)],
         PAYLOAD,

@@ -15,46 +15,29 @@ from posor.messages.message_definitions import MessageTypes
 from posor.ros_names import RAW_SCAN, REFERENCE_READING
 from posor.uncertainty.air_index import Air
 from posor_drivers.sources.instrument_source import InstrumentParameters, InstrumentSource
-from posor_lab.device_servers.stream_server import LEAD, StreamServer
+from posor_lab.device_servers.stream_server import StreamServer
 from posor_lab.harness.program import wait_until
 from posor_msgs.msg import RawScan, ReferenceReading
 from posor_ros.message_conversion import stamp_ns
 from rclpy.serialization import deserialize_message, serialize_message
 
+from ..instruments.stream_rig import quantity, stream_rig, write_rig
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-FIELDS = ("gap", "distance", "angle", "air")
-UNITS = ("V", "mm", "arcsec", "degC")
+UNITS = {"gap": "V", "distance": "mm", "angle": "arcsec", "air": "degC"}
 SOUND = (0.5, 250.0, 3.0, 21.0)
 ARCSEC = np.pi / 180.0 / 3600.0
 WAVELENGTH, ASSUMED_INDEX = 632.991e-9, 1.00027
 TYPES = MessageTypes()
 
 
-def quantity(value: float, unit: str, sigma: float = 0.0) -> dict[str, Any]:
-    return {"value": value, "sigma": sigma, "unit": unit}
-
-
 def instruments(port: int) -> dict[str, Any]:
-    box = {
-        "kind": "stream",
-        "transport": "tcp",
-        "host": "127.0.0.1",
-        "port": port,
-        "rate": quantity(1000, "Hz"),
-        "format": f"{LEAD}{len(FIELDS)}d",
-        "fields": ["magic", "counter", *FIELDS],
-        "channels": {name: {"unit": unit} for name, unit in zip(FIELDS, UNITS, strict=True)},
-    }
+    temperature = {"channel": "box/air", "scale": quantity(1.0, "K/degC"), "offset": quantity(273.15, "K")}
     air = {
-        "temperature": {
-            "channel": "box/air",
-            "scale": quantity(1.0, "K/degC"),
-            "offset": quantity(273.15, "K"),
-            "sigma": quantity(0.1, "K"),
-        },
+        "temperature": temperature | {"sigma": quantity(0.1, "K")},
         "pressure": quantity(101325.0, "Pa", 30.0),
         "relative_humidity": quantity(0.5, "1", 0.05),
         "co2_fraction": quantity(450e-6, "1", 50e-6),
@@ -67,38 +50,28 @@ def instruments(port: int) -> dict[str, Any]:
         "abbe_offsets": [{"offset": quantity(0.01, "m"), "angle": quantity(2e-6, "rad")}],
     }
     common = {"joint": "elbow", "frame_id": "table"}
-    return {
-        "format": "posor_instruments",
-        "version": 1,
-        "name": "rig",
-        "rate": quantity(100, "Hz"),
-        "latency": quantity(0.05, "s"),
-        "devices": {"box": box},
-        "joints": {"elbow": {"frame_id": "receiving", "gap_voltages": [{"channel": "box/gap"}]}},
-        "references": {
-            "laser": {
-                **common,
-                "unit": "m",
-                "channel": "box/distance",
-                "scale": quantity(1e-3, "m/mm"),
-                "standard_uncertainty": quantity(2e-8, "m"),
-                "interferometer": interferometer,
-            },
-            "mirror": {
-                **common,
-                "unit": "rad",
-                "channel": "box/angle",
-                "scale": quantity(ARCSEC, "rad/arcsec"),
-                "standard_uncertainty": quantity(5e-7, "rad"),
-            },
+    references = {
+        "laser": {
+            **common,
+            "unit": "m",
+            "channel": "box/distance",
+            "scale": quantity(1e-3, "m/mm"),
+            "standard_uncertainty": quantity(2e-8, "m"),
+            "interferometer": interferometer,
+        },
+        "mirror": {
+            **common,
+            "unit": "rad",
+            "channel": "box/angle",
+            "scale": quantity(ARCSEC, "rad/arcsec"),
+            "standard_uncertainty": quantity(5e-7, "rad"),
         },
     }
+    return stream_rig(port, UNITS, {"gap_voltages": [{"channel": "box/gap"}]}) | {"references": references}
 
 
 def opened(folder: Path, content: dict[str, Any]) -> InstrumentSource:
-    path = folder / "instruments.yaml"
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    return InstrumentSource(InstrumentParameters(file=str(path), joint="elbow"), TYPES)
+    return InstrumentSource(InstrumentParameters(file=write_rig(folder, content), joint="elbow"), TYPES)
 
 
 @pytest.fixture
@@ -220,18 +193,18 @@ def test_readings_in_two_units_are_refused(source: InstrumentSource, tmp_path: P
         ({"channel": "box/none"}, "channel 'box/none'; expected one of box/air, box/angle, box/distance, box/gap"),
         ({"unit": "rad"}, "standard uncertainty in m; expected rad"),
         ({"scale": quantity(1.0, "m/V")}, "scale in m/V; expected one number in m/mm"),
+        (
+            {"interferometer": {"dead_path": quantity(0.05, "m")}},
+            "only one of dead_path and air_at_zero; expected both",
+        ),
     ],
 )
 def test_an_invalid_reference_is_refused(tmp_path: Path, changes: dict[str, Any], sentence: str) -> None:
     content = instruments(1)
-    content["references"]["laser"] |= changes
+    laser = content["references"]["laser"]
+    if "interferometer" in changes:
+        changes = {"interferometer": laser["interferometer"] | changes["interferometer"]}
+    laser |= changes
     with pytest.raises(CalibrationError) as caught:
         opened(tmp_path, content).open()
     assert sentence in str(caught.value)
-
-
-def test_a_dead_path_needs_the_air_at_the_zero(tmp_path: Path) -> None:
-    content = instruments(1)
-    content["references"]["laser"]["interferometer"]["dead_path"] = quantity(0.05, "m")
-    with pytest.raises(CalibrationError, match="only one of dead_path and air_at_zero; expected both or neither"):
-        opened(tmp_path, content).open()

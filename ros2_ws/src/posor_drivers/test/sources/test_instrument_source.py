@@ -8,67 +8,41 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-import yaml
 from posor.errors import ParameterError
 from posor.messages.message_definitions import MessageTypes
 from posor.model.scan import HOME_BUMP, SATURATED
 from posor_drivers.sources.instrument_source import InstrumentParameters, InstrumentSource
-from posor_lab.device_servers.stream_server import LEAD, StreamServer
+from posor_lab.device_servers.stream_server import StreamServer
 from posor_lab.harness.program import wait_until
 from posor_msgs.msg import RawScan
 from posor_ros.message_conversion import stamp_ns
 from rclpy.serialization import deserialize_message
 
+from ..instruments.stream_rig import quantity, stream_rig, write_rig
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
-FIELDS = ("gap", "current", "source", "home", "plate")
 SOUND = (1e-4, 2e-6, 3.0, 0.0, 21.5)
 
 
 def instruments(port: int) -> dict[str, Any]:
     units = {"gap": "m", "current": "A", "source": "1", "home": "1", "plate": "degC"}
-    box = {
-        "kind": "stream",
-        "transport": "tcp",
-        "host": "127.0.0.1",
-        "port": port,
-        "rate": {"value": 1000, "unit": "Hz"},
-        "format": f"{LEAD}{len(FIELDS)}d",
-        "fields": ["magic", "counter", *FIELDS],
-        "channels": {name: {"unit": unit} for name, unit in units.items()},
-    }
     joint = {
-        "frame_id": "receiving",
-        "gap_voltages": [
-            {"channel": "box/gap", "scale": {"value": 1e4, "unit": "V/m"}, "offset": {"value": -0.5, "unit": "V"}}
-        ],
+        "gap_voltages": [{"channel": "box/gap", "scale": quantity(1e4, "V/m"), "offset": quantity(-0.5, "V")}],
         "diode_currents": [{"channel": "box/current"}] * 8,
         "lit_sources": [{"channel": "box/source"}, 7],
         "home_mark": {"channel": "box/home"},
-        "temperature": {
-            "channel": "box/plate",
-            "scale": {"value": 1, "unit": "K/degC"},
-            "offset": {"value": 273.15, "unit": "K"},
-        },
+        "temperature": {"channel": "box/plate", "scale": quantity(1, "K/degC"), "offset": quantity(273.15, "K")},
     }
-    return {
-        "format": "posor_instruments",
-        "version": 1,
-        "name": "rig",
-        "rate": {"value": 100, "unit": "Hz"},
-        "latency": {"value": 0.05, "unit": "s"},
-        "devices": {"box": box},
-        "joints": {"elbow": joint},
-    }
+    return stream_rig(port, units, joint)
 
 
 @contextmanager
 def opened(folder: Path, port: int, joint: str = "elbow") -> Iterator[InstrumentSource]:
-    path = folder / "instruments.yaml"
-    path.write_text(yaml.safe_dump(instruments(port)), encoding="utf-8")
-    source = InstrumentSource(InstrumentParameters(file=str(path), joint=joint), MessageTypes())
+    file = write_rig(folder, instruments(port))
+    source = InstrumentSource(InstrumentParameters(file=file, joint=joint), MessageTypes())
     try:
         source.open()
         yield source

@@ -1,24 +1,30 @@
-"""Serialised scans of one joint, written into one prepared message, because building each from its fields is slow."""
+"""Messages of a tick from the channels of devices: the scan of a joint, and references with their uncertainty."""
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
+from posor.errors import ParameterError
 from posor.messages.message_definitions import installed_schema
 from posor.messages.message_table import TableLayout
 from posor.model.scan import HOME_BUMP, NO_SOURCE, SATURATED
 from posor.numerics.stamps import NS
-from posor.ros_names import RAW_SCAN
+from posor.ros_names import RAW_SCAN, REFERENCE_READING, REFERENCE_TOPIC
+from posor.uncertainty.interferometer import correct_reading
 
 from posor_drivers.instruments.instruments_file import READINGS, JointEntry, ReadingEntry
-from posor_drivers.message_builder import raw_scan
+from posor_drivers.message_builder import header, raw_scan
+from posor_drivers.sources.source import SourceMessage, SourceStatus, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from posor.messages.message_definitions import MessageTypes
     from posor.numerics.array_types import FloatArray
+
+    from posor_drivers.instruments.reference_entry import ReferenceEntry
 
 FIELDS = tuple(name for name in READINGS if name != "home_mark")
 """Readings that are fields of the message; the home mark is a flag."""
@@ -30,7 +36,7 @@ class LitSourceError(ValueError):
 
 
 class ScanWriter:
-    """Makes the scan of a joint from the values of all channels."""
+    """Writes the scans of a joint into one prepared message, because building each from its fields is slow."""
 
     def __init__(self, joint: JointEntry, columns: Mapping[str, int], types: MessageTypes) -> None:
         """Prepare the message; ``columns`` are the channels by name, in the order of the values."""
@@ -54,19 +60,11 @@ class ScanWriter:
         self._message = message = TableLayout.of(example, installed_schema(RAW_SCAN)).copies(1)
         self._seconds, self._nanoseconds = message["header.stamp.sec"], message["header.stamp.nanosec"]
         self._number, self._status = message["scan"], message["status"]
-        self._pairs = [
-            (message[name].reshape(-1), self._readings[parts[name]])
-            for name in FIELDS
-            if parts[name].stop > parts[name].start
-        ]
+        present = [name for name in FIELDS if parts[name].stop > parts[name].start]
+        self._pairs = [(message[name].reshape(-1), self._readings[parts[name]]) for name in present]
 
     def scan(self, channels: FloatArray, stamp_ns: int, number: int) -> bytes:
-        """Return the serialised scan.
-
-        Args:
-            channels: Value of each channel, (c,); NaN: invalid, and the scan has the flag SATURATED.
-            stamp_ns: Stamp [ns].
-            number: Number of the scan.
+        """Return the serialised scan of the channels' values, (c,); NaN: invalid, and the scan is flagged SATURATED.
 
         Raises:
             LitSourceError: A lit source is no whole number from 0 to 255.
@@ -85,3 +83,57 @@ class ScanWriter:
         self._number[0], self._status[0] = number, status | (HOME_BUMP if self._home_mark.any() else 0)
         serialised: bytes = self._message.messages[0].tobytes()
         return serialised
+
+
+class ReferenceReading:
+    """Makes the messages of one reference."""
+
+    def __init__(self, name: str, entry: ReferenceEntry, types: MessageTypes) -> None:
+        """Store the entry."""
+        self._entry, self._types, self._name = entry, types, name
+        self.topic = Topic(REFERENCE_TOPIC.format(name=name), REFERENCE_READING)
+        self.devices = {each.device for _, _, each in entry.measured}
+        self._missing, self._fault = 0, ""
+
+    def message(self, channels: Mapping[str, float], stamp_ns: int) -> SourceMessage | None:
+        """Return the message of a tick; None where a channel is missing or invalid.
+
+        ``channels`` holds the values by name; those of a device without frames are absent.
+        """
+        entry = self._entry
+        absent = sorted({each.channel for _, _, each in entry.measured} - set(channels))
+        if absent:
+            self._leave_out(f"no frames of {', '.join(absent)} around the tick")
+            return None
+        value = reading = entry.value(channels)
+        uncertainty = entry.standard_uncertainty.number
+        if not math.isfinite(reading):
+            self._leave_out(f"{entry.channel} is invalid")
+            return None
+        if entry.interferometer is not None:
+            try:
+                corrected = correct_reading(entry.interferometer.setup(channels), reading)
+            except ParameterError as error:
+                self._leave_out(str(error))
+                return None
+            value = corrected.displacement
+            uncertainty = math.hypot(uncertainty, corrected.standard_uncertainty)
+        self._fault = ""
+        message = self._types.new(
+            REFERENCE_READING,
+            header=header(self._types, stamp_ns, entry.frame_id),
+            unit=entry.unit,
+            value=value,
+            standard_uncertainty=uncertainty,
+            reading=reading,
+        )
+        return SourceMessage(self.topic.name, stamp_ns, self._types.serialize(message, REFERENCE_READING))
+
+    def _leave_out(self, reason: str) -> None:
+        self._missing += 1
+        self._fault = f"no reading: {reason}"
+
+    @property
+    def status(self) -> SourceStatus:
+        """Whether there are readings."""
+        return SourceStatus(f"reference {self._name}", self._fault, "in time", {"readings_missing": self._missing})
