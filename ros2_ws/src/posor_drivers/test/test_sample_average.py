@@ -45,20 +45,13 @@ def column(*values: float) -> FloatArray:
 
 
 @pytest.mark.parametrize("samples", [2, 5, 20])
-def test_noise_of_the_mean_falls_with_the_root_of_the_number(samples: int) -> None:
+def test_noise_of_the_mean_falls_with_the_root_of_the_number_and_the_spread_is_that_of_one(samples: int) -> None:
     result = averaged(noise(samples, seed=samples))
     low, high = chi_square_band(GROUPS - 1)
-    statistic = (GROUPS - 1) * result.means.var(ddof=1) / (SIGMA_V**2 / samples)
-    assert low < statistic < high
+    assert low < (GROUPS - 1) * result.means.var(ddof=1) / (SIGMA_V**2 / samples) < high
+    low, high = chi_square_band((samples - 1) * GROUPS)
+    assert low < (samples - 1) * (result.spreads**2).sum() / SIGMA_V**2 < high
     assert set(result.counts.tolist()) == {samples}
-
-
-@pytest.mark.parametrize("samples", [2, 5, 20])
-def test_spread_is_that_of_one_reading(samples: int) -> None:
-    freedom = (samples - 1) * GROUPS
-    low, high = chi_square_band(freedom)
-    statistic = (samples - 1) * (averaged(noise(samples, seed=10 + samples)).spreads ** 2).sum() / SIGMA_V**2
-    assert low < statistic < high
 
 
 def test_mean_without_outlier_has_the_noise_of_the_remaining_samples() -> None:

@@ -111,15 +111,13 @@ def test_unmeasured_supply_shifts_voltages_too(tmp_path: Path, clean: ArmSimulat
     assert np.mean(moved) > 0.99  # the supply passes its mean at times
 
 
+RINGS = "ring_1, ring_2, ring_3, ring_4"
+
+
 @pytest.mark.parametrize(
     ("index", "channel", "what", "expected"),
     [
-        (
-            0,
-            "gap_9",
-            "joint 'elbow' has no probe 'gap_9'",
-            "one of gap_1, gap_2, gap_3, ring_1, ring_2, ring_3, ring_4",
-        ),
+        (0, "gap_9", "joint 'elbow' has no probe 'gap_9'", f"one of gap_1, gap_2, gap_3, {RINGS}"),
         (1, "gap_1", "joint 'shoulder' has no diode 'gap_1'", "one of diode_1, diode_2"),
     ],
 )

@@ -55,33 +55,19 @@ def test_new_goal_replaces_the_old_one_on_the_way() -> None:
     assert np.allclose(moving.position_at(NOW + 3 * NS // 20), [5e-5, 0.0, 0.0], rtol=0.0, atol=1e-12)
 
 
+HERE = [0.0, 0.0, 0.0]
+ORDER, IN_TIME = "commands in the order of their stamps", "a stamp within 0.5 s"
+
+
 @pytest.mark.parametrize(
     ("goal", "frame", "stamp", "what", "expected"),
     [
         ([5.1e-4, 0.0, 0.0], "endpoint", NOW, "is (0.00051, 0, 0) m", "at most 0.0005 m to either side, the stroke"),
         ([0.0, np.nan, 0.0], "endpoint", NOW, "is (0, nan, 0) m", "finite numbers"),
-        ([0.0, 0.0, 0.0], "base", NOW, "is in frame 'base'", "'endpoint'"),
-        (
-            [0.0, 0.0, 0.0],
-            "endpoint",
-            NOW - NS,
-            "arrived at 1000.000000 s, 1 s after its stamp",
-            "a stamp within 0.5 s",
-        ),
-        (
-            [0.0, 0.0, 0.0],
-            "endpoint",
-            NOW + NS,
-            "arrived at 1000.000000 s, -1 s after its stamp",
-            "a stamp within 0.5 s",
-        ),
-        (
-            [0.0, 0.0, 0.0],
-            "endpoint",
-            NOW - NS // 4,
-            "arrived after the command of 999.900000 s",
-            "commands in the order of their stamps",
-        ),
+        (HERE, "base", NOW, "is in frame 'base'", "'endpoint'"),
+        (HERE, "endpoint", NOW - NS, "arrived at 1000.000000 s, 1 s after its stamp", IN_TIME),
+        (HERE, "endpoint", NOW + NS, "arrived at 1000.000000 s, -1 s after its stamp", IN_TIME),
+        (HERE, "endpoint", NOW - NS // 4, "arrived after the command of 999.900000 s", ORDER),
     ],
 )
 def test_invalid_command_is_refused_and_changes_nothing(

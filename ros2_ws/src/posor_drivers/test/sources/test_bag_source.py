@@ -10,7 +10,7 @@ from posor_drivers.sources.bag_source import BagParameters, BagSource
 from posor_drivers.sources.source import SourceMessage, Topic
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from ..sample_bags import point, scan, text, write_bag
+from ..sample_bags import Record, point, scan, text, write_bag
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,38 +36,25 @@ def refusal(path: Path, **parameters: Any) -> str:
 
 
 @pytest.mark.parametrize("sqlite", [False, True])
-def test_scans_come_with_their_recorded_bytes_and_times(tmp_path: Path, *, sqlite: bool) -> None:
+def test_messages_come_with_their_recorded_bytes_in_order_of_time(tmp_path: Path, *, sqlite: bool) -> None:
     bag = write_bag(tmp_path / "bag", RECORDS, sqlite=sqlite)
     topics, messages = read(bag)
     assert topics == [Topic("raw", "posor_msgs/msg/RawScan")]
-    assert messages == [
-        SourceMessage("raw", record.time_ns, record.data) for record in RECORDS if record.topic == "/joint1/raw"
-    ]
-
-
-@pytest.mark.parametrize("sqlite", [False, True])
-def test_other_topics_come_in_order_of_time_under_their_own_names(tmp_path: Path, *, sqlite: bool) -> None:
-    bag = write_bag(tmp_path / "bag", RECORDS, sqlite=sqlite)
+    own = [SourceMessage(record.topic.replace("/joint1/raw", "raw"), record.time_ns, record.data) for record in RECORDS]
+    assert messages == [message for message in own if message.topic == "raw"]
     topics, messages = read(bag, other_topics=("/remarks", "/truth/machining_centre"))
     assert [topic.name for topic in topics] == ["raw", "/remarks", "/truth/machining_centre"]
     assert topics[1].type_name == "std_msgs/msg/String"
-    names = {"/joint1/raw": "raw"}
-    assert [(message.time_ns, message.data) for message in messages] == [
-        (record.time_ns, record.data) for record in RECORDS
-    ]
-    assert [message.topic for message in messages] == [names.get(record.topic, record.topic) for record in RECORDS]
+    assert messages == own
 
 
-def test_single_file_is_read_without_its_folder(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "bag", RECORDS)
-    shutil.move(bag / "bag.mcap", tmp_path / "alone.mcap")
-    assert len(read(tmp_path / "alone.mcap")[1]) == 3
-
-
-def test_second_pass_gives_the_same_messages(tmp_path: Path) -> None:
-    source = BagSource(BagParameters(path=str(write_bag(tmp_path / "bag", RECORDS))), MessageTypes())
+def test_single_file_is_read_without_its_folder_and_each_time_the_same(tmp_path: Path) -> None:
+    shutil.move(write_bag(tmp_path / "bag", RECORDS) / "bag.mcap", tmp_path / "alone.mcap")
+    source = BagSource(BagParameters(path=str(tmp_path / "alone.mcap")), MessageTypes())
     source.open()
-    assert list(source.read_messages()) == list(source.read_messages())
+    messages = list(source.read_messages())
+    assert len(messages) == 3
+    assert list(source.read_messages()) == messages
 
 
 def test_one_of_several_joints_must_be_chosen(tmp_path: Path) -> None:
@@ -81,26 +68,32 @@ def test_one_of_several_joints_must_be_chosen(tmp_path: Path) -> None:
     assert [message.topic for message in messages] == ["/joint1/raw", "raw"]
 
 
-def test_missing_topic_is_refused_with_those_that_exist(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "bag", [scan(1, 100), point(100)])
-    there = "/joint1/raw (posor_msgs/msg/RawScan), /truth/machining_centre (geometry_msgs/msg/PointStamped)"
-    assert refusal(bag, topic="/joint9/raw") == f"BAG: there is no topic /joint9/raw; expected one of {there}."
-    assert refusal(bag, other_topics=("/none",)) == f"BAG: there is no topic /none; expected one of {there}."
+TRUTH = "/truth/machining_centre (geometry_msgs/msg/PointStamped)"
+THERE = f"expected one of /joint1/raw (posor_msgs/msg/RawScan), {TRUTH}."
 
 
-def test_bag_without_scans_is_refused(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "bag", [point(100)])
-    assert refusal(bag) == (
-        "BAG: there is no topic of type posor_msgs/msg/RawScan; "
-        "expected one among /truth/machining_centre (geometry_msgs/msg/PointStamped)."
-    )
-
-
-def test_topic_of_another_type_is_refused(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "bag", [scan(1, 100), point(100)])
-    assert refusal(bag, topic="/truth/machining_centre") == (
-        "BAG: topic /truth/machining_centre is of type geometry_msgs/msg/PointStamped; expected posor_msgs/msg/RawScan."
-    )
+@pytest.mark.parametrize(
+    ("records", "parameters", "sentence"),
+    [
+        (RECORDS[:2], {"topic": "/joint9/raw"}, f"BAG: there is no topic /joint9/raw; {THERE}"),
+        (RECORDS[:2], {"other_topics": ("/none",)}, f"BAG: there is no topic /none; {THERE}"),
+        (
+            RECORDS[:2],
+            {"topic": "/truth/machining_centre"},
+            f"BAG: topic {TRUTH.replace('(', 'is of type ').rstrip(')')}; expected posor_msgs/msg/RawScan.",
+        ),
+        (RECORDS[1:2], {}, f"BAG: there is no topic of type posor_msgs/msg/RawScan; expected one among {TRUTH}."),
+        (
+            RECORDS,
+            {"other_topics": ("/joint1/raw",)},
+            "parameter 'bag.other_topics': topic /joint1/raw holds this joint's scans; expected other topics only.",
+        ),
+    ],
+)
+def test_unsuitable_topic_is_refused(
+    tmp_path: Path, records: list[Record], parameters: dict[str, Any], sentence: str
+) -> None:
+    assert refusal(write_bag(tmp_path / "bag", records), **parameters) == sentence
 
 
 @pytest.mark.parametrize("sqlite", [False, True])
@@ -113,13 +106,6 @@ def test_topic_of_several_types_is_refused(tmp_path: Path, topic: str, *, sqlite
     }
     others = () if topic == "/joint1/raw" else (topic,)
     assert refusal(bag, other_topics=others) == f"BAG: topic {topic} holds messages of several types, {several[topic]}"
-
-
-def test_scan_topic_among_other_topics_is_refused(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "bag", RECORDS)
-    assert refusal(bag, other_topics=("/joint1/raw",)) == (
-        "parameter 'bag.other_topics': topic /joint1/raw holds this joint's scans; expected other topics only."
-    )
 
 
 @pytest.mark.parametrize("sqlite", [False, True])

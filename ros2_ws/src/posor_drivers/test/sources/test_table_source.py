@@ -94,18 +94,6 @@ def test_each_pass_gives_the_same_bytes(tmp_path: Path) -> None:
     assert list(source.read_messages()) == list(source.read_messages())
 
 
-def test_rows_are_read_in_si_units(tmp_path: Path) -> None:
-    rows = read_table(write_table(tmp_path / "t.csv"))
-    assert [row.step for row in rows] == [1, 2, 3, 5]
-    assert rows[2].truth == pytest.approx((0.0508, -0.0508, 0.0254), abs=0.0, rel=1e-15)
-    assert math.isnan(rows[1].truth[0])
-    assert rows[0].gap_voltages == (0.25, 0.5, 0.75)
-    assert rows[0].ratios == (0.5, 0.125, -0.5, 0.0625)
-    # Only cells without any digit in the record count as estimated.
-    assert [row.probes_estimated for row in rows] == [False, True, False, False]
-    assert [row.diodes_estimated for row in rows] == [False, False, True, False]
-
-
 def test_order_of_columns_is_free(tmp_path: Path) -> None:
     header, *rows = [",".join(reversed(line.split(","))) for line in (HEADER, *ROWS)]
     path = write_table(tmp_path / "t.csv", *rows, header=header)
