@@ -10,9 +10,6 @@ from posor_ros.ros_arguments import ros_arguments
 LOSSLESS: dict[str, Any] = {"lossless": True}
 
 
-def ros_names(parameters: dict[str, object]) -> dict[str, object]:
-    return {name.replace("__", "."): value for name, value in parameters.items()}
-
-
 def driver_program(namespace: str = "/joint1", **parameters: object) -> Program:
-    return Program([*installed("posor_drivers", "driver_node"), *ros_arguments(ros_names(parameters), namespace)])
+    names = {name.replace("__", "."): value for name, value in parameters.items()}
+    return Program([*installed("posor_drivers", "driver_node"), *ros_arguments(names, namespace)])

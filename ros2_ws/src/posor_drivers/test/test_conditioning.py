@@ -106,10 +106,7 @@ def test_incomplete_last_group_is_published_with_fewer_samples() -> None:
 )
 def test_group_ends_early_where_scans_are_not_comparable(other: dict[str, Any]) -> None:
     result = condition([item(0), item(1), item(2), item(3, **other)])
-    assert [(result.data.scan, result.data.samples, result.after_s) for result in result] == [
-        (1, 3, 0.003),
-        (3, 1, 0.003),
-    ]
+    assert [(each.data.scan, each.data.samples, each.after_s) for each in result] == [(1, 3, 0.003), (3, 1, 0.003)]
 
 
 def test_scan_without_stamp_does_not_affect_the_stamps_of_others() -> None:
@@ -167,27 +164,22 @@ def test_supply_and_temperature_are_means_of_measured_values() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "expected"),
+    ("text", "drift", "expected"),
     [
-        ("DLDLDLDLDLD", [(5, 5)]),
-        ("DLDLDLDLDLDLDLDLDLDLD", [(5, 5), (15, 5)]),
-        ("LLDDLLL", [(4, 5)]),
-        ("DDLLLLLDLD", [(4, 5), (8, 1)]),
-        ("D" * 250 + "LLLLL", [(252, 5)]),
+        ("DLDLDLDLDLD", 0.0, [(5, 5)]),
+        ("DLDLDLDLDLDLDLDLDLDLD", 0.1, [(5, 5), (15, 5)]),  # a steady drift cancels between dark neighbours
+        ("LLDDLLL", 0.0, [(4, 5)]),
+        ("DDLLLLLDLD", 0.0, [(4, 5), (8, 1)]),
+        ("D" * 250 + "LLLLL", 0.0, [(252, 5)]),
     ],
 )
-def test_background_is_subtracted(text: str, expected: list[tuple[int, int]]) -> None:
-    results = scans(pattern(text), subtract_dark=True)
+def test_background_is_subtracted(text: str, drift: float, expected: list[tuple[int, int]]) -> None:
+    results = scans(pattern(text, drift), subtract_dark=True)
     assert [(result.scan, result.samples) for result in results] == expected
     for result in results:
         np.testing.assert_allclose(result.diode_currents, NET_A, rtol=1e-12)
         assert result.status == RawScan.STATUS_DARK_SUBTRACTED
         assert list(result.lit_sources) == [0, 1]
-
-
-def test_steady_drift_of_the_background_cancels_between_dark_neighbours() -> None:
-    for result in scans(pattern("DLDLDLDLDLD" + "LDLDLDLDLD", drift=0.1), subtract_dark=True):
-        np.testing.assert_allclose(result.diode_currents, NET_A, rtol=1e-12)
 
 
 def test_only_the_nearest_dark_scans_are_background() -> None:
@@ -199,10 +191,7 @@ def test_only_the_nearest_dark_scans_are_background() -> None:
 
 
 def test_dark_scans_before_a_break_are_not_background() -> None:
-    for dark in (
-        item(0, header=header(START, "another_frame"), lit_sources=DARK),
-        item(5, lit_sources=DARK),
-    ):
+    for dark in (item(0, header=header(START, "another_frame"), lit_sources=DARK), item(5, lit_sources=DARK)):
         (result,) = scans([dark, item(1, diode_currents=NET_A)], subtract_dark=True)
         assert result.status == 0
         np.testing.assert_allclose(result.diode_currents, NET_A, rtol=1e-14)
@@ -262,13 +251,7 @@ def test_invalid_dark_readings_are_dropped_or_give_nan() -> None:
 
 def test_home_mark_of_a_dark_scan_counts_once_and_its_other_flags_in_both_groups() -> None:
     status = RawScan.STATUS_HOME_BUMP | RawScan.STATUS_SATURATED
-    raw = [
-        item(0),
-        item(1),
-        item(2, lit_sources=DARK, status=status),
-        item(3),
-        item(4),
-    ]
+    raw = [item(0), item(1), item(2, lit_sources=DARK, status=status), item(3), item(4)]
     first, second = scans(raw, samples=2, subtract_dark=True)
     assert first.status == status | RawScan.STATUS_DARK_SUBTRACTED
     assert second.status == RawScan.STATUS_SATURATED | RawScan.STATUS_DARK_SUBTRACTED
@@ -276,10 +259,7 @@ def test_home_mark_of_a_dark_scan_counts_once_and_its_other_flags_in_both_groups
 
 def test_light_that_stays_off_does_not_delay_earlier_scans() -> None:
     results = condition(pattern("LLL" + 3 * MAX_DARK_SCANS * "D" + "LLLLL"), subtract_dark=True)
-    assert [(result.data.scan, result.data.samples) for result in results] == [
-        (1, 3),
-        (3 * MAX_DARK_SCANS + 5, 5),
-    ]
+    assert [(each.data.scan, each.data.samples) for each in results] == [(1, 3), (3 * MAX_DARK_SCANS + 5, 5)]
     assert results[0].after_s == pytest.approx((2 + MAX_DARK_SCANS) / 1000)
 
 
@@ -315,18 +295,15 @@ def test_incomplete_group_is_published_before_the_failure_of_the_source() -> Non
         next(stream)
 
 
+TOO_MANY = [item(4, samples=40_000), item(5, samples=40_000)]
+
+
 @pytest.mark.parametrize(
     ("raw", "sentence"),
     [
         ([item(4, samples=0)], "scan 4: is the mean of 0 samples; expected at least 1."),
-        (
-            [item(4, samples=40_000), item(5, samples=40_000)],
-            "scans 4 to 5: are the mean of 80000 samples; expected at most 65535.",
-        ),
-        (
-            [SourceMessage("raw", 0, item(4).data[:40], 0.0)],
-            "topic raw: the 40 bytes of a scan cannot be decoded.",
-        ),
+        (TOO_MANY, "scans 4 to 5: are the mean of 80000 samples; expected at most 65535."),
+        ([SourceMessage("raw", 0, item(4).data[:40])], "topic raw: the 40 bytes of a scan cannot be decoded."),
     ],
 )
 def test_invalid_scans_are_refused(raw: list[SourceMessage], sentence: str) -> None:

@@ -14,22 +14,19 @@ from posor_drivers.driver_node import DriverNode
 from posor_drivers.driver_parameters import ConditioningParameters
 from posor_drivers.sources.source import SourceMessage
 from posor_lab.harness.graph import Graph, values_of
-from posor_lab.harness.in_process_nodes import run_refused_node as refused
+from posor_lab.harness.in_process_nodes import run_refused_node
 from posor_msgs.msg import RawScan
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 
-from .driver_program import LOSSLESS, driver_program, ros_names
+from .driver_program import LOSSLESS, driver_program
 from .sample_bags import SECOND, Record, point, scan, write_bag
 from .sample_tables import write_table
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
     from posor_lab.harness.program import Program
-
-    Refusal = Callable[..., tuple[int, list[str]]]
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
@@ -46,12 +43,6 @@ STATUS = "/joint1/driver_node: source"
 
 def replay(bag: Path, **parameters: Any) -> Program:
     return driver_program(source="bag", bag__path=str(bag), **LOSSLESS, **parameters)
-
-
-@pytest.fixture
-def refusal(capfd: pytest.CaptureFixture[str]) -> Refusal:
-    """Return what runs a driver in this process until it ends by itself."""
-    return lambda **parameters: refused(DriverNode, ros_names(parameters), capfd, "/joint1")
 
 
 @pytest.mark.parametrize("sqlite", [False, True])
@@ -168,29 +159,18 @@ def test_endless_loop_is_one_long_record_for_late_subscribers_too(tmp_path: Path
         assert program.end() == 0
 
 
-def test_invalid_parameters_end_the_program_with_one_sentence(tmp_path: Path, refusal: Refusal) -> None:
-    node = "node /joint1/driver_node, parameter"
+def test_missing_parameter_ends_the_program_with_one_sentence() -> None:
     with driver_program() as program:
         assert program.wait() == 2
         (sentence,) = program.errors
-        assert sentence.startswith(f"{node} 'source': is not set; expected a string: where the scans come from")
-    code, (sentence,) = refusal(source="table", table__path=str(tmp_path), bag__topic="/x")
-    assert code == 2
-    assert sentence.startswith(f"{node} 'bag.topic': there is no such parameter; expected perhaps 'table.")
+        expected = "parameter 'source': is not set; expected a string: where the scans come from"
+        assert sentence.startswith(f"node /joint1/driver_node, {expected}")
 
 
-def test_unreadable_inputs_end_the_program_with_one_sentence(tmp_path: Path, refusal: Refusal) -> None:
-    bag = write_bag(tmp_path / "bag", RECORDS)
-    storage = bag / "bag.mcap"
-    storage.write_bytes(storage.read_bytes()[:-100])
-    code, (sentence,) = refusal(source="bag", bag__path=str(bag))
-    assert code == 1
-    assert sentence.startswith(f"{storage}, byte {storage.stat().st_size}: the file was not closed or is cut short")
+def test_unreadable_input_ends_the_program_with_one_sentence(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     table = write_table(tmp_path / "table.csv", "1,0,0,0,x,0,0,0,0,0,0,")
-    assert refusal(source="table", table__path=str(table)) == (
-        1,
-        [f"{table}, line 4, column 'l1_v': 'x' is invalid; expected a finite number."],
-    )
+    sentence = f"{table}, line 4, column 'l1_v': 'x' is invalid; expected a finite number."
+    assert run_refused_node(DriverNode, {"source": "table", "table.path": str(table)}, capfd) == (1, [sentence])
 
 
 def test_offsets_beyond_the_record_end_the_program_with_one_sentence(tmp_path: Path) -> None:

@@ -57,34 +57,26 @@ URDF = "\n".join(
 )
 
 
+def _quantity(value: object, unit: str) -> dict[str, Any]:
+    return {"value": value, "unit": unit}
+
+
 def _sag(length: float) -> dict[str, Any]:
+    tube = {"outer_diameter": (0.0508, "m"), "inner_diameter": (0.04445, "m"), "modulus": (69e9, "Pa")}
     return {
-        "tube": {
-            "outer_diameter": {"value": 0.0508, "unit": "m"},
-            "inner_diameter": {"value": 0.04445, "unit": "m"},
-            "modulus": {"value": 69e9, "unit": "Pa"},
-            "density": {"value": 2700.0, "unit": "kg/m^3"},
-        },
-        "gimbals": {"value": [0.2 * length, 0.8 * length], "unit": "m"},
-        "plates": [{"name": "first", "at": {"value": 0.0, "unit": "m"}, "mass": {"value": 1.0, "unit": "kg"}}],
-        "uncertainty": {"value": 0.01, "unit": "1"},
+        "tube": {name: _quantity(*of) for name, of in tube.items()} | {"density": _quantity(2700.0, "kg/m^3")},
+        "gimbals": _quantity([0.2 * length, 0.8 * length], "m"),
+        "plates": [{"name": "first", "at": _quantity(0.0, "m"), "mass": _quantity(1.0, "kg")}],
+        "uncertainty": _quantity(0.01, "1"),
     }
 
 
 def _beams() -> dict[str, Any]:
-    beams: list[dict[str, Any]] = [
-        {
-            "joint": name,
-            "uncertainty": {
-                "position": {"value": [2e-7, 2e-7, 2e-7], "unit": "m"},
-                "orientation": {"value": [2e-7, 2e-7, 2e-7], "unit": "rad"},
-            },
-        }
+    uncertainty = {"position": _quantity([2e-7] * 3, "m"), "orientation": _quantity([2e-7] * 3, "rad")}
+    beams = [
+        {"joint": name, "uncertainty": uncertainty} | ({"sag": _sag(LENGTHS[name])} if name in LENGTHS else {})
         for name, *_ in BEAMS[1:]
     ]
-    for beam in beams:
-        if beam["joint"] in LENGTHS:
-            beam["sag"] = _sag(LENGTHS[beam["joint"]])
     return {"format": "posor_beams", "version": 1, "name": "three_joints", "provenance": PROVENANCE, "beams": beams}
 
 

@@ -123,9 +123,11 @@ class DeviceReader:
                 return None
             number, weights, offset_s = found
             if self._tolerance_s is not None:
-                weights = SINGLE_FRAME
-                self._trigger_fault = self._check_trigger(number, offset_s, self._tolerance_s)
-                if self._trigger_fault:
+                weights, self._trigger_fault = SINGLE_FRAME, ""
+                if abs(offset_s) > self._tolerance_s:
+                    what = f"{self.device.name}: frame {number} is {-1e3 * offset_s:+.3g} ms from its tick"
+                    expected = f"expected at most {1e3 * self._tolerance_s:g} ms, as it is triggered"
+                    self._trigger_fault = f"{what}; {expected}"
                     return None
             rows = self._rows_around(number)
             if rows is None:
@@ -137,13 +139,6 @@ class DeviceReader:
                     return None
                 values[column] = nearest[column]
         return values
-
-    def _check_trigger(self, number: int, offset_s: float, tolerance_s: float) -> str:
-        """Return why a frame does not belong to the tick next to it; empty: it does."""
-        if abs(offset_s) <= tolerance_s:
-            return ""
-        what = f"{self.device.name}: frame {number} is {-1e3 * offset_s:+.3g} ms from its tick"
-        return f"{what}; expected at most {1e3 * tolerance_s:g} ms, as it is triggered"
 
     def _mapped_place(self, time_ns: int) -> tuple[int, FrameWeights, float] | None:
         """Return the number of the frame nearest to a ROS time by the clock line, weights, and time after it [s]."""
@@ -274,27 +269,23 @@ class DeviceReader:
         self._last = newest
         if frames.times_ns is None:
             self._mapping.add(newest, arrived_ns)
-            self._fault = self._mapping_fault()
+            self._check_mapping()
         else:
             self._times_ns[rows] = frames.times_ns[-CAPACITY:] - self._delay_ns
             self._timed, self._time_uncertainty_s = True, frames.time_uncertainty_s
             self._fault = ""
 
-    def _mapping_fault(self) -> str:
-        """Return why the frames cannot be used yet; empty: they can.
+    def _check_mapping(self) -> None:
+        """State why the frames cannot be used yet, or that they can.
 
         Raises:
             DeviceError: The frame rate is another than stated.
 
         """
-        name, nominal = self.device.name, self.device.frame_rate
-        line = self._mapping.line
-        if line is None:
-            return f"{name}: finding its clock, which takes a second"
-        rate = NS / line.period_ns
-        if abs(rate / nominal - 1.0) > MAX_DRIFT:
+        nominal, line = self.device.frame_rate, self._mapping.line
+        self._fault = "" if line else f"{self.device.name}: finding its clock, which takes a second"
+        if line is not None and abs((rate := NS / line.period_ns) / nominal - 1.0) > MAX_DRIFT:
             raise self.device.error(f"{rate:.6g} frames per second", f"{nominal:g}, as stated")
-        return ""
 
 
 _sharing = Lock()

@@ -74,7 +74,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; the exit code is 0 if every device works."""
     options = _parse_options(arguments)
     if options.action == "start":
-        print(_format_starting_file(load_arm_file(options.file), options.device, options.probes or options.device), end="")
+        print(
+            _format_starting_file(load_arm_file(options.file), options.device, options.probes or options.device), end=""
+        )
         return 0
     file = load_instruments(options.file)
     if options.action == "list":

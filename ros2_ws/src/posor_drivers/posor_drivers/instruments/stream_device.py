@@ -170,12 +170,8 @@ class StreamDevice(Device[StreamSettings]):
         return Frames(counters, values, arrived_ns=arrived_ns)
 
     def _unwrapped(self, counter: int) -> int:
-        """Return a counter that keeps counting where the counter of the device restarts at zero."""
-        self._last = counter if self._last < 0 else self._last + _step(self._last, counter, self._wrap)
+        """Return a counter that keeps counting where that of the device restarts at zero; of two steps the smaller."""
+        step = (counter - self._last) % self._wrap
+        smaller = step if step < self._wrap // 2 else step - self._wrap
+        self._last = counter if self._last < 0 else self._last + smaller
         return self._last
-
-
-def _step(last: int, counter: int, wrap: int) -> int:
-    """Return the number of frames from an unwrapped counter to the next; of the two possible, the smaller one."""
-    step = (counter - last) % wrap
-    return step if step < wrap // 2 else step - wrap

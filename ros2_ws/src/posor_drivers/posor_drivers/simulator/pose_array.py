@@ -17,16 +17,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PoseArray:
-    """n poses ``T_parent_child``.
+    """n poses ``T_parent_child``."""
 
-    Attributes:
-        rotations: (n, 3, 3).
-        translations: [m], (n, 3).
-
-    """
-
-    rotations: FloatArray
-    translations: FloatArray
+    rotations: FloatArray  # (n, 3, 3)
+    translations: FloatArray  # [m], (n, 3)
 
     @classmethod
     def from_rotation_vectors(cls, translations: FloatArray, rotation_vectors: FloatArray) -> Self:

@@ -166,16 +166,6 @@ def test_split_packet(server: CapaNcdtServer, split_at: int) -> None:
         check_all(server, read(device, 24))
 
 
-def test_merged_packets(server: CapaNcdtServer) -> None:
-    server.merged = 5
-    with connected(server) as device:
-        server.wait_until_sent(10)
-        frames = device.read(TIMEOUT_S)
-        assert frames is not None
-        assert len(frames.counters) >= 40
-        check_all(server, frames)
-
-
 def test_merged_packets_with_a_part_of_the_next(server: CapaNcdtServer) -> None:
     packet_bytes = HEADER_BYTES + 4 * 12
     server.merged, server.split_at = 3, 2 * packet_bytes + 9
@@ -263,16 +253,6 @@ def test_values_out_of_range_are_nan(distance: float, *, valid: bool) -> None:
         values = read(device).values
     assert np.all(values[:, 0] == pytest.approx(distance, abs=2e-10)) if valid else np.all(np.isnan(values[:, 0]))
     assert values[:, 1] == pytest.approx(1e-4, abs=1e-10)
-
-
-def test_stall_and_recovery(server: CapaNcdtServer) -> None:
-    with connected(server) as device:
-        read(device)
-        server.stalled.set()
-        while device.read(0.05) is not None:
-            pass
-        server.stalled.clear()
-        check_values(server, read(device, 8))
 
 
 def test_closed_connection_and_the_next_one(server: CapaNcdtServer) -> None:

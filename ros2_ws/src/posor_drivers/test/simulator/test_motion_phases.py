@@ -1,3 +1,5 @@
+"""Motion of a scenario, and the nominal kinematics it needs: against the chain and finite differences."""
+
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
@@ -10,7 +12,7 @@ from posor_drivers.simulator.motion_phases import smooth_step
 from posor_drivers.simulator.nominal_arm import NominalArm
 from posor_drivers.simulator.scenario import load_scenario
 
-from ..three_joint_arm import scenario, write_arm
+from ..three_joint_arm import JOINTS, scenario, write_arm
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -48,20 +50,18 @@ def test_motion_is_smooth_across_all_phases(tmp_path: Path) -> None:
     assert np.all(second[500] / second[1000] > 3.5)
 
 
-def test_rest_stands_still_and_spline_passes_its_waypoints(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("rest_s", "times"), [(0.4, (1.4, 2.4, 3.6)), (0.6, (1.6, 2.6, 3.6))])
+def test_rest_stands_still_and_spline_passes_its_waypoints(
+    tmp_path: Path, rest_s: float, times: tuple[float, ...]
+) -> None:
+    """Without ``at``, which is left out with the longer rest, the waypoints are evenly spaced."""
     content = scenario()
+    if rest_s > 0.4:
+        del content["motion"][1]["at"]
+        content["motion"][1]["duration"]["value"], content["motion"][0]["duration"]["value"] = 3.0, rest_s
     _, found = angles(tmp_path, content)
     assert np.array_equal(found[:40], np.zeros((40, 3)))
-    for time, row in zip((1.4, 2.4, 3.6), content["motion"][1]["through"]["value"], strict=True):
-        assert np.allclose(found[round(100 * time)], row, rtol=0.0, atol=1e-12)
-
-
-def test_spline_without_times_is_evenly_spaced(tmp_path: Path) -> None:
-    content = scenario()
-    del content["motion"][1]["at"]
-    content["motion"][1]["duration"]["value"], content["motion"][0]["duration"]["value"] = 3.0, 0.6
-    _, found = angles(tmp_path, content)
-    for time, row in zip((1.6, 2.6, 3.6), content["motion"][1]["through"]["value"], strict=True):
+    for time, row in zip(times, content["motion"][1]["through"]["value"], strict=True):
         assert np.allclose(found[round(100 * time)], row, rtol=0.0, atol=1e-12)
 
 
@@ -74,17 +74,13 @@ def test_dither_is_a_sum_of_windowed_sines(tmp_path: Path) -> None:
     assert np.allclose(found[360:450], np.column_stack([base, np.zeros(90), elbow]), rtol=0.0, atol=1e-12)
 
 
-def test_circle_is_followed_once_in_its_plane(tmp_path: Path) -> None:
+def test_circle_is_followed_once_in_its_plane_from_the_point_nearest_to_the_posture(tmp_path: Path) -> None:
     nominal, found = angles(tmp_path, scenario())
     points = nominal.endpoint(found[580:671]).translations - np.array([0.95, 0.05, 0.69])
     assert np.allclose(np.linalg.norm(points, axis=1), 0.03, rtol=0.0, atol=1e-9)
     assert np.allclose(points @ np.array([0.0, 0.6, 0.8]), 0.0, atol=1e-9)
     turned = np.unwrap(np.arctan2(points @ np.cross([0.0, 0.6, 0.8], points[0]) / 0.03, points @ points[0] / 0.03))
     assert np.allclose(turned, 2.0 * np.pi * smooth_step(np.arange(91) / 90), rtol=0.0, atol=1e-6)
-
-
-def test_circle_starts_nearest_to_the_posture(tmp_path: Path) -> None:
-    nominal, found = angles(tmp_path, scenario())
     posture = nominal.endpoint(np.array([[0.0, -0.5, 0.9]])).translations[0]
     away = np.linalg.norm(nominal.endpoint(found[580:671]).translations - posture, axis=1)
     assert np.argmin(away) in (0, 90)
@@ -114,3 +110,22 @@ def test_circle_out_of_reach_is_refused_with_phase_and_keys(tmp_path: Path, chan
         angles(tmp_path, content)
     assert refused.value.where == "the scenario, key motion[3] (circle), keys centre, radius, posture"
     assert refused.value.what == f"the arm cannot follow {what} from its posture"
+
+
+def test_nominal_kinematics_of_many_angles_is_that_of_the_chain(tmp_path: Path) -> None:
+    chain = load_arm_file(write_arm(tmp_path)).chain()
+    many = np.random.default_rng(1).uniform(-2.0, 2.0, size=(20, 3))
+    found = NominalArm(chain).endpoint(many)
+    for n, row in enumerate(many):
+        expected = chain.nominal_endpoint(dict(zip(JOINTS, row, strict=True)))
+        assert np.allclose(found[n].homogeneous, expected.homogeneous, rtol=0.0, atol=1e-14)
+
+
+def test_jacobian_agrees_with_differences(tmp_path: Path) -> None:
+    arm = NominalArm(load_arm_file(write_arm(tmp_path)).chain())
+    here = np.random.default_rng(2).uniform(-1.0, 1.0, size=(5, 3))
+    _, jacobian = arm.jacobian(here)
+    for column in range(3):
+        step = 1e-6 * np.eye(3)[column]
+        difference = arm.endpoint(here + step).translations - arm.endpoint(here - step).translations
+        assert np.allclose(jacobian[:, :, column], difference / 2e-6, rtol=0.0, atol=1e-9)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-import yaml
 from posor.bags.bag_writer import BagWriter
 from posor.bags.calibration_recording import Reference, load_recording
 from posor.errors import CalibrationError, TrackError

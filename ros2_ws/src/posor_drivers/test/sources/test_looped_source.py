@@ -102,18 +102,11 @@ def test_number_of_played_scans_can_be_limited(tmp_path: Path) -> None:
     assert [round(10.0 * played(source, tick).gap_voltages[0]) for tick in range(4)] == [0, 1, 0, 1]
 
 
-def test_ticks_are_those_of_the_clock_at_every_rate(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "bag", record(3))
-    for rate in (1, 3, 2000, 10_000):
-        source = opened(bag, rate=rate)
-        now = 1_800_000_000 * SECOND + 123_456_789
-        first, last = source.start_run(now)
-        assert last is None
-        assert source.publication_time_ns(first - 1) <= now < source.publication_time_ns(first)
-        assert source.newest_tick(now) == first - 1
-        assert source.newest_tick(source.publication_time_ns(first)) == first
-    assert source.inputs() == ()
-    assert source.record == str(bag)
+@pytest.mark.parametrize("rate", [1, 3, 10_000])
+def test_ticks_are_those_of_the_clock_at_every_rate(tmp_path: Path, rate: int) -> None:
+    source = opened(write_bag(tmp_path / "bag", record(3)), rate=rate)
+    assert (source.rate, source.publication_time_ns(7 * rate)) == (rate, 7 * SECOND)
+    assert source.start_run(7 * SECOND) == (7 * rate + 1, None)
 
 
 def test_one_of_several_joints_must_be_chosen(tmp_path: Path) -> None:

@@ -9,12 +9,11 @@ import pytest
 from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from lifecycle_msgs.msg import Transition
 from posor.chain.arm_file import load_arm_file
+from posor.errors import CalibrationError, ParameterError
 from posor.messages.message_definitions import MessageTypes
-from posor_drivers.driver_node import DriverNode
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.sources.simulated_source import SimulatedParameters, SimulatedSource
 from posor_lab.harness.graph import BEST_EFFORT, Graph, values_of, wait_for_value
-from posor_lab.harness.in_process_nodes import run_refused_node
 from posor_msgs.msg import RawScan
 from posor_ros.message_conversion import pose_from_message, stamp_ns
 from rclpy.qos import QoSProfile
@@ -22,7 +21,7 @@ from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
-from ..driver_program import driver_program, ros_names
+from ..driver_program import driver_program
 from ..three_joint_arm import scenario, write_arm
 
 if TYPE_CHECKING:
@@ -45,12 +44,15 @@ def arm(tmp_path: Path) -> Path:
     return write_arm(tmp_path)
 
 
-def parameters_of(arm: Path, joint: str, **parameters: object) -> dict[str, object]:
-    return {"source": "simulated", "simulated__arm": str(arm), "simulated__joint": joint, **parameters}
-
-
 def driver(arm: Path, joint: str, **parameters: object) -> Program:
-    return driver_program(f"/arm/{joint}", **parameters_of(arm, joint, **parameters))
+    own = {"source": "simulated", "simulated__arm": str(arm), "simulated__joint": joint}
+    return driver_program(f"/arm/{joint}", **own, **parameters)
+
+
+def opened(arm: Path, joint: str, **parameters: Any) -> SimulatedSource:
+    source = SimulatedSource(SimulatedParameters(arm=str(arm), joint=joint, **parameters), MessageTypes())
+    source.open()
+    return source
 
 
 def test_joint_is_published_at_the_ticks_of_the_clock(arm: Path) -> None:
@@ -68,8 +70,7 @@ def test_joint_is_published_at_the_ticks_of_the_clock(arm: Path) -> None:
     assert all(before < stamp_ns(scan) < after for scan in scans)
     numbers = [scan.scan for scan in scans]
     assert numbers == sorted(set(numbers))
-    again = SimulatedSource(SimulatedParameters(arm=str(arm), joint="base"), MessageTypes())
-    again.open()
+    again = opened(arm, "base")
     assert [next(iter(again.read_tick(number))).data for number in numbers] == raw
     ticks = [stamp_ns(deserialize_message(data, PoseStamped)) // PERIOD for data in truth]
     assert [list(again.read_tick(tick))[-1].data for tick in ticks] == truth
@@ -298,9 +299,7 @@ def test_invalid_stage_command_is_refused_and_reported(arm: Path) -> None:
 
 def test_only_the_last_joint_of_an_arm_with_stage_takes_commands(arm: Path, tmp_path: Path) -> None:
     def inputs(path: Path, joint: str) -> list[str]:
-        source = SimulatedSource(SimulatedParameters(arm=str(path), joint=joint), MessageTypes())
-        source.open()
-        return [each.topic.name for each in source.inputs()]
+        return [each.topic.name for each in opened(path, joint).inputs()]
 
     assert (inputs(arm, "base"), inputs(arm, LAST)) == ([], ["/arm/stage/command"])
     content = scenario()
@@ -308,16 +307,8 @@ def test_only_the_last_joint_of_an_arm_with_stage_takes_commands(arm: Path, tmp_
     assert inputs(write_arm(tmp_path, content), LAST) == []
 
 
-def test_parameter_of_a_replay_ends_the_program(arm: Path) -> None:
-    with driver(arm, "base", loop=True) as program:
-        assert program.wait() == 2
-        (line,) = program.errors
-        assert line.startswith("parameter 'loop': source 'simulated' is live")
-
-
 def test_rate_replaces_that_of_the_scenario(arm: Path) -> None:
-    source = SimulatedSource(SimulatedParameters(arm=str(arm), joint="base", rate=50, latency=False), MessageTypes())
-    source.open()
+    source = opened(arm, "base", rate=50, latency=False)
     assert (source.rate, source.publication_time_ns(1)) == (50, 20_000_000)
     truth = next(message for message in source.read_tick(100) if "truth" in message.topic)
     slow = deserialize_message(truth.data, PoseStamped)
@@ -326,13 +317,12 @@ def test_rate_replaces_that_of_the_scenario(arm: Path) -> None:
     assert np.allclose(pose_from_message(slow.pose).translation, as_written.translations[0], rtol=0.0, atol=1e-7)
 
 
-def test_unknown_joint_is_refused(arm: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_unknown_joint_and_an_arm_without_scenario_are_refused(arm: Path) -> None:
+    with pytest.raises(ParameterError) as unknown:
+        opened(arm, "wrist")
     sentence = f"parameter 'simulated.joint': 'wrist' is not a joint of {arm}; expected one of base, shoulder, elbow."
-    assert run_refused_node(DriverNode, ros_names(parameters_of(arm, "wrist")), capfd) == (2, [sentence])
-
-
-def test_arm_without_scenario_is_refused(arm: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    text = arm.read_text(encoding="utf-8")
-    arm.write_text(text.replace("scenario: scenario.yaml\n", ""), encoding="utf-8")
-    sentence = f"{arm}, line 1: key 'scenario' is missing; expected the simulator's scenario file."
-    assert run_refused_node(DriverNode, ros_names(parameters_of(arm, "base")), capfd) == (1, [sentence])
+    assert str(unknown.value) == sentence
+    arm.write_text(arm.read_text(encoding="utf-8").replace("scenario: scenario.yaml\n", ""), encoding="utf-8")
+    with pytest.raises(CalibrationError) as missing:
+        opened(arm, "base")
+    assert str(missing.value) == f"{arm}, line 1: key 'scenario' is missing; expected the simulator's scenario file."
