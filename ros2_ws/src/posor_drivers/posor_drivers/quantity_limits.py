@@ -33,3 +33,10 @@ PROBABILITY = _limit(lambda value: 0.0 <= value < 1.0, "a probability of 0 or mo
 INTERVAL = _limit(lambda limits: limits[0] < limits[1], "[lowest, highest]")
 
 Seconds = Annotated[Quantity, measured("s"), POSITIVE]
+MAX_RATE_HZ = 10_000
+TickRate = Annotated[
+    Quantity,
+    measured("Hz"),
+    _limit(lambda hz: 1 <= hz <= MAX_RATE_HZ and float(hz).is_integer(), f"a whole number from 1 to {MAX_RATE_HZ}"),
+]
+"""Ticks of the ROS clock per second."""

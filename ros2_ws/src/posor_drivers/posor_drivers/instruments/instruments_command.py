@@ -21,12 +21,7 @@ from posor.sensors.gap_probes import GapProbesCalibration
 
 from posor_drivers.instruments.device import DeviceError, device_classes
 from posor_drivers.instruments.device_reader import DeviceReader
-from posor_drivers.instruments.instruments_file import (
-    READINGS,
-    WHOLE_NUMBERS,
-    InstrumentsFile,
-    load_instruments,
-)
+from posor_drivers.instruments.instruments_file import READINGS, WHOLE_NUMBERS, InstrumentsFile, load_instruments
 from posor_drivers.instruments.reading_noise import calibration_in_motion, noise_in_motion
 
 if TYPE_CHECKING:

@@ -34,8 +34,7 @@ from pydantic import Field, model_validator
 
 from posor_drivers.instruments.device import Device, DeviceSettings, device_classes
 from posor_drivers.instruments.reference_entry import ChannelEntry, ReferenceEntry
-from posor_drivers.quantity_limits import NOT_NEGATIVE
-from posor_drivers.simulator.scenario import MAX_RATE_HZ
+from posor_drivers.quantity_limits import NOT_NEGATIVE, TickRate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -108,7 +107,7 @@ class InstrumentsFile(FrozenModel):
     format: Literal["posor_instruments"]
     version: Literal[1]
     name: str
-    rate: Annotated[Quantity, measured("Hz")]
+    rate: TickRate
     latency: Annotated[Quantity, measured("s"), NOT_NEGATIVE]
     devices: Annotated[dict[str, Annotated[DeviceSettings, SETTINGS]], Field(min_length=1)]
     joints: Annotated[dict[str, JointEntry], Field(min_length=1)]
@@ -116,10 +115,6 @@ class InstrumentsFile(FrozenModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        rate = self.rate.number
-        if not (rate.is_integer() and 1 <= rate <= MAX_RATE_HZ):
-            expected = f"a whole number from 1 to {MAX_RATE_HZ}"
-            raise EntryError(f"rate {rate:g} Hz", key=("rate", "value"), expected=expected)
         units = {
             f"{name}/{channel.name}": channel.unit
             for name, device in self.new_devices().items()

@@ -118,7 +118,9 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
 
         """
         super().__init__(name, settings)
-        self._dialect = load_dialect(settings.dialect_path)
+        keys = "format, version, identify, model, setup, read, separator, overload, error, no_error"
+        path, check = settings.dialect_path, Dialect.model_validate
+        self._dialect = load_document(path, "dialect file", keys, DIALECT_VERSION, check)[0]
         self._numbers = [channel.number for channel in settings.channels.values()]
         self._checked_s = 0.0
 
@@ -217,14 +219,3 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
             return getattr(self.connection, method)(command)
         except (Error, OSError, UnicodeDecodeError) as error:
             raise self.error(f"no answer to '{command}', {error}", "an answer in time") from None
-
-
-def load_dialect(path: Path) -> Dialect:
-    """Read and validate a dialect file.
-
-    Raises:
-        CalibrationError: The file cannot be read, is not YAML, or holds an invalid entry.
-
-    """
-    keys = "format, version, identify, model, setup, read, separator, overload, error, no_error"
-    return load_document(path, "dialect file", keys, DIALECT_VERSION, Dialect.model_validate)[0]

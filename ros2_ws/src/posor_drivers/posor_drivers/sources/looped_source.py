@@ -19,6 +19,7 @@ from posor.numerics.stamps import tick_stamp_ns
 from posor.ros_names import RAW_SCAN, RAW_TOPIC
 from pydantic import Field
 
+from posor_drivers.quantity_limits import MAX_RATE_HZ
 from posor_drivers.sources.bag_source import RecordedTopicParameters
 from posor_drivers.sources.source import LiveSource, SourceMessage, Topic
 
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 
 MAX_SCANS = 100_000
 """Limit of the scans held in memory."""
-MAX_RATE_HZ = 10_000
 
 
 class LoopedParameters(RecordedTopicParameters):

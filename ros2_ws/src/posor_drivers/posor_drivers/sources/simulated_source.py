@@ -18,9 +18,9 @@ from posor.ros_names import RAW_SCAN, RAW_TOPIC
 from pydantic import Field
 
 from posor_drivers.message_builder import SimulatedMessages
+from posor_drivers.quantity_limits import MAX_RATE_HZ
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
-from posor_drivers.simulator.scenario import MAX_RATE_HZ
 from posor_drivers.simulator.stage import Stage
 from posor_drivers.sources.source import Input, LiveSource, Topic
 

@@ -72,7 +72,7 @@ GAP = "joints.elbow.gap_voltages.0"
         (ELBOW, {"gap_voltages": []}, "no reading; expected at least one of"),
         ("devices.box", {"kind": "strean"}, "kind 'strean'; expected "),
         ("devices.box", {"rate": 500}, "500 has no unit; expected a mapping such as"),
-        ("rate", {"value": 0.5}, "rate 0.5 Hz; expected a whole number from 1 to 10000."),
+        ("rate", {"value": 0.5}, "0.5 Hz; expected a whole number from 1 to 10000."),
     ],
 )
 def test_invalid_file_is_refused(

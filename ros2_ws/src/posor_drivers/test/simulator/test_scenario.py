@@ -59,7 +59,7 @@ def test_missing_entries_are_perfect(tmp_path: Path) -> None:
 
 
 INVALID_ENTRIES = """
-rate = {value: 99.5, unit: Hz} | rate.value | rate 99.5 Hz | a whole number from 1 to 10000
+rate = {value: 99.5, unit: Hz} | rate.value | 99.5 Hz | a whole number from 1 to 10000
 rate = {value: 100, unit: kHz} | rate.unit | unit 'kHz' | 'Hz'
 duration = {value: 8.005, unit: s} | duration.value | duration 8.005 s | a whole number of ticks of 0.01 s
 seed = -1 | seed | -1 | at least 0
