@@ -121,10 +121,13 @@ def test_idle_work_waits_for_the_ticks_of_the_drivers(clock: Clock, monkeypatch:
 
 
 def test_drivers_of_other_rates_have_other_threads(clock: Clock) -> None:
-    drivers = [Driver(clock, str(rate), 3, rate) for rate in (500.0, 250.0)]
-    for driver in drivers:
-        assert driver.ended.wait(30.0)
-    assert len(set.union(*(driver.threads for driver in drivers))) == 2
+    fast, slow = (Driver(clock, str(rate), rate=rate) for rate in (500.0, 250.0))
+    fast.wait_for_ticks(3)
+    while not slow.threads:
+        slow.wait_for_ticks(1)
+    assert fast.threads.isdisjoint(slow.threads)
+    for driver in (fast, slow):
+        driver.stop()
 
 
 def test_thread_ends_with_its_last_driver_and_a_new_one_starts(clock: Clock) -> None:
