@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posor_lab.replay_1985.printed_results import read_end_of_beam
-from posor_lab.thesis_budgets.diode_tables import BUDGET_FILE as DIODE_FILE
+from posor_lab.thesis_budgets.budget_tables import DIODE_FILE, PROBE_FILE
 from posor_lab.thesis_budgets.motion_predictions import (
     READING_DISTANCE,
     READOUT,
@@ -25,8 +25,6 @@ from posor_lab.thesis_budgets.motion_predictions import (
     spots_at,
     twist_stage_alpha,
 )
-from posor_lab.thesis_budgets.probe_tables import BUDGET_FILE as PROBE_FILE
-from posor_lab.thesis_budgets.probe_tables import RANDOM
 from posor_lab.thesis_data import data_path, read_table
 
 if TYPE_CHECKING:
@@ -140,7 +138,7 @@ def noise_of_1985() -> SensorNoise:
     """
     probes = read_table(data_path(PROBE_FILE), ["kind", "value"])
     diodes = read_table(data_path(DIODE_FILE), ["group", "value"])
-    gaps = [float(row["value"]) for row in probes if row["kind"] == RANDOM and row["value"]]
+    gaps = [float(row["value"]) for row in probes if row["kind"] == "random" and row["value"]]
     spots = [float(row["value"]) for row in diodes if row["group"] == "repeatability"]
     return SensorNoise(np.array(gaps) * 1e-6, np.array(spots) * 1e-6)
 

@@ -1,5 +1,7 @@
 """The POSOR of chapter 5 as a model: effect of a unit of each perturbation of its error budgets.
 
+``budgets`` of ``03_budgets.yaml`` calls the functions of this module for tables 5.2, 5.4, 7.9 and 7.12.
+
 Dimensions of tables 5.2 and 5.4 [inch]: probes at (-c, 0), (0, a), (0, -b) with a = b = 1.5, c = 3; light spots 3 apart
 along X and up to 0.5 along Y, each 0.5 from the centre of its diode along both axes; rays 0.05 long. Each number is a
 derivative of the measurement model, or its second difference where the thesis takes the square of an angle.
@@ -8,8 +10,9 @@ derivative of the measurement model, or its second difference where the thesis t
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -17,6 +20,7 @@ import pinocchio as pin
 from posor.calibration.calibration_file import Calibration, calibration_from
 from posor.calibration.design_parts import quantity_entry
 from posor.calibration.yaml_document import parse_yaml
+from posor.errors import DataFileError
 from posor.estimation.forward import readings_at
 from posor.estimation.posor import Posor
 from posor.uncertainty.budget_poses import pose_from_native, scan_at
@@ -49,6 +53,16 @@ STEP = 1e-3
 POINTS: Mapping[str, tuple[float, float]] = {"l_0_0": (0.0, 0.0), "l_m1_1p5": (-1.0, 1.5), "l_0_1p5": (0.0, 1.5)}
 """Points [inch] at which the distance to the plate is an output, by name."""
 PROBES = ("gap probe_1", "gap probe_2", "gap probe_3")
+LEVERS: Mapping[str, tuple[str, float]] = {
+    "sigma_a": ("GapProbes.tips[1,1]", 1.0),
+    "sigma_b": ("GapProbes.tips[2,1]", -1.0),
+    "sigma_c": ("GapProbes.tips[0,0]", -1.0),
+}
+"""Tip coordinate of each lever, and its sign."""
+_TURNS: Mapping[str, Axis] = {"Xalpha": "x", "Ybeta": "y", "Ztheta": "z"}
+"""Perturbations that turn a diode, and the axis about which it turns."""
+_RAYS: Mapping[str, int] = {"Xlalpha": 0, "Ylbeta": 1}
+"""Perturbations that lean a ray, and the component of its direction that they change."""
 
 
 @dataclass(frozen=True)
@@ -168,3 +182,87 @@ def _calibration(c: float, leg_y: float) -> Calibration:
 def root_sum_square(*parts: float) -> float:
     """Return the root of the sum of squares."""
     return float(np.linalg.norm(parts))
+
+
+@cache
+def model_at(across: float = 0.0, along: float = 0.0, c: float = 3.0, leg_y: float = LEG_Y) -> Chapter5:
+    """Return the model at slopes of the plate; see ``Slopes`` and ``Chapter5``."""
+    return Chapter5(Slopes(across, along), c=c, leg_y=leg_y)
+
+
+def gap_effect(output: str, perturbation: str) -> float:
+    """Return the effect of an inch of a gap on an output; the perturbation ends with the number of the probe."""
+    return model_at(PROBE_RANGE, PROBE_RANGE).reading_sensitivity(output, f"gap probe_{perturbation[-1]}")
+
+
+@cache
+def gaps_effect(output: str, slope: float = PROBE_RANGE, c: float = 3.0) -> float:
+    """Return the effect of an inch of all three gaps on an output, at both slopes, with a lever of probe 1."""
+    model = model_at(slope, slope, c)
+    return root_sum_square(*(model.reading_sensitivity(output, probe) for probe in PROBES))
+
+
+def lever_effect(output: str, lever: str, along: float = PROBE_RANGE) -> float:
+    """Return the effect of an inch of a lever on an output, at a slope along X (``Slopes.along``)."""
+    parameter, sign = LEVERS[lever]
+    return sign * model_at(PROBE_RANGE, along).parameter_sensitivity(output, parameter)
+
+
+@cache
+def lean_shift(probe: int, axis: str) -> float:
+    """Return the effect of the square of the angle of a probe axis about an axis on its gap [inch], plate level."""
+    about: Any = axis
+    return model_at().quadratic_shift(PROBES[probe - 1], {f"GapProbes.axes[{probe - 1},0]": about})
+
+
+def leans_effect(output: str, axis: str) -> float:
+    """Return the effect of the square of the angles of all three probe axes on an output."""
+    return root_sum_square(*(gap_effect(output, f"{probe}") * lean_shift(probe, axis) for probe in (1, 2, 3)))
+
+
+@cache
+def spot_shift(axis: str, perturbation: str, group: str = "axes offset") -> float:
+    """Return the effect of a unit of a perturbation, or of its square, on X or Y of the spot, in inch and radian.
+
+    Args:
+        axis: ``X`` or ``Y``.
+        perturbation: Name in tables 5.4 and 7.9, such as ``sigma_Xalpha1``; without a number: of diode 1.
+        group: Group of the row in table 7.9. A shift affects the diode (``axes offset``), its map (``linearisation``)
+            or the reading (all others).
+
+    Raises:
+        DataFileError: The perturbation is unknown.
+
+    """
+    kind, model = re.sub(r"[\d_]", "", perturbation.removeprefix("sigma_")), model_at()
+    k = int((re.findall(r"\d", perturbation) or ["1"])[0]) - 1
+    spot, x_axis, y_axis = f"spot {axis.lower()} diode_{k + 1}", f"Diodes.x_axes[{k},0]", f"Diodes.y_axes[{k},0]"
+    if kind in _RAYS:
+        return abs(model.reading_shift(spot, f"Diodes.source_directions[{k},{_RAYS[kind]}]") / inch)
+    if kind in _TURNS:
+        return model.quadratic_shift(spot, {x_axis: _TURNS[kind], y_axis: _TURNS[kind]})
+    if kind == "Zgamma":  # each axis out of square to the other
+        return root_sum_square(*(model.quadratic_shift(spot, {turned: "z"}) for turned in (x_axis, y_axis)))
+    if kind not in {"X", "Y"}:
+        raise DataFileError(f"perturbation 'sigma_{kind}' is unknown", expected="one of table 5.4")
+    component = "XY".index(kind)
+    if group == "axes offset":
+        return abs(model.reading_shift(spot, f"Diodes.origins[{k},{component}]"))
+    if group == "linearisation":
+        return abs(model.reading_shift(spot, f"Diodes.maps[{k},{4 * component}]"))
+    return float(axis == kind)
+
+
+@cache
+def theta_factor(axis: str) -> float:
+    """Return the effect of an inch of X or Y of a spot on theta [rad].
+
+    Each is taken where it is largest: that of X with the spots 0.5 in apart along Y, that of Y with none.
+    """
+    model = model_at() if axis == "X" else model_at(leg_y=0.0)
+    return abs(model.reading_sensitivity("theta", f"spot {axis.lower()} diode_1"))
+
+
+def theta_effect(perturbation: str, group: str, by_x: float, by_y: float) -> float:
+    """Return the effect of a perturbation of table 7.9 on theta by the effects of X and Y of a spot on theta."""
+    return root_sum_square(by_x * spot_shift("X", perturbation, group), by_y * spot_shift("Y", perturbation, group))

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Literal
 
-from posor_lab.thesis_budgets.chapter5 import LEG_X, Chapter5, Slopes, root_sum_square
-from posor_lab.thesis_budgets.diode_tables import table_7_9
-from posor_lab.thesis_budgets.probe_tables import BUDGET_FILE, LEVERS, table_7_12
+from posor_lab.thesis_budgets.budget_tables import DIODE_TOTAL, PROBE_FILE, computed_cell
+from posor_lab.thesis_budgets.chapter5 import LEG_X, LEVERS, Chapter5, Slopes, root_sum_square
 from posor_lab.thesis_data import URAD, data_path, read_numbers
 
 if TYPE_CHECKING:
@@ -139,7 +138,7 @@ def increasing_errors(slopes: Slopes) -> ProbePrediction:
 
     """
     model = Chapter5(slopes)
-    sigmas = read_numbers(data_path(BUDGET_FILE), "perturbation", "value", LEVERS)
+    sigmas = read_numbers(data_path(PROBE_FILE), "perturbation", "value", LEVERS)
 
     def total(output: str) -> float:
         return root_sum_square(
@@ -152,15 +151,14 @@ def increasing_errors(slopes: Slopes) -> ProbePrediction:
 @cache
 def probe_budget(kind: Literal["increasing", "random"], angle: Literal["alpha", "beta"]) -> float:
     """Return the total of table 7.12 for an angle [rad], by the model."""
-    table = table_7_12()
-    row = next(row for row in table.rows if row.startswith(f"{kind}: root mean square"))
-    return table.cell(row, f"sigma_{angle}_urad").computed * URAD
+    row = "increasing: root mean square (section 8.4)" if kind == "increasing" else "random: root mean square"
+    return computed_cell("7.12", row, f"sigma_{angle}_urad") * URAD
 
 
 @cache
 def diode_budget(column: Literal["induced_sigma_X_uin", "induced_sigma_Y_uin", "induced_sigma_theta_urad"]) -> float:
     """Return a total of table 7.9 [inch or rad], by the model."""
-    return table_7_9().cell("root mean square: total", column).computed * 1e-6
+    return computed_cell("7.9", DIODE_TOTAL, column) * 1e-6
 
 
 def straightness_error(travel: float = PEAK_TO_VALLEY, straightness: float = STAGE_STRAIGHTNESS) -> float:

@@ -19,16 +19,15 @@ from posor.reporting.report_console import report_console
 from rich.table import Table
 
 from posor_lab.output_files import check_writable, write_json
-from posor_lab.thesis_budgets.budget_cells import Agreement
-from posor_lab.thesis_budgets.diode_tables import fits_of_linearisation, rig_theta, table_5_4, table_7_9
-from posor_lab.thesis_budgets.probe_tables import table_5_2, table_7_12
+from posor_lab.thesis_budgets.budget_tables import DIODE_TOTAL, budget_tables, fits_of_linearisation, rig_theta
+from posor_lab.thesis_table.thesis_row import Agreement
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from rich.console import Console
 
-    from posor_lab.thesis_budgets.budget_cells import BudgetTable, Cell
+    from posor_lab.thesis_budgets.budget_tables import BudgetCell, BudgetTable
 
 _STYLES = {Agreement.EXPLAINED: "yellow", Agreement.DIFFERS: "bold red"}
 _ZERO = 5e-7
@@ -41,8 +40,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = CommandLineParser(prog="budgets", description="Error budgets of the thesis, cell by cell from the model.")
     parser.add_argument("--output", type=Path, default=Path("build/budgets.json"), help="JSON file to write")
     output = check_writable(parser.parse_args(arguments).output)
-    tables = (table_5_2(), table_5_4(), table_7_9(), table_7_12())
-    by_x, by_y, theta = rig_theta()
+    tables = budget_tables()
+    by_x, by_y, theta = rig_theta(tables["7.9"])
     derived = {
         "linearisation_of_7_9_and_7_7_uin": fits_of_linearisation(),
         "rig_theta_by_x_rad_per_in": by_x,
@@ -50,17 +49,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "rig_theta_total_urad": theta,
     }
     console = report_console(150)
-    for table in tables:
+    for table in tables.values():
         print_table(table, console)
-    printed = tables[2].cell("root mean square: total", "induced_sigma_theta_urad").printed
+    printed = tables["7.9"].cell(DIODE_TOTAL, "induced_sigma_theta_urad").printed
     console.print(
         f"Derived, not printed: the rig has its spots apart along Y, so that theta goes by X ({by_x:.3f} rad/in) and "
-        f"hardly by Y ({by_y:.3f}); the rows of table 7.9 then make {theta:.0f} urad, not {printed.text}."
+        f"hardly by Y ({by_y:.3f}); the rows of table 7.9 then make {theta:.0f} urad, not {printed}."
     )
-    console.print(summary(tables))
-    cells = [_cell_content(table.cell(*name)) for table in tables for name in product(table.rows, table.columns)]
+    console.print(summary(tables.values()))
+    cells = [
+        _cell_content(table.cell(*name)) for table in tables.values() for name in product(table.rows, table.columns)
+    ]
     write_json(output, {"cells": cells, "derived": derived})
-    return 0 if all(table.holds for table in tables) else 1
+    return 0 if all(table.holds for table in tables.values()) else 1
 
 
 def print_table(table: BudgetTable, console: Console) -> None:
@@ -77,21 +78,21 @@ def print_table(table: BudgetTable, console: Console) -> None:
         console.print(f"  {letter}) {text}", markup=False)
 
 
-def _format_cell(cell: Cell, letters: dict[str, str]) -> str:
+def _format_cell(cell: BudgetCell, letters: dict[str, str]) -> str:
     computed = "0" if abs(cell.computed) < _ZERO else f"{cell.computed:.4g}"
     if cell.agreement is Agreement.NOT_LEGIBLE:
         return f"{computed} / not legible"
     ratio = f" = {cell.ratio:.3f}" if math.isfinite(cell.ratio) else ""
-    text = f"{computed} / {cell.printed.text}{ratio}"
+    text = f"{computed} / {cell.printed}{ratio}"
     if cell.agreement is Agreement.AGREES:
         return text
     mark = "no reason found"
-    if cell.agreement is Agreement.EXPLAINED and cell.reason is not None:
-        mark = letters.setdefault(cell.reason.text, ascii_lowercase[len(letters)])
+    if cell.agreement is Agreement.EXPLAINED:
+        mark = letters.setdefault(cell.reason, ascii_lowercase[len(letters)])
     return f"[{_STYLES[cell.agreement]}]{text} {mark})[/]"
 
 
-def summary(tables: Sequence[BudgetTable]) -> str:
+def summary(tables: Iterable[BudgetTable]) -> str:
     """Return one sentence on how many cells agree."""
     number = Counter(cell.agreement for table in tables for cell in table.cells)
     return (
@@ -101,19 +102,19 @@ def summary(tables: Sequence[BudgetTable]) -> str:
     )
 
 
-def _cell_content(cell: Cell) -> dict[str, Any]:
+def _cell_content(cell: BudgetCell) -> dict[str, Any]:
     """Return a cell for JSON; ``ratio`` is null if the printed number is zero or not legible."""
-    explanation = cell.reason if cell.agreement is Agreement.EXPLAINED else None
+    explained = cell.agreement is Agreement.EXPLAINED
     return {
         "table": cell.table,
         "row": cell.row,
         "column": cell.column,
         "computed": cell.computed,
-        "printed": cell.printed.number if math.isfinite(cell.printed.number) else None,
+        "printed": cell.printed_number if math.isfinite(cell.printed_number) else None,
         "ratio": cell.ratio if math.isfinite(cell.ratio) else None,
         "agreement": cell.agreement.value,
-        "note": explanation.text if explanation else "",
-        "reason_gives": explanation.gives if explanation else None,
+        "note": cell.reason if explained else "",
+        "reason_gives": cell.gives if explained else None,
     }
 
 

@@ -18,7 +18,6 @@ from posor_design.interferometry import air_effects
 from scipy.constants import inch
 from scipy.optimize import brentq
 
-from posor_lab.thesis_budgets.probe_tables import table_7_12
 from posor_lab.thesis_data import data_path, read_table
 from posor_lab.thesis_table.printed_units import amount
 
@@ -133,11 +132,6 @@ def target_plane_tilts() -> list[float]:
     """Return the inclinations of the target plane about X and Z [deg], from the constants of the listings (8.3.1)."""
     sensor: Any = load_calibration(calibration_path("section84")).sensors[0]
     return [math.degrees(angle) for angle in sorted(np.abs(sensor.target_plane.tilt.array))]
-
-
-def computed_cell(row: str, column: str) -> float:
-    """Return a cell of table 7.12 by the model [uin or urad]."""
-    return table_7_12().cell(row, column).computed
 
 
 def printed_table(name: str, columns: Sequence[str]) -> list[dict[str, str]]:

@@ -40,7 +40,7 @@ from posor_lab.thesis_budgets.motion_predictions import (
     twist_stage_alpha,
 )
 from posor_lab.thesis_data import URAD, data_path, parse_number, read_table
-from posor_lab.thesis_table.thesis_row import Kind
+from posor_lab.thesis_table.thesis_row import ComparisonKind
 
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
@@ -116,7 +116,9 @@ def replay_figures() -> list[dict[str, Any]]:
             "figure": KIND_NAMES[expected.kind],
             "printed": f"{expected.stated:g}",
             "error": error_figure(offline_motion_test(bag, calibration), expected),
-            "kind": (Kind.DEPENDENT if expected.remark.startswith("not independent") else Kind.COMPUTED).value,
+            "kind": (
+                ComparisonKind.DEPENDENT if expected.remark.startswith("not independent") else ComparisonKind.COMPUTED
+            ).value,
             "reason": expected.remark or (_MAP_LOST if expected.angle == "theta" else ""),
         }
         for bag, calibration in _REPLAYS

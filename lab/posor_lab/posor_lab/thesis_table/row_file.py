@@ -10,7 +10,7 @@ A file is a YAML mapping:
   ``value``, and as needed ``scale`` (unit or number that divides the value; default: ``unit``), ``reason`` (a text, or
   texts by quantity), ``kind``, ``input_rounding``, ``values`` (sources of this row) and ``tables``: the row is repeated
   for each combination of their rows, and uses their columns. A table has ``columns`` and ``rows``, or is a call.
-- ``figures``: see ``figure_data``.
+- ``figures``: see ``figure_data``. ``budgets``: see ``budget_tables``.
 
 A value is a number with its unit (``5/32 in``), a reference (``$source.field.0``; in capitals: a constant of a module),
 a list of values, a text, an operation on a list (``ratio: [$a, $b]``; see ``ARITHMETIC``), or a call: a mapping with
@@ -34,7 +34,7 @@ from posor.errors import DataFileError, similar_name
 
 from posor_lab.thesis_table.formulas import ARITHMETIC
 from posor_lab.thesis_table.printed_units import amount
-from posor_lab.thesis_table.thesis_row import Kind, ThesisRow, Verdict
+from posor_lab.thesis_table.thesis_row import Agreement, ComparisonKind, ThesisRow
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -74,7 +74,7 @@ class RowFile:
             content = yaml.load(path.read_text(encoding="utf-8"), _TextLoader)  # noqa: S506  a safe loader
         except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
             raise DataFileError(f"cannot be read: {error}", where=self._path, expected="a file of rows") from error
-        self.check_keys(content, {"title", "modules", "rows"}, {"inputs", "sources", "figures"})
+        self.check_keys(content, {"title", "modules", "rows"}, {"inputs", "sources", "figures", "budgets"})
         self.title: str = content["title"]
         self.content: Mapping[str, Any] = content
         try:
@@ -194,9 +194,11 @@ class RowFile:
         quantity, unit = self.fill(entry["quantity"], columns), self.fill(entry["unit"], columns)
         reason = entry.get("reason", "")
         reason = reason.get(quantity, "") if isinstance(reason, Mapping) else reason
-        kind = self.fill(entry.get("kind", Kind.COMPUTED.value), columns)
-        if kind not in {known.value for known in Kind}:
-            raise self.refusal(f"kind '{kind}' is unknown", f"one of {', '.join(known.value for known in Kind)}")
+        kind = self.fill(entry.get("kind", ComparisonKind.COMPUTED.value), columns)
+        if kind not in {known.value for known in ComparisonKind}:
+            raise self.refusal(
+                f"kind '{kind}' is unknown", f"one of {', '.join(known.value for known in ComparisonKind)}"
+            )
         value = self.evaluate(entry["value"], columns)
         scale = self.amount(self.fill(entry.get("scale", unit), columns))
         row = ThesisRow(
@@ -207,11 +209,11 @@ class RowFile:
             float(value) / scale,
             self.fill(reason, columns),
             float(self.evaluate(entry.get("input_rounding", "0"), columns)),
-            Kind(kind),
+            ComparisonKind(kind),
         )
         if not math.isfinite(row.computed):
             raise self.refusal(f"'{quantity}' is computed as {row.computed}", "a finite number")
-        if row.verdict is not Verdict.AGREES and not row.reason:
+        if row.verdict is not Agreement.AGREES and not row.reason:
             numbers = f"printed '{row.printed}', computed {row.computed:g}"
             raise self.refusal(f"'{quantity}' {row.verdict.value} without a reason: {numbers}", "key 'reason'")
         return row

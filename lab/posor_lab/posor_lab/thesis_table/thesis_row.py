@@ -9,18 +9,20 @@ from posor_lab.thesis_data import last_digit
 
 RELATIVE_TOLERANCE = 0.02
 """A computed number agrees within this share of the printed one, or within the rounding of the printed one."""
-_MARGIN = 1.0 + 1e-9
+ROUNDING_MARGIN = 1.0 + 1e-9
+"""Factor of a tolerance that allows for the rounding of a binary number."""
 
 
-class Verdict(Enum):
+class Agreement(Enum):
     """Result of the comparison of a printed number with a computed one."""
 
     AGREES = "agrees"
+    EXPLAINED = "differs, explained"
     DIFFERS = "differs"
     NOT_LEGIBLE = "not legible"
 
 
-class Kind(Enum):
+class ComparisonKind(Enum):
     """What a comparison is worth: on what the computed number rests."""
 
     COMPUTED = "computed from inputs"
@@ -53,7 +55,7 @@ class ThesisRow:
     computed: float
     reason: str = ""
     input_rounding: float = 0.0
-    kind: Kind = Kind.COMPUTED
+    kind: ComparisonKind = ComparisonKind.COMPUTED
 
     @property
     def printed_number(self) -> float | None:
@@ -71,17 +73,17 @@ class ThesisRow:
         return 0.5 * last_digit(self.printed)
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> Agreement:
         """Agreement within 2 % of the printed number, or within its rounding and that of a printed input."""
         if self.difference is None:
-            return Verdict.NOT_LEGIBLE
-        agrees = self._within_share or abs(self.difference) <= _MARGIN * (self.rounding + self.input_rounding)
-        return Verdict.AGREES if agrees else Verdict.DIFFERS
+            return Agreement.NOT_LEGIBLE
+        agrees = self._within_share or abs(self.difference) <= ROUNDING_MARGIN * (self.rounding + self.input_rounding)
+        return Agreement.AGREES if agrees else Agreement.DIFFERS
 
     @property
     def kind_name(self) -> str:
         """Name of the kind; of a number from inputs that agrees by rounding alone: the number of printed digits."""
-        if self.kind is not Kind.COMPUTED or self.verdict is not Verdict.AGREES or self._within_share:
+        if self.kind is not ComparisonKind.COMPUTED or self.verdict is not Agreement.AGREES or self._within_share:
             return self.kind.value
         digits = len(self.printed.lower().partition("e")[0].lstrip("+-0.").replace(".", "")) or 1
         return f"rounding of {digits} digit{'s' if digits > 1 else ''}"
@@ -89,4 +91,6 @@ class ThesisRow:
     @property
     def _within_share(self) -> bool:
         printed = self.printed_number
-        return printed is not None and abs(self.computed - printed) <= _MARGIN * RELATIVE_TOLERANCE * abs(printed)
+        return printed is not None and abs(self.computed - printed) <= ROUNDING_MARGIN * RELATIVE_TOLERANCE * abs(
+            printed
+        )

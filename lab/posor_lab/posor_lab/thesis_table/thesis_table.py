@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from posor_lab.thesis_data import data_path
 from posor_lab.thesis_table.figure_data import draw_figures
 from posor_lab.thesis_table.row_file import RowFile
-from posor_lab.thesis_table.thesis_row import Verdict
+from posor_lab.thesis_table.thesis_row import Agreement
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -65,11 +65,11 @@ def summary(rows: Iterable[ThesisRow]) -> str:
     """Return two sentences: how many rows agree, and of which kinds these are."""
     rows = list(rows)
     number = Counter(row.verdict for row in rows)
-    kinds = Counter(row.kind_name for row in rows if row.verdict is Verdict.AGREES)
+    kinds = Counter(row.kind_name for row in rows if row.verdict is Agreement.AGREES)
     counts = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
     return (
-        f"{number.total()} rows: {number[Verdict.AGREES]} agree within 2 % or rounding, {number[Verdict.DIFFERS]} "
-        f"differ for the reason stated, {number[Verdict.NOT_LEGIBLE]} are not legible in print. "
+        f"{number.total()} rows: {number[Agreement.AGREES]} agree within 2 % or rounding, {number[Agreement.DIFFERS]} "
+        f"differ for the reason stated, {number[Agreement.NOT_LEGIBLE]} are not legible in print. "
         f"Of the rows that agree by their kind: {counts}."
     )
 

@@ -20,7 +20,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from posor_lab.output_files import check_writable, write_json
-from posor_lab.thesis_table.thesis_row import Verdict
+from posor_lab.thesis_table.thesis_row import Agreement
 from posor_lab.thesis_table.thesis_table import (
     all_rows,
     compute_subject,
@@ -42,8 +42,8 @@ _TITLE = "The thesis of 1985 beside this project"
 HEADER = ("section", "quantity", "printed", "computed", "unit", "difference", "verdict")
 _WIDE = {"quantity", "verdict"}
 _NUMBERS = {"printed", "computed", "difference"}
-_STYLES = {Verdict.AGREES: "", Verdict.DIFFERS: "yellow", Verdict.NOT_LEGIBLE: "dim"}
-_CSS_CLASSES = {Verdict.AGREES: "holds", Verdict.DIFFERS: "fails", Verdict.NOT_LEGIBLE: ""}
+_STYLES = {Agreement.AGREES: "", Agreement.DIFFERS: "yellow", Agreement.NOT_LEGIBLE: "dim"}
+_CSS_CLASSES = {Agreement.AGREES: "holds", Agreement.DIFFERS: "fails", Agreement.NOT_LEGIBLE: ""}
 
 
 @reports_errors

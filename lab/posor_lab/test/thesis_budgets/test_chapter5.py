@@ -10,6 +10,7 @@ import pytest
 from posor.uncertainty.budget_poses import scan_at
 from posor.uncertainty.budget_quantities import PlatePoint
 from posor_design.monte_carlo import BATCH, monte_carlo
+from posor_lab.thesis_budgets.budget_tables import budget_tables, rig_theta
 from posor_lab.thesis_budgets.chapter5 import (
     LEG_X,
     LEG_Y,
@@ -17,16 +18,18 @@ from posor_lab.thesis_budgets.chapter5 import (
     PROBES,
     Chapter5,
     Slopes,
+    gaps_effect,
+    leans_effect,
+    lever_effect,
     root_sum_square,
 )
-from posor_lab.thesis_budgets.diode_tables import SPOT_X, SPOT_Y, rig_theta
-from posor_lab.thesis_budgets.probe_tables import WORST, factor
 from scipy.constants import inch
 
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
 STEP = 1e-6
+WORST = Slopes(PROBE_RANGE, PROBE_RANGE)
 GAPS = np.array([PROBE_RANGE + WORST.along, PROBE_RANGE - WORST.across / 2.0, PROBE_RANGE + WORST.across / 2.0])
 LEVERS = np.array([1.5, 1.5, 3.0])
 SIZED = {"sigma_a": 0, "sigma_b": 1, "sigma_c": 2}
@@ -63,16 +66,16 @@ def test_the_plate_is_inclined_by_the_range_of_the_probes() -> None:
 @pytest.mark.parametrize("output", ["l_0_0", "l_m1_1p5", "alpha", "beta"])
 def test_factors_of_the_probes_are_the_derivatives_of_the_closed_forms(output: str) -> None:
     expected = root_sum_square(*(by_gap(output, i) for i in range(3)))
-    assert factor("sigma_l", output) == pytest.approx(expected, rel=1e-3)
+    assert gaps_effect(output) == pytest.approx(expected, rel=1e-3)
     for row, which in SIZED.items():
-        assert abs(factor(row, output)) == pytest.approx(abs(by_lever(output, which)), rel=2e-3, abs=5e-6), row
+        assert abs(lever_effect(output, row)) == pytest.approx(abs(by_lever(output, which)), rel=2e-3, abs=5e-6), row
     # A probe axis that leans by e measures 1 / cos e of the gap.
-    for row in ("sigma_eX", "sigma_eY"):
-        assert factor(row, output) == pytest.approx(expected * PROBE_RANGE / 2.0, rel=1e-3)
+    for axis in "xy":
+        assert leans_effect(output, axis) == pytest.approx(expected * PROBE_RANGE / 2.0, rel=1e-3)
 
 
 def test_signs_at_the_origin_are_the_printed_ones() -> None:
-    assert factor("sigma_a", "l_0_0") > 0.0 > factor("sigma_b", "l_0_0")
+    assert lever_effect("l_0_0", "sigma_a") > 0.0 > lever_effect("l_0_0", "sigma_b")
 
 
 def test_factors_of_the_spots_are_the_derivatives_of_the_angle_between_them() -> None:
@@ -82,8 +85,8 @@ def test_factors_of_the_spots_are_the_derivatives_of_the_angle_between_them() ->
             (math.atan2(leg_y + dy, LEG_X + dx) - math.atan2(leg_y - dy, LEG_X - dx)) / (2.0 * STEP)
             for dx, dy in ((STEP, 0.0), (0.0, STEP))
         ]
-        assert model.reading_sensitivity("theta", SPOT_X) == pytest.approx(turn[0], abs=1e-9)
-        assert model.reading_sensitivity("theta", SPOT_Y) == pytest.approx(turn[1], abs=1e-9)
+        assert model.reading_sensitivity("theta", "spot x diode_1") == pytest.approx(turn[0], abs=1e-9)
+        assert model.reading_sensitivity("theta", "spot y diode_1") == pytest.approx(turn[1], abs=1e-9)
 
 
 def test_squares_of_angles_on_a_diode() -> None:
@@ -113,7 +116,7 @@ def test_draws_of_the_probes_noise_give_the_first_row() -> None:
     columns = {"alpha": 3, "beta": 4, "l_0_0": 6, "l_m1_1p5": 7}
     for output, column in columns.items():
         unit = 1e-6 * (inch if output.startswith("l_") else 1.0)
-        assert drawn.sigmas[column] / unit == pytest.approx(noise * factor("sigma_l", output), rel=0.025), output
+        assert drawn.sigmas[column] / unit == pytest.approx(noise * gaps_effect(output), rel=0.025), output
 
 
 def test_probe_sensitivities_do_not_depend_on_the_spots() -> None:
@@ -125,7 +128,7 @@ def test_probe_sensitivities_do_not_depend_on_the_spots() -> None:
 
 
 def test_theta_of_the_real_rig_follows_x() -> None:
-    by_x, by_y, total = rig_theta()
+    by_x, by_y, total = rig_theta(budget_tables()["7.9"])
     assert by_x == pytest.approx(0.331, abs=5e-4)  # 1 / 3.012 in, less the slant
     assert by_y == pytest.approx(0.013, abs=5e-4)
     assert total == pytest.approx(math.hypot(1572.6 * by_x, 206.9 * by_y), rel=2e-3)

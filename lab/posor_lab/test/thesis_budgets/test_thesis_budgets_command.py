@@ -11,31 +11,18 @@ from typing import TYPE_CHECKING
 
 import pytest
 from posor.errors import DataFileError
-from posor_lab.thesis_budgets import diode_tables, probe_tables
-from posor_lab.thesis_budgets.budget_cells import Agreement, Cell, Printed, Reason
-from posor_lab.thesis_budgets.diode_tables import fits_of_linearisation, spot_shifts, table_5_4, table_7_9
-from posor_lab.thesis_budgets.probe_tables import table_5_2, table_7_12
+from posor_lab.thesis_budgets import budget_tables
+from posor_lab.thesis_budgets.budget_tables import DIODE_FILE, FACTOR_FILES, PROBE_FILE, BudgetCell
+from posor_lab.thesis_budgets.chapter5 import spot_shift
 from posor_lab.thesis_budgets.thesis_budgets_command import main
 from posor_lab.thesis_data import data_path, last_digit
+from posor_lab.thesis_table.thesis_row import Agreement
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from posor_lab.thesis_budgets.budget_tables import BudgetTable
 
-    from posor_lab.thesis_budgets.budget_cells import BudgetTable
-
-FILES = {
-    "5.2": probe_tables.FACTORS_FILE,
-    "5.4": diode_tables.FACTORS_FILE,
-    "7.9": diode_tables.BUDGET_FILE,
-    "7.12": probe_tables.BUDGET_FILE,
-}
+FILES = {"5.2": FACTOR_FILES[0], "5.4": FACTOR_FILES[1], "7.9": DIODE_FILE, "7.12": PROBE_FILE}
 CELLS = {"5.2": 24, "5.4": 32, "7.9": 78, "7.12": 60}
-BUILDERS: dict[str, Callable[[], BudgetTable]] = {
-    "5.2": table_5_2,
-    "5.4": table_5_4,
-    "7.9": table_7_9,
-    "7.12": table_7_12,
-}
 THETA = "induced_sigma_theta_urad"
 AS_ROWS = ("increasing: sigma_alphabeta_li (as sigma_l)", "increasing: sigma_eXi (as sigma_l)")
 
@@ -63,8 +50,12 @@ EXPLAINED_5_4 = {
 
 
 @cache
+def all_tables() -> dict[str, BudgetTable]:
+    return budget_tables.budget_tables()
+
+
 def budget_table(number: str) -> BudgetTable:
-    return BUILDERS[number]()
+    return all_tables()[number]
 
 
 def explained(number: str) -> set[tuple[str, str]]:
@@ -81,21 +72,20 @@ def test_every_printed_cell_is_there(number: str) -> None:
     for name, row in zip(table.rows, rows, strict=True):
         assert name.endswith(row["perturbation"])
         for column in table.columns:
-            assert table.cell(name, column).printed.text == row[column]
+            assert table.cell(name, column).printed == row[column]
 
 
 @pytest.mark.parametrize("number", FILES)
 def test_every_cell_agrees_within_rounding_or_is_explained_by_a_number(number: str) -> None:
     for cell in budget_table(number).cells:
-        where = f"{number}, {cell.row}, {cell.column}: {cell.computed} for {cell.printed.text}"
+        where = f"{number}, {cell.row}, {cell.column}: {cell.computed} for {cell.printed}"
         if cell.agreement is Agreement.EXPLAINED:
-            assert cell.reason is not None, where
-            assert cell.reason.text, where
-            assert abs(cell.reason.gives - cell.printed.number) <= cell.printed.last_digit + cell.input_rounding, where
+            assert cell.reason, where
+            assert abs(cell.gives - cell.printed_number) <= cell.last_digit + cell.input_rounding, where
         elif cell.agreement is not Agreement.NOT_LEGIBLE:
             assert cell.agreement is Agreement.AGREES, where
-            limit = 0.5 * cell.printed.last_digit + cell.input_rounding
-            assert abs(cell.computed - cell.printed.number) <= limit * (1.0 + 1e-9), where
+            limit = 0.5 * cell.last_digit + cell.input_rounding
+            assert abs(cell.computed - cell.printed_number) <= limit * (1.0 + 1e-9), where
     assert budget_table(number).holds
 
 
@@ -106,35 +96,31 @@ def test_factors_that_differ_and_the_numbers_that_explain_them(
     assert explained(number) == set(numbers)
     for (row, column), (model, gives) in numbers.items():
         cell = budget_table(number).cell(row, column)
-        assert cell.reason is not None
         assert cell.computed == pytest.approx(model, rel=1e-3, abs=1e-7), (row, column)
-        assert cell.reason.gives == pytest.approx(gives, rel=1e-3, abs=1e-7), (row, column)
+        assert cell.gives == pytest.approx(gives, rel=1e-3, abs=1e-7), (row, column)
 
 
 def test_totals_of_the_diodes() -> None:
     total = "root mean square: total"
     sizes = {column: budget_table("7.9").cell(total, column) for column in budget_table("7.9").columns}
-    assert [cell.printed.number for cell in sizes.values()] == [1572.0, 207.0, 111.0]
+    assert [cell.printed_number for cell in sizes.values()] == [1572.0, 207.0, 111.0]
     x, y, theta = sizes.values()
     assert x.computed == pytest.approx(1572.6, abs=0.1)
     assert y.computed == pytest.approx(206.9, abs=0.1)
     assert x.agreement is y.agreement is Agreement.AGREES
     assert theta.computed == pytest.approx(109.5, abs=0.1)
-    assert theta.reason is not None
-    assert theta.reason.gives == pytest.approx(111.3, abs=0.1)
+    assert theta.gives == pytest.approx(111.3, abs=0.1)
     assert theta.computed == pytest.approx(math.hypot(x.computed * 0.5 / 9.25, y.computed / 3.0), rel=1e-3)
 
 
 def test_totals_of_the_probes() -> None:
     table = budget_table("7.12")
     increasing = [table.cell("increasing: root mean square (section 8.4)", column) for column in table.columns]
-    assert [cell.printed.text for cell in increasing] == ["182", "nan", "123", "75"]
+    assert [cell.printed for cell in increasing] == ["182", "nan", "123", "75"]
     assert [cell.computed for cell in increasing] == pytest.approx([183.6, 199.6, 122.4, 73.7], abs=0.1)
-    assert [cell.reason.gives for cell in increasing if cell.reason] == pytest.approx(
-        [182.4, 189.1, 123.3, 74.7], abs=0.1
-    )
+    assert [cell.gives for cell in increasing] == pytest.approx([182.4, 189.1, 123.3, 74.7], abs=0.1)
     random = [table.cell("random: root mean square", column) for column in table.columns]
-    assert [cell.printed.text for cell in random] == ["17", "18", "11", "6"]
+    assert [cell.printed for cell in random] == ["17", "18", "11", "6"]
     assert [cell.computed for cell in random] == pytest.approx([16.3, 18.1, 10.9, 5.9], abs=0.1)
     assert all(cell.agreement is Agreement.AGREES for cell in random)
     both = [table.cell("total: section 7.5.4", column) for column in table.columns]
@@ -146,8 +132,7 @@ def test_totals_of_the_probes() -> None:
 def test_differences_of_the_calibrated_budgets_are_those_of_the_factors() -> None:
     for row, column in explained("7.12"):
         cell = budget_table("7.12").cell(row, column)
-        assert cell.reason is not None
-        if "as table 5.2 prints it" in cell.reason.text:
+        if "as table 5.2 prints it" in cell.reason:
             assert row.startswith("increasing: sigma_")
     for row in AS_ROWS:
         assert budget_table("7.12").cell(row, "sigma_beta_urad").ratio == pytest.approx(0.52, abs=0.03)
@@ -156,12 +141,11 @@ def test_differences_of_the_calibrated_budgets_are_those_of_the_factors() -> Non
     for k in "12":
         flat = budget_table("7.9").cell(f"diode flatness: sigma_Xalpha{k}", THETA)
         assert flat.computed == pytest.approx(6.25 / 3.0)
-        assert flat.reason is not None
-        assert flat.reason.gives == pytest.approx(6.25 * 0.5 / 9.0)
+        assert flat.gives == pytest.approx(6.25 * 0.5 / 9.0)
 
 
 def test_the_linearisation_of_table_7_9_is_the_ninth_order_of_table_7_7() -> None:
-    fits = fits_of_linearisation()
+    fits = budget_tables.fits_of_linearisation()
     assert sorted(fits) == ["sigma_X1", "sigma_X2", "sigma_Y1", "sigma_Y2"]
     assert fits == {name: (value, value) for name, (value, _) in fits.items()}
 
@@ -174,15 +158,15 @@ def test_the_document_lists_every_cell_that_differs() -> None:
         for row in budget_table(number).rows:
             for column in budget_table(number).columns:
                 cell = budget_table(number).cell(row, column)
-                if cell.agreement is Agreement.EXPLAINED and cell.reason is not None:
-                    numbers = f"{cell.computed:.4g} | {cell.printed.text} | {cell.reason.gives:.4g}"
-                    expected.append(f"| {number} | {row} | {column} | {numbers} | {cell.reason.text} |")
+                if cell.agreement is Agreement.EXPLAINED:
+                    numbers = f"{cell.computed:.4g} | {cell.printed} | {cell.gives:.4g}"
+                    expected.append(f"| {number} | {row} | {column} | {numbers} | {cell.reason} |")
     assert [line for line in listed if line.startswith(("| 5.", "| 7."))] == expected
 
 
 def test_an_unknown_perturbation_is_refused() -> None:
     with pytest.raises(DataFileError, match=r"perturbation 'sigma_Q' is unknown; expected one of table 5\.4\."):
-        spot_shifts("sigma_Q1")
+        spot_shift("X", "sigma_Q1")
 
 
 @pytest.mark.parametrize(
@@ -207,14 +191,14 @@ def test_last_digit(text: str, unit: float) -> None:
 def test_agreement_of_a_cell(
     text: str, computed: float, rounding: float, gives: float | None, agreement: Agreement
 ) -> None:
-    reason = None if gives is None else Reason("because", gives)
-    cell = Cell("5.2", "row", "column", Printed(text, 0.01), computed, rounding, reason)
+    reason = {} if gives is None else {"reason": "because", "gives": gives}
+    cell = BudgetCell("5.2", "row", "column", text, 0.01, computed, rounding, **reason)
     assert cell.agreement is agreement
 
 
 def test_ratio_of_a_printed_zero() -> None:
-    assert math.isinf(Cell("5.2", "row", "column", Printed("0", 1e-4), 0.003).ratio)
-    assert math.isnan(Cell("5.2", "row", "column", Printed("0", 1e-4), 0.0).ratio)
+    assert math.isinf(BudgetCell("5.2", "row", "column", "0", 1e-4, 0.003).ratio)
+    assert math.isnan(BudgetCell("5.2", "row", "column", "0", 1e-4, 0.0).ratio)
 
 
 def test_the_program_writes_every_cell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -254,13 +238,11 @@ def test_a_changed_printed_table_is_reported(
     new: str,
     message: str,
 ) -> None:
-    for name in FILES.values():
-        text = data_path(name).read_text(encoding="utf-8")
-        if name == probe_tables.FACTORS_FILE:
-            assert old in text
-            text = text.replace(old, new)
-        (tmp_path / name).write_text(text, encoding="utf-8")
-    monkeypatch.setattr(probe_tables, "data_path", lambda name: tmp_path / name)
+    changed = tmp_path / FILES["5.2"]
+    text = data_path(changed.name).read_text(encoding="utf-8")
+    assert old in text
+    changed.write_text(text.replace(old, new), encoding="utf-8")
+    monkeypatch.setattr(budget_tables, "data_path", lambda name: changed if name == changed.name else data_path(name))
     assert main(["--output", str(tmp_path / "budgets.json")]) == 1
     captured = capsys.readouterr()
     assert message in captured.out + captured.err

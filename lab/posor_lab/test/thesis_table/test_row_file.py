@@ -8,7 +8,7 @@ import pytest
 from posor.errors import DataFileError
 from posor_lab.thesis_table.figure_data import draw_figures
 from posor_lab.thesis_table.row_file import RowFile
-from posor_lab.thesis_table.thesis_row import Kind
+from posor_lab.thesis_table.thesis_row import ComparisonKind
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -57,12 +57,12 @@ def test_rows_are_evaluated_with_units_sources_and_tables(tmp_path: Path) -> Non
     assert (file.title, stress.section, stress.quantity) == ("Beams", "App. 1A", "stress")
     assert stress.computed == pytest.approx(300.0 * 120.0 * 3.5 / 26.4949, rel=1e-5)
     assert stress.reason == f"twice: {2e-3 * stress.computed:.1f} ksi"
-    assert stress.kind is Kind.COMPUTED
+    assert stress.kind is ComparisonKind.COMPUTED
     assert [row.quantity for row in (thick, thin)] == ["I of a wall of 3/16 in", "I of a wall of 1/8 in"]
     assert thick.computed == pytest.approx((4.0 * 7.0**3 - 3.625 * 6.625**3) / 12.0)
     assert [row.printed for row in (thick, thin)] == ["26", ""]
     assert [row.reason for row in (thick, thin)] == ["", "lost in the scan"]
-    assert thin.kind is Kind.SIGN
+    assert thin.kind is ComparisonKind.SIGN
     file.check_unused()
 
 

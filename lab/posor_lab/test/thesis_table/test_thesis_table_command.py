@@ -10,16 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from posor_lab.thesis_budgets.diode_tables import table_5_4, table_7_9
-from posor_lab.thesis_budgets.probe_tables import table_5_2, table_7_12
+from posor_lab.thesis_budgets.budget_tables import budget_tables
 from posor_lab.thesis_table import thesis_table_command
 from posor_lab.thesis_table.row_file import RowFile
-from posor_lab.thesis_table.thesis_row import Kind, ThesisRow, Verdict
+from posor_lab.thesis_table.thesis_row import Agreement, ComparisonKind, ThesisRow
 from posor_lab.thesis_table.thesis_table import Subject, all_rows, format_cells, row_files, summary
 from posor_lab.thesis_table.thesis_table_command import main
 
 pytestmark = pytest.mark.timeout(300)
-COMPUTED = Kind.COMPUTED.value
+COMPUTED = ComparisonKind.COMPUTED.value
 ROOT = Path(__file__).resolve().parents[4]
 KEYS = ["section", "quantity", "unit", "printed", "computed", "difference", "verdict", "kind", "reason"]
 RECORDED = Path(__file__).with_name("recorded_rows.csv")
@@ -48,7 +47,7 @@ def test_every_row_has_the_stated_fields(run: tuple[int, Path], rows: list[dict[
         assert row["section"]
         assert row["quantity"]
         assert math.isfinite(row["computed"])
-        if row["verdict"] == Verdict.NOT_LEGIBLE.value:
+        if row["verdict"] == Agreement.NOT_LEGIBLE.value:
             assert row["printed"] is row["difference"] is None
         else:
             assert row["difference"] == pytest.approx(row["computed"] - row["printed"], abs=1e-15)
@@ -68,8 +67,8 @@ def test_every_row_has_the_recorded_number_verdict_and_kind(rows: list[dict[str,
 
 def test_reason_and_kind_of_a_row_agree(rows: list[dict[str, Any]]) -> None:
     for row in rows:
-        assert row["reason"] or row["verdict"] == Verdict.AGREES.value
-        assert ("not independent" in row["reason"]) is (row["kind"] == Kind.DEPENDENT.value)
+        assert row["reason"] or row["verdict"] == Agreement.AGREES.value
+        assert ("not independent" in row["reason"]) is (row["kind"] == ComparisonKind.DEPENDENT.value)
         assert row["section"].startswith("Table 8.2") is ("table 8.2 is not in the scan" in row["reason"])
         assert ("assumed budget" in row["quantity"]) is row["reason"].startswith("assumed errors")
         assert row["reason"] != "no reason is known"
@@ -93,17 +92,19 @@ def test_the_page_has_every_subject_with_its_figures(run: tuple[int, Path], rows
 
 
 def test_every_budget_cell_with_an_effect_has_a_row(rows: list[dict[str, Any]]) -> None:
-    tables = (table_5_2(), table_5_4(), table_7_9(), table_7_12())
-    cells = [cell for table in tables for cell in table.cells if cell.printed.number != 0.0 or cell.computed != 0.0]
-    found = [row for row in rows if row["kind"] == Kind.BUDGET_CELL.value]
+    cells = [cell for table in budget_tables().values() for cell in table.cells]
+    cells = [cell for cell in cells if cell.printed_number != 0.0 or cell.computed != 0.0]
+    found = [row for row in rows if row["kind"] == ComparisonKind.BUDGET_CELL.value]
     assert Counter(row["section"] for row in found) == Counter(f"Table {cell.table}" for cell in cells)
 
 
 def test_the_documents_state_the_figures_of_the_table(rows: list[dict[str, Any]]) -> None:
     number = Counter(row["verdict"] for row in rows)
-    kinds = Counter(row["kind"].partition(" of ")[0] for row in rows if row["verdict"] == Verdict.AGREES.value)
-    cells = sum(row["kind"] == Kind.BUDGET_CELL.value for row in rows)
-    agree, differ, lost = (number[verdict.value] for verdict in (Verdict.AGREES, Verdict.DIFFERS, Verdict.NOT_LEGIBLE))
+    kinds = Counter(row["kind"].partition(" of ")[0] for row in rows if row["verdict"] == Agreement.AGREES.value)
+    cells = sum(row["kind"] == ComparisonKind.BUDGET_CELL.value for row in rows)
+    agree, differ, lost = (
+        number[verdict.value] for verdict in (Agreement.AGREES, Agreement.DIFFERS, Agreement.NOT_LEGIBLE)
+    )
     page = " ".join((ROOT / "docs" / "background" / "thesis_table.md").read_text(encoding="utf-8").split())
     assert f"{len(rows)} rows: {agree} agree within 2 % or rounding, {differ} differ for the reason stated" in page
     assert f"{cells} of these rows are the cells of the error budgets" in page
