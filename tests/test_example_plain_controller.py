@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from posor_bringup.arm_programs import arm_programs, group_programs
-from posor_lab.faults.fault_arm import write_fault_arm
+from posor_lab.faults.fault_table import write_fault_arm
 from posor_lab.harness.graph import Graph
 from posor_lab.harness.program import Program, script
 from posor_ros.message_conversion import stamp_ns
 from posor_ros.ros_arguments import ros_arguments
 
 if TYPE_CHECKING:
-    from posor_bringup.supervisor import Program as NodeProgram
+    from posor_bringup.supervisor import ProgramCommand
     from posor_lab.faults.fault_table import Arm
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
@@ -34,7 +34,7 @@ MAX_STOP_S = 0.2
 SILENT = "stopped: no message on endpoint/state"
 
 
-def command_of(program: NodeProgram) -> Program:
+def command_of(program: ProgramCommand) -> Program:
     return Program(program.command())
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from posor_bringup.installed import bag_path, calibration_path, urdf_path
-from posor_bringup.supervisor import Program, Supervisor
+from posor_bringup.supervisor import ProgramCommand, Supervisor
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -18,21 +18,21 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
 JOINT = "/joint1"
-DRIVER = Program(
+DRIVER = ProgramCommand(
     "driver_node",
     "posor_drivers",
     "driver_node",
     namespace=JOINT,
     parameters={"source": "bag", "bag.path": str(bag_path("ymo")), "loop": True, "restamp": True, "rate": 20.0},
 )
-POSOR = Program(
+POSOR = ProgramCommand(
     "posor_node",
     "posor_estimator",
     "posor_node",
     namespace=JOINT,
     parameters={"calibration": str(calibration_path("printed")), "session": "ymo"},
 )
-CHAIN = Program("chain_node", "posor_estimator", "chain_node", parameters={"urdf": str(urdf_path())})
+CHAIN = ProgramCommand("chain_node", "posor_estimator", "chain_node", parameters={"urdf": str(urdf_path())})
 AT_ONCE = 4
 """Nodes that start at the same time: more than the host has processors."""
 LATEST_S = 4.0

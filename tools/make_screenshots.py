@@ -23,7 +23,7 @@ from playwright.sync_api import sync_playwright
 from posor.errors import PosorError
 from posor.reporting.program_errors import reports_errors
 from posor_bringup.arm_programs import arm_programs, group_programs
-from posor_lab.faults.fault_arm import write_fault_arm
+from posor_lab.faults.fault_table import write_fault_arm
 from posor_lab.harness.program import Program, installed
 
 if TYPE_CHECKING:

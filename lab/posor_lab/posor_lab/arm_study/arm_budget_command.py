@@ -23,13 +23,12 @@ from rich.table import Table
 from posor_lab.arm_study.thesis_robot import (
     ENDPOINT_FILE,
     JOINTS_FILE,
-    MICROINCH,
     PrintedEndpoint,
     read_endpoint,
     read_joints,
 )
 from posor_lab.output_files import check_writable, write_json
-from posor_lab.thesis_data import URAD, data_path
+from posor_lab.thesis_data import MICROINCH, URAD, data_path
 
 if TYPE_CHECKING:
     import argparse

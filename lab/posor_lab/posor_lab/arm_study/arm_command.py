@@ -25,15 +25,13 @@ from rich.console import Console
 
 from posor_lab.arm_study.arm_budget_command import arm_budget
 from posor_lab.arm_study.arm_coverage import ARMS, POSES, Coverage, arm_coverage
-from posor_lab.arm_study.arm_live_table import ArmLiveTable
 from posor_lab.arm_study.arm_receiver import ArmReceiver
 from posor_lab.arm_study.arm_record import count_outcomes
 from posor_lab.arm_study.arm_report import ArmOutcome, arm_figures, arm_findings, arm_page
-from posor_lab.arm_study.arm_run import ArmRun
+from posor_lab.arm_study.arm_run import ArmLiveTable, ArmRun
 from posor_lab.output_files import write_files, write_json
 from posor_lab.reports.console_progress import InterruptedRunError, StageProgress
-from posor_lab.reports.findings import COMPARISON_HEADINGS, print_findings, print_verdict
-from posor_lab.reports.findings_program import exit_code_of_findings
+from posor_lab.reports.findings import COMPARISON_HEADINGS, exit_code_of_findings, print_findings, print_verdict
 
 if TYPE_CHECKING:
     from argparse import Namespace

@@ -13,9 +13,9 @@ from posor.reporting.html_page import Section, bullet_list, definition_list, par
 from posor_lab.accuracy.consistency import REGION
 from posor_lab.arm_study.arm_plots import plot_axes, plot_controller, plot_coverage, plot_path
 from posor_lab.arm_study.arm_record import rms
-from posor_lab.arm_study.thesis_robot import MICROINCH
 from posor_lab.output_files import page_notes
 from posor_lab.reports.findings import COMPARISON_HEADINGS, Finding, Findings, findings_table, judge
+from posor_lab.thesis_data import MICROINCH
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

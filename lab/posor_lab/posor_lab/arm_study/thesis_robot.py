@@ -9,7 +9,7 @@ import numpy as np
 from posor.errors import DataFileError
 from scipy.constants import inch
 
-from posor_lab.thesis_data import URAD, parse_number, read_table
+from posor_lab.thesis_data import MICROINCH, URAD, parse_number, read_table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -22,7 +22,6 @@ ENDPOINT_FILE = "error_budget_robot_endpoint.csv"
 SENSORS_ONLY = "9.3.1"  # section of the endpoint errors by the sensors alone
 CONFIGURATIONS: Mapping[str, str] = {"extended": "fully extended", "bent": "bent wrist"}
 """Names of the configurations in the table."""
-MICROINCH = 1e-6 * inch
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,19 @@ from __future__ import annotations
 import json
 from bisect import bisect
 from dataclasses import asdict, dataclass
+from functools import partial
+from statistics import fmean
+from time import process_time
 from typing import TYPE_CHECKING, Any
 
-from posor_lab.benchmark.estimator_benchmark import estimator_figures
+from posor.bags.bag_reader import counted_messages, opened_bag
+from posor.estimation.posor import Posor
+from posor.model.scan import Scans
+from posor.ros_names import RAW_TOPIC
+from posor_msgs.msg import RawScan
+from posor_ros.message_conversion import scan_from_message
+from rclpy.serialization import deserialize_message
+
 from posor_lab.benchmark.generated_arm import generate_arm, record_scans
 from posor_lab.benchmark.graph_load import LAYOUTS, PROFILE, SPIN_US, GraphLoad
 from posor_lab.benchmark.growth_lines import OVERLOADED, fit_line, select_series
@@ -21,9 +31,42 @@ if TYPE_CHECKING:
     from posor.chain.arm_file import ArmFile
     from posor_bringup.arm_programs import Layout
 
-    from posor_lab.benchmark.graph_load import Kind
+    from posor_lab.benchmark.graph_load import NodeKind
     from posor_lab.benchmark.graph_measurement import GraphMeasurement
     from posor_lab.benchmark.tick_statistics import MeasuredRun
+
+ROUNDS = 5
+
+
+def least_us(calls: int, work: Callable[[], object]) -> float:
+    """Return the least processor time of ``work`` in several rounds, per call of the estimator [us]."""
+    seconds = []
+    for _ in range(ROUNDS):
+        begin = process_time()
+        work()
+        seconds.append(process_time() - begin)
+    return 1e6 * min(seconds) / calls
+
+
+def estimator_figures(arm: Arm, bag: Path) -> dict[str, float]:
+    """Return ``kernel_us`` (all scans in one call) and ``scan_us`` (scan by scan) [us], means over the joints."""
+    many, single = [], []
+    for joint in arm.calibrations:
+        topic = f"/{arm.name}/{joint}/{RAW_TOPIC}"
+        with opened_bag(bag) as reader:
+            records = counted_messages(reader, (topic,), str(bag))
+            scans = [scan_from_message(deserialize_message(data, RawScan)) for _, _, data in records]
+        posor, arrays = Posor(arm.calibration(joint)), Scans.of(scans)
+        many.append(least_us(len(scans), partial(_estimate, posor, posor.estimate_all, [arrays])))
+        single.append(least_us(len(scans), partial(_estimate, posor, posor.estimate, scans)))
+    return {"kernel_us": fmean(many), "scan_us": fmean(single)}
+
+
+def _estimate(posor: Posor, estimate: Callable[[Any], object], parts: Sequence[Any]) -> None:
+    posor.reset()
+    for part in parts:
+        estimate(part)
+
 
 SECTIONS = ("graph", "faults", "waiting", "layouts", "growth", "highest", "separate", "profile", "kernel", "offline")
 """Names of the sections; each is a method of ``BenchmarkSections``."""
@@ -122,7 +165,7 @@ class BenchmarkSections:
         self._plan, self._measurement, self._arms, self._print_line = plan, measurement, arms, print_line
         self._measured: dict[tuple[Layout, int, int], dict[str, Any]] = {}
 
-    def _measure(self, kind: Kind, layout: Layout, joints: int, rate: int, seconds: float) -> MeasuredRun:
+    def _measure(self, kind: NodeKind, layout: Layout, joints: int, rate: int, seconds: float) -> MeasuredRun:
         self._print_line(f"{kind.replace('_', '-')}, {joints} joints at {rate} Hz, {LAYOUTS[layout]}: {seconds:g} s")
         return self._measurement.measure_graph(GraphLoad(self._arms[joints], kind, layout, rate), seconds)
 
@@ -136,7 +179,7 @@ class BenchmarkSections:
     def graph(self) -> dict[str, Any]:
         """Measure the main graph and the pass-through graph alternately, then the empty loop."""
         plan = self._plan
-        runs: dict[Kind, list[MeasuredRun]] = {"graph": [], "pass_through": []}
+        runs: dict[NodeKind, list[MeasuredRun]] = {"graph": [], "pass_through": []}
         for _ in range(plan.rounds):
             for kind, of_kind in runs.items():
                 of_kind.append(self._measure(kind, plan.layout, plan.joints, plan.rate, plan.seconds / plan.rounds))

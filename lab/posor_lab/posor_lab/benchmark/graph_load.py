@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from posor_bringup.arm_programs import Layout, arm_programs, group_programs
-from posor_bringup.supervisor import Program
+from posor_bringup.supervisor import ProgramCommand
 from posor_drivers.driver_parameters import LiveDriverParameters
 
 from posor_lab.benchmark import stage_profile
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from posor.chain.arm_file import ArmFile
     from posor_bringup.supervisor import Parameter
 
-Kind = Literal["graph", "pass_through"]
+NodeKind = Literal["graph", "pass_through"]
 """The stack's own nodes, or nodes that compute nothing in their place."""
 LAYOUTS: Mapping[Layout, str] = {
     "composed": "all nodes in one process",
@@ -40,8 +40,8 @@ FALSE_ALARM = 1e-9
 class GraphLoad:
     """A graph to measure."""
 
-    arm: ArmFile  # from ``generate_arm``
-    kind: Kind  # kind of the nodes
+    arm: Arm  # from ``generate_arm``
+    kind: NodeKind  # kind of the nodes
     layout: Layout  # which nodes share a process
     rate: int  # scans per second
     spin_us: int = SPIN_US  # time before each tick in which drivers poll the clock instead of sleeping [us]
@@ -55,7 +55,7 @@ class GraphLoad:
         return f"{self.kind}_{self.layout}_{len(self.arm.calibrations)}x{self.rate}{waiting}"
 
 
-def graph_programs(load: GraphLoad, folder: Path) -> list[Program]:
+def graph_programs(load: GraphLoad, folder: Path) -> list[ProgramCommand]:
     """Return the programs, subscribers first; write their composition files into ``folder``."""
     driver: dict[str, Parameter] = {"looped.rate": load.rate, "spin_us": load.spin_us}
     nodes = [_node_program(program, load) for program in arm_programs(load.arm, driver_parameters=driver)]
@@ -70,17 +70,17 @@ def graph_programs(load: GraphLoad, folder: Path) -> list[Program]:
     if not load.profiled:
         return programs
     script, profile = str(stage_profile.__file__), str(folder / PROFILE)
-    return [Program(program.name, "", script, (*program.arguments, profile)) for program in programs]
+    return [ProgramCommand(program.name, "", script, (*program.arguments, profile)) for program in programs]
 
 
-def _compose_one(node: Program, folder: Path) -> Program:
+def _compose_one(node: ProgramCommand, folder: Path) -> ProgramCommand:
     """Return a `compose` of a single node; pass-through nodes are not executables."""
     folder.mkdir()
     (program,) = group_programs([node], "composed", folder)
     return replace(program, name=node.name)
 
 
-def _node_program(program: Program, load: GraphLoad) -> Program:
+def _node_program(program: ProgramCommand, load: GraphLoad) -> ProgramCommand:
     """Return the program of a node, or of the pass-through node in its place."""
     if program.executable == "posor_node":
         if load.kind == "graph":

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from posor.ros_names import ENDPOINT_TOPIC
-from posor_bringup.supervisor import Program
+from posor_bringup.supervisor import ProgramCommand
 
 from posor_lab.benchmark import empty_loop, latency_receiver
 from posor_lab.benchmark.graph_load import GraphLoad, graph_programs
@@ -82,7 +82,7 @@ class GraphMeasurement:
         """
         rows, diagnostics = self._new_folder(load.name) / "received.npy", DiagnosticsReceiver("bench")
         arguments = f"/{load.arm.name}/{ENDPOINT_TOPIC}", str(rows)
-        receiver = Program("receiver", "", str(latency_receiver.__file__), arguments)
+        receiver = ProgramCommand("receiver", "", str(latency_receiver.__file__), arguments)
         with running_graph([receiver], diagnostics, self.folder, "make bench", self._interrupted) as watch:
             _wait_for_line(watch, diagnostics, latency_receiver.READY)
             running = [watch.supervisor.start(program) for program in graph_programs(load, self.folder)]
@@ -107,7 +107,7 @@ class GraphMeasurement:
     def measure_empty_loop(self, rate: int, spin_us: int, seconds: float) -> dict[str, Any]:
         """Return how late an empty loop is for its ticks, see ``empty_loop``."""
         lateness = self._new_folder(f"empty_loop_{rate}_{spin_us}") / "lateness.json"
-        loop = Program("loop", "", str(empty_loop.__file__), (str(rate), str(spin_us), str(lateness)))
+        loop = ProgramCommand("loop", "", str(empty_loop.__file__), (str(rate), str(spin_us), str(lateness)))
         diagnostics = DiagnosticsReceiver("bench")
         with running_graph([loop], diagnostics, self.folder, "make bench", self._interrupted) as watch:
             _wait_for_line(watch, diagnostics, empty_loop.READY)

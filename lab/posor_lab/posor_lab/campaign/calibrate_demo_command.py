@@ -28,8 +28,7 @@ from posor_lab.campaign.campaign_steps import campaign_steps
 from posor_lab.campaign.ground_truth import POSORS, GroundTruth, PosorName
 from posor_lab.output_files import write_files
 from posor_lab.reports.console_progress import InterruptedRunError, StageProgress
-from posor_lab.reports.findings import COMPARISON_HEADINGS, print_findings, print_verdict
-from posor_lab.reports.findings_program import exit_code_of_findings
+from posor_lab.reports.findings import COMPARISON_HEADINGS, exit_code_of_findings, print_findings, print_verdict
 
 if TYPE_CHECKING:
     import argparse

@@ -1,4 +1,4 @@
-"""Counterpart of a LabJack: its registers behind the Modbus server of pyModbusTCP, with faults on demand."""
+"""Counterparts of a LabJack with faults on demand: Modbus registers, and the stream of a T7."""
 
 from __future__ import annotations
 
@@ -7,15 +7,24 @@ import time
 from threading import Event
 from typing import TYPE_CHECKING, Any
 
+from posor_drivers.ros_clock import disable_timer_slack
 from pyModbusTCP.server import DataBank, ModbusServer
 
-from posor_lab.device_servers.device_server import HOST, DeviceServer, free_port
+from posor_lab.device_servers.device_server import HOST, POLL_S, DeviceServer, free_port
 
 if TYPE_CHECKING:
+    import socket
     from collections.abc import Callable, Sequence
 
 PRODUCT, FIRMWARE = 60_000, 60_004
 FLOAT = struct.Struct(">f")
+SETUP = range(4002, 4022)
+SCAN_RATE, ADDRESSES, SAMPLES, SCAN_LIST, ENABLE = 4002, 4004, 4006, 4100, 4990
+RANGES = range(40_000, 40_500)
+POINTER, FLASH, FLASH_CONSTANTS = 61_810, 61_812, 0x3C4000
+GAIN = {10.0: 1.0, 1.0: 10.0, 0.1: 100.0, 0.01: 1000.0}
+SLOPE, CENTRE = 3.16e-4, 33_510.0
+"""Of the range of 10 V; other devices have others."""
 
 
 class _Registers(DataBank):
@@ -85,3 +94,75 @@ class LabJackServer(DeviceServer):
         words = [self.registers.written[register], self.registers.written[register + 1]]
         value: float = FLOAT.unpack(struct.pack(">2H", *words))[0]
         return value
+
+
+class LabJackStreamServer(LabJackServer):
+    """Streams the inputs of a T7 to one client after another.
+
+    Attributes:
+        stream_port: Port of the stream.
+        status: Status of the next packet, with its information.
+        skip_packet: Leave out the number of the next packet.
+        stalled: While this event is set, no packet is sent, and the frames of this time are never sent.
+
+    """
+
+    def __init__(self, voltages: Callable[[int], Sequence[float]], *, drift: float = 0.0) -> None:
+        """Open the ports; ``voltages`` are those of input 0, 1, ... by the ROS time [ns]."""
+        super().__init__(voltages)
+        self.registers.others = self._read
+        self.registers.stalled = Event()
+        self.stalled = Event()
+        self.status, self.skip_packet = (0, 0), False
+        self._drift = drift
+        self.stream_port = self.open_port(self._stream)
+
+    def written_number(self, register: int) -> int:
+        """Return the 32-bit number that was written to two registers; 0 if there was none."""
+        words = [self.registers.written.get(register + n, 0) for n in range(2)]
+        return words[0] << 16 | words[1]
+
+    def _read(self, address: int, number: int) -> list[int] | None:
+        """Return registers that are no voltages."""
+        if address == FLASH:
+            gain = list(GAIN.values())[(self.written_number(POINTER) - FLASH_CONSTANTS) // 16]
+            constants = (SLOPE / gain, -SLOPE / gain, CENTRE, -CENTRE * SLOPE / gain)
+            return [word for each in constants for word in struct.unpack(">2H", FLOAT.pack(each))][:number]
+        if address in SETUP or address in RANGES or address == ENABLE:
+            return [self.registers.written.get(address + n, 0) for n in range(number)]
+        return None
+
+    def _stream(self, client: socket.socket) -> None:
+        """Send packets while the stream is enabled; wait for that first."""
+        disable_timer_slack()
+        while not self.written_number(ENABLE):
+            if self.stopping.wait(POLL_S):
+                return
+        count = self.written_number(ADDRESSES)
+        inputs = [self.written_number(SCAN_LIST + 2 * n) // 2 for n in range(count)]
+        gains = [GAIN[round(self.written_float(RANGES.start + 2 * n), 6)] for n in inputs]
+        frames = self.written_number(SAMPLES) // count
+        period_ns = 1e9 / self.written_float(SCAN_RATE) * (1.0 + self._drift)
+        start_ns, number, packet, samples = time.time_ns(), 0, 0, b""
+        while self.written_number(ENABLE) and not self.stopping.is_set():
+            exposed_ns = start_ns + round(number * period_ns)
+            number += 1
+            volts = self.registers.voltages(exposed_ns)
+            samples += b"".join(
+                sample(volts[n], gain).to_bytes(2, "big") for n, gain in zip(inputs, gains, strict=True)
+            )
+            if (wait_s := exposed_ns * 1e-9 - time.time()) > 0.0:
+                time.sleep(wait_s)
+            if self.stalled.is_set():
+                samples = b""
+            elif len(samples) == 2 * count * frames:
+                packet += self.skip_packet
+                header = struct.pack(">HHHBBBxHHH", packet, 0, 10 + len(samples), 1, 76, 16, 0, *self.status)
+                client.sendall(header + samples)
+                self.status, self.skip_packet, samples = (0, 0), False, b""
+                packet = (packet + 1) % (1 << 16)
+
+
+def sample(volts: float, gain: float) -> int:
+    """Return the sample of a voltage, limited at both ends."""
+    return min(max(0, round(CENTRE + volts * gain / SLOPE)), 0xFFFF)

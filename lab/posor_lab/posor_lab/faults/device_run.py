@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
-    from posor_bringup.supervisor import Program
+    from posor_bringup.supervisor import ProgramCommand
 
     from posor_lab.device_servers.capancdt_server import CapaNcdtServer
     from posor_lab.faults.fault_table import FaultRow, RowResult
@@ -84,7 +84,7 @@ class DeviceRun(InjectionRun):
             self._server.merged = 2
             return super().run()
 
-    def _programs(self) -> list[Program]:
+    def _programs(self) -> list[ProgramCommand]:
         trial = DeviceTrial("faults", self.arm.name, RATE, LATENCY_S, 0.0, "capancdt_6200")
         arm = write_arm(self._readings.arm, trial, self._devices, self.folder)
         return group_programs(arm_programs(arm), "composed", self.folder)

@@ -8,36 +8,120 @@ from __future__ import annotations
 
 import sys
 from collections import defaultdict
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from posor.errors import ParameterError
+from posor.estimation.posor import Posor
+from posor.model.fault import Fault
+from posor.ros_names import TRANSFORM_TOPIC
+from posor_bringup.arm_programs import arm_programs, group_programs
+from posor_drivers.simulator.arm_simulation import ArmSimulation
 from rich.table import Table
+from scipy.stats import betabinom
 
 from posor_lab.faults.device_run import DeviceRun
-from posor_lab.faults.fault_table import FAULT_TABLE
+from posor_lab.faults.fault_table import (
+    CYCLE_S,
+    FAULT_TABLE,
+    IMPERFECTION_PARAMETERS,
+    IMPERFECTIONS,
+    RATES,
+    write_fault_arm,
+)
 from posor_lab.faults.message_run import MessageRun
 from posor_lab.faults.node_storm import run_node_storm
 from posor_lab.faults.offline_faults import CASES, run_hidden, run_slips
 from posor_lab.faults.process_run import ProcessRun
 from posor_lab.faults.reading_run import ReadingRun
 from posor_lab.faults.storm import run_storm, storm_calibrations
+from posor_lab.reports.arrival_receiver import ArrivalReceiver
 from posor_lab.reports.findings import Finding, Findings, Verdict
+from posor_lab.reports.graph_receiver import running_graph
 from posor_lab.reports.trial_program import Option, TrialProgram
-from posor_lab.soak.alarm_run import run_without_faults
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
 
-    from posor_lab.faults.fault_table import Arm, FaultRow, RowResult
+    from posor_lab.faults.fault_table import ArmName, FaultRow, RowResult
     from posor_lab.faults.injection_run import InjectionRun
     from posor_lab.faults.storm import StormCount
     from posor_lab.reports.trial_program import Trial
-    from posor_lab.soak.alarm_run import AlarmFigures
+
+EXPECTED_SCANS = 100_000
+"""Simulated scans of each joint from which the rate of false alarms is expected."""
+BAND = 0.95
+
+
+@dataclass(frozen=True)
+class AlarmFigures:
+    """Figures of a run without faults."""
+
+    arm: str
+    errors: tuple[str, ...]  # messages of the diagnostics at the level ERROR, without repetition
+    scans: int  # transforms that came
+    alarms: int  # of these, rejected by the test of the redundant readings
+    band: tuple[int, int]  # least and most alarms in the 95 % band of the expected rate, which is itself an estimate
+
+    @property
+    def holds(self) -> bool:
+        """Whether there was no error, and the number of alarms is as expected."""
+        return not self.errors and self.is_in_band
+
+    @property
+    def is_in_band(self) -> bool:
+        """Whether the number of alarms is as expected."""
+        return self.band[0] <= self.alarms <= self.band[1]
+
+
+def run_without_faults(
+    arm: ArmName, seconds: float, folder: Path, seed: int, interrupted: Callable[[], bool]
+) -> AlarmFigures:
+    """Run an arm without faults and return its figures.
+
+    The same sensors in other simulated scans give the expected rate: the errors of one calibration shift it from
+    the probability that the test states over all calibrations.
+
+    Args:
+        arm: Installed arm.
+        seconds: Duration.
+        folder: Existing folder for the copy of the arm and the logs.
+        seed: Of motion and noise.
+        interrupted: Whether the user has interrupted the run.
+
+    Raises:
+        ProcessError: A node failed, or the arm has no poses.
+
+    """
+    simulation = ArmSimulation(write_fault_arm(arm, folder / "arm", CYCLE_S, seed), IMPERFECTIONS)
+    topics = [f"{joint}/{TRANSFORM_TOPIC}" for joint in simulation.joints]
+    others, expected_alarms = EXPECTED_SCANS // (CYCLE_S * RATES[arm]) * CYCLE_S * RATES[arm], 0
+    for joint in simulation.joints:
+        scans = simulation.scans(joint, np.arange(others)).scans
+        estimates = Posor(simulation.calibrations[joint]).estimate_all(scans)
+        expected_alarms += int(np.count_nonzero(estimates.faults & int(Fault.RESIDUAL)))
+    receiver = ArrivalReceiver(simulation.arm.name, simulation.joints)
+    programs = arm_programs(simulation.arm, driver_parameters=IMPERFECTION_PARAMETERS)
+    programs = group_programs(programs, "drivers_apart", folder)
+    with running_graph(programs, receiver, folder, "faults", interrupted) as watch:
+        watch.wait(lambda: receiver.usable_endpoints(RATES[arm]), lambda: "endpoint poses")
+        receiver.diagnostics.clear()
+        begin = {topic: receiver.count(topic) for topic in topics}
+        receiver.receive_for(seconds)
+        errors = {status.message for _, status in receiver.diagnostics if status.level == status.ERROR}
+        flags = [each.message.faults for topic in topics for each in receiver.since(topic, begin[topic])]
+    without_alarm = others * len(topics) - expected_alarms
+    low, high = betabinom.interval(BAND, len(flags), expected_alarms + 1, without_alarm + 1)
+    alarms = sum(bool(each & Fault.RESIDUAL) for each in flags)
+    return AlarmFigures(arm, tuple(sorted(errors)), len(flags), alarms, (int(low), int(high)))
+
 
 SOUND_SHARE = 0.998
 """Least share of sound scans outside of a latched period that are OK."""
-SOUND_ARMS: tuple[Arm, ...] = ("five_axis", "six_axis")
+SOUND_ARMS: tuple[ArmName, ...] = ("five_axis", "six_axis")
 QUICK_INJECTED, QUICK_CASES = 15_000, 50
 OPTIONS = (
     Option("--seed", 1985, "of motion, noise and faults", least=0),

@@ -10,8 +10,7 @@ from posor.numerics.stamps import NS
 from posor_bringup.arm_programs import arm_programs, group_programs
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 
-from posor_lab.faults.fault_arm import CYCLE_S, IMPERFECTION_PARAMETERS, IMPERFECTIONS, write_fault_arm
-from posor_lab.faults.fault_table import RowResult
+from posor_lab.faults.fault_table import CYCLE_S, IMPERFECTION_PARAMETERS, IMPERFECTIONS, RowResult, write_fault_arm
 from posor_lab.faults.pose_judge import PoseJudge
 from posor_lab.reports.arrival_receiver import ArrivalReceiver
 from posor_lab.reports.graph_receiver import running_graph
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 
     from posor.chain.arm_file import ArmFile
     from posor_bringup.arm_programs import Layout
-    from posor_bringup.supervisor import Program
+    from posor_bringup.supervisor import ProgramCommand
 
     from posor_lab.faults.fault_table import FaultRow
     from posor_lab.reports.graph_receiver import GraphWatch
@@ -98,7 +97,7 @@ class InjectionRun:
     def _write_arm(self, seed: int) -> ArmFile:
         return write_fault_arm(self.rows[0].arm, self.folder / "arm", CYCLE_S, seed)
 
-    def _programs(self) -> list[Program]:
+    def _programs(self) -> list[ProgramCommand]:
         """Return the programs of the nodes."""
         programs = arm_programs(self.arm, driver_parameters=IMPERFECTION_PARAMETERS)
         return group_programs(programs, self.LAYOUT, self.folder)

@@ -24,13 +24,13 @@ from rclpy.duration import Duration
 from rclpy.qos import LivelinessPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 
-from posor_lab.faults.fault_arm import RATES
+from posor_lab.faults.fault_table import RATES
 from posor_lab.faults.injection_run import InjectionRun
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from posor_bringup.supervisor import Program
+    from posor_bringup.supervisor import ProgramCommand
 
     from posor_lab.faults.fault_table import FaultRow
 
@@ -85,7 +85,7 @@ class MessageRun(InjectionRun):
     TITLE = "messages on {0.inject[topic]}"
     SOUND_S, FAULT_S, ACKNOWLEDGE_S, REST_S = 0.4, 0.4, 0.1, 0.4
 
-    def _programs(self) -> list[Program]:
+    def _programs(self) -> list[ProgramCommand]:
         """Return the nodes but driver_node, and but posor_node if the program plays that."""
         (self._joint,) = self.joints
         self._topic = str(self.rows[0].inject["topic"])

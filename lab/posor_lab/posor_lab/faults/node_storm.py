@@ -16,7 +16,7 @@ from posor.messages.message_definitions import MessageTypes
 from posor.model.fault import State
 from posor.node_parameters import RECORDING
 from posor.ros_names import RAW_SCAN, RAW_TOPIC, TRANSFORM_TOPIC
-from posor_bringup.supervisor import Program
+from posor_bringup.supervisor import ProgramCommand
 from posor_drivers.message_builder import raw_scan, scan_fields
 from posor_msgs.msg import JointTransform, RawScan
 from rclpy.serialization import deserialize_message
@@ -78,12 +78,12 @@ def run_node_storm(
     return total
 
 
-def posor_program(calibration: Calibration, folder: Path) -> Program:
+def posor_program(calibration: Calibration, folder: Path) -> ProgramCommand:
     """Return the program of the posor_node, whose calibration file is written to a folder."""
     path = folder / f"{calibration.name}.yaml"
     path.write_text(yaml.safe_dump(calibration.model_dump(mode="json", exclude_none=True)), encoding="utf-8")
     parameters: dict[str, Any] = {"calibration": str(path), "lossless": True, **RECORDING}
-    return Program("posor_node", "posor_estimator", "posor_node", (), NAMESPACE, parameters)
+    return ProgramCommand("posor_node", "posor_estimator", "posor_node", (), NAMESPACE, parameters)
 
 
 def play_storm(storm: Storm, player: NodePlayer, watch: GraphWatch) -> None:

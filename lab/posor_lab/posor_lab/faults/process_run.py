@@ -22,10 +22,10 @@ from lifecycle_msgs.srv import ChangeState
 from posor.numerics.stamps import NS
 from posor.ros_names import ENDPOINT_STATE_TOPIC, RAW_TOPIC
 from posor_bringup.arm_programs import arm_programs, group_programs
-from posor_bringup.supervisor import ProcessError, Program
+from posor_bringup.supervisor import ProcessError, ProgramCommand
 
 from posor_lab.faults import relay
-from posor_lab.faults.fault_arm import IMPERFECTION_PARAMETERS
+from posor_lab.faults.fault_table import IMPERFECTION_PARAMETERS
 from posor_lab.faults.injection_run import InjectionRun
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class ProcessRun(InjectionRun):
 
     TITLE = "processes, layout {0.inject[layout]}"
 
-    def _programs(self) -> list[Program]:
+    def _programs(self) -> list[ProgramCommand]:
         """Return the nodes; in separate processes with a relay between the driver and the topic of its scans."""
         programs = arm_programs(self.arm, driver_parameters=IMPERFECTION_PARAMETERS)
         if self.rows[0].inject["layout"] == "composed":
@@ -58,7 +58,7 @@ class ProcessRun(InjectionRun):
         ends = f"{link}/{RAW_TOPIC}", f"/{self.arm.name}/{self.joints[0]}/{RAW_TOPIC}"
         return [
             *(replace(each, namespace=link) if each.ends else each for each in programs),
-            Program("relay", "", str(Path(relay.__file__)), ends),
+            ProgramCommand("relay", "", str(Path(relay.__file__)), ends),
         ]
 
     def _prepare(self) -> None:

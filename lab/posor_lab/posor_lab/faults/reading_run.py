@@ -14,7 +14,7 @@ from posor.numerics.stamps import NS
 from posor.ros_names import TRANSFORM_TOPIC
 from posor_ros.message_conversion import stamp_ns
 
-from posor_lab.faults.fault_arm import fault_entry, write_fault_arm
+from posor_lab.faults.fault_table import fault_entry, write_fault_arm
 from posor_lab.faults.injection_run import InjectionRun, Span
 
 if TYPE_CHECKING:

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     import pinocchio as pin
-    from posor_bringup.supervisor import Parameter, Program
+    from posor_bringup.supervisor import Parameter, ProgramCommand
     from posor_drivers.simulator.arm_simulation import ArmSimulation
 
     from posor_lab.fuzz.message_fuzz import MessageFuzz
@@ -68,7 +68,7 @@ class NodeFuzz(ABC):
     player: NodePlayer
     watch: GraphWatch
 
-    def __init__(self, program: Program, fuzz: MessageFuzz, inputs: Sequence[Topic], answer: Topic) -> None:
+    def __init__(self, program: ProgramCommand, fuzz: MessageFuzz, inputs: Sequence[Topic], answer: Topic) -> None:
         """Prepare; inputs and answer of the node as in ``NodePlayer``."""
         self._program, self.fuzz, self._inputs, self._answer = program, fuzz, inputs, answer
         self.acknowledged, self.slowest_s = 0, 0.0

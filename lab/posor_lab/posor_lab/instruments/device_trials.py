@@ -1,23 +1,28 @@
 """The trials: for each kind of device a server over real sockets, and the instruments file that fits.
 
-``device_trials.yaml`` lists them.
+``device_trials.yaml`` lists them. The clock of a device cannot show its least delay, so an instruments file states it:
+measured on this host as a user measures a device, by a channel whose motion is known.
 """
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import yaml
+from posor.errors import TopicError
+from posor.numerics.stamps import NS
+from posor_drivers.instruments.device_reader import DeviceReader
+from posor_drivers.instruments.stream_device import StreamDevice, StreamSettings
 
 from posor_lab.device_servers.capancdt_server import CapaNcdtServer
-from posor_lab.device_servers.labjack_server import LabJackServer
-from posor_lab.device_servers.labjack_stream_server import LabJackStreamServer
+from posor_lab.device_servers.labjack_server import LabJackServer, LabJackStreamServer
 from posor_lab.device_servers.scpi_server import FIRST_CHANNEL, ScpiServer
 from posor_lab.device_servers.stream_server import LEAD, MAGIC, StreamServer
-from posor_lab.instruments.least_delay import measure_least_delay
 from posor_lab.instruments.simulated_readings import quantity
 
 if TYPE_CHECKING:
@@ -26,6 +31,50 @@ if TYPE_CHECKING:
     from threading import Event
 
     from posor_lab.instruments.simulated_readings import SimulatedReadings
+
+SECONDS, TIMEOUT_S = 3.0, 10.0
+STEP_S, AGE_NS = 0.005, NS // 10
+CYCLE_NS = 100 * NS
+
+
+def measure_least_delay(rate: float) -> float:
+    """Return how much the stamps of frames from a server are late [s], at frames per second."""
+    with StreamServer(_seconds, rate) as server:
+        settings = {
+            "kind": "stream",
+            "transport": "tcp",
+            "host": "127.0.0.1",
+            "port": server.port,
+            "rate": quantity(rate, "Hz"),
+            "format": f"{LEAD}d",
+            "fields": ["magic", "counter", "time"],
+            "channels": {"time": {"unit": "s"}},
+        }
+        reader = DeviceReader(StreamDevice("clock", StreamSettings.model_validate(settings)))
+        reader.start()
+        try:
+            return float(np.median(_late_s(reader)))
+        finally:
+            reader.stop()
+
+
+def _seconds(time_ns: int) -> list[float]:
+    return [time_ns % CYCLE_NS / NS]
+
+
+def _late_s(reader: DeviceReader) -> list[float]:
+    """Return by how much the values are older than the times that they were asked for [s]."""
+    late: list[float] = []
+    start_s = time.monotonic()
+    while len(late) < SECONDS / STEP_S:
+        if time.monotonic() - start_s > TIMEOUT_S:
+            raise TopicError(f"no frames within {TIMEOUT_S:g} s", where="least delay", expected="a server that sends")
+        time.sleep(STEP_S)
+        at_ns = time.time_ns() - AGE_NS
+        if (values := reader.values_at(at_ns)) is not None:
+            late.append(_seconds(at_ns)[0] - float(values[0]))
+    return late
+
 
 Entries = dict[str, dict[str, Any]]
 RANGE_M = 5e-4

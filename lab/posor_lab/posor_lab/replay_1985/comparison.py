@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from posor_lab.replay_1985.printed_results import PrintedColumns
 
-Kind = Literal["sd", "max"]
+FigureKind = Literal["sd", "max"]
 
 STEPS: Mapping[Bag, int] = {"ymo": 15, "yzmo": 14, "zmo": 20}  # number of steps of each test, appendix 8B
 WITHOUT_POSE: Mapping[Bag, Mapping[int, str]] = {
@@ -31,7 +31,7 @@ WITHOUT_POSE: Mapping[Bag, Mapping[int, str]] = {
     "zmo": {},
 }
 """Steps that must be refused, and the reason."""
-KIND_NAMES: Mapping[Kind, str] = {"sd": "standard deviation", "max": "largest"}
+KIND_NAMES: Mapping[FigureKind, str] = {"sd": "standard deviation", "max": "largest"}
 PRINTED_LIMITS: Mapping[Angle, float] = {"alpha": 1.0, "beta": 1.0, "theta": 6.0}
 """Largest difference from a printed POSOR column [urad]: rounding, and for theta the error of the derived diode map."""
 DERIVED_MAP = "; limit: the 1985 diode map is lost, and the derived one leaves some urad"
@@ -47,7 +47,7 @@ class Expectation:
     """One figure of the error against the machining centre, over all steps that gave a pose."""
 
     angle: Angle
-    kind: Kind  # standard deviation or largest magnitude
+    kind: FigureKind  # standard deviation or largest magnitude
     stated: float | None  # figure of the thesis [urad]; None: the thesis states none
     low: float | None  # lower limit [urad]
     high: float | None  # upper limit [urad]; None: the figure is not judged
@@ -69,7 +69,7 @@ def expectations(bag: Bag, calibration: CalibrationName) -> tuple[Expectation, .
         if (row["test"], row["calibration"]) == (bag, calibration):
             where = f"{path}, {bag} {row['angle']}"
             stated, low, high = (parse_number(row, name, where) if row[name] else None for name in limits)
-            angle, kind = cast("Angle", row["angle"]), cast("Kind", row["kind"])
+            angle, kind = cast("Angle", row["angle"]), cast("FigureKind", row["kind"])
             found.append(Expectation(angle, kind, stated, low, high, row["source"], row["remark"]))
     return tuple(found)
 

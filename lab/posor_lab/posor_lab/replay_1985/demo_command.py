@@ -29,12 +29,10 @@ from posor_lab.replay_1985.printed_results import (
     read_predicted_errors,
     read_printed,
 )
-from posor_lab.replay_1985.replay import Replay, ReplayPlan
+from posor_lab.replay_1985.replay import Replay, ReplayPlan, StepCollector
 from posor_lab.replay_1985.replay_report import HEADINGS, replay_page, replay_provenance, verdict_sentence
-from posor_lab.replay_1985.step_collector import StepCollector
 from posor_lab.replay_1985.step_table import LiveTable, steps_as_csv
-from posor_lab.reports.findings import print_findings
-from posor_lab.reports.findings_program import exit_code_of_findings
+from posor_lab.reports.findings import exit_code_of_findings, print_findings
 from posor_lab.thesis_data import data_path
 
 if TYPE_CHECKING:

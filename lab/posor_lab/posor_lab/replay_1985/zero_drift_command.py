@@ -23,8 +23,7 @@ from scipy.constants import inch
 
 from posor_lab.output_files import page_notes
 from posor_lab.replay_1985.motion_test import TRUTH_LEVER
-from posor_lab.reports.findings import Finding, Findings, judge, print_findings
-from posor_lab.reports.findings_program import exit_code_of_findings
+from posor_lab.reports.findings import Finding, Findings, exit_code_of_findings, judge, print_findings
 from posor_lab.thesis_data import URAD
 
 if TYPE_CHECKING:

@@ -7,13 +7,20 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 from posor.reporting.html_page import Cell, table
+from posor.reporting.program_errors import reports_errors
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from markupsafe import Markup
     from rich.console import Console
+
+
+@reports_errors
+def exit_code_of_findings(program: Callable[[], Findings]) -> int:
+    """Run ``program``; return 0 if its findings hold, 1 if not, or write a PosorError and return its exit code."""
+    return int(not program().holds)
 
 
 class Verdict(Enum):

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
-    from posor_bringup.supervisor import Program, RunningProgram
+    from posor_bringup.supervisor import ProgramCommand, RunningProgram
 
 MessageT = TypeVar("MessageT")
 
@@ -205,7 +205,7 @@ class GraphWatch:
 
 @contextmanager
 def running_graph(
-    programs: Sequence[Program],
+    programs: Sequence[ProgramCommand],
     receiver: GraphReceiver,
     folder: Path,
     run_name: str,

@@ -17,8 +17,7 @@ from rich.console import Console
 
 from posor_lab.output_files import check_writable, write_json
 from posor_lab.reports.console_progress import InterruptedRunError, StageProgress
-from posor_lab.reports.findings import FIGURE_HEADINGS, print_findings, print_verdict
-from posor_lab.reports.findings_program import exit_code_of_findings
+from posor_lab.reports.findings import FIGURE_HEADINGS, exit_code_of_findings, print_findings, print_verdict
 
 if TYPE_CHECKING:
     from argparse import Namespace

@@ -18,8 +18,7 @@ from posor_design.interferometry import air_effects
 from scipy.constants import inch
 from scipy.optimize import brentq
 
-from posor_lab.thesis_data import data_path, read_table
-from posor_lab.thesis_table.printed_units import amount
+from posor_lab.thesis_data import amount, data_path, read_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

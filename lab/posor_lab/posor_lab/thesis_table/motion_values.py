@@ -14,7 +14,6 @@ from posor_calibration.attitude_fit import deviation_from_first
 
 from posor_lab.replay_1985.comparison import KIND_NAMES, UNDER_TABLE, error_figure, expectations
 from posor_lab.replay_1985.end_of_beam import EndOfBeamProgram, SensorNoise, simulated_errors
-from posor_lab.replay_1985.motion_plots import plot_angles
 from posor_lab.replay_1985.motion_test import ANGLES, offline_motion_test
 from posor_lab.replay_1985.printed_results import (
     COLUMNS,
@@ -25,6 +24,7 @@ from posor_lab.replay_1985.printed_results import (
     read_predicted_errors,
     read_printed,
 )
+from posor_lab.replay_1985.replay_report import plot_angles
 from posor_lab.thesis_budgets.chapter5 import root_sum_square
 from posor_lab.thesis_budgets.motion_predictions import (
     READOUT,

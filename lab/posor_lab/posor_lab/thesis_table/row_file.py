@@ -32,8 +32,8 @@ import yaml
 from posor.calibration.yaml_document import StrictLoader
 from posor.errors import DataFileError, similar_name
 
+from posor_lab.thesis_data import amount
 from posor_lab.thesis_table.formulas import ARITHMETIC
-from posor_lab.thesis_table.printed_units import amount
 from posor_lab.thesis_table.thesis_row import Agreement, ComparisonKind, ThesisRow
 
 if TYPE_CHECKING:

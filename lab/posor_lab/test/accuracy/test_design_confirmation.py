@@ -11,8 +11,7 @@ from posor_design.layout_geometry import LayoutKind, Shares, arrange
 from posor_design.layout_search import SearchResult
 from posor_design.posor_output import REQUIREMENT, output_files, requirement_text, write_files
 from posor_design.requirement import Requirement
-from posor_lab.accuracy.accuracy_command import main
-from posor_lab.accuracy.design_confirmation import confirm_design
+from posor_lab.accuracy.accuracy_command import confirm_design, main
 
 if TYPE_CHECKING:
     from pathlib import Path

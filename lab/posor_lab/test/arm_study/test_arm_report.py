@@ -15,7 +15,6 @@ from posor_drivers.simulator.pose_array import PoseArray
 from posor_lab.accuracy.consistency import MeanEstimate
 from posor_lab.arm_study.arm_budget_command import arm_budget
 from posor_lab.arm_study.arm_coverage import Coverage
-from posor_lab.arm_study.arm_live_table import ArmLiveTable
 from posor_lab.arm_study.arm_record import (
     CHAIN,
     GIVEN_UP,
@@ -29,6 +28,7 @@ from posor_lab.arm_study.arm_record import (
     rms,
 )
 from posor_lab.arm_study.arm_report import ArmOutcome, arm_figures, arm_findings, arm_page
+from posor_lab.arm_study.arm_run import ArmLiveTable
 from posor_lab.harness.report_page import ReportPage
 from posor_lab.reports.findings import Verdict
 from rich.console import Console

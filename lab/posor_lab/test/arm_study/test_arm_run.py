@@ -10,9 +10,8 @@ from posor_bringup.arm_programs import arm_programs
 from posor_bringup.arms import load_checked_arm
 from posor_bringup.supervisor import ProcessError, Supervisor
 from posor_drivers.simulator.arm_simulation import ArmSimulation
-from posor_lab.arm_study.arm_live_table import ArmLiveTable
 from posor_lab.arm_study.arm_receiver import ArmReceiver
-from posor_lab.arm_study.arm_run import ArmRun
+from posor_lab.arm_study.arm_run import ArmLiveTable, ArmRun
 from posor_lab.reports import graph_receiver
 from posor_ros.node_program import ros_context
 from rich.console import Console

@@ -6,8 +6,7 @@ from threading import Thread
 from time import sleep
 
 import pytest
-from posor_lab.benchmark.stage_profile import STAGES
-from posor_lab.benchmark.stopwatch import Stopwatches
+from posor_lab.benchmark.stage_profile import STAGES, Stopwatches
 
 
 def test_time_of_a_stage_excludes_the_stages_that_it_calls() -> None:

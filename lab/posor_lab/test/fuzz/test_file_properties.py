@@ -15,7 +15,7 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from posor.errors import PosorError
-from posor_lab.fuzz.file_fuzz import readers
+from posor_lab.fuzz.fuzz_command import readers
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 from posor.numerics.compiled import COMPILING
 from posor_bringup.arms import load_checked_arm
-from posor_lab.fuzz.file_fuzz import fuzz_files, readers
-from posor_lab.fuzz.fuzz_command import main
+from posor_lab.fuzz.fuzz_command import fuzz_files, main, readers
 from posor_lab.fuzz.message_fuzz import ScanFuzz, TransformFuzz, changed_readings, fuzz_simulation, record
 from posor_lab.fuzz.mutation import MUTATIONS, mutate
 from posor_lab.fuzz.node_fuzz import NodeScanFuzz, NodeTransformFuzz

@@ -9,7 +9,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PointStamped, PoseStamped
 from posor.model.fault import State
-from posor_lab.replay_1985.step_collector import StepCollector
+from posor_lab.replay_1985.replay import StepCollector
 from posor_msgs.msg import JointTransform
 from posor_ros.node_program import ros_context
 from posor_ros.qos import KEEP_ALL_QOS

@@ -14,8 +14,7 @@ from posor_lab.thesis_budgets.budget_tables import budget_tables
 from posor_lab.thesis_table import thesis_table_command
 from posor_lab.thesis_table.row_file import RowFile
 from posor_lab.thesis_table.thesis_row import Agreement, ComparisonKind, ThesisRow
-from posor_lab.thesis_table.thesis_table import Subject, all_rows, format_cells, row_files, summary
-from posor_lab.thesis_table.thesis_table_command import main
+from posor_lab.thesis_table.thesis_table_command import Subject, all_rows, format_cells, main, row_files, summary
 
 pytestmark = pytest.mark.timeout(300)
 COMPUTED = ComparisonKind.COMPUTED.value

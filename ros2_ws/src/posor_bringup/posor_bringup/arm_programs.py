@@ -12,7 +12,7 @@ from posor.errors import ParameterError
 from posor.node_parameters import RECORDING
 from posor_drivers.sources.source import LiveSource, load_source_class
 
-from posor_bringup.supervisor import Program
+from posor_bringup.supervisor import ProgramCommand
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -36,7 +36,7 @@ def arm_programs(
     driver_parameters: Mapping[str, Parameter] | None = None,
     chain_parameters: Mapping[str, Parameter] | None = None,
     parameters: Mapping[str, Parameter] | None = None,
-) -> list[Program]:
+) -> list[ProgramCommand]:
     """Return one program for each node, subscribers first: chain_node, then posor_node and driver_node of each joint.
 
     Args:
@@ -64,12 +64,12 @@ def arm_programs(
     return programs
 
 
-def _arm_node(package: str, executable: str, namespace: str, parameters: Mapping[str, Parameter]) -> Program:
+def _arm_node(package: str, executable: str, namespace: str, parameters: Mapping[str, Parameter]) -> ProgramCommand:
     """Return the program of one node in the namespace of its arm or joint."""
     joint = "".join(f"{name}/" for name in namespace.split("/")[2:])
     ends = executable == "driver_node"
     enclave = f"{namespace}/{executable}"
-    return Program(f"{joint}{executable}", package, executable, (), namespace, parameters, ends, enclave)
+    return ProgramCommand(f"{joint}{executable}", package, executable, (), namespace, parameters, ends, enclave)
 
 
 def _freshness(arm: ArmFile, driver_parameters: Mapping[str, Parameter]) -> Mapping[str, Parameter]:
@@ -105,7 +105,7 @@ def _fill_placeholders(text: str, known: Mapping[str, str], where: str) -> str:
     return _PLACEHOLDER.sub(replacement, text)
 
 
-def group_programs(programs: Sequence[Program], layout: Layout, folder: Path) -> list[Program]:
+def group_programs(programs: Sequence[ProgramCommand], layout: Layout, folder: Path) -> list[ProgramCommand]:
     """Return programs that run the same nodes in fewer processes.
 
     ``programs`` are of one node each, subscribers first; ``folder`` exists and receives the composition files.
@@ -119,7 +119,7 @@ def group_programs(programs: Sequence[Program], layout: Layout, folder: Path) ->
     return [_compose(name, group, folder) for name, group in groups.items() if group]
 
 
-def _compose(name: str, programs: Sequence[Program], folder: Path) -> Program:
+def _compose(name: str, programs: Sequence[ProgramCommand], folder: Path) -> ProgramCommand:
     """Return a program that runs the nodes of several programs in one process; write its composition file."""
     nodes = [
         {"node": program.executable, "namespace": program.namespace or "/", "parameters": dict(program.parameters)}
@@ -130,4 +130,4 @@ def _compose(name: str, programs: Sequence[Program], folder: Path) -> Program:
     path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
     ends = all(program.ends for program in programs)
     enclave = "/".join(["", *programs[0].namespace.split("/")[1:2], "compose"])
-    return Program(name, "posor_estimator", "compose", (str(path),), ends=ends, enclave=enclave)
+    return ProgramCommand(name, "posor_estimator", "compose", (str(path),), ends=ends, enclave=enclave)

@@ -42,7 +42,7 @@ class ProcessError(PosorError):
 
 
 @dataclass(frozen=True)
-class Program:
+class ProgramCommand:
     """A program and its options."""
 
     name: str  # name in messages and of the log file
@@ -85,7 +85,7 @@ class Program:
 class RunningProgram:
     """A started program; its output goes to a log file."""
 
-    def __init__(self, program: Program, log: Path) -> None:
+    def __init__(self, program: ProgramCommand, log: Path) -> None:
         """Start a program with its output in ``log``."""
         self.program = program
         self.log = log
@@ -172,7 +172,7 @@ class Supervisor:
                 raise
             error.add_note(f"While the programs were ended: {failure}")
 
-    def start(self, program: Program) -> RunningProgram:
+    def start(self, program: ProgramCommand) -> RunningProgram:
         """Start a program.
 
         Raises:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from posor_drivers.instruments.device import DeviceError
 from posor_drivers.instruments.labjack_stream_device import LabJackStreamDevice, LabJackStreamSettings
-from posor_lab.device_servers.labjack_stream_server import LabJackStreamServer
+from posor_lab.device_servers.labjack_server import LabJackStreamServer
 
 from .device_states import running, wait_for, wait_for_fault, wait_for_frames
 
