@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from functools import cache
+from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import yaml
 from posor.errors import ParameterError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 
 def check_writable(path: Path) -> Path:
@@ -57,3 +56,11 @@ def page_notes(page: str) -> dict[str, Any]:
     text = Path(__file__).with_name("page_notes.yaml").read_text(encoding="utf-8")
     content: dict[str, dict[str, Any]] = yaml.safe_load(text)
     return content[page]
+
+
+def figures_of(source: object, names: Mapping[str, Any]) -> dict[str, Any]:
+    """Return figures for JSON by key; a name is the path of an attribute (``inside.value``), or a mapping of names."""
+    return {
+        key: figures_of(source, name) if isinstance(name, Mapping) else attrgetter(name)(source)
+        for key, name in names.items()
+    }

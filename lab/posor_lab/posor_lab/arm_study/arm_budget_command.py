@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from posor.chain.arm_file import load_arm_file
 from posor.chain.kinematic_chain import load_chain
-from posor.errors import ChainError, ParameterError
+from posor.errors import ChainError, DataFileError, ParameterError
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.uncertainty.budget_poses import model_covariances
@@ -19,16 +19,10 @@ from posor_bringup.installed import share
 from posor_design.endpoint_budget import Spread, configurations, endpoint_budget, monte_carlo, thesis_covariance
 from rich.console import Console
 from rich.table import Table
+from scipy.constants import inch
 
-from posor_lab.arm_study.thesis_robot import (
-    ENDPOINT_FILE,
-    JOINTS_FILE,
-    PrintedEndpoint,
-    read_endpoint,
-    read_joints,
-)
 from posor_lab.output_files import check_writable, write_json
-from posor_lab.thesis_data import MICROINCH, URAD, data_path
+from posor_lab.thesis_data import MICROINCH, URAD, data_path, parse_number, read_numbers, read_table
 
 if TYPE_CHECKING:
     import argparse
@@ -41,6 +35,14 @@ if TYPE_CHECKING:
 DRAWS = 10_000
 SEED = 1985
 FIGURES = ("alpha_x_urad", "alpha_y_urad", "alpha_z_urad", "dx_uin", "dy_uin", "dz_uin", "displacement_uin")
+
+JOINTS_FILE = "error_budget_five_axis_robot.csv"
+ENDPOINT_FILE = "error_budget_robot_endpoint.csv"
+SENSORS_ONLY = "9.3.1"  # section of the endpoint errors by the sensors alone
+CONFIGURATIONS: Mapping[str, str] = {"extended": "fully extended", "bent": "bent wrist"}
+"""Names of the configurations in the table."""
+PRINTED = ("alpha_X_urad", "alpha_Y_urad", "alpha_Z_urad", "dX_uin", "dY_uin", "dZ_uin", "total_uin")
+"""Columns of ``FIGURES`` in the table."""
 
 THESIS, NOISE, WHOLE = "thesis", "sensor_noise", "sensor_models"
 TITLES = {
@@ -55,7 +57,34 @@ def thesis_arm_path() -> Path:
     return share() / "arms" / "five_axis" / "arm.yaml"
 
 
-def _spread_figures(spread: Spread | PrintedEndpoint) -> dict[str, float]:
+def read_joints(path: Path) -> dict[str, float]:
+    """Return the outside diameters [m] of the joints' POSORs by their names in the URDF, from base to wrist.
+
+    Raises:
+        DataFileError: The file cannot be read, lacks a column, or has an invalid number.
+
+    """
+    return {name.replace(" ", "_"): od * inch for name, od in read_numbers(path, "joint", "posor_od_in").items()}
+
+
+def read_endpoint(path: Path) -> dict[str, dict[str, float]]:
+    """Return the printed ``FIGURES`` of the endpoint by the sensors alone, by configuration.
+
+    Raises:
+        DataFileError: The file cannot be read, lacks a column or a configuration, or has an invalid number.
+
+    """
+    rows, printed = read_table(path, ["section", "configuration", *PRINTED]), {}
+    for name, printed_name in CONFIGURATIONS.items():
+        row = next((r for r in rows if (r["section"], r["configuration"]) == (SENSORS_ONLY, printed_name)), None)
+        if row is None:
+            raise DataFileError(f"no row of section {SENSORS_ONLY} for '{printed_name}'", where=str(path))
+        numbers = (parse_number(row, column, f"{path}, row '{printed_name}'") for column in PRINTED)
+        printed[name] = dict(zip(FIGURES, numbers, strict=True))
+    return printed
+
+
+def _spread_figures(spread: Spread) -> dict[str, float]:
     turns, shifts = (spread.orientation / URAD).tolist(), (spread.displacement / MICROINCH).tolist()
     return dict(zip(FIGURES, [*turns, *shifts, spread.total / MICROINCH], strict=True))
 
@@ -67,10 +96,6 @@ def arm_budget(arm: ArmFile, draws: int = DRAWS) -> dict[str, dict[str, Any]]:
     ``sensor_models``, and ``thesis`` if the arm is the installed five-axis arm. Each source also has the
     same figures by ``monte_carlo``, and ``contributions``. The configuration itself has the figures of ``thesis``, or
     else of ``sensor_models``; ``printed`` are the figures printed in the thesis.
-
-    Args:
-        arm: The arm.
-        draws: Draws of a Monte Carlo run.
 
     Raises:
         PosorError: A file of the arm is invalid, or its POSORs cannot be read at zero angles.
@@ -96,13 +121,13 @@ def arm_budget(arm: ArmFile, draws: int = DRAWS) -> dict[str, dict[str, Any]]:
             WHOLE: (chain, {name: random[name] + systematic[name] for name in names}),
         }
         if is_thesis_robot:
-            thesis = {name: thesis_covariance(joint.outside_diameter) for name, joint in joints.items()}
+            thesis = {name: thesis_covariance(diameter) for name, diameter in joints.items()}
             cases = {THESIS: (straight, thesis), **cases}
         budgets = {name: _case_budget(case, angles, covariances, draws) for name, (case, covariances) in cases.items()}
         selected = budgets[THESIS if is_thesis_robot else WHOLE]
         result[configuration] = {**{name: selected[name] for name in FIGURES}, **budgets}
         if is_thesis_robot:
-            result[configuration]["printed"] = _spread_figures(printed[configuration])
+            result[configuration]["printed"] = printed[configuration]
     return result
 
 

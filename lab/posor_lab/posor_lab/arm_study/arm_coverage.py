@@ -79,13 +79,8 @@ def arm_coverage(
 ) -> Coverage:
     """Return how published uncertainty and predicted sag hold for many arms with the files of ``arm``.
 
-    The seeds of the arms follow the seed of the scenario, which is that of the live run.
-
-    Args:
-        arm: The arm; it has a scenario and a beams file.
-        arms: Number of arms, two or more.
-        poses: Poses of each arm, evenly spread over the scenario.
-        on_drawn: Called with the number of newly drawn arms; an exception ends the run.
+    The seeds of the arms follow the seed of the scenario, which is that of the live run; the poses are evenly spread
+    over the scenario. ``on_drawn`` is called with the number of newly drawn arms; its exception ends the run.
 
     Raises:
         PosorError: The arm has no scenario or no beams file, or a file is invalid.
@@ -212,14 +207,7 @@ def sample_arms(
 ) -> ArmSample:
     """Draw many arms, with seeds from ``seed`` on, in several processes; the result does not depend on their number.
 
-    Args:
-        arm: The arm.
-        arms: Number of arms.
-        poses: Poses of each arm.
-        seed: Seed of the first arm.
-        workers: Processes; 0: one for each processor.
-        on_drawn: Called with the number of newly drawn arms; an exception ends the run.
-
+    ``workers`` of 0: one for each processor; ``on_drawn`` as in ``arm_coverage``.
     """
     batches = [range(begin, min(begin + BATCH, seed + arms)) for begin in range(seed, seed + arms, BATCH)]
     draw = partial(_draw, arm.path, poses)

@@ -13,7 +13,7 @@ from posor.reporting.html_page import Section, bullet_list, definition_list, par
 from posor_lab.accuracy.consistency import REGION
 from posor_lab.arm_study.arm_plots import plot_axes, plot_controller, plot_coverage, plot_path
 from posor_lab.arm_study.arm_record import rms
-from posor_lab.output_files import page_notes
+from posor_lab.output_files import figures_of, page_notes
 from posor_lab.reports.findings import COMPARISON_HEADINGS, Finding, Findings, findings_table, judge
 from posor_lab.thesis_data import MICROINCH
 
@@ -228,12 +228,7 @@ def arm_figures(outcome: ArmOutcome) -> dict[str, Any]:
     before, after = outcome.before, outcome.after
     if before is not None and outcome.ticks is not None:
         figures |= _endpoint_figures(before)
-        figures["ticks"] = {
-            "recorded": outcome.ticks.ticks,
-            "with_pose": outcome.ticks.poses,
-            "without_pose_by_cause": dict(outcome.ticks.causes),
-            "unaccounted": outcome.ticks.unaccounted,
-        }
+        figures["ticks"] = figures_of(outcome.ticks, page_notes("arm")["ticks"])
         if after is not None:
             distances = {"before": before.target_distances, "after": after.target_distances}
             figures["controller"] = {
@@ -256,22 +251,7 @@ def _endpoint_figures(record: ArmRecord) -> dict[str, Any]:
 
 
 def _coverage_figures(coverage: Coverage) -> dict[str, Any]:
-    return {
-        "coverage95": coverage.inside.value,
-        "coverage": {
-            "standard_uncertainty": coverage.inside.sigma,
-            "arms": coverage.arms,
-            "poses_of_each": coverage.poses,
-            "poses_lost": coverage.lost,
-            "nees_mean": coverage.nees.value,
-            "error_rms_m": coverage.rms_m,
-        },
-        "sag": {
-            "error_rms_uncorrected_m": coverage.rms_without_sag_m,
-            "error_rms_corrected_m": coverage.rms_m,
-            "displacement_found_over_predicted": coverage.shift_ratio.value,
-            "standard_uncertainty": coverage.shift_ratio.sigma,
-            "displacement_found_m": np.linalg.norm(coverage.shift_found_m, axis=1).tolist(),
-            "displacement_predicted_m": np.linalg.norm(coverage.shift_predicted_m, axis=1).tolist(),
-        },
-    }
+    figures = figures_of(coverage, page_notes("arm")["figures"])
+    shifts = {"found": coverage.shift_found_m, "predicted": coverage.shift_predicted_m}
+    figures["sag"] |= {f"displacement_{name}_m": np.linalg.norm(each, axis=1).tolist() for name, each in shifts.items()}
+    return figures

@@ -66,15 +66,7 @@ class ArmLiveTable(LiveView):
             self.line(f"{self._title}: {text}")
 
     def show_tick(self, newest: ArmRecord, ticks: int, without_pose: int, speed: float) -> None:
-        """Show a tick.
-
-        Args:
-            newest: Record whose last tick is shown.
-            ticks: Number of ticks received so far.
-            without_pose: Number of these without a pose.
-            speed: Speed of the arm's clock relative to the wall clock.
-
-        """
+        """Show the last tick of a record, how many ticks came and had no pose, and the speed of the clock."""
         caption = (
             f"NEES {newest.normalised[-1]:.1f} (6 expected); "
             f"scans {ticks}, without pose {without_pose}; speed {100.0 * speed:.0f} %"
@@ -151,17 +143,7 @@ class ArmRun:
         driver_parameters: Mapping[str, Parameter] | None = None,
         interrupted: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Prepare; nothing is started yet.
-
-        Args:
-            simulation: The arm as all drivers simulate it.
-            supervisor: Starts and ends the processes.
-            receiver: Receives the messages.
-            table: Shows the progress.
-            driver_parameters: ROS parameters of the drivers, such as ``simulated.sag``.
-            interrupted: Whether the user has interrupted the run.
-
-        """
+        """Prepare; nothing is started yet. ``driver_parameters``: such as ``simulated.sag``."""
         self._arm, self._rate = simulation.arm, simulation.scenario.ticks_per_second
         self._supervisor, self._receiver, self._table = supervisor, receiver, table
         self._driver_parameters = driver_parameters or {}

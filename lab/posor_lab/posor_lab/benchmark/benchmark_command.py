@@ -24,9 +24,9 @@ from posor_lab.benchmark.benchmark_tables import host_lines, result_tables
 from posor_lab.benchmark.graph_load import LAYOUTS
 from posor_lab.benchmark.graph_measurement import GraphMeasurement
 from posor_lab.benchmark.growth_lines import growth_page
-from posor_lab.benchmark.host_state import host_description
 from posor_lab.benchmark.offline_benchmark import SECONDS
 from posor_lab.benchmark.pass_through_nodes import register_nodes
+from posor_lab.benchmark.tick_statistics import host_description
 from posor_lab.output_files import check_writable, write_json
 from posor_lab.reports.console_progress import InterruptedRunError
 from posor_lab.reports.trial_program import Option

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import reduce
+from functools import partial, reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,29 +71,17 @@ def result_tables(results: Mapping[str, Any]) -> dict[str, FigureTable]:
     """Return the tables of all measured sections by name."""
     name = next((key.removeprefix(GRAPH) for key in results if key.startswith(GRAPH)), "")
     single = [(text, _format_figure(results[key])) for key, text in TEXTS["single"].items() if key in results]
-    makers: dict[str, tuple[bool, Callable[[], FigureTable | None]]] = {
-        "graph": (bool(name), lambda: _graph_table(name, results)),
-        "empty_loop": ("empty_loop" in results, lambda: _empty_loop_table(results["empty_loop"])),
-        "layouts": (
-            "layouts" in results,
-            lambda: _latency_table(
-                "Nodes that share a process", {LAYOUTS[layout]: run for layout, run in results["layouts"].items()}
-            ),
-        ),
-        "waiting": ("waiting" in results, lambda: _latency_table("How drivers wait for a tick", results["waiting"])),
-        "growth": (
-            "growth" in results,
-            lambda: _latency_table(
-                "Growth: all nodes in one process",
-                {f"{point['joints']} x {point['rate']} Hz": point for point in results["growth"]},
-            ),
-        ),
-        "profile": ("profile" in results, lambda: _profile_table(results["profile"])),
-        "offline": ("offline_scans_per_s" in results, lambda: _offline_table(results)),
-        "single": (bool(single), lambda: FigureTable("Single figures", ("", "figure"), single)),
-        "aims": (True, lambda: aims_table([results])),
-    }
-    tables = {key: make() for key, (is_measured, make) in makers.items() if is_measured}
+    tables: dict[str, FigureTable | None] = {}
+    if name:
+        tables["graph"] = _graph_table(name, results)
+    for key, make in TABLES.items():
+        if key in results:
+            tables[key] = make(results[key])
+    if "offline_scans_per_s" in results:
+        tables["offline"] = _offline_table(results)
+    if single:
+        tables["single"] = FigureTable("Single figures", ("", "figure"), single)
+    tables["aims"] = aims_table([results])
     return {key: table for key, table in tables.items() if table is not None}
 
 
@@ -179,3 +167,17 @@ def _offline_table(results: Mapping[str, Any]) -> FigureTable:
     speeds = [(text, results[key]) for key, text in TEXTS["offline"].items()]
     rows = [(text, f"{speed:,.0f}", f"{speeds[0][1] / speed:.1f}") for text, speed in speeds]
     return FigureTable("Offline processing", ("loop", "scans/s per core", "`reprocess` is faster by"), rows)
+
+
+TABLES: Mapping[str, Callable[[Any], FigureTable]] = {
+    "empty_loop": _empty_loop_table,
+    "layouts": lambda runs: _latency_table(
+        "Nodes that share a process", {LAYOUTS[layout]: run for layout, run in runs.items()}
+    ),
+    "waiting": partial(_latency_table, "How drivers wait for a tick"),
+    "growth": lambda points: _latency_table(
+        "Growth: all nodes in one process", {f"{point['joints']} x {point['rate']} Hz": point for point in points}
+    ),
+    "profile": _profile_table,
+}
+"""Tables of single sections of the results, by their keys."""

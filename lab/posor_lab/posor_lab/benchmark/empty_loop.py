@@ -17,8 +17,7 @@ from posor.numerics.stamps import first_tick_after, tick_stamp_ns
 from posor_drivers.ros_clock import WallClock, disable_timer_slack
 from posor_ros.node_program import StopSignal, non_ros_arguments
 
-from posor_lab.benchmark.host_state import stolen_s
-from posor_lab.benchmark.tick_statistics import percentiles_us
+from posor_lab.benchmark.tick_statistics import percentiles_us, stolen_s
 
 if TYPE_CHECKING:
     from collections.abc import Callable

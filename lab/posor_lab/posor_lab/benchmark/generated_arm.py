@@ -45,15 +45,8 @@ SIMULATED = Imperfections(dropouts=False, calibration_errors=False, beam_errors=
 PROVENANCE = {"source": "assumed", "method": f"made of the parts of {PARTS} by the benchmark", "date": "none"}
 
 
-def generate_arm(folder: Path, joints: int, scans: Path) -> ArmFile:
-    """Write the files of an arm and load it.
-
-    Args:
-        folder: New folder of the files.
-        joints: Number of POSORs.
-        scans: Bag that its drivers play, see ``record_scans``.
-
-    """
+def generate_arm(folder: Path, joints: int, scans: Path) -> Arm:
+    """Write the files of an arm into a new folder and load it; its drivers play the bag ``scans``."""
     folder.mkdir(parents=True)
     parts = load_checked_arm(PARTS)
     chain = _Chain(parts, joints)
@@ -80,11 +73,7 @@ def generate_arm(folder: Path, joints: int, scans: Path) -> ArmFile:
 def record_scans(arm: ArmFile, path: Path, fault_interval: int = 0) -> None:
     """Write the scans of one cycle of an arm's scenario into a new bag.
 
-    Args:
-        arm: The arm.
-        path: Path of the bag.
-        fault_interval: Scans of the first joint from one without a reading to the next; 0: no faults.
-
+    ``fault_interval``: scans of the first joint from one without a reading to the next; 0: no faults.
     """
     simulation, types = ArmSimulation(arm, SIMULATED), MessageTypes()
     make, ticks = SimulatedMessages(types, simulation), np.arange(1, TICKS + 1)

@@ -60,12 +60,7 @@ class DiagnosticsReceiver(GraphReceiver):
 
 
 class GraphMeasurement:
-    """Measures graphs; the process must be in its own ROS domain, with ROS initialised.
-
-    Attributes:
-        folder: Folder of the last run.
-
-    """
+    """Measures graphs; needs its own ROS domain, with ROS initialised. ``folder`` is that of the last run."""
 
     folder: Path
 

@@ -48,13 +48,9 @@ def offline_figures(
 ) -> dict[str, float | list[float]]:
     """Return the speed of offline processing of an arm's scans, in scans per second of processor time.
 
-    Args:
-        arm: The arm.
-        bag: Scans of all its joints that end where they begin.
-        folder: Folder for the long bag and the results; they are removed.
-        seconds: Length of the long bag.
-        rounds: Runs of `reprocess` and of the loop message by message. The fastest counts: load of the host, and memory
-            that the host has to find for the page cache, only add time.
+    ``bag`` has scans of all joints that end where they begin; the long bag of ``seconds`` and the results are removed.
+    Of several rounds the fastest counts: load of the host, and memory that the host has to find for the page cache,
+    only add time.
 
     Returns:
         ``offline_scans_per_s``: `reprocess` into a bag, of all rounds in ``offline_runs_scans_per_s``, per second of

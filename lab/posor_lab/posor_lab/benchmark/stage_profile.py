@@ -124,12 +124,7 @@ WARM_UP_TICKS = 100
 
 
 class TickMilestones:
-    """Times of each tick: first scan published, last scan published, pose published [ns].
-
-    Attributes:
-        intervals_ns: The intervals of ``MILESTONES`` of each tick.
-
-    """
+    """Times of each tick; ``intervals_ns`` are the intervals of ``MILESTONES`` of each tick."""
 
     def __init__(self, on_warm: Callable[[], None]) -> None:
         """Store milestones; call ``on_warm`` after ``WARM_UP_TICKS`` and forget those ticks."""

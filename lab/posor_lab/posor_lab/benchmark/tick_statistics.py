@@ -1,18 +1,45 @@
-"""Statistics of a measured time window: latencies and lost ticks."""
+"""Statistics of a measured time window (latencies, lost ticks), and the host on which the benchmark runs."""
 
 from __future__ import annotations
 
+import os
+import platform
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from posor.errors import PosorError
+from posor.numerics.compiled import COMPILING
 from posor.numerics.stamps import first_tick_after, tick_stamp_ns
+from rclpy.utilities import get_rmw_implementation_identifier
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from posor.numerics.array_types import IntArray
+
+
+def host_description() -> dict[str, Any]:
+    """Return hardware, versions and the present load average."""
+    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    processors = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return {
+        "cores": len(os.sched_getaffinity(0)),
+        "processor": next(processors, platform.machine()),
+        "kernel": platform.release(),
+        "python": platform.python_version(),
+        "rmw": get_rmw_implementation_identifier(),
+        "compiled": COMPILING,
+        "load": os.getloadavg()[0],
+    }
+
+
+def stolen_s() -> float:
+    """Return the time [s] since boot in which the host of this virtual machine ran others instead."""
+    stolen = int(Path("/proc/stat").read_text(encoding="ascii").split(maxsplit=9)[8])
+    return stolen / os.sysconf("SC_CLK_TCK")
+
 
 STAMP, PUBLISHED, RECEIVED, NUMBER = range(4)
 """Columns of the rows that ``latency_receiver`` writes."""

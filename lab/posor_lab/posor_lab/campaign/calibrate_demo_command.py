@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, get_args
 
 from posor.errors import ParameterError
 from posor.lazy_program import interrupts_handled
-from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.report_console import report_console
 from posor_bringup.bringup_options import prepare_output_folder
 
@@ -29,9 +28,10 @@ from posor_lab.campaign.ground_truth import POSORS, GroundTruth, PosorName
 from posor_lab.output_files import write_files
 from posor_lab.reports.console_progress import InterruptedRunError, StageProgress
 from posor_lab.reports.findings import COMPARISON_HEADINGS, exit_code_of_findings, print_findings, print_verdict
+from posor_lab.reports.trial_program import Option, parse_options
 
 if TYPE_CHECKING:
-    import argparse
+    from argparse import Namespace
     from collections.abc import Callable, Iterator, Sequence
     from types import FrameType
 
@@ -43,26 +43,25 @@ MINIMUM_CAMPAIGNS = 4  # fewest campaigns with a meaningful scatter
 OUTPUTS = ("report.html", *POSORS)
 
 
-def _parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
-    description = "Simulated calibration campaigns, compared with the truth."
-    parser = CommandLineParser(prog="calibrate_demo", description=description)
-    add = parser.add_argument
-    add("--posor", choices=[*get_args(PosorName), "both"], default="both")
-    text = f"further campaigns of each POSOR, in memory, for the coverage; 0: none (default: {CAMPAIGNS})"
-    add("--campaigns", type=int, default=CAMPAIGNS, metavar="N", help=text)
-    add("--seed", type=int, default=SEED, help=f"of the POSORs that are drawn (default: {SEED})")
-    text = "report, bags and files; the figures go to FOLDER.json (default: build/calibration)"
-    add("--output", type=Path, default=Path("build/calibration"), metavar="FOLDER", help=text)
-    options = parser.parse_args(arguments)
+OPTIONS = (
+    Option("--posor", "both", "POSORs to calibrate", choices=(*get_args(PosorName), "both")),
+    Option("--campaigns", CAMPAIGNS, "further campaigns of each POSOR, in memory, for the coverage; 0: none"),
+    Option("--seed", SEED, "of the POSORs that are drawn", least=0),
+    Option("--output", Path("build/calibration"), "folder of report, bags and files; the figures go to FOLDER.json"),
+)
+
+
+def _parse_options(arguments: Sequence[str]) -> Namespace:
+    options = parse_options(
+        "calibrate_demo", "Simulated calibration campaigns, compared with the truth.", OPTIONS, arguments
+    )
     if options.campaigns < 0 or 0 < options.campaigns < MINIMUM_CAMPAIGNS:
         expected = f"0, or at least {MINIMUM_CAMPAIGNS}"
         raise ParameterError(f"--campaigns {options.campaigns}", where="calibrate_demo", expected=expected)
-    if options.seed < 0:
-        raise ParameterError(f"--seed {options.seed}", where="calibrate_demo", expected="0 or more")
     return options
 
 
-def _run_posors(options: argparse.Namespace, progress: StageProgress) -> list[CampaignReport]:
+def _run_posors(options: Namespace, progress: StageProgress) -> list[CampaignReport]:
     """Run the campaigns of the selected POSORs."""
     reports = []
     folder = prepare_output_folder(options.output, OUTPUTS)
@@ -83,7 +82,7 @@ def _run_posors(options: argparse.Namespace, progress: StageProgress) -> list[Ca
     return reports
 
 
-def _write_report(options: argparse.Namespace, reports: Sequence[CampaignReport]) -> None:
+def _write_report(options: Namespace, reports: Sequence[CampaignReport]) -> None:
     command = f"--posor {options.posor} --campaigns {options.campaigns} --seed {options.seed}"
     provenance = {"command": f"./run posor_lab calibrate_demo {command}"}
     for report in reports:
@@ -99,7 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     def program() -> Findings:
         with _note_signals() as check:
-            return _run(_parse_options(arguments), check)
+            return _run(_parse_options(sys.argv[1:] if arguments is None else arguments), check)
 
     return exit_code_of_findings(program)
 
@@ -134,7 +133,7 @@ def _note_signals() -> Iterator[Callable[[], None]]:
         raise InterruptedRunError("interrupted", where="calibrate_demo") from None
 
 
-def _run(options: argparse.Namespace, check: Callable[[], None]) -> Findings:
+def _run(options: Namespace, check: Callable[[], None]) -> Findings:
     console = report_console(150)
     with StageProgress(console, check) as progress:
         reports = _run_posors(options, progress)

@@ -173,7 +173,7 @@ def _coverage_tables(coverage: SeriesCoverage) -> Markup:
 def _family_row(family: FamilyCoverage) -> list[str]:
     low, high = family.interval
     inside = f"{100.0 * family.inside.value:.1f} %, {100.0 * low:.1f} % to {100.0 * high:.1f} %"
-    return [family.name, str(family.count), inside, f"{family.worst[0]}: {100.0 * family.worst[1]:.1f} %"]
+    return [family.name, str(family.count), inside, f"{family.worst.name}: {100.0 * family.worst.within_95:.1f} %"]
 
 
 def _plot_residuals(report: CampaignReport) -> list[Plot]:

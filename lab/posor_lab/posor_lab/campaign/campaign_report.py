@@ -17,7 +17,7 @@ from posor_lab.accuracy.consistency import REGION_LIMIT
 from posor_lab.campaign.campaign_series import CLAIM, VALIDATION_POSES, chance_margin, share_interval
 from posor_lab.campaign.parameter_coverage import compare_with_truth, measuring_steps
 from posor_lab.campaign.validation_set import FREEDOMS, validate_calibration
-from posor_lab.output_files import page_notes
+from posor_lab.output_files import figures_of, page_notes
 from posor_lab.reports.findings import Finding, Findings, judge
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from posor_lab.accuracy.consistency import MeanEstimate
     from posor_lab.campaign.campaign_run import CompletedStep
-    from posor_lab.campaign.campaign_series import FamilyCoverage, SeriesCoverage
+    from posor_lab.campaign.campaign_series import SeriesCoverage
     from posor_lab.campaign.ground_truth import GroundTruth
     from posor_lab.campaign.parameter_coverage import EstimatedParameter
     from posor_lab.campaign.validation_set import ValidationSet
@@ -203,31 +203,20 @@ def _by_freedom(values: Mapping[str, Iterable[float]]) -> dict[str, dict[str, fl
 
 
 def _report_as_json(report: CampaignReport) -> dict[str, Any]:
-    validation = report.validation
+    validation, names = report.validation, page_notes("calibration")["figures"]
     steps = measuring_steps(report.truth.as_built, [done.calibration for done in report.steps])
+    measured_by = {name: report.steps[index].step.name for name, index in steps.items()}
     return {
         "seed": report.truth.seed,
         "content_hash": report.calibration.content_hash,
         "parameters": {
-            parameter.name: {
-                "family": parameter.family,
-                "unit": parameter.unit,
-                "truth": parameter.truth,
-                "estimate": parameter.estimate,
-                "sigma": parameter.sigma,
-                "within_95": parameter.inside,
-                "measured_by": report.steps[steps[parameter.name]].step.name if parameter.name in steps else None,
-            }
-            for parameter in report.parameters
+            each.name: {**figures_of(each, names["parameter"]), "measured_by": measured_by.get(each.name)}
+            for each in report.parameters
         },
         "steps": {
             done.step.name: {
-                "procedure": record.procedure,
-                "method": record.method,
+                **figures_of(record, names["step"]),
                 "instruments": {instrument.name: instrument.sigmas for instrument in record.instruments},
-                "bag": record.recording.name,
-                "sha256": record.recording.sha256,
-                "date": record.date,
             }
             for done, record in zip(report.steps, report.calibration.fits, strict=True)
         },
@@ -240,36 +229,14 @@ def _report_as_json(report: CampaignReport) -> dict[str, Any]:
     }
 
 
-def _families_as_json(families: Sequence[FamilyCoverage]) -> dict[str, Any]:
-    return {
-        family.name: {
-            "numbers": family.count,
-            "within_95": family.inside.value,
-            "sigma": family.inside.sigma,
-            "interval_95": list(family.interval),
-            "worst": {"name": family.worst[0], "within_95": family.worst[1]},
-        }
-        for family in families
-    }
-
-
 def _coverage_as_json(coverage: SeriesCoverage) -> dict[str, Any]:
+    names = page_notes("calibration")["figures"]
+    families = {"families": coverage.families, "procedures": coverage.claims}
+    found, expected = coverage.within_claim
     return {
-        "count": coverage.campaigns,
-        "refused": list(coverage.refused),
-        "within_95": asdict(coverage.pooled),
-        "binomial_band_of_one_number": list(coverage.binomial_band),
-        "numbers_at_95_plus_minus_3": {
-            "found": coverage.within_claim[0],
-            "expected": coverage.within_claim[1],
-            "of": len(coverage.by_parameter),
-        },
-        "least_probable_bonferroni": coverage.least_probable,
-        "by_number": coverage.by_parameter,
-        "families": _families_as_json(coverage.families),
-        "procedures": _families_as_json(coverage.claims),
-        "fresh_within_95_region": asdict(coverage.region_share),
-        "fresh_normalised_error_squared": asdict(coverage.mean_normalised),
-        "fresh_without_noise_within_95": asdict(coverage.noise_free_share),
+        **figures_of(coverage, names["coverage"]),
+        **{key: asdict(getattr(coverage, name)) for key, name in names["shares"].items()},
+        **{key: {each.name: figures_of(each, names["family"]) for each in of_key} for key, of_key in families.items()},
+        "numbers_at_95_plus_minus_3": {"found": found, "expected": expected, "of": len(coverage.by_parameter)},
         "fresh_root_mean_square": _by_freedom(coverage.root_mean_squares),
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from posor.errors import PosorError
@@ -71,18 +71,20 @@ def _run_campaign(name: PosorName, seed: int) -> CampaignResult:
 def run_campaigns(
     name: PosorName, seeds: Sequence[int], *, workers: int = 0, on_done: Callable[[], None] = lambda: None
 ) -> list[CampaignResult]:
-    """Run campaigns in several processes.
+    """Run one campaign for each seed in several processes; the result does not depend on their number.
 
-    Args:
-        name: Design of the POSOR.
-        seeds: One for each campaign; the result does not depend on the number of processes.
-        workers: Number of processes; 0: number of processors.
-        on_done: Called after each campaign; an exception of it ends the series.
-
+    ``workers`` of 0: one for each processor; an exception of ``on_done``, called after each campaign, ends the series.
     """
     # Read when a worker loads numpy: threads of several workers would only wait for one another.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     return ordered_map(partial(_run_campaign, name), seeds, workers, lambda _: on_done())
+
+
+class WorstParameter(NamedTuple):
+    """The parameter with the smallest share of intervals with the truth."""
+
+    name: str
+    within_95: float
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,7 @@ class FamilyCoverage:
     count: int  # number of parameters per campaign
     inside: MeanEstimate  # share of intervals with the truth; parameters of one campaign are not independent
     interval: tuple[float, float]  # 95 % interval of that share, see ``share_interval``
-    worst: tuple[str, float]  # parameter with the smallest share, and its share
+    worst: WorstParameter
 
 
 @dataclass(frozen=True)
@@ -119,28 +121,19 @@ class SeriesCoverage:
 def chance_margin(figure: MeanEstimate, campaigns: int, cases: int) -> float:
     """Return the deviation of a share near 95 % that chance exceeds with a probability of one half per cent.
 
-    Args:
-        figure: Mean over the campaigns, and its standard uncertainty by their scatter.
-        campaigns: Number of campaigns; the scatter of few is uncertain (Student).
-        cases: Cases in each; the scatter is no smaller than that of independent cases.
-
+    ``figure`` is the mean over the campaigns with its standard uncertainty by their scatter: that of few campaigns is
+    uncertain (Student), and it is no smaller than that of as many independent cases.
     """
     least = np.sqrt(0.95 * 0.05 / (campaigns * cases))
     return float(t.isf(0.005, campaigns - 1) * max(figure.sigma, least))
 
 
 def share_interval(share: MeanEstimate, campaigns: int, cases: int) -> tuple[float, float]:
-    """Return the 95 % interval of a share, between 0 and 1.
+    """Return the 95 % interval of a share, between 0 and 1; ``cases``: in each of two campaigns or more.
 
     Interval of Clopper and Pearson for the effective number of independent cases, which follows from the scatter of the
     campaigns (Korn and Graubard 1998, Survey Methodology 24, 193 to 201): at least the number of campaigns, at most
     the number of cases. Without scatter each campaign counts as one case.
-
-    Args:
-        share: Mean over the campaigns, and its standard uncertainty by their scatter.
-        campaigns: Number of campaigns, two at least.
-        cases: Cases in each.
-
     """
     mean, effective = share.value, float(campaigns)
     if share.sigma > 0.0:
@@ -205,5 +198,5 @@ def _family_coverages(
         means = np.array([np.mean(list(inside.values())) for inside in members if inside])
         share = MeanEstimate.of(means)
         interval = share_interval(share, len(means), len(shares))
-        coverages.append(FamilyCoverage(family, len(shares), share, interval, (worst, shares[worst])))
+        coverages.append(FamilyCoverage(family, len(shares), share, interval, WorstParameter(worst, shares[worst])))
     return tuple(coverages)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import yaml
 from posor.calibration.calibration_file import Calibration, calibration_from
 from posor.calibration.designs import design
 from posor.calibration.edit import parse_key_path
@@ -23,31 +25,10 @@ if TYPE_CHECKING:
 PosorName = Literal["triad_diodes", "triad_bumpy_ring"]
 POSORS: tuple[PosorName, ...] = ("triad_diodes", "triad_bumpy_ring")
 
-_GAP_PROBE: Mapping[str, Any] = {
-    "tip": [50e-6, 50e-6, 10e-6],
-    "volts_to_gap": [0.13e-6, 2.4e-6, 5e-7, 5e-8, 5e-9],
-    "zero_shift": 0.0,
-    "supply.sensitivity": 5e-6,
-    "supply.reference": 5e-4,
-    "temperature.sensitivity": 0.0,
-    "temperature.reference": 0.0,
-}
-_RING_PROBE: Mapping[str, Any] = {key: _GAP_PROBE[key] for key in _GAP_PROBE if key.startswith(("supply", "temp"))}
-_MAP = [[20e-6 if i + j <= 3 else 0.0 for j in range(4)] for i in range(4)]  # noqa: PLR2004  the order of the map
-AS_BUILT: Mapping[str, Mapping[str, Any]] = {
-    "sensors[0].probes": _GAP_PROBE,
-    "sensors[0].target_plane": {"tilt": 5e-4},
-    "sensors[1].probes": _RING_PROBE,
-    "sensors[1].diodes": {"origin": [1e-4, 1e-4, 30e-6], "x_axis": [0.0, 3e-3, 1e-3], "y_axis": [3e-3, 0.0, 1e-3]},
-    "sensors[1].light_sources": {"origin": [50e-6, 50e-6, 20e-6], "direction": [3e-3, 3e-3, 0.0]},
-    "sensors[1].maps": {"x": _MAP, "y": _MAP},
-    "sensors[1].ring": {"mean_radius": 5e-6, "cos": 2e-6, "sin": 2e-6},
-}
-"""Standard uncertainties before any calibration, by group and quantity; other quantities are exact.
-
-Gap probes are mounted by hand and linearised to the maker's tolerance; their zeros are defined on the day of the
-linearisation. Probes of a ring come linearised. The temperature is constant. Assumed, like the designs.
-"""
+AS_BUILT: Mapping[str, Mapping[str, Any]] = yaml.safe_load(
+    Path(__file__).with_name("as_built.yaml").read_text(encoding="utf-8")
+)
+"""Standard uncertainties before any calibration, by group and quantity; other quantities are exact."""
 DRIFT = 0.05  # standard deviation of the drift of the gap probes' zeros after the day of their linearisation [V]
 
 

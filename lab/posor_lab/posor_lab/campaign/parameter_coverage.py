@@ -52,14 +52,7 @@ class EstimatedParameter:
 def compare_with_truth(
     truth: GroundTruth, calibration: Calibration, *, last_procedure: bool = False
 ) -> list[EstimatedParameter]:
-    """Return all parameters of a calibration that a procedure estimated.
-
-    Args:
-        truth: The true POSOR.
-        calibration: The calibration after some steps.
-        last_procedure: Only those that the last procedure estimated.
-
-    """
+    """Return all parameters of a calibration that a procedure estimated; ``last_procedure``: the last one only."""
     true_values = truth.true_values()
     as_built = {entry.name: _value_and_sigma(entry) for entry in parameter_entries(truth.as_built) if entry is not None}
     true_maps = _true_map_coefficients(truth, calibration)
@@ -150,11 +143,6 @@ def measuring_steps(as_built: Calibration, after_steps: Sequence[Calibration]) -
 
     A fit states all its parameters again, so the last statement need not be a measurement: the measuring step is the
     one that lowered the standard uncertainty by the largest ratio, or gave one.
-
-    Args:
-        as_built: Calibration before the campaign.
-        after_steps: Calibration after each step.
-
     """
     history = [
         {entry.name: _value_and_sigma(entry)[1] for entry in parameter_entries(calibration) if entry is not None}

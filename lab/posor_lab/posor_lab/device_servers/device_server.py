@@ -22,12 +22,7 @@ def free_port() -> int:
 
 
 class DeviceServer:
-    """Runs from ``start`` to ``stop``, or in a ``with`` block; one with ``open_port`` starts once.
-
-    Attributes:
-        stopping: Set by ``stop``.
-
-    """
+    """Runs from ``start`` to ``stop``, which sets ``stopping``, or in a ``with`` block; once if it has ports."""
 
     def __init__(self) -> None:
         """Begin without tasks."""

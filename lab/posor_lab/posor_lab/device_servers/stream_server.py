@@ -42,14 +42,9 @@ class StreamServer(DeviceServer):
         drift: float = 0.0,
         udp_port: int = 0,
     ) -> None:
-        """Open a port of this host.
+        """Open a port of this host, or send datagrams to ``udp_port``.
 
-        Args:
-            values: Values of a frame by its ROS time [ns].
-            rate: Frames per second of the server's clock.
-            drift: Share by which the server's clock is slow.
-            udp_port: Send datagrams to this port instead; 0: TCP.
-
+        ``values`` are those of a frame by its ROS time [ns]; the server's clock is slow by the share ``drift``.
         """
         super().__init__()
         self.magic, self.merged, self.skip, self.first, self.clients = MAGIC, 1, 0, 0, 0

@@ -48,16 +48,10 @@ def write_fault_arm(
     faults: Sequence[dict[str, Any]] = (),
     waypoint_s: float = WAYPOINT_S,
 ) -> Arm:
-    """Write the arm and return it.
+    """Write a copy of an installed arm into a new folder and return it.
 
-    Args:
-        name: Installed arm.
-        folder: New folder.
-        duration_s: Duration of the scenario's cycle.
-        seed: Of the motion and of all noise.
-        faults: Section ``faults`` of the scenario.
-        waypoint_s: Time between two waypoints of the motion, which changes its direction there.
-
+    Its scenario has a cycle of ``duration_s``, a motion that changes its direction every ``waypoint_s``, and
+    ``faults``.
     """
     shutil.copytree(find_arm(name).parent, folder)
     arm = load_arm_file(folder / ARM_FILE)

@@ -30,11 +30,11 @@ from posor_lab.faults.fault_table import (
     RATES,
     write_fault_arm,
 )
+from posor_lab.faults.injection_run import ReadingRun
 from posor_lab.faults.message_run import MessageRun
 from posor_lab.faults.node_storm import run_node_storm
 from posor_lab.faults.offline_faults import CASES, run_hidden, run_slips
 from posor_lab.faults.process_run import ProcessRun
-from posor_lab.faults.reading_run import ReadingRun
 from posor_lab.faults.storm import run_storm, storm_calibrations
 from posor_lab.reports.arrival_receiver import ArrivalReceiver
 from posor_lab.reports.findings import Finding, Findings, Verdict
@@ -84,13 +84,6 @@ def run_without_faults(
 
     The same sensors in other simulated scans give the expected rate: the errors of one calibration shift it from
     the probability that the test states over all calibrations.
-
-    Args:
-        arm: Installed arm.
-        seconds: Duration.
-        folder: Existing folder for the copy of the arm and the logs.
-        seed: Of motion and noise.
-        interrupted: Whether the user has interrupted the run.
 
     Raises:
         ProcessError: A node failed, or the arm has no poses.

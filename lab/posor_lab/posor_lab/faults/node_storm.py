@@ -22,9 +22,8 @@ from posor_msgs.msg import JointTransform, RawScan
 from rclpy.serialization import deserialize_message
 
 from posor_lab.faults.pose_judge import pose_array
-from posor_lab.faults.storm import StormCount, StormMaker, count_storm, estimate_storm
-from posor_lab.reports.graph_receiver import running_graph
-from posor_lab.reports.node_player import NodePlayer
+from posor_lab.faults.storm import count_storm, estimate_storm, run_storm
+from posor_lab.reports.graph_receiver import NodePlayer, running_graph
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
 
     from posor.calibration.calibration_file import Calibration
 
-    from posor_lab.faults.storm import Storm
+    from posor_lab.faults.storm import Storm, StormCount, StormMaker
     from posor_lab.reports.graph_receiver import GraphWatch
 
 NAMESPACE = "/storm"
@@ -43,22 +42,15 @@ PLAYER_ARGUMENTS = f"{NAMESPACE}/posor_node", [(RawScan, RAW_TOPIC)], (JointTran
 def run_node_storm(
     calibration: Calibration, injected: int, seed: int, folder: Path, on_block: Callable[[int], None]
 ) -> StormCount:
-    """Return the figures of a storm of one stack through posor_node.
-
-    Args:
-        calibration: Of the stack.
-        injected: Least number of faulty scans.
-        seed: Of the first block; the others follow.
-        folder: Existing folder for the calibration file and the log.
-        on_block: Called after each block with its number of faulty scans; an exception ends the run.
+    """Return the figures of a storm of one stack through posor_node; see ``run_storm``.
 
     Raises:
         ProcessError: The node failed, or transforms do not come.
 
     """
-    program, maker, total = posor_program(calibration, folder), StormMaker(calibration), StormCount()
-    while total.injected < injected:
-        storm = maker.draw(seed)
+    program = posor_program(calibration, folder)
+
+    def count_block(maker: StormMaker, storm: Storm, _seed: int) -> StormCount:
         # A new node for each block: the true sensors are others.
         player = NodePlayer(*PLAYER_ARGUMENTS)
         with running_graph([program], player, folder, "storm") as watch:
@@ -67,15 +59,13 @@ def run_node_storm(
         poses = pose_array([each.pose for each in found])
         states, faults = np.array([(each.state, each.faults) for each in found], dtype=np.int64).T
         covariances = np.array([each.covariance for each in found]).reshape(-1, 6, 6)
-        maker.posor.reset()
         expected = estimate_storm(maker.posor, storm)
         same = (states == expected.states) & (faults == expected.faults)
         same &= np.all((poses.translations == expected.translations) | (states == State.LOST)[:, None], axis=1)
         block = count_storm(calibration, storm, states, faults, poses, covariances)
-        block = replace(block, different=int(np.count_nonzero(~same)))
-        total, seed = total + block, seed + 1
-        on_block(block.injected)
-    return total
+        return replace(block, different=int(np.count_nonzero(~same)))
+
+    return run_storm(calibration, injected, seed, on_block, count_block)
 
 
 def posor_program(calibration: Calibration, folder: Path) -> ProgramCommand:

@@ -30,16 +30,10 @@ STALE_S = 1.2
 
 
 def wrong_poses(found: PoseArray, covariances: FloatArray, true: PoseArray) -> BoolArray:
-    """Return which poses are wrong, (n,).
+    """Return which poses are wrong, (n,); ``covariances`` in ROS order, (n, 6, 6).
 
     A pose is wrong if a component x, y, z or a small turn about X, Y, Z of the parent frame is more than ``SIGMAS``
     stated standard deviations from the truth, or if a number is not finite or a variance negative.
-
-    Args:
-        found: Published poses, (n).
-        covariances: Published with them, (n, 6, 6), ROS order.
-        true: True poses, (n).
-
     """
     errors = small_errors(found, true)
     with np.errstate(invalid="ignore"):
@@ -74,12 +68,7 @@ class PoseJudge:
     def count_wrong(self, receiver: ArrivalReceiver, begin_ns: int, end_ns: int, joint: str = "") -> int:
         """Return how many poses that came as valid between two times [ns] are wrong or stale.
 
-        Args:
-            receiver: What came.
-            begin_ns: Earliest arrival [ns].
-            end_ns: Latest arrival [ns].
-            joint: Joint whose transforms count beside the endpoint; empty: none.
-
+        The transforms of ``joint`` count beside the endpoint; empty: no joint.
         """
         arrivals = receiver.between(ENDPOINT_COVARIANCE_TOPIC, begin_ns, end_ns)
         count = self._count_wrong([(each, each.message.pose) for each in arrivals])

@@ -15,7 +15,7 @@ from __future__ import annotations
 import signal
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
@@ -98,16 +98,11 @@ class ProcessRun(InjectionRun):
 
     def _change(self, name: str, *transitions: int) -> None:
         joint = "" if name == "chain_node" else f"{self.joints[0]}/"
-        client: Any = self.receiver.create_client(ChangeState, f"/{self.arm.name}/{joint}{name}/change_state")
-        self.watch.wait(client.service_is_ready, lambda: f"the lifecycle service of {name}")
+        service = f"/{self.arm.name}/{joint}{name}/change_state"
         for transition in transitions:
-            request = ChangeState.Request()
-            request.transition.id = transition
-            answer = client.call_async(request)
-            self.watch.wait(answer.done, lambda: f"a lifecycle transition of {name}")
-            if not answer.result().success:
+            request = ChangeState.Request(transition=Transition(id=transition))
+            if not self.watch.call(ChangeState, service, request).success:
                 raise ProcessError(f"lifecycle transition {transition} failed", where=name)
-        self.receiver.destroy_client(client)
 
     def _first_naming_ns(self, row: FaultRow, span: Span) -> int | None:
         """Return when the first message came that names the fault, or the absence of messages does [ns]."""

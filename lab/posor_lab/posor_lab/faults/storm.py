@@ -234,17 +234,7 @@ def count_storm(
     poses: PoseArray,
     covariances: FloatArray,
 ) -> StormCount:
-    """Return the figures of a storm.
-
-    Args:
-        calibration: Calibration of the stack.
-        storm: The scans, n.
-        states: ``State`` of each scan, (n,).
-        faults: ``Fault`` of each scan, (n,).
-        poses: Estimated poses, (n).
-        covariances: Total covariances, (n, 6, 6).
-
-    """
+    """Return the figures of a storm by state, fault, pose and total covariance (6, 6) of each of its scans."""
     valid = np.isin(states, USABLE_STATES)
     wrong = valid & wrong_poses(poses, covariances, storm.truth)
     sound = storm.faults < 0
@@ -291,22 +281,27 @@ def _latched_periods(states: IntArray, faults: IntArray) -> BoolArray:
     return np.asarray(begins[latest])
 
 
-def run_storm(calibration: Calibration, injected: int, seed: int, on_block: Callable[[int], None]) -> StormCount:
-    """Return the figures of a storm of one stack.
+def _count_estimates(maker: StormMaker, storm: Storm, seed: int) -> StormCount:
+    estimates = estimate_storm(maker.posor, storm, np.random.default_rng(seed))
+    return count_storm(maker.calibration, storm, estimates.states, estimates.faults, *estimated_poses(estimates))
 
-    Args:
-        calibration: Of the stack.
-        injected: Least number of faulty scans.
-        seed: Of the first block; the others follow.
-        on_block: Called after each block with its number of faulty scans.
 
+def run_storm(
+    calibration: Calibration,
+    injected: int,
+    seed: int,
+    on_block: Callable[[int], None],
+    count_block: Callable[[StormMaker, Storm, int], StormCount] = _count_estimates,
+) -> StormCount:
+    """Return the figures of a storm of one stack with at least ``injected`` faulty scans.
+
+    The seeds of further blocks follow ``seed``. ``on_block`` is called with the number of faulty scans of each block.
     """
     maker, total = StormMaker(calibration), StormCount()
     while total.injected < injected:
         storm = maker.draw(seed)
         maker.posor.reset()
-        estimates = estimate_storm(maker.posor, storm, np.random.default_rng(seed))
-        block = count_storm(calibration, storm, estimates.states, estimates.faults, *estimated_poses(estimates))
+        block = count_block(maker, storm, seed)
         total, seed = total + block, seed + 1
         on_block(block.injected)
     return total

@@ -23,8 +23,7 @@ from posor_bringup.installed import share
 from posor_drivers.simulator.scenario import load_scenario
 from posor_drivers.sources.table_source import read_table
 
-from posor_lab.fuzz.message_fuzz import ScanFuzz, TransformFuzz, fuzz_simulation
-from posor_lab.fuzz.mutation import mutate
+from posor_lab.fuzz.message_fuzz import ScanFuzz, TransformFuzz, fuzz_simulation, mutate
 from posor_lab.fuzz.node_fuzz import NodeFuzzError, NodeScanFuzz, NodeTransformFuzz
 from posor_lab.reports.findings import Finding, Findings, Verdict
 from posor_lab.reports.trial_program import Option, TrialProgram
@@ -69,13 +68,7 @@ def readers() -> dict[str, tuple[Path, Callable[[Path], object]]]:
 
 
 def fuzz_files(name: str, mutations: int, seed: int, folder: Path) -> FileCount:
-    """Damage a file several times and read it.
-
-    Args:
-        name: Format, a key of ``readers``.
-        mutations: How often.
-        seed: Of the damage.
-        folder: Existing folder for the damaged file.
+    """Damage a file of a format, a key of ``readers``, several times and read it; the damaged file is in ``folder``.
 
     Raises:
         FileFailureError: The reader failed; names the format and keeps the file.

@@ -24,10 +24,8 @@ from posor_msgs.msg import JointTransform, RawScan
 from posor_ros.message_conversion import pose_from_message
 from rclpy.serialization import deserialize_message
 
-from posor_lab.fuzz.message_fuzz import ScanFuzz, TransformFuzz
-from posor_lab.fuzz.mutation import mutate
-from posor_lab.reports.graph_receiver import running_graph
-from posor_lab.reports.node_player import NodePlayer
+from posor_lab.fuzz.message_fuzz import ScanFuzz, TransformFuzz, mutate
+from posor_lab.reports.graph_receiver import NodePlayer, running_graph
 from posor_lab.soak.process_sample import ProcessSample, growth_mb
 
 if TYPE_CHECKING:
@@ -39,8 +37,7 @@ if TYPE_CHECKING:
     from posor_drivers.simulator.arm_simulation import ArmSimulation
 
     from posor_lab.fuzz.message_fuzz import MessageFuzz
-    from posor_lab.reports.graph_receiver import GraphWatch
-    from posor_lab.reports.node_player import Topic
+    from posor_lab.reports.graph_receiver import GraphWatch, Topic
 
 PERIOD_NS = NS // 200
 LONGEST_S = 5.0
@@ -75,12 +72,7 @@ class NodeFuzz(ABC):
         self._sent, self._samples = 0, list[ProcessSample]()
 
     def run(self, mutations: int, folder: Path, on_done: Callable[[int], None]) -> None:
-        """Damage messages.
-
-        Args:
-            mutations: How often.
-            folder: Existing folder for the log of the node.
-            on_done: Called with 1 after each.
+        """Damage messages; the log of the node is in ``folder``, and ``on_done`` is called with 1 after each message.
 
         Raises:
             NodeFuzzError: A sound message was not answered, or its pose is wrong, or no pose comes after an

@@ -29,13 +29,7 @@ BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class Graph:
-    """A node with its own context, to be used as a context manager.
-
-    Attributes:
-        node: The rclpy node.
-        diagnostics: All statuses received after ``watch_diagnostics``, in order.
-
-    """
+    """A node with its own context, to be used as a context manager; ``diagnostics``: all statuses received."""
 
     def __init__(self) -> None:
         """Create the node."""

@@ -22,12 +22,7 @@ NodeT = TypeVar("NodeT", bound=PosorNode[Any])
 
 
 class NodeProcess:
-    """Nodes of one rclpy context. Two contexts reach each other only over DDS, as two processes.
-
-    Attributes:
-        nodes: The nodes started so far.
-
-    """
+    """Nodes of one rclpy context. Two contexts reach each other only over DDS, as two processes."""
 
     def __init__(self) -> None:
         """Create a context without nodes."""
@@ -74,11 +69,7 @@ def run_refused_node(
 ) -> tuple[int, list[str]]:
     """Run the program of a node that ends by itself; return its exit code and the lines of standard error.
 
-    Args:
-        node_class: Class of the node.
-        parameters: Parameters set on its command line.
-        capfd: pytest's fixture of that name, which captures the ROS log as well.
-        namespace: Namespace of the node.
+    ``capfd`` is pytest's fixture, which captures the ROS log as well.
 
     Raises:
         AssertionError: The node wrote to standard output.

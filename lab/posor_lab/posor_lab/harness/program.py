@@ -46,13 +46,7 @@ class Program:
     """A running program; leaving the ``with`` block kills a program that has not ended."""
 
     def __init__(self, command: Sequence[str], environment: Mapping[str, str] | None = None) -> None:
-        """Start the program.
-
-        Args:
-            command: The program and its arguments.
-            environment: Variables to add to those of this process.
-
-        """
+        """Start the program; ``environment``: variables to add to those of this process."""
         self._condition = Condition()
         self._lines: dict[str, list[str]] = {"stdout": [], "stderr": []}
         self.process = subprocess.Popen(

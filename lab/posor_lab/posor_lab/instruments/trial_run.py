@@ -63,12 +63,7 @@ class TrialFigures:
 
 
 def run_trial(trial: DeviceTrial, folder: Path, interrupted: Callable[[], bool]) -> TrialFigures:
-    """Run a trial.
-
-    Args:
-        trial: The trial.
-        folder: Existing folder for files and logs.
-        interrupted: Called often; ends the trial where it returns True.
+    """Run a trial with files and logs in an existing folder, until ``interrupted`` returns True.
 
     Raises:
         InterruptedRunError: ``interrupted`` has returned True.

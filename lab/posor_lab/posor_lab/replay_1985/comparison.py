@@ -77,13 +77,7 @@ def expectations(bag: Bag, calibration: CalibrationName) -> tuple[Expectation, .
 def compare_with_thesis(
     test: MotionTest, bag: Bag, calibration: CalibrationName, printed: PrintedColumns | None
 ) -> Findings:
-    """Return the findings of a replay.
-
-    Args:
-        test: The replay of ``bag``.
-        bag: The motion test.
-        calibration: Calibration of the replay.
-        printed: Printed result table of the test, if there is one.
+    """Return the findings of a replay; ``printed``: the printed result table of the test, if there is one.
 
     Raises:
         DataFileError: The table of the expected figures is invalid.
@@ -152,11 +146,7 @@ def _against_printed_truth(test: MotionTest, printed: PrintedColumns, angle: Ang
 def error_figure(test: MotionTest, expected: Expectation, counted: BoolArray | None = None) -> float:
     """Return the figure of an expectation [urad]: standard deviation or largest error against the machining centre.
 
-    Args:
-        test: The motion test.
-        expected: Angle and kind of the figure.
-        counted: Steps that count, (n,); None: all with a pose.
-
+    ``counted``: steps that count, (n,); None: all with a pose.
     """
     errors = test.angle_errors[:, ANGLES.index(expected.angle)][test.has_pose if counted is None else counted]
     return float(deviation_from_first(errors)) / URAD if expected.kind == "sd" else _largest(errors)

@@ -5,14 +5,11 @@ Exit code 0 only if the comparison holds.
 
 from __future__ import annotations
 
-import argparse
-import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from posor.calibration.calibration_file import load_calibration
-from posor.reporting.command_line_parser import CommandLineParser
 from posor_bringup.bringup_options import LOGS, prepare_output_folder
 from posor_bringup.installed import BAGS, CALIBRATIONS, JOINT, bag_path, calibration_path, urdf_path
 from posor_bringup.supervisor import Supervisor
@@ -33,9 +30,12 @@ from posor_lab.replay_1985.replay import Replay, ReplayPlan, StepCollector
 from posor_lab.replay_1985.replay_report import HEADINGS, replay_page, replay_provenance, verdict_sentence
 from posor_lab.replay_1985.step_table import LiveTable, steps_as_csv
 from posor_lab.reports.findings import exit_code_of_findings, print_findings
+from posor_lab.reports.trial_program import Option
+from posor_lab.reports.trial_program import parse_options as parse
 from posor_lab.thesis_data import data_path
 
 if TYPE_CHECKING:
+    from argparse import Namespace
     from collections.abc import Mapping, Sequence
 
     from posor_bringup.installed import Bag, CalibrationName
@@ -54,32 +54,23 @@ STATES: Mapping[CalibrationName, str] = {
 }
 
 
-def _parse_rate(text: str) -> float:
-    try:
-        rate = float(text)
-    except ValueError:
-        rate = math.nan
-    if not (math.isfinite(rate) and rate >= 0.0):
-        raise argparse.ArgumentTypeError(f"'{text}' is not a speed, a number of at least 0")
-    return rate
+OPTIONS = (
+    Option("--bag", "ymo", "motion test", choices=BAGS),
+    Option("--calibration", "printed", "state to reproduce", choices=CALIBRATIONS),
+    Option("--output", Path("build/report"), "folder of the report"),
+    Option("--rate", 1.0, "speed, 1 is real time, 0 as fast as possible", least=0.0, most=1e6),
+    Option("--no-live", default=False, text="plain lines instead of a live table"),
+)
 
 
-def parse_options(arguments: Sequence[str]) -> argparse.Namespace:
+def parse_options(arguments: Sequence[str]) -> Namespace:
     """Return the options.
 
     Raises:
         ParameterError: An option is unknown or its value invalid.
 
     """
-    parser = CommandLineParser(prog="demo", description="Replay a motion test of 1985 and compare it with the thesis.")
-    add, default = parser.add_argument, "state to reproduce (default: printed)"
-    add("--bag", choices=BAGS, default="ymo", help="motion test (default: ymo)")
-    add("--calibration", choices=CALIBRATIONS, default="printed", help=default)
-    add("--output", type=Path, default=Path("build/report"), metavar="FOLDER", help="default: build/report")
-    default = "speed, 1 is real time, 0 as fast as possible"
-    add("--rate", type=_parse_rate, default=1.0, metavar="FACTOR", help=default)
-    add("--no-live", action="store_true", help="plain lines instead of a live table")
-    return parser.parse_args(list(arguments))
+    return parse("demo", "Replay a motion test of 1985 and compare it with the thesis.", OPTIONS, arguments)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -130,7 +121,7 @@ def _replay(plan: ReplayPlan, argv: Sequence[str], table: LiveTable) -> tuple[Mo
 
 
 def _write_report(
-    options: argparse.Namespace, title: str, plan: ReplayPlan, test: MotionTest, identity: Mapping[str, str]
+    options: Namespace, title: str, plan: ReplayPlan, test: MotionTest, identity: Mapping[str, str]
 ) -> Findings:
     """Compare the steps with the thesis and write all files of the report."""
     table = PRINTED_FILES.get(options.bag)

@@ -44,12 +44,7 @@ Y_ARM = 1.34  # lever of alpha in y of the machining centre, listing of GEN [inc
 
 
 class EndOfBeamProgram:
-    """The evaluation of 1985, for many draws at once.
-
-    Attributes:
-        sizes: Dimensions of the POSOR and of the tests by name (inch, rad).
-
-    """
+    """The evaluation of 1985, for many draws at once; ``sizes``: dimensions by name (inch, rad)."""
 
     def __init__(self, sizes: Mapping[str, float] | None = None) -> None:
         """Take the dimensions; None: those of the listings."""
@@ -94,10 +89,8 @@ class EndOfBeamProgram:
     def evaluate(self, gaps: FloatArray, spots: FloatArray) -> FloatArray:
         """Return alpha, z and y at each step, shape (draws, n, 3).
 
-        Args:
-            gaps: Linearised readings of the probes, shape (draws, n, 3).
-            spots: Linearised X1, Y1, X2, Y2 of the light spots, shape (draws, n, 4).
-
+        ``gaps`` are linearised readings, (draws, n, 3), ``spots`` linearised X1, Y1, X2, Y2 of the spots, (draws, n,
+        4).
         """
         alpha0, beta0 = self.attitude(gaps[:, 0])
         lengths0 = self.plate_distances(gaps[:, 0], spots[:, 0])
@@ -180,11 +173,7 @@ def simulated_errors(
 ) -> FloatArray:
     """Return errors of alpha, z and y, POSOR less machining centre, less step 1, shape (draws, n, 3).
 
-    Args:
-        test: The test.
-        noise: Of the readings; None: that of the budgets.
-        program: The evaluation; None: that of the listings.
-        draws: Number of simulated runs.
+    ``noise`` of the readings: None, that of the budgets; ``program``: None, that of the listings.
 
     Raises:
         DataFileError: A table of the thesis cannot be read.

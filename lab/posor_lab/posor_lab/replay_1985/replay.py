@@ -151,13 +151,7 @@ class Replay:
     ) -> None:
         """Create the replay without starting it.
 
-        Args:
-            plan: Files and options.
-            supervisor: Starts and ends the processes.
-            collector: Receives the messages.
-            on_steps: Called with all complete steps when messages have arrived.
-            interrupted: Whether the user has interrupted the run.
-
+        ``on_steps`` is called with all complete steps when messages have arrived.
         """
         self.plan, self.collector, self._supervisor = plan, collector, supervisor
         self._running: dict[str, RunningProgram] = {}

@@ -49,13 +49,9 @@ PREDICTED = "predicted error, section 8.4"
 def plot_angles(
     test: MotionTest, printed: PrintedColumns | None, predictions: Mapping[Angle, PredictedError]
 ) -> list[Plot]:
-    """Return a plot of each angle, then one of the error of each angle.
+    """Return a plot of each angle, then one of the error of each angle with its prediction.
 
-    Args:
-        test: The motion test.
-        printed: The printed result table; it is drawn if it has as many steps.
-        predictions: Predicted error of each angle.
-
+    The printed result table is drawn if it has as many steps.
     """
     motions, errors = [], []
     for column, angle in enumerate(ANGLES):
@@ -131,18 +127,7 @@ def replay_page(
     calibration: Calibration,
     provenance: Mapping[str, str],
 ) -> str:
-    """Return the self-contained page.
-
-    Args:
-        title: Heading.
-        test: The replayed test.
-        comparison: Its comparison with the thesis.
-        printed: Printed result table that is drawn beside the test, if there is one.
-        predictions: Predicted error of each angle.
-        calibration: Content of the calibration file.
-        provenance: Terms and texts.
-
-    """
+    """Return the self-contained page; ``printed``: the printed result table that is drawn beside the test."""
     steps = table(HEADER, [step_row(step, test.steps[0]) for step in test.steps], "numbers")
     notes = page_notes("motion_test")
     bullets = {**notes["notes"], "scan": f"{notes['notes']['scan']} {_estimated_steps(test)}"}

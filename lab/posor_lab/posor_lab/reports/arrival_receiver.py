@@ -36,12 +36,7 @@ class Arrival:
 
 
 class ArrivalReceiver(GraphReceiver):
-    """Stores transforms, endpoint states, endpoint poses and diagnostics of an arm in the order of arrival.
-
-    Attributes:
-        diagnostics: Diagnostic statuses with the time of their arrival [ns].
-
-    """
+    """Stores transforms, endpoint states and poses, and diagnostics of an arm, with their times of arrival [ns]."""
 
     def __init__(self, arm: str, joints: Sequence[str] = ()) -> None:
         """Subscribe to the endpoint of the arm in the namespace ``arm``, and to the transforms of ``joints``."""
@@ -108,14 +103,10 @@ class ArrivalReceiver(GraphReceiver):
         ]
 
     def first_naming_ns(self, words: Sequence[str], begin_ns: int, end_ns: int, joint: str = "") -> int | None:
-        """Return when the first message came that names a fault; None: no message does.
+        """Return when the first message between two times [ns] came that names a fault; None: no message does.
 
-        Args:
-            words: Names of fault flags, or words of a sentence; any of them counts.
-            begin_ns: Earliest arrival [ns].
-            end_ns: Latest arrival [ns].
-            joint: Joint whose transforms may have one of the flags; empty: no joint.
-
+        ``words`` are names of fault flags, or words of a sentence; any of them counts. The transforms of ``joint`` may
+        have one of the flags; empty: no joint.
         """
         flags = sum(int(Fault[word]) for word in words if word in Fault.__members__)
         transforms = self.between(f"{joint}/{TRANSFORM_TOPIC}", begin_ns, end_ns) if joint and flags else []

@@ -25,22 +25,10 @@ class InterruptedRunError(PosorError):
 
 
 class LiveView:
-    """A context manager that redraws a table in a terminal.
-
-    Attributes:
-        console: Output.
-        is_live: Whether ``update`` draws; if not, only ``line`` prints.
-
-    """
+    """A context manager that redraws a table in a terminal; unless ``is_live``, only ``line`` prints."""
 
     def __init__(self, console: Console | None = None, *, live: bool = True) -> None:
-        """Create the view.
-
-        Args:
-            console: Output; None: standard output.
-            live: False: plain lines even in a terminal.
-
-        """
+        """Create the view on a console, or standard output; not ``live``: plain lines even in a terminal."""
         self.console = console or Console(highlight=False)
         self.is_live = live and self.console.is_terminal
         self._live = Live(console=self.console)
@@ -70,13 +58,7 @@ class StageProgress:
     """A context manager that shows the stages of a run: bars in a terminal, else a line at the end of each stage."""
 
     def __init__(self, console: Console, check: Callable[[], None] = lambda: None) -> None:
-        """Create the progress display.
-
-        Args:
-            console: Output.
-            check: Called after each part; an exception of it ends the stage.
-
-        """
+        """Create the display; an exception of ``check``, called after each part, ends the stage."""
         self._console = console
         self._check = check
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())

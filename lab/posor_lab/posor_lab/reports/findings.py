@@ -105,10 +105,7 @@ def judge(texts: Mapping[str, str], *, holds: bool | None = None, **values: obje
 def findings_table(findings: Findings, headings: Mapping[str, str]) -> Markup:
     """Return the findings as an HTML table.
 
-    Args:
-        findings: The findings.
-        headings: Headings of the columns between quantity and verdict, by attribute of ``Finding``.
-
+    ``headings`` of the columns between quantity and verdict, by attribute of ``Finding``.
     """
     rows = [
         (
@@ -123,15 +120,7 @@ def findings_table(findings: Findings, headings: Mapping[str, str]) -> Markup:
 
 
 def print_findings(findings: Findings, console: Console, title: str, headings: Mapping[str, str]) -> None:
-    """Print the findings: a table in a terminal, else one line for each finding, with its remark.
-
-    Args:
-        findings: The findings.
-        console: Output.
-        title: Title of the table.
-        headings: As for ``findings_table``.
-
-    """
+    """Print the findings: a table in a terminal, else one line for each finding, with its remark."""
     if not console.is_terminal:
         for finding in findings.findings:
             console.print(_format_line(finding, headings), soft_wrap=True, markup=False, highlight=False)

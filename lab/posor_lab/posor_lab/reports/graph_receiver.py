@@ -1,4 +1,4 @@
-"""Receives what the nodes of a graph publish, while a supervisor checks that their processes still run."""
+"""Receives what the nodes of a graph publish, or plays all neighbours of a node; a supervisor runs the processes."""
 
 from __future__ import annotations
 
@@ -12,12 +12,15 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from posor.ros_names import DIAGNOSTICS_TOPIC
 from posor_bringup.supervisor import ProcessError, Supervisor
+from posor_ros.lifecycle_node import LISTENERS_STATUS
 from posor_ros.message_conversion import stamp_ns
 from posor_ros.node_program import SPIN_TIMEOUT_S
 from posor_ros.qos import KEEP_ALL_QOS
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
+from std_srvs.srv import Trigger
 
+from posor_lab.harness.graph import RETRY_S
 from posor_lab.reports.console_progress import InterruptedRunError
 
 if TYPE_CHECKING:
@@ -26,6 +29,10 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from posor_bringup.supervisor import ProgramCommand, RunningProgram
+
+Topic = tuple[type[Any], str]
+"""Type and name of a topic."""
+
 
 MessageT = TypeVar("MessageT")
 
@@ -36,13 +43,7 @@ WAITING_S = 1.0
 
 
 class GraphReceiver(Node):
-    """Stores messages by stamp, and the newest diagnostic status of each name.
-
-    Attributes:
-        received: Number of messages stored.
-        statuses: Newest diagnostic status of each name.
-
-    """
+    """Stores messages by stamp, and the newest diagnostic status of each name; ``received``: messages stored."""
 
     def __init__(self, name: str) -> None:
         """Subscribe to the diagnostics; ``store_topic`` adds topics."""
@@ -92,12 +93,9 @@ class GraphReceiver(Node):
         self._status_counts.update(status.name for status in message.status)
 
     def status_value(self, status: str, key: str) -> str | None:
-        """Return a value of the newest diagnostic status of a name; None: not received.
+        """Return a value of the newest diagnostic status of a name (``/chain_node: endpoint``); None: not received.
 
-        Args:
-            status: Name of the status, such as ``/chain_node: endpoint``.
-            key: Key of the value; ``message``: the message of the status.
-
+        The key ``message`` stands for the message of the status.
         """
         newest = self.statuses.get(status)
         if newest is None:
@@ -114,13 +112,7 @@ class GraphReceiver(Node):
 
 
 class GraphWatch:
-    """Receives messages while the processes of the graph run.
-
-    Attributes:
-        supervisor: Supervisor of the processes.
-        running: Programs that ``running_graph`` has started, by name.
-
-    """
+    """Receives messages while the processes of the graph run; ``running``: programs of ``running_graph`` by name."""
 
     def __init__(
         self,
@@ -132,16 +124,10 @@ class GraphWatch:
         on_waiting: Callable[[str], None] = lambda _missing: None,
         interrupted: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Create the watch.
+        """Create the watch of a run; its name is in error messages.
 
-        Args:
-            supervisor: Supervisor of the processes.
-            receiver: Receiver of the messages.
-            run_name: Name of the run in error messages, such as ``replay``.
-            on_received: Called after messages have arrived.
-            on_waiting: Called with the text for what is missing while a wait lasts.
-            interrupted: Whether the user has interrupted the run.
-
+        ``on_received`` is called after messages have arrived, ``on_waiting`` with the text for what is missing while a
+        wait lasts; ``interrupted`` returns whether the user has interrupted the run.
         """
         self.supervisor = supervisor
         self.running: dict[str, RunningProgram] = {}
@@ -159,13 +145,7 @@ class GraphWatch:
         *,
         may_be_silent: bool = False,
     ) -> None:
-        """Receive until a condition holds.
-
-        Args:
-            condition: The condition.
-            missing: Returns the text for what is missing.
-            limit_s: Longest wait [s].
-            may_be_silent: Whether nothing need arrive.
+        """Receive until a condition holds, for ``limit_s`` at most; ``missing`` returns what is missing.
 
         Raises:
             InterruptedRunError: The user interrupted the run.
@@ -197,6 +177,26 @@ class GraphWatch:
 
         self._receiver.receive_until(is_done)
 
+    def call(self, kind: type[Any], name: str, request: Any) -> Any:
+        """Call a service and return its response.
+
+        A service drops its response to a client that it has not discovered, so the call is repeated.
+        """
+        client: Any = self._receiver.create_client(kind, name)
+        self.wait(client.service_is_ready, lambda: f"the service {name}")
+        calls, next_s = list[Any](), 0.0
+
+        def has_response() -> bool:
+            nonlocal next_s
+            if (now_s := time.monotonic()) >= next_s:
+                calls.append(client.call_async(request))
+                next_s = now_s + RETRY_S
+            return any(call.done() for call in calls)
+
+        self.wait(has_response, lambda: f"the response of {name}")
+        self._receiver.destroy_client(client)
+        return next(call for call in calls if call.done()).result()
+
     def wait_for(self, seconds: float, *, may_be_silent: bool = False) -> None:
         """Receive for a time."""
         end_s = time.monotonic() + seconds
@@ -216,3 +216,39 @@ def running_graph(
         watch = GraphWatch(supervisor, receiver, run_name, interrupted=interrupted)
         watch.running |= {program.name: supervisor.start(program) for program in programs}
         yield watch
+
+
+class NodePlayer(GraphReceiver):
+    """Publishes to all topics of a node and keeps its serialised answers.
+
+    Attributes:
+        inputs: Publishers, in the order of the topics.
+        answers: Answers so far.
+
+    """
+
+    def __init__(self, node: str, inputs: Sequence[Topic], answer: Topic) -> None:
+        """Open the topics of a node such as ``/arm/chain_node``: its inputs and its answer, within its namespace."""
+        super().__init__("player")
+        namespace = node.rpartition("/")[0]
+        self._node, self._answer = node, answer[1]
+        self.answers: list[bytes] = []
+        self.inputs = [self.create_publisher(kind, f"{namespace}/{topic}", KEEP_ALL_QOS) for kind, topic in inputs]
+        self.create_subscription(answer[0], f"{namespace}/{self._answer}", self._on_answer, KEEP_ALL_QOS, raw=True)
+
+    def _on_answer(self, data: bytes) -> None:
+        self.received += 1
+        self.answers.append(data)
+
+    def is_ready(self) -> bool:
+        """Return whether all inputs will be answered: the node is active, and each publisher has matched.
+
+        An inactive node answers nothing, and an answer is not sent to a subscription that the node has not discovered.
+        """
+        listeners = self.status_value(f"{self._node}: {LISTENERS_STATUS}", self._answer)
+        is_active = self.status_value(f"{self._node}: lifecycle", "message") == "active"
+        return is_active and listeners == "1" and all(each.get_subscription_count() for each in self.inputs)
+
+    def acknowledge(self, watch: GraphWatch) -> None:
+        """Release a latched fault, as an operator does."""
+        watch.call(Trigger, f"{self._node}/acknowledge", Trigger.Request())

@@ -23,12 +23,8 @@ def ordered_map(
 ) -> list[ResultT]:
     """Call a function with each item in several processes; return the results in the order of the items.
 
-    Args:
-        function: The function; picklable, as are items and results.
-        items: The items.
-        workers: Number of processes; 0: number of processors.
-        on_result: Called with each result, in order; an exception of it ends the calls.
-
+    Function, items and results are picklable; ``workers`` of 0: one for each processor. An exception of ``on_result``,
+    called with each result in order, ends the calls.
     """
     pool = ProcessPoolExecutor(
         workers or os.cpu_count(),

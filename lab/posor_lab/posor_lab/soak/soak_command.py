@@ -30,7 +30,8 @@ from rclpy.serialization import deserialize_message
 
 from posor_lab.benchmark.tick_statistics import TickWindow
 from posor_lab.faults.fault_table import CYCLE_S, IMPERFECTION_PARAMETERS, RATES, write_fault_arm
-from posor_lab.reports.findings import Finding, Findings
+from posor_lab.output_files import page_notes
+from posor_lab.reports.findings import Finding, Findings, judge
 from posor_lab.reports.graph_receiver import GraphReceiver, running_graph
 from posor_lab.reports.trial_program import Option, TrialProgram
 from posor_lab.soak.process_sample import ProcessSample, growth_mb
@@ -144,12 +145,6 @@ class SoakReceiver(GraphReceiver):
 
         Totals of missed ticks are up to a second old where the window begins: ticks missed just before it may be taken
         for ticks of the window.
-
-        Args:
-            window: The measured time.
-            missed: Ticks that each driver has missed in it, (joints,).
-            samples: Of the process.
-
         """
         ticks = window.stamps_ns
         has_state, has_pose = (np.isin(ticks, np.array(each)) for each in (self.states, self.poses))
@@ -191,15 +186,9 @@ def run_soak(
     on_sample: Callable[[ProcessSample], None],
     interrupted: Callable[[], bool],
 ) -> SoakFigures:
-    """Run an arm with all nodes in one process and return its figures.
+    """Run an arm with all nodes in one process, after a warm-up [s], and return its figures.
 
-    Args:
-        name: Installed arm; it moves as in the fault table, at a rate that two processors follow.
-        seconds: Duration after the warm-up.
-        warm_up: Time from the first poses to the first sample [s].
-        folder: Existing folder for the composition file and the log.
-        on_sample: Called with each sample, one each ``SAMPLE_S``.
-        interrupted: Whether the user has interrupted the run.
+    It moves as in the fault table, at a rate that two processors follow. ``on_sample`` is called every ``SAMPLE_S``.
 
     Raises:
         ProcessError: The process failed, or nothing arrives any more.
@@ -258,18 +247,11 @@ def run_program(trial: Trial) -> tuple[Findings, Mapping[str, Any]]:
 def soak_findings(figures: SoakFigures) -> Findings:
     """Return the verdicts on the figures."""
     first, last = figures.samples[0], figures.samples[-1]
+    texts, known = page_notes("soak"), vars(figures)
     found = [
-        Finding("duration, simulated", f"{figures.seconds:.0f} s"),
-        Finding("ticks", f"{figures.ticks}", remark=f"{figures.ticks_missed} missed by the driver that missed most"),
-        Finding("raw scans sent, all joints", f"{figures.sent}", remark="in the whole run"),
-        Finding("transforms, all joints", f"{figures.transforms}", remark="in the whole run"),
-        Finding("endpoint states", f"{figures.states}"),
-        Finding("endpoint poses", f"{figures.poses}"),
+        *(judge(text, **known) for text in texts["figures"]),
         *(Finding(f"no pose, {reason}", f"{count}") for reason, count in figures.without_pose.items()),
-        Finding.none_of("raw scans without a transform", figures.lost_scans),
-        Finding.none_of("ticks without a state that no driver missed", figures.lost_states),
-        Finding.none_of("transforms missing whose scan was sent", figures.lost_transforms),
-        Finding.none_of("states without their pose, poses without their state", figures.lost_poses),
+        *(Finding.none_of(text, known[name]) for name, text in texts["lost"].items()),
         Finding.judged(
             "growth of the memory",
             f"{figures.growth_mb:.3f} MB",

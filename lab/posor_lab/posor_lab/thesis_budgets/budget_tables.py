@@ -242,9 +242,6 @@ def fits_of_linearisation() -> dict[str, tuple[float, float]]:
 def rig_theta(diodes: BudgetTable) -> tuple[float, float, float]:
     """Return theta of table 7.9 for the real rig, whose spots are apart along Y: derived, not printed.
 
-    Args:
-        diodes: Table 7.9.
-
     Returns:
         Effect of an inch of x, and of y, of a spot on theta [rad] by the calibration of the rig, and the root sum
         square of the rows with these [urad].

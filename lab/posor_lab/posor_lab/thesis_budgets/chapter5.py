@@ -67,16 +67,10 @@ _RAYS: Mapping[str, int] = {"Xlalpha": 0, "Ylbeta": 1}
 
 @dataclass(frozen=True)
 class Slopes:
-    """Inclination of the plate before the probes.
+    """Inclination of the plate before the probes."""
 
-    Attributes:
-        across: Gap 3 less gap 2 [inch].
-        along: Gap 1 less the mean of gaps 2 and 3 [inch].
-
-    """
-
-    across: float = 0.0
-    along: float = 0.0
+    across: float = 0.0  # gap 3 less gap 2 [inch]
+    along: float = 0.0  # gap 1 less the mean of gaps 2 and 3 [inch]
 
 
 class Chapter5:
@@ -91,14 +85,7 @@ class Chapter5:
     """
 
     def __init__(self, slopes: Slopes, *, c: float = 3.0, leg_y: float = LEG_Y) -> None:
-        """Build the model.
-
-        Args:
-            slopes: Inclination at which the derivatives are taken.
-            c: Lever of probe 1 [inch].
-            leg_y: From spot 2 to spot 1 along Y [inch].
-
-        """
+        """Build the model at slopes, with a lever ``c`` of probe 1 and ``leg_y`` between the spots along Y [inch]."""
         self.posor = Posor(_calibration(c, leg_y))
         leans = -math.atan(slopes.across / (2.0 * LEVER)), math.atan(slopes.along / c)
         self.pose = pose_from_native((0.0, 0.0, PROBE_RANGE * inch, *leans, 0.0))
@@ -137,11 +124,8 @@ class Chapter5:
     def quadratic_shift(self, reading: str, turned_axes: Mapping[str, Axis]) -> float:
         """Return the effect of the square of an angle on a reading [inch].
 
-        Args:
-            reading: The reading.
-            turned_axes: Axes that turn, each by the first of its three parameters (``GapProbes.axes[0,0]``), and the
-                axis of R about which it turns.
-
+        ``turned_axes``: axes that turn, each by the first of its three parameters (``GapProbes.axes[0,0]``), and the
+        axis of R about which it turns.
         """
         before, nominal, after = (self._readings_with_turned_axes(turned_axes, angle) for angle in (-STEP, 0.0, STEP))
         second = (before + after - 2.0 * nominal) / STEP**2

@@ -40,18 +40,11 @@ MotionName = Literal["ZMO", "YMO", "YZMO", "TWIS", "GEN"]
 
 @dataclass(frozen=True)
 class SensorTravel:
-    """Travel of the sensors in one motion test, table 8.1 [inch].
+    """Travel of the sensors in one motion test, table 8.1 [inch]."""
 
-    Attributes:
-        spots_x: Of the light spots along X of diodes 1 and 2, from start to finish, signed.
-        spots_y: The same along Y.
-        probes: Change of the gaps of probes 1 to 3, without its sign.
-
-    """
-
-    spots_x: tuple[float, float]
-    spots_y: tuple[float, float]
-    probes: tuple[float, float, float]
+    spots_x: tuple[float, float]  # of the light spots along X of diodes 1 and 2, from start to finish, signed
+    spots_y: tuple[float, float]  # the same along Y
+    probes: tuple[float, float, float]  # change of the gaps of probes 1 to 3, without its sign
 
     @property
     def mean_x(self) -> float:
@@ -113,13 +106,7 @@ def dimensions() -> Mapping[str, float]:
 
 @dataclass(frozen=True)
 class ProbePrediction:
-    """Errors of the impedance probes that increase with the motion.
-
-    Attributes:
-        alpha: Of alpha [rad].
-        beta: Of beta [rad].
-
-    """
+    """Errors of alpha and beta by the impedance probes that increase with the motion [rad]."""
 
     alpha: float
     beta: float
@@ -164,12 +151,7 @@ def diode_budget(column: Literal["induced_sigma_X_uin", "induced_sigma_Y_uin", "
 def straightness_error(travel: float = PEAK_TO_VALLEY, straightness: float = STAGE_STRAIGHTNESS) -> float:
     """Return the error of theta by the straightness of the calibration stage [rad], section 8.4.
 
-    Both diodes contribute, 3 in apart; the error goes with the travel across a diode.
-
-    Args:
-        travel: Travel of the spots along X of a diode [inch].
-        straightness: Of the stage, peak to valley of a linearisation [inch].
-
+    Both diodes contribute, 3 in apart; the error goes with the travel of the spots along X of a diode [inch].
     """
     return root_sum_square(straightness, straightness) / LEG_X * travel / PEAK_TO_VALLEY
 

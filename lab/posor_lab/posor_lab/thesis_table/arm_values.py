@@ -10,8 +10,14 @@ from posor.chain.arm_file import load_arm_file
 from posor_design.endpoint_budget import thesis_covariance
 from scipy.constants import inch
 
-from posor_lab.arm_study.arm_budget_command import FIGURES, THESIS, arm_budget, thesis_arm_path
-from posor_lab.arm_study.thesis_robot import ENDPOINT_FILE, JOINTS_FILE
+from posor_lab.arm_study.arm_budget_command import (
+    ENDPOINT_FILE,
+    FIGURES,
+    JOINTS_FILE,
+    THESIS,
+    arm_budget,
+    thesis_arm_path,
+)
 from posor_lab.thesis_budgets.chapter5 import root_sum_square
 from posor_lab.thesis_data import URAD, data_path, parse_number, read_table
 

@@ -54,13 +54,7 @@ _TextLoader.yaml_implicit_resolvers = {"<": [("tag:yaml.org,2002:merge", re.comp
 
 
 class RowFile:
-    """A file of rows.
-
-    Attributes:
-        title: Subject of the rows.
-        content: The sections of the file by name.
-
-    """
+    """A file of rows: its ``title``, and its ``content`` by section."""
 
     def __init__(self, path: Path) -> None:
         """Read a file.

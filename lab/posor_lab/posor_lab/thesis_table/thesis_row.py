@@ -34,28 +34,16 @@ class ComparisonKind(Enum):
 
 @dataclass(frozen=True)
 class ThesisRow:
-    """A printed number and its counterpart.
+    """A printed number and its counterpart."""
 
-    Attributes:
-        section: Section, table or appendix of the thesis, such as ``6.2.2`` or ``App. 1A``.
-        quantity: What the number is.
-        unit: Unit of both numbers, as printed.
-        printed: The printed digits, such as ``.0065`` or ``5.6e-9``; empty: not legible.
-        computed: The number that this project computes, in the same unit.
-        reason: Why the two differ, or what was assumed; required if they differ or if no number is legible.
-        input_rounding: Possible change of the computed number by the rounding of a printed input, in the same unit.
-        kind: On what the computed number rests.
-
-    """
-
-    section: str
-    quantity: str
-    unit: str
-    printed: str
-    computed: float
-    reason: str = ""
-    input_rounding: float = 0.0
-    kind: ComparisonKind = ComparisonKind.COMPUTED
+    section: str  # section, table or appendix of the thesis, such as ``6.2.2`` or ``App. 1A``
+    quantity: str  # name of the number
+    unit: str  # unit of both numbers, as printed
+    printed: str  # the printed digits, such as ``.0065`` or ``5.6e-9``; empty: not legible
+    computed: float  # the number that this project computes, in the same unit
+    reason: str = ""  # why the two differ, or what was assumed; required if they differ or no number is legible
+    input_rounding: float = 0.0  # possible change of ``computed`` by the rounding of a printed input
+    kind: ComparisonKind = ComparisonKind.COMPUTED  # on what the computed number rests
 
     @property
     def printed_number(self) -> float | None:

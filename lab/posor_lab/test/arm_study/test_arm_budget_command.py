@@ -13,9 +13,19 @@ from posor.chain.arm_file import load_arm_file
 from posor.errors import DataFileError, PosorError
 from posor_bringup.installed import share
 from posor_design.endpoint_budget import thesis_covariance
-from posor_lab.arm_study.arm_budget_command import FIGURES, NOISE, THESIS, WHOLE, arm_budget, main
-from posor_lab.arm_study.thesis_robot import ENDPOINT_FILE, JOINTS_FILE, read_endpoint, read_joints
-from posor_lab.thesis_data import data_path
+from posor_lab.arm_study.arm_budget_command import (
+    ENDPOINT_FILE,
+    FIGURES,
+    JOINTS_FILE,
+    NOISE,
+    THESIS,
+    WHOLE,
+    arm_budget,
+    main,
+    read_endpoint,
+    read_joints,
+)
+from posor_lab.thesis_data import data_path, read_table
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -41,8 +51,8 @@ def turns() -> np.ndarray:
     """Accuracy of each joint about X, Y, Z of the base [urad], shape (5, 3), not rounded."""
     large_about = (2, 1, 1, 0, 2)
     rows = []
-    for joint, axis in zip(read_joints(data_path(JOINTS_FILE)).values(), large_about, strict=True):
-        small, large = np.sqrt(np.diagonal(thesis_covariance(joint.outside_diameter)))[[3, 5]] * 1e6
+    for diameter, axis in zip(read_joints(data_path(JOINTS_FILE)).values(), large_about, strict=True):
+        small, large = np.sqrt(np.diagonal(thesis_covariance(diameter)))[[3, 5]] * 1e6
         rows.append([large if about == axis else small for about in range(3)])
     return np.array(rows)
 
@@ -52,22 +62,23 @@ def rss(*terms: np.ndarray) -> float:
 
 
 def test_joints_accuracies_are_the_printed_ones_to_their_last_digit() -> None:
-    for name, joint in read_joints(data_path(JOINTS_FILE)).items():
-        small, large = np.sqrt(np.diagonal(thesis_covariance(joint.outside_diameter)))[[3, 5]]
-        assert small == pytest.approx(joint.small, abs=0.005e-6), name
-        assert large == pytest.approx(joint.large, abs=0.005e-6), name
+    joints = read_joints(data_path(JOINTS_FILE)).items()
+    columns = ("small_dof_accuracy_urad", "large_dof_accuracy_urad")
+    for (name, diameter), row in zip(joints, read_table(data_path(JOINTS_FILE), columns), strict=True):
+        computed = np.sqrt(np.diagonal(thesis_covariance(diameter)))[[3, 5]] * 1e6
+        assert computed == pytest.approx([float(row[column]) for column in columns], abs=0.005), name
 
 
 @pytest.mark.parametrize("configuration", CONFIGURATIONS)
 def test_orientation_is_the_printed_one(budgets: dict[str, dict[str, Any]], configuration: str) -> None:
-    printed = read_endpoint(data_path(ENDPOINT_FILE))[configuration].orientation * 1e6
+    printed = read_endpoint(data_path(ENDPOINT_FILE))[configuration]
     budget = [budgets[configuration][name] for name in TURNS]
-    np.testing.assert_allclose(budget, printed, rtol=0.0, atol=0.05)
+    np.testing.assert_allclose(budget, [printed[name] for name in TURNS], rtol=0.0, atol=0.05)
     np.testing.assert_allclose(budget, [4.43, 4.20, 5.77], rtol=0.0, atol=0.005)
 
 
 def test_extended_displacement_is_the_printed_one_within_two_percent(budgets: dict[str, dict[str, Any]]) -> None:
-    printed = read_endpoint(data_path(ENDPOINT_FILE))["extended"].total / 0.0254e-6
+    printed = read_endpoint(data_path(ENDPOINT_FILE))["extended"]["displacement_uin"]
     assert budgets["extended"]["displacement_uin"] == pytest.approx(printed, rel=0.02)
 
 
@@ -93,8 +104,8 @@ def test_printed_extended_components_follow_from_two_terms_counted_along_other_a
     d_y = rss((a_z * EXTENDED_IN)[others])
     d_z = rss(a_y * EXTENDED_IN, a_z[elbow] * EXTENDED_IN[elbow])
     printed = read_endpoint(data_path(ENDPOINT_FILE))["extended"]
-    np.testing.assert_allclose([d_x, d_y, d_z], printed.displacement / 0.0254e-6, rtol=0.0, atol=0.51)
-    assert rss(np.array([d_x, d_y, d_z])) == pytest.approx(printed.total / 0.0254e-6, abs=0.5)
+    np.testing.assert_allclose([d_x, d_y, d_z], [printed[name] for name in SHIFTS], rtol=0.0, atol=0.51)
+    assert rss(np.array([d_x, d_y, d_z])) == pytest.approx(printed["displacement_uin"], abs=0.5)
 
 
 @pytest.mark.parametrize("configuration", CONFIGURATIONS)
@@ -196,7 +207,5 @@ def test_invalid_number_is_named(tmp_path: Path) -> None:
     text = data_path(JOINTS_FILE).read_text(encoding="utf-8").replace("elbow,6,", "elbow,six,")
     table = tmp_path / "joints.csv"
     table.write_text(text, encoding="utf-8")
-    with pytest.raises(
-        PosorError, match=r"row 'elbow', column 'posor_od_in': 'six' is not a number; expected a number\."
-    ):
+    with pytest.raises(PosorError, match=r"elbow, column 'posor_od_in': 'six' is not a number; expected a number\."):
         read_joints(table)

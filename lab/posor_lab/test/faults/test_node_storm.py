@@ -12,8 +12,7 @@ from posor_bringup.supervisor import Supervisor
 from posor_lab.faults.node_storm import PLAYER_ARGUMENTS, play_storm, posor_program
 from posor_lab.faults.storm import StormMaker, estimate_storm, storm_calibrations
 from posor_lab.harness.graph import Graph
-from posor_lab.reports.graph_receiver import GraphWatch
-from posor_lab.reports.node_player import NodePlayer
+from posor_lab.reports.graph_receiver import GraphWatch, NodePlayer
 from posor_msgs.msg import JointTransform
 from posor_ros.lifecycle_node import LISTENERS_STATUS
 from posor_ros.node_program import ros_context

@@ -12,8 +12,15 @@ import pytest
 from posor.numerics.compiled import COMPILING
 from posor_bringup.arms import load_checked_arm
 from posor_lab.fuzz.fuzz_command import fuzz_files, main, readers
-from posor_lab.fuzz.message_fuzz import ScanFuzz, TransformFuzz, changed_readings, fuzz_simulation, record
-from posor_lab.fuzz.mutation import MUTATIONS, mutate
+from posor_lab.fuzz.message_fuzz import (
+    MUTATIONS,
+    ScanFuzz,
+    TransformFuzz,
+    changed_readings,
+    fuzz_simulation,
+    mutate,
+    record,
+)
 from posor_lab.fuzz.node_fuzz import NodeScanFuzz, NodeTransformFuzz
 from posor_ros.node_program import ros_context
 

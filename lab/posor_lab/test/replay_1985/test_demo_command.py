@@ -21,8 +21,8 @@ def test_defaults_are_those_of_make_demo() -> None:
     [
         (["--bag", "gen"], "demo: argument --bag: invalid choice: 'gen' (choose from"),
         (["--calibration", "1985"], "demo: argument --calibration: invalid choice: '1985' (choose from"),
-        (["--rate", "-1"], "demo: argument --rate: '-1' is not a speed, a number of at least 0"),
-        (["--rate", "fast"], "demo: argument --rate: 'fast' is not a speed"),
+        (["--rate", "-1"], "demo: --rate -1; expected 0 to 1e+06."),
+        (["--rate", "fast"], "demo: argument --rate: invalid float value: 'fast'"),
         (["--speed", "2"], "demo: unrecognized arguments: --speed 2"),
         (["--ros-args", "-p"], "ROS arguments: cannot be understood"),
     ],
