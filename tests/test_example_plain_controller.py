@@ -18,14 +18,14 @@ from posor_ros.ros_arguments import ros_arguments
 
 if TYPE_CHECKING:
     from posor_bringup.supervisor import ProgramCommand
-    from posor_lab.faults.fault_table import Arm
+    from posor_lab.faults.fault_table import ArmName
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "plain_controller" / "plain_controller.py"
 MAX_LINES = 60
 ALLOWED = ("math", "signal", "geometry_msgs", "posor_msgs", "rclpy")
-ARM: Arm = "five_axis"
+ARM: ArmName = "five_axis"
 KILLED = "elbow/driver_node"
 CYCLE_S, SEED, WAYPOINT_S = 60, 4, 5.0
 JUDGED = 100

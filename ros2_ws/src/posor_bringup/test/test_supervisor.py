@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from posor_bringup import supervisor as module
-from posor_bringup.supervisor import ProcessError, Program, RunningProgram, Supervisor
+from posor_bringup.supervisor import ProcessError, ProgramCommand, RunningProgram, Supervisor
 from posor_lab.harness.program import in_background
 
 if TYPE_CHECKING:
@@ -51,8 +51,8 @@ def supervisor(folder: Path) -> Iterator[Supervisor]:
         yield running
 
 
-def program(name: str, *, ends: bool = False) -> Program:
-    return Program(name, "scripts", name, ends=ends)
+def program(name: str, *, ends: bool = False) -> ProgramCommand:
+    return ProgramCommand(name, "scripts", name, ends=ends)
 
 
 def start(supervisor: Supervisor, name: str) -> RunningProgram:
@@ -89,7 +89,7 @@ def test_leaving_the_block_ends_all(folder: Path) -> None:
     ],
 )
 def test_check_reports_a_program_that_failed_or_ended_early(
-    supervisor: Supervisor, started: Program, message: str
+    supervisor: Supervisor, started: ProgramCommand, message: str
 ) -> None:
     supervisor.start(started).process.wait()
     if message:
@@ -104,9 +104,9 @@ def test_check_reports_a_program_that_failed_or_ended_early(
 FAIL_ON_A_FULL_DISK = """\
 import sys
 from pathlib import Path
-from posor_bringup.supervisor import ProcessError, Program, Supervisor
+from posor_bringup.supervisor import ProcessError, ProgramCommand, Supervisor
 with Supervisor(Path(sys.argv[1])) as supervisor:
-    supervisor.start(Program("record", "", sys.argv[2])).process.wait()
+    supervisor.start(ProgramCommand("record", "", sys.argv[2])).process.wait()
     try:
         supervisor.end(supervisor._running)
     except ProcessError as error:
@@ -152,11 +152,11 @@ SUPERVISE = """\
 import sys
 from pathlib import Path
 from posor.lazy_program import LazyProgram
-from posor_bringup.supervisor import Program, Supervisor
+from posor_bringup.supervisor import ProgramCommand, Supervisor
 
 def main():
     with Supervisor(Path(sys.argv[1])) as supervisor:
-        child = supervisor.start(Program("child", "", sys.argv[2]))
+        child = supervisor.start(ProgramCommand("child", "", sys.argv[2]))
         while "started" not in child.log.read_text():
             assert not child.has_ended
     print(child.process.returncode)
@@ -204,7 +204,9 @@ def test_parameters_reach_ros_unchanged(supervisor: Supervisor) -> None:
         "no": "no",
     }
     name = "prints_arguments"
-    running = supervisor.start(Program(name, "scripts", name, ("--own", "option"), "/joint1", parameters, ends=True))
+    running = supervisor.start(
+        ProgramCommand(name, "scripts", name, ("--own", "option"), "/joint1", parameters, ends=True)
+    )
     running.process.wait()
     assert running.log.read_text(encoding="utf-8").splitlines() == [
         *("--own", "option", "--ros-args", "-r", "__ns:=/joint1"),
@@ -223,5 +225,5 @@ def test_parameters_reach_ros_unchanged(supervisor: Supervisor) -> None:
 )
 def test_program_that_is_not_installed(supervisor: Supervisor, package: str, message: str) -> None:
     with pytest.raises(ProcessError) as caught:
-        supervisor.start(Program("ghost", package, "ghost"))
+        supervisor.start(ProgramCommand("ghost", package, "ghost"))
     assert message in str(caught.value)
