@@ -56,7 +56,7 @@ class ArmReceiver(GraphReceiver):
         }
 
     def missing_topics(self) -> list[str]:
-        """Return the topics of a complete tick on which nothing has come yet."""
+        """Return the topics of a complete tick without any message yet."""
         stores: Mapping[str, Mapping[int, Any]] = {
             **self._driver_topics,
             **{self._transform_topic(joint): store for joint, store in self.transforms.items()},
@@ -65,7 +65,7 @@ class ArmReceiver(GraphReceiver):
         return [topic for topic, store in stores.items() if not store]
 
     def missing_connections(self) -> list[str]:
-        """Return what is missing until all nodes run and all subscriptions are connected, by topic or node."""
+        """Return the nodes that do not run yet, and the topics whose subscriptions are not connected yet."""
         arm, joints = self._arm, list(self.transforms)
         wanted = {f"/{arm}/chain_node": (self._endpoint_topic, ENDPOINT_COVARIANCE_TOPIC, 1)}
         for joint in joints:  # chain_node and this node

@@ -30,7 +30,7 @@ UNKNOWN = np.full((3, 3), np.nan), np.full(3, np.nan)
 
 @dataclass(frozen=True)
 class ArmRecord:
-    """n successive ticks of an arm; NaN where nothing was received."""
+    """n successive ticks of an arm; NaN: no message was received."""
 
     ticks: range  # numbers of the ticks
     times_s: FloatArray  # times since the first tick [s], (n,)
@@ -171,7 +171,9 @@ def count_outcomes(records: Sequence[ArmRecord], simulation: ArmSimulation, coun
                     late[who] += not dropped
                 causes[cause if who == CHAIN else f"{who} {cause}"] += 1
             without_scan = sum(reason == NO_SCAN for who, reason in reasons.items() if who != TRUTH)
-            seen_by_chain += 0 < without_scan < len(simulation.joints)  # of a tick without any scan it knows nothing
+            seen_by_chain += (
+                0 < without_scan < len(simulation.joints)
+            )  # the chain does not notice a tick without any scan
     unaccounted = sum(max(0, count - counters.missed[joint]) for joint, count in late.items())
     unaccounted += max(0, causes[GIVEN_UP] + seen_by_chain - counters.incomplete)
     poses = int(sum(np.count_nonzero(record.has_pose) for record in records))

@@ -48,12 +48,12 @@ class ArmLiveTable(LiveView):
         self._state = self._waiting = ""
 
     def show_state(self, state: str) -> None:
-        """Show what the run is doing."""
+        """Show the present stage of the run."""
         self._state = state
         self._show_line(state)
 
     def show_waiting(self, missing: str) -> None:
-        """Show what the run is waiting for, once."""
+        """Show the missing messages for which the run waits, once."""
         waiting = f"{self._state}, waiting for {missing}"
         if waiting != self._waiting:
             self._waiting = waiting
@@ -181,7 +181,7 @@ class ArmRun:
         """Run the ``count`` ticks of a cycle and return their record; ``state`` is shown in the live table.
 
         Raises:
-            ProcessError: A node failed, or nothing comes any more.
+            ProcessError: A node failed, or messages stopped.
 
         """
         self._table.show_state(state)
@@ -235,7 +235,7 @@ class ArmRun:
         """Start a controller, a Python file, while the clock stands still, then let it settle.
 
         Raises:
-            ProcessError: It failed, or commands nothing.
+            ProcessError: The controller failed, or sends no command.
 
         """
         self._table.show_state("starting the controller")

@@ -87,7 +87,7 @@ TRIES = 2
 
 @dataclass(frozen=True)
 class BenchmarkPlan:
-    """What to measure."""
+    """The graphs to measure, and for how long."""
 
     joints: int  # joints of the main graph
     rate: int  # rate of the main graph [Hz]

@@ -31,7 +31,7 @@ WIDTH = 118
 
 @dataclass(frozen=True)
 class CompletedStep:
-    """A completed step of a campaign: what the procedure found, and the calibration after it."""
+    """A completed step of a campaign: outcome of the procedure, and the calibration after the step."""
 
     step: CampaignStep
     outcome: Outcome

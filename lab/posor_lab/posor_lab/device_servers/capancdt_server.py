@@ -129,7 +129,7 @@ class CapaNcdtServer(DeviceServer):
                 line += byte
 
     def _answer_to(self, name: str, parameter: str) -> str:
-        """Carry out a command; return what follows the echo."""
+        """Carry out a command; return the answer after the echo."""
         known = {"VER": "DT6200;V1.2a;8010079", "CHS": ",".join(str(state) for state in self.states) + "OK"}
         if name in known and not parameter:
             return known[name]

@@ -28,7 +28,7 @@ SLOPE, CENTRE = 3.16e-4, 33_510.0
 
 
 class _Registers(DataBank):
-    """Voltages of the present time, and what was written."""
+    """Voltages of the present time, and the registers that a client has written."""
 
     def __init__(self, voltages: Callable[[int], Sequence[float]], stopping: Event) -> None:
         super().__init__(virtual_mode=True)

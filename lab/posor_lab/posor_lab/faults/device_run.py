@@ -101,7 +101,7 @@ class DeviceRun(InjectionRun):
         ACTIONS[row.name.removeprefix("device ")][1](self._server)
 
     def _result(self, row: FaultRow, span: Span) -> RowResult:
-        """Return what was published about a fault, and when poses came again."""
+        """Return the messages published about a fault, and when poses came again."""
         arrivals = self.receiver.between(ENDPOINT_COVARIANCE_TOPIC, span.end_ns, span.until_ns)
         back_s, found = (arrivals[0].time_ns - span.end_ns) / NS, super()._result(row, span)
         problem = f"no pose within {BACK_WITHIN_S:g} s of its end" if back_s > BACK_WITHIN_S else ""

@@ -96,7 +96,7 @@ class FaultRow:
     named_by: tuple[str, ...] = ()
     may_hide: bool = False
     quick: bool = False
-    run: str = ""  # section of the table: what injects the fault
+    run: str = ""  # section of the table: the run that injects the fault
     inject: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -126,10 +126,10 @@ NAMING_LIMITS_S, FAULT_TABLE = _load_table()
 
 @dataclass(frozen=True)
 class RowResult:
-    """What a run shows of a fault."""
+    """Result of a run for one fault."""
 
     row: FaultRow
-    seen: str  # sentence on what was published
+    seen: str  # sentence on the published messages
     naming_s: float | None  # time from the fault to the first message that names it [s]; None: not named
     wrong_ok: int  # poses published as valid that are beyond 5 standard deviations of the truth
     covered: float = math.nan  # share of cases within the protection level, of a fault that is not observable

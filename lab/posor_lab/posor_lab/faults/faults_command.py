@@ -140,7 +140,7 @@ TITLES = {
 
 
 def shorten(options: Namespace) -> None:
-    """Leave out what ``--rows`` and ``--quick`` do not run."""
+    """Disable the parts that ``--rows`` and ``--quick`` do not run."""
     if options.quick or options.rows:
         options.soak, options.node_storm = 0.0, 0
         options.storm = 0 if options.rows else min(options.storm, QUICK_INJECTED)

@@ -1,4 +1,4 @@
-"""Runs the nodes of an arm and injects faults one after the other: what all live runs share, and faulty readings."""
+"""Runs the nodes of an arm and injects faults one after the other: base of all live runs, and faulty readings."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ class InjectionRun:
         return self._judge.count_wrong(self.receiver, span.begin_ns, span.until_ns, self._joint_of(row))
 
     def _result(self, row: FaultRow, span: Span) -> RowResult:
-        """Return what was published about a fault."""
+        """Return the result of a fault from the published messages."""
         named_ns, (begin_ns, end_ns, until_ns) = self._first_naming_ns(row, span), span
         return RowResult(
             row,
@@ -215,7 +215,7 @@ class ReadingRun(InjectionRun):
         return spans
 
     def _result(self, row: FaultRow, span: Span) -> RowResult:
-        """Return what was published, from the first scan during the fault on; a problem if the host concealed it."""
+        """Return the result from the first scan during the fault on; a problem if the host concealed the fault."""
         found, topic, begin_ns = super()._result(row, span), f"{self._joint_of(row)}/{TRANSFORM_TOPIC}", span.begin_ns
         before = self.receiver.between(topic, begin_ns - round(self.SOUND_S * NS), begin_ns)
         stamps = {stamp_ns(each.message) for each in self.receiver.between(topic, begin_ns, span.until_ns)}

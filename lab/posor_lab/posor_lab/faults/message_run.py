@@ -43,7 +43,7 @@ OFFERED_QOS = QoSProfile(
     liveliness=LivelinessPolicy.AUTOMATIC,
     liveliness_lease_duration=Duration(seconds=1.0),
 )
-"""What live drivers and posor_nodes offer at most, so that every subscription matches."""
+"""Strictest QoS that live drivers and posor_nodes offer, so that every subscription matches."""
 SIGMA = 1e-6
 """Standard deviation of the played transforms [m], [rad]."""
 OPERATIONS: Mapping[str, Callable[[Any, Any], Any]] = {

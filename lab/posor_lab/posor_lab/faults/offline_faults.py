@@ -109,7 +109,7 @@ def _warm_beam_cases(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return errors, protection levels and standard deviations of the endpoint with measuring beams that are warmer.
 
-    The joints are taken as exact: the error of the endpoint is that of the beams alone.
+    The joints are taken as exact: the error of the endpoint comes from the beams alone.
     """
     arm = load_arm_file(find_arm("six_axis"))
     chain = arm.chain()

@@ -81,7 +81,7 @@ class PoseJudge:
     def covered_share(self, receiver: ArrivalReceiver, begin_ns: int, end_ns: int) -> float:
         """Return which share of the wrong endpoints that came as valid is within the protection level; 1 without any.
 
-        A level that is not known (NaN), as in the second after a recovery, covers nothing.
+        An unknown level (NaN), as in the second after a recovery, covers no pose.
         """
         parts = _valid(receiver.between(ENDPOINT_STATE_TOPIC, begin_ns, end_ns))
         if not parts:
@@ -123,7 +123,7 @@ def pose_array(poses: Sequence[Any]) -> PoseArray:
     translations = np.array([(each.position.x, each.position.y, each.position.z) for each in poses])
     quaternions = [(each.orientation.x, each.orientation.y, each.orientation.z, each.orientation.w) for each in poses]
     vectors, scalars = np.hsplit(np.array(quaternions), [3])
-    # Not normalised: an orientation that is no unit quaternion is judged as a reader of the message would use it.
+    # Not normalised: an orientation that is not a unit quaternion is judged as a reader of the message would use it.
     crossed = np.cross(vectors[:, None], np.eye(3)).swapaxes(1, 2)
     squares = np.sum(vectors**2, axis=1)[:, None, None]
     outer = vectors[:, :, None] * vectors[:, None]

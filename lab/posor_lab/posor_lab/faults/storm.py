@@ -86,7 +86,7 @@ def thetas_of(poses: PoseArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Storm:
-    """Scans with faults, and what is true."""
+    """Scans with faults, and the true poses."""
 
     scans: Scans  # as the driver publishes them, (n)
     faults: IntArray  # fault of each scan, (n,): an index of ``names``; -1: no fault

@@ -1,4 +1,4 @@
-"""The faults of the storm: what each does to some scans of a block.
+"""The faults of the storm: the change that each makes to some scans of a block.
 
 Offsets are at least twice the minimal detectable bias of their probe.
 """

@@ -1,1 +1,1 @@
-"""Damaged messages and files: what the programs make of bytes that nobody meant."""
+"""Damaged messages and files: results of the programs for damaged bytes."""

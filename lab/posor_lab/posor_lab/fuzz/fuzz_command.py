@@ -1,4 +1,4 @@
-"""fuzz: damages messages and files at random and counts what the programs make of them.
+"""fuzz: damages messages and files at random and counts the results of the programs.
 
 The exit code is 0 only if no damaged message gives a wrong pose, the nodes answer every sound message and their memory
 does not grow, and every reader of a file gives a result or one sentence. The rule is in ``docs/integrity.md``.

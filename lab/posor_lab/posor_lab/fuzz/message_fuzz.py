@@ -128,7 +128,7 @@ MOST_EXAMPLES = 10
 
 @dataclass(frozen=True)
 class JointRecording:
-    """Undamaged scans of a joint, and what the byte path makes of them."""
+    """Undamaged scans of a joint, and their transforms and estimates by the byte path."""
 
     posor: Posor
     stream: RawScanStream  # byte path of posor_node
@@ -157,7 +157,7 @@ def record(simulation: ArmSimulation, joint: str, count: int = SCANS, cycle: int
 
 
 class MessageFuzz(ABC):
-    """Counts what becomes of damaged messages, by ``OUTCOMES``; keeps the first ``examples`` of a wrong pose."""
+    """Counts the outcomes of damaged messages, by ``OUTCOMES``; keeps the first ``examples`` of a wrong pose."""
 
     def __init__(self, seed: str) -> None:
         """Count from 0."""
@@ -199,7 +199,7 @@ class ScanFuzz(MessageFuzz):
         self.judge(n, data, None if found is None or found["state"] not in USABLE_STATES else _pose_of(found))
 
     def judge(self, n: int, data: bytes, found: pin.SE3 | None) -> None:
-        """Count what became of damaged bytes in place of scan n: a pose that is published as valid, or None."""
+        """Count the outcome of damaged bytes in place of scan n; ``found``: pose published as valid, or None."""
         if found is None:
             self._count("refused")
             return
@@ -304,7 +304,7 @@ class TransformFuzz(MessageFuzz):
         return self.chance.choice(self._scans), self.chance.randrange(len(self._formats))
 
     def judge(self, scan: list[bytes], j: int, found: pin.SE3 | None) -> None:
-        """Count what became of a scan whose transform of joint j was damaged: an endpoint pose, or None."""
+        """Count the outcome of a scan with a damaged transform of joint j; ``found``: endpoint pose, or None."""
         if found is None:
             self._count("refused")
         elif self.is_near(scan, found):

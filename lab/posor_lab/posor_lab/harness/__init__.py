@@ -1,1 +1,1 @@
-"""What the tests of all packages share: real programs in processes of their own, and a node that watches the graph."""
+"""Harness for the tests of all packages: real programs in own processes, and a node that watches the graph."""

@@ -58,7 +58,7 @@ class TrialFigures:
     stamps_late_us: float  # time by which the motion explains the errors best; it holds the least delay of the device
     latency_ms: float  # median time from stamp to reception
     named_after_s: float  # from the stall of a device to the first diagnostics that name it
-    poses_in_stall: int  # received later than named_after_s, while the device sent nothing
+    poses_in_stall: int  # received later than named_after_s, while the device was silent
     back_after_s: float | None  # from the end of the stall to the first pose; None if it is not waited for
 
 

@@ -117,7 +117,7 @@ def _texts(finding: str) -> Mapping[str, str]:
 
 
 def _largest(differences: FloatArray) -> float:
-    """Return the largest magnitude [urad] from step 2 on; NaN, which holds nowhere, if there is no such step."""
+    """Return the largest magnitude [urad] from step 2 on; NaN, which no limit accepts, without a further step."""
     return float(np.max(np.abs(differences[1:]))) / URAD if len(differences) > 1 else float("nan")
 
 

@@ -74,7 +74,7 @@ class EndOfBeamProgram:
         return np.asarray(np.sin(theta)[..., None] * np.array([d1, d23, -d23]))
 
     def ray_shifts(self, changes: tuple[FloatArray, FloatArray], theta: FloatArray) -> FloatArray:
-        """Return what leaning rays add to the spots when the plate distances change, shape (..., 4)."""
+        """Return the shifts of the spots by leaning rays when the plate distances change, shape (..., 4)."""
         one = changes[0] * self.sizes["sigma1"]
         two = changes[1] * self.sizes["sigma2"]
         spin1, spin2 = self.sizes["rho1"] + theta, self.sizes["rho2_listing"] + theta

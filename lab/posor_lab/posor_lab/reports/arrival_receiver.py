@@ -1,4 +1,4 @@
-"""Receives what the nodes of an arm publish, with the times of arrival."""
+"""Receives the messages of an arm's nodes, with the times of arrival."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ class ArrivalReceiver(GraphReceiver):
         return min(times, default=None)
 
     def describe(self, begin_ns: int, end_ns: int, joint: str = "") -> str:
-        """Return a sentence on what came between two times [ns] about a joint and the endpoint."""
+        """Return a sentence on the messages of a joint and the endpoint between two times [ns]."""
         parts = []
         if joint and (transforms := self.between(f"{joint}/{TRANSFORM_TOPIC}", begin_ns, end_ns)):
             counts = {state.name: sum(each.message.state == state for each in transforms) for state in State}

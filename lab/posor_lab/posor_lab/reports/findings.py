@@ -37,7 +37,7 @@ class Verdict(Enum):
 
 
 FIGURE_HEADINGS: Mapping[str, str] = {"computed": "figure", "limit": "limit"}
-"""Headings for findings that are compared with nothing but their limits."""
+"""Headings for findings that are compared with their limits only."""
 COMPARISON_HEADINGS: Mapping[str, str] = {
     "computed": "found",
     "stated": "expected",
@@ -74,7 +74,7 @@ class Finding:
 
     @property
     def comment(self) -> str:
-        """The remark, and if the figure fails what this means."""
+        """The remark, and the meaning of a failure."""
         return "; ".join(filter(None, [self.remark, self.if_fails if self.verdict is Verdict.FAILS else ""]))
 
 

@@ -1,4 +1,4 @@
-"""Receives what the nodes of a graph publish, or plays all neighbours of a node; a supervisor runs the processes."""
+"""Receives the messages of a graph, or plays all neighbours of a node, while a supervisor runs the processes."""
 
 from __future__ import annotations
 

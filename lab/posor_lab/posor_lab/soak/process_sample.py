@@ -1,4 +1,4 @@
-"""What a process holds and has used at one moment, from /proc, and the growth of its memory."""
+"""Memory, descriptors, threads and processor time of a process at one moment, from /proc."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MEGABYTE = 1e6
 
 @dataclass(frozen=True)
 class ProcessSample:
-    """What a process holds at one moment."""
+    """Resources of a process at one moment."""
 
     seconds: float  # since the warm-up
     memory_mb: float  # resident

@@ -81,7 +81,7 @@ class SoakFigures:
 
     @property
     def lost(self) -> int:
-        """What was lost beyond missed ticks."""
+        """Number of lost scans, states, transforms and poses, without missed ticks."""
         return self.lost_scans + self.lost_states + self.lost_transforms + self.lost_poses
 
     @property
@@ -191,7 +191,7 @@ def run_soak(
     It moves as in the fault table, at a rate that two processors follow. ``on_sample`` is called every ``SAMPLE_S``.
 
     Raises:
-        ProcessError: The process failed, or nothing arrives any more.
+        ProcessError: The process failed, or messages stopped.
         InterruptedRunError: The user interrupted the run.
 
     """

@@ -54,7 +54,7 @@ class BudgetCell:
     last_digit: float  # one unit of the last printed digit
     computed: float  # the number of the model, in the same unit
     input_rounding: float = 0.0  # possible change of ``computed`` by the rounding of the printed perturbation
-    reason: str = ""  # what the thesis did differently, as far as the numbers show; empty: unknown
+    reason: str = ""  # how the thesis calculated the cell, inferred from the numbers; empty: unknown
     gives: float = math.nan  # the number that follows from the reason, in the unit of the cell
 
     @property
@@ -71,7 +71,7 @@ class BudgetCell:
 
     @property
     def agreement(self) -> Agreement:
-        """Result of the comparison, stricter than that of a row of the thesis table.
+        """Result of the comparison, which is stricter than for a row of the thesis table.
 
         A cell agrees if the rounding of the cell (half a unit of its last digit) and of the printed perturbation covers
         the difference. A reason explains a cell within a whole unit, because some printed digits are cut, not rounded.

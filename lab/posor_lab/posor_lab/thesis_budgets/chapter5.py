@@ -241,7 +241,7 @@ def spot_shift(axis: str, perturbation: str, group: str = "axes offset") -> floa
 def theta_factor(axis: str) -> float:
     """Return the effect of an inch of X or Y of a spot on theta [rad].
 
-    Each is taken where it is largest: that of X with the spots 0.5 in apart along Y, that of Y with none.
+    Each effect is taken where it is largest: X with the spots 0.5 in apart along Y, Y with the spots level.
     """
     model = model_at() if axis == "X" else model_at(leg_y=0.0)
     return abs(model.reading_sensitivity("theta", f"spot {axis.lower()} diode_1"))

@@ -23,7 +23,7 @@ class Agreement(Enum):
 
 
 class ComparisonKind(Enum):
-    """What a comparison is worth: on what the computed number rests."""
+    """Weight of a comparison: the source of the computed number."""
 
     COMPUTED = "computed from inputs"
     BUDGET_CELL = "budget cell"
@@ -41,9 +41,9 @@ class ThesisRow:
     unit: str  # unit of both numbers, as printed
     printed: str  # the printed digits, such as ``.0065`` or ``5.6e-9``; empty: not legible
     computed: float  # the number that this project computes, in the same unit
-    reason: str = ""  # why the two differ, or what was assumed; required if they differ or no number is legible
+    reason: str = ""  # why the two differ, or an assumption; required if they differ or no number is legible
     input_rounding: float = 0.0  # possible change of ``computed`` by the rounding of a printed input
-    kind: ComparisonKind = ComparisonKind.COMPUTED  # on what the computed number rests
+    kind: ComparisonKind = ComparisonKind.COMPUTED  # source of the computed number
 
     @property
     def printed_number(self) -> float | None:
@@ -62,7 +62,7 @@ class ThesisRow:
 
     @property
     def verdict(self) -> Agreement:
-        """Agreement within 2 % of the printed number, or within its rounding and that of a printed input."""
+        """Agreement within 2 % of the printed number, or within the rounding of this number and of a printed input."""
         if self.difference is None:
             return Agreement.NOT_LEGIBLE
         agrees = self._within_share or abs(self.difference) <= ROUNDING_MARGIN * (self.rounding + self.input_rounding)

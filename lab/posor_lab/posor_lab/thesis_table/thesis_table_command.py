@@ -1,4 +1,4 @@
-"""thesis: what the thesis prints beside what this project computes, row by row, with the figures redrawn.
+"""thesis: printed numbers of the thesis beside the computed ones, row by row, with the figures redrawn.
 
 Exit code 0: every row has been computed, whether or not it agrees.
 """

@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 import pytest
+from posor_lab.arm_study import arm_budget_command
 from posor_lab.replay_1985.printed_results import EndOfBeamResults, EndOfBeamTest, read_end_of_beam
 from posor_lab.thesis_budgets.budget_tables import BudgetCell
-from posor_lab.thesis_table import arm_values, formulas, motion_values
+from posor_lab.thesis_table import formulas, motion_values
 from posor_lab.thesis_table.thesis_row import Agreement
 
 
@@ -34,14 +35,14 @@ def test_the_humidity_effect_at_the_temperature_found() -> None:
 
 
 def test_the_print_of_the_extended_arm_follows_from_two_terms_along_other_axes() -> None:
-    np.testing.assert_allclose(arm_values.extended_as_printed(), [35.6, 171.9, 203.5], rtol=0.0, atol=0.05)
+    np.testing.assert_allclose(arm_budget_command.extended_as_printed(), [35.6, 171.9, 203.5], rtol=0.0, atol=0.05)
 
 
 def test_added_errors_act_across_the_beams(monkeypatch: pytest.MonkeyPatch) -> None:
     none = (0.0, 0.0, 0.0)
-    np.testing.assert_allclose(arm_values.with_calibration_and_beams(none), [50.0, 53.14, 53.14], atol=0.01)
-    monkeypatch.setattr(arm_values, "CALIBRATION_ERROR", 0.0)
-    np.testing.assert_allclose(arm_values.with_calibration_and_beams(none), [0.0, 18.0, 18.0])
+    np.testing.assert_allclose(arm_budget_command.with_calibration_and_beams(none), [50.0, 53.14, 53.14], atol=0.01)
+    monkeypatch.setattr(arm_budget_command, "CALIBRATION_ERROR", 0.0)
+    np.testing.assert_allclose(arm_budget_command.with_calibration_and_beams(none), [0.0, 18.0, 18.0])
 
 
 def test_figures_of_the_legible_tables_follow_the_tables(monkeypatch: pytest.MonkeyPatch) -> None:
