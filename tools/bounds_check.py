@@ -34,7 +34,7 @@ def check_bags(folder: Path, poses: np.ndarray) -> None:
     with opened_bag(BAG) as reader, BagWriter(folder / "copy") as writer:
         for each in reader.connections:
             definition = Definition(each.msgdef.data, each.digest)
-            writer.add_topic(each.topic, each.msgtype, definition, each.ext.offered_qos_profiles)
+            writer.add_topic(each.topic, each.msgtype, definition, each.ext.offered_qos_profiles)  # type: ignore[union-attr]  # a rosbag2
         for connection, time_ns, data in reader.messages():
             writer.write(connection.topic, time_ns, bytes(data))
     (rescue,) = recover(folder / "copy", folder / "recovered")

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 ARMS = 1000
 POSES = 6
 BATCH = 25  # arms per task of a worker
-IN_THE_BUDGET = Imperfections(zero_drift=False, supply_drift=False, contamination=False, dropouts=False, latency=False)
+IN_THE_BUDGET = Imperfections.only("noise", "quantisation", "calibration_errors", "beam_errors", "sag")
 """Imperfections that the published covariance includes: noise, quantisation, calibration, beams and their sag."""
 FALSE_ALARM = 1e-9  # of the chi-square test, so that noise is not taken for a fault: that would trim the errors
 

@@ -48,7 +48,7 @@ def least_us(calls: int, work: Callable[[], object]) -> float:
     return 1e6 * min(seconds) / calls
 
 
-def estimator_figures(arm: Arm, bag: Path) -> dict[str, float]:
+def estimator_figures(arm: ArmFile, bag: Path) -> dict[str, float]:
     """Return ``kernel_us`` (all scans in one call) and ``scan_us`` (scan by scan) [us], means over the joints."""
     many, single = [], []
     for joint in arm.calibrations:

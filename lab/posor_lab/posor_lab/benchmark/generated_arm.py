@@ -45,7 +45,7 @@ SIMULATED = Imperfections(dropouts=False, calibration_errors=False, beam_errors=
 PROVENANCE = {"source": "assumed", "method": f"made of the parts of {PARTS} by the benchmark", "date": "none"}
 
 
-def generate_arm(folder: Path, joints: int, scans: Path) -> Arm:
+def generate_arm(folder: Path, joints: int, scans: Path) -> ArmFile:
     """Write the files of an arm into a new folder and load it; its drivers play the bag ``scans``."""
     folder.mkdir(parents=True)
     parts = load_checked_arm(PARTS)

@@ -40,7 +40,7 @@ FALSE_ALARM = 1e-9
 class GraphLoad:
     """A graph to measure."""
 
-    arm: Arm  # from ``generate_arm``
+    arm: ArmFile  # from ``generate_arm``
     kind: NodeKind  # kind of the nodes
     layout: Layout  # which nodes share a process
     rate: int  # scans per second

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 import yaml
-from posor.chain.arm_file import load_arm_file
+from posor.chain.arm_file import ArmFile, load_arm_file
 from posor_bringup.arms import ARM_FILE, find_arm
 from posor_drivers.simulator.imperfections import Imperfections
 
@@ -19,7 +19,6 @@ from posor_lab.instruments.simulated_readings import quantity
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from posor.chain.arm_file import ArmFile
 
 RATES: Mapping[ArmName, int] = {"six_axis": 50, "five_axis": 50, "test_rig": 100}
 """Scans per second that two processors can follow with all drivers and nodes."""
@@ -47,7 +46,7 @@ def write_fault_arm(
     seed: int,
     faults: Sequence[dict[str, Any]] = (),
     waypoint_s: float = WAYPOINT_S,
-) -> Arm:
+) -> ArmFile:
     """Write a copy of an installed arm into a new folder and return it.
 
     Its scenario has a cycle of ``duration_s``, a motion that changes its direction every ``waypoint_s``, and

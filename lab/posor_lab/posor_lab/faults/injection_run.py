@@ -185,7 +185,7 @@ class ReadingRun(InjectionRun):
     TITLE, ATTEMPTS = "readings of {0.arm}", 3
     SOUND_S, FAULT_S, ACKNOWLEDGE_S, REST_S = 0.2, 0.5, 0.2, 1.1
 
-    def _write_arm(self, seed: int) -> Arm:
+    def _write_arm(self, seed: int) -> ArmFile:
         """Write the arm with the faults in its scenario."""
         name, self._cycle_s = self.rows[0].arm, SLOT_S * max(2, len(self.rows))
         joints = list(write_fault_arm(name, self.folder / "sound", self._cycle_s, seed).calibrations)

@@ -60,7 +60,7 @@ def readers() -> dict[str, tuple[Path, Callable[[Path], object]]]:
     return {
         "calibration": (arm / "calibrations" / "elbow.yaml", load_calibration),
         "beams": (arm / "beams.yaml", load_beams),
-        "arm": (arm / "arm.yaml", load_arm),
+        "arm": (arm / "arm.yaml", load_arm_file),
         "scenario": (arm / "scenario.yaml", load_scenario),
         "urdf": (arm / "five_axis.urdf", lambda path: load_chain(path, "endpoint")),
         "table": (data_path("ymo_output.csv"), read_table),
