@@ -7,20 +7,21 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import yaml
 from posor.calibration.calibration_file import load_calibration
+from posor.calibration.edit import parse_key_path
 from posor.errors import CalibrationError
+from posor_lab.harness.case_tables import cases, refusal
 
-from .calibration_content import DIODES, PROBE, Key, drop, put, refusal, write, written
-from .calibration_mistakes import WRONG
+from .calibration_content import PROBE, at, write
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 
-def line_of(text: str, key: Key) -> int:
+def line_of(text: str, key: str) -> int:
     """Return the line in which a key (or an entry of a list) begins."""
     node: Any = yaml.compose(text, Loader=yaml.CSafeLoader)
     line = 1
-    for part in key:
+    for part in parse_key_path(key) if key else ():
         if isinstance(part, int):
             node = node.value[part]
             line = node.start_mark.line + 1
@@ -30,41 +31,47 @@ def line_of(text: str, key: Key) -> int:
     return line
 
 
-@pytest.mark.parametrize("mistake", WRONG)
-def test_a_mistake_is_named_with_file_line_key_and_what_is_expected(mistake: str, content: Any, file: Path) -> None:
-    wrong = WRONG[mistake]
-    wrong.edit(content)
+def change(content: Any, edit: str, key: str, value: Any) -> None:
+    """Put a value, drop an entry, or rename an entry in its place."""
+    *way, last = parse_key_path(key)
+    for part in way:
+        content = content[part]
+    if edit == "put":
+        content[last] = value
+    elif edit == "drop":
+        del content[last]
+    else:
+        entries = [(value if name == last else name, entry) for name, entry in content.items()]
+        content.clear()
+        content.update(entries)
+
+
+@pytest.mark.parametrize(**cases(__file__, "mistakes.yaml"))
+def test_a_mistake_is_named_with_file_line_key_and_what_is_expected(
+    edit: str, place: str, value: Any, key: str, says: str, content: Any, file: Path
+) -> None:
+    change(content, edit, place, value)
     text = write(file, content)
-    key = f", key {written(wrong.key)}" if wrong.key else ""
-    line = line_of(text, wrong.key)
-    assert refusal(file) == f"{file}, line {line}{key}: {wrong.says}."
+    error = refusal(CalibrationError, load_calibration, file)
+    assert error.where == f"{file}, line {line_of(text, key)}{f', key {key}' if key else ''}"
+    assert str(error) == f"{error.where}: {says}."
 
 
-@pytest.mark.parametrize("where", [(), ("sessions",), PROBE], ids=["top", "sessions", "probe"])
-def test_a_key_that_is_not_text_is_refused(where: Key, content: Any, file: Path) -> None:
+@pytest.mark.parametrize("where", ["", "sessions", PROBE])
+def test_a_key_that_is_not_text_is_refused(where: str, content: Any, file: Path) -> None:
     """A session of the year 1985, say, needs quotes."""
-    put({"note": "x"}, *where, 1985)(content)
+    (at(content, where) if where else content)[1985] = {"note": "x"}
     lines = write(file, content).splitlines()
     [line] = [number for number, text in enumerate(lines, 1) if text.strip() == "1985:"]
-    assert refusal(file) == (
-        f"{file}, line {line}, key {written((*where, '1985'))}: key 1985 is not text; "
-        "expected text, in quotes where YAML would read something else."
-    )
+    error = refusal(CalibrationError, load_calibration, file)
+    assert error.where == f"{file}, line {line}, key {f'{where}.1985'.lstrip('.')}"
+    assert error.what == "key 1985 is not text"
 
 
 def test_the_first_of_several_mistakes_is_named(content: Any, file: Path) -> None:
-    put("mV", *PROBE, "noise", "unit")(content)
-    drop(*PROBE, "tip")(content)
-    put("C", *DIODES, "map")(content)
-    write(file, content)
-    assert refusal(file).startswith(f"{file}, line ")
-
-
-def test_errors_keep_their_parts(content: Any, file: Path) -> None:
-    put("mV", *PROBE, "zero_shift", "unit")(content)
-    write(file, content)
-    with pytest.raises(CalibrationError) as caught:
-        load_calibration(file)
-    error = caught.value
-    assert (error.what, error.expected) == ("unit 'mV'", "'V'")
+    for edit, key, value in (("put", "noise.unit", "mV"), ("drop", "tip", None)):
+        change(content, edit, f"{PROBE}.{key}", value)
+    text = write(file, content)
+    error = refusal(CalibrationError, load_calibration, file)
     assert error.where.startswith(f"{file}, line ")
+    assert error.where in {f"{file}, line {line_of(text, key)}, key {key}" for key in (PROBE, f"{PROBE}.noise.unit")}

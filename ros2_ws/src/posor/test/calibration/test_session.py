@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from posor.calibration.calibration_file import load_calibration
 from posor.errors import CalibrationError
+from posor_lab.harness.case_tables import refusal
 
-from .calibration_content import SESSION, put, write, zero_shifts
+from .calibration_content import at, write, zero_shifts
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
 
@@ -27,7 +27,7 @@ def test_a_session_replaces_zero_shifts_and_maps(rig_calibrations: dict[str, Pat
 
 
 def test_a_session_keeps_all_other_values(content: Any, file: Path) -> None:
-    put({"note": "nothing new"}, *SESSION)(content)
+    content["sessions"]["ymo"] = {"note": "nothing new"}
     write(file, content)
     whole = load_calibration(file)
     assert whole.for_session("ymo").sensors == whole.sensors
@@ -44,31 +44,28 @@ def test_each_session_has_a_hash_of_its_own(rig_calibrations: dict[str, Path]) -
 
 
 def test_the_uncertainty_of_a_zero_shift_comes_from_the_session(content: Any, file: Path) -> None:
-    put({"value": [0.1, 0.2, 0.3], "sigma": [0.01, 0.02, 0.03], "unit": "V"}, *SESSION, "zero_shifts")(content)
+    shifts = {"value": [0.1, 0.2, 0.3], "sigma": [0.01, 0.02, 0.03], "unit": "V"}
+    content["sessions"]["ymo"]["zero_shifts"] = shifts
     write(file, content)
     probes = load_calibration(file).for_session("ymo").sensors[0].probes  # type: ignore[attr-defined]
     assert [float(probe.zero_shift.sigmas) for probe in probes] == [0.01, 0.02, 0.03]
 
 
 def test_an_unknown_session_is_refused(rig_calibrations: dict[str, Path]) -> None:
-    with pytest.raises(CalibrationError) as caught:
-        load_calibration(rig_calibrations["printed"]).for_session("ymx")
-    assert str(caught.value) == ("calibration 'slocum1985_printed': session 'ymx' is unknown; expected ymo, yzmo, zmo.")
+    error = refusal(CalibrationError, load_calibration(rig_calibrations["printed"]).for_session, "ymx")
+    assert str(error) == "calibration 'slocum1985_printed': session 'ymx' is unknown; expected ymo, yzmo, zmo."
 
 
 @pytest.mark.parametrize(
-    ("edit", "says"),
+    ("where", "key", "value", "expected"),
     [
-        (put([0.0, 0.2], *SESSION, "zero_shifts", "value"), "2 values; expected 3, one for each gap probe."),
-        (put("C", *SESSION, "diode_map"), "'C'; expected one of A, B."),
+        ("sessions.ymo.zero_shifts", "value", [0.0, 0.2], "3, one for each gap probe"),
+        ("sessions.ymo", "diode_map", "C", "one of A, B"),
     ],
-    ids=["number of zero shifts", "unknown map"],
 )
 def test_a_session_that_does_not_fit_is_refused(
-    edit: Callable[[Any], None], says: str, content: Any, file: Path
+    where: str, key: str, value: object, expected: str, content: Any, file: Path
 ) -> None:
-    edit(content)
+    at(content, where)[key] = value
     write(file, content)
-    with pytest.raises(CalibrationError) as caught:
-        load_calibration(file).for_session("ymo")
-    assert str(caught.value).endswith(says)
+    assert refusal(CalibrationError, load_calibration(file).for_session, "ymo").expected == expected
