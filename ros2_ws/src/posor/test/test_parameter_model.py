@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import pytest
 from posor.errors import ParameterError
@@ -15,6 +15,7 @@ from posor.parameter_model import (
     parameter_value,
     validate_parameters,
 )
+from posor_lab.harness.case_tables import cases, refusal
 from pydantic import Field, ValidationError, model_validator
 
 
@@ -39,11 +40,8 @@ class Example(NodeParameters):
         return self
 
 
-def error_of(**values: Any) -> str:
-    named = {name.replace("__", "."): value for name, value in values.items()}
-    with pytest.raises(ParameterError) as caught:
-        validate_parameters(Example, {"bag.path": "x", **named}, node="/joint1/driver")
-    return str(caught.value)
+def refused(values: dict[str, object], node: str = "/joint1/driver") -> ParameterError:
+    return refusal(ParameterError, validate_parameters, Example, values, node=node)
 
 
 def test_values_reach_the_model_and_defaults_fill_the_rest() -> None:
@@ -65,43 +63,21 @@ def test_values_reach_the_model_and_defaults_fill_the_rest() -> None:
         parameters.rate = 3.0
 
 
-@pytest.mark.parametrize(
-    ("values", "expected"),
-    [
-        ({"rate": 11.0}, "'rate': 11.0 is wrong; expected a number at least 0.0 and at most 10.0."),
-        ({"rate": "2"}, "'rate': '2' is wrong; expected a number at least 0.0 and at most 10.0."),
-        ({"rate": True}, "'rate': True is wrong; expected a number at least 0.0 and at most 10.0."),
-        ({"rate": math.nan}, "'rate': nan is wrong; expected a number at least 0.0 and at most 10.0."),
-        ({"rate": math.inf}, "'rate': inf is wrong; expected a number at least 0.0 and at most 10.0."),
-        ({"rate": -math.inf}, "'rate': -inf is wrong; expected a number at least 0.0 and at most 10.0."),
-        ({"above": 1.0}, "'above': 1.0 is wrong; expected a number greater than 0.0 and less than 1.0."),
-        ({"count": 2.0}, "'count': 2.0 is wrong; expected an integer at least 1."),
-        ({"count": 0}, "'count': 0 is wrong; expected an integer at least 1."),
-        ({"mode": "quit"}, "'mode': 'quit' is wrong; expected one of 'exit', 'stay'."),
-        ({"autostart": "yes"}, "'autostart': 'yes' is wrong; expected true or false."),
-        ({"bag__path": ""}, "'bag.path': '' is wrong; expected a string of length 1 or more."),
-        ({"bag__topics": ["/x", 2]}, "'bag.topics': 2 is wrong; expected a list of strings."),
-        ({"bag__topics": "/x"}, "'bag.topics': '/x' is wrong; expected a list of strings."),
-        ({"rat": 1.0}, "'rat': there is no such parameter; expected perhaps 'rate'."),
-        ({"bag__pth": "x"}, "'bag.pth': there is no such parameter; expected perhaps 'bag.path'."),
-        ({"losless": True}, "'losless': there is no such parameter; expected perhaps 'lossless'."),
-    ],
-)
-def test_an_error_names_node_parameter_value_and_constraint(values: dict[str, object], expected: str) -> None:
-    assert error_of(**values) == f"node /joint1/driver, parameter {expected}"
+@pytest.mark.parametrize(**cases(__file__, "wrong_parameters.yaml"))
+def test_an_error_names_node_parameter_value_and_constraint(name: str, value: object, says: str) -> None:
+    error = refused({"bag.path": "x", name: value})
+    assert str(error) == f"node /joint1/driver, parameter '{name}': {says}"
+    assert error.parameter == name
 
 
 def test_a_missing_value_is_named_with_its_description() -> None:
-    with pytest.raises(ParameterError) as caught:
-        validate_parameters(Example, {}, node="/n")
-    assert (
-        str(caught.value)
-        == "node /n, parameter 'bag.path': is not set; expected a string of length 1 or more: the bag."
-    )
+    sentence = "node /n, parameter 'bag.path': is not set; expected a string of length 1 or more: the bag."
+    assert str(refused({}, "/n")) == sentence
 
 
 def test_a_relation_between_parameters_is_checked() -> None:
-    assert error_of(rate=3.0, limit=2.0) == "node /joint1/driver: 'limit' 2.0 is less than 'rate' 3.0."
+    error = refused({"bag.path": "x", "rate": 3.0, "limit": 2.0})
+    assert str(error) == "node /joint1/driver: 'limit' 2.0 is less than 'rate' 3.0."
 
 
 def test_specs_have_bounds_choices_and_read_only_marks() -> None:

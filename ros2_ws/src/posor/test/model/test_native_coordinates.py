@@ -53,13 +53,6 @@ def test_theta_is_the_heading_of_the_y_axis_in_the_xy_plane_of_the_receiving_pla
         assert math.remainder(heading - theta, 2.0 * math.pi) == pytest.approx(0.0, abs=2e-15)
 
 
-@pytest.mark.parametrize(("axis", "index"), [("x", 0), ("y", 1), ("z", 2)])
-def test_a_turn_about_one_axis_is_one_coordinate(axis: str, index: int) -> None:
-    expected = [0.0, 0.0, 0.0]
-    expected[index] = 0.05
-    np.testing.assert_allclose(native_from_rotation(pin.utils.rotate(axis, 0.05)), expected, rtol=0.0, atol=1e-16)
-
-
 def test_rounding_beyond_a_right_angle_is_no_error() -> None:
     rotation = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0 - 1e-15], [0.0, 1.0, 0.0]])
     assert native_from_rotation(rotation)[0] == math.pi / 2.0

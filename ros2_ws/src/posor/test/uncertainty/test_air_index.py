@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import math
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from posor.errors import ParameterError
@@ -16,102 +20,32 @@ from posor.uncertainty.air_index import (
     saturation_pressure,
     vapour_fraction,
 )
+from posor_lab.harness.case_tables import refusal
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 HELIUM_NEON = 633e-9
 INCH_OF_MERCURY = 3386.389
 LABORATORY = Air(ICE_POINT + 20.0, 101325.0, 0.5)
 
-# Tables of Ciddor and the first 14 values of NIST as quoted in the tests of the public repository earth_refraction
-# (nvhuynh16/earth_refraction, cpp/tests/test_ciddor.cpp); the other values of NIST as quoted in those of PypeIt
-# (pypeit/PypeIt, pypeit/tests/test_ref_index.py).
-CIDDOR_DRY = [(20, 80, 21458.0), (20, 100, 26824.4), (20, 120, 32191.6), (10, 100, 27774.7), (30, 100, 25937.2)]
-"""Ciddor 1996, table 1: dry air of 450 ppm CO2, 633 nm: t [C], p [kPa], 1e8 (n - 1)."""
-
-CIDDOR_MOIST = [
-    (19.526, 102094.8, 1065, 510, 27392.9),
-    (19.517, 102096.8, 1065, 510, 27394.0),
-    (19.173, 102993.0, 641, 450, 27682.4),
-    (19.173, 103006.0, 642, 440, 27685.8),
-    (19.188, 102918.8, 706, 450, 27658.7),
-    (19.189, 102927.8, 708, 440, 27660.8),
-    (19.532, 103603.2, 986, 600, 27802.0),
-    (19.534, 103596.2, 962, 600, 27800.8),
-    (19.534, 103599.2, 951, 610, 27802.2),
-]
-"""Ciddor 1996, table 2: room air, 633 nm: t [C], p [Pa], vapour pressure [Pa], CO2 [ppm], 1e8 (n - 1)."""
-
-CIDDOR_EXTREME = [
-    (20, 80, 75, 21394.0),
-    (20, 120, 75, 32127.8),
-    (40, 120, 75, 29941.8),
-    (50, 80, 100, 19058.4),
-    (50, 120, 100, 28792.4),
-]
-"""Ciddor 1996, table 3: 450 ppm CO2, 633 nm: t [C], p [kPa], humidity [%], 1e8 (n - 1).
-
-Left out: 40 C, 80 kPa, 75 %, whose printed value contradicts the printed difference beside it.
-"""
-
-NIST = [
-    (20, 101.325, 0, 633, 1.000271800),
-    (20, 60, 0, 633, 1.000160924),
-    (20, 120, 0, 633, 1.000321916),
-    (50, 100, 0, 633, 1.000243285),
-    (5, 100, 0, 633, 1.000282756),
-    (-40, 100, 0, 633, 1.000337580),
-    (50, 120, 100, 633, 1.000287924),
-    (40, 120, 75, 633, 1.000299418),
-    (20, 100, 100, 633, 1.000267394),
-    (40, 110, 100, 1700, 1.000270247),
-    (20, 101.325, 0, 1700, 1.000268479),
-    (40, 110, 100, 300, 1.000289000),
-    (20, 101.325, 0, 300, 1.000286581),
-    (-40, 120, 0, 300, 1.000427233),
-    # from here on as quoted by PypeIt
-    (20, 101.325, 50, 321.456, 1.000283543),
-    (20, 101.325, 50, 500, 1.000273781),
-    (20, 101.325, 50, 633, 1.000271373),
-    (20, 101.325, 50, 1500.8, 1.000268190),
-    (0, 101.325, 50, 633, 1.000291647),
-    (26.7982, 101.325, 50, 633, 1.000264994),
-    (60.45, 101.325, 50, 633, 1.000235516),
-    (20, 10, 50, 633, 1.000026385),
-    (20, 140, 50, 633, 1.000375169),
-    (20, 101.325, 90.7432, 633, 1.000271027),
-]
-"""NIST Engineering Metrology Toolbox, Ciddor, 450 ppm CO2: t [C], p [kPa], humidity [%], wavelength [nm], n."""
+TABLE = Path(__file__).with_name("air_index.csv")
 
 
-def index_at(celsius: float, kilopascals: float, percent: float, nanometres: float = 633.0) -> float:
-    temperature, pressure = ICE_POINT + celsius, 1e3 * kilopascals
-    moisture = vapour_fraction(percent / 100.0, temperature, pressure) if percent else 0.0
-    return air_index(nanometres * 1e-9, temperature, pressure, moisture)
+def published() -> list[dict[str, str]]:
+    lines = TABLE.read_text(encoding="utf-8").splitlines()
+    return list(csv.DictReader(line for line in lines if not line.startswith("#")))
 
 
-@pytest.mark.parametrize(("celsius", "kilopascals", "refractivity"), CIDDOR_DRY)
-def test_dry_air_of_ciddors_table_1(celsius: float, kilopascals: float, refractivity: float) -> None:
-    assert index_at(celsius, kilopascals, 0) == pytest.approx(1.0 + 1e-8 * refractivity, rel=0.0, abs=1e-9)
-
-
-@pytest.mark.parametrize(("celsius", "pressure", "vapour_pressure", "co2", "refractivity"), CIDDOR_MOIST)
-def test_room_air_of_ciddors_table_2(
-    celsius: float, pressure: float, vapour_pressure: float, co2: float, refractivity: float
-) -> None:
+@pytest.mark.parametrize("row", published(), ids=lambda row: row["source"])
+def test_the_index_is_the_published_one(row: dict[str, str]) -> None:
+    source, *cells = row.values()
+    celsius, pressure, percent, vapour, co2, nanometres, index, tolerance = (float(cell or "nan") for cell in cells)
     temperature = ICE_POINT + celsius
-    moisture = vapour_fraction(vapour_pressure / saturation_pressure(temperature), temperature, pressure)
-    found = air_index(HELIUM_NEON, temperature, pressure, moisture, co2 * 1e-6)
-    assert found == pytest.approx(1.0 + 1e-8 * refractivity, rel=0.0, abs=5e-9)
-
-
-@pytest.mark.parametrize(("celsius", "kilopascals", "percent", "refractivity"), CIDDOR_EXTREME)
-def test_moist_air_of_ciddors_table_3(celsius: float, kilopascals: float, percent: float, refractivity: float) -> None:
-    found = index_at(celsius, kilopascals, percent)
-    assert found == pytest.approx(1.0 + 1e-8 * refractivity, rel=0.0, abs=1e-9)
-
-
-@pytest.mark.parametrize(("celsius", "kilopascals", "percent", "nanometres", "index"), NIST)
-def test_values_of_nist(celsius: float, kilopascals: float, percent: float, nanometres: float, index: float) -> None:
-    assert index_at(celsius, kilopascals, percent, nanometres) == pytest.approx(index, rel=0.0, abs=1e-9)
+    humidity = percent / 100.0 if math.isnan(vapour) else vapour / saturation_pressure(temperature)
+    moisture = vapour_fraction(humidity, temperature, pressure) if humidity else 0.0
+    found = air_index(nanometres * 1e-9, temperature, pressure, moisture, co2 * 1e-6)
+    assert found == pytest.approx(index, rel=0.0, abs=tolerance), source
 
 
 def test_saturation_pressure_of_if97() -> None:
@@ -176,33 +110,30 @@ def test_sensitivities_at_the_edges_of_the_range() -> None:
     assert 0.5 * (dry + saturated) == pytest.approx(middle, rel=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        ({"wavelength": 633.0}, "wavelength: 633 m; expected a value from 3e-07 to 1.7e-06 m."),
-        ({"temperature": 20.0}, "temperature: 20 K; expected a value from 233.15 to 373.15 K."),
-        ({"temperature": math.nan}, "temperature: nan K; expected a value from 233.15 to 373.15 K."),
-        ({"pressure": 1013.25}, "pressure: 1013.25 Pa; expected a value from 10000 to 140000 Pa."),
-        ({"vapour_fraction": -0.01}, "water vapour fraction: -0.01; expected a value from 0 to 1."),
-        ({"co2_fraction": 450.0}, "carbon dioxide fraction: 450; expected a value from 0 to 0.002."),
-    ],
-)
-def test_values_out_of_range_are_refused(arguments: dict[str, float], sentence: str) -> None:
-    valid = {"wavelength": HELIUM_NEON, "temperature": 293.15, "pressure": 101325.0}
-    with pytest.raises(ParameterError) as error:
-        air_index(**{**valid, **arguments})
-    assert str(error.value) == sentence
+def humid_index(**changes: float) -> object:
+    return index_sensitivities(HELIUM_NEON, replace(LABORATORY, **changes))
+
+
+VALID = {"wavelength": HELIUM_NEON, "temperature": 293.15, "pressure": 101325.0}
 
 
 @pytest.mark.parametrize(
-    ("air", "sentence"),
+    ("call", "arguments", "sentence"),
     [
-        (Air(293.15, 101325.0, 50.0), "relative humidity: 50; expected a value from 0 to 1."),
-        (Air(263.15, 101325.0, 0.5), "temperature of moist air: 263.15 K; expected a value from 273.15 to 373.15 K."),
-        (Air(368.15, 50e3, 1.0), "water vapour fraction: 1.7"),
+        (air_index, {**VALID, "wavelength": 633.0}, "wavelength: 633 m; expected a value from 3e-07 to 1.7e-06 m."),
+        (air_index, {**VALID, "temperature": 20.0}, "temperature: 20 K; expected a value from 233.15 to 373.15 K."),
+        (air_index, {**VALID, "temperature": math.nan}, "temperature: nan K; expected"),
+        (air_index, {**VALID, "pressure": 1013.25}, "pressure: 1013.25 Pa; expected a value from 10000 to 140000 Pa."),
+        (air_index, {**VALID, "vapour_fraction": -0.01}, "water vapour fraction: -0.01; expected a value from 0 to 1."),
+        (air_index, {**VALID, "co2_fraction": 450.0}, "carbon dioxide fraction: 450; expected"),
+        (humid_index, {"relative_humidity": 50.0}, "relative humidity: 50; expected a value from 0 to 1."),
+        (humid_index, {"temperature": 263.15}, "temperature of moist air: 263.15 K; expected a value from 273.15 to"),
+        (
+            humid_index,
+            {"temperature": 368.15, "pressure": 50e3, "relative_humidity": 1.0},
+            "water vapour fraction: 1.7",
+        ),
     ],
 )
-def test_impossible_moisture_is_refused(air: Air, sentence: str) -> None:
-    with pytest.raises(ParameterError) as error:
-        index_sensitivities(HELIUM_NEON, air)
-    assert str(error.value).startswith(sentence)
+def test_values_out_of_range_are_refused(call: Callable[..., Any], arguments: dict[str, float], sentence: str) -> None:
+    assert str(refusal(ParameterError, call, **arguments)).startswith(sentence)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from itertools import product
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,15 +33,7 @@ from .biased_readings import biased_scans, drawn_stack
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
-URDF = """<robot name="two"><link name="base"/><link name="a_r"/><link name="a_t"/><link name="b_r"/><link name="b_t"/>
-<link name="flange"/><link name="tool"/>
-<joint name="f0" type="fixed"><parent link="base"/><child link="a_r"/><origin xyz="0 0 0.5" rpy="0.3 0 0"/></joint>
-<joint name="a" type="floating"><parent link="a_r"/><child link="a_t"/><origin xyz="0 0 0.00075"/></joint>
-<joint name="f1" type="fixed"><parent link="a_t"/><child link="b_r"/><origin xyz="0.2 0.1 0.6" rpy="0 1.2 0"/></joint>
-<joint name="b" type="floating"><parent link="b_r"/><child link="b_t"/><origin xyz="0 0 0.00075"/></joint>
-<joint name="g2" type="fixed"><parent link="b_t"/><child link="flange"/><origin xyz="0 0.05 0" rpy="0 0 0.8"/></joint>
-<joint name="f2" type="fixed"><parent link="flange"/><child link="tool"/><origin xyz="0.1 0 0.4"/></joint>
-</robot>"""
+URDF = Path(__file__).with_name("two_joints.urdf").read_text(encoding="utf-8")
 ANGLES = {"a": 0.4, "b": -0.7}
 BEAMS = {"f1": ("0.2 0.1 0.6", 23e-6, 5.0), "f2": ("0.1 0 0.4", 12e-6, 2.0)}
 """Beams of the arm: origin in the URDF, coefficient of expansion [1/K], largest deviation [K]."""
