@@ -9,7 +9,7 @@ import shutil
 import signal
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 import yaml
@@ -18,7 +18,7 @@ from posor_lab.arm_study.arm_command import main
 from posor_lab.harness.program import Program, installed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
 CONTROLLER = Path(__file__).resolve().parents[1] / "examples" / "endpoint_controller" / "endpoint_controller.py"
 RUNNING = "without controller"
@@ -116,15 +116,24 @@ def test_coverage_needs_no_nodes(output: Path) -> None:
     assert "endpoint_error_rms_m" not in figures
 
 
-@pytest.mark.long
-def test_a_scenario_without_latency_runs(output: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "rig"
+def changed_rig(folder: Path, changes: Mapping[str, Any]) -> str:
+    """Return a copy of the test rig with other entries in its scenario."""
     shutil.copytree(find_arm("test_rig").parent, folder)
     path = folder / "scenario.yaml"
     scenario = yaml.safe_load(path.read_text(encoding="utf-8"))
-    del scenario["electronics"]["latency"]
-    path.write_text(yaml.safe_dump(scenario), encoding="utf-8")
-    with run_arm(output, "--arm", str(folder), "--arms", "0", "--seconds", "1") as program:
+    path.write_text(yaml.safe_dump({**scenario, **changes}), encoding="utf-8")
+    return str(folder)
+
+
+def entry_of(arm: str, name: str) -> Any:
+    return yaml.safe_load((find_arm(arm).parent / "scenario.yaml").read_text(encoding="utf-8"))[name]
+
+
+@pytest.mark.long
+def test_a_scenario_without_latency_runs(output: Path, tmp_path: Path) -> None:
+    electronics = {name: value for name, value in entry_of("test_rig", "electronics").items() if name != "latency"}
+    rig = changed_rig(tmp_path / "rig", {"electronics": electronics})
+    with run_arm(output, "--arm", rig, "--arms", "0", "--seconds", "1") as program:
         assert exit_code(program) == 0
         assert any("none unaccounted for; 200 with a pose" in line for line in program.stdout)
 
@@ -145,55 +154,35 @@ def test_killed_node_ends_the_program_with_a_message(output: Path) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("moment", ["starting 3 nodes", RUNNING])
-def test_interruption_leaves_no_process(output: Path, moment: str) -> None:
-    with run_arm(output, "--arm", "test_rig", "--arms", "0", "--seconds", "60") as program:
+@pytest.mark.parametrize(
+    ("options", "moment"),
+    [
+        (("--arms", "0", "--seconds", "60"), "starting 3 nodes"),
+        (("--arms", "0", "--seconds", "60"), RUNNING),
+        (("--coverage-only", "--arms", "100000"), "drawing 100000 arms"),
+    ],
+)
+def test_interruption_leaves_no_process(output: Path, options: tuple[str, ...], moment: str) -> None:
+    with run_arm(output, "--arm", "test_rig", *options) as program:
         program.wait_for_line(moment)
         assert program.end() == 130
         assert program.stderr == ["arm: interrupted."]
 
 
 @pytest.mark.long
-def test_coverage_can_be_interrupted(output: Path) -> None:
-    with run_arm(output, "--arm", "test_rig", "--coverage-only", "--arms", "100000") as program:
-        program.wait_for_line("drawing 100000 arms")
-        assert program.end() == 130
-        assert program.stderr == ["arm: interrupted."]
-
-
-@pytest.fixture
-def rig_with_a_stage(tmp_path: Path) -> Path:
-    """Return an arm file: the test rig with a stage at its endpoint."""
-    folder = tmp_path / "test_rig"
-    shutil.copytree(find_arm("test_rig").parent, folder)
-    stage = yaml.safe_load((find_arm("five_axis").parent / "scenario.yaml").read_text(encoding="utf-8"))["stage"]
-    with (folder / "scenario.yaml").open("a", encoding="utf-8") as scenario:
-        scenario.write(yaml.safe_dump({"stage": stage}))
-    return folder / "arm.yaml"
-
-
-@pytest.mark.long
-def test_message_of_a_failed_controller_is_quoted(output: Path, tmp_path: Path, rig_with_a_stage: Path) -> None:
-    script = tmp_path / "controller.py"
+def test_message_of_a_failed_controller_is_quoted(output: Path, tmp_path: Path) -> None:
+    script, rig = tmp_path / "controller.py", changed_rig(tmp_path / "rig", {"stage": entry_of("five_axis", "stage")})
     script.write_text("raise SystemExit('no idea what to do')\n", encoding="utf-8")
-    options = ("--arm", str(rig_with_a_stage), "--arms", "0", "--seconds", "0.1", "--controller", str(script))
+    options = ("--arm", rig, "--arms", "0", "--seconds", "0.1", "--controller", str(script))
     with run_arm(output, *options) as program:
         assert exit_code(program) == 1
         assert program.stderr == ["controller: ended with exit code 1: no idea what to do."]
 
 
-@pytest.mark.long
-def test_unknown_arm_is_refused(output: Path) -> None:
-    with run_arm(output, "--arm", "six_fingers") as program:
-        assert exit_code(program) == 2
-        assert program.stdout == []
-        (sentence,) = program.stderr
-        assert sentence.startswith("arm 'six_fingers': no such arm; expected the path of an arm file, or one of ")
-
-
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
+        (["--arm", "six_fingers"], r"arm 'six_fingers': no such arm; .*\."),
         (["--seconds", "0"], r"arm: argument --seconds: '0' is not a duration, a number greater than 0; .*\."),
         (["--arms", "1"], r"arm: --arms 1; expected 0, or at least 2\."),
         (["--arms", "0", "--coverage-only"], r"arm: --coverage-only with --arms 0; expected at least 2 arms\."),

@@ -15,32 +15,35 @@ CLOSED = "http://127.0.0.1:9"
 """Nothing listens there."""
 
 
-def test_without_an_index_the_audit_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+@pytest.fixture(autouse=True)
+def _fresh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(audit_requirements, "TOOL", tmp_path)
-    for name, value in {"NO_INDEX": "1", "FIND_LINKS": "", "CONFIG_FILE": os.devnull}.items():
-        monkeypatch.setenv(f"PIP_{name}", value)
+
+
+def refused(capfd: pytest.CaptureFixture[str]) -> str:
+    """Run the audit, which is not possible, and return its one sentence."""
+    capfd.readouterr()
     assert audit_requirements.main() == audit_requirements.NOT_POSSIBLE
     out, err = capfd.readouterr()
-    assert out == ""
-    assert err.startswith("make audit: pip-audit cannot be installed: ERROR: No matching distribution found for ")
+    assert (out, err.count("\n")) == ("", 1)
     assert err.endswith("; expected a connection to pypi.org.\n")
-    assert err.count("\n") == 1
+    return err
+
+
+def test_without_an_index_the_audit_is_refused(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    for name, value in {"NO_INDEX": "1", "FIND_LINKS": "", "CONFIG_FILE": os.devnull}.items():
+        monkeypatch.setenv(f"PIP_{name}", value)
+    said = "make audit: pip-audit cannot be installed: ERROR: No matching distribution found for "
+    assert refused(capfd).startswith(said)
 
 
 @pytest.mark.long
 def test_without_the_database_the_audit_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(audit_requirements, "TOOL", tmp_path)
     assert audit_requirements.install_tool() == ""
     for name in ("HTTPS_PROXY", "https_proxy"):
         monkeypatch.setenv(name, CLOSED)
-    capfd.readouterr()
-    assert audit_requirements.main() == audit_requirements.NOT_POSSIBLE
-    out, err = capfd.readouterr()
-    assert out == ""
-    assert err.startswith("make audit: the database of vulnerabilities cannot be read: ")
-    assert err.endswith("; expected a connection to pypi.org.\n")
-    assert err.count("\n") == 1
+    assert refused(capfd).startswith("make audit: the database of vulnerabilities cannot be read: ")

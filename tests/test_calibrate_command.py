@@ -22,6 +22,7 @@ from posor_calibration.outcome_report import MAX_LINES
 from posor_calibration.outcome_tables import WIDTH
 from posor_calibration.procedure_registry import PROCEDURES
 from posor_drivers.calibration_bag import TRANSFORM_STAMPED, TYPES, entries, write_bag
+from posor_lab.harness.case_tables import cases
 from posor_lab.harness.drawn_posor import ABOUT, ALONG, DrawnPosor
 from posor_lab.harness.program import installed
 
@@ -183,11 +184,16 @@ def test_the_verdict_is_short_and_the_rest_is_in_page_and_json(bench: Bench) -> 
     assert not output.exists()
 
 
-def test_a_new_curve_has_a_chart_in_the_page(tmp_path: Path) -> None:
-    output = tmp_path / "rig.yaml"
+def test_the_real_recording_of_1985_is_calibrated_into_its_session_and_its_curves_have_charts(tmp_path: Path) -> None:
+    output, source = tmp_path / "rig.yaml", CONFIG / "slocum1985_section84.yaml"
     options = ("--lever", "0.798322", "--session", "ymo", "--first-sigma", "0", "--output", str(output))
-    source = str(CONFIG / "slocum1985_section84.yaml")
-    assert calibrate("zero_drift", str(ROOT / "bags" / "ymo"), "--calibration", source, *options).returncode == 0
+    done = calibrate("zero_drift", str(ROOT / "bags" / "ymo"), "--calibration", str(source), *options)
+    assert done.returncode == 0, done.stderr
+    before, after = load_calibration(source), load_calibration(output)
+    assert after.fits[0].replaced == ["sessions.ymo.zero_shifts"]
+    compared = compare_calibrations(before, after)
+    assert {d.name for d in compared.differences} == {f"sessions.ymo.zero_shifts[{k}]" for k in range(3)}
+    assert compared.others == ()
     charts = json.loads(output.with_suffix(".json").read_text(encoding="utf-8"))["figures"]
     page = output.with_suffix(".html").read_text(encoding="utf-8")
     assert charts
@@ -260,59 +266,21 @@ def test_diff_leaves_out_numbers_without_an_uncertainty(bench: Bench) -> None:
     assert "probes[1].noise" in calibrate("diff", str(bench.file), str(exact), "--all").stdout
 
 
-@pytest.mark.parametrize(
-    ("options", "code", "sentence"),
-    [
-        (("--loss", "square"), 2, "option --loss: 'square'; expected 'linear', 'huber', 'soft_l1' or 'cauchy'."),
-        (("--at-most", "3"), 2, "option --at-most: '3'; expected at least 8."),
-        (("--settle", "-1"), 2, "option --settle: '-1'; expected at least 0.0."),
-        (
-            ("--uncertainty", "/reference=1e-7"),
-            2,
-            "option --uncertainty: 1 numbers for /reference; expected 2 numbers, m,rad, or 6.",
-        ),
-        (
-            ("--uncertainty", "/reference=1e-7,-1"),
-            2,
-            "option --uncertainty: '/reference=1e-7,-1'; expected standard uncertainties of zero or more, separated by",
-        ),
-        (("--instrument", "CMM"), 2, "option --instrument: 'CMM'; expected TOPIC=..., such as /cmm/pose=...."),
-        (
-            ("--instrument", "/laser=CMM"),
-            2,
-            "option --instrument: there is no reference /laser; expected /reference.",
-        ),
-        (("--parameters", "*.nose"), 1, "calibration 'triad_diodes': '*.nose' matches no quantity"),
-        (("--surprise",), 2, "calibrate: unrecognized arguments: --surprise; expected options as"),
-    ],
-)
-def test_a_wrong_option_is_one_sentence(bench: Bench, options: tuple[str, ...], code: int, sentence: str) -> None:
+@pytest.mark.parametrize(**cases(__file__, "calibrate_options.yaml"))
+def test_a_wrong_option_is_one_sentence(bench: Bench, options: list[str], code: int, sentence: str) -> None:
     done = calibrate("bundle", str(bench.bag), "--calibration", str(bench.file), *options)
     assert done.returncode == code
     assert done.stderr.strip().split("\n")[-1].startswith(sentence), done.stderr
     assert "Traceback" not in done.stderr
 
 
-def test_a_reference_that_is_not_in_the_bag_is_named(bench: Bench) -> None:
-    done = calibrate(
-        "bundle", str(bench.bag), "--calibration", str(bench.file), "--reference", "/laser", "--output", "never.yaml"
-    )
+def test_a_reference_that_is_not_in_the_bag_is_named(bench: Bench, tmp_path: Path) -> None:
+    output = tmp_path / "never.yaml"
+    options = ("--calibration", str(bench.file), "--reference", "/laser", "--output", str(output))
+    done = calibrate("bundle", str(bench.bag), *options)
     assert done.returncode == 1
     assert "/laser" in done.stderr
-    assert not Path("never.yaml").exists()
-
-
-def test_the_real_recording_of_1985_is_calibrated_into_its_session(tmp_path: Path) -> None:
-    output = tmp_path / "rig.yaml"
-    source = CONFIG / "slocum1985_section84.yaml"
-    options = ("--lever", "0.798322", "--session", "ymo", "--first-sigma", "0", "--output", str(output))
-    done = calibrate("zero_drift", str(ROOT / "bags" / "ymo"), "--calibration", str(source), *options)
-    assert done.returncode == 0, done.stderr
-    before, after = load_calibration(source), load_calibration(output)
-    assert after.fits[0].replaced == ["sessions.ymo.zero_shifts"]
-    compared = compare_calibrations(before, after)
-    assert {d.name for d in compared.differences} == {f"sessions.ymo.zero_shifts[{k}]" for k in range(3)}
-    assert compared.others == ()
+    assert not output.exists()
 
 
 def test_the_fits_that_the_documentation_shows_are_fits() -> None:

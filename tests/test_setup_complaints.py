@@ -45,48 +45,58 @@ def error_message(done: subprocess.CompletedProcess[str]) -> str:
 
 
 @pytest.mark.parametrize(
-    ("missing", "words"),
+    ("missing", "package", "what"),
     [
-        ("cc", ("no C compiler was found", "sudo apt install gcc")),
-        ("c++", ("no C++ compiler was found", "sudo apt install g++")),
-        ("cmake", ("no cmake was found", "sudo apt install cmake")),
-        ("make", ("no make was found", "sudo apt install make")),
+        ("cc", "gcc", "C compiler"),
+        ("c++", "g++", "C++ compiler"),
+        ("cmake", "cmake", "cmake"),
+        ("make", "make", "make"),
     ],
 )
-def test_missing_tool(checkout: Miniature, tmp_path: Path, missing: str, words: tuple[str, ...]) -> None:
+def test_missing_tool(checkout: Miniature, tmp_path: Path, missing: str, package: str, what: str) -> None:
     message = error_message(checkout.set_up(PATH=path_without(tmp_path / "bin", missing), CC="", CXX=""))
-    assert all(word in message for word in words)
+    assert f"no {what} was found" in message
+    assert f"sudo apt install {package}" in message
     assert not checkout.venv.exists()
 
 
-def test_compiler_chosen_by_variable_is_missing(checkout: Miniature) -> None:
-    assert "no C++ compiler was found (CXX=nowhere-g++)" in error_message(checkout.set_up(CXX="nowhere-g++ -O2"))
+@pytest.mark.parametrize(
+    ("variables", "words"),
+    [
+        ({"CXX": "nowhere-g++ -O2"}, "no C++ compiler was found (CXX=nowhere-g++)"),
+        (
+            {"ROS_DISTRO": "humble", "AMENT_PREFIX_PATH": "/opt/ros/humble"},
+            "ROS_DISTRO is 'humble' but this project is for 'jazzy'",
+        ),
+        (
+            {"ROS_DISTRO": "jazzy", "AMENT_PREFIX_PATH": ""},
+            "AMENT_PREFIX_PATH is empty: source Jazzy's setup.bash",
+        ),
+        ({"ROS_DISTRO": "jazzy", "AMENT_PREFIX_PATH": "/usr", "PYTHONPATH": ""}, "cannot import its rclpy"),
+    ],
+    ids=["chosen compiler", "another ROS", "half-sourced Jazzy", "Jazzy of another Python"],
+)
+def test_wrong_environment(checkout: Miniature, variables: dict[str, str], words: str) -> None:
+    assert words in error_message(checkout.set_up(**variables))
+    assert not checkout.venv.exists()
 
 
-def unsupported_python() -> Path | None:
-    """Return an unsupported Python 3 of this machine, or None."""
+@pytest.fixture
+def unsupported_python() -> Path:
+    """An unsupported Python 3 of this machine."""
     beside = Path(sys.base_prefix).parent.glob("*/bin/python3")
     on_path = (shutil.which(f"python3.{minor}") for minor in (8, 9, 10, 13, 14))
+    ask = "import sys; print(sys.version_info[:2] in [(3, 11), (3, 12)])"
     for candidate in [*sorted(beside), *(Path(found) for found in on_path if found)]:
-        asked = subprocess.run(
-            [candidate, "-c", "import sys; print(sys.version_info[:2] in [(3, 11), (3, 12)])"],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        if asked.stdout == "False\n":
+        if subprocess.run([candidate, "-c", ask], capture_output=True, check=False).stdout == b"False\n":
             return candidate
-    return None
+    pytest.skip("this machine has no other Python 3 than 3.11 and 3.12")
 
 
-def test_unsupported_python(checkout: Miniature) -> None:
-    python = unsupported_python()
-    if python is None:
-        pytest.skip("this machine has no other Python 3 than 3.11 and 3.12")
-    message = error_message(checkout.set_up(PYTHON=str(python)))
-    assert "needs Python 3.11 or 3.12" in message
-    assert f"found {python} is 3." in message
-    assert "make PYTHON=/path/to/python3.12" in message
+def test_unsupported_python(checkout: Miniature, unsupported_python: Path) -> None:
+    message = error_message(checkout.set_up(PYTHON=str(unsupported_python)))
+    for words in ("needs Python 3.11 or 3.12", f"found {unsupported_python} is 3.", "make PYTHON=/path/to/python3.12"):
+        assert words in message
 
 
 def test_no_python(checkout: Miniature, tmp_path: Path) -> None:
@@ -94,12 +104,11 @@ def test_no_python(checkout: Miniature, tmp_path: Path) -> None:
     assert "found none (looked for python3, python3.12, python3.11)" in message
 
 
-def test_supported_python_is_found_behind_an_unsupported_one(checkout: Miniature, tmp_path: Path) -> None:
-    other = unsupported_python()
-    if other is None:
-        pytest.skip("this machine has no other Python 3 than 3.11 and 3.12")
+def test_supported_python_is_found_behind_an_unsupported_one(
+    checkout: Miniature, tmp_path: Path, unsupported_python: Path
+) -> None:
     path = path_without(tmp_path / "bin", "cmake")
-    Path(path, "python3").symlink_to(other)
+    Path(path, "python3").symlink_to(unsupported_python)
     Path(path, BASE_PYTHON.name).symlink_to(BASE_PYTHON)
     assert "no cmake was found" in error_message(checkout.set_up(PATH=path, PYTHON=""))
 
@@ -137,22 +146,6 @@ def test_failed_build_prints_the_end_of_its_log(checkout: Miniature) -> None:
     assert "numbers.txt" in done.stderr
     assert done.stderr.splitlines()[-1].startswith("posor set-up: colcon could not build ros2_ws (exit code ")
     assert not checkout.build_stamp.exists()
-
-
-def test_another_ros_is_sourced(checkout: Miniature) -> None:
-    message = error_message(checkout.set_up(ROS_DISTRO="humble", AMENT_PREFIX_PATH="/opt/ros/humble"))
-    assert "ROS_DISTRO is 'humble' but this project is for 'jazzy'" in message
-
-
-def test_jazzy_is_half_sourced(checkout: Miniature) -> None:
-    message = error_message(checkout.set_up(ROS_DISTRO="jazzy", AMENT_PREFIX_PATH=""))
-    assert "AMENT_PREFIX_PATH is empty: source Jazzy's setup.bash" in message
-
-
-def test_jazzy_of_another_python(checkout: Miniature, tmp_path: Path) -> None:
-    message = error_message(checkout.set_up(ROS_DISTRO="jazzy", AMENT_PREFIX_PATH=str(tmp_path), PYTHONPATH=""))
-    assert "cannot import its rclpy" in message
-    assert not checkout.venv.exists()
 
 
 def test_foreign_environment_is_kept(checkout: Miniature) -> None:
