@@ -19,6 +19,7 @@ from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.fault import State
 from posor.model.native_coordinates import rotation_from_native
+from posor_lab.harness.case_tables import refusal
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -118,5 +119,6 @@ def test_a_ring_tolerates_half_a_millimetre_in_every_direction(diameter_in: floa
 
 @pytest.mark.parametrize("diameter", [0.0, -0.1, math.nan, 0.999 * SMALLEST_DIAMETER])
 def test_a_diameter_that_is_too_small_is_refused(diameter: float) -> None:
-    with pytest.raises(CalibrationError, match=r"^elbow: outside diameter .* m; expected at least 0\.0762 m\.$"):
-        sized_design("triad_bumpy_ring", diameter, frames=FRAMES, title="elbow")
+    error = refusal(CalibrationError, sized_design, "triad_bumpy_ring", diameter, frames=FRAMES, title="elbow")
+    assert error.where == "elbow"
+    assert str(error).endswith(" m; expected at least 0.0762 m.")

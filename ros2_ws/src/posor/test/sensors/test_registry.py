@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 from posor.errors import CalibrationError
 from posor.sensors.registry import GROUP, sensor_types
+from posor_lab.harness.case_tables import refusal
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -60,34 +61,24 @@ def test_our_own_and_a_third_package(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.parametrize(
-    ("package", "entry_point", "module", "sentence"),
+    ("entry_points", "module", "words"),
     [
         (
-            "lever_a",
-            "lever = lever_a:Missing",
+            ["lever = lever_a:Missing"],
             MODULE,
             "sensor type 'lever' (lever_a:Missing): cannot be loaded: module 'lever_a' has no attribute 'Missing'.",
         ),
-        ("lever_b", "lever = lever_b:Sound", "1 / 0\n", "(lever_b:Sound): cannot be loaded: division by zero."),
-        ("lever_c", "lever = lever_c:Foreign", MODULE, "is not a sensor; expected a subclass of SensorCalibration."),
-        ("lever_d", "arm = lever_d:Sound", MODULE, "expected the field type: Literal['arm'] in the class."),
-        ("lever_e", "lever = lever_e:Nameless", MODULE, "does not declare its name"),
+        (["lever = lever_b:Sound"], "1 / 0\n", "(lever_b:Sound): cannot be loaded: division by zero."),
+        (["lever = lever_c:Foreign"], MODULE, "is not a sensor; expected a subclass of SensorCalibration."),
+        (["arm = lever_d:Sound"], MODULE, "expected the field type: Literal['arm'] in the class."),
+        (["lever = lever_e:Nameless"], MODULE, "does not declare its name"),
+        (["lever = lever_f:Sound", "lever = lever_g:Sound"], MODULE, ":Sound; expected one package"),
     ],
 )
 def test_an_unsound_package_is_named_in_one_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str, entry_point: str, module: str, sentence: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, entry_points: list[str], module: str, words: str
 ) -> None:
-    install(tmp_path, package, entry_point, module)
+    for entry_point in entry_points:
+        install(tmp_path, entry_point.split()[2].partition(":")[0], entry_point, module)
     monkeypatch.syspath_prepend(str(tmp_path))
-    with pytest.raises(CalibrationError) as refused:
-        sensor_types()
-    assert sentence in str(refused.value)
-    assert "\n" not in str(refused.value)
-
-
-def test_two_packages_with_one_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for package in ("lever_f", "lever_g"):
-        install(tmp_path, package, f"lever = {package}:Sound")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    with pytest.raises(CalibrationError, match=r"is there twice, also as lever_.:Sound; expected one package"):
-        sensor_types()
+    assert words in str(refusal(CalibrationError, sensor_types))

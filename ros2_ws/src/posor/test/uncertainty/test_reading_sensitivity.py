@@ -16,6 +16,7 @@ from posor.estimation.posor import Posor
 from posor.model.native_coordinates import rotation_from_native
 from posor.model.scan import NO_SOURCE
 from posor.uncertainty.reading_sensitivity import EstimateMatrices, sensitivity_at
+from posor_lab.harness.case_tables import refusal
 from posor_lab.harness.random_poses import STACKS, TICK_NS
 
 if TYPE_CHECKING:
@@ -53,5 +54,4 @@ def test_sensitivity_needs_valid_readings() -> None:
     dark = replace(scan, lit_sources=(NO_SOURCE,) * len(scan.lit_sources))
     without_voltage = replace(scan, gap_voltages=np.full_like(scan.gap_voltages, np.nan))
     for invalid in (dark, without_voltage):
-        with pytest.raises(ScanError):
-            sensitivity_at(posor, invalid, pose)
+        refusal(ScanError, sensitivity_at, posor, invalid, pose)
