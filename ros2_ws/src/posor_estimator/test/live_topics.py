@@ -45,6 +45,10 @@ class ScanSender:
         """Publish at a steady rate for a time."""
         until = time.monotonic() + seconds
         while time.monotonic() < until:
-            self.send()
             self.graph.receive()
-            time.sleep(PERIOD_S)
+            self.send_later()
+
+    def send_later(self) -> None:
+        """Publish after a period."""
+        time.sleep(PERIOD_S)
+        self.send()

@@ -108,12 +108,8 @@ class Rig:
         def is_sound() -> bool:
             return bool(self.transforms) and self.transforms[-1].state == JointTransform.STATE_OK
 
-        def send() -> None:
-            time.sleep(PERIOD_S)
-            self.sender.send()
-
         self.transforms.clear()
-        self.graph.wait_until(is_sound, "a sound scan", send)
+        self.graph.wait_until(is_sound, "a sound scan", self.sender.send_later)
 
     def wait_for_input_status(self, text: str, level: bytes) -> DiagnosticStatus:
         """Return a status of the input that contains a text, from now on."""
@@ -197,8 +193,7 @@ def test_missing_scans_are_reported_once_a_second_until_none_is_missing(rig: Rig
 
     def send_with_gaps() -> None:
         rig.sender.number += 1
-        rig.sender.send()
-        time.sleep(PERIOD_S)
+        rig.sender.send_later()
 
     begin_s = time.monotonic()
     rig.graph.wait_until(lambda: len(set(reports())) > 2, "three reports", send_with_gaps)
@@ -210,11 +205,7 @@ def test_missing_scans_are_reported_once_a_second_until_none_is_missing(rig: Rig
         status = rig.graph.latest(INPUT)
         return status is not None and status.message == "in time"
 
-    def send() -> None:
-        rig.sender.send()
-        time.sleep(PERIOD_S)
-
-    rig.graph.wait_until(is_in_time, "the end of the warning", send)
+    rig.graph.wait_until(is_in_time, "the end of the warning", rig.sender.send_later)
 
 
 def test_two_publishers_are_an_error_and_their_scans_are_not_used(rig: Rig) -> None:

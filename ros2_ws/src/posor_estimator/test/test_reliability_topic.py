@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
 URDF = Path(__file__).resolve().parents[2] / "posor_bringup" / "urdf" / "slocum1985_rig.urdf"
+BEAMS = Path(__file__).with_name("warm_beam.yaml")
 
 
 def test_posor_node_publishes_what_its_redundancy_detects(tmp_path: Path) -> None:
@@ -73,28 +74,11 @@ def reliability_message(shifts: FloatArray, plates: tuple[str, str] = PLATES) ->
     return message
 
 
-BEAMS = """format: posor_beams
-version: 2
-name: rig
-provenance: {source: test, method: none, date: none}
-beams:
-  - joint: measuring_beam
-    uncertainty:
-      position: {value: [0.0, 0.0, 0.0], unit: m}
-      orientation: {value: [0.0, 0.0, 0.0], unit: rad}
-    temperature:
-      coefficient: {value: 23.0e-6, unit: 1/K}
-      deviation: {value: 5.0, unit: K}
-"""
-
-
-def test_chain_node_bounds_the_endpoint_by_the_worst_undetected_shift_and_the_warmest_beam(tmp_path: Path) -> None:
-    beams = tmp_path / "beams.yaml"
-    beams.write_text(BEAMS, encoding="utf-8")
-    chain = load_chain(URDF, "endpoint", beams)
+def test_chain_node_bounds_the_endpoint_by_the_worst_undetected_shift_and_the_warmest_beam() -> None:
+    chain = load_chain(URDF, "endpoint", BEAMS)
     random = np.random.default_rng(16)
     shifts = 1e-6 * random.normal(size=(7, 6))
-    with chain_node(urdf=str(URDF), beams=str(beams), **LOSSLESS), Graph() as graph:
+    with chain_node(urdf=str(URDF), beams=str(BEAMS), **LOSSLESS), Graph() as graph:
         states = graph.collect(EndpointState, "endpoint/state")
         transforms = graph.publisher(JointTransform, "joint1/transform")
         reliabilities = graph.publisher(JointReliability, "joint1/reliability")
