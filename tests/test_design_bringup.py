@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import signal
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,37 +13,14 @@ from posor_design.layout_evaluation import evaluate, extreme_poses
 from posor_design.layout_geometry import LayoutKind, Shares, arrange
 from posor_design.layout_search import SearchResult
 from posor_design.posor_output import output_files, write_files
-from posor_design.requirement import Requirement
+from posor_design.requirement import load_requirement
 from posor_lab.harness.graph import Graph
 from posor_lab.harness.program import Program, installed
 from posor_msgs.msg import EndpointState, JointTransform
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
-LENGTH, ANGLE = {"value": 2e-6, "unit": "m"}, {"value": 10e-6, "unit": "rad"}
-REQUIREMENT = Requirement.model_validate(
-    {
-        "format": "posor_requirement",
-        "version": 1,
-        "name": "designed",
-        "uncertainty": {
-            **dict.fromkeys(("x", "y", "gap"), LENGTH),
-            **dict.fromkeys(("alpha", "beta", "theta"), ANGLE),
-        },
-        "range": {
-            "gap": {"value": 0.1, "unit": "mm"},
-            "tilt": {"value": 1e-3, "unit": "rad"},
-            "runout": {"value": 0.1, "unit": "mm"},
-            "rotation": {"value": 180, "unit": "deg"},
-        },
-        "outside_diameter": {"value": 80, "unit": "mm"},
-        "scan_rate": {"value": 100, "unit": "Hz"},
-        "speed": {"value": 1, "unit": "rad/s"},
-    }
-)
+REQUIREMENT = load_requirement(Path(__file__).with_name("requirement.yaml"))
 SCANS = 100
 
 

@@ -20,6 +20,7 @@ from posor.ros_names import RAW_SCAN
 from posor_bringup.arms import load_checked_arm
 from posor_bringup.installed import calibration_path
 from posor_drivers.simulator.scenario import load_scenario
+from posor_lab.harness.case_tables import refusal
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from tests.rig_replay import read_bag_messages
@@ -35,7 +36,6 @@ CONTENT_HASHES = {
     3: "9a94d6c1fe4bbcdda9b8e80c3a19e214641e4cde503da95401d50548eece49f2",
 }
 """Bags and fit records name calibrations by these hashes, so they must not change."""
-LATER = "or a later release of this software, which reads version"
 
 
 def test_there_is_a_file_of_every_version() -> None:
@@ -76,23 +76,18 @@ def test_a_bag_of_the_first_version_gives_the_same_results_as_that_of_today(tmp_
         (old / "ymo", old / "calibration.yaml", "old"),
         (new, calibration_path("printed"), "new"),
     ):
-        options = [
-            "--calibration",
-            f"joint1={calibration}",
-            "--session",
-            "joint1=ymo",
-            "--output",
-            str(tmp_path / name),
-        ]
-        assert reprocess([str(bag), *options]) == 0
+        options = ["--calibration", f"joint1={calibration}", "--session", "joint1=ymo"]
+        assert reprocess([str(bag), *options, "--output", str(tmp_path / name)]) == 0
     assert read_bag_messages(tmp_path / "old") == read_bag_messages(tmp_path / "new")
     recover(old / "ymo", tmp_path / "recovered")
     assert read_bag_messages(tmp_path / "recovered") == read_bag_messages(new)
 
 
 def test_a_calibration_from_before_the_kinds_of_maps_says_what_to_add() -> None:
-    with pytest.raises(CalibrationError, match=r"line 75, .*key 'kind' is missing .*; expected one of .*'polynomial'"):
-        load_calibration(FORMATS / "version_1/calibration_without_kinds.yaml")
+    error = refusal(CalibrationError, load_calibration, FORMATS / "version_1/calibration_without_kinds.yaml")
+    assert ", line 75, " in error.where
+    assert error.what.startswith("key 'kind' is missing ")
+    assert "'polynomial'" in error.expected
 
 
 @pytest.mark.parametrize(
@@ -109,8 +104,9 @@ def test_a_file_of_a_later_version_says_what_reads_it(
 ) -> None:
     path = tmp_path / "later.yaml"
     path.write_text((FORMATS / name).read_text().replace(f"version: {newest}\n", f"version: {newest + 1}\n", 1))
-    with pytest.raises(CalibrationError, match=rf"key version: version {newest + 1}; .*, {LATER} {newest + 1}\.$"):
-        load(path)
+    error = refusal(CalibrationError, load, path)
+    assert error.where.endswith(", key version")
+    assert error.expected.endswith(f"or a later release of this software, which reads version {newest + 1}")
 
 
 def test_a_bag_whose_scans_lack_a_field_names_the_field(tmp_path: Path) -> None:
@@ -120,8 +116,8 @@ def test_a_bag_whose_scans_lack_a_field_names_the_field(tmp_path: Path) -> None:
     with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         topic = writer.add_connection("/joint1/raw", RAW_SCAN, msgdef="\n".join(lines), rihs01=type_hash)
         writer.write(topic, 1, bytes(200))
-    with pytest.raises(BagError, match=r"field supply_voltage of the recorded RawScan is missing; expected type 'd'"):
-        read_scans(tmp_path / "bag")
+    error = refusal(BagError, read_scans, tmp_path / "bag")
+    assert error.what == "field supply_voltage of the recorded RawScan is missing"
 
 
 def test_every_metadata_version_of_rosbag2_that_rosbags_writes_is_read(tmp_path: Path) -> None:

@@ -6,10 +6,8 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import pytest
-import rclpy
+from posor_lab.harness.graph import Graph
 from posor_msgs.msg import JointTransform, RawScan
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import serialize_message
 
 if TYPE_CHECKING:
@@ -40,20 +38,9 @@ def joint_transform() -> Any:
 @pytest.mark.usefixtures("ros_domain")
 def test_a_message_passes_dds_unchanged(make: Callable[[], Any]) -> None:
     sent = make()
-    received: list[Any] = []
-    context = Context()
-    rclpy.init(context=context)
-    try:
-        sender, receiver = rclpy.create_node("sender", context=context), rclpy.create_node("receiver", context=context)
-        executor = SingleThreadedExecutor(context=context)
-        executor.add_node(receiver)
-        publisher = sender.create_publisher(type(sent), "message", 1)
-        receiver.create_subscription(type(sent), "message", received.append, 1)
-        while publisher.get_subscription_count() < 1:
-            executor.spin_once(timeout_sec=0.1)
+    with Graph() as sender, Graph() as receiver:
+        received = receiver.collect(type(sent), "message")
+        publisher = sender.publisher(type(sent), "message")
         publisher.publish(sent)
-        while not received:
-            executor.spin_once(timeout_sec=0.1)
-    finally:
-        rclpy.shutdown(context=context)
+        receiver.wait_until(lambda: bool(received), "the message")
     assert serialize_message(received[0]) == serialize_message(sent)

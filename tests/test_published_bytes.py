@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from posor_bringup.arm_programs import LAYOUTS, Layout, arm_programs, group_programs
 from posor_bringup.arms import load_checked_arm
-from posor_bringup.installed import bag_path, calibration_path, urdf_path
+from posor_bringup.installed import bag_path
 from posor_lab.harness.graph import BEST_EFFORT, LOSSLESS, Graph
 from posor_lab.harness.program import Program
 from posor_ros.message_classes import message_class
 from posor_ros.qos import LATCHED_QOS
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from tests.composed_rig import COMPOSE, write_composition
+from tests.composed_rig import COMPOSE, RIG, write_composition
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -64,21 +64,10 @@ def typestore() -> Typestore:
 
 
 def composition(driver: str) -> str:
+    """Return the rig with another driver; recorded stamps are of any age."""
     recorded = "" if driver.startswith("source: looped") or "restamp" in driver else "freshness: {max_age: .inf}, "
-    return f"""\
-format: posor_composition
-version: 1
-nodes:
-  - node: chain_node
-    namespace: /rig
-    parameters: {{{recorded}urdf: {urdf_path()}}}
-  - node: posor_node
-    namespace: /rig/joint1
-    parameters: {{{recorded}calibration: {calibration_path("printed")}, session: ymo}}
-  - node: driver_node
-    namespace: /rig/joint1
-    parameters: {{{recorded}{driver}}}
-"""
+    others, _, _ = RIG.rpartition("parameters: {")
+    return f"{others}parameters: {{{driver}}}\n".replace("parameters: {", f"parameters: {{{recorded}")
 
 
 class EveryTopic:

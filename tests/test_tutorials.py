@@ -10,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+import yaml
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
@@ -20,20 +21,8 @@ FILE = re.compile(r"# (build/[\w/]+\.py)\n")
 """First line of a Python block: the file that the reader saves it as."""
 FIRST = "first_pose"
 """Its files are used by other tutorials."""
-SAID = {
-    "first_pose": [r"z = -?\d+\.\d{4} mm, standard uncertainty \d+\.\d\d um"],
-    "your_own_arm": [r"x = 85\d\.\d{4} mm, standard uncertainty 2\d\.\d\d um", r"expected .*\.\nexit code 1"],
-    "your_own_sensor": [r"z = 750\.\d\d um, standard uncertainty 0\.7\d um", r"draw_wire\.yaml.*\.\nexit code 1"],
-    "your_own_instrument": [
-        r"box: Box 1, 11 channels; \d+\.\d+ frames per second",
-        r"z = -?\d+\.\d{4} mm, standard uncertainty \d+\.\d\d um",
-        r"box: no connection to 127\.0\.0\.1:5025.*\nexit code 1",
-    ],
-    "calibrate": [r"zero_drift", r"3 of \d+ numbers differ", r"no topic /laser; expected .*\.\nexit code 1"],
-    "analyse_in_a_notebook": [r"1986 poses", r"endpoint 1986"],
-    "close_a_loop": [r"moving\nstopped: .+", r"rms distance: \d+\.\d um\n(.*\n)*rms distance: \d+\.\d um\n"],
-}
-"""Output of each tutorial."""
+SAID: dict[str, list[str]] = yaml.safe_load(Path(__file__).with_name("tutorials.yaml").read_text(encoding="utf-8"))
+"""Patterns of the output of each tutorial."""
 LONG = ("calibrate", "your_own_arm", "your_own_sensor", "close_a_loop")
 
 

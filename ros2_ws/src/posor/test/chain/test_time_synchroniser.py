@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from posor.chain.time_synchroniser import MAX_OPEN_SCANS, TimeSynchroniser, synchronise_stamps
 from posor.errors import ChainError
-from posor_lab.harness.case_tables import refusal
+from posor_lab.harness.case_tables import cases, refusal
 
 JOINTS = ("shoulder", "elbow", "wrist")
 
@@ -45,45 +45,7 @@ def replay(events: str) -> tuple[str, dict[int, str]]:
     return " ".join(complete), incomplete
 
 
-@pytest.mark.parametrize(
-    ("events", "complete", "incomplete"),
-    [
-        pytest.param("w7 s7 e7", "7", {}, id="the last item completes a scan, once"),
-        pytest.param("s7 s7 s7 s7 e7 w7", "7", {}, id="a repeated item does not replace another joint"),
-        pytest.param("s1000 e1000 w1001 s1001 e1001", "1001", {1000: "w"}, id="stamps 1 ns apart are not combined"),
-        pytest.param("s1 e2 w2 s3 e3 w3", "3", {1: "ew", 2: "s"}, id="a complete scan closes older ones"),
-        pytest.param("w8 w9 s8 e8 s9 e9", "8 9", {}, id="a newer incomplete scan stays open"),
-        pytest.param("s5 s6 e5 e6 w6 s6 e6 w6", "6", {5: "w"}, id="items of a complete scan are dropped"),
-        pytest.param(
-            "s100 e100 w200 w100' s100' e100'",
-            "100'",
-            {100: "w", 200: "se"},
-            id="a restart is not combined with the past",
-        ),
-        pytest.param(
-            "s100 e100 w100 s200 e200 w200 w100' w200' w300' s300 e300 s100' e100' s200' e200' s300' e300'",
-            "100 200 100' 200' 300'",
-            {300: "w"},
-            id="a restarted joint that is ahead again is not combined with the old epoch",
-        ),
-        pytest.param(
-            "s19 e19 w19 s20 e20 w20 s7 s21 s15' e21 w21 e15' w15'",
-            "19 20 21 15'",
-            {7: "ew"},
-            id="stamps before a wrong one are remembered",
-        ),
-        pytest.param(
-            "s100 e100 w100 s200 e200 w200 w100 w300 w100' w200' w400' "
-            "s300 e300 s400 e400 s100' e100' s200' e200' s400' e400'",
-            "100 200 300 100' 200' 400'",
-            {100: "se", 400: "w"},
-            id="a joint that restarts alone and passes its old stamps stays in its epoch",
-        ),
-        pytest.param(
-            " ".join(f"{j}{t}" for _ in range(3) for t in (1, 2, 3) for j in "sew"), "1 2 3 1 2 3 1 2 3", {}, id="loops"
-        ),
-    ],
-)
+@pytest.mark.parametrize(**cases(__file__, "synchronised_items.yaml"))
 def test_items_are_combined_by_stamp_and_epoch(events: str, complete: str, incomplete: dict[int, str]) -> None:
     assert replay(events) == (complete, incomplete)
 
