@@ -122,16 +122,17 @@ class Miniature(Workspace):
         """Return the environment of its processes, in which pip finds only that wheel."""
         return clean_environ(**{"PIP_NO_INDEX": "1", "PIP_FIND_LINKS": str(self.root / "wheels"), **extra})
 
-    def start_set_up(self, **extra: str) -> subprocess.Popen[str]:
-        """Start the set-up in a session of its own, with the Python of this test."""
+    def start(self, *command: str | Path, **extra: str) -> subprocess.Popen[str]:
+        """Start a program of the checkout in a session of its own."""
+        pipe = subprocess.PIPE
         return subprocess.Popen(
-            [self.root / "tools" / "python.sh", self.root / "tools" / "setup_workspace.py"],
-            env=self.environ(**{"PYTHON": str(BASE_PYTHON), **extra}),
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
+            command, env=self.environ(**extra), stdout=pipe, stderr=pipe, text=True, start_new_session=True
         )
+
+    def start_set_up(self, **extra: str) -> subprocess.Popen[str]:
+        """Start the set-up with the Python of this test."""
+        tools = self.root / "tools"
+        return self.start(tools / "python.sh", tools / "setup_workspace.py", **{"PYTHON": str(BASE_PYTHON), **extra})
 
     def set_up(self, **extra: str) -> subprocess.CompletedProcess[str]:
         """Run the set-up to the end."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import subprocess
 import sys
@@ -18,6 +17,7 @@ from posor.chain.beam_bending import Tube
 from posor.chain.beams_file import load_beams
 from posor_drivers.simulator.motion_phases import Spline
 from posor_drivers.simulator.scenario import load_scenario
+from posor_lab.thesis_data import read_table
 
 ROOT = Path(__file__).resolve().parents[1]
 ARMS = ROOT / "ros2_ws" / "src" / "posor_bringup" / "arms"
@@ -90,8 +90,7 @@ def test_motion_begins_at_the_home_marks_and_stays_within_one_turn(name: str) ->
 
 
 def test_five_axis_posors_have_the_diameters_of_the_thesis() -> None:
-    lines = (ROOT / "data" / "slocum1985" / "error_budget_five_axis_robot.csv").read_text(encoding="utf-8").splitlines()
-    rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
+    rows = read_table(ROOT / "data" / "slocum1985" / "error_budget_five_axis_robot.csv", ())
     arm = arm_of("five_axis")
     assert list(arm.calibrations) == [row["joint"].replace(" ", "_") for row in rows]
     for row, path in zip(rows, arm.calibrations.values(), strict=True):

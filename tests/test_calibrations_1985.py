@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 import yaml
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from posor_lab.thesis_data import read_table
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "data" / "slocum1985"
@@ -32,14 +29,11 @@ LEAN_ABOUT_Y_DEG = {"slocum1985_printed": 0.318, "slocum1985_section84": 3.18}
 @pytest.fixture(scope="module")
 def dimensions() -> dict[str, float]:
     """The rig's dimensions [inch]."""
-    lines = (DATA / "posor_dimensions.csv").read_text(encoding="utf-8").splitlines()
-    return {row["quantity"]: float(row["value"]) for row in csv.DictReader(x for x in lines if not x.startswith("#"))}
+    return {row["quantity"]: float(row["value"]) for row in read_table(DATA / "posor_dimensions.csv", ())}
 
 
-@pytest.fixture(scope="module")
-def load() -> Callable[[str], dict[str, Any]]:
-    """Return a reader of the calibration files as plain YAML."""
-    return lambda name: dict(yaml.safe_load((CONFIG / f"{name}.yaml").read_text(encoding="utf-8")))
+def load(name: str) -> dict[str, Any]:
+    return dict(yaml.safe_load((CONFIG / f"{name}.yaml").read_text(encoding="utf-8")))
 
 
 def leans(calibration: dict[str, Any]) -> tuple[float, float]:
@@ -61,9 +55,7 @@ def test_the_script_makes_the_very_files_of_the_bringup_package(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_target_plane_leans_as_the_thesis_says(
-    name: str, load: Callable[[str], dict[str, Any]], dimensions: dict[str, float]
-) -> None:
+def test_the_target_plane_leans_as_the_thesis_says(name: str, dimensions: dict[str, float]) -> None:
     a, b, c = (dimensions[key] for key in "abc")
     about_x, about_y = leans(load(name))
     # What the thesis rounds: it takes probes 2 and 3 for 1.5 in from the centre; they are at 1.4993 and 1.5362 in.
@@ -76,7 +68,7 @@ def test_the_target_plane_leans_as_the_thesis_says(
     assert c * math.tan(about_x) + unequal == pytest.approx(HEIGHT_AT_PROBE_1_IN, rel=1e-4)
 
 
-def test_the_two_files_differ_by_flatness_and_zero_shifts_only(load: Callable[[str], dict[str, Any]]) -> None:
+def test_the_two_files_differ_by_flatness_and_zero_shifts_only() -> None:
     printed, section84 = (load(name) for name in NAMES)
     for calibration in (printed, section84):
         del calibration["name"], calibration["provenance"], calibration["sessions"]
@@ -91,9 +83,8 @@ def test_the_two_files_differ_by_flatness_and_zero_shifts_only(load: Callable[[s
     assert printed == section84
 
 
-def test_the_sessions_hold_the_zero_shifts_of_each_state(load: Callable[[str], dict[str, Any]]) -> None:
-    lines = (DATA / "sensor_ranges.csv").read_text(encoding="utf-8").splitlines()
-    table = {row["quantity"]: row for row in csv.DictReader(line for line in lines if not line.startswith("#"))}
+def test_the_sessions_hold_the_zero_shifts_of_each_state() -> None:
+    table = {row["quantity"]: row for row in read_table(DATA / "sensor_ranges.csv", ())}
     for test in ("YMO", "YZMO", "ZMO"):
         shifts = {name: load(name)["sessions"][test.lower()]["zero_shifts"] for name in NAMES}
         assert shifts["slocum1985_printed"] == {"value": [0.0, 0.2, 0.3], "unit": "V"}
@@ -101,9 +92,7 @@ def test_the_sessions_hold_the_zero_shifts_of_each_state(load: Callable[[str], d
         assert shifts["slocum1985_section84"] == {"value": table_81, "unit": "V"}
 
 
-def test_the_probes_stand_where_the_thesis_has_them(
-    load: Callable[[str], dict[str, Any]], dimensions: dict[str, float]
-) -> None:
+def test_the_probes_stand_where_the_thesis_has_them(dimensions: dict[str, float]) -> None:
     """Probe 1 at (-c, 0), probe 2 at (0, a), probe 3 at (0, -b)."""
     a, b, c = (dimensions[key] * INCH for key in "abc")
     for name in NAMES:

@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import time
+from functools import partial
 from typing import TYPE_CHECKING
 
 import pytest
@@ -16,7 +17,7 @@ from environment import THIS, SetupError, Workspace
 from setup_state import build_inputs, reasons_to_set_up
 from setup_workspace import rewrite_cmake_paths
 
-from tests.miniature import BASE_PYTHON, Miniature, clean_environ
+from tests.miniature import BASE_PYTHON, PACKAGE, Miniature, clean_environ
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -200,35 +201,19 @@ def test_environment_without_its_python_is_detected(checkout: Miniature) -> None
 
 
 @pytest.mark.long
-def test_interrupted_by_the_user(checkout: Miniature) -> None:
+@pytest.mark.parametrize("who", ["set-up", "run"])
+def test_interrupted_by_the_user(checkout: Miniature, who: str) -> None:
     shutil.rmtree(checkout.install)
-    with checkout.start_set_up() as process:
-        wait_for(checkout.install / "miniature", process)
-        os.killpg(process.pid, signal.SIGINT)
-        _, err = process.communicate()
-    assert process.returncode == 130
-    assert err.endswith("posor set-up: interrupted.\n")
-    assert checkout.set_up().returncode == 0
-
-
-@pytest.mark.long
-def test_run_interrupted_during_the_set_up(checkout: Miniature) -> None:
-    shutil.rmtree(checkout.install)
-    command = [str(checkout.root / "run"), "miniature", "tell"]
-    with subprocess.Popen(
-        command,
-        env=checkout.environ(),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    ) as process:
-        wait_for(checkout.install / "miniature", process)
+    start = (
+        checkout.start_set_up if who == "set-up" else partial(checkout.start, checkout.root / "run", PACKAGE, "tell")
+    )
+    with start() as process:
+        wait_for(checkout.install / PACKAGE, process)
         os.killpg(process.pid, signal.SIGINT)
         _, err = process.communicate()
     assert process.returncode == 130
     assert "Traceback" not in err
-    assert "posor run: interrupted.\n" in err
+    assert f"posor {who}: interrupted.\n" in err
     assert checkout.set_up().returncode == 0
 
 

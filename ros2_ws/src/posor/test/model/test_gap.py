@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -11,18 +10,11 @@ from posor.model.reading_rows import GAP
 
 from .row_builder import read_row
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-
-def read(row: npt.ArrayLike, pose: pin.SE3) -> float:
-    return read_row(GAP, row, pose)
-
 
 def test_a_gap_is_the_distance_along_a_slanted_axis() -> None:
     slant = math.radians(60.0)
     row = np.array([0.01, 0.02, 0.0, math.sin(slant), 0.0, math.cos(slant), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    assert read(row, pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.001]))) == pytest.approx(0.002, abs=1e-16)
+    assert read_row(GAP, row, pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.001]))) == pytest.approx(0.002, abs=1e-16)
 
 
 def test_the_tilt_of_the_plane_turns_with_the_target() -> None:
@@ -30,9 +22,9 @@ def test_the_tilt_of_the_plane_turns_with_the_target() -> None:
     tilt = 0.01
     probe_at_minus_x = np.array([-0.05, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, tilt, 0.0, 0.0])
     quarter_turn = pin.SE3(pin.utils.rotate("z", math.pi / 2.0), np.array([0.0, 0.0, 0.001]))
-    assert read(probe_at_minus_x, quarter_turn) == pytest.approx(0.001 + 0.05 * math.tan(tilt), abs=1e-15)
+    assert read_row(GAP, probe_at_minus_x, quarter_turn) == pytest.approx(0.001 + 0.05 * math.tan(tilt), abs=1e-15)
     by_parameter = probe_at_minus_x + math.pi / 2.0 * np.eye(12)[11]
-    assert read(by_parameter, pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.001]))) == pytest.approx(
+    assert read_row(GAP, by_parameter, pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.001]))) == pytest.approx(
         0.001 + 0.05 * math.tan(tilt), abs=1e-15
     )
 

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -11,22 +9,13 @@ from posor.numerics.compiled import record_view
 from .random_rows import random_spot
 from .row_builder import make_rows, read_row
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-X, Y = 0, 1
-
-
-def read(row: npt.ArrayLike, pose: pin.SE3, which: int) -> float:
-    return read_row(SPOT_X + which, row, pose)
-
 
 def test_a_spot_is_where_a_leaning_ray_meets_the_diode() -> None:
     """One millimetre above the diode a ray that leans by 0.1 along X and -0.2 along Y has moved by so much."""
     row = np.array([0.01, 0.02, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.012, 0.025, 0.0, 0.1, -0.2, -1.0, 0.0])
     pose = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.001]))
-    assert read(row, pose, X) == pytest.approx(0.002 + 0.0001, abs=1e-16)
-    assert read(row, pose, Y) == pytest.approx(0.005 - 0.0002, abs=1e-16)
+    assert read_row(SPOT_X, row, pose) == pytest.approx(0.002 + 0.0001, abs=1e-16)
+    assert read_row(SPOT_Y, row, pose) == pytest.approx(0.005 - 0.0002, abs=1e-16)
 
 
 def test_coordinates_are_along_the_diodes_own_axes_even_if_these_are_skew() -> None:
@@ -34,8 +23,8 @@ def test_coordinates_are_along_the_diodes_own_axes_even_if_these_are_skew() -> N
     spot = 0.003 * u - 0.002 * v
     row = np.concatenate([np.zeros(3), u, v, spot, [0.0, 0.0, -1.0, 0.0]])
     pose = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.001]))
-    assert read(row, pose, X) == pytest.approx(0.003, abs=1e-16)
-    assert read(row, pose, Y) == pytest.approx(-0.002, abs=1e-16)
+    assert read_row(SPOT_X, row, pose) == pytest.approx(0.003, abs=1e-16)
+    assert read_row(SPOT_Y, row, pose) == pytest.approx(-0.002, abs=1e-16)
 
 
 def test_the_length_of_the_direction_has_no_effect_and_those_of_the_axes_scale(rng: np.random.Generator) -> None:
@@ -44,10 +33,10 @@ def test_the_length_of_the_direction_has_no_effect_and_those_of_the_axes_scale(r
         longer_ray, longer_u = row.copy(), row.copy()
         longer_ray[12:15] *= 3.0
         longer_u[3:6] *= 2.0
-        for which in (X, Y):
-            assert read(longer_ray, pose, which) == pytest.approx(read(row, pose, which), abs=1e-14)
-        assert read(longer_u, pose, X) == pytest.approx(read(row, pose, X) / 2.0, abs=1e-14)
-        assert read(longer_u, pose, Y) == pytest.approx(read(row, pose, Y), abs=1e-14)
+        for which in (SPOT_X, SPOT_Y):
+            assert read_row(which, longer_ray, pose) == pytest.approx(read_row(which, row, pose), abs=1e-14)
+        assert read_row(SPOT_X, longer_u, pose) == pytest.approx(read_row(SPOT_X, row, pose) / 2.0, abs=1e-14)
+        assert read_row(SPOT_Y, longer_u, pose) == pytest.approx(read_row(SPOT_Y, row, pose), abs=1e-14)
 
 
 def test_the_extra_turn_turns_the_direction_about_z_of_the_target(rng: np.random.Generator) -> None:
@@ -56,8 +45,8 @@ def test_the_extra_turn_turns_the_direction_about_z_of_the_target(rng: np.random
         turned = row.copy()
         turned[12:15] = pin.utils.rotate("z", row[15]) @ row[12:15]
         turned[15] = 0.0
-        for which in (X, Y):
-            assert read(turned, pose, which) == pytest.approx(read(row, pose, which), abs=1e-14)
+        for which in (SPOT_X, SPOT_Y):
+            assert read_row(which, turned, pose) == pytest.approx(read_row(which, row, pose), abs=1e-14)
 
 
 def test_a_pair_of_rows_reads_as_its_rows_do(rng: np.random.Generator) -> None:

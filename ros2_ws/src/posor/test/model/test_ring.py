@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -11,25 +10,18 @@ from posor.model.ring import MAX_HARMONICS, multiple_angle
 
 from .row_builder import read_row
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-
-def read(row: npt.ArrayLike, pose: pin.SE3) -> float:
-    return read_row(RING, row, pose)
-
 
 def test_a_bump_turned_to_the_probe_shortens_the_gap() -> None:
     bump = 1e-4
     row = np.array([0.052, 0.0, 0.005, -1.0, 0.0, 0.0, 0.05, 1.0, 4.0, 0.0, bump])
     valley, top = pin.SE3.Identity(), pin.SE3(pin.utils.rotate("z", -math.pi / 8.0), np.zeros(3))
-    assert read(row, valley) == pytest.approx(0.002, abs=1e-16)
-    assert read(row, top) == pytest.approx(0.002 - bump, abs=1e-16)
+    assert read_row(RING, row, valley) == pytest.approx(0.002, abs=1e-16)
+    assert read_row(RING, row, top) == pytest.approx(0.002 - bump, abs=1e-16)
 
 
 def test_a_probe_that_looks_past_the_ring_reads_no_number() -> None:
     row = np.array([0.052, 0.0, 0.005, 0.0, 1.0, 0.0, 0.05, 1.0, 4.0, 0.0, 1e-4])
-    assert math.isnan(read(row, pin.SE3.Identity()))
+    assert math.isnan(read_row(RING, row, pin.SE3.Identity()))
 
 
 def test_multiples_of_an_angle_are_those_of_cosine_and_sine() -> None:
@@ -46,8 +38,8 @@ def test_harmonics_in_any_order_give_the_same_gap(rng: np.random.Generator) -> N
     pose = pin.SE3(pin.utils.rotate("z", 0.3), np.array([1e-4, -2e-4, 0.0]))
     harmonics = np.array([[k, *rng.uniform(-2e-5, 2e-5, 2)] for k in orders])
     fixed = [0.052, 0.0, 0.005, -1.0, 0.0, 0.0, 0.05, len(orders)]
-    expected = read([*fixed, *harmonics.ravel()], pose)
+    expected = read_row(RING, [*fixed, *harmonics.ravel()], pose)
     for _ in range(20):
         rng.shuffle(harmonics)
-        assert read([*fixed, *harmonics.ravel()], pose) == pytest.approx(expected, abs=1e-16)
+        assert read_row(RING, [*fixed, *harmonics.ravel()], pose) == pytest.approx(expected, abs=1e-16)
     assert len(orders) <= MAX_HARMONICS

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +20,7 @@ from posor.uncertainty.air_index import (
     vapour_fraction,
 )
 from posor_lab.harness.case_tables import refusal
+from posor_lab.thesis_data import read_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,12 +32,7 @@ LABORATORY = Air(ICE_POINT + 20.0, 101325.0, 0.5)
 TABLE = Path(__file__).with_name("air_index.csv")
 
 
-def published() -> list[dict[str, str]]:
-    lines = TABLE.read_text(encoding="utf-8").splitlines()
-    return list(csv.DictReader(line for line in lines if not line.startswith("#")))
-
-
-@pytest.mark.parametrize("row", published(), ids=lambda row: row["source"])
+@pytest.mark.parametrize("row", read_table(TABLE, ()), ids=lambda row: row["source"])
 def test_the_index_is_the_published_one(row: dict[str, str]) -> None:
     source, *cells = row.values()
     celsius, pressure, percent, vapour, co2, nanometres, index, tolerance = (float(cell or "nan") for cell in cells)
