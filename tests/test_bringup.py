@@ -11,37 +11,23 @@ from typing import TYPE_CHECKING
 import pytest
 from geometry_msgs.msg import PoseStamped
 from posor_bringup.bringup import main
-from posor_bringup.installed import bag_path, calibration_path, urdf_path
 from posor_lab.harness.graph import BEST_EFFORT, Graph
 from posor_lab.harness.program import Program, installed
 from posor_lab.replay_1985.comparison import STEPS
 from posor_msgs.msg import RawScan
+
+from tests.composed_rig import filled
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
-ARM = f"""\
-format: posor_arm
-version: 1
-name: rig
-provenance: {{source: the rig of 1985, method: 'for a test', date: none}}
-urdf: {urdf_path()}
-joints:
-  joint1: {{calibration: {calibration_path("printed")}, session: ymo}}
-driver:
-  source: bag
-  parameters:
-    bag.path: {bag_path("ymo")}
-    rate: 5.0
-"""
-
 
 @pytest.fixture
 def rig(tmp_path: Path) -> Path:
     path = tmp_path / "rig.yaml"
-    path.write_text(ARM, encoding="utf-8")
+    path.write_text(filled("rig_arm.yaml"), encoding="utf-8")
     return path
 
 

@@ -108,9 +108,8 @@ def test_an_invalid_file_is_refused_with_line_and_key(
 
 def test_an_invalid_command_line_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     missing = tmp_path / "no.yaml"
-    code, sentence = refused(capfd, str(missing))
-    assert code == 1
-    assert sentence.startswith(f"composition file {missing}: cannot be read: ")
+    sentence = "cannot be read: No such file or directory; expected a YAML composition file."
+    assert refused(capfd, str(missing)) == (1, f"composition file {missing}: {sentence}")
     assert main(["compose"]) == 2
     assert capfd.readouterr().err == "compose: 0 arguments; expected one, a composition file.\n"
     assert main(["compose", "--help"]) == 0

@@ -22,7 +22,7 @@ from posor.model.native_coordinates import rotation_from_native
 from posor.sensors.base import PlainSensor
 from posor.sensors.registry import sensor_types
 from posor_lab.harness.case_tables import refusal
-from posor_lab.harness.graph import Graph
+from posor_lab.harness.graph import Graph, scan_message
 from posor_lab.harness.program import HAND_FED, Program, installed
 from posor_lab.harness.random_poses import TICK_NS, errors_in_parent
 from posor_msgs.msg import JointTransform, RawScan
@@ -40,12 +40,6 @@ if TYPE_CHECKING:
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "posor_draw_wire"
 WIRES = 4
 RELATIVE = 1e-6
-
-TELL_TYPES = """
-import json
-from posor.sensors.registry import sensor_types
-print(json.dumps({name: found.__module__ + ":" + found.__qualname__ for name, found in sensor_types().items()}))
-"""
 
 
 @dataclass(frozen=True)
@@ -147,28 +141,6 @@ def posor_maker(overlay: Overlay) -> Iterator[Callable[[], Posor]]:
 @pytest.fixture
 def posor(posor_maker: Callable[[], Posor]) -> Posor:
     return posor_maker()
-
-
-# Found through its entry point.
-
-
-@pytest.mark.long
-def test_a_new_process_finds_the_installed_type(overlay: Overlay) -> None:
-    without = subprocess.run([sys.executable, "-c", TELL_TYPES], capture_output=True, text=True, check=True)
-    assert set(json.loads(without.stdout)) == {"gap_probes", "diodes", "bumpy_ring"}
-    done = subprocess.run(
-        overlay.command([sys.executable, "-c", TELL_TYPES]), capture_output=True, text=True, check=True
-    )
-    types = json.loads(done.stdout)
-    assert set(types) == {"gap_probes", "diodes", "bumpy_ring", "draw_wire"}
-    assert types["draw_wire"] == "posor_draw_wire.draw_wire:DrawWireCalibration"
-
-
-def test_without_the_package_its_calibration_is_refused_in_one_sentence() -> None:
-    sensor_types.cache_clear()
-    error = refusal(CalibrationError, load_calibration, EXAMPLE / "config" / "triad_draw_wire.yaml")
-    assert "'draw_wire'" in error.what
-    assert "'gap_probes'" in error.expected
 
 
 @pytest.mark.parametrize(
@@ -360,12 +332,7 @@ def test_posor_node_gives_the_same_pose(overlay: Overlay, posor: Posor) -> None:
         raw = graph.publisher(RawScan, "raw")
         graph.wait_for_status("/posor_node: estimate", "no scan yet")
         graph.wait_until(lambda: graph.node.count_publishers("transform") == 1, "the node's topic")
-        message = RawScan(scan=1, samples=1, supply_voltage=float("nan"), temperature=float("nan"))
-        message.header.frame_id = "receiving"
-        message.header.stamp.sec = 12
-        message.gap_voltages = scan.gap_voltages.tolist()
-        message.ring_voltages = scan.ring_voltages.tolist()
-        raw.publish(message)
+        raw.publish(scan_message(scan))
         graph.wait_until(lambda: len(transforms) == 1, "a transform")
         program.end()
     [transform] = transforms

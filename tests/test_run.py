@@ -31,21 +31,24 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Miniature:
 @pytest.mark.long
 def test_arguments_entry_points_and_environment(checkout: Miniature) -> None:
     done = checkout.run("miniature", "tell", "--ros-args", "-p", "a:='b c'")
-    assert done.returncode == 0, done.stderr
+    assert (done.returncode, done.stderr) == (0, "")
     arguments, things, prefixes = done.stdout.splitlines()
     assert arguments == "arguments --ros-args -p a:='b c'"
     assert things == "things 42"
     assert prefixes.split()[1].split(":")[0] == str(checkout.install / "miniature")
+
+
+@pytest.mark.parametrize("how", [pytest.param("through a link", marks=pytest.mark.long), "nested"])
+def test_calls_from_elsewhere_are_the_same(checkout: Miniature, tmp_path: Path, how: str) -> None:
+    command, environ = checkout.root / "run", checkout.environ()
+    if how == "nested":
+        environ = workspace_environment(checkout, environ)
+    else:
+        command = tmp_path / "posor-run"
+        command.symlink_to(checkout.root / "run")
+    call = [str(command), "miniature", "tell"]
+    done = subprocess.run(call, cwd=tmp_path, env=environ, capture_output=True, text=True, check=False)
     assert done.stderr == ""
-
-
-@pytest.mark.long
-def test_called_from_elsewhere_through_a_link(checkout: Miniature, tmp_path: Path) -> None:
-    link = tmp_path / "posor-run"
-    link.symlink_to(checkout.root / "run")
-    done = subprocess.run(
-        [link, "miniature", "tell"], cwd=tmp_path, env=checkout.environ(), capture_output=True, text=True, check=True
-    )
     assert "things 42" in done.stdout
 
 
@@ -56,14 +59,6 @@ def test_signal_reaches_the_program(checkout: Miniature) -> None:
         assert int(process.stdout.readline()) == process.pid
         process.send_signal(signal.SIGINT)
     assert process.returncode == 7
-
-
-def test_nested_call_is_the_same(checkout: Miniature) -> None:
-    outer = workspace_environment(checkout, checkout.environ())
-    command = [str(checkout.root / "run"), "miniature", "tell"]
-    done = subprocess.run(command, env=outer, capture_output=True, text=True, check=False)
-    assert done.stderr == ""
-    assert "things 42" in done.stdout
 
 
 def test_programs_store_their_bytecode(checkout: Miniature) -> None:

@@ -212,8 +212,8 @@ def test_interrupted_by_the_user(checkout: Miniature, who: str) -> None:
         os.killpg(process.pid, signal.SIGINT)
         _, err = process.communicate()
     assert process.returncode == 130
-    assert "Traceback" not in err
-    assert f"posor {who}: interrupted.\n" in err
+    assert err.endswith(f"posor {who}: interrupted.\n")
+    assert who == "set-up" or "Traceback" not in err  # the set-up shows what colcon says
     assert checkout.set_up().returncode == 0
 
 

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any, Self
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.srv import ChangeState, GetState
+from posor.numerics.stamps import NS
 from posor.ros_names import DIAGNOSTICS_TOPIC
+from posor_msgs.msg import RawScan
 from posor_ros.qos import KEEP_ALL_QOS
 from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
@@ -20,6 +22,8 @@ from posor_lab.harness.program import wait_until
 if TYPE_CHECKING:
     from collections.abc import Callable
     from types import TracebackType
+
+    from posor.model.scan import Scan
 
 LOSSLESS = KEEP_ALL_QOS
 """Receives every message of a reliable publisher."""
@@ -147,6 +151,16 @@ def wait_for_value(graph: Graph, name: str, key: str, text: str) -> DiagnosticSt
 
     graph.wait_until(has_value, f"'{text}' in {key} of {name}")
     return graph.latest(name)
+
+
+def scan_message(scan: Scan, frame: str = "receiving") -> Any:
+    """Return a scan of one sample as its message."""
+    message = RawScan(scan=scan.number, samples=1, supply_voltage=scan.supply_voltage, temperature=scan.temperature)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(scan.stamp_ns, NS)
+    message.header.frame_id = frame
+    message.gap_voltages, message.ring_voltages = scan.gap_voltages, scan.ring_voltages
+    message.diode_currents, message.lit_sources = scan.diode_currents.ravel(), list(scan.lit_sources)
+    return message
 
 
 def set_stamp(message: Any, seconds: int) -> Any:

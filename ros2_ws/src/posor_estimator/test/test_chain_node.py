@@ -12,7 +12,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from posor_estimator.chain_node import ChainNode
 from posor_lab.harness.graph import Graph, set_stamp, stamp_seconds, values_of
 from posor_lab.harness.in_process_nodes import run_refused_node
@@ -197,8 +196,7 @@ def test_poses_are_relative_to_the_first_pose_or_to_the_last_set_home() -> None:
         heights = [[p.pose.position.x, p.pose.position.y, p.pose.position.z] for p in chain.poses[2:]]
         np.testing.assert_allclose(heights, [[0.0, 0.0, 0.0], [0.0, -1e-3, 0.0]], rtol=0.0, atol=1e-15)
         for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE):
-            request = ChangeState.Request(transition=Transition(id=transition))
-            assert graph.call(ChangeState, "/chain_node/change_state", request).success
+            assert graph.change_state("/chain_node", transition)
             assert call_set_home(graph) == (False, "there is no pose now to take as home")  # the arm may have moved
         states = graph.collect(EndpointState, "endpoint/state")
         stamps = count(5)
@@ -211,6 +209,5 @@ def test_poses_are_relative_to_the_first_pose_or_to_the_last_set_home() -> None:
 
 
 def test_set_home_is_refused_for_absolute_poses(rig: SingleJointRig) -> None:
-    success, message = call_set_home(rig.graph)
-    assert not success
-    assert message == "reference is 'absolute'; start the node with reference:=home for relative poses"
+    sentence = "reference is 'absolute'; start the node with reference:=home for relative poses"
+    assert call_set_home(rig.graph) == (False, sentence)

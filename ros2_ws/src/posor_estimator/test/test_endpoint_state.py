@@ -20,7 +20,9 @@ from .chain_program import PLATES, lost_transform, transform_of
 from .live_topics import BRINGUP, PERIOD_S, POSOR, ScanSender
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
+
+    from posor.numerics.array_types import FloatArray
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
@@ -200,64 +202,42 @@ def test_a_transform_without_a_stamp_is_refused_in_the_state(rig: Rig, plates: t
     assert not has_pose(state)
 
 
-def with_covariance(change: Callable[[Any], None]) -> Any:
-    message, covariance = transform_of(1), SOUND_COVARIANCE.copy()
-    change(covariance)
-    message.covariance = covariance.ravel()
-    return message
-
-
-def set_entries(*entries: tuple[int, int, float]) -> Callable[[Any], None]:
-    def change(covariance: Any) -> None:
-        for i, j, value in entries:
-            covariance[i, j] = value
-
-    return change
-
-
-def moved(x: float) -> Any:
-    message = transform_of(1)
-    message.pose.position.x = x
-    return message
-
-
-def nan_native() -> Any:
-    message = transform_of(1)
-    message.native[3] = math.nan
-    return message
-
-
 @pytest.mark.parametrize(
-    ("message", "reason"),
+    ("fields", "entries", "reason"),
     [
-        (with_covariance(set_entries((0, 0, -1e-12))), "has a covariance that is not positive semi-definite"),
-        (
-            with_covariance(set_entries((0, 1, 2e-12), (1, 0, 2e-12))),
-            "has a covariance that is not positive semi-definite",
-        ),
-        (with_covariance(set_entries((0, 5, 1e-13))), "has a covariance that is not symmetric"),
-        (with_covariance(set_entries((3, 3, 1e300))), "has a variance above 100 m^2 or rad^2"),
-        (with_covariance(set_entries((0, 1, math.nan))), "has a covariance that is not finite"),
-        (moved(1e300), "is further than 0.02 m from the nominal joint of the URDF"),
-        (moved(0.2), "is further than 0.02 m from the nominal joint of the URDF"),
-        (moved(math.inf), "has a pose that is not finite"),
-        (nan_native(), "has native coordinates that are not finite or do not agree with its pose"),
-        (moved(0.001), "has native coordinates that are not finite or do not agree with its pose"),
+        ({}, {(0, 0): -1e-12}, "has a covariance that is not positive semi-definite"),
+        ({}, {(0, 1): 2e-12, (1, 0): 2e-12}, "has a covariance that is not positive semi-definite"),
+        ({}, {(0, 5): 1e-13}, "has a covariance that is not symmetric"),
+        ({}, {(3, 3): 1e300}, "has a variance above 100 m^2 or rad^2"),
+        ({}, {(0, 1): math.nan}, "has a covariance that is not finite"),
+        ({"x": 1e300}, {}, "is further than 0.02 m from the nominal joint of the URDF"),
+        ({"x": 0.2}, {}, "is further than 0.02 m from the nominal joint of the URDF"),
+        ({"x": math.inf}, {}, "has a pose that is not finite"),
+        ({"alpha": math.nan}, {}, "has native coordinates that are not finite or do not agree with its pose"),
+        ({"x": 0.001}, {}, "has native coordinates that are not finite or do not agree with its pose"),
     ],
 )
-def test_numbers_that_cannot_be_are_refused_and_named(rig: Rig, message: Any, reason: str) -> None:
+def test_numbers_that_cannot_be_are_refused_and_named(
+    rig: Rig, fields: dict[str, float], entries: dict[tuple[int, int], float], reason: str
+) -> None:
+    message, covariance = transform_of(1), SOUND_COVARIANCE.copy()
+    for place, value in entries.items():
+        covariance[place] = value
+    message.covariance = covariance.ravel()
+    message.pose.position.x = fields.get("x", 0.0)
+    message.native[3] = fields.get("alpha", 0.0)
     state = rig.state_of(message)
     assert (state.state, state.joint, state.reason) == (EndpointState.STATE_LOST, "joint1", f"joint1 {reason}")
     assert not has_pose(state)
 
 
-@pytest.mark.parametrize("change", [set_entries(), lambda covariance: covariance.fill(0.0)])
-def test_a_singular_covariance_is_accepted(rig: Rig, change: Callable[[Any], None]) -> None:
-    """Rank one: a rotation about one axis only is uncertain."""
-    message = with_covariance(change)
-    assert rig.state_of(message).state == EndpointState.STATE_OK
-    lever = np.array([1.0, -2.0, 0.0, 0.0, 3.0, 1.0])
-    message.covariance = (1e-12 * np.outer(lever, lever)).ravel()
+LEVER = np.array([1.0, -2.0, 0.0, 0.0, 3.0, 1.0])
+
+
+@pytest.mark.parametrize("covariance", [np.zeros((6, 6)), 1e-12 * np.outer(LEVER, LEVER)], ids=["exact", "rank one"])
+def test_a_singular_covariance_is_accepted(rig: Rig, covariance: FloatArray) -> None:
+    message = transform_of(1)
+    message.covariance = covariance.ravel()
     assert rig.state_of(message).state == EndpointState.STATE_OK
 
 
@@ -300,17 +280,14 @@ def test_a_killed_posor_node_is_known_soon() -> None:
         graph.watch_diagnostics()
         wait_for_value(graph, "/joint1/posor_node: listeners", "transform", "1")
         sender = ScanSender(graph, "joint1/raw")
-
-        def send() -> None:
-            time.sleep(PERIOD_S)
-            sender.send()
-
-        graph.wait_until(lambda: bool(states) and states[-1].state == EndpointState.STATE_OK, "a pose", send)
+        graph.wait_until(
+            lambda: bool(states) and states[-1].state == EndpointState.STATE_OK, "a pose", sender.send_later
+        )
         sender.send_for(0.5)
         victim.process.kill()
         killed_ns = time.time_ns()
         states.clear()
-        graph.wait_until(lambda: any(s.state == EndpointState.STATE_STALE for s in states), "stale", send)
+        graph.wait_until(lambda: any(s.state == EndpointState.STATE_STALE for s in states), "stale", sender.send_later)
         stale = next(s for s in states if s.state == EndpointState.STATE_STALE)
         assert stale.age < 2.0  # 0.5 s where the host is not loaded: "make faults"
         assert stale.joint == "joint1"

@@ -17,7 +17,6 @@ from posor_lab.harness.graph import Graph
 from posor_lab.harness.in_process_nodes import NodeProcess, run_refused_node
 from posor_ros.message_conversion import stamp_ns
 from posor_ros.qos import LATCHED_QOS, TF_QOS
-from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
@@ -95,17 +94,6 @@ def test_the_product_of_the_frames_is_the_pose_of_the_same_stamp() -> None:
         expected = pin.XYZQUATToSE3(np.array([at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w]))
         np.testing.assert_allclose(T_base_endpoint.homogeneous, expected.homogeneous, rtol=0.0, atol=1e-12)
     assert late_description[-1].data == URDF.read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize("qos", [QoSProfile(depth=10), qos_profile_sensor_data], ids=["default", "sensor data"])
-def test_usual_subscribers_receive_frames(qos: QoSProfile) -> None:
-    rng, chain = np.random.default_rng(10), load_chain(URDF, "endpoint", BEAMS)
-    with chain_node(**MOVING), Graph() as graph:
-        rig = ChainRig(graph)
-        publishers = {joint.name: rig.joint_publisher(joint.name) for joint in chain.joints}
-        frames = graph.collect(TFMessage, "/tf", qos)
-        seconds = iter(range(1, 1000))
-        graph.wait_until(lambda: bool(frames), "frames", lambda: send(publishers, chain.joints, next(seconds), rng))
 
 
 def test_a_beam_off_the_way_to_the_endpoint_has_its_frame_without_sag() -> None:

@@ -20,6 +20,8 @@ from posor.messages.raw_scan import ScanTemplate, scan_of
 from posor.model.fault import Fault, State
 from posor.model.native_coordinates import rotation_from_native
 from posor.numerics.stamps import NS
+from posor_lab.harness.case_tables import refusal
+from posor_lab.harness.graph import scan_message
 from posor_lab.harness.random_poses import STACKS, TICK_NS
 from posor_msgs.msg import JointTransform, RawScan
 from posor_ros.message_classes import schema_of_class
@@ -40,15 +42,11 @@ KINDS: tuple[CovarianceKind, ...] = ("random", "systematic", "total")
 BUMP = 2.0 * math.pi / BUMPS
 
 
-def message_of(scan: Scan, frame: str = "receiving") -> RawScan:
+def message_of(scan: Scan) -> RawScan:
     """Return a scan as its message, with a number and a status of which no bit may be lost."""
-    message = RawScan(scan=2**64 - 1 - scan.number, samples=4, status=2**31 + 8)
+    message = scan_message(scan)
+    message.scan, message.samples, message.status = 2**64 - 1 - scan.number, 4, 2**31 + 8
     message.status |= RawScan.STATUS_HOME_BUMP if scan.at_home else 0
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(scan.stamp_ns, 10**9)
-    message.header.frame_id = frame
-    message.gap_voltages, message.ring_voltages = scan.gap_voltages, scan.ring_voltages
-    message.diode_currents, message.lit_sources = scan.diode_currents.ravel(), list(scan.lit_sources)
-    message.supply_voltage, message.temperature = scan.supply_voltage, scan.temperature
     return message
 
 
@@ -332,8 +330,8 @@ def test_a_scan_with_missing_sequences_is_estimated(given: tuple[bool, ...]) -> 
 
 
 def test_bytes_that_are_not_a_raw_scan_are_refused() -> None:
-    with pytest.raises(TopicError, match=r"^RawScan: a message of 7 bytes ends within 'header\.stamp\.sec'"):
-        RawScanStream(Posor(design("triad_diodes")), b"\x00\x01\x00\x00abc", "total")
+    error = refusal(TopicError, RawScanStream, Posor(design("triad_diodes")), b"\x00\x01\x00\x00abc", "total")
+    assert (error.where, error.what) == ("RawScan", "a message of 7 bytes ends within 'header.stamp.sec'")
 
 
 @pytest.mark.parametrize("compiled", [True, False])

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-import csv
 import math
+from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from builtin_interfaces.msg import Time
 from posor.calibration.calibration_file import load_calibration
 from posor.estimation.digital_zero import MIN_SCANS
 from posor.node_parameters import MIN_ZERO_SCANS
 from posor_estimator.posor_node import PosorEstimatorNode
+from posor_lab.harness.case_tables import edited
 from posor_lab.harness.graph import Graph, set_stamp, values_of, wait_for_value
 from posor_lab.harness.in_process_nodes import run_refused_node
 from posor_lab.harness.program import HAND_FED, Program, installed
+from posor_lab.thesis_data import read_table
 from posor_msgs.msg import JointTransform, RawScan
 from posor_ros.ros_arguments import ros_arguments
 
@@ -42,8 +45,7 @@ def posor_node(**parameters: object) -> Program:
 @pytest.fixture(scope="module")
 def recorded() -> dict[str, float]:
     """The readings of the first step of test YMO."""
-    lines = YMO.read_text(encoding="utf-8").splitlines()
-    row = next(csv.DictReader(line for line in lines if not line.startswith("#")))
+    row = read_table(YMO, ())[0]
     return {name: float(cell) for name, cell in row.items() if name not in ("step", "repaired")}
 
 
@@ -65,63 +67,33 @@ def sound(recorded: dict[str, float]) -> Callable[[int], Any]:
     return make
 
 
-def nan_voltage(scan: Any) -> None:
-    scan.gap_voltages[1] = math.nan
-
-
-def infinite_current(scan: Any) -> None:
-    scan.diode_currents[6] = math.inf
-
-
-def missing_voltage(scan: Any) -> None:
-    scan.gap_voltages = scan.gap_voltages[:2]
-
-
-def surplus_currents(scan: Any) -> None:
-    scan.diode_currents = [*scan.diode_currents, 1e-5, 1e-5]
-
-
-def dark_diode(scan: Any) -> None:
-    scan.diode_currents[4], scan.diode_currents[6] = 1e-6, 1e-6
-
-
-def voltage_out_of_range(scan: Any) -> None:
-    scan.gap_voltages[2] = 2.5
-
-
-def spot_off_the_map(scan: Any) -> None:
-    scan.diode_currents[0], scan.diode_currents[2] = 0.2 * TOTAL_A, 0.8 * TOTAL_A
-
-
-def no_light(scan: Any) -> None:
-    scan.lit_sources[0] = RawScan.NO_SOURCE
-
-
-def unknown_light(scan: Any) -> None:
-    scan.lit_sources[1] = 7
-
-
-def foreign_frame(scan: Any) -> None:
-    scan.header.frame_id = "elbow_receiving"
-
-
-def zero_stamp(scan: Any) -> None:
-    scan.header.stamp.sec = scan.header.stamp.nanosec = 0
-
-
-INVALID_SCANS: list[tuple[Callable[[Any], None], int, tuple[str, ...]]] = [
-    (nan_voltage, JointTransform.FAULT_BAD_READING, ("probe_2", "nan", "finite voltage")),
-    (infinite_current, JointTransform.FAULT_BAD_READING, ("diode_2", "inf", "finite currents")),
-    (missing_voltage, JointTransform.FAULT_BAD_READING, ("2 gap", "voltages", "expected 3")),
-    (surplus_currents, JointTransform.FAULT_BAD_READING, ("10 contact currents", "expected 8")),
-    (dark_diode, JointTransform.FAULT_DARK_DIODE, ("diode_2", "too dark", "A + C = 2e-06 A", "at least 2e-05 A")),
-    (voltage_out_of_range, JointTransform.FAULT_OUT_OF_RANGE, ("probe_3", "2.8 V", "-0.6 to 1.2 V")),
-    (spot_off_the_map, JointTransform.FAULT_OUT_OF_RANGE, ("diode_1", "-0.6", "0.502 to 0.526")),
-    (no_light, JointTransform.FAULT_SOURCE, ("diode_1", "no light source was lit")),
-    (unknown_light, JointTransform.FAULT_SOURCE, ("diode_2", "light source 7", "0 to 1")),
-    (foreign_frame, JointTransform.FAULT_BAD_READING, ("'elbow_receiving'", "expected 'posor_receiving'")),
-    (zero_stamp, JointTransform.FAULT_BAD_READING, ("the stamp is zero", "expected the time of exposure")),
+INVALID_SCANS: list[tuple[str, Any, int, tuple[str, ...]]] = [
+    ("gap_voltages", {1: math.nan}, JointTransform.FAULT_BAD_READING, ("probe_2", "nan")),
+    ("diode_currents", {6: math.inf}, JointTransform.FAULT_BAD_READING, ("diode_2", "inf")),
+    ("gap_voltages", [0.1, 0.2], JointTransform.FAULT_BAD_READING, ("2 gap", "expected 3")),
+    ("diode_currents", [1e-5] * 10, JointTransform.FAULT_BAD_READING, ("10 contact currents", "expected 8")),
+    ("diode_currents", {4: 1e-6, 6: 1e-6}, JointTransform.FAULT_DARK_DIODE, ("diode_2", "2e-06 A", "2e-05 A")),
+    ("gap_voltages", {2: 2.5}, JointTransform.FAULT_OUT_OF_RANGE, ("probe_3", "2.8 V", "-0.6 to 1.2 V")),
+    (
+        *("diode_currents", {0: 0.2 * TOTAL_A, 2: 0.8 * TOTAL_A}, JointTransform.FAULT_OUT_OF_RANGE),
+        ("diode_1", "-0.6", "0.502 to 0.526"),
+    ),
+    ("lit_sources", {0: RawScan.NO_SOURCE}, JointTransform.FAULT_SOURCE, ("diode_1",)),
+    ("lit_sources", {1: 7}, JointTransform.FAULT_SOURCE, ("diode_2", "light source 7", "0 to 1")),
+    ("header.frame_id", "elbow_receiving", JointTransform.FAULT_BAD_READING, ("'elbow_receiving'", PLATES[0])),
+    ("header.stamp", Time(), JointTransform.FAULT_BAD_READING, ("the stamp is zero",)),
 ]
+"""Field of the scan; its new value, or new entries by index; the fault, and words of the reason."""
+
+
+def spoil(scan: Any, path: str, value: Any) -> None:
+    *way, name = path.split(".")
+    part = reduce(getattr, way, scan)
+    if isinstance(value, dict):
+        for index, entry in value.items():
+            getattr(part, name)[index] = entry
+    else:
+        setattr(part, name, value)
 
 
 def test_the_smallest_number_of_scans_is_that_of_the_digital_zero() -> None:
@@ -130,43 +102,23 @@ def test_the_smallest_number_of_scans_is_that_of_the_digital_zero() -> None:
 
 def test_a_missing_parameter_ends_the_program_with_one_sentence() -> None:
     with posor_node() as node:
-        sentence = (
-            "node /posor_node, parameter 'calibration': is not set; expected a string: "
-            "path of the calibration file (YAML) of this joint's POSOR."
-        )
-        assert (node.wait(), node.stderr, node.stdout) == (2, [sentence], [])
+        assert (node.wait(), node.stdout) == (2, [])
+        (sentence,) = node.stderr
+        assert sentence.startswith("node /posor_node, parameter 'calibration': is not set; expected a string: path of ")
 
 
 def test_an_invalid_calibration_or_parameter_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    missing = tmp_path / "none.yaml"
-    wrong = tmp_path / "wrong.yaml"
-    wrong.write_text(CALIBRATION.read_text(encoding="utf-8").replace("unit: V}", "unit: mV}", 1), encoding="utf-8")
-    line = next(n for n, text in enumerate(wrong.read_text(encoding="utf-8").splitlines(), 1) if "mV}" in text)
-    for parameters, code, sentence in (
-        (
-            {"calibration": str(missing)},
-            1,
-            f"calibration file {missing}: cannot be read: No such file or directory; expected a YAML calibration file.",
-        ),
-        (
-            {"calibration": str(CALIBRATION), "session": "ymx"},
-            1,
-            "calibration 'slocum1985_printed': session 'ymx' is unknown; expected ymo, yzmo, zmo.",
-        ),
-        (
-            {"calibration": str(CALIBRATION), "covariance": "all"},
-            2,
-            (
-                "node /posor_node, parameter 'covariance': 'all' is wrong; "
-                "expected one of 'random', 'systematic', 'total'."
-            ),
-        ),
+    missing, wrong = tmp_path / "none.yaml", tmp_path / "wrong.yaml"
+    wrong.write_text(edited(CALIBRATION.read_text(encoding="utf-8"), "unit: V}", "unit: mV}"), encoding="utf-8")
+    for parameters, code, said in (
+        ({"calibration": str(missing)}, 1, f"calibration file {missing}: cannot be read: "),
+        ({"calibration": str(wrong)}, 1, f"{wrong}, line "),
+        ({"calibration": str(CALIBRATION), "session": "ymx"}, 1, "calibration 'slocum1985_printed': session 'ymx'"),
+        ({"calibration": str(CALIBRATION), "covariance": "all"}, 2, "node /posor_node, parameter 'covariance': "),
     ):
-        assert run_refused_node(PosorEstimatorNode, parameters, capfd) == (code, [sentence])
-    code, [sentence] = run_refused_node(PosorEstimatorNode, {"calibration": str(wrong)}, capfd)
-    assert code == 1
-    assert sentence.startswith(f"{wrong}, line {line}, key sensors[0].probes[0].zero_shift")
-    assert sentence.endswith(": unit 'mV'; expected 'V'.")
+        found, (sentence,) = run_refused_node(PosorEstimatorNode, parameters, capfd)
+        assert found == code
+        assert sentence.startswith(said)
 
 
 class NodeRig:
@@ -240,17 +192,17 @@ def test_an_invalid_scan_is_lost_and_the_next_sound_scan_is_estimated(
     before = int(values_of(wait_for_value(graph, "/posor_node: estimate", "last_scan", "9"))["scans_lost"])
     graph.wait_until(lambda: len(transforms) == 1, "a first transform")
     transforms.clear()
-    for case, (spoil, fault, words) in enumerate(INVALID_SCANS, start=1):
+    for case, (path, value, fault, words) in enumerate(INVALID_SCANS, start=1):
         scan = sound(10 * case)
-        spoil(scan)
+        spoil(scan, path, value)
         raw.publish(scan)
-        graph.wait_until(lambda: len(transforms) == 2 * case - 1, spoil.__name__)  # noqa: B023  used at once
+        graph.wait_until(lambda: len(transforms) == 2 * case - 1, path)  # noqa: B023  used at once
         lost = transforms[-1]
-        assert (lost.scan, lost.state, lost.faults) == (10 * case, JointTransform.STATE_LOST, fault), spoil.__name__
+        assert (lost.scan, lost.state, lost.faults) == (10 * case, JointTransform.STATE_LOST, fault), path
         assert lost.header.stamp == scan.header.stamp
         position, orientation = lost.pose.position, lost.pose.orientation
         pose = [position.x, position.y, position.z, orientation.x, orientation.y, orientation.z, orientation.w]
-        assert np.isnan([*pose, *lost.native, *lost.covariance]).all(), spoil.__name__
+        assert np.isnan([*pose, *lost.native, *lost.covariance]).all(), path
         status = wait_for_value(graph, "/posor_node: estimate", "reason", f"scan {10 * case}")
         assert status.level == b"\x02"
         assert status.message.startswith("lost: ")
@@ -258,7 +210,7 @@ def test_an_invalid_scan_is_lost_and_the_next_sound_scan_is_estimated(
         assert all(word in reason for word in words), reason
         raw.publish(sound(10 * case + 1))
         graph.wait_until(lambda: len(transforms) == 2 * case, "a sound scan")  # noqa: B023  used at once
-        assert transforms[-1].state == JointTransform.STATE_OK, spoil.__name__
+        assert transforms[-1].state == JointTransform.STATE_OK, path
     status = wait_for_value(graph, "/posor_node: estimate", "last_scan", str(10 * len(INVALID_SCANS) + 1))
     assert int(values_of(status)["scans_lost"]) == before + len(INVALID_SCANS)
     # The start of the iteration has no influence: equal scans give equal poses.

@@ -120,5 +120,5 @@ def test_a_ring_tolerates_half_a_millimetre_in_every_direction(diameter_in: floa
 @pytest.mark.parametrize("diameter", [0.0, -0.1, math.nan, 0.999 * SMALLEST_DIAMETER])
 def test_a_diameter_that_is_too_small_is_refused(diameter: float) -> None:
     error = refusal(CalibrationError, sized_design, "triad_bumpy_ring", diameter, frames=FRAMES, title="elbow")
-    assert error.where == "elbow"
-    assert str(error).endswith(" m; expected at least 0.0762 m.")
+    assert (error.where, error.expected) == ("elbow", "at least 0.0762 m")
+    assert error.what.startswith("outside diameter ")

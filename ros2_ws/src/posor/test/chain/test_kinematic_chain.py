@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import copy
 import math
 import os
 from pathlib import Path
@@ -98,10 +99,10 @@ def test_an_earlier_endpoint_is_not_changed_by_the_next(
     chain: Chain, transforms: list[pin.SE3], covariances: list[FloatArray]
 ) -> None:
     first = chain.estimate(measured(transforms, covariances))
-    before = np.array(first.T_base_endpoint.homogeneous), first.covariance.copy()
+    before = copy.deepcopy(first)
     chain.estimate(measured(transforms[::-1], covariances[::-1]))
-    np.testing.assert_array_equal(first.T_base_endpoint.homogeneous, before[0])
-    np.testing.assert_array_equal(first.covariance, before[1])
+    np.testing.assert_array_equal(first.T_base_endpoint.homogeneous, before.T_base_endpoint.homogeneous)
+    np.testing.assert_array_equal(first.covariance, before.covariance)
 
 
 def disturbed(transform: pin.SE3, step: FloatArray) -> pin.SE3:
@@ -227,7 +228,10 @@ def test_an_unknown_endpoint_link_is_refused(name: str) -> None:
 
 
 def test_an_endpoint_that_no_joint_moves_is_refused() -> None:
-    assert refused(ONE_JOINT, "base").what == "no POSOR joint moves link 'base'"
+    error = refused(ONE_JOINT, "base")
+    assert error.what == "no POSOR joint moves link 'base'"
+    assert error.expected.startswith("one of ")
+    assert error.expected.endswith("tip")
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,7 @@ import pinocchio as pin
 import pytest
 from posor.model.gap import plane_normal
 from posor.model.reading_rows import GAP
-
-from .row_builder import read_row
+from posor_lab.harness.row_builder import read_row
 
 
 def test_a_gap_is_the_distance_along_a_slanted_axis() -> None:

@@ -5,9 +5,9 @@ import pinocchio as pin
 import pytest
 from posor.model.reading_rows import SPOT_X, SPOT_Y, evaluate_rows, pair_spots
 from posor.numerics.compiled import record_view
+from posor_lab.harness.row_builder import make_rows, read_row
 
 from .random_rows import random_spot
-from .row_builder import make_rows, read_row
 
 
 def test_a_spot_is_where_a_leaning_ray_meets_the_diode() -> None:

@@ -9,9 +9,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from posor.model.reading_rows import GAP, RING, SPOT_X, SPOT_Y
+from posor_lab.harness.row_builder import parameter_derivatives, read_row, tangent_derivative
 
 from .random_rows import random_gap, random_ring_gap, random_spot
-from .row_builder import parameter_derivatives, read_row, tangent_derivative
 
 if TYPE_CHECKING:
     from collections.abc import Callable

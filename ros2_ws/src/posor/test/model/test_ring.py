@@ -7,8 +7,7 @@ import pinocchio as pin
 import pytest
 from posor.model.reading_rows import RING
 from posor.model.ring import MAX_HARMONICS, multiple_angle
-
-from .row_builder import read_row
+from posor_lab.harness.row_builder import read_row
 
 
 def test_a_bump_turned_to_the_probe_shortens_the_gap() -> None:

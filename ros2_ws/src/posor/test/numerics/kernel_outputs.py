@@ -22,27 +22,18 @@ from posor.estimation.posor import Posor
 from posor.estimation.workspace import WORKSPACE
 from posor.messages.message_stream import MessageEstimator
 from posor.model.native_coordinates import rotation_from_native
-from posor.model.reading_rows import (
-    GAP,
-    RING,
-    ROW,
-    SPOT_X,
-    SPOT_Y,
-    differentiate_rows,
-    evaluate_rows,
-    prepare_rows,
-)
+from posor.model.reading_rows import GAP, RING, SPOT_X, SPOT_Y, differentiate_rows, evaluate_rows
 from posor.model.scan import STATED_HOME
 from posor.numerics import compiled, vector
 from posor.numerics import matrix as matrices
 from posor.numerics.compiled import in_place, record_view
 from posor.numerics.summary_statistics import FIGURES, figures_of
 from posor.warm_up import example_stream
+from posor_lab.harness.row_builder import make_rows
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
+    from posor.model.scan import Scans
     from posor.numerics.array_types import FloatArray
 
 CASES = 100
@@ -104,18 +95,6 @@ def solve_workspace(memory: NDArray[np.void], count: int) -> int:
     return solver.solve_pose(memory[0], count, 1e-7, math.nan)
 
 
-def make_rows(kinds: Sequence[int], parameters: Sequence[FloatArray]) -> NDArray[np.void]:
-    """Return prepared rows; a ring probe has three harmonics behind its eight first parameters."""
-    rows = np.zeros(len(kinds), dtype=ROW)
-    rows["kind"] = kinds
-    for row, kind, numbers in zip(rows, kinds, parameters, strict=True):
-        row["parameters"][: min(len(numbers), 8 if kind == RING else 16)] = numbers[: 8 if kind == RING else 16]
-        if kind == RING:
-            row["orders"][:3], row["cosines"][:3], row["sines"][:3] = numbers[8:].reshape(-1, 3).T
-    prepare_rows(record_view(rows))
-    return rows
-
-
 def solved_scan(rng: np.random.Generator) -> list[float]:
     """Return the outcome of the solver for one scan with noise."""
     kinds = [GAP, GAP, GAP, SPOT_X, SPOT_Y, SPOT_X, SPOT_Y, RING]
@@ -166,33 +145,29 @@ def arm(rng: np.random.Generator) -> list[float]:
     return [number for each in outputs for number in each.ravel().tolist()]
 
 
+def turning_scans(posor: Posor, noise: np.random.Generator | None = None) -> Scans:
+    """Return six scans of a target that turns."""
+    rotations = np.array([rotation_from_native(1e-4, -2e-4, 2e-3 * n) for n in range(6)])
+    stamps = np.arange(1, 7, dtype=np.int64) * 1_000_000
+    return scans_at(posor.stack, rotations, np.tile([2e-5, 1e-5, 0.7e-3], (6, 1)), stamps, noise=noise)
+
+
 def raw_scans(name: DesignName) -> FloatArray:
     """Return all that is made of noisy raw scans of a design, from voltages and currents to covariances."""
     posor = Posor(design(name, motion=True))
-    count = 6
-    rotations = np.array([rotation_from_native(1e-4, -2e-4, 2e-3 * n) for n in range(count)])
-    translations = np.tile([2e-5, 1e-5, 0.7e-3], (count, 1))
-    stamps = np.arange(1, count + 1, dtype=np.int64) * 1_000_000
-    scans = scans_at(posor.stack, rotations, translations, stamps, noise=np.random.default_rng(8)).editable()
+    scans = turning_scans(posor, np.random.default_rng(8))
     scans.at_home[0] = STATED_HOME
     found = posor.estimate_all(scans)
-    arrays = (
-        found.rotations,
-        found.covariances_random,
-        found.covariances_systematic,
-        found.poses,
-        found.natives,
-        found.residuals,
-    )
-    return np.concatenate([array.reshape(count, -1) for array in arrays], axis=1)
+    arrays = (found.rotations, found.covariances_random, found.covariances_systematic)
+    others = (found.poses, found.natives, found.residuals)
+    return np.concatenate([array.reshape(len(scans), -1) for array in (*arrays, *others)], axis=1)
 
 
 def messages(name: DesignName) -> FloatArray:
     """Return the transforms of serialised raw scans, and the summary of their times."""
     posor = Posor(design(name, motion=True))
-    count, stamps = 6, np.arange(1, 7, dtype=np.int64) * 1_000_000
-    rotations = np.array([rotation_from_native(1e-4, -2e-4, 2e-3 * n) for n in range(count)])
-    scans = scans_at(posor.stack, rotations, np.tile([2e-5, 1e-5, 0.7e-3], (count, 1)), stamps)
+    scans = turning_scans(posor)
+    count, stamps = len(scans), scans.stamps_ns
     stream = example_stream(count)
     layout, raw = stream.raw_layout[0], stream.raw
     stream.status["readings_usable"] = 1
@@ -218,19 +193,15 @@ def messages(name: DesignName) -> FloatArray:
 def main(file: Path) -> None:
     """Save the outputs, and whether the kernels were compiled."""
     rng = np.random.default_rng(1985)
-    rows = [kernel_values(rng) for _ in range(CASES)]
-    scans = [solved_scan(rng) for _ in range(CASES)]
-    arms = [arm(rng) for _ in range(CASES)]
-    raw = [raw_scans(name) for name in get_args(DesignName)]
-    of_messages = [messages(name) for name in get_args(DesignName)]
     outputs = {
-        "rows": np.array(rows),
-        "scans": np.array(scans),
-        "arms": np.array(arms),
-        "raw": np.array(raw),
-        "messages": np.array(of_messages),
+        "rows": [kernel_values(rng) for _ in range(CASES)],
+        "scans": [solved_scan(rng) for _ in range(CASES)],
+        "arms": [arm(rng) for _ in range(CASES)],
+        "raw": [raw_scans(name) for name in get_args(DesignName)],
+        "messages": [messages(name) for name in get_args(DesignName)],
     }
-    np.savez(file, allow_pickle=False, compiling=np.array(compiled.COMPILING), **outputs)
+    arrays = {name: np.array(values) for name, values in outputs.items()}
+    np.savez(file, allow_pickle=False, compiling=np.array(compiled.COMPILING), **arrays)
 
 
 if __name__ == "__main__":

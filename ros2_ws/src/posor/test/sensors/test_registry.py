@@ -72,7 +72,7 @@ def test_our_own_and_a_third_package(tmp_path: Path, monkeypatch: pytest.MonkeyP
         (["lever = lever_c:Foreign"], MODULE, "is not a sensor; expected a subclass of SensorCalibration."),
         (["arm = lever_d:Sound"], MODULE, "expected the field type: Literal['arm'] in the class."),
         (["lever = lever_e:Nameless"], MODULE, "does not declare its name"),
-        (["lever = lever_f:Sound", "lever = lever_g:Sound"], MODULE, ":Sound; expected one package"),
+        (["lever = lever_f:Sound", "lever = lever_g:Sound"], MODULE, "is there twice, also as lever_"),
     ],
 )
 def test_an_unsound_package_is_named_in_one_sentence(

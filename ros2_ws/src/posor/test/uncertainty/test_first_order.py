@@ -161,7 +161,11 @@ def test_a_light_source_that_is_not_lit_does_not_contribute() -> None:
 
 
 @pytest.mark.parametrize(
-    ("native", "what"), [((0.0, 0.0, 0.1), "gap probe 1 is out of"), ((0.05, 0.0, 0.75e-3), "diode 1 is out of")]
+    ("native", "what"),
+    [
+        ((0.0, 0.0, 0.1), "gap probe 1 is out of its calibrated range at this pose"),
+        ((0.05, 0.0, 0.75e-3), "diode 1 is out of its calibrated range"),
+    ],
 )
 def test_a_pose_out_of_range_is_refused(native: tuple[float, float, float], what: str) -> None:
     pose = pose_from_native((*native, 0.0, 0.0, 0.0))
