@@ -184,9 +184,9 @@ def test_undetermined_degrees_of_freedom_are_refused() -> None:
 def test_a_scan_that_cannot_be_linearised_is_refused() -> None:
     posor = Posor(design("triad_diodes"))
     pose = pose_from_native(NATIVE)
-    scan = scan_at(posor, pose)
-    scan.gap_voltages[1] = np.nan
-    assert refusal(ScanError, error_budget, posor, scan, pose).fault == Fault.BAD_READING
+    scan = Scans.of([scan_at(posor, pose)]).editable()
+    scan.gap_voltages[0, 1] = np.nan
+    assert refusal(ScanError, error_budget, posor, scan[0], pose).fault == Fault.BAD_READING
 
 
 @pytest.mark.parametrize("name", ["printed", "section84"])
