@@ -121,10 +121,7 @@ def test_arm_with_recorded_scans_plays_them_to_the_end(tmp_path: Path, rig: Path
             ["six_fingers"],
             r"arm 'six_fingers': no such arm; expected the path of an arm file, or one of .*five_axis.*\.",
         ),
-        (
-            [],
-            r"bringup: the following arguments are required: ARM; expected .* 'posor bringup --help' lists them\.",
-        ),
+        ([], r"bringup: the following arguments are required: ARM; expected .* 'posor bringup --help' lists them\."),
         (["five_axis", "-p", "rate=2"], r"bringup: argument -p: 'rate=2' is not a parameter, name:=value; expected .*"),
         (["five_axis", "-p", "a:={b: c}"], r"bringup: argument -p: 'a:=\{b: c\}' is not a parameter, .*\."),
     ],

@@ -195,10 +195,7 @@ SHAPES = "%d gap voltages, 0 ring voltages, 2 diodes of 4 currents, 2 lit source
 @pytest.mark.parametrize(
     ("messages", "sentence"),
     [
-        (
-            [SCANS[0], raw(scan(2, gap_voltages=np.zeros(2)))],
-            f"scan 2 has {SHAPES % 2}; expected {SHAPES % 3}.",
-        ),
+        ([SCANS[0], raw(scan(2, gap_voltages=np.zeros(2)))], f"scan 2 has {SHAPES % 2}; expected {SHAPES % 3}."),
         ([raw(scan(1), diode_currents=np.zeros(7))], "scan 1 has 7 diode currents; expected 4 for each diode."),
         (
             [raw(scan(1, stamp_ns=200)), raw(scan(2, stamp_ns=100), delay_ns=9_000_000)],

@@ -189,11 +189,7 @@ def test_controller_holds_and_reports_the_reason() -> None:
 
 # On the simulated arm, whose clock advances once everything of the last tick has come: the load has no effect.
 
-PARAMETERS: dict[str, Parameter] = {
-    "use_sim_time": True,
-    "lossless": True,
-    "freshness.max_silence": math.inf,
-}
+PARAMETERS: dict[str, Parameter] = {"use_sim_time": True, "lossless": True, "freshness.max_silence": math.inf}
 CHAIN_PARAMETERS: dict[str, Parameter] = {"max_wait": 60.0}
 TOPICS = {
     "truth/endpoint": PoseStamped,

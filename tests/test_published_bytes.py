@@ -86,10 +86,7 @@ class EveryTopic:
                 self.types[name] = kind
                 qos = LATCHED_QOS if name.endswith(LATCHED) else LOSSLESS
                 qos = BEST_EFFORT if name.endswith(("/raw", "/transform")) else qos
-                self.messages = {
-                    **self.messages,
-                    name: self._graph.collect(message_class(kind), name, qos, raw=True),
-                }
+                self.messages = {**self.messages, name: self._graph.collect(message_class(kind), name, qos, raw=True)}
 
     def missing(self, topics: tuple[str, ...]) -> list[str]:
         """Return the topics of which not enough messages have arrived."""

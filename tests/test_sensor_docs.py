@@ -49,8 +49,7 @@ def test_every_built_in_type_has_an_example() -> None:
 
 
 @pytest.mark.parametrize(
-    ("number", "changes"),
-    [(0, {}), (1, {"map": "factory"}), (1, {"map": "local"}), (1, {"map": "of_1985"}), (2, {})],
+    ("number", "changes"), [(0, {}), (1, {"map": "factory"}), (1, {"map": "local"}), (1, {"map": "of_1985"}), (2, {})]
 )
 def test_examples_are_calibrations(number: int, changes: dict[str, str]) -> None:
     [sensor] = stack_of(blocks(SENSORS, "yaml")[number], **changes).sensors

@@ -68,10 +68,7 @@ def test_missing_tool(checkout: Miniature, tmp_path: Path, missing: str, package
             {"ROS_DISTRO": "humble", "AMENT_PREFIX_PATH": "/opt/ros/humble"},
             "ROS_DISTRO is 'humble' but this project is for 'jazzy'",
         ),
-        (
-            {"ROS_DISTRO": "jazzy", "AMENT_PREFIX_PATH": ""},
-            "AMENT_PREFIX_PATH is empty: source Jazzy's setup.bash",
-        ),
+        ({"ROS_DISTRO": "jazzy", "AMENT_PREFIX_PATH": ""}, "AMENT_PREFIX_PATH is empty: source Jazzy's setup.bash"),
         ({"ROS_DISTRO": "jazzy", "AMENT_PREFIX_PATH": "/usr", "PYTHONPATH": ""}, "cannot import its rclpy"),
     ],
     ids=["chosen compiler", "another ROS", "half-sourced Jazzy", "Jazzy of another Python"],

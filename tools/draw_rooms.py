@@ -50,10 +50,7 @@ Arrow = tuple[str, str]
 def build_graph(*, for_type_checkers: bool) -> grimp.ImportGraph:
     """Return every import of our packages, also those inside functions."""
     return grimp.build_graph(
-        *PACKAGES,
-        include_external_packages=True,
-        exclude_type_checking_imports=not for_type_checkers,
-        cache_dir=None,
+        *PACKAGES, include_external_packages=True, exclude_type_checking_imports=not for_type_checkers, cache_dir=None
     )
 
 

@@ -22,10 +22,7 @@ INTERFACE_SUFFIXES = {".action", ".idl", ".msg", ".srv"}
 SOURCES_CHANGED = "sources changed"
 KERNEL_FILES = tuple(
     f"src/posor/posor/{pattern}"
-    for pattern in (
-        *("numerics/*.py", "model/*.py", "estimation/*.py", "chain/*.py"),
-        "messages/*.py",
-    )
+    for pattern in (*("numerics/*.py", "model/*.py", "estimation/*.py", "chain/*.py"), "messages/*.py")
 )  # as in posor.numerics.compiled
 
 

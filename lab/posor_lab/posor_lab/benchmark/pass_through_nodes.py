@@ -11,13 +11,7 @@ from typing import TYPE_CHECKING, Any
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from posor.messages.cdr_schema import STAMP
 from posor.node_parameters import NodeParameters
-from posor.ros_names import (
-    ENDPOINT_COVARIANCE_TOPIC,
-    ENDPOINT_TOPIC,
-    JOINT_STATES_TOPIC,
-    RAW_TOPIC,
-    TRANSFORM_TOPIC,
-)
+from posor.ros_names import ENDPOINT_COVARIANCE_TOPIC, ENDPOINT_TOPIC, JOINT_STATES_TOPIC, RAW_TOPIC, TRANSFORM_TOPIC
 from posor_estimator.composition_file import NODE_ENTRY_POINTS
 from posor_msgs.msg import JointTransform, RawScan
 from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscription

@@ -9,15 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from markupsafe import Markup
 from posor.reporting.figure_style import BLUE, GREEN, GREY, LIGHT_BLUE, ORANGE
-from posor.reporting.html_page import (
-    Cell,
-    Section,
-    bullet_list,
-    definition_list,
-    paragraph,
-    render_page,
-    table,
-)
+from posor.reporting.html_page import Cell, Section, bullet_list, definition_list, paragraph, render_page, table
 from posor.reporting.plot import Plot
 from posor.uncertainty.first_order import ContributionKind
 from scipy.stats import chi2, norm

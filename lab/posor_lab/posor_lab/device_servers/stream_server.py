@@ -35,12 +35,7 @@ class StreamServer(DeviceServer):
     """
 
     def __init__(
-        self,
-        values: Callable[[int], Sequence[float]],
-        rate: float = 1000.0,
-        *,
-        drift: float = 0.0,
-        udp_port: int = 0,
+        self, values: Callable[[int], Sequence[float]], rate: float = 1000.0, *, drift: float = 0.0, udp_port: int = 0
     ) -> None:
         """Open a port of this host, or send datagrams to ``udp_port``.
 

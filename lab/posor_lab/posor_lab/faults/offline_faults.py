@@ -21,11 +21,7 @@ from posor.estimation.posor import Posor
 from posor.model.fault import USABLE_STATES, Fault, State
 from posor.numerics.stamps import NS
 from posor.sensors.diodes import DiodesCalibration
-from posor.uncertainty.protection_level import (
-    endpoint_effects,
-    endpoint_protection_level,
-    expansion_shifts,
-)
+from posor.uncertainty.protection_level import endpoint_effects, endpoint_protection_level, expansion_shifts
 from posor.uncertainty.reliability import joint_reliability
 from posor_bringup.arms import find_arm
 from posor_drivers.simulator.pose_array import PoseArray

@@ -9,14 +9,7 @@ import numpy as np
 from posor.calibration.calibration_file import TiltAngle
 from posor.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED
 from posor.reporting.figure_style import BLUE, GREY, LIGHT_BLUE, MICRON, ORANGE
-from posor.reporting.html_page import (
-    Section,
-    bullet_list,
-    definition_list,
-    paragraph,
-    render_page,
-    table,
-)
+from posor.reporting.html_page import Section, bullet_list, definition_list, paragraph, render_page, table
 from posor.reporting.plot import Plot
 
 from posor_lab.output_files import page_notes

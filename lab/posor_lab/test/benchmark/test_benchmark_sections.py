@@ -1,12 +1,7 @@
 from __future__ import annotations
 
 import pytest
-from posor_lab.benchmark.benchmark_sections import (
-    RATE_LADDER,
-    SEPARATE_LADDER,
-    find_highest_rate,
-    least_lost_share,
-)
+from posor_lab.benchmark.benchmark_sections import RATE_LADDER, SEPARATE_LADDER, find_highest_rate, least_lost_share
 
 
 @pytest.mark.parametrize(

@@ -72,14 +72,7 @@ def test_place_of_a_printed_number(printed: float, place: str) -> None:
     ],
 )
 def test_a_budget_cell_keeps_its_reason(
-    printed: str,
-    last_digit: float,
-    computed: float,
-    rounding: float,
-    reason: str,
-    gives: float,
-    digits: str,
-    text: str,
+    printed: str, last_digit: float, computed: float, rounding: float, reason: str, gives: float, digits: str, text: str
 ) -> None:
     place = "7.9", "group: sigma_X", "induced_sigma_theta_urad"
     cell = BudgetCell(*place, printed, last_digit, computed, rounding, reason, gives)

@@ -55,8 +55,7 @@ class FreshnessParameters(ParameterGroup):
         default=1.0, description="greatest age of a stamp [s]; an older scan is not used; .inf: any, for a recording"
     )
     max_future: Annotated[float, Field(gt=0.0, allow_inf_nan=True)] = Field(
-        default=0.1,
-        description="how far a stamp may be ahead of ROS time [s]; .inf: any, for a recording",
+        default=0.1, description="how far a stamp may be ahead of ROS time [s]; .inf: any, for a recording"
     )
     deadline: Annotated[float, Field(ge=0.0, le=60.0)] = Field(
         default=0.0,

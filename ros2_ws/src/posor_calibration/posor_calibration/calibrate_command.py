@@ -25,13 +25,7 @@ from posor_calibration.calibration_fit import fit_recording, read_recording, to_
 from posor_calibration.drift_check import check_drift
 from posor_calibration.option_arguments import add_options, destination, given_options, read_options
 from posor_calibration.outcome_report import judge_outcome, outcome_json, render_outcome_page
-from posor_calibration.outcome_tables import (
-    WIDTH,
-    print_comparison,
-    print_drift_check,
-    print_outcome,
-    print_table,
-)
+from posor_calibration.outcome_tables import WIDTH, print_comparison, print_drift_check, print_outcome, print_table
 from posor_calibration.procedure import Table
 from posor_calibration.procedure_registry import PROCEDURES
 from posor_calibration.procedures.bundle import BundleOptions
@@ -200,13 +194,7 @@ def _read_recording(
     report(f"reading {options.bag}")
     wanted = getattr(options, destination("reference"), None)
     return read_recording(
-        options.bag,
-        calibration,
-        uncertainties,
-        names,
-        topic=options.topic,
-        reference=wanted,
-        where="option --{}",
+        options.bag, calibration, uncertainties, names, topic=options.topic, reference=wanted, where="option --{}"
     )
 
 

@@ -37,8 +37,7 @@ LongestGapOption = Annotated[
     float, Field(gt=0.0, description="no interpolation between reference values further apart than this [s]")
 ]
 TrustSigmasOption = Annotated[
-    bool,
-    Field(description="whether the stated uncertainties of the readings hold; if not, they follow the residuals"),
+    bool, Field(description="whether the stated uncertainties of the readings hold; if not, they follow the residuals")
 ]
 
 

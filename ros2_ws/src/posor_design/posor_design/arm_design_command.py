@@ -18,13 +18,7 @@ from posor_design.arm_design_page import allotment_tables, render_arm_page
 from posor_design.arm_output import BEAMS, allotment_json, allotted_beams, arm_files, joint_requirements
 from posor_design.endpoint_budget import configurations
 from posor_design.nearest_requirement import search_layouts
-from posor_design.posor_output import (
-    ARM_FILE,
-    add_output_options,
-    output_folder,
-    requirement_text,
-    write_files,
-)
+from posor_design.posor_output import ARM_FILE, add_output_options, output_folder, requirement_text, write_files
 from posor_design.quantity_text import parse_quantity, split_list
 
 if TYPE_CHECKING:

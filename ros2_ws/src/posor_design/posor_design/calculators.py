@@ -91,10 +91,7 @@ BeamDensity = Annotated[float, "kg/m^3", POSITIVE, "Density of the beam."]
 WeightDensity = Annotated[float, "kg/m^3", NON_NEGATIVE, "Density; 0: the beam has no weight."]
 PoissonRatio = Annotated[float, "1", POISSON_RATIO, "Poisson's ratio."]
 GimbalPlaces = Annotated[
-    tuple[float, float],
-    "m",
-    NON_NEGATIVE,
-    "Distances of the two gimbals from the start of the beam, the nearer first.",
+    tuple[float, float], "m", NON_NEGATIVE, "Distances of the two gimbals from the start of the beam, the nearer first."
 ]
 PlateInertias = Annotated[
     tuple[float, float],

@@ -11,15 +11,7 @@ from scipy.constants import epsilon_0
 from scipy.optimize import brentq
 from scipy.special import j1
 
-from posor_design.calculators import (
-    ACUTE_ANGLE,
-    NON_NEGATIVE,
-    POSITIVE,
-    SHARE,
-    at_least,
-    calculator,
-    require_as_many,
-)
+from posor_design.calculators import ACUTE_ANGLE, NON_NEGATIVE, POSITIVE, SHARE, at_least, calculator, require_as_many
 from posor_design.line_fit import fit_line
 
 _LARGEST_GAP = 0.2

@@ -17,9 +17,7 @@ class InertialLimits:
 
     drift_rate: Annotated[float, "rad/s", "Drift rate of a gyroscope."]
     acceleration: Annotated[
-        float,
-        "m/s^2",
-        "Error of an accelerometer: its bias, or the smallest acceleration that it has to detect.",
+        float, "m/s^2", "Error of an accelerometer: its bias, or the smallest acceleration that it has to detect."
     ]
 
 

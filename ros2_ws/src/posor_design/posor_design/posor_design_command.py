@@ -27,13 +27,7 @@ from posor_design.posor_output import (
     write_files,
 )
 from posor_design.quantity_text import parse_quantity
-from posor_design.requirement import (
-    FREEDOMS,
-    OPTIONS,
-    Requirement,
-    load_requirement,
-    requirement_content,
-)
+from posor_design.requirement import FREEDOMS, OPTIONS, Requirement, load_requirement, requirement_content
 
 if TYPE_CHECKING:
     import argparse

@@ -143,9 +143,7 @@ def test_the_best_ratio_of_a_short_liquid_bearing_is_the_published_one() -> None
     radii = np.geomspace(1e-4, 1e-2, 2000)
     results = [
         aerostatic_bearing(
-            **{**THESIS, "length": 1e-4, "orifice_radius": radius, "clearance": 20e-6},
-            **WATER,
-            method="incompressible",
+            **{**THESIS, "length": 1e-4, "orifice_radius": radius, "clearance": 20e-6}, **WATER, method="incompressible"
         )
         for radius in radii
     ]

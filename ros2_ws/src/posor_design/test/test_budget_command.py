@@ -144,12 +144,7 @@ REFUSALS = yaml.safe_load(Path(__file__).with_name("budget_refusals.yaml").read_
 
 @pytest.mark.parametrize(("options", "code", "sentence"), REFUSALS)
 def test_wrong_options_are_refused(
-    calibration: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    options: str,
-    code: int,
-    sentence: str,
+    calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: str, code: int, sentence: str
 ) -> None:
     given = options.replace("ARM", str(SIX_AXIS)).split()
     assert main([str(calibration), "--output", str(tmp_path / "none"), *given]) == code

@@ -12,14 +12,7 @@ import pytest
 from posor.errors import DesignError
 from posor_design.layout_evaluation import evaluate, random_poses
 from posor_design.layout_geometry import LayoutKind
-from posor_design.layout_search import (
-    RESERVE,
-    LayoutSearch,
-    SearchResult,
-    objectives,
-    ratios,
-    trade_off,
-)
+from posor_design.layout_search import RESERVE, LayoutSearch, SearchResult, objectives, ratios, trade_off
 from posor_design.nearest_requirement import binding_constraint, refuse
 
 from .layout_examples import candidate, example

@@ -63,10 +63,7 @@ def element_beam(values: dict[str, Any]) -> ElementBeam:
     )
     nothing = (0.0, 0.0)
     for at, mass, inertia in zip(
-        (0.0, values["length"]),
-        values.get("plate_masses", nothing),
-        values.get("plate_inertias", nothing),
-        strict=True,
+        (0.0, values["length"]), values.get("plate_masses", nothing), values.get("plate_inertias", nothing), strict=True
     ):
         beam.add(at, mass=mass, inertia=inertia)
     for at, turning in zip(values["gimbals"], values.get("gimbal_turning_stiffness", nothing), strict=True):

@@ -19,13 +19,7 @@ from posor_design.structures import (
 from .beam_elements import ElementBeam
 
 GRAVITY = 9.80665
-LOADED: dict[str, Any] = {
-    "length": 3.0,
-    "tip_force": 1300.0,
-    "modulus": 70e9,
-    "height": 0.18,
-    "width": 0.1,
-}
+LOADED: dict[str, Any] = {"length": 3.0, "tip_force": 1300.0, "modulus": 70e9, "height": 0.18, "width": 0.1}
 VIBRATING: dict[str, Any] = {
     "height": 0.15,
     "width": 0.1,

@@ -7,13 +7,7 @@ from typing import Annotated, Any, Literal
 import pytest
 from posor.errors import ParameterError
 from posor_design.calculators import unit_of
-from posor_design.value_kinds import (
-    describe_kind,
-    format_value,
-    name_kind,
-    parse_value,
-    summarise_value,
-)
+from posor_design.value_kinds import describe_kind, format_value, name_kind, parse_value, summarise_value
 
 Metre = Annotated[float, "m", "Meaning."]
 Metres = Annotated[tuple[float, ...], "m", "Meaning."]

@@ -8,11 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 from posor.errors import TopicError
-from posor.uncertainty.protection_level import (
-    endpoint_effects,
-    endpoint_protection_level,
-    expansion_shifts,
-)
+from posor.uncertainty.protection_level import endpoint_effects, endpoint_protection_level, expansion_shifts
 from posor_msgs.msg import JointReliability
 from posor_ros.message_classes import schema_of_class
 

@@ -115,14 +115,8 @@ def test_the_endpoint_has_the_scans_stamp_its_frames_and_its_covariance(rig: Sin
 
 
 UNUSABLE: list[tuple[dict[str, Any], str]] = [
-    (
-        {"state": JointTransform.STATE_LOST, "faults": JointTransform.FAULT_DARK_DIODE},
-        "joint1 is lost (DARK_DIODE)",
-    ),
-    (
-        {"state": JointTransform.STATE_UNCOUNTED, "faults": JointTransform.FAULT_COUNT},
-        "joint1 is uncounted (COUNT)",
-    ),
+    ({"state": JointTransform.STATE_LOST, "faults": JointTransform.FAULT_DARK_DIODE}, "joint1 is lost (DARK_DIODE)"),
+    ({"state": JointTransform.STATE_UNCOUNTED, "faults": JointTransform.FAULT_COUNT}, "joint1 is uncounted (COUNT)"),
     ({"pose.position.y": math.nan}, "joint1 has a pose"),
     ({"pose.orientation.w": 0.0}, "joint1 has an orientation"),
     ({"covariance": [math.inf] * 36}, "joint1 has a covariance"),

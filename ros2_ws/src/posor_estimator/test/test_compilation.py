@@ -20,10 +20,7 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
 NODES = [
-    [
-        *installed("posor_estimator", "posor_node"),
-        *ros_arguments({**POSOR, **HAND_FED, "lossless": True}, name),
-    ]
+    [*installed("posor_estimator", "posor_node"), *ros_arguments({**POSOR, **HAND_FED, "lossless": True}, name)]
     for name in ("/joint1", "/joint2")
 ]
 NOT_COMPILED, COMPILED = "kernels are not compiled yet", "kernels compiled in"

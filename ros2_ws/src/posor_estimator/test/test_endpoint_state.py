@@ -181,10 +181,7 @@ def test_a_transform_between_other_frames_is_refused_in_the_state(rig: Rig) -> N
 @pytest.mark.parametrize(
     ("plates", "reason"),
     [
-        (
-            PLATES,
-            "joint1: the stamp of a transform is zero, or its nanoseconds are a second or more; expected",
-        ),
+        (PLATES, "joint1: the stamp of a transform is zero, or its nanoseconds are a second or more; expected"),
         (("posor_receiving", "x"), "joint1: transforms from 'posor_receiving' to 'x' arrive; expected"),
     ],
 )

@@ -29,13 +29,7 @@ FAR_TEXT = "tool is further than 0.02 m from the nominal joint of the URDF"
     [
         ([SOUND_JOINT, LOST], "LOST", Fault.RESIDUAL, "elbow", "elbow is lost (RESIDUAL)"),
         ([SOUND_JOINT, UNCOUNTED], "UNCOUNTED", Fault.COUNT, "shoulder", "shoulder is uncounted (COUNT)"),
-        (
-            [SOUND_JOINT, WAITING],
-            "UNCOUNTED",
-            0,
-            "shoulder",
-            f"shoulder is {NOT_COUNTED}",
-        ),
+        ([SOUND_JOINT, WAITING], "UNCOUNTED", 0, "shoulder", f"shoulder is {NOT_COUNTED}"),
         (
             [UNCOUNTED, FLAGGED, LOST],
             "LOST",

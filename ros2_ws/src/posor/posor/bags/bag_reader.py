@@ -31,10 +31,7 @@ if TYPE_CHECKING:
 
 METADATA = "metadata.yaml"
 EXPECTED = "a rosbag2 bag, MCAP or SQLite, that was closed properly"
-ADVICE = {
-    ".mcap": f"it; {RECOVER} with {METADATA}",
-    ".db3": "it, as 'ros2 bag reindex' makes it",
-}
+ADVICE = {".mcap": f"it; {RECOVER} with {METADATA}", ".db3": "it, as 'ros2 bag reindex' makes it"}
 """What helps if the metadata are missing, by the suffix of the files."""
 SQLITE_MAGIC = b"SQLite format 3\0"
 

@@ -47,12 +47,7 @@ class BagOutput:
     """Writes one bag."""
 
     def __init__(
-        self,
-        folder: Path,
-        topics: BagTopics,
-        estimator: ArmEstimator,
-        custom_data: Mapping[str, str],
-        where: Path,
+        self, folder: Path, topics: BagTopics, estimator: ArmEstimator, custom_data: Mapping[str, str], where: Path
     ) -> None:
         """Create the bag.
 

@@ -253,9 +253,7 @@ def calibration_from(content: Mapping[str, Any]) -> Calibration:
     types = sensor_types()
     union: Any = Annotated[Union[tuple(types.values())], select_model_by_key("type", types)]  # noqa: UP007
     model = create_model(
-        "Calibration",
-        __base__=Calibration,
-        sensors=(Annotated[list[union], Field(min_length=1)], ...),
+        "Calibration", __base__=Calibration, sensors=(Annotated[list[union], Field(min_length=1)], ...)
     )
     return model.model_validate(content)
 

@@ -152,10 +152,7 @@ CONVERTER_BITS, LIGHT_RING_BITS = 16, 24
 
 def converter_steps(bits: int) -> Part:
     """Return the steps of a converter over the ranges of the readings."""
-    return {
-        "voltage": quantity_entry(14.0 / 2**bits, "V"),
-        "current": quantity_entry(1.5e-4 / 2**bits, "A"),
-    }
+    return {"voltage": quantity_entry(14.0 / 2**bits, "V"), "current": quantity_entry(1.5e-4 / 2**bits, "A")}
 
 
 def design_calibration(
@@ -173,12 +170,7 @@ def design_calibration(
         "format": "posor_calibration",
         "version": VERSION,
         "name": name,
-        "provenance": {
-            "source": source,
-            "method": "posor/calibration/designs.py",
-            "date": "none",
-            "notes": notes,
-        },
+        "provenance": {"source": source, "method": "posor/calibration/designs.py", "date": "none", "notes": notes},
         "frames": {"parent": frames[0], "child": frames[1]},
         "motion": motion,
         "environment": environment,

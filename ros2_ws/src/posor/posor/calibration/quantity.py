@@ -29,11 +29,7 @@ Number = float
 _DIMENSIONS = 2
 _UNIT_TOLERANCE = 1e-6
 Nested = Number | list[Number] | list[list[Number]]
-CONVERTED_UNITS = {
-    "mm": ("m", Decimal("1e-3")),
-    "um": ("m", Decimal("1e-6")),
-    "deg": ("rad", Decimal(math.pi) / 180),
-}
+CONVERTED_UNITS = {"mm": ("m", Decimal("1e-3")), "um": ("m", Decimal("1e-6")), "deg": ("rad", Decimal(math.pi) / 180)}
 """Units that files may use besides those of SI: the SI unit, and its amount in one of them."""
 _NUMBER_WITH_UNIT = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([a-zA-Zµ°/]+)", re.ASCII)
 

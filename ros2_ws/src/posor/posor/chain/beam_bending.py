@@ -88,11 +88,7 @@ class BentBeam:
 
 
 def on_gimbals(
-    length: float,
-    bending_stiffness: float,
-    load: float,
-    forces: Sequence[PointForce],
-    gimbals: tuple[float, float],
+    length: float, bending_stiffness: float, load: float, forces: Sequence[PointForce], gimbals: tuple[float, float]
 ) -> BentBeam:
     """Return the shape of a beam on two hinged supports, measured from the line through the supports.
 

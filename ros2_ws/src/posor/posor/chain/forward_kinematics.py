@@ -10,12 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from posor.chain.beam_acceleration import (
-    append_centres,
-    estimate_accelerations,
-    forget_after_gap,
-    has_free_row,
-)
+from posor.chain.beam_acceleration import append_centres, estimate_accelerations, forget_after_gap, has_free_row
 from posor.chain.endpoint_covariance import (
     ZERO_COVARIANCE,
     add_outer_product,

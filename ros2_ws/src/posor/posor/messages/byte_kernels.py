@@ -86,12 +86,7 @@ def copy_messages(data: ByteArray, starts: IntArray, lengths: IntArray, out: Byt
 
 @compiled
 def gather_rows(
-    data: ByteArray,
-    starts: IntArray,
-    lengths: IntArray,
-    layout: LongArray,
-    words: LongArray,
-    out: ByteArray,
+    data: ByteArray, starts: IntArray, lengths: IntArray, layout: LongArray, words: LongArray, out: ByteArray
 ) -> int:
     """Copy messages to the rows of a table up to the first message of another layout.
 

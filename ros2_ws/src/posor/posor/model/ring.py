@@ -15,19 +15,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from posor.numerics.compiled import in_place, inlined
-from posor.numerics.vector import (
-    at,
-    cross,
-    dot,
-    minus,
-    over,
-    plus,
-    put,
-    rotate,
-    rotate_back,
-    store,
-    times,
-)
+from posor.numerics.vector import at, cross, dot, minus, over, plus, put, rotate, rotate_back, store, times
 
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray

@@ -241,11 +241,7 @@ def invert_block(lower: Lower) -> Matrix:
     ones, (p, q, r) = lower
     to_last = ones[0] * ones[2] - ones[1]
     m20, m21, m10 = to_last * r, -ones[2] * r, -ones[0] * q - ones[2] * (to_last * r)
-    return (
-        (p + ones[0] * ones[0] * q + to_last * m20, m10, m20),
-        (m10, q - ones[2] * m21, m21),
-        (m20, m21, r),
-    )
+    return ((p + ones[0] * ones[0] * q + to_last * m20, m10, m20), (m10, q - ones[2] * m21, m21), (m20, m21, r))
 
 
 @inlined

@@ -13,13 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posor.model.native_coordinates import native_from_rotation, native_jacobian
-from posor.model.reading_rows import (
-    GAP,
-    ROW,
-    ROW_PARAMETER_IDS,
-    differentiate_rows,
-    evaluate_rows,
-)
+from posor.model.reading_rows import GAP, ROW, ROW_PARAMETER_IDS, differentiate_rows, evaluate_rows
 from posor.sensors.base import no_parameters
 
 if TYPE_CHECKING:
@@ -98,10 +92,7 @@ class Outputs:
 
     def __init__(self, stack: Stack, points: Sequence[PlatePoint]) -> None:
         """Prepare for the native coordinates and these points."""
-        self.named = (
-            *(Output(name, unit) for name, unit in NATIVE),
-            *(Output(point.name, "m") for point in points),
-        )
+        self.named = (*(Output(name, unit) for name, unit in NATIVE), *(Output(point.name, "m") for point in points))
         self._parameters = stack.parameters
         self._rows, ids = np.zeros(len(points), dtype=ROW), no_parameters(len(points))
         self._rows["kind"] = GAP

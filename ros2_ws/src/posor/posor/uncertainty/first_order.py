@@ -160,12 +160,7 @@ def require_determined(stack: Stack, readings: Linearised, T_R_T: pin.SE3) -> No
         )
 
 
-def error_budget(
-    posor: Posor,
-    scan: Scan,
-    T_R_T: pin.SE3,
-    points: Sequence[PlatePoint] = (),
-) -> ErrorBudget:
+def error_budget(posor: Posor, scan: Scan, T_R_T: pin.SE3, points: Sequence[PlatePoint] = ()) -> ErrorBudget:
     """Return the first-order budget at a pose, from the covariance that the calibration states.
 
     Contributions are in decreasing order of their largest share in an output: what to improve first.

@@ -286,11 +286,7 @@ def test_more_than_memory_may_hold_is_refused(tmp_path: Path, monkeypatch: pytes
 def test_a_damaged_message_index_is_refused(tmp_path: Path) -> None:
     write(tmp_path / "bag", SPANNING)
     third = chunk_indices(tmp_path / "bag/bag.mcap")[2]
-    damaged(
-        tmp_path / "bag" / "bag.mcap",
-        third.chunk_start_offset + third.chunk_length + 1,
-        struct.pack("<Q", 10**6),
-    )
+    damaged(tmp_path / "bag" / "bag.mcap", third.chunk_start_offset + third.chunk_length + 1, struct.pack("<Q", 10**6))
     with pytest.raises(
         BagError, match=rf"bag: the chunk at byte {third.chunk_start_offset} has a damaged message index; expected the"
     ):

@@ -96,10 +96,7 @@ def test_chunks_written_from_tables_state_their_checksums(tmp_path: Path) -> Non
         file.write_bytes(spoilt)
         damage = first_damage(file)
         assert damage is not None
-        assert (damage.offset, damage.what) == (
-            info.chunk_start_offset,
-            "a chunk is damaged: chunk checksum mismatch",
-        )
+        assert (damage.offset, damage.what) == (info.chunk_start_offset, "a chunk is damaged: chunk checksum mismatch")
 
 
 def read_both_ways(bag: Path) -> tuple[list[Any], list[Record], list[Record]]:

@@ -7,13 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from posor.calibration.designs import (
-    PROBE_ACCURACY,
-    SMALLEST_DIAMETER,
-    STANDOFF,
-    SizedDesignName,
-    sized_design,
-)
+from posor.calibration.designs import PROBE_ACCURACY, SMALLEST_DIAMETER, STANDOFF, SizedDesignName, sized_design
 from posor.errors import CalibrationError
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor

@@ -66,8 +66,7 @@ def test_invalid_measurements_are_refused_by_joint(chain: Chain) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "shape"),
-    [("poses", (3, 5, 7)), ("covariances", (3, 6, 36)), ("stamps_ns", (2,)), ("thetas", (3, 5))],
+    ("name", "shape"), [("poses", (3, 5, 7)), ("covariances", (3, 6, 36)), ("stamps_ns", (2,)), ("thetas", (3, 5))]
 )
 def test_arrays_of_the_wrong_shape_are_refused(chain: Chain, name: str, shape: tuple[int, ...]) -> None:
     shapes: dict[str, tuple[int, ...]] = {

@@ -98,10 +98,7 @@ def test_what_is_not_measured_widens_the_covariance_as_one_deviation_of_all_prob
         import pinocchio as pin  # noqa: PLC0415
 
         change = np.concatenate(
-            [
-                shifted[0].translation - shifted[1].translation,
-                pin.log3(shifted[0].rotation @ shifted[1].rotation.T),
-            ]
+            [shifted[0].translation - shifted[1].translation, pin.log3(shifted[0].rotation @ shifted[1].rotation.T)]
         )
         effect = change / 0.2 * part.spread.number
         expected = expected + np.outer(effect, effect)

@@ -53,10 +53,7 @@ def wrong(found: Estimates, translations: FloatArray, rotations: FloatArray) -> 
     usable = np.isin(found.states, [State.OK, State.DEGRADED])
     out = np.zeros(len(usable), dtype=bool)
     errors = errors_in_parent(
-        found.rotations[usable],
-        found.translations[usable],
-        rotations[usable],
-        translations[usable],
+        found.rotations[usable], found.translations[usable], rotations[usable], translations[usable]
     )
     total = found.covariances()
     sigmas = np.sqrt(np.diagonal(total, axis1=1, axis2=2))[usable]

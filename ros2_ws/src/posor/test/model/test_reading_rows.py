@@ -60,8 +60,7 @@ def test_readings_are_those_of_ray_tracing(
 
 
 @pytest.mark.parametrize(
-    ("kind", "random_case"),
-    [(GAP, random_gap), (RING, random_ring_gap), (SPOT_X, random_spot), (SPOT_Y, random_spot)],
+    ("kind", "random_case"), [(GAP, random_gap), (RING, random_ring_gap), (SPOT_X, random_spot), (SPOT_Y, random_spot)]
 )
 def test_derivatives_are_those_of_finite_differences(
     kind: int,

@@ -55,10 +55,7 @@ def smooth_map() -> TensorMap:
     basis = chebyshev.chebvander2d(u / BOX[0][1], v / BOX[0][1], [ORDER - 2, ORDER - 2])
     tables = [np.linalg.lstsq(basis, p, rcond=None)[0].reshape(ORDER - 1, ORDER - 1) for p in (x, y)]
     return TensorMap(
-        kind="chebyshev",
-        domain=quantity(np.array(BOX), "1"),
-        x=quantity(tables[0], "m"),
-        y=quantity(tables[1], "m"),
+        kind="chebyshev", domain=quantity(np.array(BOX), "1"), x=quantity(tables[0], "m"), y=quantity(tables[1], "m")
     )
 
 

@@ -155,7 +155,7 @@ def turning_scans(posor: Posor, noise: np.random.Generator | None = None) -> Sca
 def raw_scans(name: DesignName) -> FloatArray:
     """Return all that is made of noisy raw scans of a design, from voltages and currents to covariances."""
     posor = Posor(design(name, motion=True))
-    scans = turning_scans(posor, np.random.default_rng(8))
+    scans = turning_scans(posor, np.random.default_rng(8)).editable()
     scans.at_home[0] = STATED_HOME
     found = posor.estimate_all(scans)
     arrays = (found.rotations, found.covariances_random, found.covariances_systematic)

@@ -1,14 +1,6 @@
 from __future__ import annotations
 
-from posor.reporting.html_page import (
-    Cell,
-    Section,
-    bullet_list,
-    definition_list,
-    paragraph,
-    render_page,
-    table,
-)
+from posor.reporting.html_page import Cell, Section, bullet_list, definition_list, paragraph, render_page, table
 from posor_lab.harness.report_page import ReportPage
 
 
