@@ -167,7 +167,8 @@ def _select_turns(
         track = recording.find_track(options.theta, SCALAR)
         reference = track.interpolate(scans.stamps_ns, round(options.longest_gap * 1e9))[:, 0]
     estimates = _estimate_poses(scans, calibration, reference, part.bump_angle, where)
-    thetas = estimates.thetas
+    is_uncounted = reference is None and estimates.states == int(State.UNCOUNTED)
+    thetas = np.where(is_uncounted, np.nan, estimates.thetas)
     counted = thetas if reference is None else reference  # with a reference the POSOR's own thetas wrap
     valid = np.isfinite(thetas) & np.isfinite(counted)
     travel = float(np.ptp(counted[valid])) if valid.any() else 0.0
@@ -214,7 +215,6 @@ def _estimate_poses(
             where=where,
             expected=f"scans less than a quarter of a bump, {0.25 * bump:.3g} rad, from the predicted theta",
         )
-    estimates.thetas[estimates.states == int(State.UNCOUNTED)] = np.nan
     return estimates
 
 
