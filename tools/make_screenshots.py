@@ -40,7 +40,6 @@ CHARTS_S = 20.0
 """Time to fill the charts."""
 REST_S = 10.0
 """Time without a page over which the processor time is measured."""
-PLOTS_ARE_DRAWN = "() => Bokeh.documents.length > 0 && Bokeh.documents.every(each => each.is_idle)"
 BANNER_SAYS = "text => document.querySelector('#banner')?.innerText.includes(text)"
 IMAGES = THIS.root / "docs" / "images"
 CONTROLLER = THIS.root / "examples" / "endpoint_controller" / "endpoint_controller.py"

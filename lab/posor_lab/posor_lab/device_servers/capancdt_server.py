@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import struct
 import time
-from threading import Condition, Event
+from threading import Event
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 WELCOME = "Welcome to capaNCDT\r\nDevice: DT6220\r\nS/N: 12345\r\n"
 SAMPLE_TIMES_US = (256, 480, 960, 1920, 3840, 9600, 19_200, 38_400, 96_000, 200_000, 400_000)
 """Of the manual only 960 and the greatest are known."""
-HEADER_BYTES = 32
 FULL_SCALE = (1 << 24) - 1
 
 
@@ -76,7 +75,6 @@ class CapaNcdtServer(DeviceServer):
         self._distances, self._ranges = distances, dict(sorted(ranges.items()))
         self._drift, self._delay_s = drift, delay_s
         self._start_ns, self._period_ns, self._restarted = 0, 0.0, False
-        self._sent_packets, self._sending = 0, Condition()
         self._dropped = Event()
         self._random = np.random.default_rng(1985)
         self.command_port, self.data_port = self.open_port(self._answer), self.open_port(self._stream)
@@ -89,13 +87,6 @@ class CapaNcdtServer(DeviceServer):
     def exposed_ns(self, number: int) -> int:
         """Return the ROS time of a frame since the connection [ns]."""
         return self._start_ns + round(number * self._period_ns)
-
-    def wait_until_sent(self, packets: int, timeout_s: float = 5.0) -> None:
-        """Wait until so many packets more have been sent."""
-        with self._sending:
-            target = self._sent_packets + packets
-            if not self._sending.wait_for(lambda: self._sent_packets >= target, timeout_s):
-                raise TimeoutError(f"fewer than {packets} packets were sent in {timeout_s:g} s")
 
     def restart_counter(self) -> None:
         """Begin with counter zero in the next packet."""
@@ -194,9 +185,6 @@ class CapaNcdtServer(DeviceServer):
             self.split.set()
             self.released.wait()
         client.sendall(data)
-        with self._sending:
-            self._sent_packets += len(packets)
-            self._sending.notify_all()
 
 
 def digital_value(distance: float, greatest: float) -> int:

@@ -19,6 +19,7 @@ from posor.errors import PosorError
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.fault import USABLE_STATES, Fault, State
+from posor.model.native_coordinates import thetas_of
 from posor.numerics.stamps import NS
 from posor.sensors.diodes import DiodesCalibration
 from posor.uncertainty.protection_level import endpoint_effects, endpoint_protection_level, expansion_shifts
@@ -28,7 +29,7 @@ from posor_drivers.simulator.pose_array import PoseArray
 
 from posor_lab.faults.fault_table import RowResult
 from posor_lab.faults.pose_judge import SIGMAS, estimated_poses, small_errors, wrong_poses
-from posor_lab.faults.storm import draw_sensors, thetas_of
+from posor_lab.faults.storm import draw_sensors
 
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
@@ -83,7 +84,7 @@ def _probe_cases(
         volts = scan.gap_voltages.copy()
         volts[0, channel] += random.uniform(-detectable, detectable) if detectable else row.inject["volts"]
         changed = scan.with_fields({"gap_voltages": volts})
-        estimates = posor.estimate_each(changed, thetas_of(true) if posor.counts_bumps else None)
+        estimates = posor.estimate_each(changed, thetas_of(true.rotations) if posor.counts_bumps else None)
         has_pose[n] = estimates.states[0] in USABLE_STATES
         poses, covariances = estimated_poses(estimates)
         level = endpoint_protection_level([reliability.shifts], [np.eye(6)], covariances[0])

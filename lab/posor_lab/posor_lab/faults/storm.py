@@ -23,6 +23,7 @@ from posor.estimation.estimate import ESTIMATE, Estimates
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.fault import USABLE_STATES, Fault, State
+from posor.model.native_coordinates import thetas_of
 from posor.model.scan import HOME_BUMP, Scans
 from posor.numerics.stamps import NS
 from posor.sensors.diodes import DiodesCalibration
@@ -77,11 +78,6 @@ def draw_sensors(posor: Posor, random: np.random.Generator) -> Stack:
     stack = posor.stack
     errors = stack.parameter_sigmas * random.normal(size=stack.parameters)
     return stack.with_parameter_values(stack.parameter_values + errors)
-
-
-def thetas_of(poses: PoseArray) -> FloatArray:
-    """Return theta modulo whole turns [rad], (n,)."""
-    return np.arctan2(-poses.rotations[:, 0, 1], poses.rotations[:, 1, 1])
 
 
 @dataclass(frozen=True)
@@ -163,7 +159,8 @@ class StormMaker:
         settings = self.posor.settings
         if not settings["bump_angle"] > 0.0:
             return np.zeros(len(truth), dtype=bool)
-        return np.asarray(np.abs(thetas_of(truth) - settings["home_theta"]) < HOME_WIDTH * settings["bump_angle"])
+        thetas = thetas_of(truth.rotations)
+        return np.asarray(np.abs(thetas - settings["home_theta"]) < HOME_WIDTH * settings["bump_angle"])
 
     def _bias(self, field: str, channel: int) -> float:
         """Return the minimal detectable bias of a probe [V]."""
@@ -215,7 +212,7 @@ class StormCount:
 def estimate_storm(posor: Posor, storm: Storm, encoder: np.random.Generator | None = None) -> Estimates:
     """Return the estimates of a storm, acknowledged as an operator would; ``encoder``: its noise, None: no encoder."""
     records = np.zeros(len(storm.scans), dtype=ESTIMATE)
-    scans, begin, thetas = storm.scans._records.copy(), 0, thetas_of(storm.truth)
+    scans, begin, thetas = storm.scans._records.copy(), 0, thetas_of(storm.truth.rotations)
     for end in [*storm.acknowledgements.tolist(), len(scans)]:
         posor.estimate_records(scans[begin:end], records[begin:end])
         if end < len(scans):
