@@ -10,10 +10,8 @@ from collections import deque
 
 from scipy.special import bdtrc
 
-WINDOW = 1000
-"""Number of scans over which the rate is judged."""
-SIGNIFICANCE = 1e-6
-"""Largest probability that ``WINDOW`` sound scans are reported as a fault."""
+WINDOW = 1000  # number of scans over which the rate is judged
+SIGNIFICANCE = 1e-6  # largest probability that ``WINDOW`` sound scans are reported as a fault
 
 
 def alarm_limit(probability: float) -> int:
@@ -27,10 +25,7 @@ class AlarmRate:
     def __init__(self, probability: float, in_a_row: int) -> None:
         """Start without alarms.
 
-        Args:
-            probability: That a sound scan has no pose.
-            in_a_row: Consecutive scans without a pose that are a fault.
-
+        ``probability``: that a sound scan has no pose; ``in_a_row``: consecutive scans without a pose that are a fault.
         """
         self._recent: deque[int] = deque(maxlen=alarm_limit(probability))
         self._row = 0
@@ -40,9 +35,7 @@ class AlarmRate:
     def add(self, scan: int) -> bool:
         """Count a scan without a pose; return whether there is a fault.
 
-        Args:
-            scan: Number of the scan, counted with and without a pose.
-
+        ``scan``: number of the scan, counted with and without a pose.
         """
         self._row = self._row + 1 if scan == self._last + 1 else 1
         self._last = scan

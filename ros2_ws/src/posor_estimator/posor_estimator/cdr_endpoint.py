@@ -17,10 +17,8 @@ if TYPE_CHECKING:
 
     from posor_estimator.endpoint_verdict import EndpointVerdict
 
-MAX_JOINT, MAX_REASON = 128, 255
-"""Bounds of the strings in ``posor_msgs/EndpointState`` [bytes]."""
-WRITERS = 16
-"""Number of verdicts whose messages are kept prepared."""
+MAX_JOINT, MAX_REASON = 128, 255  # bounds of the strings in ``posor_msgs/EndpointState`` [bytes]
+WRITERS = 16  # number of verdicts whose messages are kept prepared
 
 
 class EndpointWriter:
@@ -34,14 +32,7 @@ class EndpointWriter:
     """
 
     def __init__(self, estimator: EndpointEstimator, frame: str, *, relative: bool) -> None:
-        """Prepare.
-
-        Args:
-            estimator: Of the chain.
-            frame: Frame of the endpoint.
-            relative: Whether to write the endpoint relative to home.
-
-        """
+        """Prepare; ``frame``: frame of the endpoint; ``relative``: whether to write the endpoint relative to home."""
         pose = estimator.relative_pose if relative else estimator.pose
         covariance = estimator.relative_covariance if relative else estimator.covariance
         plain, full, joints = PoseStamped(), PoseWithCovarianceStamped(), JointState()
@@ -61,7 +52,6 @@ class EndpointStateWriter:
     """
 
     def __init__(self, estimator: EndpointEstimator, frame: str, child_frame: str, *, relative: bool) -> None:
-        """Prepare; the arguments are those of `EndpointWriter`, and the frame of the endpoint itself."""
         pose = estimator.relative_pose if relative else estimator.pose
         covariance = estimator.relative_covariance if relative else estimator.covariance
         self.protection_level = np.full(6, np.nan)
@@ -86,11 +76,8 @@ class EndpointStateWriter:
     def write(self, stamp: bytes, age_s: float, verdict: EndpointVerdict) -> bytes:
         """Return the message.
 
-        Args:
-            stamp: The eight bytes of its stamp (``STAMP``).
-            age_s: From the stamp to now [s]; NaN: no scan yet.
-            verdict: State, faults, joint and reason.
-
+        ``stamp``: the eight bytes of its stamp (``STAMP``); ``age_s``: from the stamp to now [s]; NaN: no scan yet;
+        ``verdict``: state, faults, joint and reason.
         """
         self._age[0] = age_s
         return self._writer_of(verdict).write(stamp)

@@ -19,14 +19,9 @@ class MessageWriter:
     def __init__(self, prototype: Any, arrays: Mapping[str, FloatArray] | None = None) -> None:
         """Prepare for messages like ``prototype``.
 
-        Args:
-            prototype: A message with a header, and with the strings, lengths and constants of all messages.
-            arrays: Arrays whose present numbers are written into every message, by the path of the first field: the
-                seven numbers of a pose begin at ``pose.position.x``.
-
-        Raises:
-            TopicError: A sequence is longer than its bound.
-
+        ``prototype``: a message with a header, and with the strings, lengths and constants of all messages; ``arrays``:
+        arrays whose present numbers are written into every message, by the path of the first field: the seven numbers
+        of a pose begin at ``pose.position.x``. Raises TopicError: a sequence is longer than its bound.
         """
         schema = schema_of_class(type(prototype))
         data = schema.serialize(prototype)
@@ -37,9 +32,7 @@ class MessageWriter:
     def write(self, stamp: bytes) -> bytes:
         """Return the message with the present numbers of the arrays.
 
-        Args:
-            stamp: The eight bytes of its stamp (``STAMP``).
-
+        ``stamp``: the eight bytes of its stamp (``STAMP``).
         """
         data = self._buffer
         data[STAMP] = stamp

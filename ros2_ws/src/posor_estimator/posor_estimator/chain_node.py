@@ -91,7 +91,6 @@ class ChainNode(PosorNode[ChainParameters]):
     _alarms: AlarmRate
 
     def __init__(self, **options: Any) -> None:
-        """Create the node; ``options`` are passed to rclpy."""
         super().__init__(**options)
         self._lock = RLock()
         self._status = self.diagnostics.add_status("endpoint", logged=True)

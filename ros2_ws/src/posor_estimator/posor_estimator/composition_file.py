@@ -41,9 +41,7 @@ def registered_nodes() -> dict[str, EntryPoint]:
 def load_node_class(name: str) -> type[PosorNode[Any]]:
     """Return the registered node class ``name``.
 
-    Raises:
-        ParameterError: The name is unknown, or the class cannot be loaded.
-
+    Raises ParameterError: the name is unknown, or the class cannot be loaded.
     """
     entries, where = registered_nodes(), f"node '{name}'"
     if name not in entries:
@@ -121,9 +119,7 @@ class NodeEntry(FrozenModel):
     def create_node(self) -> PosorNode[Any]:
         """Create the node.
 
-        Raises:
-            ParameterError: The class cannot be loaded, or a parameter is wrong, missing or unknown.
-
+        Raises ParameterError: the class cannot be loaded, or a parameter is wrong, missing or unknown.
         """
         return load_node_class(self.node)(cli_args=self.arguments())
 
@@ -150,12 +146,7 @@ class Composition(FrozenModel):
 def error_location(places: FileLocations, number: int, entry: NodeEntry, error: PosorError) -> str:
     """Return the line of the parameter that causes an error of a node, or else the line of the node.
 
-    Args:
-        places: Positions in the file.
-        number: Index of the node's entry.
-        entry: The entry.
-        error: The error.
-
+    ``places``: positions in the file; ``number``: index of the node's entry.
     """
     parameter = error.parameter if isinstance(error, ParameterError) else ""
     return places.describe("nodes", number, *(("parameters", parameter) if parameter in entry.parameters else ()))
@@ -164,8 +155,6 @@ def error_location(places: FileLocations, number: int, entry: NodeEntry, error: 
 def load_composition(path: Path) -> tuple[Composition, FileLocations]:
     """Read a composition file; return also the positions of its entries.
 
-    Raises:
-        CalibrationError: The file cannot be read, is not YAML, or has an invalid entry.
-
+    Raises CalibrationError: the file cannot be read, is not YAML, or has an invalid entry.
     """
     return load_document(path, "composition file", "format, version, nodes", VERSION, Composition.model_validate)

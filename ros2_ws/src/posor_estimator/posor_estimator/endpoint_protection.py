@@ -17,15 +17,13 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
 FREEDOMS = 6
-VALID_S = 5.0
-"""Time after which a message on the reliability of a joint is not used any more [s]."""
+VALID_S = 5.0  # time after which a message on the reliability of a joint is not used any more [s]
 
 
 class ProtectionLevel:
     """Protection level of the endpoint from the latest reliability of each joint."""
 
     def __init__(self, chain: Chain) -> None:
-        """Start without a message."""
         self._chain = chain
         self._received: dict[str, tuple[float, FloatArray]] = {}
 
@@ -45,11 +43,8 @@ class ProtectionLevel:
     def compute(self, poses: FloatArray, covariance: FloatArray, axes: FloatArray) -> FloatArray:
         """Return the protection level, (6,); NaN without a covariance, or without a recent message of each joint.
 
-        Args:
-            poses: Of the joints, (j, 7), as ``EndpointEstimator.poses``.
-            covariance: Of the endpoint, (6, 6), in the axes of the result.
-            axes: Rotation of these axes in the base, (3, 3).
-
+        ``poses``: of the joints, (j, 7), as ``EndpointEstimator.poses``; ``covariance``: of the endpoint, (6, 6), in
+        the axes of the result; ``axes``: rotation of these axes in the base, (3, 3).
         """
         names, oldest_s = [joint.name for joint in self._chain.joints], monotonic() - VALID_S
         if (

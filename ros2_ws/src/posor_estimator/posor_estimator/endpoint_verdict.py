@@ -38,20 +38,12 @@ SOUND = EndpointVerdict(EndpointState.STATE_OK)
 
 
 class JointStatus(NamedTuple):
-    """State of a joint in one scan, from its transform and from the checks of the chain.
+    """State of a joint in one scan, from its transform and from the checks of the chain."""
 
-    Attributes:
-        name: Of the joint.
-        state: ``State`` of the transform, or an unknown number.
-        faults: ``Fault`` of the transform.
-        code: Why the chain cannot use the transform, a key of ``FAULT_TEXTS``; zero: no reason.
-
-    """
-
-    name: str
-    state: int
-    faults: int
-    code: int = 0
+    name: str  # of the joint
+    state: int  # ``State`` of the transform, or an unknown number
+    faults: int  # ``Fault`` of the transform
+    code: int = 0  # why the chain cannot use the transform, a key of ``FAULT_TEXTS``; zero: no reason
 
 
 def waits_to_be_counted(state: int, faults: int) -> bool:

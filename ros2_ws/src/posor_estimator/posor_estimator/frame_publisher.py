@@ -31,16 +31,10 @@ if TYPE_CHECKING:
 
 
 class StampedPoses(NamedTuple):
-    """Poses of the joints, then of the beams, of one scan.
+    """Poses of the joints, then of the beams, of one scan."""
 
-    Attributes:
-        stamp_ns: Of the scan [ns].
-        poses: Child link in parent link, (j + b, 7): x, y, z [m], unit quaternion x, y, z, w.
-
-    """
-
-    stamp_ns: int
-    poses: FloatArray
+    stamp_ns: int  # of the scan [ns]
+    poses: FloatArray  # child link in parent link, (j + b, 7): x, y, z [m], unit quaternion x, y, z, w
 
 
 class FramePublisher:
@@ -51,12 +45,8 @@ class FramePublisher:
     ) -> None:
         """Publish what does not move, also while the node is inactive, and start to publish the rest.
 
-        Args:
-            node: The node, which is being configured.
-            chain: The arm.
-            rate: How often /tf is published [1/s].
-            newest: Returns the poses of the newest scan; None: it gives no endpoint, or the node must not publish.
-
+        ``rate``: how often /tf is published [1/s]; ``newest``: returns the poses of the newest scan; None: it gives no
+        endpoint, or the node must not publish.
         """
         self._newest, self._published_ns, self._is_open = newest, 0, True
         joints = (*chain.joints, *chain.beam_joints)

@@ -80,7 +80,6 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
     _order: ScanOrder
 
     def __init__(self, **options: Any) -> None:
-        """Create the node; ``options`` are passed to rclpy."""
         super().__init__(**options)
         self._lock = RLock()
         self._status = self.diagnostics.add_status("estimate", logged=True)
@@ -257,12 +256,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             self._inputs.note("encoder", f"{self.parameters.encoder.topic}: {error}")
 
     def _encoder_position(self, message: JointState) -> float:
-        """Return the position of the encoder's joint [rad].
-
-        Raises:
-            TopicError: The message does not hold it.
-
-        """
+        """Return the position of the encoder's joint [rad]. Raises TopicError: the message does not hold it."""
         names, joint = list(message.name), self.parameters.encoder.joint
         if joint and joint not in names:
             raise TopicError(f"no joint '{joint}' among {', '.join(names)}")

@@ -43,12 +43,7 @@ class ArmEstimator:
     """
 
     def __init__(self, settings: Settings) -> None:
-        """Load calibrations and chain.
-
-        Raises:
-            PosorError: A calibration, the chain or a parameter is invalid.
-
-        """
+        """Load calibrations and chain. Raises PosorError: a calibration, the chain or a parameter is invalid."""
         calibrations = {name: joint.load() for name, joint in settings.joints.items()}
         self.frames = {name: (each.frames.parent, each.frames.child) for name, each in calibrations.items()}
         self.covariance_kinds = {name: joint.covariance for name, joint in settings.joints.items()}
@@ -62,9 +57,7 @@ class ArmEstimator:
     def estimate_block(self, scans: Mapping[str, Sequence[RecordedScans]]) -> ArmEstimates:
         """Return the transforms of all joints, and the endpoint at all stamps that become complete with them.
 
-        Args:
-            scans: The next scans of each joint.
-
+        ``scans``: the next scans of each joint.
         """
         joints = {name: joint.estimate(scans[name]) for name, joint in self._joints.items()}
         if self.endpoint is None:
@@ -136,16 +129,9 @@ class EndpointPipeline:
     """
 
     def __init__(self, chain: Chain, parameters: ChainParameters, frames: Mapping[str, tuple[str, str]]) -> None:
-        """Prepare.
+        """Prepare; ``parameters``: of chain_node; ``frames``: receiving and target frame of each calibrated joint.
 
-        Args:
-            chain: The chain.
-            parameters: Of chain_node.
-            frames: Receiving and target frame of each calibrated joint.
-
-        Raises:
-            ChainError: A joint of the chain has no calibration, or one between other frames.
-
+        Raises ChainError: a joint of the chain has no calibration, or one between other frames.
         """
         self.joints = tuple(joint.name for joint in chain.joints)
         where = f"URDF {parameters.urdf}"
@@ -171,10 +157,7 @@ class EndpointPipeline:
     def estimate(self, joints: Mapping[str, Estimates], orders: Mapping[str, IntArray]) -> EndpointEstimates:
         """Return the endpoint at all stamps that become complete with the next transforms of all joints.
 
-        Args:
-            joints: The transforms.
-            orders: Positions of their scans among those of all joints that were read together, shape (n,).
-
+        ``orders``: positions of their scans among those of all joints that were read together, shape (n,).
         """
         rows = [self._with_stamp(name, _joint_rows(joints[name], orders[name])) for name in self.joints]
         complete = self.synchroniser.join(rows)

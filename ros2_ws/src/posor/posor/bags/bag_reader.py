@@ -40,9 +40,7 @@ SQLITE_MAGIC = b"SQLite format 3\0"
 def opened_bag(path: Path) -> Iterator[Reader]:
     """Open a bag; errors of the storage layers, also later ones, become one sentence that names the bag.
 
-    Raises:
-        BagError: The bag does not exist, cannot be read, or holds no messages.
-
+    Raises BagError: the bag does not exist, cannot be read, or holds no messages.
     """
     if not path.exists():
         raise BagError("does not exist", where=str(path), expected=EXPECTED)
@@ -70,15 +68,8 @@ def opened_bag(path: Path) -> Iterator[Reader]:
 def scan_topic(connections: Sequence[Connection], wanted: str, where: str, setting: str) -> str:
     """Return the topic of the scans: the requested one, or the only one of the bag.
 
-    Args:
-        connections: Of the bag.
-        wanted: The requested topic; empty: the only one.
-        where: Name of the bag in errors.
-        setting: The option that selects a topic, for errors.
-
-    Raises:
-        BagError: The bag has no such topic, or several.
-
+    ``wanted``: the requested topic; empty: the only one; ``where``: name of the bag in errors; ``setting``: the option
+    that selects a topic, for errors. Raises BagError: the bag has no such topic, or several.
     """
     if wanted:
         return wanted
@@ -103,17 +94,9 @@ def checked_type(
 ) -> str:
     """Return the type of a recorded topic after checking that all its connections have the same type and version.
 
-    Args:
-        connections: Of the bag.
-        topic: Its name.
-        where: Name of the bag in errors.
-        types: The installed types, whose version the topic must have; None: any version.
-        allowed: Types that the topic may have; empty: any.
-        filled: Whether it must hold messages.
-
-    Raises:
-        BagError: There is no such topic, it has another type or version, or several, or it holds no messages.
-
+    ``where``: name of the bag in errors; ``types``: the installed types, whose version the topic must have; None: any
+    version; ``allowed``: types that the topic may have; empty: any; ``filled``: whether it must hold messages. Raises
+    BagError: there is no such topic, it has another type or version, or several, or it holds no messages.
     """
     found = [connection for connection in connections if connection.topic == topic]
     if not found:
@@ -144,9 +127,7 @@ def checked_type(
 def scan_schema(connections: Sequence[Connection], topic: str, where: str) -> Schema:
     """Return the schema of a topic of raw scans, as its bag defines it.
 
-    Raises:
-        BagError: There is no such topic, it is of another type or holds no messages, or its definition is invalid.
-
+    Raises BagError: there is no such topic, it is of another type or holds no messages, or its definition is invalid.
     """
     checked_type(connections, topic, where, None, (RAW_SCAN,), filled=True)
     schema = schema_of_connection(next(each for each in connections if each.topic == topic), where)
@@ -157,9 +138,7 @@ def scan_schema(connections: Sequence[Connection], topic: str, where: str) -> Sc
 def counted_messages(reader: Reader, topics: Collection[str], where: str) -> Iterator[tuple[Connection, int, bytes]]:
     """Yield the messages of some topics in the order of their log times [ns].
 
-    Raises:
-        BagError: At the end, when the number of messages differs from that in the bag's index.
-
+    Raises BagError: at the end, when the number of messages differs from that in the bag's index.
     """
     selected = [connection for connection in reader.connections if connection.topic in topics]
     count, expected = 0, sum(connection.msgcount for connection in selected)

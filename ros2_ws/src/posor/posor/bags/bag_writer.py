@@ -50,30 +50,21 @@ if TYPE_CHECKING:
     from posor.messages.message_definitions import Definition
     from posor.numerics.array_types import ByteArray, IntArray
 
-CHUNK_BYTES = 1 << 20
-"""Size of a chunk of messages that are written one by one."""
+CHUNK_BYTES = 1 << 20  # size of a chunk of messages that are written one by one
 INFINITE_NS = 2**63 - 1
 POLICIES = ("history", "reliability", "durability", "liveliness")
 DURATIONS = ("deadline", "lifespan", "liveliness_lease_duration")
 CHUNK_HEAD = Struct("<BQQQQIIQ")
 """Head of the record, first and last log time, size, checksum, no name of a compression, size again."""
-MESSAGE_HEAD = Struct("<BQHIQQ")
-"""Head of the record, channel, sequence number, log and publish time."""
+MESSAGE_HEAD = Struct("<BQHIQQ")  # head of the record, channel, sequence number, log and publish time
 
 
 class TopicMessages(NamedTuple):
-    """Messages of one topic with the same length.
+    """Messages of one topic with the same length."""
 
-    Attributes:
-        channel: Of the topic, see ``BagWriter.add_topic``.
-        times_ns: Log times, which do not go back, shape (n,).
-        messages: Shape (n, s).
-
-    """
-
-    channel: int
-    times_ns: IntArray
-    messages: ByteArray
+    channel: int  # of the topic, see ``BagWriter.add_topic``
+    times_ns: IntArray  # log times, which do not go back, shape (n,)
+    messages: ByteArray  # shape (n, s)
 
 
 @dataclass
@@ -98,14 +89,8 @@ class BagWriter:
     def __init__(self, path: Path, custom_data: Mapping[str, str] | None = None, where: Path | None = None) -> None:
         """Create the bag's folder.
 
-        Args:
-            path: The folder.
-            custom_data: Of the bag's metadata; until the bag is closed it is in a file of its own.
-            where: Names the bag in errors; None: its folder.
-
-        Raises:
-            BagError: The folder exists already.
-
+        ``custom_data``: of the bag's metadata; until the bag is closed it is in a file of its own; ``where``: names the
+        bag in errors; None: its folder. Raises BagError: the folder exists already.
         """
         if path.exists():
             raise BagError("exists already", where=str(path), expected="a new folder")
@@ -139,13 +124,9 @@ class BagWriter:
     ) -> int:
         """Add a topic, unless it is there already, and return the number of its channel.
 
-        Args:
-            name: Of the topic; with another type, other profiles or another encoding it has another channel.
-            type_name: Message type.
-            definition: Of the type.
-            qos: Profiles that the publishers offer: ``QoSProfile`` of rclpy or ``Qos`` of rosbags.
-            encoding: Of the messages.
-
+        ``name``: of the topic; with another type, other profiles or another encoding it has another channel;
+        ``type_name``: message type; ``definition``: of the type; ``qos``: profiles that the publishers offer:
+        ``QoSProfile`` of rclpy or ``Qos`` of rosbags; ``encoding``: of the messages.
         """
         profiles = [_qos_entry(profile) for profile in qos]
         metadata = {
@@ -234,11 +215,9 @@ class BagWriter:
             (self.path / PENDING).unlink(missing_ok=True)
 
     def __enter__(self) -> Self:
-        """Return the writer."""
         return self
 
     def __exit__(self, *_error: object) -> None:
-        """Close the bag, so that it is readable even after an error."""
         self.close()
 
     def _close_chunk(self) -> None:
@@ -336,12 +315,7 @@ class BagWriter:
 
 @contextmanager
 def replace_bag(bag: Path) -> Iterator[BagWriter]:
-    """Write a bag that replaces an existing bag only once it is complete.
-
-    Raises:
-        OutputError: The storage fails.
-
-    """
+    """Write a bag that replaces an existing bag only once it is complete. Raises OutputError: the storage fails."""
     bag.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=bag.parent, prefix=".making-") as folder:
         new = Path(folder) / bag.name

@@ -29,37 +29,24 @@ if TYPE_CHECKING:
     from posor.messages.cdr_schema import Schema
     from posor.numerics.array_types import ByteArray, IntArray
 
-BLOCK_BYTES = 4 << 20
-"""Approximate bytes that are read at a time; a single chunk may be larger."""
-BLOCK_MESSAGES = 16_384
-"""Messages that are read at a time where rosbags reads them one by one."""
-MOST_WAITING = 512 << 20
-"""Limit of the bytes of messages that wait in memory for chunks that overlap in log time."""
+BLOCK_BYTES = 4 << 20  # approximate bytes that are read at a time; a single chunk may be larger
+BLOCK_MESSAGES = 16_384  # messages that are read at a time where rosbags reads them one by one
+MOST_WAITING = 512 << 20  # limit of the bytes of messages that wait in memory for chunks that overlap in log time
 INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
 """Entry of a message index: log time, and offset of the message in its chunk."""
 
 
 @dataclass(frozen=True)
 class MessageBlock:
-    """Messages, n of them, in the order of their log times.
+    """Messages, n of them, in the order of their log times."""
 
-    Attributes:
-        data: Bytes that contain all messages.
-        topics: Number of each message's topic, shape (n,).
-        times_ns: Log times, shape (n,).
-        starts: Offset of each message in ``data``, shape (n,).
-        lengths: Bytes of each message, shape (n,).
-
-    """
-
-    data: ByteArray
-    topics: IntArray
-    times_ns: IntArray
-    starts: IntArray
-    lengths: IntArray
+    data: ByteArray  # bytes that contain all messages
+    topics: IntArray  # number of each message's topic, shape (n,)
+    times_ns: IntArray  # log times, shape (n,)
+    starts: IntArray  # offset of each message in ``data``, shape (n,)
+    lengths: IntArray  # bytes of each message, shape (n,)
 
     def __len__(self) -> int:
-        """Return the number of messages."""
         return len(self.times_ns)
 
     @property
@@ -87,16 +74,9 @@ def read_blocks(reader: Reader, topics: Sequence[str], where: str) -> Iterator[M
     """Yield the messages of some topics in the order of ``reader.messages``.
 
     In a file of the bag, the order is that of the log times; messages of equal log time keep their order in the file.
-
-    Args:
-        reader: The opened bag.
-        topics: The topics; a block numbers them in this order.
-        where: Name of the bag in errors.
-
-    Raises:
-        BagError: A chunk is cut short or damaged, or chunks overlap so much that too many messages wait; at the end,
-            when the number of messages differs from that in the bag's index.
-
+    ``topics``: the topics; a block numbers them in this order; ``where``: name of the bag in errors. Raises BagError: a
+    chunk is cut short or damaged, or chunks overlap so much that too many messages wait; at the end, when the number of
+    messages differs from that in the bag's index.
     """
     expected = sum(connection.msgcount for connection in reader.connections if connection.topic in topics)
     count = 0
@@ -303,12 +283,8 @@ class TopicReader:
     def __init__(self, number: int, topic: str, schema: Schema, where: str) -> None:
         """Prepare.
 
-        Args:
-            number: Of the topic in the blocks.
-            topic: Its name, for errors.
-            schema: Of its messages.
-            where: Name of the bag in errors.
-
+        ``number``: of the topic in the blocks; ``topic``: its name, for errors; ``schema``: of its messages; ``where``:
+        name of the bag in errors.
         """
         self._number = number
         self._topic = topic
@@ -319,9 +295,7 @@ class TopicReader:
     def read_tables(self, block: MessageBlock) -> Iterator[tuple[IntArray, IntArray, MessageTable]]:
         """Yield the topic's messages of a block in order: log times [ns], positions in the block, messages.
 
-        Raises:
-            BagError: A message is invalid.
-
+        Raises BagError: a message is invalid.
         """
         positions = np.flatnonzero(block.topics == self._number)
         own = block.select(positions)

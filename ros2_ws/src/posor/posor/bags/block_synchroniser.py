@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     Rows = NDArray[np.void]
     """Transforms of a joint, shape (n,), dtype JOINT_ROWS."""
 
-JOINT_ROWS = np.dtype(
+JOINT_ROWS = np.dtype(  # a joint's transform as the chain needs it
     [
         ("order", "i8"),  # position of the scan among those of all joints that were read together
         ("log_time_ns", "i8"),
@@ -30,7 +30,6 @@ JOINT_ROWS = np.dtype(
         ("covariance", "f8", (6, 6)),
     ]
 )
-"""A joint's transform as the chain needs it."""
 MOST_OPEN = 65_536
 """Transforms of a joint that may wait for the other joints; then the oldest are given up, which bounds the memory."""
 
@@ -59,9 +58,7 @@ class BlockSynchroniser:
     def join(self, block: Sequence[Rows]) -> list[Rows]:
         """Return the transforms of the complete stamps: of each joint equally many, in the same order.
 
-        Args:
-            block: The next transforms of each joint.
-
+        ``block``: the next transforms of each joint.
         """
         if self._live is None:
             known = [

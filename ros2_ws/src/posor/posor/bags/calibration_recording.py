@@ -37,34 +37,27 @@ def _pose_fields(position: str, rotation: str) -> tuple[str, ...]:
     return (*(f"{position}.{axis}" for axis in "xyz"), *(f"{rotation}.{axis}" for axis in "xyzw"))
 
 
-REFERENCE_FIELDS = {
+REFERENCE_FIELDS = {  # fields of a reference measurement, by message type
     POINT_STAMPED: ("point.x", "point.y", "point.z"),
     TRANSFORM_STAMPED: _pose_fields("transform.translation", "transform.rotation"),
     POSE_STAMPED: _pose_fields("pose.position", "pose.orientation"),
     FLOAT64: ("data",),
     REFERENCE_READING: ("value",),
 }
-"""Fields of a reference measurement, by message type."""
-READINGS = {
+READINGS = {  # readings of a scan, and their names in errors
     "gap_voltages": "gap voltages",
     "ring_voltages": "ring voltages",
     "diode_currents": "diodes of 4 currents",
     "lit_sources": "lit sources",
 }
-"""Readings of a scan, and their names in errors."""
 
 
 @dataclass(frozen=True)
 class Reference:
-    """A reference measurement to read from a bag.
+    """A reference measurement to read from a bag."""
 
-    Attributes:
-        topic: Where it was recorded.
-        sigmas: Standard uncertainty of the instrument: one for all its quantities, or one for each, in their units.
-
-    """
-
-    topic: str
+    topic: str  # where it was recorded
+    # Standard uncertainty of the instrument: one for all its quantities, or one for each, in their units
     sigmas: tuple[float, ...] = (0.0,)
 
 
@@ -91,19 +84,13 @@ def load_recording(
 ) -> Recording:
     """Read scans and reference measurements.
 
-    Args:
-        path: Folder with metadata.yaml, or a single .mcap or .db3 file.
-        topic: Of the scans; empty: the only one of type RawScan.
-        references: Measurements to read; empty: every topic of a type that can be a reference, with an uncertainty of
-            zero, but a ``geometry_msgs/PoseStamped`` only if it is ``named``: most are endpoints, not references. A
-            ``std_msgs/Float64`` has no stamp: its log time is used. A ``posor_msgs/ReferenceReading`` states its
-            uncertainty; the largest one applies unless another one is given.
-        named: Topics that the caller knows as references.
-
-    Raises:
-        BagError: The bag cannot be read, lacks a topic, or holds inconsistent scans.
-        TrackError: A reference is invalid: its stamps go back, or its numbers are not finite.
-
+    ``path``: folder with metadata.yaml, or a single .mcap or .db3 file; ``topic``: of the scans; empty: the only one of
+    type RawScan; ``references``: measurements to read; empty: every topic of a type that can be a reference, with an
+    uncertainty of zero, but a ``geometry_msgs/PoseStamped`` only if it is ``named``: most are endpoints, not
+    references. A ``std_msgs/Float64`` has no stamp: its log time is used. A ``posor_msgs/ReferenceReading`` states its
+    uncertainty; the largest one applies unless another one is given; ``named``: topics that the caller knows as
+    references. Raises BagError: the bag cannot be read, lacks a topic, or holds inconsistent scans; TrackError: a
+    reference is invalid: its stamps go back, or its numbers are not finite.
     """
     where = str(path)
     with opened_bag(path) as reader:

@@ -25,10 +25,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
-CONNECT_WITHIN_S = 10
-"""Time limit for the answer of a cluster."""
-END_WITHIN_S = 5.0
-"""Time limit for a worker to remove its unfinished results after the program has been killed."""
+CONNECT_WITHIN_S = 10  # time limit for the answer of a cluster
+END_WITHIN_S = 5.0  # time limit for a worker to remove its unfinished results after the program has been killed
 ENCRYPTED_SCHEMES = ("tls", "wss")
 SCHEMES = ("tcp", "ws", *ENCRYPTED_SCHEMES)
 OPTION = "option --scheduler"
@@ -52,16 +50,10 @@ def run_tasks(
 ) -> Iterator[ResultT]:
     """Yield the result of each task as soon as it is finished.
 
-    Args:
-        executor: Runs the tasks.
-        function: Called with each task, in the executor.
-        tasks: The tasks; after an error no further ones are started, and those at work are finished.
-        at_once: Number of tasks that are submitted at a time.
-
-    Raises:
-        PosorError: The first error of a task.
-        SystemRefusal: A worker process was terminated; all others are terminated too.
-
+    ``executor``: runs the tasks; ``function``: called with each task, in the executor; ``tasks``: the tasks; after an
+    error no further ones are started, and those at work are finished; ``at_once``: number of tasks that are submitted
+    at a time. Raises PosorError: the first error of a task; SystemRefusal: a worker process was terminated; all others
+    are terminated too.
     """
     waiting, running = list(tasks), dict[Future[ResultT], TaskT]()
     first_error: PosorError | None = None
@@ -108,16 +100,10 @@ def local_processes(count: int) -> Iterator[Executor]:
 def dask_cluster(scheduler: str, *, unencrypted: bool = False) -> Iterator[Executor]:
     """Yield an executor on a Dask cluster whose workers see the same files.
 
-    A task whose worker is lost is done again by another worker.
-
-    Args:
-        scheduler: Address of the scheduler; the certificates for TLS are those of Dask's configuration.
-        unencrypted: Whether a scheduler on another machine may be used without TLS.
-
-    Raises:
-        ParameterError: The address is invalid or not encrypted, Dask is not installed, the certificates cannot be used,
-            or no scheduler answers.
-
+    A task whose worker is lost is done again by another worker. ``scheduler``: address of the scheduler; the
+    certificates for TLS are those of Dask's configuration; ``unencrypted``: whether a scheduler on another machine may
+    be used without TLS. Raises ParameterError: the address is invalid or not encrypted, Dask is not installed, the
+    certificates cannot be used, or no scheduler answers.
     """
     _check_address(scheduler, unencrypted=unencrypted)
     try:

@@ -32,20 +32,16 @@ if TYPE_CHECKING:
 
 RECOVER = "'recover' of posor writes what is whole to a new bag"
 ADVICE = f"an undamaged file; {RECOVER}"
-MAGIC = b"\x89MCAP0\r\n"
-"""First and last bytes of a file."""
-RECORD_HEAD = Struct("<BQ")
-"""Opcode, and length of what follows."""
-INDEX_HEAD = Struct("<BQHI")
-"""Head of a topic's index record: opcode, length, channel, length of the entries."""
+MAGIC = b"\x89MCAP0\r\n"  # first and last bytes of a file
+RECORD_HEAD = Struct("<BQ")  # opcode, and length of what follows
+INDEX_HEAD = Struct("<BQHI")  # head of a topic's index record: opcode, length, channel, length of the entries
 INDEX_ENTRY_SIZE = 16
 FOOTER = Struct("<BQQQI")
 """Head of the record, offset of the index, offset of its table of contents, checksum of the index."""
 OF_MESSAGES = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE}
 OF_DATA = OF_MESSAGES | {Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END}
 """Records between the header and the index."""
-MAY_BE_CHUNK = re.compile(rb"(?s)(?=\x06.{5}\x00{3})")
-"""Where a chunk of less than 2^40 bytes may begin."""
+MAY_BE_CHUNK = re.compile(rb"(?s)(?=\x06.{5}\x00{3})")  # where a chunk of less than 2^40 bytes may begin
 
 
 class Record(NamedTuple):
@@ -56,18 +52,11 @@ class Record(NamedTuple):
 
 
 class Damage(NamedTuple):
-    """A damaged place of a file.
+    """A damaged place of a file."""
 
-    Attributes:
-        offset: Where it begins [bytes].
-        size: Up to the next whole chunk, or to the end of the data [bytes].
-        what: What is wrong, a clause.
-
-    """
-
-    offset: int
-    size: int
-    what: str
+    offset: int  # where it begins [bytes]
+    size: int  # up to the next whole chunk, or to the end of the data [bytes]
+    what: str  # what is wrong, a clause
 
 
 NOT_MCAP = Damage(0, len(MAGIC), "the file does not begin as MCAP files do")
@@ -79,12 +68,7 @@ class _DamagedError(Exception):
 
 @contextmanager
 def mapped(path: Path) -> Iterator[mmap]:
-    """Map a file into memory.
-
-    Raises:
-        BagError: There is no regular file, it is empty, or it cannot be read.
-
-    """
+    """Map a file into memory. Raises BagError: there is no regular file, it is empty, or it cannot be read."""
     with ExitStack() as stack:
         try:
             if not path.is_file():
@@ -101,9 +85,7 @@ def mapped(path: Path) -> Iterator[mmap]:
 def checked_index(path: Path) -> list[McapRecord]:
     """Return the records of the index of a file; an empty list if the file has none.
 
-    Raises:
-        BagError: The file is not MCAP, its index is damaged, or it cannot be read.
-
+    Raises BagError: the file is not MCAP, its index is damaged, or it cannot be read.
     """
     with mapped(path) as data:
         index = read_index(data) if data[: len(MAGIC)] == MAGIC else NOT_MCAP
@@ -113,12 +95,7 @@ def checked_index(path: Path) -> list[McapRecord]:
 
 
 def first_damage(path: Path) -> Damage | None:
-    """Return the first damaged place of a file; None: the file is whole.
-
-    Raises:
-        BagError: The file cannot be read.
-
-    """
+    """Return the first damaged place of a file; None: the file is whole. Raises BagError: the file cannot be read."""
     with mapped(path) as data:
         index = read_index(data)
         return next((piece for piece in read_records(data) if isinstance(piece, Damage)), None) or (
@@ -191,12 +168,7 @@ def _index_begin(data: mmap | bytes) -> _IndexBegin | Damage:
 
 
 def records_of(data: bytes) -> Iterator[Record]:
-    """Yield successive records.
-
-    Raises:
-        ValueError: The last record runs beyond the end.
-
-    """
+    """Yield successive records. Raises ValueError: the last record runs beyond the end."""
     position = 0
     while position < len(data):
         content = position + RECORD_HEAD.size
@@ -250,10 +222,8 @@ def _read_record(data: mmap | bytes, position: int) -> tuple[int, list[Record], 
 def chunk_records(content: bytes) -> bytes:
     """Return the records of a chunk, decompressed; ``content``: the chunk's record without its head.
 
-    Raises:
-        ValueError: The compression is unknown, or sizes or the checksum differ from those that the chunk states.
-        McapError, RuntimeError, zstandard.ZstdError: The content is damaged.
-
+    Raises ValueError: the compression is unknown, or sizes or the checksum differ from those that the chunk states;
+    McapError, RuntimeError, zstandard.ZstdError: the content is damaged.
     """
     stream = ReadDataStream(BytesIO(content))
     chunk = Chunk.read(stream)

@@ -46,7 +46,6 @@ class Arm(ArmFile):
         return ArmEstimates(joints, EndpointEstimates.concatenate([part.endpoint for part in parts]), parts[0].chain)
 
     def __repr__(self) -> str:
-        """Return name, file and joints."""
         return f"<Arm {self.name} of {self.path}: {', '.join(self.calibrations)}>"
 
 

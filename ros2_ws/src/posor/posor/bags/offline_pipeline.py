@@ -34,9 +34,8 @@ if TYPE_CHECKING:
 def topics_of(bag: Path, joints: Mapping[str, JointSettings]) -> BagTopics:
     """Return the topics of a bag after checking them.
 
-    Raises:
-        BagError: The bag cannot be read, a joint has no scans or scans on several topics, or a topic has another type.
-
+    Raises BagError: the bag cannot be read, a joint has no scans or scans on several topics, or a topic has another
+    type.
     """
     where = str(bag)
     with opened_bag(bag) as reader:
@@ -82,14 +81,9 @@ def _topic(joint: str, connections: Sequence[Connection], where: str) -> str:
 def reprocess_bag(task: Task, progress: Callable[[int], object] = lambda _: None) -> Summary:
     """Estimate the joints and the endpoint of a recorded arm, and write the results.
 
-    Args:
-        task: Bag, settings and output.
-        progress: Called with the number of raw scans that have been processed since its last call.
-
-    Raises:
-        PosorError: The bag, a calibration, the chain or the output folder cannot be used. Then nothing exists under
-            the name of the output.
-
+    ``progress``: called with the number of raw scans that have been processed since its last call. Raises PosorError:
+    the bag, a calibration, the chain or the output folder cannot be used. Then nothing exists under the name of the
+    output.
     """
     wall, cpu = perf_counter(), process_time()
     estimator = ArmEstimator(task.settings)
@@ -116,14 +110,7 @@ def reprocess_bag(task: Task, progress: Callable[[int], object] = lambda _: None
 def estimate_bag(bag: Path, topics: BagTopics, estimator: ArmEstimator) -> Iterator[ArmEstimates]:
     """Yield the poses of all joints and of the endpoint, block after block of a bag.
 
-    Args:
-        bag: Folder or file.
-        topics: Its topics with the joints' raw scans.
-        estimator: Of the arm.
-
-    Raises:
-        BagError: The bag cannot be read.
-
+    ``topics``: its topics with the joints' raw scans. Raises BagError: the bag cannot be read.
     """
     for scans in read_recorded_scans(bag, topics):
         yield estimator.estimate_block(scans)
@@ -133,9 +120,7 @@ def estimate_bag(bag: Path, topics: BagTopics, estimator: ArmEstimator) -> Itera
 def read_recorded_scans(bag: Path, topics: BagTopics) -> Iterator[Mapping[str, Sequence[RecordedScans]]]:
     """Yield the raw scans of all joints, block after block; scans with different readings are in separate parts.
 
-    Raises:
-        BagError: The bag cannot be read.
-
+    Raises BagError: the bag cannot be read.
     """
     readers = {
         joint: TopicReader(number, topic, topics.schemas[joint], str(bag))

@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from posor.bags.reprocess_task import Settings
 
 SOFTWARE = "posor.software"
-FILES = ("urdf", "beams")
-"""Parameters of chain_node that name files."""
+FILES = ("urdf", "beams")  # parameters of chain_node that name files
 PENDING = "custom_data.json"
 """File beside a bag that is being written: the custom data of its metadata.yaml, which is written at the end."""
 
@@ -34,12 +33,8 @@ PENDING = "custom_data.json"
 def provenance_of(settings: Settings | None) -> dict[str, str]:
     """Return the version of the software and the hashes of the files of an arm, if any, as custom data of a bag.
 
-    A calibration has its content hash, which does not depend on layout and comments; other files their SHA-256.
-
-    Raises:
-        CalibrationError: A calibration is invalid.
-        BagError: A file cannot be read.
-
+    A calibration has its content hash, which does not depend on layout and comments; other files their SHA-256. Raises
+    CalibrationError: a calibration is invalid; BagError: a file cannot be read.
     """
     return {SOFTWARE: _software()} | {key: _hash(key, path) for key, path in _files(settings).items()}
 
@@ -47,14 +42,8 @@ def provenance_of(settings: Settings | None) -> dict[str, str]:
 def differences(recorded: Mapping[str, str], settings: Settings) -> tuple[str, ...]:
     """Return a sentence for each file, and for the software, that differs from what a bag was recorded with.
 
-    Args:
-        recorded: Custom data of the bag.
-        settings: With which it is processed; a joint or a file that the bag does not name is not compared.
-
-    Raises:
-        CalibrationError: A calibration is invalid.
-        BagError: A file cannot be read.
-
+    ``recorded``: custom data of the bag; ``settings``: with which it is processed; a joint or a file that the bag does
+    not name is not compared. Raises CalibrationError: a calibration is invalid; BagError: a file cannot be read.
     """
     used = {SOFTWARE: ("this software", _software())} if SOFTWARE in recorded else {}
     for key, path in _files(settings).items():

@@ -41,7 +41,6 @@ class Track:
     source: str  # bag and topic, for error messages
 
     def __post_init__(self) -> None:
-        """Refuse a track that cannot be interpolated."""
         if not len(self.stamps_ns):
             raise TrackError("holds no values", where=self.source)
         back = np.flatnonzero(np.diff(self.stamps_ns) <= 0)
@@ -104,9 +103,7 @@ class Recording:
     def find_track(self, topic: str, columns: int) -> Track:
         """Return the reference on a topic (empty: the only one of its kind) with ``columns`` SCALAR, POINT or POSE.
 
-        Raises:
-            TrackError: The reference is missing, ambiguous, or of another kind.
-
+        Raises TrackError: the reference is missing, ambiguous, or of another kind.
         """
         matching = [name for name, track in self.tracks.items() if track.values.shape[1] == columns]
         kind = _COLUMN_MEANING[columns]

@@ -34,30 +34,19 @@ if TYPE_CHECKING:
 
     from rosbags.interfaces import Connection
 
-MESSAGE = Struct("<HIQ")
-"""Head of a message: channel, sequence number, log time; the time of publication follows."""
+MESSAGE = Struct("<HIQ")  # head of a message: channel, sequence number, log time; the time of publication follows
 
 
 @dataclass
 class Rescue:
-    """What was found in one file.
+    """What was found in one file."""
 
-    Attributes:
-        path: The file.
-        messages: Number of messages that were rescued.
-        chunks: Number of whole chunks, and of whole messages outside of chunks.
-        unknown: Number of messages whose topic is not known, because its definition is damaged.
-        stated: Number of messages of the undamaged file; None: its index is lost.
-        damages: The damaged places.
-
-    """
-
-    path: Path
-    messages: int = 0
-    chunks: int = 0
-    unknown: int = 0
-    stated: int | None = None
-    damages: list[Damage] = field(default_factory=list)
+    path: Path  # the file
+    messages: int = 0  # number of messages that were rescued
+    chunks: int = 0  # number of whole chunks, and of whole messages outside of chunks
+    unknown: int = 0  # number of messages whose topic is not known, because its definition is damaged
+    stated: int | None = None  # number of messages of the undamaged file; None: its index is lost
+    damages: list[Damage] = field(default_factory=list)  # the damaged places
 
     def lines(self) -> list[str]:
         """Return what was rescued and what is lost, in sentences."""
@@ -111,20 +100,10 @@ def _parse_topics(definitions: Iterable[Schema | Channel]) -> list[Connection]:
 def recover(bag: Path, output: Path) -> list[Rescue]:
     """Write the whole chunks of a bag's MCAP files to a new bag.
 
-    Log time and bytes of each message are kept; its sequence number is not, and its time of publication becomes its
-    log time, as in every bag of the recorder.
-
-    Args:
-        bag: Folder, with or without metadata.yaml, or a single .mcap file.
-        output: Folder of the new bag; must not exist.
-
-    Returns:
-        What was found, by file.
-
-    Raises:
-        BagError: The bag has no MCAP file, no message can be rescued, or the output exists.
-        OutputError: The output cannot be written.
-
+    Log time and bytes of each message are kept; its sequence number is not, and its time of publication becomes its log
+    time, as in every bag of the recorder. ``bag``: folder, with or without metadata.yaml, or a single .mcap file;
+    ``output``: folder of the new bag; must not exist. Return what was found, by file. Raises BagError: the bag has no
+    MCAP file, no message can be rescued, or the output exists; OutputError: the output cannot be written.
     """
     if not bag.exists():
         raise BagError("does not exist", where=str(bag), expected="an MCAP file, or a folder of MCAP files")

@@ -100,11 +100,8 @@ def _run(options: argparse.Namespace) -> None:
 def tasks_of(options: argparse.Namespace) -> list[Task]:
     """Return the tasks of a parsed command line.
 
-    Raises:
-        ParameterError: Options contradict one another.
-        CalibrationError: The arm file is invalid.
-        NodeError: The arm file gives chain_node an invalid parameter.
-
+    Raises ParameterError: options contradict one another; CalibrationError: the arm file is invalid; NodeError: the arm
+    file gives chain_node an invalid parameter.
     """
     settings = _settings(options)
     names = [bag.resolve().stem if bag.is_file() else bag.resolve().name for bag in options.bags]

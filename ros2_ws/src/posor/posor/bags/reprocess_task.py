@@ -31,54 +31,32 @@ FORMATS: tuple[Format, ...] = ("bag", "parquet", "csv")
 
 @dataclass(frozen=True)
 class JointSettings:
-    """A joint's POSOR, as the parameters of its posor_node, and the topic of its scans.
+    """A joint's POSOR, as the parameters of its posor_node, and the topic of its scans."""
 
-    Attributes:
-        calibration: Path of the file.
-        session: Of the calibration; empty: none.
-        topic: Of the raw scans; empty: the only one of the bag that ends in ``/<joint>/raw``.
-        covariance: Part of the uncertainty in the transforms' covariances.
-        false_alarm: See ``Posor``.
-
-    """
-
-    calibration: Path
-    session: str = ""
-    topic: str = ""
-    covariance: CovarianceKind = "total"
-    false_alarm: float = 1e-3
+    calibration: Path  # path of the file
+    session: str = ""  # of the calibration; empty: none
+    topic: str = ""  # of the raw scans; empty: the only one of the bag that ends in ``/<joint>/raw``
+    covariance: CovarianceKind = "total"  # part of the uncertainty in the transforms' covariances
+    false_alarm: float = 1e-3  # see ``Posor``
 
     def load(self) -> Calibration:
         """Return the calibration with its session applied.
 
-        Raises:
-            CalibrationError: The file or the session is invalid.
-
+        Raises CalibrationError: the file or the session is invalid.
         """
         return load_calibration(self.calibration).for_session(self.session)
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings for all bags, as the parameters of the nodes in a live graph.
+    """Settings for all bags, as the parameters of the nodes in a live graph."""
 
-    Attributes:
-        joints: The POSORs, by joint.
-        chain: Parameters of chain_node; None: transforms only.
-
-    """
-
-    joints: Mapping[str, JointSettings]
-    chain: Mapping[str, ParameterValue] | None = None
+    joints: Mapping[str, JointSettings]  # the POSORs, by joint
+    chain: Mapping[str, ParameterValue] | None = None  # parameters of chain_node; None: transforms only
 
     @staticmethod
     def of_arm(arm: ArmFile) -> Settings:
-        """Return the settings of an arm file.
-
-        Raises:
-            NodeError: The arm file gives a node an invalid parameter.
-
-        """
+        """Return the settings of an arm file. Raises NodeError: the arm file gives a node an invalid parameter."""
         joints = {}
         for name, calibration in arm.calibrations.items():
             node = validate_parameters(PosorParameters, posor_parameters(arm, name), node=f"{name}/{POSOR_NODE}")
@@ -90,9 +68,7 @@ class Settings:
     def with_estimation(self, *, covariance: CovarianceKind | None, false_alarm: float | None) -> Settings:
         """Return the settings with other values of all joints; None: as they are.
 
-        Raises:
-            ParameterError: There is no such part of the uncertainty, or ``false_alarm`` is not a probability.
-
+        Raises ParameterError: there is no such part of the uncertainty, or ``false_alarm`` is not a probability.
         """
         changes: dict[str, Any] = {"covariance": covariance, "false_alarm": false_alarm}
         changes = {name: value for name, value in changes.items() if value is not None}
@@ -104,11 +80,8 @@ class Settings:
     def load_chain(self) -> tuple[Chain, ChainParameters] | None:
         """Return the kinematic chain and the parameters of chain_node; None without a chain.
 
-        Raises:
-            ChainError: The URDF is invalid.
-            CalibrationError: The beams file is invalid.
-            ParameterError: A parameter is invalid.
-
+        Raises ChainError: the URDF is invalid; CalibrationError: the beams file is invalid; ParameterError: a parameter
+        is invalid.
         """
         if self.chain is None:
             return None
@@ -119,22 +92,13 @@ class Settings:
 
 @dataclass(frozen=True)
 class BagTopics:
-    """The topics of a bag with raw scans, and how they were recorded.
+    """The topics of a bag with raw scans, and how they were recorded."""
 
-    Attributes:
-        raw: Topic of each joint's raw scans.
-        schemas: Of the raw scans, by joint, as the bag defines them.
-        left_out: Topics of raw scans of other joints.
-        offered: Quality of service with which the raw scans were recorded.
-        messages: Number of raw scans of the joints.
-
-    """
-
-    raw: Mapping[str, str]
-    schemas: Mapping[str, Schema]
-    left_out: tuple[str, ...]
-    offered: Sequence[Qos]
-    messages: int
+    raw: Mapping[str, str]  # topic of each joint's raw scans
+    schemas: Mapping[str, Schema]  # of the raw scans, by joint, as the bag defines them
+    left_out: tuple[str, ...]  # topics of raw scans of other joints
+    offered: Sequence[Qos]  # quality of service with which the raw scans were recorded
+    messages: int  # number of raw scans of the joints
 
     @property
     def transforms(self) -> dict[str, str]:
@@ -151,88 +115,49 @@ class BagTopics:
 
 @dataclass(frozen=True)
 class Task:
-    """One bag to reprocess.
+    """One bag to reprocess."""
 
-    Attributes:
-        bag: Folder or file.
-        settings: Of the estimation.
-        output: Folder for the results; None: only the summary is wanted.
-        format: Of the results.
-        force: Whether existing results may be replaced.
-        run: Identifies this call of the program among others that write into the same folder.
-
-    """
-
-    bag: Path
-    settings: Settings
-    output: Path | None = None
-    format: Format = "bag"
-    force: bool = False
-    run: str = ""
+    bag: Path  # folder or file
+    settings: Settings  # of the estimation
+    output: Path | None = None  # folder for the results; None: only the summary is wanted
+    format: Format = "bag"  # of the results
+    force: bool = False  # whether existing results may be replaced
+    run: str = ""  # identifies this call of the program among others that write into the same folder
 
 
 @dataclass(frozen=True)
 class JointSummary:
-    """Counts of a joint's scans.
+    """Counts of a joint's scans."""
 
-    Attributes:
-        scans: All scans.
-        lost: Scans without a pose.
-        faults: Lost scans by fault.
-        missing: Stamps of other joints for which this joint had no transform.
-        refused: Complete stamps without an endpoint because of this joint's transform.
-
-    """
-
-    scans: int
-    lost: int
-    faults: Mapping[str, int]
-    missing: int = 0
-    refused: int = 0
+    scans: int  # all scans
+    lost: int  # scans without a pose
+    faults: Mapping[str, int]  # lost scans by fault
+    missing: int = 0  # stamps of other joints for which this joint had no transform
+    refused: int = 0  # complete stamps without an endpoint because of this joint's transform
 
 
 @dataclass(frozen=True)
 class EndpointSummary:
-    """Counts of stamps.
+    """Counts of stamps."""
 
-    Attributes:
-        poses: Stamps with an endpoint.
-        degraded: Endpoints that depend on a DEGRADED joint.
-        refused: Complete stamps without an endpoint.
-        incomplete: Stamps that were given up because a joint was missing.
-
-    """
-
-    poses: int
-    degraded: int
-    refused: int
-    incomplete: int
+    poses: int  # stamps with an endpoint
+    degraded: int  # endpoints that depend on a DEGRADED joint
+    refused: int  # complete stamps without an endpoint
+    incomplete: int  # stamps that were given up because a joint was missing
 
 
 @dataclass(frozen=True)
 class Summary:
-    """Result of one bag.
+    """Result of one bag."""
 
-    Attributes:
-        bag: Folder or file.
-        output: Folder with the results; None: no output.
-        joints: By joint.
-        endpoint: None without a chain.
-        left_out: Topics of raw scans of other joints.
-        differences: Files that differ from those named by the bag, one sentence each.
-        wall_s: Elapsed time.
-        cpu_s: Processor time.
-
-    """
-
-    bag: Path
-    output: Path | None
-    joints: Mapping[str, JointSummary]
-    endpoint: EndpointSummary | None
-    left_out: tuple[str, ...] = ()
-    differences: tuple[str, ...] = ()
-    wall_s: float = 0.0
-    cpu_s: float = 0.0
+    bag: Path  # folder or file
+    output: Path | None  # folder with the results; None: no output
+    joints: Mapping[str, JointSummary]  # by joint
+    endpoint: EndpointSummary | None  # None without a chain
+    left_out: tuple[str, ...] = ()  # topics of raw scans of other joints
+    differences: tuple[str, ...] = ()  # files that differ from those named by the bag, one sentence each
+    wall_s: float = 0.0  # elapsed time
+    cpu_s: float = 0.0  # processor time
 
     @property
     def scans(self) -> int:

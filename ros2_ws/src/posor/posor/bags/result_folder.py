@@ -19,26 +19,18 @@ from posor.errors import OutputError
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-MARK = ".results.json"
-"""Name of the mark; readers of tables and bags ignore names that begin with a dot."""
-UNFINISHED = ".making-"
-"""Prefix of a folder with unfinished results; the name of the run follows."""
-NEW, FORMER = "new", "former"
-"""Folders in it with the new results, and with the results that they replace."""
+MARK = ".results.json"  # name of the mark; readers of tables and bags ignore names that begin with a dot
+UNFINISHED = ".making-"  # prefix of a folder with unfinished results; the name of the run follows
+NEW, FORMER = "new", "former"  # folders in it with the new results, and with the results that they replace
 
 
 @contextmanager
 def new_result_folder(output: Path, run: str, *, force: bool) -> Iterator[Path]:
     """Yield a folder that does not exist yet and that replaces ``output`` if the block ends without an error.
 
-    Args:
-        output: The place of the results.
-        run: Identifies the run; see ``clear_unfinished``.
-        force: Whether existing results may be replaced.
-
-    Raises:
-        OutputError: The place holds something that may not be replaced, or cannot be written.
-
+    ``output``: the place of the results; ``run``: identifies the run; see ``clear_unfinished``; ``force``: whether
+    existing results may be replaced. Raises OutputError: the place holds something that may not be replaced, or cannot
+    be written.
     """
     check_replaceable(output, force=force)
     with ExitStack() as stack:
@@ -67,9 +59,7 @@ def clear_unfinished(folder: Path, run: str) -> None:
 def check_replaceable(output: Path, *, force: bool) -> None:
     """Refuse a place for results that holds something else.
 
-    Raises:
-        OutputError: The place holds something that is not a result; or results, and ``force`` is false.
-
+    Raises OutputError: the place holds something that is not a result; or results, and ``force`` is false.
     """
     with writing(output):
         if not output.exists() and not output.is_symlink():
@@ -89,13 +79,8 @@ def check_replaceable(output: Path, *, force: bool) -> None:
 def prepare_outputs(folder: Path, names: Sequence[str]) -> None:
     """Create a folder, and remove the outputs of an earlier run from it; everything else stays.
 
-    Args:
-        folder: The folder.
-        names: Files and folders that the caller will write there.
-
-    Raises:
-        OutputError: The folder holds one of the names without a mark, or cannot be written.
-
+    ``names``: files and folders that the caller will write there. Raises OutputError: the folder holds one of the names
+    without a mark, or cannot be written.
     """
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -115,9 +100,7 @@ def prepare_outputs(folder: Path, names: Sequence[str]) -> None:
 def check_outside_of_bags(output: Path, bags: Sequence[Path]) -> None:
     """Refuse a place for results that would touch a bag to be read.
 
-    Raises:
-        OutputError: The place is one of the bags, holds one, or lies in one.
-
+    Raises OutputError: the place is one of the bags, holds one, or lies in one.
     """
     place = output.resolve()
     for bag in bags:

@@ -34,8 +34,7 @@ if TYPE_CHECKING:
     from posor.messages.estimate_arrays import ArmEstimates
 
 TableFormat = Literal["parquet", "csv"]
-CHUNK_BYTES = 4 << 20
-"""Approximate bytes of messages in a chunk."""
+CHUNK_BYTES = 4 << 20  # approximate bytes of messages in a chunk
 ENDPOINT_TOPICS = {
     ENDPOINT_TOPIC: POSE_STAMPED,
     ENDPOINT_COVARIANCE_TOPIC: POSE_WITH_COVARIANCE_STAMPED,
@@ -51,13 +50,8 @@ class BagOutput:
     ) -> None:
         """Create the bag.
 
-        Args:
-            folder: Does not exist yet.
-            topics: Of the raw scans; the transforms have the same quality of service.
-            estimator: Of the arm.
-            custom_data: Of the bag's metadata.
-            where: Names the bag in errors.
-
+        ``folder``: does not exist yet; ``topics``: of the raw scans; the transforms have the same quality of service;
+        ``custom_data``: of the bag's metadata; ``where``: names the bag in errors.
         """
         self._types = types = MessageTypes()
         self._writer = BagWriter(folder, custom_data, where)
@@ -125,12 +119,8 @@ class TableOutput:
     def __init__(self, folder: Path, kind: TableFormat, joints: Sequence[str], chain: Sequence[str] | None) -> None:
         """Create the files.
 
-        Args:
-            folder: Does not exist yet.
-            kind: Format of the files.
-            joints: Names of the joints.
-            chain: Names of the chain's joints; None: no chain.
-
+        ``folder``: does not exist yet; ``kind``: format of the files; ``joints``: names of the joints; ``chain``: names
+        of the chain's joints; None: no chain.
         """
         folder.mkdir()
         self._tables = {name: _Table(folder / f"{name}.{kind}", kind) for name in joints}

@@ -92,44 +92,29 @@ class ArmFileContent(FrozenModel):
 
 @dataclass(frozen=True)
 class ArmFile:
-    """An arm file with its paths resolved.
+    """An arm file with its paths resolved."""
 
-    Attributes:
-        path: The arm file.
-        name: The arm's name, also its ROS namespace.
-        urdf: Path of the URDF.
-        endpoint_frame: Link of the endpoint.
-        beams: Path of the beams file; None: straight and exact beams.
-        calibrations: Path of each joint's calibration file, in the order of the chain.
-        sessions: Session of each joint's calibration.
-        posor_parameters: ROS parameters of each joint's posor_node, besides calibration and session.
-        chain_parameters: ROS parameters of chain_node, besides the files named by the arm file.
-        parameter_locations: File, line and key of these parameters, by joint ('' for chain_node) and name.
-        driver: Source and parameters of the drivers.
-        scenario: Path of the simulator's scenario; None: no scenario.
-
-    """
-
-    path: Path
-    name: str
-    urdf: Path
-    endpoint_frame: str
-    beams: Path | None
-    calibrations: Mapping[str, Path]
-    sessions: Mapping[str, str]
+    path: Path  # the arm file
+    name: str  # the arm's name, also its ROS namespace
+    urdf: Path  # path of the URDF
+    endpoint_frame: str  # link of the endpoint
+    beams: Path | None  # path of the beams file; None: straight and exact beams
+    calibrations: Mapping[str, Path]  # path of each joint's calibration file, in the order of the chain
+    sessions: Mapping[str, str]  # session of each joint's calibration
+    # ROS parameters of each joint's posor_node, besides calibration and session
     posor_parameters: Mapping[str, Mapping[str, ParameterValue]]
+    # ROS parameters of chain_node, besides the files named by the arm file
     chain_parameters: Mapping[str, ParameterValue]
+    # File, line and key of these parameters, by joint ('' for chain_node) and name
     parameter_locations: Mapping[tuple[str, str], str]
-    driver: DriverFile
-    scenario: Path | None
+    driver: DriverFile  # source and parameters of the drivers
+    scenario: Path | None  # path of the simulator's scenario; None: no scenario
 
     def chain(self) -> Chain:
         """Return the arm's kinematic chain.
 
-        Raises:
-            ChainError: The URDF is invalid, or its POSOR joints differ from those of the arm file.
-            CalibrationError: The beams file is invalid.
-
+        Raises ChainError: the URDF is invalid, or its POSOR joints differ from those of the arm file; CalibrationError:
+        the beams file is invalid.
         """
         chain = load_chain(self.urdf, self.endpoint_frame, self.beams)
         joints = tuple(joint.name for joint in chain.joints)
@@ -140,21 +125,14 @@ class ArmFile:
         return chain
 
     def calibration(self, joint: str) -> Calibration:
-        """Return the calibration of a joint with its session applied.
-
-        Raises:
-            CalibrationError: The file is invalid.
-
-        """
+        """Return the calibration of a joint with its session applied. Raises CalibrationError: the file is invalid."""
         return load_calibration(self.calibrations[joint]).for_session(self.sessions[joint])
 
 
 def load_arm_file(path: Path) -> ArmFile:
     """Read an arm file, without opening the files that it names.
 
-    Raises:
-        CalibrationError: The file cannot be read, is not YAML, or has invalid content.
-
+    Raises CalibrationError: the file cannot be read, is not YAML, or has invalid content.
     """
     if path.is_dir() or not path.exists():
         raise CalibrationError(

@@ -33,32 +33,21 @@ BEAM = np.dtype(
 
 
 class ArmGeometry(NamedTuple):
-    """An arm of j joints and b beams, of which k are on the way to the endpoint.
+    """An arm of j joints and b beams, of which k are on the way to the endpoint."""
 
-    Attributes:
-        elements: Elements on the way, then one without joint and beam for the endpoint, (k + 1,) of ``ELEMENT``.
-        beams: (b,) of ``BEAM``.
-        joint_origins: Rotation of each joint's origin in its parent link, (j, 3, 3).
-        joint_positions: Each joint's origin in its parent link [m], (j, 3).
-        gravity: [m/s^2], (3,), axes of the base.
-
-    """
-
+    # Elements on the way, then one without joint and beam for the endpoint, (k + 1,) of ``ELEMENT``
     elements: RecordArray
-    beams: RecordArray
-    joint_origins: FloatArray
-    joint_positions: FloatArray
-    gravity: FloatArray
+    beams: RecordArray  # (b,) of ``BEAM``
+    joint_origins: FloatArray  # rotation of each joint's origin in its parent link, (j, 3, 3)
+    joint_positions: FloatArray  # each joint's origin in its parent link [m], (j, 3)
+    gravity: FloatArray  # [m/s^2], (3,), axes of the base
 
     @classmethod
     def from_model(cls, robot: RobotModel, beams: Sequence[MeasuringBeam], gravity: FloatArray) -> ArmGeometry:
         """Return the geometry of an arm.
 
-        Args:
-            robot: The model of its URDF.
-            beams: Its measuring beams, in the order of ``robot.freed``.
-            gravity: [m/s^2], (3,), axes of the base.
-
+        ``robot``: the model of its URDF; ``beams``: its measuring beams, in the order of ``robot.freed``; ``gravity``:
+        [m/s^2], (3,), axes of the base.
         """
         elements = []
         for index in robot.path():

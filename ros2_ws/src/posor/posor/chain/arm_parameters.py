@@ -19,9 +19,7 @@ CHAIN_NODE, POSOR_NODE = "chain_node", "posor_node"
 def chain_parameters(arm: ArmFile) -> dict[str, ParameterValue]:
     """Return the ROS parameters of an arm's chain_node.
 
-    Raises:
-        NodeError: The arm file gives chain_node an unknown parameter or an invalid value; names the line.
-
+    Raises NodeError: the arm file gives chain_node an unknown parameter or an invalid value; names the line.
     """
     parameters: dict[str, ParameterValue] = {"urdf": str(arm.urdf), "endpoint_frame": arm.endpoint_frame}
     if arm.beams is not None:
@@ -32,9 +30,7 @@ def chain_parameters(arm: ArmFile) -> dict[str, ParameterValue]:
 def posor_parameters(arm: ArmFile, joint: str) -> dict[str, ParameterValue]:
     """Return the ROS parameters of a joint's posor_node.
 
-    Raises:
-        NodeError: The arm file gives posor_node an unknown parameter or an invalid value; names the line.
-
+    Raises NodeError: the arm file gives posor_node an unknown parameter or an invalid value; names the line.
     """
     parameters = {"calibration": str(arm.calibrations[joint]), "session": arm.sessions[joint]}
     return _checked(arm, joint, PosorParameters, {**parameters, **arm.posor_parameters[joint]})

@@ -17,32 +17,22 @@ if TYPE_CHECKING:
 
 WINDOW = np.dtype([("length_ns", np.int64), ("begin", np.int64), ("end", np.int64)])
 """Length of the window [ns], and its scans: rows ``begin`` to ``end`` (exclusive) of a ``BeamHistory``."""
-MINIMUM_SCANS = 5
-"""With fewer scans the noise of the readings dominates the acceleration."""
-INITIAL_CAPACITY = 256
-"""Scans that a new history can hold."""
+MINIMUM_SCANS = 5  # with fewer scans the noise of the readings dominates the acceleration
+INITIAL_CAPACITY = 256  # scans that a new history can hold
 
 
 class BeamHistory(NamedTuple):
     """Where b beams have been in the last scans, and their accelerations.
 
     A stamp that goes back, or that is later than the last one by more than the window, empties the history.
-
-    Attributes:
-        window: (1,) of ``WINDOW``.
-        stamps_ns: Times of past scans, (capacity,).
-        past_centres: Centres of the beams then [m], (capacity, 3 b), axes of the base.
-        centres: Centres in the present scan [m], (3 b,).
-        accelerations: [m/s^2], (3 b,), axes of the base.
-        transforms: Plates at the beams' ends in the plates at their starts in the present scan, (b, 7), as poses.
-
     """
 
-    window: RecordArray
-    stamps_ns: IntArray
-    past_centres: FloatArray
-    centres: FloatArray
-    accelerations: FloatArray
+    window: RecordArray  # (1,) of ``WINDOW``
+    stamps_ns: IntArray  # times of past scans, (capacity,)
+    past_centres: FloatArray  # centres of the beams then [m], (capacity, 3 b), axes of the base
+    centres: FloatArray  # centres in the present scan [m], (3 b,)
+    accelerations: FloatArray  # [m/s^2], (3 b,), axes of the base
+    # Plates at the beams' ends in the plates at their starts in the present scan, (b, 7), as poses
     transforms: FloatArray
 
     @classmethod

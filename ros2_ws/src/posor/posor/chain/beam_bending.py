@@ -92,15 +92,9 @@ def on_gimbals(
 ) -> BentBeam:
     """Return the shape of a beam on two hinged supports, measured from the line through the supports.
 
-    This is a measuring beam on its gimbals (thesis 6.2.1), loaded by its own weight and its end plates.
-
-    Args:
-        length: Length of the beam [m].
-        bending_stiffness: E I [N m^2].
-        load: Uniform load per length [N/m].
-        forces: Point forces.
-        gimbals: Distances of the two supports from the beam's start [m], the nearer first.
-
+    This is a measuring beam on its gimbals (thesis 6.2.1), loaded by its own weight and its end plates. ``length``:
+    length of the beam [m]; ``bending_stiffness``: E I [N m^2]; ``load``: uniform load per length [N/m]; ``forces``:
+    point forces; ``gimbals``: distances of the two supports from the beam's start [m], the nearer first.
     """
     near, far = gimbals
     total = load * length + math.fsum(each.force for each in forces)
@@ -121,15 +115,9 @@ def cantilever(
 ) -> BentBeam:
     """Return the shape of a beam that is clamped at its start, measured from its direction there.
 
-    This is a structural link between two joints.
-
-    Args:
-        length: Length of the beam [m].
-        bending_stiffness: E I [N m^2].
-        load: Uniform load per length [N/m].
-        tip_force: Along y at the end [N].
-        tip_moment: At the end [N m], positive where it makes the slope positive.
-
+    This is a structural link between two joints. ``length``: length of the beam [m]; ``bending_stiffness``: E I
+    [N m^2]; ``load``: uniform load per length [N/m]; ``tip_force``: along y at the end [N]; ``tip_moment``: at the end
+    [N m], positive where it makes the slope positive.
     """
     shear = -(load * length + tip_force)
     moment = 0.5 * load * length**2 + tip_force * length + tip_moment

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 FILE_KIND = "beams file"
 VERSION = 2
 FORMER_VERSIONS = (1,)
-STANDARD_GRAVITY = 9.80665
-"""[m/s^2] (ISO 80000-3)."""
+STANDARD_GRAVITY = 9.80665  # [m/s^2] (ISO 80000-3)
 
 
 class TubeFile(FrozenModel):
@@ -156,9 +155,7 @@ class BeamsFile(FrozenModel):
 def load_beams(path: Path) -> BeamsFile:
     """Read and validate a beams file (YAML, SI).
 
-    Raises:
-        CalibrationError: The file cannot be read, is not YAML, or has invalid content.
-
+    Raises CalibrationError: the file cannot be read, is not YAML, or has invalid content.
     """
     keys = "format, version, name, provenance, beams"
     text, versions = read_text(path, FILE_KIND), (*FORMER_VERSIONS, VERSION)

@@ -63,13 +63,9 @@ class EndpointEstimator:
     ) -> None:
         """Allocate all arrays.
 
-        Args:
-            arm: The arm.
-            joints: Names of its joints.
-            acceleration_window: Time over which the accelerations of the beams are estimated [s]; zero: they are those
-                in ``accelerations``, at first zero.
-            row_layouts: Layouts of the joints' rows, for ``estimate_rows``.
-
+        ``joints``: names of its joints; ``acceleration_window``: time over which the accelerations of the beams are
+        estimated [s]; zero: they are those in ``accelerations``, at first zero; ``row_layouts``: layouts of the joints'
+        rows, for ``estimate_rows``.
         """
         self.joints = joints
         self._arm = arm
@@ -94,9 +90,7 @@ class EndpointEstimator:
     def set_measurements(self, measured: Mapping[str, MeasuredJoint]) -> None:
         """Fill ``poses`` and ``covariances`` with measurements by joint name.
 
-        Raises:
-            ChainError: The measurement of a joint is missing.
-
+        Raises ChainError: the measurement of a joint is missing.
         """
         for number, name in enumerate(self.joints):
             if name not in measured:
@@ -111,9 +105,7 @@ class EndpointEstimator:
     def estimate(self, stamp_ns: int = 0) -> bool:
         """Estimate the endpoint from ``poses``, ``covariances`` and ``thetas``; return whether there is one.
 
-        Args:
-            stamp_ns: Time of the scan, for the accelerations of the beams. If time goes back, their history is emptied.
-
+        ``stamp_ns``: time of the scan, for the accelerations of the beams. If time goes back, their history is emptied.
         """
         self._stamp_ns[0] = stamp_ns
         while self._estimate(*self._arguments) == 0:
@@ -136,17 +128,10 @@ class EndpointEstimator:
     ) -> Endpoints:
         """Return the endpoints of n scans, bit for bit as ``estimate`` gives them one after the other.
 
-        Of the attributes only ``accelerations`` are used.
-
-        Args:
-            poses: (n, j, 7), as the attribute.
-            covariances: (n, j, 6, 6), as the attribute.
-            stamps_ns: Times of the scans, (n,); required with an acceleration window.
-            thetas: (n, j), as the attribute; None: turns are not counted.
-
-        Raises:
-            ChainError: An array has the wrong shape, or there is an acceleration window but no stamps.
-
+        Of the attributes only ``accelerations`` are used. ``poses``: (n, j, 7), as the attribute; ``covariances``:
+        (n, j, 6, 6), as the attribute; ``stamps_ns``: times of the scans, (n,); required with an acceleration window;
+        ``thetas``: (n, j), as the attribute; None: turns are not counted. Raises ChainError: an array has the wrong
+        shape, or there is an acceleration window but no stamps.
         """
         count, joints = len(poses), len(self.joints)
         if stamps_ns is None:

@@ -47,20 +47,12 @@ IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 class Endpoints(NamedTuple):
-    """Endpoints of n scans of an arm of j joints; all numbers of a scan are NaN where a joint has a fault.
+    """Endpoints of n scans of an arm of j joints; all numbers of a scan are NaN where a joint has a fault."""
 
-    Attributes:
-        poses: Endpoint in the chain's base frame, (n, 7): x, y, z [m], unit quaternion x, y, z, w.
-        covariances: (n, 6, 6), as ``Endpoint.covariance``.
-        angles: Joint angles about the nominal axes [rad], (n, j).
-        faults: (n, j): zero, or a key of ``joint_measurements.FAULT_TEXTS``.
-
-    """
-
-    poses: FloatArray
-    covariances: FloatArray
-    angles: FloatArray
-    faults: IntArray
+    poses: FloatArray  # endpoint in the chain's base frame, (n, 7): x, y, z [m], unit quaternion x, y, z, w
+    covariances: FloatArray  # (n, 6, 6), as ``Endpoint.covariance``
+    angles: FloatArray  # joint angles about the nominal axes [rad], (n, j)
+    faults: IntArray  # (n, j): zero, or a key of ``joint_measurements.FAULT_TEXTS``
 
     @classmethod
     def allocate(cls, scans: int, joints: int) -> Endpoints:
@@ -107,14 +99,9 @@ def compute_endpoint(
 ) -> None:
     """Compute pose and covariance of the endpoint.
 
-    Args:
-        arm: The arm.
-        history: ``accelerations`` are read, ``centres`` and ``transforms`` are written.
-        poses: Of the joints in this scan, (j, 7).
-        covariances: Of the joints in this scan, (j, 6, 6).
-        endpoint: Pose to write, (7,), in the base.
-        endpoint_covariance: Covariance to write, (6, 6), ROS order, axes of the base.
-
+    ``history``: ``accelerations`` are read, ``centres`` and ``transforms`` are written; ``poses``: of the joints in
+    this scan, (j, 7); ``covariances``: of the joints in this scan, (j, 6, 6); ``endpoint``: pose to write, (7,), in the
+    base; ``endpoint_covariance``: covariance to write, (6, 6), ROS order, axes of the base.
     """
     # ``unbent`` is the rotation if no beam before sagged: gravity across a beam needs it to first order only.
     rotation = unbent = IDENTITY
@@ -157,12 +144,9 @@ def compute_endpoint(
 def joint_angle(pose: FloatArray, origin: FloatArray, theta: float) -> float:
     """Return the angle of a joint about its nominal axis [rad]: the heading of the target's Y axis about that axis.
 
-    Args:
-        pose: Target plate in receiving plate, (7,).
-        origin: Rotation of the joint's origin in the receiving plate, (3, 3).
-        theta: Counted heading about Z of the receiving plate [rad], which gives the number of turns; NaN: not counted,
-            the angle is in (-pi, pi].
-
+    ``pose``: target plate in receiving plate, (7,); ``origin``: rotation of the joint's origin in the receiving plate,
+    (3, 3); ``theta``: counted heading about Z of the receiving plate [rad], which gives the number of turns; NaN: not
+    counted, the angle is in (-pi, pi].
     """
     turn = rotation_of_pose(pose)
     heading = turn[0][1], turn[1][1], turn[2][1]
@@ -179,10 +163,7 @@ def estimate_endpoints(
     """Write the endpoints of the scans from ``begin`` on.
 
     A scan with an unusable joint gets NaN and the fault of the joint, and does not enter the history of the beams.
-
-    Returns:
-        The number of scans when all are done; else the scan for which ``history`` must be enlarged.
-
+    Return the number of scans when all are done; else the scan for which ``history`` must be enlarged.
     """
     moving = history.window[0]["length_ns"] > 0
     count: int = measurements.stamps_ns.shape[0]
@@ -221,9 +202,7 @@ def estimate_endpoint_of_rows(
 ) -> int:
     """Read the joints of one scan from serialised rows into ``measurements`` and write its endpoint.
 
-    Returns:
-        The worst state of the joints, ``UNUSABLE`` or ``HISTORY_FULL``. Faults are zero where a state is the reason.
-
+    Return the worst state of the joints, ``UNUSABLE`` or ``HISTORY_FULL``. Faults are zero where a state is the reason.
     """
     worst = 0
     for j in range(rows.numbers.shape[0]):

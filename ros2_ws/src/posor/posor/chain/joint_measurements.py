@@ -28,7 +28,7 @@ MAX_VARIANCE = 100.0
 """Largest variance of a measurement [m^2], [rad^2]; a greater variance is useless and may overflow along the arm."""
 POSE_NOT_FINITE, QUATERNION_NOT_UNIT, COVARIANCE_NOT_FINITE, NATIVE_DISAGREES, POSE_TOO_FAR = 1, 2, 3, 4, 5
 VARIANCE_TOO_LARGE, COVARIANCE_NOT_SYMMETRIC, COVARIANCE_NOT_POSITIVE, ENDPOINT_NOT_FINITE = 6, 7, 8, 9
-FAULT_TEXTS = {
+FAULT_TEXTS = {  # why a joint's measurement cannot be used, by its fault in ``Endpoints.faults``
     POSE_NOT_FINITE: "has a pose that is not finite",
     QUATERNION_NOT_UNIT: "has an orientation that is not a unit quaternion",
     COVARIANCE_NOT_FINITE: "has a covariance that is not finite",
@@ -39,15 +39,12 @@ FAULT_TEXTS = {
     COVARIANCE_NOT_POSITIVE: "has a covariance that is not positive semi-definite",
     ENDPOINT_NOT_FINITE: "gives an endpoint that is not finite",
 }
-"""Why a joint's measurement cannot be used, by its fault in ``Endpoints.faults``."""
-UNIT_QUATERNION_TOLERANCE = 1e-6
-"""Largest difference of a quaternion's length from one."""
+UNIT_QUATERNION_TOLERANCE = 1e-6  # largest difference of a quaternion's length from one
 NATIVE_TOLERANCE = 1e-8
 """Largest difference of native angles from the pose [rad]; x, y and gap are equal. Damage to one shows in the other."""
 SYMMETRY_TOLERANCE = 1e-6
 """Largest difference of two opposite elements of a covariance, relative to the two standard deviations."""
-PIVOT_TOLERANCE = 1e-9
-"""Part of a variance that counts as rounding in the test for a positive semi-definite covariance."""
+PIVOT_TOLERANCE = 1e-9  # part of a variance that counts as rounding in the test for a positive semi-definite covariance
 LARGEST_FLOAT = sys.float_info.max
 
 ROW_LAYOUT = np.dtype([("pose", np.int64), ("native", np.int64), ("covariance", np.int64), ("state", np.int64)])
@@ -56,33 +53,20 @@ ROW_LAYOUT = np.dtype([("pose", np.int64), ("native", np.int64), ("covariance", 
 
 @dataclass(frozen=True)
 class MeasuredJoint:
-    """Measurement of one POSOR.
+    """Measurement of one POSOR."""
 
-    Attributes:
-        T_parent_child: Pose of the target plate in the receiving plate.
-        covariance: (6, 6) of x, y, z [m], about X, Y, Z [rad], axes of the parent (as ``posor_msgs/JointTransform``).
-
-    """
-
-    T_parent_child: pin.SE3
+    T_parent_child: pin.SE3  # pose of the target plate in the receiving plate
+    # (6, 6) of x, y, z [m], about X, Y, Z [rad], axes of the parent (as ``posor_msgs/JointTransform``)
     covariance: FloatArray
 
 
 class JointMeasurements(NamedTuple):
-    """Measurements of all j joints in n scans.
+    """Measurements of all j joints in n scans."""
 
-    Attributes:
-        stamps_ns: Times of the scans, (n,).
-        poses: Target plate in receiving plate, (n, j, 7): x, y, z [m], unit quaternion x, y, z, w.
-        covariances: As ``MeasuredJoint.covariance``, (n, j, 6, 6).
-        thetas: Counted large rotations [rad], (n, j); NaN: not counted; infinite: see NATIVE_DISAGREES.
-
-    """
-
-    stamps_ns: IntArray
-    poses: FloatArray
-    covariances: FloatArray
-    thetas: FloatArray
+    stamps_ns: IntArray  # times of the scans, (n,)
+    poses: FloatArray  # target plate in receiving plate, (n, j, 7): x, y, z [m], unit quaternion x, y, z, w
+    covariances: FloatArray  # as ``MeasuredJoint.covariance``, (n, j, 6, 6)
+    thetas: FloatArray  # counted large rotations [rad], (n, j); NaN: not counted; infinite: see NATIVE_DISAGREES
 
     @classmethod
     def allocate(cls, scans: int, joints: int) -> JointMeasurements:
@@ -96,30 +80,19 @@ class JointMeasurements(NamedTuple):
 
 @dataclass(frozen=True)
 class JointRowLayout:
-    """Byte offsets of the fields of a serialised joint measurement.
+    """Byte offsets of the fields of a serialised joint measurement."""
 
-    Attributes:
-        pose: x, y, z [m] and the quaternion x, y, z, w, each a float of 8 bytes; a multiple of 8.
-        native: Six native coordinates, of which the counted large rotation [rad] is the last, likewise.
-        covariance: 36 numbers, row by row, likewise.
-        state: ``State``, one byte.
-        size: Length of the row.
-
-    """
-
-    pose: int
-    native: int
-    covariance: int
-    state: int
-    size: int
+    pose: int  # x, y, z [m] and the quaternion x, y, z, w, each a float of 8 bytes; a multiple of 8
+    native: int  # six native coordinates, of which the counted large rotation [rad] is the last, likewise
+    covariance: int  # 36 numbers, row by row, likewise
+    state: int  # ``State``, one byte
+    size: int  # length of the row
 
     @property
     def record(self) -> RecordArray:
         """The layout for the kernels, (1,) of ``ROW_LAYOUT``.
 
-        Raises:
-            ValueError: The offset of a number is not a multiple of 8.
-
+        Raises ValueError: the offset of a number is not a multiple of 8.
         """
         if any(offset % 8 for offset in (self.pose, self.native, self.covariance)):
             message = f"{self}: expected offsets of numbers that are multiples of 8"
@@ -128,18 +101,11 @@ class JointRowLayout:
 
 
 class JointRows(NamedTuple):
-    """Serialised measurements of one scan, one row for each joint.
+    """Serialised measurements of one scan, one row for each joint."""
 
-    Attributes:
-        layouts: Where each row holds its fields, (j,) of ``ROW_LAYOUT``.
-        numbers: The rows as 8-byte floats, (j, w).
-        octets: The same memory as bytes, (j, 8 w).
-
-    """
-
-    layouts: RecordArray
-    numbers: FloatArray
-    octets: ByteArray
+    layouts: RecordArray  # where each row holds its fields, (j,) of ``ROW_LAYOUT``
+    numbers: FloatArray  # the rows as 8-byte floats, (j, w)
+    octets: ByteArray  # the same memory as bytes, (j, 8 w)
 
     @classmethod
     def allocate(cls, layouts: Sequence[JointRowLayout]) -> JointRows:
@@ -199,13 +165,9 @@ def measurement_fault(
 ) -> int:
     """Return what is wrong with the measurement of a joint: a key of ``FAULT_TEXTS``, or zero.
 
-    Args:
-        pose: Target plate in receiving plate, (7,).
-        covariance: (6, 6).
-        theta: As in ``JointMeasurements.thetas``.
-        origin: Of the nominal joint in the receiving plate [m], (3,).
-        scratch: (6, 6), is written.
-
+    ``pose``: target plate in receiving plate, (7,); ``covariance``: (6, 6); ``theta``: as in
+    ``JointMeasurements.thetas``; ``origin``: of the nominal joint in the receiving plate [m], (3,); ``scratch``:
+    (6, 6), is written.
     """
     for i in range(7):
         if not math.isfinite(pose[i]):
@@ -240,9 +202,7 @@ def native_agrees(native: FloatArray, pose: FloatArray) -> bool:
 def read_row(layouts: RecordArray, joint: int, numbers: FloatArray, pose: FloatArray, covariance: FloatArray) -> float:
     """Copy a row of numbers (w,) into ``pose`` (7,) and ``covariance`` (6, 6).
 
-    Returns:
-        Theta; infinite where the native coordinates do not agree with the pose.
-
+    Return theta; infinite where the native coordinates do not agree with the pose.
     """
     layout = layouts[joint]
     first_of_pose, first_of_covariance, first_of_native = layout["pose"], layout["covariance"], layout["native"]

@@ -33,33 +33,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Endpoint:
-    """The endpoint in the chain's base frame.
+    """The endpoint in the chain's base frame."""
 
-    Attributes:
-        T_base_endpoint: Its pose.
-        covariance: (6, 6) of x, y, z [m], about X, Y, Z [rad], axes of the base frame, the small turn applied on the
-            base's side at the endpoint (ROS order, REP-103).
-
-    """
-
-    T_base_endpoint: pin.SE3
+    T_base_endpoint: pin.SE3  # its pose
+    # (6, 6) of x, y, z [m], about X, Y, Z [rad], axes of the base frame, the small turn applied on the base's side at
+    # the endpoint (ROS order, REP-103)
     covariance: FloatArray
 
 
 @dataclass(frozen=True)
 class FixedLink:
-    """Connection of two POSORs: from the target plate of one (or the base) to the receiving plate of the next.
+    """Connection of two POSORs: from the target plate of one (or the base) to the receiving plate of the next."""
 
-    Attributes:
-        before: From that plate to the start of the beam.
-        beam: The measuring beam; None: not in the beams file, straight and exact.
-        after: From the end of the beam to the next plate, or to the endpoint.
-
-    """
-
-    before: pin.SE3
-    beam: MeasuringBeam | None
-    after: pin.SE3
+    before: pin.SE3  # from that plate to the start of the beam
+    beam: MeasuringBeam | None  # the measuring beam; None: not in the beams file, straight and exact
+    after: pin.SE3  # from the end of the beam to the next plate, or to the endpoint
 
     @property
     def T_nominal(self) -> pin.SE3:
@@ -92,17 +80,10 @@ class Chain:
     ) -> None:
         """Build the chain.
 
-        Args:
-            urdf: The robot description (XML text).
-            endpoint_frame: Link of the endpoint.
-            beams: Content of the beams file; None: all beams are straight and exact.
-            source: Name of the URDF in errors, such as its path.
-            beams_source: Name of the beams file in errors.
-
-        Raises:
-            ChainError: The URDF is invalid, has no floating joint, a moving joint of another type, or not this link; a
-                beam is not a fixed joint of the URDF, or its gimbals or plates are beyond its ends.
-
+        ``endpoint_frame``: link of the endpoint; ``beams``: content of the beams file; None: all beams are straight and
+        exact; ``source``: name of the URDF in errors, such as its path; ``beams_source``: name of the beams file in
+        errors. Raises ChainError: the URDF is invalid, has no floating joint, a moving joint of another type, or not
+        this link; a beam is not a fixed joint of the URDF, or its gimbals or plates are beyond its ends.
         """
         entries = [] if beams is None else beams.beams
         self._robot = RobotModel(urdf, endpoint_frame, (beam.joint for beam in entries), source)
@@ -155,9 +136,7 @@ class Chain:
     def nominal_endpoint(self, angles: Mapping[str, float]) -> pin.SE3:
         """Return the endpoint without bending, sag and error motions, as from encoders alone.
 
-        Args:
-            angles: The angle of each joint [rad].
-
+        ``angles``: the angle of each joint [rad].
         """
         pose = self.links[0].T_nominal
         names = [joint.name for joint in self.joints if joint.index in self._robot.path()]
@@ -170,13 +149,9 @@ class Chain:
     ) -> Endpoint:
         """Return pose and covariance of the endpoint, corrected for the sag of the beams.
 
-        Args:
-            measured: Measurement of each floating joint, by joint name. Joints are taken as independent.
-            accelerations: Accelerations of beams [m/s^2], (3,), axes of the base, by name; a beam without is at rest.
-
-        Raises:
-            ChainError: The measurement of a joint is missing or invalid.
-
+        ``measured``: measurement of each floating joint, by joint name. Joints are taken as independent;
+        ``accelerations``: accelerations of beams [m/s^2], (3,), axes of the base, by name; a beam without is at rest.
+        Raises ChainError: the measurement of a joint is missing or invalid.
         """
         estimator, estimator.accelerations[:] = self._estimator, 0.0
         for beam, row in zip(self.beams, estimator.accelerations, strict=True):
@@ -202,11 +177,9 @@ class Chain:
     ) -> EndpointEstimator:
         """Return a new estimator of this arm, for scans at servo rate or recorded scans.
 
-        Args:
-            acceleration_window: Time over which the accelerations of the beams are estimated [s], see
-                ``chain.beam_acceleration``; zero: the beams are at rest.
-            row_layouts: Layouts of the joints' serialised measurements, for ``EndpointEstimator.estimate_rows``.
-
+        ``acceleration_window``: time over which the accelerations of the beams are estimated [s], see
+        ``chain.beam_acceleration``; zero: the beams are at rest; ``row_layouts``: layouts of the joints' serialised
+        measurements, for ``EndpointEstimator.estimate_rows``.
         """
         names = tuple(joint.name for joint in self.joints)
         return EndpointEstimator(self._geometry, names, acceleration_window, row_layouts)
@@ -215,10 +188,7 @@ class Chain:
 def load_chain(urdf: Path, endpoint_frame: str, beams: Path | None = None) -> Chain:
     """Return the chain of a URDF file and a beams file.
 
-    Raises:
-        ChainError: The URDF is invalid, or the beams do not match it.
-        CalibrationError: The beams file is invalid.
-
+    Raises ChainError: the URDF is invalid, or the beams do not match it; CalibrationError: the beams file is invalid.
     """
     try:
         text = read_input_text(urdf)

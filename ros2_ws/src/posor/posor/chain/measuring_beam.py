@@ -41,14 +41,8 @@ class MeasuringBeam:
     def __init__(self, entry: BeamFile, T_start_end: pin.SE3, source: str) -> None:
         """Create the beam from its entries in the beams file and in the URDF.
 
-        Args:
-            entry: Its entry in the beams file.
-            T_start_end: Origin of its fixed joint.
-            source: Name of the beams file in errors.
-
-        Raises:
-            ChainError: A gimbal or plate is beyond the ends of the beam.
-
+        ``entry``: its entry in the beams file; ``T_start_end``: origin of its fixed joint; ``source``: name of the
+        beams file in errors. Raises ChainError: a gimbal or plate is beyond the ends of the beam.
         """
         self.name = entry.joint
         self.T_start_end = T_start_end

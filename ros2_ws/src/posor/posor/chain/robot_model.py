@@ -28,24 +28,14 @@ class FixedTransform(NamedTuple):
 
 @dataclass(frozen=True)
 class FreeJoint:
-    """A floating joint of the model.
+    """A floating joint of the model."""
 
-    Attributes:
-        name: Of the joint.
-        parent: Link that it starts from.
-        child: Link that moves with it.
-        index: Of the joint in the model.
-        T_parent_joint: The joint's origin, in its parent link.
-        T_before_parent: The parent link in the joint before, or in the base.
-
-    """
-
-    name: str
-    parent: str
-    child: str
-    index: int
-    T_parent_joint: pin.SE3
-    T_before_parent: pin.SE3
+    name: str  # of the joint
+    parent: str  # link that it starts from
+    child: str  # link that moves with it
+    index: int  # of the joint in the model
+    T_parent_joint: pin.SE3  # the joint's origin, in its parent link
+    T_before_parent: pin.SE3  # the parent link in the joint before, or in the base
 
 
 class RobotModel:
@@ -65,15 +55,9 @@ class RobotModel:
     def __init__(self, urdf: str, endpoint_frame: str, freed: Iterable[str], source: str) -> None:
         """Build the model.
 
-        Args:
-            urdf: The robot description (XML text).
-            endpoint_frame: Link of the endpoint.
-            freed: Names of fixed joints to convert to floating joints, because they are not exact.
-            source: Name of the URDF in errors.
-
-        Raises:
-            ChainError: The URDF is invalid, or not an arm of POSORs.
-
+        ``endpoint_frame``: link of the endpoint; ``freed``: names of fixed joints to convert to floating joints,
+        because they are not exact; ``source``: name of the URDF in errors. Raises ChainError: the URDF is invalid, or
+        not an arm of POSORs.
         """
         names = tuple(freed)
         root = _parse(urdf, source)

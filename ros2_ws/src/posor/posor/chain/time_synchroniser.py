@@ -22,32 +22,21 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import BoolArray, IntArray
 
 Item = TypeVar("Item")
-Key: TypeAlias = tuple[int, int]
-"""Epoch and stamp."""
+Key: TypeAlias = tuple[int, int]  # epoch and stamp
 
-MAX_OPEN_SCANS = 64
-"""Default number of scans that may be incomplete at the same time; then the oldest is closed."""
+MAX_OPEN_SCANS = 64  # default number of scans that may be incomplete at the same time; then the oldest is closed
 _FIRST_STAMP, _LAST_STAMP = -(2**63), 2**63 - 1
 
 
 @dataclass(slots=True)
 class _Member:
-    """State of one member.
+    """State of one member."""
 
-    Attributes:
-        epoch: Which epoch its items belong to.
-        items_behind: Items since another member began a new epoch.
-        previous: Its last stamp but one.
-        latest: Its last stamp.
-        limit: If it has begun the present epoch: its last stamp of the epoch before.
-
-    """
-
-    epoch: int = 0
-    items_behind: int = 0
-    previous: int = _FIRST_STAMP
-    latest: int = _FIRST_STAMP
-    limit: int = _LAST_STAMP
+    epoch: int = 0  # which epoch its items belong to
+    items_behind: int = 0  # items since another member began a new epoch
+    previous: int = _FIRST_STAMP  # its last stamp but one
+    latest: int = _FIRST_STAMP  # its last stamp
+    limit: int = _LAST_STAMP  # if it has begun the present epoch: its last stamp of the epoch before
 
     def restart(self) -> None:
         """Forget all stamps."""
@@ -85,11 +74,8 @@ class TimeSynchroniser(Generic[Item]):
     def __init__(self, members: tuple[str, ...], max_open: float = MAX_OPEN_SCANS, max_wait: float = inf) -> None:
         """Synchronise items of these members.
 
-        Args:
-            members: Their names.
-            max_open: Number of scans that may be incomplete at the same time.
-            max_wait: Longest time from the first item of a scan to the last.
-
+        ``max_open``: number of scans that may be incomplete at the same time; ``max_wait``: longest time from the first
+        item of a scan to the last.
         """
         self._members = {member: _Member() for member in members}
         self._max_open = max_open
@@ -103,14 +89,9 @@ class TimeSynchroniser(Generic[Item]):
     def add(self, member: str, stamp: int, item: Item, arrived: float) -> dict[str, Item] | None:
         """Add one item; return the complete scan of its stamp, or None while members are missing.
 
-        Items of a scan that is complete or closed, or older, are dropped.
-
-        Args:
-            member: Name of the sender.
-            stamp: Of the scan.
-            item: To be returned with the scan.
-            arrived: Monotonic time of arrival, for ``max_wait`` and ``close_before``.
-
+        Items of a scan that is complete or closed, or older, are dropped. ``member``: name of the sender; ``stamp``: of
+        the scan; ``item``: to be returned with the scan; ``arrived``: monotonic time of arrival, for ``max_wait`` and
+        ``close_before``.
         """
         own = self._members[member]
         if own.epoch != self._epoch or not own.latest <= stamp <= own.limit:
@@ -195,34 +176,20 @@ class TimeSynchroniser(Generic[Item]):
 
 @dataclass(frozen=True)
 class SynchronisedStamps:
-    """Result of ``synchronise_stamps`` for j members.
+    """Result of ``synchronise_stamps`` for j members."""
 
-    Attributes:
-        stamps: Stamps of the complete scans, (n,).
-        index: Index of each of them in the stamps of each member, (n, j).
-        incomplete: Stamps before the last complete one that a member lacks, (m,).
-        missing: Which members lack them, (m, j).
-        first_open: Index of the first stamp after the last complete one, for each member, (j,).
-
-    """
-
-    stamps: IntArray
-    index: IntArray
-    incomplete: IntArray
-    missing: BoolArray
-    first_open: IntArray
+    stamps: IntArray  # stamps of the complete scans, (n,)
+    index: IntArray  # index of each of them in the stamps of each member, (n, j)
+    incomplete: IntArray  # stamps before the last complete one that a member lacks, (m,)
+    missing: BoolArray  # which members lack them, (m, j)
+    first_open: IntArray  # index of the first stamp after the last complete one, for each member, (j,)
 
 
 def synchronise_stamps(stamps: Sequence[IntArray]) -> SynchronisedStamps:
     """Synchronise whole arrays, with the result of a ``TimeSynchroniser`` without a bound on open scans.
 
-    Args:
-        stamps: Of each member, (k,), increasing. If stamps go back, the result depends on the order of arrival: use a
-            ``TimeSynchroniser``.
-
-    Raises:
-        ChainError: Stamps do not increase.
-
+    ``stamps``: of each member, (k,), increasing. If stamps go back, the result depends on the order of arrival: use a
+    ``TimeSynchroniser``. Raises ChainError: stamps do not increase.
     """
     for member, own in enumerate(stamps):
         backward = np.flatnonzero(own[1:] <= own[:-1])

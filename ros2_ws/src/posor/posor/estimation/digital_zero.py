@@ -45,14 +45,9 @@ class DigitalZero:
 def find_digital_zero(calibration: Calibration, scans: Scans, home: tuple[float, float, float]) -> DigitalZero:
     """Return the calibration whose gap probes see the target at home in the given scans.
 
-    Args:
-        calibration: The calibration in force.
-        scans: Taken while the target rested at home.
-        home: Gap [m], alpha and beta [rad] there.
-
-    Raises:
-        FitError: The POSOR has no gap probes, there are too few scans, the target moved, or home is out of range.
-
+    ``calibration``: the calibration in force; ``scans``: taken while the target rested at home; ``home``: gap [m],
+    alpha and beta [rad] there. Raises FitError: the POSOR has no gap probes, there are too few scans, the target moved,
+    or home is out of range.
     """
     where, probes = find_sensor(calibration, GapProbesCalibration, NAME)
     names = [probe.name for probe in probes.probes]

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from posor.node_parameters import CovarianceKind
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
-ESTIMATE = np.dtype(
+ESTIMATE = np.dtype(  # the estimate of one scan as the kernels write it; fields as in ``Estimate`` and ``Estimates``
     [
         ("number", "u8"),  # of the scan
         ("stamp_ns", "i8"),
@@ -44,14 +44,13 @@ ESTIMATE = np.dtype(
     ],
     align=True,
 )
-"""The estimate of one scan as the kernels write it; fields as in ``Estimate`` and ``Estimates``."""
 
 
 FIELDS = ESTIMATE.names or ()
 NO_STAMP, OTHER_FRAME = -101, -102
 """``code`` of a recorded scan that is not estimated: its stamp is invalid, or it comes from another frame."""
 _STATES = tuple(State)
-_ATTRIBUTES = {
+_ATTRIBUTES = {  # attributes of ``Estimates`` that are fields of the records
     "numbers": "number",
     "stamps_ns": "stamp_ns",
     "states": "state",
@@ -64,15 +63,12 @@ _ATTRIBUTES = {
     "covariances_random": "random",
     "covariances_systematic": "systematic",
 }
-"""Attributes of ``Estimates`` that are fields of the records."""
 
 
 def select_covariance(random: FloatArray, systematic: FloatArray, kind: CovarianceKind) -> FloatArray:
     """Return the part of a covariance that ``kind`` selects: random, systematic, or total, the sum of both.
 
-    Raises:
-        ParameterError: There is no such part.
-
+    Raises ParameterError: there is no such part.
     """
     if kind not in COVARIANCE_KINDS:
         raise ParameterError(f"'{kind}' is unknown", where="covariance", expected=", ".join(COVARIANCE_KINDS))
@@ -128,7 +124,6 @@ class Estimate(NamedTuple):
         return select_covariance(self.covariance_random, self.covariance_systematic, kind)
 
     def __repr__(self) -> str:
-        """Return number, state, position and reason."""
         place = "" if self.T_R_T is None else ", x, y, z [m]: " + ", ".join(f"{x:.7g}" for x in self.T_R_T.translation)
         return f"<Estimate of scan {self.number}: {self.state.name}{place}{self.reason and f', {self.reason}'}>"
 
@@ -202,7 +197,6 @@ class Estimates:
         log_times_ns: IntArray | None = None,
         header_stamps: IntArray | None = None,
     ) -> None:
-        """Take records, shape (n,), dtype ESTIMATE, their scans, and ``Posor.reason`` to explain their faults."""
         self._records = records.view()
         self._scans, self._explain = scans, explain
         self.covariance_kind = covariance_kind
@@ -214,23 +208,19 @@ class Estimates:
             array.flags.writeable = False
 
     def __len__(self) -> int:
-        """Return the number of scans."""
         return len(self._records)
 
     def __repr__(self) -> str:
-        """Return count, states and time span."""
         counts = sorted(Counter(self.states.tolist()).items())
         states = ", ".join(f"{count} {State(state).name}" for state, count in counts)
         return f"<{len(self)} Estimates: {states or 'none'}{span_text(self.stamps_ns)}>"
 
     def __getattr__(self, name: str) -> NDArray[Any]:
-        """Return an attribute's array, a view of the records."""
         if name not in _ATTRIBUTES:
             raise AttributeError(f"'Estimates' has no attribute '{name}'", name=name, obj=self)
         return self._records[_ATTRIBUTES[name]]
 
     def __dir__(self) -> list[str]:
-        """Return the names of attributes and methods."""
         return sorted({*super().__dir__(), *_ATTRIBUTES})
 
     @property

@@ -68,11 +68,8 @@ WEAK = 1e-4
 def estimate_scan(model: Model, scan: Any, estimate: Any) -> int:
     """Estimate the pose of one scan from the previous pose on; return DONE or what is left to do.
 
-    Args:
-        model: The POSOR.
-        scan: Record of dtype SCAN.
-        estimate: Record of dtype ESTIMATE to write; incomplete where the return value is START or RETRY.
-
+    ``scan``: record of dtype SCAN; ``estimate``: record of dtype ESTIMATE to write; incomplete where the return value
+    is START or RETRY.
     """
     workspace = model.workspace[0]
     tracker = workspace.tracker
@@ -215,17 +212,11 @@ def solve_and_check(
 ) -> int:
     """Solve the active rows from ``workspace.pose`` on, find covariances, check the solution, and update the tracker.
 
-    Args:
-        model: The POSOR; ``systematic_readings`` hold what of the readings' systematic covariance does not come from
-            ``estimation.parameter_effects`` or ``estimation.supply_and_temperature``.
-        stamp: Time of the scan since the epoch [s].
-        scan: Record of dtype SCAN.
-        extrapolate: Whether the start may be moved on as the target moved before, and the tilts may lag.
-        estimate: Record of dtype ESTIMATE to write; of a LOST scan all numbers are NaN but the chi-square.
-
-    Returns:
-        DONE, or RETRY: the scan failed from the previous pose, and the tracker is unchanged.
-
+    ``model``: the POSOR; ``systematic_readings`` hold what of the readings' systematic covariance does not come from
+    ``estimation.parameter_effects`` or ``estimation.supply_and_temperature``; ``stamp``: time of the scan since the
+    epoch [s]; ``scan``: record of dtype SCAN; ``extrapolate``: whether the start may be moved on as the target moved
+    before, and the tilts may lag; ``estimate``: record of dtype ESTIMATE to write; of a LOST scan all numbers are NaN
+    but the chi-square. Return DONE, or RETRY: the scan failed from the previous pose, and the tracker is unchanged.
     """
     workspace = model.workspace[0]
     settings, tracker, pose, checks = workspace.settings, workspace.tracker, workspace.pose, workspace.checks
@@ -352,9 +343,7 @@ def estimate_scans(
 ) -> tuple[int, int]:
     """Estimate scans ``begin`` to ``end`` while nothing is left to do for one.
 
-    Returns:
-        Where the loop stopped, ``end`` or the scan in question, and what is left to do for that scan.
-
+    Return where the loop stopped, ``end`` or the scan in question, and what is left to do for that scan.
     """
     for n in range(begin, end):
         left = estimate_scan(model, scans[n], estimates[n])

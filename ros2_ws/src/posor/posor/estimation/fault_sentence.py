@@ -15,22 +15,17 @@ if TYPE_CHECKING:
     from posor.estimation.sensor_stack import Stack
     from posor.model.scan import Scan
 
-RELEASE = (
+RELEASE = (  # what releases a latch
     "until the earlier motion is regained, the readings agree again, a reference confirms theta, "
     "or ~/acknowledge is called"
 )
-"""What releases a latch."""
 
 
 def fault_sentence(stack: Stack, settings: Any, scan: Scan, estimate: Any) -> str:
     """Return the sentence on the faults of a scan's estimate, empty where it has none.
 
-    Args:
-        stack: Sensors of the POSOR.
-        settings: Record of dtype ``workspace.SETTINGS``.
-        scan: The scan.
-        estimate: Record of dtype ESTIMATE.
-
+    ``stack``: sensors of the POSOR; ``settings``: record of dtype ``workspace.SETTINGS``; ``estimate``: record of dtype
+    ESTIMATE.
     """
     faults = int(estimate["faults"])
     if faults == 0:

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray, IntArray
 
 _POSE = 7
-_UNIT_TOLERANCE = 1e-6
-"""Largest deviation of a quaternion's length from one."""
+_UNIT_TOLERANCE = 1e-6  # largest deviation of a quaternion's length from one
 
 
 def simulate(
@@ -139,18 +138,12 @@ def scans_at(
 ) -> Scans:
     """Return the raw scans of n poses ``T_R_T``.
 
-    Args:
-        stack: The sensors; all must be sensors with rows.
-        rotations: R_R_T, shape (n, 3, 3).
-        translations: Origin of T in R [m], shape (n, 3).
-        stamps_ns: Time of each scan [ns], shape (n,).
-        supply_voltages: Of the probe electronics [V], shape (n,); None: at each probe's reference, not measured.
-        temperatures: Of the probe electronics [K], shape (n,); None: at each probe's reference, not measured.
-        noise: Random generator of the electronics' noise, as large as the calibration says; None: no noise.
-
-    Returns:
-        The scans; a reading beyond a sensor's calibrated range is NaN.
-
+    ``stack``: the sensors; all must be sensors with rows; ``rotations``: R_R_T, shape (n, 3, 3); ``translations``:
+    origin of T in R [m], shape (n, 3); ``stamps_ns``: time of each scan [ns], shape (n,); ``supply_voltages``: of the
+    probe electronics [V], shape (n,); None: at each probe's reference, not measured; ``temperatures``: of the probe
+    electronics [K], shape (n,); None: at each probe's reference, not measured; ``noise``: random generator of the
+    electronics' noise, as large as the calibration says; None: no noise. Return the scans; a reading beyond a sensor's
+    calibrated range is NaN.
     """
     scans = empty_scans(stamps_ns)
     if supply_voltages is not None:

@@ -22,31 +22,24 @@ from posor.numerics.compiled import inlined
 if TYPE_CHECKING:
     from posor.estimation.workspace import Model
 
-FROZEN_EVIDENCE = 6.0
-"""Evidence of a channel or a sensor that it is frozen: by chance once in a million scans."""
+FROZEN_EVIDENCE = 6.0  # evidence of a channel or a sensor that it is frozen: by chance once in a million scans
 ALL_FROZEN_EVIDENCE = 3.5
 """Evidence of all channels together, so that the first repeated scan is seen; a wrong alarm costs one scan."""
-LOOP_EVIDENCE = 8.0
-"""Evidence of all channels together that scans repeat in a loop of two or more."""
+LOOP_EVIDENCE = 8.0  # evidence of all channels together that scans repeat in a loop of two or more
 LOOP_SCANS = 2
 """Fewest scans in a row that repeat earlier ones; a recording that is played back and forth has one at each end."""
 LOOP_WEIGHT = 0.7390851332151607
 """Weight of a reading in the signature of a scan: no polynomial with whole coefficients is zero there, so that readings
 which are whole multiples of a step give equal signatures only where all of them are equal."""
-ALL = -1
-"""Frozen reading where it is all of them together."""
+ALL = -1  # frozen reading where it is all of them together
 NOT_FROZEN = -2
-_CELLS = 200
-"""Converter steps on either side of a reading that are summed."""
+_CELLS = 200  # converter steps on either side of a reading that are summed
 
 
 def evidence_of_repetition(step: float, noise: float) -> float:
     """Return ``-log10`` of the probability that a reading repeats by chance, at most FROZEN_EVIDENCE.
 
-    Args:
-        step: Of the converter; zero: readings are not rounded.
-        noise: Standard deviation of one reading, same unit.
-
+    ``step``: of the converter; zero: readings are not rounded; ``noise``: standard deviation of one reading, same unit.
     """
     if step <= 0.0 or step < 0.1 * noise:
         likely = 0.5 * max(step, 0.0) / (noise * math.sqrt(math.pi))

@@ -38,8 +38,7 @@ if TYPE_CHECKING:
 
 
 SUPPLY, TEMPERATURE = 0, 1
-ANY_FINITE = (-sys.float_info.max, sys.float_info.max)
-"""Range of a calibration that states none."""
+ANY_FINITE = (-sys.float_info.max, sys.float_info.max)  # range of a calibration that states none
 
 
 @inlined

@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from posor.estimation.workspace import Model
     from posor.numerics.array_types import FloatArray
 
-TOLERANCE_OF_EXPANSION = 1e-3 * TOLERANCE
-"""The expansion ends where it moves the solution by less [m]."""
+TOLERANCE_OF_EXPANSION = 1e-3 * TOLERANCE  # the expansion ends where it moves the solution by less [m]
 
 
 class PlainSensors:

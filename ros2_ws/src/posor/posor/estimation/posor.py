@@ -37,14 +37,11 @@ if TYPE_CHECKING:
 
     from posor.numerics.array_types import FloatArray
 
-PHASE_GUESSES = 8
-"""Starts within one bump that are tried where theta is unknown."""
+PHASE_GUESSES = 8  # starts within one bump that are tried where theta is unknown
 LIKELY_RUNOUT = 1e-4
 """Of starts that fit alike, as three ring probes have several, the start of least runout is taken; scale [m]."""
-LARGEST_SIGMA = 0.1
-"""Largest standard uncertainty of a reference of theta, in periods: five of them are half a period."""
-COUNT_WINDOW = 0.52
-"""Largest distance of a solution from a theta that is known to half a bump, in bumps."""
+LARGEST_SIGMA = 0.1  # largest standard uncertainty of a reference of theta, in periods: five of them are half a period
+COUNT_WINDOW = 0.52  # largest distance of a solution from a theta that is known to half a bump, in bumps
 
 
 class Posor:
@@ -87,7 +84,6 @@ class Posor:
         self._prepare()
 
     def __repr__(self) -> str:
-        """Return calibration and readings."""
         state = f", latched {self.latched.name}" if self.latched else ""
         return (
             f"<Posor of '{self.calibration.name}': {self.stack.readings} readings, {self.redundancy} redundant{state}>"
@@ -166,7 +162,6 @@ class Posor:
         return other
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Posor:
-        """Return a POSOR that continues from the same previous pose, with its own workspace."""
         other = self.with_parameter_values(self.stack.parameter_values)
         other.model.workspace["tracker"] = self.model.workspace["tracker"]
         return other

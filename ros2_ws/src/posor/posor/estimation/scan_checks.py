@@ -34,16 +34,12 @@ if TYPE_CHECKING:
 
 REGAIN_GAP = 4.5
 """Intervals after the last accepted pose within which the motion is regained: up to three bad scans in a row."""
-FIRST_GAP_S = 0.2
-"""The same after a scan that counted theta anew, whose motion is not known yet [s]."""
-MARKS = 6
-"""Consecutive scans with agreeing home marks that count theta; so many disagreeing marks are a fault."""
+FIRST_GAP_S = 0.2  # the same after a scan that counted theta anew, whose motion is not known yet [s]
+MARKS = 6  # consecutive scans with agreeing home marks that count theta; so many disagreeing marks are a fault
 RESIDUAL_RUN = 10
 """Scans in a row that fail the residual test before the joint is latched, and that pass it before it is released."""
-REFERENCE_SIGMAS = 5.0
-"""Standard deviations within which a reference of theta agrees."""
-NOISE_ALLOWANCE = 5.0
-"""Standard deviations of noise that are added to the largest motion before a jump is a fault."""
+REFERENCE_SIGMAS = 5.0  # standard deviations within which a reference of theta agrees
+NOISE_ALLOWANCE = 5.0  # standard deviations of noise that are added to the largest motion before a jump is a fault
 
 RESIDUAL, INNOVATION, COUNT, ENCODER = (
     int(fault) for fault in (Fault.RESIDUAL, Fault.INNOVATION, Fault.COUNT, Fault.ENCODER)

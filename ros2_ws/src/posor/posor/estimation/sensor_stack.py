@@ -203,9 +203,7 @@ class Stack:
     def solve(self, readings: Linearised, n: int, rotation: FloatArray, translation: FloatArray) -> int:
         """Solve the readings of scan n from ``T_R_T`` on, which is replaced by the solution; weights from the noise.
 
-        Returns:
-            CONVERGED, NOT_CONVERGED or ILL_CONDITIONED of ``estimation.solver``.
-
+        Return CONVERGED, NOT_CONVERGED or ILL_CONDITIONED of ``estimation.solver``.
         """
         workspace, m = self._linearising_model.workspace[0], self.readings
         rows, pose = workspace["rows"][:m], workspace["pose"]

@@ -23,21 +23,15 @@ CONVERGED = 0
 NOT_CONVERGED = 1
 ILL_CONDITIONED = 2
 
-LENGTH = 0.05
-"""Lever [m] that makes a rotation comparable to a translation in the size of a step."""
-EXACT = 1e-15
-"""Converged where the next step would be below this [m], extrapolated from the shrinkage of the last one."""
+LENGTH = 0.05  # lever [m] that makes a rotation comparable to a translation in the size of a step
+EXACT = 1e-15  # converged where the next step would be below this [m], extrapolated from the shrinkage of the last one
 TOLERANCE = 1e-9
 """Below this [m] also converged where a step is hardly smaller than the previous one: rounding makes up the rest."""
-STALLED = 0.1
-"""A ratio of successive steps that counts as hardly smaller; assumed for the first step."""
-SHARP = 1e-11
-"""After a last step below this [m] the derivatives before the step are right to 1e-9 of their size."""
+STALLED = 0.1  # a ratio of successive steps that counts as hardly smaller; assumed for the first step
+SHARP = 1e-11  # after a last step below this [m] the derivatives before the step are right to 1e-9 of their size
 ITERATIONS = 25
-SINGULAR = 1e-10
-"""At a smaller pivot ratio (``numerics.symmetric``) the readings do not determine the pose."""
-TURN_TOLERANCE = 1e-14
-"""Change of theta [rad] below which the lagging turn of the tilts has converged."""
+SINGULAR = 1e-10  # at a smaller pivot ratio (``numerics.symmetric``) the readings do not determine the pose
+TURN_TOLERANCE = 1e-14  # change of theta [rad] below which the lagging turn of the tilts has converged
 
 
 @inlined
@@ -63,16 +57,9 @@ def iterate(workspace: Any, count: int, least_ratio: float) -> int:
     """Move the pose (in place) to the weighted least-squares solution of the first ``count`` rows.
 
     Rows, values and weights are read; jacobian and residuals at the solution, the sum of all steps, and the factors of
-    the normal matrix are written.
-
-    Args:
-        workspace: Record of dtype WORKSPACE.
-        count: How many rows are used.
-        least_ratio: Smallest ratio of a pivot to its diagonal entry that counts as determined (numerics.symmetric).
-
-    Returns:
-        CONVERGED, NOT_CONVERGED or ILL_CONDITIONED.
-
+    the normal matrix are written. ``workspace``: record of dtype WORKSPACE; ``count``: how many rows are used;
+    ``least_ratio``: smallest ratio of a pivot to its diagonal entry that counts as determined (numerics.symmetric).
+    Return CONVERGED, NOT_CONVERGED or ILL_CONDITIONED.
     """
     pose, jacobian, residuals, step_sum = workspace.pose, workspace.jacobian, workspace.residuals, workspace.step_sum
     for i in range(6):

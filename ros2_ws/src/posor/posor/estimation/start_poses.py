@@ -27,15 +27,9 @@ if TYPE_CHECKING:
 def start_poses(rows: NDArray[np.void], values: FloatArray, thetas: Sequence[float]) -> list[pin.SE3]:
     """Return starts for ``T_R_T``.
 
-    Args:
-        rows: Reading rows, shape (m,), dtype ROW.
-        values: Linearised readings [m], shape (m,).
-        thetas: Guesses of theta [rad], for readings that do not tell theta.
-
-    Returns:
-        One pose where gaps and spots determine it, else one for each guess, perpendicular to the probes where fewer
-        than three gaps determine the lean.
-
+    ``rows``: reading rows, shape (m,), dtype ROW; ``values``: linearised readings [m], shape (m,); ``thetas``: guesses
+    of theta [rad], for readings that do not tell theta. Return one pose where gaps and spots determine it, else one for
+    each guess, perpendicular to the probes where fewer than three gaps determine the lean.
     """
     import pinocchio as pin  # noqa: PLC0415  50 MB that a node does not need before its first scan
 

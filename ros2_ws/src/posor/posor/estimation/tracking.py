@@ -12,10 +12,8 @@ from posor.numerics.vector import square
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
-CLOCK_STEP_S = 1.0
-"""Largest time by which a wrong stamp is behind the scan before; beyond, the clock was set."""
-LONGEST_GAP = 3.5
-"""Longest extrapolation of the motion, in intervals of the previous scans."""
+CLOCK_STEP_S = 1.0  # largest time by which a wrong stamp is behind the scan before; beyond, the clock was set
+LONGEST_GAP = 3.5  # longest extrapolation of the motion, in intervals of the previous scans
 
 
 @in_place

@@ -20,14 +20,12 @@ if TYPE_CHECKING:
 
     from posor.numerics.array_types import FloatArray, IntArray
 
-LONGEST_LOOP = 64
-"""Loops of fewer scans are detected."""
+LONGEST_LOOP = 64  # loops of fewer scans are detected
 READINGS = MAX_GAP_PROBES + MAX_RING_PROBES + 2 * MAX_DIODES + 8
 """Capacity for linearised readings: all of a raw scan, and 8 of sensors written in plain Python."""
-ROWS = READINGS + 6
-"""Capacity for rows: the readings, and one row of prior for each freedom."""
+ROWS = READINGS + 6  # capacity for rows: the readings, and one row of prior for each freedom
 
-SETTINGS = np.dtype(
+SETTINGS = np.dtype(  # settings of the tracker and of the tests
     [
         ("residual_limit", "f8"),  # largest chi-square of the redundant readings
         ("max_velocity", "f8"),  # of the target along X, Y and Z each [m/s]; infinite: not limited
@@ -43,9 +41,8 @@ SETTINGS = np.dtype(
     ],
     align=True,
 )
-"""Settings of the tracker and of the tests."""
 
-TRACKER = np.dtype(
+TRACKER = np.dtype(  # what is known from the previous scans
     [
         ("initialised", "i8"),  # 1 where there is a previous pose
         ("start_given", "i8"),  # 1 where the solver starts the next scan from ``start`` instead of the previous pose
@@ -79,9 +76,8 @@ TRACKER = np.dtype(
     ],
     align=True,
 )
-"""What is known from the previous scans."""
 
-CHECKS = np.dtype(
+CHECKS = np.dtype(  # what the checks of one scan have found (``estimation.scan_checks``)
     [
         ("elapsed", "f8"),  # since the previous pose [s]
         ("faults", "i8"),  # found so far
@@ -95,9 +91,8 @@ CHECKS = np.dtype(
     ],
     align=True,
 )
-"""What the checks of one scan have found (``estimation.scan_checks``)."""
 
-WORKSPACE = np.dtype(
+WORKSPACE = np.dtype(  # memory of fixed capacity for one POSOR
     [
         ("settings", SETTINGS),
         ("tracker", TRACKER),
@@ -142,9 +137,8 @@ WORKSPACE = np.dtype(
     ],
     align=True,
 )
-"""Memory of fixed capacity for one POSOR."""
 
-SENSOR = np.dtype(
+SENSOR = np.dtype(  # where a sensor's readings come from and where they go
     [
         ("source", "i8"),  # see model.readings
         ("first_reading", "i8"),
@@ -155,12 +149,11 @@ SENSOR = np.dtype(
     ],
     align=True,
 )
-"""Where a sensor's readings come from and where they go."""
 
 PARAMETER_FACTORS = np.dtype([("first_factor", "i8"), ("count", "i8"), ("begin", "i8")], align=True)
 """Standard normal factors of one parameter: number of the first, how many, where their coefficients begin."""
 
-CONTRIBUTION = np.dtype(
+CONTRIBUTION = np.dtype(  # one derivative times the factors of its parameter, and where the product goes
     [
         ("derivative", "i8"),  # index into ``derivatives``
         ("reading", "i8"),
@@ -170,7 +163,6 @@ CONTRIBUTION = np.dtype(
     ],
     align=True,
 )
-"""One derivative times the factors of its parameter, and where the product goes."""
 
 BLOCK = np.dtype([("column", "i8"), ("count", "i8"), ("first_reading", "i8"), ("last_reading", "i8")], align=True)
 """Columns of ``effects`` that reach the same readings."""
@@ -180,48 +172,28 @@ FACTOR_USE = np.dtype([("uses", "i8"), ("column", "i8"), ("last_reading", "i8")]
 
 
 class Model(NamedTuple):
-    """One POSOR for the kernels. K pool rows, C channels, D diodes, m readings, P parameters, F factors.
+    """One POSOR for the kernels. K pool rows, C channels, D diodes, m readings, P parameters, F factors."""
 
-    Attributes:
-        workspace: Memory of fixed capacity, shape (1,), dtype WORKSPACE.
-        sensors: Shape (sensors,), dtype SENSOR.
-        pool: Every row that a scan can read, shape (K,), dtype ROW.
-        pool_parameters: Which parameter each entry of a pool row is, negative: none, shape (K, PARAMETERS).
-        channels: Shape (C,), dtype CHANNEL.
-        diodes: Shape (D,), dtype DIODE.
-        map_parameters: Of each diode's map, shape (D, longest).
-        linearisation_parameters: Which parameter each derivative of a reading's linearisation belongs to, (m, L).
-        derivatives: Derivatives of prediction minus reading by all parameters: ``by_row``, then ``by_map``,
-            whose first columns are ``by_channel``.
-        by_row: The same memory by the parameters of the rows, shape (m,), dtype ROW_DERIVATIVES.
-        by_channel: The same memory by the parameters of the channels, shape (m,), dtype CHANNEL_DERIVATIVES.
-        by_map: The same memory by the parameters of the maps, shape (m, longest).
-        parameter_factors: Shape (P,), dtype PARAMETER_FACTORS.
-        coefficients: Coefficients of all parameters' factors (``calibration.parameter_covariance``).
-        effects: What each shared factor does to each reading, shape (m, shared factors).
-        contributions: dtype CONTRIBUTION; first those that reach one reading only.
-        contribution_coefficients: The coefficients in the order of the contributions.
-        blocks: dtype BLOCK.
-        factor_uses: Shape (F,), dtype FACTOR_USE.
-
-    """
-
-    workspace: NDArray[np.void]
-    sensors: NDArray[np.void]
-    pool: NDArray[np.void]
-    pool_parameters: IntArray
-    channels: NDArray[np.void]
-    diodes: NDArray[np.void]
-    map_parameters: FloatArray
+    workspace: NDArray[np.void]  # memory of fixed capacity, shape (1,), dtype WORKSPACE
+    sensors: NDArray[np.void]  # shape (sensors,), dtype SENSOR
+    pool: NDArray[np.void]  # every row that a scan can read, shape (K,), dtype ROW
+    pool_parameters: IntArray  # which parameter each entry of a pool row is, negative: none, shape (K, PARAMETERS)
+    channels: NDArray[np.void]  # shape (C,), dtype CHANNEL
+    diodes: NDArray[np.void]  # shape (D,), dtype DIODE
+    map_parameters: FloatArray  # of each diode's map, shape (D, longest)
+    # Which parameter each derivative of a reading's linearisation belongs to, (m, L)
     linearisation_parameters: IntArray
+    # Derivatives of prediction minus reading by all parameters: ``by_row``, then ``by_map``, whose first columns are
+    # ``by_channel``
     derivatives: FloatArray
-    by_row: NDArray[np.void]
+    by_row: NDArray[np.void]  # the same memory by the parameters of the rows, shape (m,), dtype ROW_DERIVATIVES
+    # The same memory by the parameters of the channels, shape (m,), dtype CHANNEL_DERIVATIVES
     by_channel: NDArray[np.void]
-    by_map: FloatArray
-    parameter_factors: NDArray[np.void]
-    coefficients: FloatArray
-    effects: FloatArray
-    contributions: NDArray[np.void]
-    contribution_coefficients: FloatArray
-    blocks: NDArray[np.void]
-    factor_uses: NDArray[np.void]
+    by_map: FloatArray  # the same memory by the parameters of the maps, shape (m, longest)
+    parameter_factors: NDArray[np.void]  # shape (P,), dtype PARAMETER_FACTORS
+    coefficients: FloatArray  # coefficients of all parameters' factors (``calibration.parameter_covariance``)
+    effects: FloatArray  # what each shared factor does to each reading, shape (m, shared factors)
+    contributions: NDArray[np.void]  # dtype CONTRIBUTION; first those that reach one reading only
+    contribution_coefficients: FloatArray  # the coefficients in the order of the contributions
+    blocks: NDArray[np.void]  # dtype BLOCK
+    factor_uses: NDArray[np.void]  # shape (F,), dtype FACTOR_USE

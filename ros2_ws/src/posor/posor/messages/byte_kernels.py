@@ -11,12 +11,9 @@ from posor.numerics.compiled import compiled
 if TYPE_CHECKING:
     from posor.numerics.array_types import ByteArray, IntArray, LongArray
 
-MESSAGE = 0x05
-"""Opcode of a message record in a chunk of an MCAP file."""
-RECORD_HEAD = 9
-"""Opcode and length of any record [bytes]."""
-MESSAGE_HEAD = 22
-"""Channel, sequence number, log and publish time [bytes]."""
+MESSAGE = 0x05  # opcode of a message record in a chunk of an MCAP file
+RECORD_HEAD = 9  # opcode and length of any record [bytes]
+MESSAGE_HEAD = 22  # channel, sequence number, log and publish time [bytes]
 
 
 @compiled
@@ -25,17 +22,11 @@ def index_messages(
 ) -> tuple[int, int]:
     """Find the messages of some topics among the records of a decompressed chunk, in order.
 
-    Args:
-        data: The chunk's records, shape (b,).
-        numbers: Number of each channel's topic, negative for other topics, shape (65536,).
-        topics: Number of each message's topic, written; capacity for b / 31 messages.
-        times: Log time of each message [ns], written.
-        starts: Offset of each message in ``data``, written.
-        lengths: Bytes of each message, written.
-
-    Returns:
-        The number of messages, and the end of reading: b, or the offset of a record that does not end within the chunk.
-
+    ``data``: the chunk's records, shape (b,); ``numbers``: number of each channel's topic, negative for other topics,
+    shape (65536,); ``topics``: number of each message's topic, written; capacity for b / 31 messages; ``times``: log
+    time of each message [ns], written; ``starts``: offset of each message in ``data``, written; ``lengths``: bytes of
+    each message, written. Return the number of messages, and the end of reading: b, or the offset of a record that does
+    not end within the chunk.
     """
     size, count, offset = data.shape[0], 0, 0
     while offset < size:
@@ -68,12 +59,8 @@ def index_messages(
 def copy_messages(data: ByteArray, starts: IntArray, lengths: IntArray, out: ByteArray) -> None:
     """Copy messages, one after the other.
 
-    Args:
-        data: Bytes that contain the messages, shape (b,).
-        starts: Offset of each message, shape (n,).
-        lengths: Bytes of each message, shape (n,).
-        out: Written, as long as all messages.
-
+    ``data``: bytes that contain the messages, shape (b,); ``starts``: offset of each message, shape (n,); ``lengths``:
+    bytes of each message, shape (n,); ``out``: written, as long as all messages.
     """
     offset = 0
     for n in range(starts.shape[0]):
@@ -90,17 +77,10 @@ def gather_rows(
 ) -> int:
     """Copy messages to the rows of a table up to the first message of another layout.
 
-    Args:
-        data: Bytes that contain the messages, shape (b,).
-        starts: Offset of each message, shape (n,).
-        lengths: Bytes of each message, shape (n,).
-        layout: Example row of the table, and the bits that every row of the layout shares with it, shape (2, w).
-        words: The rows as words of eight bytes, shape (n, w).
-        out: The messages in the rows, written, shape (n, s).
-
-    Returns:
-        The number of messages copied; the row after them may have been overwritten.
-
+    ``data``: bytes that contain the messages, shape (b,); ``starts``: offset of each message, shape (n,); ``lengths``:
+    bytes of each message, shape (n,); ``layout``: example row of the table, and the bits that every row of the layout
+    shares with it, shape (2, w); ``words``: the rows as words of eight bytes, shape (n, w); ``out``: the messages in
+    the rows, written, shape (n, s). Return the number of messages copied; the row after them may have been overwritten.
     """
     count: int = starts.shape[0]
     size = out.shape[1]
@@ -125,14 +105,9 @@ def write_records(
 ) -> None:
     """Write messages as records of a chunk of an MCAP file.
 
-    Args:
-        head: First bytes of every record, both times zero, shape (h,).
-        times: Log and publish time of each message [ns], shape (n,).
-        messages: Shape (n, s).
-        begin: Offset of the first record in the chunk.
-        out: Written, shape (n, h + s).
-        index: Log time and offset of each record, written, shape (n, 2).
-
+    ``head``: first bytes of every record, both times zero, shape (h,); ``times``: log and publish time of each message
+    [ns], shape (n,); ``messages``: shape (n, s); ``begin``: offset of the first record in the chunk; ``out``: written,
+    shape (n, h + s); ``index``: log time and offset of each record, written, shape (n, 2).
     """
     size = head.shape[0]
     for n in range(times.shape[0]):

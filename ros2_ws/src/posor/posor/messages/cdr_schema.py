@@ -24,16 +24,13 @@ if TYPE_CHECKING:
 
 LITTLE_ENDIAN, BIG_ENDIAN = b"\x00\x01", b"\x00\x00"
 """First two bytes of a message in plain CDR, by byte order; the two bytes of options after them are not used."""
-BODY = 4
-"""Offset of the first field. Alignment is counted from here."""
-STAMP = slice(4, 12)
-"""Stamp of a message that begins with a header: seconds (int32), nanoseconds (uint32)."""
+BODY = 4  # offset of the first field. Alignment is counted from here
+STAMP = slice(4, 12)  # stamp of a message that begins with a header: seconds (int32), nanoseconds (uint32)
 
-Value: TypeAlias = Any
-"""Value of a field: a number, a byte, a string, a message (values by path), or a list of them."""
+Value: TypeAlias = Any  # value of a field: a number, a byte, a string, a message (values by path), or a list of them
 
 
-CODES = {
+CODES = {  # ``struct`` codes of the basic types, by their names in messages and in IDL; ``s`` for a string
     "bool": "?",
     "boolean": "?",
     "octet": "c",
@@ -53,7 +50,6 @@ CODES = {
     "float64": "d",
     "string": "s",
 }
-"""``struct`` codes of the basic types, by their names in messages and in IDL; ``s`` for a string."""
 
 
 class FieldKind(Enum):
@@ -66,22 +62,13 @@ class FieldKind(Enum):
 
 @dataclass(frozen=True)
 class Field:
-    """One field of a message; the fields of a single nested message count as fields of the whole.
+    """One field of a message; the fields of a single nested message count as fields of the whole."""
 
-    Attributes:
-        path: Name, for instance ``header.stamp.sec``.
-        code: ``struct`` code of one element; ``s`` for a string, empty for a message.
-        kind: Number of elements.
-        count: Length of an array, bound of a sequence (None: unbounded).
-        parts: Fields of each element of an array or sequence of messages.
-
-    """
-
-    path: str
-    code: str
-    kind: FieldKind = FieldKind.ONE
-    count: int | None = None
-    parts: tuple[Field, ...] = ()
+    path: str  # name, for instance ``header.stamp.sec``
+    code: str  # ``struct`` code of one element; ``s`` for a string, empty for a message
+    kind: FieldKind = FieldKind.ONE  # number of elements
+    count: int | None = None  # length of an array, bound of a sequence (None: unbounded)
+    parts: tuple[Field, ...] = ()  # fields of each element of an array or sequence of messages
 
     @property
     def default(self) -> Value:
@@ -97,8 +84,7 @@ class Span(NamedTuple):
 
     offset: int
     length: int
-    size: int
-    """Of one element [bytes]."""
+    size: int  # of one element [bytes]
 
     @property
     def part(self) -> slice:
@@ -108,34 +94,24 @@ class Span(NamedTuple):
 
 @dataclass(frozen=True)
 class Layout:
-    """Offsets of all fields in messages whose strings and sequences have certain lengths.
+    """Offsets of all fields in messages whose strings and sequences have certain lengths."""
 
-    Attributes:
-        schema: Of the message type.
-        size: Of a message [bytes]; surplus bytes at its end are ignored.
-        spans: Of each field by its path; a list of strings or messages has none.
-        lengths: Offset of the length of each string and sequence by its path; of such a list, that of the list.
-        decisive: The bytes that a message of this layout must have, by offset: encapsulation and lengths.
-
-    """
-
-    schema: Schema
-    size: int
-    spans: dict[str, Span]
+    schema: Schema  # of the message type
+    size: int  # of a message [bytes]; surplus bytes at its end are ignored
+    spans: dict[str, Span]  # of each field by its path; a list of strings or messages has none
+    # Offset of the length of each string and sequence by its path; of such a list, that of the list
     lengths: dict[str, int]
+    # The bytes that a message of this layout must have, by offset: encapsulation and lengths
     decisive: dict[int, bytes]
 
     def __getitem__(self, path: str) -> Span:
-        """Return the span of a field."""
         return self.spans[path]
 
     def unpacker(self, paths: Sequence[str]) -> struct.Struct:
         """Return a struct that unpacks the first two bytes of a message, then fields; it fails on a short message.
 
-        Args:
-            paths: Of the fields, in the order of the message. A string comes with its length before it and the zero
-                after it, as bytes; ``path#`` is the length of a string or sequence.
-
+        ``paths``: of the fields, in the order of the message. A string comes with its length before it and the zero
+        after it, as bytes; ``path#`` is the length of a string or sequence.
         """
         form, position = "<2s", len(LITTLE_ENDIAN)
         for path in paths:
@@ -168,10 +144,8 @@ class Schema:
     def layout(self, data: bytes) -> Layout:
         """Return the layout of a message in plain CDR, little endian.
 
-        Raises:
-            TopicError: Invalid bytes: another encapsulation, an early end, a sequence longer than its bound, a string
-                without an end.
-
+        Raises TopicError: invalid bytes: another encapsulation, an early end, a sequence longer than its bound, a
+        string without an end.
         """
         if data[:2] != LITTLE_ENDIAN:
             raise TopicError(
@@ -186,9 +160,7 @@ class Schema:
     def values(self, data: bytes) -> dict[str, Value]:
         """Return the values of a message in plain CDR of either byte order, by path.
 
-        Raises:
-            TopicError: Invalid bytes.
-
+        Raises TopicError: invalid bytes.
         """
         orders: dict[bytes, Literal["<", ">"]] = {LITTLE_ENDIAN: "<", BIG_ENDIAN: ">"}
         if data[:2] not in orders:
@@ -202,12 +174,8 @@ class Schema:
     def encode(self, values: Mapping[str, Value]) -> bytes:
         """Return a message in plain CDR, little endian, of exactly its size and with zeros for padding.
 
-        Args:
-            values: By path; a field without a value is zero, or empty.
-
-        Raises:
-            TopicError: A sequence is longer than its bound.
-
+        ``values``: by path; a field without a value is zero, or empty. Raises TopicError: a sequence is longer than its
+        bound.
         """
         out = bytearray(LITTLE_ENDIAN + b"\x00\x00")
         self._encode_fields(out, self.fields, values)
@@ -224,9 +192,7 @@ class Schema:
     def normal(self, data: bytes) -> bytes:
         """Return the same message in plain CDR, little endian.
 
-        Raises:
-            TopicError: The message has an encapsulation that is not plain CDR, or is invalid.
-
+        Raises TopicError: the message has an encapsulation that is not plain CDR, or is invalid.
         """
         return data if data[:2] == LITTLE_ENDIAN else self.encode(self.values(data))
 
@@ -369,9 +335,7 @@ def _aligned(position: int, size: int) -> int:
 def code_of_type(path: str, type_name: str) -> str:
     """Return the ``struct`` code of a basic type; ``path`` is the field's, for the error.
 
-    Raises:
-        TypeError: The type is not supported.
-
+    Raises TypeError: the type is not supported.
     """
     if type_name not in CODES:
         message = f"field '{path}': its type is not supported"

@@ -41,15 +41,12 @@ class EndpointEstimates:
     angles: FloatArray
 
     def __post_init__(self) -> None:
-        """Make the arrays read-only."""
         freeze_arrays(self)
 
     def __len__(self) -> int:
-        """Return the number of poses."""
         return len(self.poses)
 
     def __repr__(self) -> str:
-        """Return count and time span."""
         return f"<{len(self)} EndpointEstimates, {self.angles.shape[1]} angles{span_text(self.stamps_ns)}>"
 
     @property
@@ -90,7 +87,6 @@ class ArmEstimates:
     chain: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
-        """Return joints and endpoint, each on one line."""
         lines = [f"  {name}: {part!r}" for name, part in {**self.joints, "endpoint": self.endpoint}.items()]
         return "\n".join([f"<ArmEstimates of {len(self.joints)} joints:", *lines]) + ">"
 
@@ -98,11 +94,7 @@ class ArmEstimates:
 def estimate_joint(posor: Posor, recorded: RecordedScans, kind: CovarianceKind) -> Estimates:
     """Return the transforms of recorded scans; scans of another frame or without a valid stamp are LOST.
 
-    Args:
-        posor: The estimator; it continues from the scan before.
-        recorded: The scans.
-        kind: Part of the uncertainty in the covariances.
-
+    ``posor``: the estimator; it continues from the scan before; ``kind``: part of the uncertainty in the covariances.
     """
     scans = recorded.scans
     usable, code = scans.stamps_ns != 0, NO_STAMP

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from posor.node_parameters import CovarianceKind
     from posor.numerics.array_types import FloatArray
 
-FIELDS = {
+FIELDS = {  # fields that an estimate fills, by their names in TRANSFORM_LAYOUT
     "stamp": "header.stamp.sec",
     "number": "scan",
     "status": "scan_status",
@@ -38,11 +38,9 @@ FIELDS = {
     "residual": "residual",
     "covariance": "covariance",
 }
-"""Fields that an estimate fills, by their names in TRANSFORM_LAYOUT."""
 TRANSFORM_LAYOUT = np.dtype([(name, "i8") for name in (*FIELDS, "covariance_kind")])
 """Byte offsets of the fields in a row of bytes, and the kind of covariance: RANDOM, SYSTEMATIC or TOTAL."""
-RANDOM, SYSTEMATIC, TOTAL = 0, 1, 2
-"""Kinds of covariance, as in ``posor_msgs/JointTransform``."""
+RANDOM, SYSTEMATIC, TOTAL = 0, 1, 2  # kinds of covariance, as in ``posor_msgs/JointTransform``
 
 _STAMP = struct.Struct("<iI")
 _FAULTS = struct.Struct("<I")
@@ -132,7 +130,6 @@ class JointTransformFormat:
     """
 
     def __init__(self, parent: str, child: str) -> None:
-        """Prepare for transforms from the plate ``parent`` to the plate ``child``."""
         schema = installed_schema(JOINT_TRANSFORM)
         example = schema.encode({"header.frame_id": parent, "child_frame_id": child})
         layout = schema.layout(example)

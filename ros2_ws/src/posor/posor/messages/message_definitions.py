@@ -26,10 +26,8 @@ if TYPE_CHECKING:
 class Definition(NamedTuple):
     """How a bag describes a message type."""
 
-    text: str
-    """Definition in ``ros2msg`` format, parts included."""
-    type_hash: str
-    """RIHS01 hash, which differs between two versions of a type."""
+    text: str  # definition in ``ros2msg`` format, parts included
+    type_hash: str  # RIHS01 hash, which differs between two versions of a type
 
 
 class MessageTypes:
@@ -41,9 +39,7 @@ class MessageTypes:
     def definition(self, name: str) -> Definition:
         """Return the definition of type ``name``, for instance ``std_msgs/msg/Header``.
 
-        Raises:
-            BagError: The type is unknown here.
-
+        Raises BagError: the type is unknown here.
         """
         self._register(name)
         text, _ = self._store.generate_msgdef(name, ros_version=2)
@@ -52,10 +48,7 @@ class MessageTypes:
     def schema(self, name: str) -> Schema:
         """Return the schema of type ``name``.
 
-        Raises:
-            BagError: The type is unknown here.
-            TypeError: A field's type is not supported.
-
+        Raises BagError: the type is unknown here; TypeError: a field's type is not supported.
         """
         self._register(name)
         return _schema(name, self._store.fielddefs)
@@ -84,10 +77,7 @@ class MessageTypes:
 def installed_schema(name: str) -> Schema:
     """Return the schema of the installed message type ``name``, such as ``posor_msgs/msg/RawScan``.
 
-    Raises:
-        BagError: The type is unknown here.
-        TypeError: A field's type is not supported.
-
+    Raises BagError: the type is unknown here; TypeError: a field's type is not supported.
     """
     return MessageTypes().schema(name)
 
@@ -96,14 +86,8 @@ def schema_of_connection(connection: Connection, where: str) -> Schema:
     """Return the schema of a recorded topic, from the definition that its bag stores.
 
     A bag without definitions, such as an SQLite bag of an older ROS 2, is read with the installed definition.
-
-    Args:
-        connection: Of the bag.
-        where: Name of the bag in errors.
-
-    Raises:
-        BagError: The definition is invalid, or is not stored and the type is not installed.
-
+    ``where``: name of the bag in errors. Raises BagError: the definition is invalid, or is not stored and the type is
+    not installed.
     """
     if not connection.msgdef.data:
         return MessageTypes().schema(connection.msgtype)

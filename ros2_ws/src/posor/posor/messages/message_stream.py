@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from posor.node_parameters import CovarianceKind
     from posor.numerics.array_types import ByteArray, FloatArray, WordArray
 
-STATUS = np.dtype(
+STATUS = np.dtype(  # status of a stream of scans
     [
         ("readings_usable", "i8"),  # 0: the scans are of another frame; every scan is LOST
         ("count_from_next", "i8"),  # 1: the next scan is stated to be at the home mark
@@ -47,44 +47,29 @@ STATUS = np.dtype(
         ("changed", "i8"),  # 1: state, faults or row changes differ from the scan before
     ]
 )
-"""Status of a stream of scans."""
 
 OTHER_LAYOUT, UNEXPECTED = 4, 5
 """Results besides those of ``estimate_scan``: the message has another layout, or its number is not the next one or its
 stamp has another age than those of expected scans. It changes nothing."""
-UNCHECKED = -1
-"""In place of the present time: numbers and ages are not checked."""
+UNCHECKED = -1  # in place of the present time: numbers and ages are not checked
 USABLE, UNUSABLE = 0, 1
 BAD_READING = int(Fault.BAD_READING)
 
 
-EVERY_LAYOUT = np.zeros(0, dtype=np.int32)
-"""For rows that are known to have the layout of the stream."""
+EVERY_LAYOUT = np.zeros(0, dtype=np.int32)  # for rows that are known to have the layout of the stream
 
 
 class MessageStream(NamedTuple):
-    """What ``estimate_messages`` reads and writes beside the model.
+    """What ``estimate_messages`` reads and writes beside the model."""
 
-    Attributes:
-        raw: Rows of raw scans.
-        raw_layout: Shape (1,), dtype RAW_SCAN_LAYOUT.
-        expected: Words that all raw scans of this layout have in the bits of ``decisive``, shape (words,).
-        decisive: See ``expected``; of length zero: all rows are known to have this layout.
-        transforms: Rows of transforms to write.
-        transform_layout: Shape (1,), dtype TRANSFORM_LAYOUT.
-        template: A row of a transform with what is the same in all, shape (floats,).
-        status: Shape (1,), dtype STATUS.
-
-    """
-
-    raw: MessageRows
-    raw_layout: NDArray[np.void]
-    expected: WordArray
-    decisive: WordArray
-    transforms: MessageRows
-    transform_layout: NDArray[np.void]
-    template: FloatArray
-    status: NDArray[np.void]
+    raw: MessageRows  # rows of raw scans
+    raw_layout: NDArray[np.void]  # shape (1,), dtype RAW_SCAN_LAYOUT
+    expected: WordArray  # words that all raw scans of this layout have in the bits of ``decisive``, shape (words,)
+    decisive: WordArray  # see ``expected``; of length zero: all rows are known to have this layout
+    transforms: MessageRows  # rows of transforms to write
+    transform_layout: NDArray[np.void]  # shape (1,), dtype TRANSFORM_LAYOUT
+    template: FloatArray  # a row of a transform with what is the same in all, shape (floats,)
+    status: NDArray[np.void]  # shape (1,), dtype STATUS
 
     @staticmethod
     def of(
@@ -97,13 +82,8 @@ class MessageStream(NamedTuple):
     ) -> MessageStream:
         """Return a stream of raw scans and of transforms, rows (n, bytes) each.
 
-        Args:
-            raw: Layout of the raw scans.
-            transforms: Layout of the transforms.
-            raw_rows: Raw scans.
-            transform_rows: Transforms to write.
-            check: Whether rows of another layout may come.
-
+        ``raw``: layout of the raw scans; ``transforms``: layout of the transforms; ``raw_rows``: raw scans;
+        ``transform_rows``: transforms to write; ``check``: whether rows of another layout may come.
         """
         status = np.zeros(1, dtype=STATUS)
         status["state"], status["youngest_ns"], status["oldest_ns"] = -1, -math.inf, math.inf
@@ -184,11 +164,8 @@ def end_message(model: Model, stream: MessageStream, n: int) -> None:
 def estimate_messages(model: Model, stream: MessageStream, begin: int, end: int, now_ns: int) -> tuple[int, int]:
     """Estimate messages ``begin`` to ``end`` while nothing is left to do for one.
 
-    ``now_ns``: the present time, to check numbers and ages, or UNCHECKED.
-
-    Returns:
-        Where the loop stopped, ``end`` or the message in question, and what is left to do for that message.
-
+    ``now_ns``: the present time, to check numbers and ages, or UNCHECKED. Return where the loop stopped, ``end`` or the
+    message in question, and what is left to do for that message.
     """
     workspace = model.workspace[0]
     for n in range(begin, end):
@@ -215,7 +192,6 @@ class MessageEstimator:
     """
 
     def __init__(self, posor: Posor, stream: MessageStream) -> None:
-        """Prepare for the rows of a stream; the caller fills and reads the rows."""
         self._posor, self._stream = posor, stream
         self.status, self.estimate = stream.status, posor.model.workspace["estimate"]
         self._scan = posor.model.workspace["scan"]
@@ -273,14 +249,8 @@ class RawScanStream:
     def __init__(self, posor: Posor, example: bytes, kind: CovarianceKind) -> None:
         """Prepare.
 
-        Args:
-            posor: The estimator.
-            example: A raw scan of the layout, in plain CDR.
-            kind: Which part of the covariance to write.
-
-        Raises:
-            TopicError: The example is not a raw scan.
-
+        ``example``: a raw scan of the layout, in plain CDR; ``kind``: which part of the covariance to write. Raises
+        TopicError: the example is not a raw scan.
         """
         frames = posor.calibration.frames
         raw = TableLayout.of(example, installed_schema(RAW_SCAN))
@@ -317,10 +287,7 @@ class RawScanStream:
     def refuse_message(self, data: bytes, refusal: str) -> bytes | None:
         """Return a LOST transform of a raw scan that must not be used, as ``estimate_message`` does.
 
-        Args:
-            data: The scan, which the estimator does not see.
-            refusal: Sentence on the reason.
-
+        ``data``: the scan, which the estimator does not see; ``refusal``: sentence on the reason.
         """
         usable = self.status["readings_usable"].item()
         self.status["readings_usable"] = 0
@@ -380,22 +347,13 @@ class RawScanStream:
 
 
 class EstimatedScan(NamedTuple):
-    """A scan of a stream and its estimate.
+    """A scan of a stream and its estimate."""
 
-    Attributes:
-        stream: The stream.
-        data: The scan as a serialised message.
-        stamp_ns: Its stamp [ns]; 0: invalid.
-        refusal: Why its readings were not used; empty: they were.
-        estimate: Record of dtype ESTIMATE.
-
-    """
-
-    stream: RawScanStream
-    data: bytes
-    stamp_ns: int
-    refusal: str
-    estimate: Any
+    stream: RawScanStream  # the stream
+    data: bytes  # the scan as a serialised message
+    stamp_ns: int  # its stamp [ns]; 0: invalid
+    refusal: str  # why its readings were not used; empty: they were
+    estimate: Any  # record of dtype ESTIMATE
 
     @property
     def number(self) -> int:

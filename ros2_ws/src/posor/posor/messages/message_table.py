@@ -35,34 +35,20 @@ class MessageRows(NamedTuple):
 
 @dataclass(frozen=True)
 class TableLayout:
-    """Field offsets of messages with the same strings, and with sequences of the same lengths.
+    """Field offsets of messages with the same strings, and with sequences of the same lengths."""
 
-    Attributes:
-        size: Bytes of such a message.
-        row: Row of the example message, shape (bytes,).
-        fixed: Bits that every row of this layout shares with ``row``: encapsulation, lengths, characters.
-        strings: The strings by path, such as ``header.frame_id``; lists of strings are left out.
-        dtype: Of a row: every number by its path, such as ``header.stamp.sec``.
-
-    """
-
-    size: int
-    row: ByteArray
-    fixed: ByteArray
-    strings: Mapping[str, str]
-    dtype: np.dtype[np.void]
+    size: int  # bytes of such a message
+    row: ByteArray  # row of the example message, shape (bytes,)
+    fixed: ByteArray  # bits that every row of this layout shares with ``row``: encapsulation, lengths, characters
+    strings: Mapping[str, str]  # the strings by path, such as ``header.frame_id``; lists of strings are left out
+    dtype: np.dtype[np.void]  # of a row: every number by its path, such as ``header.stamp.sec``
 
     @staticmethod
     def of(data: bytes, schema: Schema) -> TableLayout:
         """Return the layout of an example message.
 
-        Args:
-            data: The message in plain CDR, little endian (``Schema.normal``).
-            schema: Of its type.
-
-        Raises:
-            TopicError: Invalid bytes.
-
+        ``data``: the message in plain CDR, little endian (``Schema.normal``); ``schema``: of its type. Raises
+        TopicError: invalid bytes.
         """
         layout = schema.layout(data)
         stride = -(-(LEAD + layout.size) // 8) * 8
@@ -103,27 +89,18 @@ class TableLayout:
 
 @dataclass(frozen=True)
 class MessageTable:
-    """Messages with the same layout, n of them.
+    """Messages with the same layout, n of them."""
 
-    Attributes:
-        layout: Of all rows.
-        rows: One message each, with padding before and after it, shape (n, bytes).
-
-    """
-
-    layout: TableLayout
-    rows: ByteArray
+    layout: TableLayout  # of all rows
+    rows: ByteArray  # one message each, with padding before and after it, shape (n, bytes)
 
     def __len__(self) -> int:
-        """Return the number of messages."""
         return len(self.rows)
 
     def __getitem__(self, path: str) -> Any:
-        """Return the numbers of a field, shape (n,) or (n, k), as a view."""
         return self.rows.view(self.layout.dtype)[path][:, 0]
 
     def __setitem__(self, path: str, numbers: Any) -> None:
-        """Write the numbers of a field."""
         self[path][...] = numbers
 
     def span(self, first: str, count: int) -> FloatArray:

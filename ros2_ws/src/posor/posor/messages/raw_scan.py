@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from posor.messages.cdr_schema import Schema
     from posor.numerics.array_types import BoolArray
 
-FIELDS = {
+FIELDS = {  # fields that are read, and their ``struct`` codes
     "header.stamp.sec": "i",
     "header.stamp.nanosec": "I",
     "scan": "Q",
@@ -39,14 +39,12 @@ FIELDS = {
     "temperature": "d",
     "header.frame_id": "s",
 }
-"""Fields that are read, and their ``struct`` codes."""
-COUNTS = {
+COUNTS = {  # sequences of readings, and the names of their lengths in SCAN and RAW_SCAN_LAYOUT
     "gap_voltages": "gap_count",
     "ring_voltages": "ring_count",
     "diode_currents": "current_count",
     "lit_sources": "lit_count",
 }
-"""Sequences of readings, and the names of their lengths in SCAN and RAW_SCAN_LAYOUT."""
 RAW_SCAN_LAYOUT = np.dtype(
     [(name, "i8") for name in ("stamp", "number", "status", *COUNTS, *COUNTS.values(), "supply_voltage", "temperature")]
 )
@@ -63,9 +61,7 @@ _STATUS = struct.Struct("<I")
 def raw_scan_layout(raw: TableLayout) -> NDArray[np.void]:
     """Return the record of dtype RAW_SCAN_LAYOUT, shape (1,), of messages with a layout.
 
-    Raises:
-        ShapeError: A sequence is longer than its bound; names the field, the expected and the received shape.
-
+    Raises ShapeError: a sequence is longer than its bound; names the field, the expected and the received shape.
     """
     layout = np.zeros(1, dtype=RAW_SCAN_LAYOUT)
     paths = {"stamp": "header.stamp.sec", "number": "scan"}
@@ -120,12 +116,7 @@ def _scans_of(rows: MessageRows, raw: TableLayout) -> Scans:
 
 
 def scan_of(data: bytes) -> Scan:
-    """Return a serialised raw scan with any numbers of readings.
-
-    Raises:
-        TopicError: The bytes are not a raw scan.
-
-    """
+    """Return a serialised raw scan with any numbers of readings. Raises TopicError: the bytes are not a raw scan."""
     schema = installed_schema(RAW_SCAN)
     layout = TableLayout.of(schema.normal(data), schema)
     return _scans_of(MessageRows.of(layout.row[None]), layout)[0]
@@ -133,40 +124,24 @@ def scan_of(data: bytes) -> Scan:
 
 @dataclass(frozen=True)
 class RecordedScans:
-    """Successive scans of one joint with the same readings, n of them, as a bag holds them.
+    """Successive scans of one joint with the same readings, n of them, as a bag holds them."""
 
-    Attributes:
-        log_times_ns: Shape (n,).
-        order: Positions among the messages of all joints that were read together, shape (n,).
-        scans: The readings.
-        header_stamps: Seconds and nanoseconds as recorded, which may be invalid, shape (n, 2).
-        statuses: ``posor_msgs/RawScan.status``, shape (n,).
-        frame: Frame of the receiving plate.
-
-    """
-
-    log_times_ns: IntArray
-    order: IntArray
-    scans: Scans
-    header_stamps: IntArray
-    statuses: IntArray
-    frame: str
+    log_times_ns: IntArray  # shape (n,)
+    order: IntArray  # positions among the messages of all joints that were read together, shape (n,)
+    scans: Scans  # the readings
+    header_stamps: IntArray  # seconds and nanoseconds as recorded, which may be invalid, shape (n, 2)
+    statuses: IntArray  # ``posor_msgs/RawScan.status``, shape (n,)
+    frame: str  # frame of the receiving plate
 
     @staticmethod
     def unpack(log_times_ns: IntArray, order: IntArray, table: MessageTable) -> RecordedScans:
-        """Return the scans of a table of RawScan messages.
-
-        Raises:
-            ShapeError: A sequence is longer than its bound.
-
-        """
+        """Return the scans of a table of RawScan messages. Raises ShapeError: a sequence is longer than its bound."""
         scans = _scans_of(MessageRows.of(table.rows), table.layout)
         stamps = np.column_stack([table[f"header.stamp.{part}"].astype(np.int64) for part in ("sec", "nanosec")])
         frame = table.layout.strings["header.frame_id"]
         return RecordedScans(log_times_ns, order, scans, stamps, scans.statuses, frame)
 
     def __len__(self) -> int:
-        """Return the number of scans."""
         return len(self.log_times_ns)
 
     def select(self, which: BoolArray) -> RecordedScans:
@@ -192,9 +167,7 @@ class RecordedScans:
 def check_raw_scan_schema(schema: Schema, where: str) -> None:
     """Check that a stored definition of RawScan has all fields that are read.
 
-    Raises:
-        BagError: A field is missing, or has another type.
-
+    Raises BagError: a field is missing, or has another type.
     """
     for path, code in FIELDS.items():
         field = schema.by_path.get(path)
@@ -214,12 +187,7 @@ class ScanTemplate:
     """
 
     def __init__(self, data: bytes) -> None:
-        """Prepare from a serialised raw scan.
-
-        Raises:
-            TopicError: The bytes are not a raw scan.
-
-        """
+        """Prepare from a serialised raw scan. Raises TopicError: the bytes are not a raw scan."""
         schema = installed_schema(RAW_SCAN)
         data = schema.normal(data)
         layout = schema.layout(data)

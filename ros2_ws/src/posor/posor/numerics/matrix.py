@@ -97,8 +97,7 @@ def solve_lower_triangular(lower: FloatArray, n: int, vector: FloatArray) -> Non
 
 
 Symmetric: TypeAlias = tuple[Matrix, Matrix, Matrix]
-Lower: TypeAlias = tuple[Vector, Vector]
-"""Of three unknowns: entries 10, 20, 21 of L, and the reciprocal pivots."""
+Lower: TypeAlias = tuple[Vector, Vector]  # of three unknowns: entries 10, 20, 21 of L, and the reciprocal pivots
 Factors: TypeAlias = tuple[Lower, Matrix, Lower]
 """Of six unknowns: L of the translation, the rows of L that couple both, L of the rotation."""
 

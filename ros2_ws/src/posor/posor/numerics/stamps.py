@@ -10,8 +10,7 @@ from posor.numerics.array_types import IntArray
 from posor.numerics.compiled import inlined
 
 NS = 1_000_000_000
-NO_TIME = "is zero, or its nanoseconds are a second or more"
-"""Why a stamp is invalid."""
+NO_TIME = "is zero, or its nanoseconds are a second or more"  # why a stamp is invalid
 TickT = TypeVar("TickT", int, IntArray)
 
 
@@ -20,8 +19,7 @@ def time_ns(seconds: int, nanoseconds: int) -> int:
     return seconds * NS + nanoseconds if nanoseconds < NS else 0
 
 
-time_in_kernel = inlined(time_ns)
-"""The same, for kernels."""
+time_in_kernel = inlined(time_ns)  # the same, for kernels
 
 
 def is_accepted_age(age_ns: int, youngest_ns: float, oldest_ns: float) -> bool:
@@ -29,8 +27,7 @@ def is_accepted_age(age_ns: int, youngest_ns: float, oldest_ns: float) -> bool:
     return youngest_ns <= age_ns <= oldest_ns
 
 
-accepted_in_kernel = inlined(is_accepted_age)
-"""The same, for kernels."""
+accepted_in_kernel = inlined(is_accepted_age)  # the same, for kernels
 
 
 def times_ns(seconds: IntArray, nanoseconds: IntArray) -> IntArray:

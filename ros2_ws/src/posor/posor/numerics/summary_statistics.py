@@ -18,14 +18,8 @@ FIGURES = 4
 def figures_of(values: IntArray, limit: int, out: FloatArray) -> int:
     """Write mean, standard deviation, least and greatest of those values that are nearer to zero than a limit.
 
-    Args:
-        values: Shape (n,).
-        limit: What is as large, or larger, does not count.
-        out: To write, shape (4,), where there is any value.
-
-    Returns:
-        How many values count.
-
+    ``values``: shape (n,); ``limit``: what is as large, or larger, does not count; ``out``: to write, shape (4,), where
+    there is any value. Return how many values count.
     """
     count, total, least, greatest = 0, 0, 0, 0
     for n in range(values.shape[0]):

@@ -15,8 +15,7 @@ from posor.numerics.compiled import in_place, inlined
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
-SERIES_BELOW = 0.02
-"""Squared angle [rad^2] below which the exponential map is summed as a series."""
+SERIES_BELOW = 0.02  # squared angle [rad^2] below which the exponential map is summed as a series
 
 Vector: TypeAlias = tuple[float, float, float]
 
