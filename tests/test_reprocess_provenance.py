@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from posor.bags.bag_writer import BagWriter
-from posor.bags.offline_arm import load_arm
+from posor.bags.offline_pipeline import load_arm
 from posor.bags.provenance import SOFTWARE, custom_data, provenance_of
 from posor.bags.reprocess_command import main
 from posor.bags.reprocess_task import Settings

@@ -16,7 +16,7 @@ import numpy as np
 from geometry_msgs.msg import Point, Pose, PoseStamped, PoseWithCovarianceStamped, Quaternion
 from posor.bags.bag_reader import opened_bag
 from posor.bags.bag_writer import BagWriter
-from posor.chain.arm_parameters import chain_parameters
+from posor.chain.arm_file import chain_parameters
 from posor.chain.joint_measurements import MeasuredJoint
 from posor.errors import BagError
 from posor.estimation.posor import Posor

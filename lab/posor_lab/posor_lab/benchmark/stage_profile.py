@@ -115,7 +115,7 @@ STAGES = {
     "posor_estimator.chain_node:ChainNode._on_transform": "chain_node: other",
     "posor.chain.time_synchroniser:TimeSynchroniser.add": "chain_node: synchronise",
     "posor.chain.endpoint_estimator:EndpointEstimator.estimate_rows": ("chain_node: read the transforms, endpoint"),
-    "posor_estimator.cdr_writer:MessageWriter.write": "chain_node: numbers into bytes",
+    "posor.messages.endpoint_messages:MessageWriter.write": "chain_node: numbers into bytes",
 }
 """Method and name of each stage; publishing is one more stage for each message type."""
 SCAN, POSE = "RawScan", "PoseStamped"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from posor.bags.calibration_recording import read_scans
     from posor.bags.data_frames import to_arrow, to_dataframe
-    from posor.bags.offline_arm import Arm, load_arm
+    from posor.bags.offline_pipeline import Arm, load_arm
     from posor.calibration.calibration_file import Calibration, load_calibration
     from posor.errors import (
         BagError,
@@ -69,7 +69,7 @@ _MODULES = {
     "bags.calibration_recording": ("read_scans",),
     "bags.data_frames": ("to_arrow", "to_dataframe"),
     "messages.estimate_arrays": ("ArmEstimates", "EndpointEstimates"),
-    "bags.offline_arm": ("Arm", "load_arm"),
+    "bags.offline_pipeline": ("Arm", "load_arm"),
     "calibration.calibration_file": ("Calibration", "load_calibration"),
     "estimation.estimate": ("Estimate", "Estimates"),
     "model.fault": ("Fault", "State"),

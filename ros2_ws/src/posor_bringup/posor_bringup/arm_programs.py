@@ -6,8 +6,8 @@ import re
 from typing import TYPE_CHECKING, Literal, get_args
 
 import yaml
-from posor.chain.arm_parameters import chain_parameters as chain_parameters_of
-from posor.chain.arm_parameters import posor_parameters
+from posor.chain.arm_file import chain_parameters as chain_parameters_of
+from posor.chain.arm_file import posor_parameters
 from posor.errors import ParameterError
 from posor.node_parameters import RECORDING
 from posor_drivers.sources.source import LiveSource, load_source_class

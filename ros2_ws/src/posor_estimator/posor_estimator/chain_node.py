@@ -21,11 +21,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
-from posor.chain.arm_parameters import CHAIN_NODE
+from posor.chain.arm_file import CHAIN_NODE
 from posor.chain.kinematic_chain import load_chain
 from posor.chain.time_synchroniser import MAX_OPEN_SCANS, TimeSynchroniser
 from posor.errors import TopicError
 from posor.messages.cdr_schema import STAMP
+from posor.messages.endpoint_messages import EndpointWriter
 from posor.messages.joint_transform import JointTransformFormat, stamp_ns_of
 from posor.messages.message_table import LEAD
 from posor.model.fault import State
@@ -53,9 +54,15 @@ from rclpy.clock_type import ClockType
 from sensor_msgs.msg import JointState
 
 from posor_estimator.alarm_rate import AlarmRate
-from posor_estimator.cdr_endpoint import EndpointStateWriter, EndpointWriter
 from posor_estimator.endpoint_protection import ProtectionLevel
-from posor_estimator.endpoint_verdict import SOUND, EndpointVerdict, JointStatus, degraded_verdict, unusable_verdict
+from posor_estimator.endpoint_verdict import (
+    SOUND,
+    EndpointStateWriter,
+    EndpointVerdict,
+    JointStatus,
+    degraded_verdict,
+    unusable_verdict,
+)
 from posor_estimator.frame_publisher import FramePublisher, StampedPoses
 
 if TYPE_CHECKING:
@@ -155,7 +162,6 @@ class ChainNode(PosorNode[ChainParameters]):
         return IntraProcessPublisher(self, message_type, topic, result_qos(self.parameters), count_listeners=True)
 
     def _subscribe(self, joint: FreeJoint) -> None:
-        """Subscribe to the transforms of a joint and watch them."""
         topic, qos = f"{joint.name}/{TRANSFORM_TOPIC}", sensor_subscription_qos(self.parameters)
         callback = partial(self._on_transform, joint, self._kinds[joint.name])
         subscription = IntraProcessSubscription(self, JointTransform, topic, qos, callback)
@@ -176,18 +182,16 @@ class ChainNode(PosorNode[ChainParameters]):
             self._pose_stamp = b""
 
     def _refresh_status(self) -> None:
-        """Update the counts, once a second."""
         with self._lock:
             self._status.update(self._counts())
 
     def _update_protection_level(self) -> None:
-        """Update the protection level of the endpoint, once a second."""
         with self._lock:
             if not self._poses:
                 return
             protection, estimator = self._protection, self._estimator
             poses, axes = estimator.poses.copy(), np.eye(3)
-            covariance = (estimator.relative_covariance if self._is_relative else estimator.covariance).copy()
+            covariance = estimator.result(relative=self._is_relative)[1].copy()
             if self._is_relative and self._home is not None:
                 axes = pin.XYZQUATToSE3(self._home).rotation
         level = protection.compute(poses, covariance, axes)
@@ -264,13 +268,11 @@ class ChainNode(PosorNode[ChainParameters]):
         self._report_no_pose(text)
 
     def _close_late_scans(self) -> None:
-        """Close scans that have waited for longer than ``max_wait``."""
         with self._lock:
             self._synchroniser.close_before(time.monotonic() - self.parameters.max_wait)
             self._report_incomplete_scans()
 
     def _why_missing(self, joints: tuple[str, ...]) -> str:
-        """Return why an incomplete scan lacks the transforms of these joints."""
         oldest_s = time.monotonic() - self.parameters.max_wait - LATE_CHECK_S
         recent = {name: text for name, (refused_s, text) in self._refusals.items() if refused_s > oldest_s}
         reasons = [recent[name] for name in joints if name in recent]
@@ -290,7 +292,6 @@ class ChainNode(PosorNode[ChainParameters]):
                 self._report_refused_scan(verdict)
 
     def _publish_endpoint(self, scan: dict[str, bytes], stamp_ns: int) -> None:
-        """Publish the endpoint of a complete scan, unless a transform is unusable."""
         for name, size, row in self._buffers:
             data = scan[name]
             row[:] = data if len(data) == size else data[:size]
@@ -333,7 +334,6 @@ class ChainNode(PosorNode[ChainParameters]):
             return StampedPoses(stamp_ns_of(self._pose_stamp), poses)
 
     def _refuse_scan(self, stamp: bytes, stamp_ns: int, verdict: EndpointVerdict) -> None:
-        """Publish and report that a complete scan gives no endpoint."""
         self._scans_refused += 1
         self._pose_stamp = b""
         self._publish_state(stamp, stamp_ns, verdict)
@@ -366,7 +366,6 @@ class ChainNode(PosorNode[ChainParameters]):
         return {"poses": self._poses, "scans_refused": self._scans_refused, "scans_incomplete": self._scans_incomplete}
 
     def _on_set_home(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Use the last pose as home."""
         with self._lock:
             if not self._is_relative:
                 response.message = "reference is 'absolute'; start the node with reference:=home for relative poses"

@@ -89,7 +89,6 @@ def _transform(parent: str, child: str) -> TransformStamped:
 
 
 def _set_transforms(message: TFMessage, frames: StampedPoses) -> None:
-    """Set stamps and numbers of all transforms of a message."""
     stamp = Time(sec=frames.stamp_ns // NS, nanosec=frames.stamp_ns % NS)
     for each, (x, y, z, qx, qy, qz, qw) in zip(message.transforms, frames.poses.tolist(), strict=True):
         each.header.stamp = stamp

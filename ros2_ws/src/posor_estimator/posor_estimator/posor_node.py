@@ -148,7 +148,6 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         return calibration, calibration.for_session(self.parameters.session)
 
     def _apply_calibration(self, calibration: Calibration, session_calibration: Calibration) -> None:
-        """Use a loaded calibration and report its identity."""
         self._use_calibration(session_calibration)
         path = self.parameters.calibration
         self._status.update(
@@ -268,7 +267,6 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         return float(message.position[index])
 
     def _on_raw_scan(self, data: bytes) -> None:
-        """Estimate the transform of a raw scan and publish it."""
         with self._lock:
             if not self.may_publish:
                 return
@@ -363,7 +361,6 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         return {"scans": self._scans, "scans_lost": self._scans_lost}
 
     def _refresh_status(self) -> None:
-        """Update the values of the status line, once a second."""
         with self._lock:
             if self._last_stream is None:
                 return

@@ -12,13 +12,14 @@ from posor.chain.joint_measurements import JointMeasurements, read_row
 from posor.errors import TopicError
 from posor.estimation.estimate import Estimate
 from posor.messages.cdr_schema import STAMP
+from posor.messages.endpoint_messages import MessageWriter
 from posor.messages.joint_transform import JointTransformFormat, stamp_ns_of
 from posor.messages.message_table import LEAD
 from posor.messages.raw_scan import ScanTemplate
 from posor.model.fault import Fault, State
 from posor.model.native_coordinates import native_from_rotation
 from posor.numerics.stamps import NS
-from posor_estimator.cdr_writer import MessageWriter
+from posor.ros_names import JOINT_STATE, POSE_STAMPED, POSE_WITH_COVARIANCE_STAMPED
 from posor_lab.harness.case_tables import refusal
 from posor_msgs.msg import JointTransform, RawScan
 from posor_ros.message_classes import schema_of_class
@@ -137,10 +138,13 @@ def test_a_writer_writes_the_present_numbers_of_its_arrays() -> None:
     plain, full, joints = PoseStamped(), PoseWithCovarianceStamped(), JointState(name=["shoulder", "elbow"])
     plain.header.frame_id = full.header.frame_id = "base"
     joints.position = [0.0, 0.0]
+    header = {"header.frame_id": "base"}
     writers = [
-        MessageWriter(plain, {"pose.position.x": pose}),
-        MessageWriter(full, {"pose.pose.position.x": pose, "pose.covariance": covariance}),
-        MessageWriter(joints, {"position": angles}),
+        MessageWriter(POSE_STAMPED, header, {"pose.position.x": pose}),
+        MessageWriter(
+            POSE_WITH_COVARIANCE_STAMPED, header, {"pose.pose.position.x": pose, "pose.covariance": covariance}
+        ),
+        MessageWriter(JOINT_STATE, {"name": joints.name, "position": joints.position}, {"position": angles}),
     ]
     for sec in range(5):
         for array in (pose, covariance, angles):

@@ -171,7 +171,6 @@ def storage_files(path: Path, *suffixes: str) -> list[Path]:
 
 
 def _check_metadata(path: Path) -> None:
-    """Refuse a folder without metadata."""
     if not path.is_dir() or (path / METADATA).exists():
         return
     files = storage_files(path, *ADVICE)

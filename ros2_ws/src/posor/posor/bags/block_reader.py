@@ -101,7 +101,6 @@ def _read_blocks(reader: Reader, topics: Sequence[str], where: str) -> Iterator[
 
 
 def _read_messages(reader: Reader, topics: Sequence[str]) -> Iterator[MessageBlock]:
-    """Yield blocks of messages that rosbags reads one by one."""
     numbers = {topic: number for number, topic in enumerate(topics)}
     messages = reader.messages([connection for connection in reader.connections if connection.topic in numbers])
     while group := list(islice(messages, BLOCK_MESSAGES)):
@@ -203,7 +202,6 @@ class _FileReader:
         return min(times)
 
     def _index_messages(self, data: ByteArray) -> MessageBlock:
-        """Return the messages of the topics among a chunk's records."""
         capacity = len(data) // (RECORD_HEAD.size + MESSAGE_HEAD) + 1
         topics, times, starts, lengths = (np.empty(capacity, dtype=np.int64) for _ in range(4))
         count, end = index_messages(data, self._numbers, topics, times, starts, lengths)
@@ -263,7 +261,6 @@ def _merge_blocks(parts: Sequence[MessageBlock], size: int) -> Iterator[MessageB
 
 
 def _sorted_by_time(parts: Sequence[MessageBlock]) -> MessageBlock:
-    """Return the messages of several blocks as one block."""
     sizes = np.array([len(part.data) for part in parts])
     block = MessageBlock(
         data=np.concatenate([part.data for part in parts]),
@@ -311,7 +308,6 @@ class TopicReader:
             begin = end
 
     def _read_first(self, block: MessageBlock, n: int) -> MessageTable:
-        """Return message n alone, the first of a new layout."""
         start, length = int(block.starts[n]), int(block.lengths[n])
         data = block.data[start : start + length].tobytes()
         try:

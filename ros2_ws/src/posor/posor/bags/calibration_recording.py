@@ -138,12 +138,10 @@ def _read_recorded_scans(reader: Reader, topic: str, where: str) -> RecordedScan
 
 
 def _reading_counts(scans: Scans) -> str:
-    """Return the numbers of readings of each kind, for errors."""
     return ", ".join(f"{getattr(scans, name).shape[1]} {words}" for name, words in READINGS.items())
 
 
 def _check_stamps(scans: Scans, where: str) -> None:
-    """Refuse stamps that are missing or do not increase."""
     numbers, stamps = scans.numbers, scans.stamps_ns
     if stamps[0] == 0:
         raise BagError(f"scan {numbers[0]} has no stamp", where=where, expected="the middle of its exposure")
@@ -158,7 +156,6 @@ def _check_stamps(scans: Scans, where: str) -> None:
 
 
 def _read_tracks(reader: Reader, references: Sequence[Reference], where: str) -> dict[str, Track]:
-    """Return the reference measurements by topic."""
     if not references:
         return {}  # rosbags would take an empty list for all topics
     topics = [reference.topic for reference in references]
@@ -196,7 +193,6 @@ def _file_sha256(path: Path) -> str:
 
 
 def _track(kind: str, messages: Sequence[tuple[int, Mapping[str, Value]]], reference: Reference, source: str) -> Track:
-    """Return the messages of a reference topic as a track."""
     where = f"{source}, topic {reference.topic}"
     stamps = [
         logged_ns if kind == FLOAT64 else time_ns(message["header.stamp.sec"], message["header.stamp.nanosec"])

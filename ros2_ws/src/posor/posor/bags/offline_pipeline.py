@@ -13,10 +13,13 @@ from posor.bags.arm_estimator import ArmEstimator
 from posor.bags.bag_reader import opened_bag, scan_schema
 from posor.bags.block_reader import TopicReader, read_blocks
 from posor.bags.provenance import custom_data, differences, provenance_of
-from posor.bags.reprocess_task import BagTopics, Summary, Task
+from posor.bags.reprocess_task import BagTopics, Settings, Summary, Task
 from posor.bags.result_folder import new_result_folder, writing
 from posor.bags.result_output import BagOutput, TableOutput
-from posor.errors import BagError
+from posor.chain.arm_file import ArmFile, load_arm_file
+from posor.errors import BagError, checked_path
+from posor.estimation.estimate import Estimates
+from posor.messages.estimate_arrays import ArmEstimates, EndpointEstimates
 from posor.messages.raw_scan import RecordedScans
 from posor.ros_names import RAW_SCAN, RAW_TOPIC
 
@@ -28,7 +31,7 @@ if TYPE_CHECKING:
 
     from posor.bags.block_reader import MessageBlock
     from posor.bags.reprocess_task import JointSettings
-    from posor.messages.estimate_arrays import ArmEstimates
+    from posor.node_parameters import CovarianceKind
 
 
 def topics_of(bag: Path, joints: Mapping[str, JointSettings]) -> BagTopics:
@@ -146,8 +149,49 @@ def _scan_count(estimates: ArmEstimates) -> int:
 
 
 def _open_output(task: Task, folder: Path, topics: BagTopics, estimator: ArmEstimator) -> BagOutput | TableOutput:
-    """Return the output in the requested format."""
     if task.format == "bag":
         return BagOutput(folder, topics, estimator, provenance_of(task.settings), task.output or folder)
     endpoint = estimator.endpoint
     return TableOutput(folder, task.format, list(topics.raw), None if endpoint is None else endpoint.joints)
+
+
+class Arm(ArmFile):
+    """An arm file with its paths resolved, which estimates recorded scans."""
+
+    def estimate(
+        self, bag: Path | str, *, covariance: CovarianceKind | None = None, false_alarm: float | None = None
+    ) -> ArmEstimates:
+        """Return the poses and covariances of all joints and of the endpoint, as the nodes would have published them.
+
+        Args:
+            bag: Folder with metadata.yaml, or a single .mcap or .db3 file, with scans on topics ``.../<joint>/raw``.
+            covariance: Part of the uncertainty in the endpoint's covariances, and in ``Estimates.covariances()`` of
+                the joints: from the readings' noise (random), from the calibration (systematic), or both (total).
+                None: the part that the arm file states for each joint; total where the file states no part.
+            false_alarm: Probability that the chi-square test rejects a correct scan; None: as the arm file states.
+
+        Raises:
+            ParameterError: There is no such part of the uncertainty, or ``false_alarm`` is not a probability.
+            PosorError: The bag, a calibration or the kinematic chain cannot be used.
+
+        """
+        path = checked_path(bag, "Arm.estimate", "the path of a bag")
+        settings = Settings.of_arm(self).with_estimation(covariance=covariance, false_alarm=false_alarm)
+        estimator = ArmEstimator(settings)
+        parts = list(estimate_bag(path, topics_of(path, settings.joints), estimator))
+        joints = {name: Estimates.concatenate([part.joints[name] for part in parts]) for name in settings.joints}
+        return ArmEstimates(joints, EndpointEstimates.concatenate([part.endpoint for part in parts]), parts[0].chain)
+
+    def __repr__(self) -> str:
+        return f"<Arm {self.name} of {self.path}: {', '.join(self.calibrations)}>"
+
+
+def load_arm(path: Path | str) -> Arm:
+    """Read an arm file; the files that it names are read by ``Arm.estimate``.
+
+    Raises:
+        ParameterError: The argument is no path.
+        CalibrationError: The file cannot be read, is not YAML, or has invalid content.
+
+    """
+    return Arm(**vars(load_arm_file(checked_path(path, "load_arm", "the path of an arm file"))))

@@ -138,7 +138,6 @@ def _write(bag: Path, files: Sequence[Path], output: Path) -> list[Rescue]:
 
 
 def _rescue(file: Path, writer: BagWriter) -> Rescue:
-    """Write what is whole in a file to the new bag."""
     rescue, topics = Rescue(file), _Topics(writer)
     with mapped(file) as data:
         index = read_index(data)

@@ -163,7 +163,6 @@ def _by_joint(option: str, given: Sequence[str], joints: Collection[str] = ()) -
 
 
 def _check(options: argparse.Namespace, tasks: Sequence[Task]) -> None:
-    """Refuse invalid options before the work begins."""
     if options.jobs < 1:
         raise ParameterError(f"{options.jobs}", where="option --jobs", expected="at least 1")
     if options.scheduler is not None and options.jobs > 1:
@@ -175,7 +174,6 @@ def _check(options: argparse.Namespace, tasks: Sequence[Task]) -> None:
 
 
 def _run_tasks(options: argparse.Namespace, tasks: Sequence[Task]) -> Iterator[Summary]:
-    """Run the tasks, show the progress, and yield the summaries."""
     jobs = min(options.jobs, os.cpu_count() or 1, len(tasks))
     with _progress() as progress:
         if options.scheduler is None and jobs == 1:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from posor.calibration.calibration_file import load_calibration
-from posor.chain.arm_parameters import CHAIN_NODE, POSOR_NODE, chain_parameters, posor_parameters
+from posor.chain.arm_file import CHAIN_NODE, POSOR_NODE, chain_parameters, posor_parameters
 from posor.chain.kinematic_chain import load_chain
 from posor.errors import ParameterError, check_probability
 from posor.node_parameters import COVARIANCE_KINDS, ChainParameters, PosorParameters

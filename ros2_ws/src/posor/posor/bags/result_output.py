@@ -9,10 +9,10 @@ import numpy as np
 from rosbags.interfaces import QosReliability
 
 from posor.bags.bag_writer import BagWriter, TopicMessages
-from posor.messages.estimate_columns import endpoint_columns, joint_columns
+from posor.bags.data_frames import endpoint_columns, joint_columns
+from posor.messages.endpoint_messages import endpoint_layouts, pack_endpoint
 from posor.messages.joint_transform import joint_transform_layout, pack_joint_transforms
 from posor.messages.message_definitions import MessageTypes
-from posor.messages.message_packing import endpoint_layouts, pack_endpoint
 from posor.ros_names import (
     ENDPOINT_COVARIANCE_TOPIC,
     ENDPOINT_TOPIC,
@@ -71,8 +71,7 @@ class BagOutput:
                 self._add_topic(f"{topics.namespace}/{topic}", kind, reliable)
                 for topic, kind in ENDPOINT_TOPICS.items()
             )
-            schemas = [types.schema(kind) for kind in ENDPOINT_TOPICS.values()]
-            self._endpoint_layouts = endpoint_layouts(schemas, end.frame, end.joints)
+            self._endpoint_layouts = endpoint_layouts(end.frame, end.joints)
 
     def _add_topic(self, topic: str, kind: str, profiles: Sequence[Qos]) -> int:
         return self._writer.add_topic(topic, kind, self._types.definition(kind), profiles)
@@ -91,7 +90,6 @@ class BagOutput:
         self._write_chunks([part for part in parts if len(part.times_ns)])
 
     def _write_chunks(self, parts: Sequence[TopicMessages]) -> None:
-        """Write messages as chunks that follow one another in time."""
         if not parts:
             return
         count = -(-sum(part.messages.nbytes for part in parts) // CHUNK_BYTES)

@@ -1,4 +1,4 @@
-"""The arm file: URDF, beams, calibrations, driver and scenario of an arm.
+"""The arm file: URDF, beams, calibrations, driver and scenario of an arm; the parameters of its nodes.
 
 Versions of the format:
 
@@ -17,13 +17,19 @@ from posor.calibration.calibration_file import Calibration, Provenance, load_cal
 from posor.calibration.file_model import EntryError, FrozenModel, format_value
 from posor.calibration.yaml_document import load_document
 from posor.chain.kinematic_chain import Chain, load_chain
-from posor.errors import CalibrationError, ChainError
+from posor.errors import CalibrationError, ChainError, NodeError, ParameterError
+from posor.node_parameters import ChainParameters, PosorParameters
+from posor.parameter_model import validate_parameters
+from posor.ros_names import ROS_OWN_PARAMETERS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    from posor.parameter_model import ParameterGroup
+
 VERSION = 1
+CHAIN_NODE, POSOR_NODE = "chain_node", "posor_node"
 
 
 def _check_ros_name(name: str) -> str:
@@ -164,3 +170,37 @@ def load_arm_file(path: Path) -> ArmFile:
         driver=content.driver,
         scenario=folder / content.scenario if content.scenario else None,
     )
+
+
+def chain_parameters(arm: ArmFile) -> dict[str, ParameterValue]:
+    """Return the ROS parameters of an arm's chain_node.
+
+    Raises NodeError: the arm file gives chain_node an unknown parameter or an invalid value; names the line.
+    """
+    parameters: dict[str, ParameterValue] = {"urdf": str(arm.urdf), "endpoint_frame": arm.endpoint_frame}
+    if arm.beams is not None:
+        parameters["beams"] = str(arm.beams)
+    return _checked(arm, "", ChainParameters, {**parameters, **arm.chain_parameters})
+
+
+def posor_parameters(arm: ArmFile, joint: str) -> dict[str, ParameterValue]:
+    """Return the ROS parameters of a joint's posor_node.
+
+    Raises NodeError: the arm file gives posor_node an unknown parameter or an invalid value; names the line.
+    """
+    parameters = {"calibration": str(arm.calibrations[joint]), "session": arm.sessions[joint]}
+    return _checked(arm, joint, PosorParameters, {**parameters, **arm.posor_parameters[joint]})
+
+
+def _checked(
+    arm: ArmFile, joint: str, model: type[ParameterGroup], parameters: dict[str, ParameterValue]
+) -> dict[str, ParameterValue]:
+    """Return the parameters if the node (of a joint; '': chain_node) accepts them."""
+    own = {name: value for name, value in parameters.items() if not name.startswith(ROS_OWN_PARAMETERS)}
+    node = f"{joint}/{POSOR_NODE}" if joint else CHAIN_NODE
+    try:
+        validate_parameters(model, own, node=node)
+    except ParameterError as error:
+        place = arm.parameter_locations.get((joint, error.parameter), str(arm.path))
+        raise NodeError(error, node, place) from error
+    return parameters

@@ -69,7 +69,6 @@ class ArmGeometry(NamedTuple):
 
 
 def _beam_record(beam: MeasuringBeam) -> tuple[FloatArray, ...]:
-    """Return the fields of ``BEAM``."""
     span, sigma_gain = beam.T_start_end, beam.sag_sigma * beam.sag_gain
     return (
         span.rotation,

@@ -163,6 +163,10 @@ class EndpointEstimator:
         endpoints, relative = self._endpoints, self._relative
         write_relative(home, endpoints.poses, endpoints.covariances, relative.poses, relative.covariances)
 
+    def result(self, *, relative: bool) -> tuple[FloatArray, FloatArray]:
+        """Return the arrays of pose and covariance of the endpoint in the base frame, or in the axes at home."""
+        return (self.relative_pose, self.relative_covariance) if relative else (self.pose, self.covariance)
+
     def fault_text(self) -> str:
         """Return why the last scan has no endpoint; empty if it has one."""
         faults = zip(self.joints, self.faults.tolist(), strict=True)

@@ -1,27 +1,24 @@
 """Pose and covariance of the endpoint in one pass along the arm, with the sag of its beams.
 
+The covariance of a point is of x, y, z [m], about X, Y, Z [rad], axes of the base, the small turn applied on the base's
+side at the point. It is propagated from joint to joint as ``Blocks``: position, position and turn, turn.
+
 Checked against pinocchio's forward kinematics and Jacobian by ``test/chain/test_endpoint_estimator.py``.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
 from posor.chain.beam_acceleration import append_centres, estimate_accelerations, forget_after_gap, has_free_row
-from posor.chain.endpoint_covariance import (
-    ZERO_COVARIANCE,
-    add_outer_product,
-    add_rotated,
-    moved_along,
-    write_covariance,
-)
 from posor.chain.joint_measurements import ENDPOINT_NOT_FINITE, measurement_fault, read_row
 from posor.model.fault import USABLE_STATES
 from posor.numerics.compiled import in_place, inlined
 from posor.numerics.matrix import (
+    ZERO_MATRIX,
     Matrix,
     applied,
     matrix,
@@ -32,7 +29,7 @@ from posor.numerics.matrix import (
     turned_by,
     write_pose,
 )
-from posor.numerics.vector import Vector, at, minus, plus, times, within
+from posor.numerics.vector import Vector, at, cross, minus, plus, put, times, within
 
 if TYPE_CHECKING:
     from posor.chain.arm_geometry import ArmGeometry
@@ -43,6 +40,10 @@ if TYPE_CHECKING:
 UNUSABLE, HISTORY_FULL = -1, -2
 """Results of ``estimate_endpoint_of_rows``: there is no endpoint; nothing was done, enlarge the history and repeat."""
 WORST_USABLE_STATE = int(max(USABLE_STATES))
+UpperTriangle: TypeAlias = tuple[float, float, float, float, float, float]  # of a symmetric block, row by row
+Blocks: TypeAlias = tuple[UpperTriangle, Matrix, UpperTriangle]
+_ZERO_TRIANGLE: UpperTriangle = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+ZERO_COVARIANCE: Blocks = (_ZERO_TRIANGLE, ZERO_MATRIX, _ZERO_TRIANGLE)
 IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -75,6 +76,102 @@ class Endpoints(NamedTuple):
         result = self._replace(poses=np.empty_like(self.poses), covariances=np.empty_like(self.covariances))
         write_relative(home, self.poses, self.covariances, result.poses, result.covariances)
         return result.poses, result.covariances
+
+
+@inlined
+def moved_along(blocks: Blocks, lever: Vector) -> Blocks:
+    """Return the covariance of another point of the same body, ``lever`` [m] away.
+
+    A small turn w moves that point by w x lever in addition.
+    """
+    position, mixed, turn = blocks
+    xx, xy, xz, yy, yz, zz = position
+    x, y, z = mixed
+    a, b, c, d, e, f = turn
+    before_x, before_y, before_z = cross(x, lever), cross(y, lever), cross(z, lever)
+    by_turn = transposed((cross((a, b, c), lever), cross((b, d, e), lever), cross((c, e, f), lever)))
+    x, y, z = plus(x, by_turn[0]), plus(y, by_turn[1]), plus(z, by_turn[2])
+    after_x, after_y, after_z = cross(x, lever), cross(y, lever), cross(z, lever)
+    position = (
+        xx + (before_x[0] + after_x[0]),
+        xy + (before_y[0] + after_x[1]),
+        xz + (before_z[0] + after_x[2]),
+        yy + (before_y[1] + after_y[1]),
+        yz + (before_z[1] + after_y[2]),
+        zz + (before_z[2] + after_z[2]),
+    )
+    return position, (x, y, z), turn
+
+
+@inlined
+def add_rotated(blocks: Blocks, rotation: Matrix, own: FloatArray) -> Blocks:
+    """Return the sum with the covariance of one more transform.
+
+    ``rotation`` turns the axes of ``own`` (6, 6) to those of the base. Only the upper triangle of ``own`` is read.
+    """
+    position, mixed, turn = blocks
+    position_part = _rotated(
+        rotation,
+        (own[0, 0], own[0, 1], own[0, 2]),
+        (own[0, 1], own[1, 1], own[1, 2]),
+        (own[0, 2], own[1, 2], own[2, 2]),
+    )
+    x, y, z = _rotated(
+        rotation,
+        (own[0, 3], own[1, 3], own[2, 3]),
+        (own[0, 4], own[1, 4], own[2, 4]),
+        (own[0, 5], own[1, 5], own[2, 5]),
+    )
+    turn_part = _rotated(
+        rotation,
+        (own[3, 3], own[3, 4], own[3, 5]),
+        (own[3, 4], own[4, 4], own[4, 5]),
+        (own[3, 5], own[4, 5], own[5, 5]),
+    )
+    mixed = plus(mixed[0], x), plus(mixed[1], y), plus(mixed[2], z)
+    return _added(position, position_part), mixed, _added(turn, turn_part)
+
+
+@inlined
+def _rotated(rotation: Matrix, x: Vector, y: Vector, z: Vector) -> Matrix:
+    """Return ``rotation @ block @ rotation.T``; x, y, z are the columns of the block."""
+    a, b, c = transposed((applied(rotation, x), applied(rotation, y), applied(rotation, z)))
+    return applied(rotation, a), applied(rotation, b), applied(rotation, c)
+
+
+@inlined
+def _added(triangle: UpperTriangle, block: Matrix) -> UpperTriangle:
+    a, b, c, d, e, f = triangle
+    x, y, z = block
+    return a + x[0], b + x[1], c + x[2], d + y[1], e + y[2], f + z[2]
+
+
+@inlined
+def add_outer_product(blocks: Blocks, shift: Vector, turn: Vector) -> Blocks:
+    """Return the sum with the covariance of one standard deviation along a shift [m] and a turn [rad], axes of base."""
+    position, mixed, turns = blocks
+    x, y, z = mixed
+    return (
+        _added(position, (times(shift[0], shift), times(shift[1], shift), times(shift[2], shift))),
+        (plus(x, times(shift[0], turn)), plus(y, times(shift[1], turn)), plus(z, times(shift[2], turn))),
+        _added(turns, (times(turn[0], turn), times(turn[1], turn), times(turn[2], turn))),
+    )
+
+
+@inlined
+def write_covariance(blocks: Blocks, covariance: FloatArray) -> None:
+    """Write the covariance as a full matrix, (6, 6)."""
+    position, mixed, turn = blocks
+    put(covariance, 0, 0, (position[0], position[1], position[2]))
+    covariance[1, 1], covariance[1, 2], covariance[2, 2] = position[3], position[4], position[5]
+    put(covariance, 3, 3, (turn[0], turn[1], turn[2]))
+    covariance[4, 4], covariance[4, 5], covariance[5, 5] = turn[3], turn[4], turn[5]
+    put(covariance, 0, 3, mixed[0])
+    put(covariance, 1, 3, mixed[1])
+    put(covariance, 2, 3, mixed[2])
+    for i in range(1, 6):
+        for j in range(i):
+            covariance[i, j] = covariance[j, i]
 
 
 @inlined

@@ -150,7 +150,6 @@ def _parse(urdf: str, source: str) -> ET.Element:
 
 
 def _float_joints(urdf: str, root: ET.Element, names: tuple[str, ...], source: str) -> str:
-    """Return the URDF with some fixed joints converted to floating joints."""
     if not names:
         return urdf
     fixed = {joint.get("name", ""): joint for joint in root.iter("joint") if joint.get("type") == "fixed"}

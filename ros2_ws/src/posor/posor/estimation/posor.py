@@ -392,7 +392,6 @@ class Posor:
             linearise_scan(self.model, scans[n], estimates[n])
 
     def _set_start(self, rotation: FloatArray, translation: FloatArray) -> None:
-        """Let the solver start the next scan from a pose."""
         start = self.tracker["start"]
         start["rotation"], start["translation"] = rotation, translation
         self.tracker["start_given"] = 1

@@ -302,7 +302,6 @@ class _Walk:
 
 
 def _values_of(message: Any, fields: Iterable[Field]) -> dict[str, Value]:
-    """Return the values of a message object by path."""
     values = {}
     for field in fields:
         value = message

@@ -102,7 +102,6 @@ class MessageStream(NamedTuple):
 
 @inlined
 def _has_layout(stream: MessageStream, n: int) -> bool:
-    """Return whether message n has the layout of the stream."""
     differs = 0
     for k in range(stream.decisive.shape[0]):
         differs |= (stream.raw.words[n, k] ^ stream.expected[k]) & stream.decisive[k]
