@@ -87,14 +87,7 @@ class ArmEstimator:
 
 
 class _JointEstimator:
-    """Estimates the transforms of one joint; each scan starts from the pose before.
-
-    Attributes:
-        scans: Number of scans.
-        lost: Number of scans without a pose.
-        faults: Lost scans by fault.
-
-    """
+    """Estimates the transforms of one joint, each scan from the pose before; counts scans, lost ones also by fault."""
 
     def __init__(self, calibration: Calibration, kind: CovarianceKind, false_alarm: float) -> None:
         self._posor = Posor(calibration, false_alarm=false_alarm)

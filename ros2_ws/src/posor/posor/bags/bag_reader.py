@@ -140,11 +140,16 @@ def counted_messages(reader: Reader, topics: Collection[str], where: str) -> Ite
 
     Raises BagError: at the end, when the number of messages differs from that in the bag's index.
     """
-    selected = [connection for connection in reader.connections if connection.topic in topics]
-    count, expected = 0, sum(connection.msgcount for connection in selected)
+    selected, count = [connection for connection in reader.connections if connection.topic in topics], 0
     for connection, time_ns, data in reader.messages(selected):
         count += 1
         yield connection, time_ns, bytes(data)
+    check_count(reader, topics, count, where)
+
+
+def check_count(reader: Reader, topics: Collection[str], count: int, where: str) -> None:
+    """Raise a BagError if the number of messages of some topics differs from that in the bag's index."""
+    expected = sum(connection.msgcount for connection in reader.connections if connection.topic in topics)
     if count != expected:
         raise BagError(
             f"holds {count} messages of {', '.join(topics)}", where=where, expected=f"{expected}, as its index says"

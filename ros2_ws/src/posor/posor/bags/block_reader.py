@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, BinaryIO, Literal, NamedTuple
 import numpy as np
 from mcap.records import Channel, ChunkIndex
 
-from posor.bags.bag_reader import bag_files
+from posor.bags.bag_reader import bag_files, check_count
 from posor.bags.mcap_file import INDEX_HEAD, RECORD_HEAD, checked_index, chunk_records
 from posor.errors import BagError, TopicError
 from posor.messages.byte_kernels import MESSAGE_HEAD, copy_messages, index_messages
@@ -78,15 +78,11 @@ def read_blocks(reader: Reader, topics: Sequence[str], where: str) -> Iterator[M
     chunk is cut short or damaged, or chunks overlap so much that too many messages wait; at the end, when the number of
     messages differs from that in the bag's index.
     """
-    expected = sum(connection.msgcount for connection in reader.connections if connection.topic in topics)
     count = 0
     for block in _read_blocks(reader, topics, where):
         count += len(block)
         yield block
-    if count != expected:
-        raise BagError(
-            f"holds {count} messages of {', '.join(topics)}", where=where, expected=f"{expected}, as its index says"
-        )
+    check_count(reader, topics, count, where)
 
 
 def _read_blocks(reader: Reader, topics: Sequence[str], where: str) -> Iterator[MessageBlock]:
@@ -278,11 +274,7 @@ class TopicReader:
     """Turns the messages of one topic, block after block, into tables."""
 
     def __init__(self, number: int, topic: str, schema: Schema, where: str) -> None:
-        """Prepare.
-
-        ``number``: of the topic in the blocks; ``topic``: its name, for errors; ``schema``: of its messages; ``where``:
-        name of the bag in errors.
-        """
+        """Read the topic of a ``number`` in the blocks; ``topic`` and ``where``, the bag, name it in errors."""
         self._number = number
         self._topic = topic
         self._schema = schema

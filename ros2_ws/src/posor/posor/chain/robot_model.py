@@ -65,9 +65,8 @@ class RobotModel:
         self.base_frame: str = self._links(0)[0]
         self._check_all_joints(root, source)
         if not self.model.existBodyName(endpoint_frame):
-            raise ChainError(
-                f"has no link '{endpoint_frame}'", where=source, expected=f"one of {', '.join(self._all_links())}"
-            )
+            links = ", ".join(frame.name for frame in self.model.frames if frame.type == pin.FrameType.BODY)
+            raise ChainError(f"has no link '{endpoint_frame}'", where=source, expected=f"one of {links}")
         self.endpoint = self.model.getFrameId(endpoint_frame, pin.FrameType.BODY)
         joints = [self._free_joint(index, source) for index in range(1, self.model.njoints)]
         by_name = {joint.name: joint for joint in joints}
@@ -115,9 +114,6 @@ class RobotModel:
                 T_parent_child = parent.placement.inverse() * link.placement
                 found.append(FixedTransform(parent.name, link.name, T_parent_child))
         return found
-
-    def _all_links(self) -> list[str]:
-        return [frame.name for frame in self.model.frames if frame.type == pin.FrameType.BODY]
 
     def _links(self, joint: int) -> list[str]:
         """Return the links that move with a joint, the nearest first."""

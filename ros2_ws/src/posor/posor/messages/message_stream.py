@@ -246,10 +246,9 @@ class RawScanStream:
     """
 
     def __init__(self, posor: Posor, example: bytes, kind: CovarianceKind) -> None:
-        """Prepare.
+        """Take the layout of an ``example`` in plain CDR; ``kind``: the part of the covariance to write.
 
-        ``example``: a raw scan of the layout, in plain CDR; ``kind``: which part of the covariance to write. Raises
-        TopicError: the example is not a raw scan.
+        Raises TopicError: the example is not a raw scan.
         """
         frames = posor.calibration.frames
         raw = TableLayout.of(example, installed_schema(RAW_SCAN))
