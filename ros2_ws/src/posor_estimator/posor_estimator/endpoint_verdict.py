@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache, reduce
 from operator import or_
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from posor.chain.joint_measurements import FAULT_TEXTS
@@ -124,7 +124,7 @@ class EndpointStateWriter:
 
         @lru_cache(maxsize=WRITERS)
         def writer_of(verdict: EndpointVerdict) -> MessageWriter:
-            values = {"state": verdict.state, "faults": verdict.faults}
+            values: dict[str, Any] = {"state": verdict.state, "faults": verdict.faults}
             for name, text, limit in (("joint", verdict.joint, MAX_JOINT), ("reason", verdict.reason, MAX_REASON)):
                 values |= {name: text.encode()[:limit].decode(errors="ignore")}
             numbers = {"age": self._age, **(endpoint if verdict.has_pose else nothing)}

@@ -54,8 +54,7 @@ CHUNK_BYTES = 1 << 20  # size of a chunk of messages that are written one by one
 INFINITE_NS = 2**63 - 1
 POLICIES = ("history", "reliability", "durability", "liveliness")
 DURATIONS = ("deadline", "lifespan", "liveliness_lease_duration")
-CHUNK_HEAD = Struct("<BQQQQIIQ")
-"""Head of the record, first and last log time, size, checksum, no name of a compression, size again."""
+CHUNK_HEAD = Struct("<BQQQQIIQ")  # head of the record, first and last log time, size, checksum, no compression, size
 MESSAGE_HEAD = Struct("<BQHIQQ")  # head of the record, channel, sequence number, log and publish time
 
 

@@ -30,8 +30,7 @@ JOINT_ROWS = np.dtype(  # a joint's transform as the chain needs it
         ("covariance", "f8", (6, 6)),
     ]
 )
-MOST_OPEN = 65_536
-"""Transforms of a joint that may wait for the other joints; then the oldest are given up, which bounds the memory."""
+MOST_OPEN = 65_536  # transforms of a joint that may wait for others; then the oldest are given up, to bound memory
 
 
 class BlockSynchroniser:

@@ -36,8 +36,7 @@ MAGIC = b"\x89MCAP0\r\n"  # first and last bytes of a file
 RECORD_HEAD = Struct("<BQ")  # opcode, and length of what follows
 INDEX_HEAD = Struct("<BQHI")  # head of a topic's index record: opcode, length, channel, length of the entries
 INDEX_ENTRY_SIZE = 16
-FOOTER = Struct("<BQQQI")
-"""Head of the record, offset of the index, offset of its table of contents, checksum of the index."""
+FOOTER = Struct("<BQQQI")  # head, offset of the index, offset of its table of contents, checksum of the index
 OF_MESSAGES = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE}
 OF_DATA = OF_MESSAGES | {Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END}
 """Records between the header and the index."""

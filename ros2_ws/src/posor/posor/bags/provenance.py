@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 
 SOFTWARE = "posor.software"
 FILES = ("urdf", "beams")  # parameters of chain_node that name files
-PENDING = "custom_data.json"
-"""File beside a bag that is being written: the custom data of its metadata.yaml, which is written at the end."""
+PENDING = "custom_data.json"  # custom data of a bag that is being written; its metadata.yaml is written at the end
 
 
 def provenance_of(settings: Settings | None) -> dict[str, str]:

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from posor.model.scan import Scans
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
-SCALAR, POINT, POSE = 1, 3, 7
-"""Columns of a track: one number; x, y, z [m]; x, y, z [m] and the unit quaternion x, y, z, w."""
+SCALAR, POINT, POSE = 1, 3, 7  # columns of a track: one number; x, y, z [m]; x, y, z [m], quaternion x, y, z, w
 
 _COLUMN_MEANING = {
     SCALAR: "one number (std_msgs/Float64)",

@@ -24,8 +24,7 @@ RecordArray: TypeAlias = NDArray[np.void]
 
 MAX_OFFSET = 0.02
 """Largest distance of a target plate's origin from the nominal joint in the URDF [m]; a POSOR measures millimetres."""
-MAX_VARIANCE = 100.0
-"""Largest variance of a measurement [m^2], [rad^2]; a greater variance is useless and may overflow along the arm."""
+MAX_VARIANCE = 100.0  # largest variance [m^2], [rad^2]; a greater one is useless and may overflow along the arm
 POSE_NOT_FINITE, QUATERNION_NOT_UNIT, COVARIANCE_NOT_FINITE, NATIVE_DISAGREES, POSE_TOO_FAR = 1, 2, 3, 4, 5
 VARIANCE_TOO_LARGE, COVARIANCE_NOT_SYMMETRIC, COVARIANCE_NOT_POSITIVE, ENDPOINT_NOT_FINITE = 6, 7, 8, 9
 FAULT_TEXTS = {  # why a joint's measurement cannot be used, by its fault in ``Endpoints.faults``
@@ -40,10 +39,8 @@ FAULT_TEXTS = {  # why a joint's measurement cannot be used, by its fault in ``E
     ENDPOINT_NOT_FINITE: "gives an endpoint that is not finite",
 }
 UNIT_QUATERNION_TOLERANCE = 1e-6  # largest difference of a quaternion's length from one
-NATIVE_TOLERANCE = 1e-8
-"""Largest difference of native angles from the pose [rad]; x, y and gap are equal. Damage to one shows in the other."""
-SYMMETRY_TOLERANCE = 1e-6
-"""Largest difference of two opposite elements of a covariance, relative to the two standard deviations."""
+NATIVE_TOLERANCE = 1e-8  # largest difference of native angles from the pose [rad]; x, y and gap are equal
+SYMMETRY_TOLERANCE = 1e-6  # largest difference of opposite covariances, relative to both standard deviations
 PIVOT_TOLERANCE = 1e-9  # part of a variance that counts as rounding in the test for a positive semi-definite covariance
 LARGEST_FLOAT = sys.float_info.max
 

@@ -29,8 +29,7 @@ if TYPE_CHECKING:
 
 NAME = "digital zero"
 MIN_SCANS = 10
-MOTION_SIGMAS = 5.0
-"""The target moves if the means of the two halves of the scans differ by more of their standard uncertainties."""
+MOTION_SIGMAS = 5.0  # the target moves if the means of both halves differ by more standard uncertainties
 
 
 @dataclass(frozen=True)

@@ -60,8 +60,7 @@ ILL_CONDITIONED_FAULT = int(Fault.ILL_CONDITIONED)
 SOURCE_FAULT, FROZEN_FAULT, ENVIRONMENT_FAULT = int(Fault.SOURCE), int(Fault.FROZEN), int(Fault.ENVIRONMENT)
 FLAGGED_FAULT, LATCHED_FAULT = int(Fault.FLAGGED), int(Fault.LATCHED)
 
-WEAK = 1e-4
-"""At a smaller pivot ratio the previous pose fills the blind direction: its uncertainty is 100 times the usual one."""
+WEAK = 1e-4  # below this pivot ratio the previous pose fills the blind direction: 100 times the usual uncertainty
 
 
 @inlined
@@ -213,7 +212,7 @@ def solve_and_check(
     """Solve the active rows from ``workspace.pose`` on, find covariances, check the solution, and update the tracker.
 
     ``model``: the POSOR; ``systematic_readings`` hold what of the readings' systematic covariance does not come from
-    ``estimation.parameter_effects`` or ``estimation.supply_and_temperature``; ``stamp``: time of the scan since the
+    ``estimation.covariance`` or ``estimation.linearise``; ``stamp``: time of the scan since the
     epoch [s]; ``scan``: record of dtype SCAN; ``extrapolate``: whether the start may be moved on as the target moved
     before, and the tilts may lag; ``estimate``: record of dtype ESTIMATE to write; of a LOST scan all numbers are NaN
     but the chi-square. Return DONE, or RETRY: the scan failed from the previous pose, and the tracker is unchanged.

@@ -23,11 +23,9 @@ if TYPE_CHECKING:
     from posor.estimation.workspace import Model
 
 FROZEN_EVIDENCE = 6.0  # evidence of a channel or a sensor that it is frozen: by chance once in a million scans
-ALL_FROZEN_EVIDENCE = 3.5
-"""Evidence of all channels together, so that the first repeated scan is seen; a wrong alarm costs one scan."""
+ALL_FROZEN_EVIDENCE = 3.5  # the same of all channels: the first repeated scan is seen; a wrong alarm costs one scan
 LOOP_EVIDENCE = 8.0  # evidence of all channels together that scans repeat in a loop of two or more
-LOOP_SCANS = 2
-"""Fewest scans in a row that repeat earlier ones; a recording that is played back and forth has one at each end."""
+LOOP_SCANS = 2  # fewest scans in a row that repeat earlier ones; a recording played back and forth has one at each end
 LOOP_WEIGHT = 0.7390851332151607
 """Weight of a reading in the signature of a scan: no polynomial with whole coefficients is zero there, so that readings
 which are whole multiples of a step give equal signatures only where all of them are equal."""

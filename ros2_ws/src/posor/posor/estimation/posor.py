@@ -38,8 +38,7 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
 PHASE_GUESSES = 8  # starts within one bump that are tried where theta is unknown
-LIKELY_RUNOUT = 1e-4
-"""Of starts that fit alike, as three ring probes have several, the start of least runout is taken; scale [m]."""
+LIKELY_RUNOUT = 1e-4  # scale [m]: of starts that fit alike, as with three ring probes, the one of least runout is taken
 LARGEST_SIGMA = 0.1  # largest standard uncertainty of a reference of theta, in periods: five of them are half a period
 COUNT_WINDOW = 0.52  # largest distance of a solution from a theta that is known to half a bump, in bumps
 

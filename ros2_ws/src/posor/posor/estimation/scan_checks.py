@@ -32,12 +32,10 @@ if TYPE_CHECKING:
     from posor.numerics.vector import Vector
 
 
-REGAIN_GAP = 4.5
-"""Intervals after the last accepted pose within which the motion is regained: up to three bad scans in a row."""
+REGAIN_GAP = 4.5  # intervals after the last accepted pose within which motion is regained: three bad scans in a row
 FIRST_GAP_S = 0.2  # the same after a scan that counted theta anew, whose motion is not known yet [s]
 MARKS = 6  # consecutive scans with agreeing home marks that count theta; so many disagreeing marks are a fault
-RESIDUAL_RUN = 10
-"""Scans in a row that fail the residual test before the joint is latched, and that pass it before it is released."""
+RESIDUAL_RUN = 10  # scans in a row that fail the residual test before the joint is latched, or pass before release
 REFERENCE_SIGMAS = 5.0  # standard deviations within which a reference of theta agrees
 NOISE_ALLOWANCE = 5.0  # standard deviations of noise that are added to the largest motion before a jump is a fault
 

@@ -25,12 +25,11 @@ ILL_CONDITIONED = 2
 
 LENGTH = 0.05  # lever [m] that makes a rotation comparable to a translation in the size of a step
 EXACT = 1e-15  # converged where the next step would be below this [m], extrapolated from the shrinkage of the last one
-TOLERANCE = 1e-9
-"""Below this [m] also converged where a step is hardly smaller than the previous one: rounding makes up the rest."""
+TOLERANCE = 1e-9  # below this [m] also converged where a step is hardly smaller than the last: the rest is rounding
 STALLED = 0.1  # a ratio of successive steps that counts as hardly smaller; assumed for the first step
 SHARP = 1e-11  # after a last step below this [m] the derivatives before the step are right to 1e-9 of their size
 ITERATIONS = 25
-SINGULAR = 1e-10  # at a smaller pivot ratio (``numerics.symmetric``) the readings do not determine the pose
+SINGULAR = 1e-10  # at a smaller pivot ratio (``numerics.matrix``) the readings do not determine the pose
 TURN_TOLERANCE = 1e-14  # change of theta [rad] below which the lagging turn of the tilts has converged
 
 
@@ -58,7 +57,7 @@ def iterate(workspace: Any, count: int, least_ratio: float) -> int:
 
     Rows, values and weights are read; jacobian and residuals at the solution, the sum of all steps, and the factors of
     the normal matrix are written. ``workspace``: record of dtype WORKSPACE; ``count``: how many rows are used;
-    ``least_ratio``: smallest ratio of a pivot to its diagonal entry that counts as determined (numerics.symmetric).
+    ``least_ratio``: smallest ratio of a pivot to its diagonal entry that counts as determined (``numerics.matrix``).
     Return CONVERGED, NOT_CONVERGED or ILL_CONDITIONED.
     """
     pose, jacobian, residuals, step_sum = workspace.pose, workspace.jacobian, workspace.residuals, workspace.step_sum

@@ -102,7 +102,7 @@ WORKSPACE = np.dtype(  # memory of fixed capacity for one POSOR
         ("reading_count", "i8"),
         ("redundant_count", "i8"),
         ("again", "i8"),  # 1: the scan is estimated once more, from a start
-        ("unmeasured", "i8"),  # see estimation.supply_and_temperature
+        ("unmeasured", "i8"),  # see estimation.linearise
         ("sensitivities", "f8", (READINGS, 2)),  # of each reading to supply and temperature [m/V], [m/K]
         ("evidence", "f8", (READINGS,)),  # of one repetition of each reading, see estimation.frozen
         # Linearised readings; the entries behind the readings belong to the prior.
@@ -121,13 +121,13 @@ WORKSPACE = np.dtype(  # memory of fixed capacity for one POSOR
         ("start_pose", POSE),
         ("jacobian", "f8", (ROWS, 6)),
         ("step_sum", "f8", (6,)),
-        ("factors", "f8", (7, 3)),  # of the normal matrix, see numerics.symmetric
+        ("factors", "f8", (7, 3)),  # of the normal matrix, see numerics.matrix
         # Covariance.
         ("gain", "f8", (READINGS, 6)),  # change of the pose for a unit of each reading
         ("systematic_readings", "f8", (READINGS, READINGS)),  # systematic covariance of the readings [m^2]
         ("first_correlated", "i8", (READINGS,)),  # readings that each reading is correlated with: first, behind last
         ("end_correlated", "i8", (READINGS,)),
-        ("alone_count", "i8"),  # see parameter_effects
+        ("alone_count", "i8"),  # see estimation.covariance
         ("contribution_count", "i8"),
         ("block_count", "i8"),
         # Residual test.

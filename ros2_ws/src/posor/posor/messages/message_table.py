@@ -15,8 +15,7 @@ if TYPE_CHECKING:
 
     from posor.numerics.array_types import BoolArray, ByteArray, FloatArray, IntArray, WordArray
 
-LEAD = 4
-"""Bytes before the message in its row. The message body begins four bytes later and so is aligned in memory too."""
+LEAD = 4  # bytes before a message in its row; its body, four bytes later, is so aligned in memory too
 ALL_BITS = 0xFF
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -53,6 +53,7 @@ RAW_SCAN_LAYOUT = np.dtype(
 The stamp is seconds, then nanoseconds, four bytes each; a lit source is one byte.
 """
 
+_ARRAYS = ("log_times_ns", "order", "header_stamps", "statuses")  # of RecordedScans
 _STAMP = struct.Struct("<iI")
 _NUMBER = struct.Struct("<Q")
 _STATUS = struct.Struct("<I")
@@ -146,22 +147,15 @@ class RecordedScans:
 
     def select(self, which: BoolArray) -> RecordedScans:
         """Return some of the scans."""
-        return RecordedScans(
-            self.log_times_ns[which],
-            self.order[which],
-            self.scans.select(which),
-            self.header_stamps[which],
-            self.statuses[which],
-            self.frame,
-        )
+        arrays = {name: getattr(self, name)[which] for name in _ARRAYS}
+        return replace(self, scans=self.scans.select(which), **arrays)
 
     @staticmethod
     def concatenate(parts: Sequence[RecordedScans]) -> RecordedScans:
         """Return the scans of several parts, all with the same readings; the frame is that of the first part."""
         scans = Scans.concatenate([part.scans for part in parts])
-        names = ("log_times_ns", "order", "header_stamps", "statuses")
-        arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-        return RecordedScans(scans=scans, frame=parts[0].frame, **arrays)
+        arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS}
+        return replace(parts[0], scans=scans, **arrays)
 
 
 def check_raw_scan_schema(schema: Schema, where: str) -> None:
