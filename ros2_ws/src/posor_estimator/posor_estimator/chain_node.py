@@ -26,7 +26,7 @@ from posor.chain.kinematic_chain import load_chain
 from posor.chain.time_synchroniser import MAX_OPEN_SCANS, TimeSynchroniser
 from posor.errors import TopicError
 from posor.messages.cdr_schema import STAMP
-from posor.messages.endpoint_messages import EndpointWriter
+from posor.messages.endpoint_messages import EndpointStateWriter, EndpointVerdict, EndpointWriter
 from posor.messages.joint_transform import JointTransformFormat, stamp_ns_of
 from posor.messages.message_table import LEAD
 from posor.model.fault import State
@@ -55,14 +55,7 @@ from sensor_msgs.msg import JointState
 
 from posor_estimator.alarm_rate import AlarmRate
 from posor_estimator.endpoint_protection import ProtectionLevel
-from posor_estimator.endpoint_verdict import (
-    SOUND,
-    EndpointStateWriter,
-    EndpointVerdict,
-    JointStatus,
-    degraded_verdict,
-    unusable_verdict,
-)
+from posor_estimator.endpoint_verdict import SOUND, JointStatus, degraded_verdict, unusable_verdict
 from posor_estimator.frame_publisher import FramePublisher, StampedPoses
 
 if TYPE_CHECKING:

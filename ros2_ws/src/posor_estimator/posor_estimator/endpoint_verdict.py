@@ -1,46 +1,23 @@
-"""Verdicts on the endpoint of a scan: whether there is an endpoint, which joint decides, and why; their messages."""
+"""Verdicts on the endpoint of a scan: whether there is an endpoint, which joint decides, and why."""
 
 from __future__ import annotations
 
-from functools import lru_cache, reduce
+from functools import reduce
 from operator import or_
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
 from posor.chain.joint_measurements import FAULT_TEXTS
-from posor.messages.endpoint_messages import POSE, MessageWriter
+from posor.messages.endpoint_messages import EndpointVerdict
 from posor.model.fault import Fault, State
-from posor.ros_names import ENDPOINT_STATE
 from posor_msgs.msg import EndpointState
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from posor.chain.endpoint_estimator import EndpointEstimator
-
-MAX_JOINT, MAX_REASON = 128, 255  # bounds of the strings in ``posor_msgs/EndpointState`` [bytes]
-WRITERS = 16  # number of verdicts whose messages are kept prepared
 ALL_FAULTS = sum(int(flag) for flag in Fault)
 NOT_COUNTED = "waiting for the home mark or another reference"
 """Said of a joint without a fault whose large rotation is not counted."""
 _STATE_TEXTS = {int(state): f"is {state.name.lower()}" for state in State}
-
-
-class EndpointVerdict(NamedTuple):
-    """Whether there is an endpoint, and why not; the fields of ``posor_msgs/EndpointState``."""
-
-    state: int
-    faults: int = 0
-    joint: str = ""
-    reason: str = ""
-    is_waiting: bool = False  # each joint that gives no pose has no fault and only waits to be counted; no field there
-
-    @property
-    def has_pose(self) -> bool:
-        """Whether the endpoint's numbers are valid."""
-        return self.state <= int(EndpointState.STATE_DEGRADED)
-
-
 SOUND = EndpointVerdict(EndpointState.STATE_OK)
 
 
@@ -104,35 +81,3 @@ def _fault_names(faults: int) -> str:
     if unknown := faults & ~ALL_FAULTS:
         names.append(f"unknown faults {unknown}")
     return f" ({'|'.join(names)})" if faults else ""
-
-
-class EndpointStateWriter:
-    """Writes ``EndpointState``; pose, covariance and protection level are NaN without a pose.
-
-    Attributes:
-        protection_level: Written into every message with a pose, (6,) [m], [rad]; NaN: not known.
-
-    """
-
-    def __init__(self, estimator: EndpointEstimator, frame: str, child_frame: str, *, relative: bool) -> None:
-        pose, covariance = estimator.result(relative=relative)
-        self.protection_level = np.full(6, np.nan)
-        self._age = np.full(1, np.nan)
-        endpoint = {POSE: pose, "covariance": covariance, "protection_level": self.protection_level}
-        nothing = {name: np.full(numbers.shape, np.nan) for name, numbers in endpoint.items()}
-        frames = {"header.frame_id": frame, "child_frame_id": child_frame}
-
-        @lru_cache(maxsize=WRITERS)
-        def writer_of(verdict: EndpointVerdict) -> MessageWriter:
-            values: dict[str, Any] = {"state": verdict.state, "faults": verdict.faults}
-            for name, text, limit in (("joint", verdict.joint, MAX_JOINT), ("reason", verdict.reason, MAX_REASON)):
-                values |= {name: text.encode()[:limit].decode(errors="ignore")}
-            numbers = {"age": self._age, **(endpoint if verdict.has_pose else nothing)}
-            return MessageWriter(ENDPOINT_STATE, frames | values, numbers)
-
-        self._writer_of = writer_of
-
-    def write(self, stamp: bytes, age_s: float, verdict: EndpointVerdict) -> bytes:
-        """Return the message; ``stamp``: its eight bytes (``STAMP``); ``age_s``: until now [s], NaN: no scan yet."""
-        self._age[0] = age_s
-        return self._writer_of(verdict).write(stamp)

@@ -4,14 +4,9 @@ from __future__ import annotations
 
 import pytest
 from posor.chain.joint_measurements import POSE_TOO_FAR
+from posor.messages.endpoint_messages import EndpointVerdict
 from posor.model.fault import Fault, State
-from posor_estimator.endpoint_verdict import (
-    NOT_COUNTED,
-    EndpointVerdict,
-    JointStatus,
-    degraded_verdict,
-    unusable_verdict,
-)
+from posor_estimator.endpoint_verdict import NOT_COUNTED, JointStatus, degraded_verdict, unusable_verdict
 from posor_msgs.msg import EndpointState
 
 SOUND_JOINT = JointStatus("base", State.OK, 0)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from posor.messages.cdr_schema import STAMP
 from posor.messages.message_definitions import installed_schema
 from posor.messages.message_table import TableLayout
+from posor.model.fault import USABLE_STATES
 from posor.numerics.stamps import NS
-from posor.ros_names import JOINT_STATE, POSE_STAMPED, POSE_WITH_COVARIANCE_STAMPED
+from posor.ros_names import ENDPOINT_STATE, JOINT_STATE, POSE_STAMPED, POSE_WITH_COVARIANCE_STAMPED
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
     from posor.messages.message_table import MessageTable
     from posor.numerics.array_types import FloatArray
 
+MAX_JOINT, MAX_REASON = 128, 255  # bounds of the strings in ``posor_msgs/EndpointState`` [bytes]
+WRITERS = 16  # number of verdicts whose messages are kept prepared
 POSE, COVARIANCE_POSE = "pose.position.x", "pose.pose.position.x"  # first of the seven numbers of a pose
 
 
@@ -88,3 +92,50 @@ class EndpointWriter:
         self.pose, self.pose_with_covariance, self.joint_states = (
             MessageWriter(name, same, numbers) for (name, same), numbers in zip(values, arrays, strict=True)
         )
+
+
+class EndpointVerdict(NamedTuple):
+    """Whether there is an endpoint, and why not; the fields of ``posor_msgs/EndpointState``."""
+
+    state: int
+    faults: int = 0
+    joint: str = ""
+    reason: str = ""
+    is_waiting: bool = False  # each joint that gives no pose has no fault and only waits to be counted; no field there
+
+    @property
+    def has_pose(self) -> bool:
+        """Whether the endpoint's numbers are valid."""
+        return self.state in USABLE_STATES
+
+
+class EndpointStateWriter:
+    """Writes ``EndpointState``; pose, covariance and protection level are NaN without a pose.
+
+    Attributes:
+        protection_level: Written into every message with a pose, (6,) [m], [rad]; NaN: not known.
+
+    """
+
+    def __init__(self, estimator: EndpointEstimator, frame: str, child_frame: str, *, relative: bool) -> None:
+        pose, covariance = estimator.result(relative=relative)
+        self.protection_level = np.full(6, np.nan)
+        self._age = np.full(1, np.nan)
+        endpoint = {POSE: pose, "covariance": covariance, "protection_level": self.protection_level}
+        nothing = {name: np.full(numbers.shape, np.nan) for name, numbers in endpoint.items()}
+        frames = {"header.frame_id": frame, "child_frame_id": child_frame}
+
+        @lru_cache(maxsize=WRITERS)
+        def writer_of(verdict: EndpointVerdict) -> MessageWriter:
+            values: dict[str, Any] = {"state": verdict.state, "faults": verdict.faults}
+            for name, text, limit in (("joint", verdict.joint, MAX_JOINT), ("reason", verdict.reason, MAX_REASON)):
+                values |= {name: text.encode()[:limit].decode(errors="ignore")}
+            numbers = {"age": self._age, **(endpoint if verdict.has_pose else nothing)}
+            return MessageWriter(ENDPOINT_STATE, frames | values, numbers)
+
+        self._writer_of = writer_of
+
+    def write(self, stamp: bytes, age_s: float, verdict: EndpointVerdict) -> bytes:
+        """Return the message; ``stamp``: its eight bytes (``STAMP``); ``age_s``: until now [s], NaN: no scan yet."""
+        self._age[0] = age_s
+        return self._writer_of(verdict).write(stamp)

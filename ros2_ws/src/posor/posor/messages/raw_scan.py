@@ -154,7 +154,7 @@ class RecordedScans:
     def concatenate(parts: Sequence[RecordedScans]) -> RecordedScans:
         """Return the scans of several parts, all with the same readings; the frame is that of the first part."""
         scans = Scans.concatenate([part.scans for part in parts])
-        arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS}
+        arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS}
         return replace(parts[0], scans=scans, **arrays)
 
 
