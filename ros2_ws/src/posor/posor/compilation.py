@@ -15,8 +15,7 @@ from posor.errors import SystemRefusal
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-POLL_S = 0.05
-"""Time between two looks at the compiling process and at the request to stop."""
+POLL_S = 0.05  # time between two looks at the compiling process and at the request to stop
 
 
 def completion_mark() -> Path | None:
@@ -34,13 +33,8 @@ def completion_mark() -> Path | None:
 def compile_kernels(report: Callable[[str], object], cancelled: Callable[[], bool]) -> None:
     """Compile the kernels in a process of their own, unless they are compiled; takes a minute, or under a millisecond.
 
-    Args:
-        report: Called with sentences for the user before and after the compilation.
-        cancelled: Polled; true ends the compilation.
-
-    Raises:
-        SystemRefusal: The compilation failed.
-
+    ``report``: called with sentences for the user before and after the compilation. ``cancelled``: polled; true ends
+    the compilation. Raises SystemRefusal: the compilation failed.
     """
     mark = completion_mark()
     if mark is None or mark.exists():

@@ -136,12 +136,8 @@ class ShapeError(PosorError, ValueError):
 def similar_name(name: str, names: Iterable[str], otherwise: str, *, least: float = 0.6) -> str:
     """Return what an unknown name may have meant, for ``expected`` of an error.
 
-    Args:
-        name: The unknown name.
-        names: The known names.
-        otherwise: The result if no known name is similar.
-        least: Similarity that is required, 0 to 1, as ``difflib`` measures it.
-
+    ``name``: the unknown name. ``names``: the known names. ``otherwise``: the result if no known name is similar.
+    ``least``: similarity that is required, 0 to 1, as ``difflib`` measures it.
     """
     similar = get_close_matches(name, list(names), n=1, cutoff=least)
     return f"perhaps '{similar[0]}'" if similar else otherwise

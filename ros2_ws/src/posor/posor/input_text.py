@@ -9,18 +9,14 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pathlib import Path
 
-MAX_BYTES = 1 << 25
-"""Largest size; a calibration file has some 100 kB."""
+MAX_BYTES = 1 << 25  # largest size; a calibration file has some 100 kB
 
 
 def read_input_text(path: Path) -> str:
     """Return the text of a file.
 
-    Raises:
-        OSError: The file cannot be read, is larger than MAX_BYTES, or is a pipe or device, on which a reader may wait
-            for ever. ``strerror`` says which.
-        UnicodeDecodeError: It is not UTF-8 text.
-
+    Raises OSError: the file cannot be read, is larger than MAX_BYTES, or is a pipe or device, on which a reader may
+    wait for ever. ``strerror`` says which. Raises UnicodeDecodeError: it is not UTF-8 text.
     """
     status = path.stat()
     if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):  # open() refuses a folder

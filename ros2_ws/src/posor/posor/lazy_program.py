@@ -18,22 +18,19 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from types import FrameType
 
-EXIT_INTERRUPTED = 130
-"""Exit code of an interrupted program, by the convention of shells."""
+EXIT_INTERRUPTED = 130  # exit code of an interrupted program, by the convention of shells
 INTERRUPT_SIGNALS = (signal.SIGINT, signal.SIGTERM)
-LEAST_LIMITS = (
+LEAST_LIMITS = (  # limits below which libraries of every program fail, in ways that do not show the reason
     (resource.RLIMIT_NOFILE, 64, "files open at a time (ulimit -n)"),
     (resource.RLIMIT_AS, 2 * 1024**3, "bytes of address space (ulimit -v counts kilobytes)"),
 )
-"""Limits below which libraries of every program fail, in ways that do not show the reason."""
-SHORTAGES = {
+SHORTAGES = {  # remedies of errors of the system
     errno.EMFILE: "a higher limit (ulimit -n)",
     errno.ENFILE: "fewer open files on this host",
     errno.ENOMEM: "more memory, or a higher limit (ulimit -v)",
     errno.ENOSPC: "free space on the disk",
     errno.EDQUOT: "a larger quota on the disk",
 }
-"""Remedies of errors of the system."""
 
 
 def handle_interrupts(
@@ -74,17 +71,11 @@ def interrupts_blocked() -> Iterator[None]:
 
 
 class LazyProgram:
-    """A program that is imported when it is called.
-
-    Attributes:
-        name: Name of the program.
-        module: Module whose function ``main`` runs the program and returns its exit code.
-
-    """
+    """A program that is imported when it is called."""
 
     def __init__(self, name: str, module: str) -> None:
-        self.name = name
-        self.module = module
+        self.name = name  # name of the program
+        self.module = module  # module whose function ``main`` runs the program and returns its exit code
 
     def __call__(self) -> int:
         """Import and run the program; return its exit code, or ``EXIT_INTERRUPTED`` after SIGINT or SIGTERM.

@@ -13,15 +13,12 @@ from pydantic import Field, field_validator, model_validator
 
 from posor.parameter_model import ChangeableAtRunTime, ParameterGroup
 
-CovarianceKind = Literal["random", "systematic", "total"]
-"""Which part of a covariance a message carries."""
+CovarianceKind = Literal["random", "systematic", "total"]  # which part of a covariance a message carries
 COVARIANCE_KINDS: dict[CovarianceKind, int] = {"random": 0, "systematic": 1, "total": 2}
 """The constants ``COVARIANCE_...`` of ``posor_msgs/JointTransform``."""
 MIN_TF_RATE = 0.01
-MIN_ZERO_SCANS = 10
-"""Scans below which their scatter is unknown."""
-HOME_COORDINATES = ("gap", "alpha", "beta")
-"""Elements of the parameter ``home_pose``."""
+MIN_ZERO_SCANS = 10  # scans below which their scatter is unknown
+HOME_COORDINATES = ("gap", "alpha", "beta")  # elements of the parameter ``home_pose``
 
 _Limit = Annotated[float, Field(gt=0.0, allow_inf_nan=True), ChangeableAtRunTime()]
 

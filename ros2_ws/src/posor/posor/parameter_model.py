@@ -138,9 +138,7 @@ def parameter_value(parameters: BaseModel, name: str) -> object:
 def validate_parameters(model: type[ModelT], values: Mapping[str, object], *, node: str) -> ModelT:
     """Check ``values``, by ROS parameter name, against ``model``.
 
-    Raises:
-        ParameterError: A value is wrong or missing, or a name is unknown; names ``node``.
-
+    Raises ParameterError: a value is wrong or missing, or a name is unknown; names ``node``.
     """
     known = {spec.name: spec for spec in parameter_specs(model)}
     for name in values:

@@ -27,7 +27,7 @@ from posor.numerics.compiled import record_view
 from posor.numerics.summary_statistics import FIGURES, figures_of
 
 ROW_BYTES = 1024
-FIELD_BYTES = {
+FIELD_BYTES = {  # bytes of the fields of a message that are longer than eight bytes
     "gap_voltages": 64,
     "ring_voltages": 64,
     "diode_currents": 128,
@@ -35,7 +35,6 @@ FIELD_BYTES = {
     "native": 48,
     "covariance": 288,
 }
-"""Bytes of the fields of a message that are longer than eight bytes."""
 
 ARM = """<robot name="arm"><link name="base"/><link name="plate"/><link name="endpoint"/>
 <joint name="joint" type="floating"><parent link="base"/><child link="plate"/></joint>

@@ -12,8 +12,7 @@ from scipy.special import dawsn, erfcx
 
 from posor_design.calculators import POSITIVE, PROPER_SHARE, SHARE, calculator
 
-HEAT_CAPACITY_RATIO = 1.4
-"""Of air."""
+HEAT_CAPACITY_RATIO = 1.4  # of air
 CRITICAL_RATIO = (2.0 / (HEAT_CAPACITY_RATIO + 1.0)) ** (HEAT_CAPACITY_RATIO / (HEAT_CAPACITY_RATIO - 1.0))
 """Ratio of the pressures behind and before an orifice below which its flow is choked."""
 CRITICAL_HEAD = (HEAT_CAPACITY_RATIO - 1.0) / (HEAT_CAPACITY_RATIO + 1.0)
@@ -167,9 +166,7 @@ def _nozzle_feed(bearing: _Bearing) -> _Feed:
 def velocity_head(pressure_ratio: float) -> float:
     """Return the share of the enthalpy that an ideal nozzle turns into velocity.
 
-    Args:
-        pressure_ratio: Pressure behind the nozzle over pressure before it.
-
+    ``pressure_ratio``: pressure behind the nozzle over pressure before it.
     """
     return float(1.0 - pressure_ratio ** ((HEAT_CAPACITY_RATIO - 1.0) / HEAT_CAPACITY_RATIO))
 
@@ -177,9 +174,7 @@ def velocity_head(pressure_ratio: float) -> float:
 def nozzle_function(head: float) -> float:
     """Return the mass flow of an ideal nozzle, times the root of gas constant and temperature, over area and pressure.
 
-    Args:
-        head: Velocity head; the flow stays the same above the critical one.
-
+    ``head``: velocity head; the flow stays the same above the critical one.
     """
     exponent = HEAT_CAPACITY_RATIO / (HEAT_CAPACITY_RATIO - 1.0)
     head = min(head, CRITICAL_HEAD)

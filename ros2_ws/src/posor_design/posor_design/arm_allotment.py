@@ -38,12 +38,10 @@ if TYPE_CHECKING:
 
     from posor_design.endpoint_budget import Spread
 
-AXES = ("x", "y", "z", "about X", "about Y", "about Z")
-"""Axes of the base in the order of all arrays, (6,)."""
+AXES = ("x", "y", "z", "about X", "about Y", "about Z")  # axes of the base in the order of all arrays, (6,)
 LARGEST_IMPROVEMENT, LARGEST_RELAXATION = 10.0, 100.0
 """Present over allotted uncertainty of a part at most, and allotted over present."""
-_UNIT = 1e-6
-"""Standard uncertainty for which the weights are computed [m], [rad]; the budget is linear in its square."""
+_UNIT = 1e-6  # standard uncertainty for which the weights are computed [m], [rad]; the budget is linear in its square
 _MICRO = 1e6
 
 
@@ -62,49 +60,28 @@ class Group(NamedTuple):
 
 @dataclass(frozen=True)
 class Allotment:
-    """Uncertainties of all groups that together meet the requirement.
+    """Uncertainties of all groups that together meet the requirement."""
 
-    Attributes:
-        groups: The g groups: of each joint from the base on, then of each beam.
-        present: Present standard uncertainty of each group [m, rad], (g,): the largest of three axes in all postures.
-        allotted: Allotted standard uncertainty, (g,).
-        postures: Angles of the joints [rad], by name, of each posture.
-        required: Largest standard uncertainty of the endpoint, (6,) [m, rad].
-        endpoint: Its standard uncertainty with the allotment, (postures, 6).
-        before: With the present covariances of the joints and the present beams, (postures, 6).
-        shares: Part of each group in the variance of the axis that uses most of its requirement, (g,); what is missing
-            from 1 is the sag of the beams.
-
-    """
-
-    groups: tuple[Group, ...]
+    groups: tuple[Group, ...]  # the g groups: of each joint from the base on, then of each beam
+    # present standard uncertainty of each group [m, rad], (g,): the largest of three axes in all postures
     present: FloatArray
-    allotted: FloatArray
-    postures: tuple[Mapping[str, float], ...]
-    required: FloatArray
-    endpoint: FloatArray
-    before: FloatArray
+    allotted: FloatArray  # allotted standard uncertainty, (g,)
+    postures: tuple[Mapping[str, float], ...]  # angles of the joints [rad], by name, of each posture
+    required: FloatArray  # largest standard uncertainty of the endpoint, (6,) [m, rad]
+    endpoint: FloatArray  # its standard uncertainty with the allotment, (postures, 6)
+    before: FloatArray  # with the present covariances of the joints and the present beams, (postures, 6)
+    # part of each group in the variance of the axis that uses most of its requirement, (g,); what is missing from 1 is
+    # the sag of the beams
     shares: FloatArray
 
 
 class EndpointWeights:
-    """Weights of all groups in the variances of an arm's endpoint.
-
-    Attributes:
-        groups: The g groups.
-        present: Their present standard uncertainties, (g,): the largest of three axes, as all three are allotted alike.
-        before: Present standard uncertainty of the endpoint by its budget, axis by axis, (postures, 6).
-        weights: Variance of an axis by unit variance of a group, (postures, 6, g).
-        fixed: Variances that are not allotted, (postures, 6).
-
-    """
+    """Weights of all groups in the variances of an arm's endpoint."""
 
     def __init__(self, arm: ArmFile, postures: Sequence[Mapping[str, float]]) -> None:
         """Compute the weights from the endpoint budget.
 
-        Raises:
-            PosorError: A file of the arm is invalid, or a POSOR has no pose at an angle.
-
+        Raises PosorError: a file of the arm is invalid, or a POSOR has no pose at an angle.
         """
         self._arm, self._postures = arm, postures
         chain = arm.chain()
@@ -118,9 +95,13 @@ class EndpointWeights:
         )
         covariances = self._present_covariances(chain)
         spreads = (endpoint_budget(chain, *each).spread for each in zip(postures, covariances, strict=True))
+        # present standard uncertainty of the endpoint by its budget, axis by axis, (postures, 6)
         self.before = np.sqrt([_variances(spread) for spread in spreads])
+        # their present standard uncertainties, (g,): the largest of three axes, as all three are allotted alike
         self.present = np.array([*self._largest(covariances), *(s for beam in listed for s in _present_beam(beam))])
+        # variances that are not allotted, (postures, 6)
         self.fixed = np.array([self._beam_variances(posture, "", np.zeros(6)) for posture in postures])
+        # variance of an axis by unit variance of a group, (postures, 6, g)
         self.weights = np.array([self._weights(posture) for posture in postures])
 
     def _present_covariances(self, chain: Chain) -> list[dict[str, FloatArray]]:
@@ -170,16 +151,11 @@ class EndpointWeights:
 def allot(arm: ArmFile, required: FloatArray, postures: Sequence[Mapping[str, float]]) -> Allotment:
     """Return the allotment of least effort.
 
-    Args:
-        arm: The arm; its present POSORs and beams state what accuracy costs the effort 1.
-        required: Largest standard uncertainty of the endpoint along and about the axes of the base, (6,) [m, rad].
-        postures: Angles of the joints [rad], by name, in which the requirement holds.
-
-    Raises:
-        DesignError: The requirement cannot be met; the error names the axis and the nearest requirement.
-        FitError: No allotment was found.
-        PosorError: A file of the arm is invalid, or a POSOR has no pose at an angle.
-
+    ``arm``: the arm; its present POSORs and beams state what accuracy costs the effort 1. ``required``: largest
+    standard uncertainty of the endpoint along and about the axes of the base, (6,) [m, rad]. ``postures``: angles of
+    the joints [rad], by name, in which the requirement holds. Raises DesignError: the requirement cannot be met; the
+    error names the axis and the nearest requirement. Raises FitError: no allotment was found. Raises PosorError: a file
+    of the arm is invalid, or a POSOR has no pose at an angle.
     """
     if not postures:
         raise ParameterError("no posture", where=f"arm '{arm.name}'", expected="at least one")
@@ -258,11 +234,8 @@ def _least_effort(weights: EndpointWeights, required: FloatArray) -> FloatArray:
 def beams_with(beams: BeamsFile, variances: Mapping[str, FloatArray], *, sag: bool = True) -> BeamsFile:
     """Return the beams with other uncertainties of their ends.
 
-    Args:
-        beams: The beams.
-        variances: Of the named beams, (6,): position along, then orientation about the axes of the start.
-        sag: Whether the beams sag.
-
+    ``variances``: of the named beams, (6,): position along, then orientation about the axes of the start. ``sag``:
+    whether the beams sag.
     """
     content = beams.model_dump(mode="json")
     for beam in content["beams"]:

@@ -72,9 +72,7 @@ def _positive(text: str, si: str, where: str) -> float:
 def postures_of(texts: Sequence[str], joints: Sequence[str]) -> list[Mapping[str, float]]:
     """Return the angles of the joints [rad] of each posture.
 
-    Raises:
-        ParameterError: A text is not a list of angles, one for each joint.
-
+    Raises ParameterError: a text is not a list of angles, one for each joint.
     """
     where = f"{WHERE}, --posture"
     postures: list[Mapping[str, float]] = []

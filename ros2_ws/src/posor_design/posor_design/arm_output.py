@@ -34,9 +34,7 @@ BEAMS = "beams.yaml"
 def joint_requirements(arm: ArmFile, allotment: Allotment) -> dict[str, Requirement]:
     """Return the requirement of each joint's POSOR: its allotment, the size of its plate, and assumed ranges.
 
-    Raises:
-        ChainError: The URDF draws no receiving plate as a cylinder, so that no outside diameter is known.
-
+    Raises ChainError: the URDF draws no receiving plate as a cylinder, so that no outside diameter is known.
     """
     chain = arm.chain()
     sigmas = _by_part(allotment, beam=False)
@@ -83,9 +81,7 @@ def arm_files(
 ) -> dict[str, str]:
     """Return the texts of an arm with designed POSORs, by their paths in its folder; its scenario is that of the arm.
 
-    Raises:
-        PosorError: A file of the arm cannot be read.
-
+    Raises PosorError: a file of the arm cannot be read.
     """
     chain, files = arm.chain(), {}
     bits = max(each.layout.bits(requirements[name].scan_rate.number) for name, each in layouts.items())

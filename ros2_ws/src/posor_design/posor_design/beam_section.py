@@ -11,26 +11,15 @@ from posor.errors import ParameterError
 
 @dataclass(frozen=True)
 class BeamSection:
-    """A section of a beam that bends in the plane of its height.
+    """A section of a beam that bends in the plane of its height."""
 
-    Attributes:
-        height: Outer height [m].
-        area: [m^2].
-        second_moment: Second moment of area about the axis across the plane of bending [m^4].
-        polar_moment: Polar second moment of area [m^4].
-        torsion_constant: Saint-Venant's torsion constant [m^4].
-        breadth_ratio: Width over height between the centre lines of the walls of a box; None: a tube.
-        bore_ratio: Inner over outer diameter of a tube.
-
-    """
-
-    height: float
-    area: float
-    second_moment: float
-    polar_moment: float
-    torsion_constant: float
-    breadth_ratio: float | None = None
-    bore_ratio: float = 0.0
+    height: float  # outer height [m]
+    area: float  # [m^2]
+    second_moment: float  # second moment of area about the axis across the plane of bending [m^4]
+    polar_moment: float  # polar second moment of area [m^4]
+    torsion_constant: float  # Saint-Venant's torsion constant [m^4]
+    breadth_ratio: float | None = None  # width over height between the centre lines of the walls of a box; None: a tube
+    bore_ratio: float = 0.0  # inner over outer diameter of a tube
 
     def shear_coefficient(self, poisson: float) -> float:
         """Return Timoshenko's shear coefficient (Cowper 1966, hollow circle and thin-walled box)."""
@@ -49,15 +38,9 @@ class BeamSection:
 def make_section(shape: Literal["tube", "box"], height: float, width: float, wall: float) -> BeamSection:
     """Return the section of a tube or a box.
 
-    Args:
-        shape: Round tube, or box.
-        height: Outer height in the plane of bending; the outer diameter of a tube [m].
-        width: Outer width of a box; 0 for a tube [m].
-        wall: Thickness of the walls [m].
-
-    Raises:
-        ParameterError: The walls leave no hole, a tube has a width, or a box has none.
-
+    ``shape``: round tube, or box. ``height``: outer height in the plane of bending; the outer diameter of a tube [m].
+    ``width``: outer width of a box; 0 for a tube [m]. ``wall``: thickness of the walls [m]. Raises ParameterError: the
+    walls leave no hole, a tube has a width, or a box has none.
     """
     if (width > 0.0) != (shape == "box"):
         expected = "more than 0 for a box" if shape == "box" else "no width for a tube, or shape 'box'"
@@ -86,14 +69,8 @@ def make_section(shape: Literal["tube", "box"], height: float, width: float, wal
 def make_tube(outer_diameter: float, inner_diameter: float, inner_name: str) -> Tube:
     """Return the geometry of a tube; modulus and density are 1.
 
-    Args:
-        outer_diameter: [m].
-        inner_diameter: [m]; 0: a solid round.
-        inner_name: Name of the inner diameter, for errors.
-
-    Raises:
-        ParameterError: The inner diameter leaves no wall.
-
+    ``outer_diameter``: [m]. ``inner_diameter``: [m]; 0: a solid round. ``inner_name``: name of the inner diameter, for
+    errors. Raises ParameterError: the inner diameter leaves no wall.
     """
     if inner_diameter >= outer_diameter:
         expected = f"less than the outside diameter, {outer_diameter:g} m"

@@ -31,22 +31,13 @@ LARGEST_ERROR = 1e-4
 
 @dataclass(frozen=True)
 class UniformBeam:
-    """A beam along x: all but the ``length`` [m] per length.
+    """A beam along x: all but the ``length`` [m] per length."""
 
-    Attributes:
-        length: [m].
-        bending_stiffness: E I [N m^2].
-        shear_stiffness: Shear coefficient times G A [N].
-        mass: [kg/m].
-        rotary_inertia: Rotary inertia of the sections about the axis across the plane of bending [kg m].
-
-    """
-
-    length: float
-    bending_stiffness: float
-    shear_stiffness: float
-    mass: float
-    rotary_inertia: float
+    length: float  # [m]
+    bending_stiffness: float  # E I [N m^2]
+    shear_stiffness: float  # shear coefficient times G A [N]
+    mass: float  # [kg/m]
+    rotary_inertia: float  # rotary inertia of the sections about the axis across the plane of bending [kg m]
 
 
 def make_beam(
@@ -61,9 +52,7 @@ def make_beam(
 ) -> UniformBeam:
     """Return the beam of a section and a material.
 
-    Raises:
-        ParameterError: The walls leave no hole, or the width does not suit the shape.
-
+    Raises ParameterError: the walls leave no hole, or the width does not suit the shape.
     """
     section = make_section(shape, height, width, wall)
     shear_modulus = modulus / (2.0 * (1.0 + poisson_ratio))
@@ -78,50 +67,31 @@ def make_beam(
 
 @dataclass(frozen=True)
 class Attachment:
-    """What is fixed to the beam at a point: a plate, a support, or both.
+    """What is fixed to the beam at a point: a plate, a support, or both."""
 
-    Attributes:
-        at: Distance from the beam's start [m].
-        mass: [kg].
-        inertia: About the axis across the plane of bending [kg m^2].
-        stiffness: Against deflection [N/m]; infinite: the deflection is held.
-        turning_stiffness: Against a turn of the section [N m/rad]; infinite: the turn is held.
-
-    """
-
-    at: float
-    mass: float = 0.0
-    inertia: float = 0.0
-    stiffness: float = 0.0
-    turning_stiffness: float = 0.0
+    at: float  # distance from the beam's start [m]
+    mass: float = 0.0  # [kg]
+    inertia: float = 0.0  # about the axis across the plane of bending [kg m^2]
+    stiffness: float = 0.0  # against deflection [N/m]; infinite: the deflection is held
+    turning_stiffness: float = 0.0  # against a turn of the section [N m/rad]; infinite: the turn is held
 
 
 class BeamModel:
-    """Stiffness and mass of a supported beam with n nodes; coordinates: n deflections [m], then n turns [rad].
-
-    Attributes:
-        positions: Of the nodes along the beam [m], (n,).
-        stiffness: (2 n, 2 n).
-        mass: (2 n, 2 n).
-
-    """
+    """Stiffness and mass of a supported beam with n nodes; coordinates: n deflections [m], then n turns [rad]."""
 
     def __init__(self, beam: UniformBeam, attachments: Sequence[Attachment], half_waves: int) -> None:
         """Create the model.
 
-        Args:
-            beam: The beam.
-            attachments: Plates and supports; the supports allow no motion of the beam as a rigid body.
-            half_waves: Largest number of half waves along the beam that the model has to resolve.
-
+        ``attachments``: plates and supports; the supports allow no motion of the beam as a rigid body. ``half_waves``:
+        largest number of half waves along the beam that the model has to resolve.
         """
         degree = LEAST_DEGREE + DEGREES_PER_HALF_WAVE * half_waves
         element = _ReferenceElement(degree)
         ends = np.unique([0.0, beam.length, *(each.at for each in attachments)])
         count = degree * (len(ends) - 1) + 1
-        self.positions: FloatArray = np.empty(count)
-        self.stiffness: FloatArray = np.zeros((2 * count, 2 * count))
-        self.mass: FloatArray = np.zeros((2 * count, 2 * count))
+        self.positions: FloatArray = np.empty(count)  # of the nodes along the beam [m], (n,)
+        self.stiffness: FloatArray = np.zeros((2 * count, 2 * count))  # (2 n, 2 n)
+        self.mass: FloatArray = np.zeros((2 * count, 2 * count))  # (2 n, 2 n)
         for number, (start, end) in enumerate(pairwise(ends)):
             nodes = degree * number + np.arange(degree + 1)
             self.positions[nodes] = 0.5 * (start + end) + 0.5 * (end - start) * element.nodes
@@ -148,9 +118,7 @@ class BeamModel:
     def modes(self, count: int) -> tuple[FloatArray, FloatArray]:
         """Return the lowest natural frequencies [rad/s], (count,), and their shapes, (count, 2 n).
 
-        Raises:
-            LinAlgError: The stiffness is singular, or so nearly that rounding decides a frequency.
-
+        Raises LinAlgError: the stiffness is singular, or so nearly that rounding decides a frequency.
         """
         free = np.ix_(self._free, self._free)
         size = len(self._free)
@@ -170,13 +138,8 @@ class BeamModel:
     def response(self, frequency: float, loss_factor: float) -> Any:
         """Return the amplitudes of the motion relative to the supports under a uniform specific force of 1 m/s^2.
 
-        Args:
-            frequency: Of the force [rad/s].
-            loss_factor: Imaginary over real part of the stiffness.
-
-        Returns:
-            Complex amplitudes, (2 n,); the force is real.
-
+        ``frequency``: of the force [rad/s]. ``loss_factor``: imaginary over real part of the stiffness. Returns the
+        complex amplitudes, (2 n,); the force is real.
         """
         free = np.ix_(self._free, self._free)
         uniform = np.repeat([1.0, 0.0], len(self.positions))

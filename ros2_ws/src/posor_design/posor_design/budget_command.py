@@ -64,12 +64,7 @@ def _count(least: int, name: str) -> Callable[[str], int]:
 
 
 def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
-    """Return the options.
-
-    Raises:
-        ParameterError: An option is unknown, or its value is invalid.
-
-    """
+    """Return the options. Raises ParameterError: an option is unknown, or its value is invalid."""
     parser = CommandLineParser(prog="posor budget", description="Error budget of a POSOR from its calibration file.")
     parser.add_argument("calibration", type=Path, metavar="CALIBRATION.yaml")
     parser.add_argument("--session", default="", help="session of the calibration file to apply")
@@ -123,13 +118,8 @@ def _arm_reliability(path: Path, given: Sequence[float] | None) -> ArmReliabilit
 def compute_budget(options: argparse.Namespace, progress: Callable[[int], None] | None = None) -> BudgetReport:
     """Compute the budget for these options; create the folder of the results before the draws, which take long.
 
-    Args:
-        options: As ``parse_options`` returns them.
-        progress: Called with the number of draws made so far.
-
-    Raises:
-        PosorError: The calibration is invalid, or cannot be used at this pose, or the folder cannot be created.
-
+    ``options``: as ``parse_options`` returns them. ``progress``: called with the number of draws made so far. Raises
+    PosorError: the calibration is invalid, or cannot be used at this pose, or the folder cannot be created.
     """
     calibration = load_calibration(options.calibration).for_session(options.session)
     posor = Posor(calibration)

@@ -14,8 +14,7 @@ from posor_design.budget_report import DISPLAY_UNITS
 if TYPE_CHECKING:
     from posor_design.budget_report import BudgetReport
 
-BARS = 8
-"""Number of contributions drawn for each output."""
+BARS = 8  # number of contributions drawn for each output
 COLOURS = {ContributionKind.RANDOM: ORANGE, ContributionKind.SYSTEMATIC: BLUE}
 NAMES = {ContributionKind.RANDOM: "noise (random)", ContributionKind.SYSTEMATIC: "calibration (systematic)"}
 

@@ -29,10 +29,8 @@ if TYPE_CHECKING:
 
 DISPLAY_UNITS: Mapping[str, tuple[float, str]] = {"m": (1e6, "µm"), "rad": (1e6, "µrad")}
 """Factor and name of the unit in which quantities of an SI unit are displayed."""
-SUMMARISED_SHARE = 0.01
-"""Contributions with smaller shares in all outputs are summed in one line."""
-NEGLIGIBLE_SHARE = 1e-4
-"""Smaller shares of a contribution in one output are not displayed."""
+SUMMARISED_SHARE = 0.01  # contributions with smaller shares in all outputs are summed in one line
+NEGLIGIBLE_SHARE = 1e-4  # smaller shares of a contribution in one output are not displayed
 CSV_COLUMNS = ("rank", "contribution", "kind", "quantity", "unit", "standard_uncertainty", "share_of_variance")
 DIFFERS = "the model is not linear over this uncertainty: use the interval of the draws, interval_95 in budget.json"
 NOT_STABLE = "too few draws for this tolerance: use more, --draws"
@@ -51,29 +49,17 @@ def format_number(value: float, output: Output) -> str:
 
 @dataclass(frozen=True)
 class BudgetReport:
-    """Everything that tables, files and page of a budget display.
+    """Everything that tables, files and page of a budget display."""
 
-    Attributes:
-        calibration: Name of the calibration.
-        content_hash: Hash of its content.
-        session: Name of the applied session; empty: none.
-        budget: First-order budget.
-        drawn: Monte Carlo result.
-        validations: Validation of the first order by the draws, for each output.
-        seed: Seed of the draws.
-        reliability: Minimal detectable biases of the readings.
-        arm: Reliability of an arm and protection level of its endpoint; None: no arm is given.
-
-    """
-
-    calibration: str
-    content_hash: str
-    session: str
-    budget: ErrorBudget
-    drawn: MonteCarlo
-    validations: tuple[Validation, ...]
-    seed: int
-    reliability: Reliability
+    calibration: str  # name of the calibration
+    content_hash: str  # hash of its content
+    session: str  # name of the applied session; empty: none
+    budget: ErrorBudget  # first-order budget
+    drawn: MonteCarlo  # Monte Carlo result
+    validations: tuple[Validation, ...]  # validation of the first order by the draws, for each output
+    seed: int  # seed of the draws
+    reliability: Reliability  # minimal detectable biases of the readings
+    # reliability of an arm and protection level of its endpoint; None: no arm is given
     arm: ArmReliability | None = None
 
     @property

@@ -18,17 +18,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Value:
-    """An argument of a calculator, or a field of its result.
+    """An argument of a calculator, or a field of its result."""
 
-    Attributes:
-        name: Name in Python.
-        kind: Annotation: type, unit, limits and meaning, see ``calculators.py``.
-        default: Value of an argument that is left out; ``inspect.Parameter.empty``: the argument is required.
-
-    """
-
-    name: str
-    kind: Any
+    name: str  # name in Python
+    kind: Any  # annotation: type, unit, limits and meaning, see ``calculators.py``
+    # value of an argument that is left out; ``inspect.Parameter.empty``: the argument is required
     default: Any = inspect.Parameter.empty
 
     @property

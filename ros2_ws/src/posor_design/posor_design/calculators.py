@@ -50,8 +50,7 @@ def more_than(low: float) -> Limit:
     return Limit(lambda value: value > low, f"more than {low:g}")
 
 
-FINITE = Limit(math.isfinite, "a finite number")
-"""Holds for all arguments."""
+FINITE = Limit(math.isfinite, "a finite number")  # holds for all arguments
 POSITIVE = more_than(0.0)
 NON_NEGATIVE = Limit(lambda value: value >= 0.0, "0 or more")
 NON_ZERO = Limit(lambda value: value != 0.0, "a number other than 0")
@@ -158,9 +157,7 @@ def _check_argument(name: str, kind: Any, value: Any) -> None:
 def require_as_many(first: str, **values: Sequence[float]) -> None:
     """Check that arguments have as many values as the one named ``first``.
 
-    Raises:
-        ParameterError: An argument has more or fewer values.
-
+    Raises ParameterError: an argument has more or fewer values.
     """
     for name, each in values.items():
         if len(each) != len(values[first]):

@@ -12,8 +12,7 @@ from scipy.special import ellipe, ellipk, elliprd, elliprf
 
 from posor_design.calculators import POISSON_RATIO, POSITIVE, calculator, more_than
 
-_FLATTEST = 1e-5
-"""Smallest ratio of the half axes that is solved."""
+_FLATTEST = 1e-5  # smallest ratio of the half axes that is solved
 _DEEPEST = 2.0
 """Depth over the small half axis above which the greatest shear stress lies: at most 0.79, or at the surface."""
 
@@ -100,11 +99,8 @@ def _shear_stress(depth: float, k: float, poisson_ratio: float) -> float:
 
     Carlson's forms of the elliptic integrals hold for a circle (k = 1) too.
 
-    Args:
-        depth: Depth over the small half axis.
-        k: Small half axis over the large one.
-        poisson_ratio: Poisson's ratio of the body.
-
+    ``depth``: depth over the small half axis. ``k``: small half axis over the large one. ``poisson_ratio``: Poisson's
+    ratio of the body.
     """
     t = k * depth
     sine, cosine = 1.0 / math.hypot(1.0, t), t / math.hypot(1.0, t)

@@ -81,9 +81,7 @@ def list_calculators() -> str:
 def run_calculator(signature: CalculatorSignature, arguments: Sequence[str]) -> None:
     """Run a calculator, print its result, and write the files that the command line names.
 
-    Raises:
-        PosorError: The command line is wrong, the calculator refuses an argument, or a file cannot be written.
-
+    Raises PosorError: the command line is wrong, the calculator refuses an argument, or a file cannot be written.
     """
     options = vars(build_parser(signature).parse_args(arguments))
     values = {each.name: options[each.name] for each in signature.arguments}

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from posor_design.calculator_signature import CalculatorSignature, Value
 
 _COLOURS = (BLUE, ORANGE, GREEN, LIGHT_BLUE, GREY)
-_INCREASE = 0.01
-"""Relative growth of each argument."""
+_INCREASE = 0.01  # relative growth of each argument
 
 
 def render_design_page(signature: CalculatorSignature, arguments: Mapping[str, Any], results: Mapping[str, Any]) -> str:

@@ -22,22 +22,15 @@ if TYPE_CHECKING:
     from posor.chain.kinematic_chain import Chain
     from posor.numerics.array_types import FloatArray
 
-BEAMS = "measuring beams"
-"""Name of the contribution of all beams."""
+BEAMS = "measuring beams"  # name of the contribution of all beams
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Standard uncertainties of the endpoint, k = 1, axes of the base.
+    """Standard uncertainties of the endpoint, k = 1, axes of the base."""
 
-    Attributes:
-        orientation: About X, Y, Z [rad], (3,).
-        displacement: Along X, Y, Z [m], (3,).
-
-    """
-
-    orientation: FloatArray
-    displacement: FloatArray
+    orientation: FloatArray  # about X, Y, Z [rad], (3,)
+    displacement: FloatArray  # along X, Y, Z [m], (3,)
 
     @staticmethod
     def of(covariance: FloatArray) -> Spread:
@@ -61,26 +54,18 @@ class Contribution:
 
 @dataclass(frozen=True)
 class EndpointBudget:
-    """Standard uncertainties of the endpoint and their contributions.
+    """Standard uncertainties of the endpoint and their contributions."""
 
-    Attributes:
-        spread: Total of all contributions.
-        contributions: Of each joint, and of the beams unless they are exact; in decreasing order of displacement.
-
-    """
-
-    spread: Spread
+    spread: Spread  # total of all contributions
+    # of each joint, and of the beams unless they are exact; in decreasing order of displacement
     contributions: tuple[Contribution, ...]
 
 
 def endpoint_budget(chain: Chain, angles: Mapping[str, float], covariances: Mapping[str, FloatArray]) -> EndpointBudget:
     """Return the budget of an arm at rest.
 
-    Args:
-        chain: The arm, with the uncertainty of its beams.
-        angles: Angle of each joint [rad], by name.
-        covariances: Covariance of each POSOR's transform, (6, 6) in ROS order, by name.
-
+    ``chain``: the arm, with the uncertainty of its beams. ``angles``: angle of each joint [rad], by name.
+    ``covariances``: covariance of each POSOR's transform, (6, 6) in ROS order, by name.
     """
     none = np.zeros((6, 6))
     exact = dict.fromkeys(covariances, none)
@@ -109,13 +94,8 @@ def monte_carlo(
 ) -> Spread:
     """Return the spread of the endpoint over drawn errors of joints and beams, each through the exact chain.
 
-    Args:
-        chain: The arm.
-        angles: See ``endpoint_budget``.
-        covariances: See ``endpoint_budget``.
-        draws: Number of draws; relative uncertainty of the spread: 1 / sqrt(2 draws).
-        seed: Seed of the draws.
-
+    ``angles``, ``covariances``: see ``endpoint_budget``. ``draws``: number
+    of draws; relative uncertainty of the spread: 1 / sqrt(2 draws). ``seed``: seed of the draws.
     """
     random = np.random.default_rng(seed)
     exact = {joint.name: chain.nominal_joint(joint.name, angles[joint.name]) for joint in chain.joints}
@@ -172,9 +152,7 @@ def thesis_covariance(outside_diameter: float) -> FloatArray:
     Small rotations: 5 microinch over 0.75 (D - 1 in). Large rotation: 5 microinch over the radius of the ring, half of
     D - 2 in; the formula of the section has D - 2 in, but all its figures are those of the radius. Translations: zero.
 
-    Raises:
-        ParameterError: The diameter is too small for a ring.
-
+    Raises ParameterError: the diameter is too small for a ring.
     """
     if not outside_diameter >= SMALLEST_DIAMETER:
         raise ParameterError(f"outside diameter {outside_diameter:g} m", expected=f"at least {SMALLEST_DIAMETER:g} m")

@@ -26,11 +26,9 @@ if TYPE_CHECKING:
     from posor_design.posor_layout import PosorLayout
     from posor_design.requirement import Requirement
 
-MIDDLES = 8
-"""Poses in the middle of the range."""
+MIDDLES = 8  # poses in the middle of the range
 _SEED = 1985
-_MOTIONS = 5
-"""Freedoms with a middle: x, y, gap, alpha, beta."""
+_MOTIONS = 5  # freedoms with a middle: x, y, gap, alpha, beta
 
 
 @dataclass(frozen=True)
@@ -63,10 +61,7 @@ def extreme_poses(requirement: Requirement, gap: float) -> RangePoses:
     The corners are those of a fractional factorial design of resolution V: every two freedoms have all four pairs of
     ends.
 
-    Args:
-        requirement: For its range.
-        gap: In the middle [m].
-
+    ``requirement``: for its range. ``gap``: in the middle [m].
     """
     free = np.array(list(product((-1.0, 1.0), repeat=_MOTIONS - 1)))
     corners = np.column_stack([free, np.prod(free, axis=1)])
@@ -90,24 +85,14 @@ def _poses(requirement: Requirement, gap: float, shares: FloatArray, turns: Floa
 
 @dataclass(frozen=True)
 class Candidate:
-    """A layout and what it achieves.
+    """A layout and what it achieves."""
 
-    Attributes:
-        kind: Its discrete choices.
-        layout: The layout.
-        random: Variances of the freedoms by the noise at each pose, (n, 6) [m^2, rad^2].
-        systematic: Variances by the calibration, (n, 6).
-        fault: Largest minimal detectable bias of a reading [m]; infinite: a reading is unchecked.
-        readable: Whether all sensors give a pose everywhere, and the numbers of the light sources are unambiguous.
-
-    """
-
-    kind: LayoutKind
+    kind: LayoutKind  # its discrete choices
     layout: PosorLayout
-    random: FloatArray
-    systematic: FloatArray
-    fault: float
-    readable: bool
+    random: FloatArray  # variances of the freedoms by the noise at each pose, (n, 6) [m^2, rad^2]
+    systematic: FloatArray  # variances by the calibration, (n, 6)
+    fault: float  # largest minimal detectable bias of a reading [m]; infinite: a reading is unchecked
+    readable: bool  # whether all sensors give a pose everywhere, and the numbers of the light sources are unambiguous
 
     @property
     def sigmas(self) -> FloatArray:
@@ -127,12 +112,8 @@ class Candidate:
 def evaluate(requirement: Requirement, kind: LayoutKind, layout: PosorLayout, poses: RangePoses) -> Candidate:
     """Return what a layout achieves at poses of its range.
 
-    Args:
-        requirement: For the scan rate and the velocity.
-        kind: Discrete choices of the layout.
-        layout: The layout.
-        poses: As ``extreme_poses``; the faults are evaluated at the last one.
-
+    ``requirement``: for the scan rate and the velocity. ``kind``: discrete choices of the layout. ``poses``: as
+    ``extreme_poses``; the faults are evaluated at the last one.
     """
     calibration = layout.calibration(requirement)
     posor = Posor(calibration)

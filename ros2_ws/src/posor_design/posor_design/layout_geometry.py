@@ -20,36 +20,23 @@ from posor_design.posor_layout import BUMP_SLOPE, NOMINAL_RANGE, PosorLayout, Th
 if TYPE_CHECKING:
     from posor_design.requirement import Requirement
 
-EDGE = 2e-3
-"""Material between a part and the inside or outside diameter [m]."""
-PROBE_RADIUS, PROBE_LENGTH = 4e-3, 12e-3
-"""Of a probe's body [m]."""
-DIODE_FRAME = 1.5e-3
-"""Around the calibrated surface of a diode [m]."""
+EDGE = 2e-3  # material between a part and the inside or outside diameter [m]
+PROBE_RADIUS, PROBE_LENGTH = 4e-3, 12e-3  # of a probe's body [m]
+DIODE_FRAME = 1.5e-3  # around the calibrated surface of a diode [m]
 SOURCE_RADIUS, SMALLEST_SOURCE_PITCH = 1.5e-3, 3e-3
 """Of a light source in the target plate, and from source to source [m]."""
-HALF_WIDTHS = (2.5e-3, 10e-3)
-"""Of the calibrated surface of a diode [m]."""
+HALF_WIDTHS = (2.5e-3, 10e-3)  # of the calibrated surface of a diode [m]
 BUMP_PITCHES = (2e-3, 8e-3)
-RING_WALL = 3e-3
-"""Of a bumpy ring [m]."""
-PROBE_RANGES = (0.25, 3.0)
-"""Least and greatest range of a probe, see ``PosorLayout.probe_range``."""
+RING_WALL = 3e-3  # of a bumpy ring [m]
+PROBE_RANGES = (0.25, 3.0)  # least and greatest range of a probe, see ``PosorLayout.probe_range``
 MOST_SOURCES = 240
-LARGEST_GROWTH = 1.18
-"""Largest pitch of a coded ring over its mean (``calibration.coded_ring``)."""
-RAY_LENGTH = 3e-3
-"""From a light source to its diode, beside the gap [m]."""
-RING_PLANE = 5e-3
-"""Height of the ring probes above the receiving plate [m]."""
-COUNTED = 0.25
-"""Largest motion of the ring from scan to scan, in bumps: half a bump is ambiguous."""
-FIXED_SOURCES_TURN = 0.5
-"""Largest theta that fixed light sources are tried for [rad]."""
-LEAST_RADIUS = 0.25
-"""Smallest share of the largest possible ring radius that is tried."""
-PLANE_TILT = 1.4e-3
-"""Of the target plane against the axis, in the calibrations of designs [rad]."""
+LARGEST_GROWTH = 1.18  # largest pitch of a coded ring over its mean (``calibration.coded_ring``)
+RAY_LENGTH = 3e-3  # from a light source to its diode, beside the gap [m]
+RING_PLANE = 5e-3  # height of the ring probes above the receiving plate [m]
+COUNTED = 0.25  # largest motion of the ring from scan to scan, in bumps: half a bump is ambiguous
+FIXED_SOURCES_TURN = 0.5  # largest theta that fixed light sources are tried for [rad]
+LEAST_RADIUS = 0.25  # smallest share of the largest possible ring radius that is tried
+PLANE_TILT = 1.4e-3  # of the target plane against the axis, in the calibrations of designs [rad]
 _DIAGONAL = math.sqrt(2.0)
 _FOUR = 4
 
@@ -101,9 +88,7 @@ class Shares:
 def arrange(requirement: Requirement, kind: LayoutKind, diameter: float, shares: Shares) -> PosorLayout | None:
     """Return the layout of a kind within an outside diameter [m], with the largest circle of gap probes.
 
-    Returns:
-        The layout, of noise 1; None: the parts do not fit, or no probe has the range.
-
+    Returns the layout, of noise 1; None: the parts do not fit, or no probe has the range.
     """
     builder = _bumpy_ring if kind.theta_sensor == "bumpy_ring" else _diodes
     return builder(requirement, kind, diameter, shares)

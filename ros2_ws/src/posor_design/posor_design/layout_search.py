@@ -28,14 +28,10 @@ if TYPE_CHECKING:
 
 Preference = Literal["electronics", "accuracy", "size", "detectability"]
 PREFERENCES: tuple[Preference, ...] = ("electronics", "accuracy", "size", "detectability")
-NOISES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-"""Noise of the electronics over the reference that candidates may have."""
-DIAMETERS = (1.0, 0.9, 0.8, 0.7, 0.6)
-"""Outside diameters of candidates over the required one."""
-RESERVE = 0.9
-"""Largest uncertainty of a candidate over the required one."""
-EVALUATIONS = 14
-"""Of the method of Nelder and Mead for each combination."""
+NOISES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # noise of the electronics over the reference that candidates may have
+DIAMETERS = (1.0, 0.9, 0.8, 0.7, 0.6)  # outside diameters of candidates over the required one
+RESERVE = 0.9  # largest uncertainty of a candidate over the required one
+EVALUATIONS = 14  # of the method of Nelder and Mead for each combination
 CHECKED_POSES = 300
 SEED = 1985
 START = (Shares(1.0, 0.0), Shares(1.0, 0.4), Shares(0.8, 0.4))
@@ -57,26 +53,17 @@ class Ratios(NamedTuple):
 
 @dataclass(frozen=True)
 class SearchResult:
-    """Result of a search.
+    """Result of a search."""
 
-    Attributes:
-        requirement: What was searched for.
-        best: Candidate with the smallest worst ratio, of the smallest noise; None: no layout fits the geometry.
-        feasible: All candidates that meet the requirement.
-        trade_off: Those of them that no other one excels in size, accuracy, detectability and noise at once.
-        chosen: The preferred one, verified at random poses; None: the requirement cannot be met.
-        evaluations: Number of layouts whose uncertainty was computed.
-        preference: What the chosen one is best in.
-
-    """
-
-    requirement: Requirement
+    requirement: Requirement  # what was searched for
+    # candidate with the smallest worst ratio, of the smallest noise; None: no layout fits the geometry
     best: Candidate | None
-    feasible: tuple[Candidate, ...]
+    feasible: tuple[Candidate, ...]  # all candidates that meet the requirement
+    # those of them that no other one excels in size, accuracy, detectability and noise at once
     trade_off: tuple[Candidate, ...]
-    chosen: Candidate | None
-    evaluations: int
-    preference: Preference
+    chosen: Candidate | None  # the preferred one, verified at random poses; None: the requirement cannot be met
+    evaluations: int  # number of layouts whose uncertainty was computed
+    preference: Preference  # what the chosen one is best in
 
 
 def ratios(requirement: Requirement, candidate: Candidate) -> Ratios:

@@ -17,32 +17,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Line:
-    """Straight line y = intercept + slope x through points.
+    """Straight line y = intercept + slope x through points."""
 
-    Attributes:
-        intercept: Intercept of the least squares line.
-        slope: Slope of the least squares line.
-        standard_deviation: Standard deviation of the residuals, with n - 2 degrees of freedom.
-        largest_residual: Largest absolute residual.
-        peak_to_valley: Largest less least residual.
-        band: Width along y of the narrowest band between two parallel lines that holds all points.
-
-    """
-
-    intercept: float
-    slope: float
-    standard_deviation: float
-    largest_residual: float
-    peak_to_valley: float
-    band: float
+    intercept: float  # intercept of the least squares line
+    slope: float  # slope of the least squares line
+    standard_deviation: float  # standard deviation of the residuals, with n - 2 degrees of freedom
+    largest_residual: float  # largest absolute residual
+    peak_to_valley: float  # largest less least residual
+    band: float  # width along y of the narrowest band between two parallel lines that holds all points
 
 
 def fit_line(x: Sequence[float], y: Sequence[float], x_name: str) -> Line:
     """Return the straight lines through three points or more; ``x_name`` is for errors.
 
-    Raises:
-        ParameterError: All x are equal.
-
+    Raises ParameterError: all x are equal.
     """
     middle, half = (max(x) + min(x)) / 2.0, (max(x) - min(x)) / 2.0
     if half <= 0.0:

@@ -29,43 +29,26 @@ if TYPE_CHECKING:
     from posor.uncertainty.budget_quantities import PlatePoint
     from posor.uncertainty.first_order import ErrorBudget
 
-COVERAGE = 0.95
-"""Coverage probability of the compared intervals."""
+COVERAGE = 0.95  # coverage probability of the compared intervals
 COVERAGE_FACTOR = float(ndtri(0.5 + 0.5 * COVERAGE))
-BATCH = 10_000
-"""Draws between two tests of stability (JCGM 101, 7.9.4: at least 10^4)."""
-MAX_LOST_SHARE = 0.01
-"""Largest share of draws without a pose."""
-STABLE_SHARE = 0.2
-"""Stability is required to this share of the numerical tolerance (JCGM 101, 8.2)."""
-PROGRESS_DRAWS = 500
-"""Draws between two calls of ``progress``."""
+BATCH = 10_000  # draws between two tests of stability (JCGM 101, 7.9.4: at least 10^4)
+MAX_LOST_SHARE = 0.01  # largest share of draws without a pose
+STABLE_SHARE = 0.2  # stability is required to this share of the numerical tolerance (JCGM 101, 8.2)
+PROGRESS_DRAWS = 500  # draws between two calls of ``progress``
 
 
 @dataclass(frozen=True)
 class MonteCarlo:
-    """Result of the draws.
+    """Result of the draws."""
 
-    Attributes:
-        outputs: The k outputs.
-        means: Their averages [m, rad], shape (k,).
-        sigmas: Their standard deviations, shape (k,).
-        low: Lower ends of their probabilistically symmetric 95 % intervals, shape (k,).
-        high: Upper ends, shape (k,).
-        stable: Whether the results of each output are stable to a fifth of its numerical tolerance, shape (k,).
-        trials: Draws that gave a pose.
-        lost: Draws without a pose: a reading out of its calibrated range, or no solution.
-
-    """
-
-    outputs: tuple[Output, ...]
-    means: FloatArray
-    sigmas: FloatArray
-    low: FloatArray
-    high: FloatArray
-    stable: BoolArray
-    trials: int
-    lost: int
+    outputs: tuple[Output, ...]  # the k outputs
+    means: FloatArray  # their averages [m, rad], shape (k,)
+    sigmas: FloatArray  # their standard deviations, shape (k,)
+    low: FloatArray  # lower ends of their probabilistically symmetric 95 % intervals, shape (k,)
+    high: FloatArray  # upper ends, shape (k,)
+    stable: BoolArray  # whether the results of each output are stable to a fifth of its numerical tolerance, shape (k,)
+    trials: int  # draws that gave a pose
+    lost: int  # draws without a pose: a reading out of its calibrated range, or no solution
 
 
 def monte_carlo(
@@ -81,20 +64,12 @@ def monte_carlo(
 ) -> MonteCarlo:
     """Draw in batches until the results are stable (JCGM 101, 7.9), or ``max_draws`` draws are made.
 
-    Args:
-        posor: The POSOR.
-        scan: Its readings at the pose, without noise.
-        T_R_T: The pose; every solution starts there, so a counted theta stays in its bump.
-        points: Points of the plate whose gaps are outputs besides the six native coordinates.
-        seed: Of the random numbers.
-        max_draws: Largest number of draws, at least two batches.
-        digits: Significant digits of an uncertainty, which set the numerical tolerance.
-        progress: Called with the number of draws made so far.
-
-    Raises:
-        ParameterError: The noise of a sensor in plain Python cannot be drawn, or ``max_draws`` is too small.
-        FitError: More than 1 % of the draws give no pose.
-
+    ``scan``: its readings at the pose, without noise. ``T_R_T``: the pose; every solution starts there, so a counted
+    theta stays in its bump. ``points``: points of the plate whose gaps are outputs besides the six native coordinates.
+    ``seed``: of the random numbers. ``max_draws``: largest number of draws, at least two batches. ``digits``:
+    significant digits of an uncertainty, which set the numerical tolerance. ``progress``: called with the number of
+    draws made so far. Raises ParameterError: the noise of a sensor in plain Python cannot be drawn, or ``max_draws`` is
+    too small. Raises FitError: more than 1 % of the draws give no pose.
     """
     if max_draws < 2 * BATCH:
         raise ParameterError(f"{max_draws} draws", expected=f"at least {2 * BATCH}, two batches of JCGM 101")
@@ -202,22 +177,13 @@ def _stable(batches: Sequence[FloatArray], digits: int) -> BoolArray:
 
 @dataclass(frozen=True)
 class Validation:
-    """Comparison of the first-order interval of one output with that of the draws.
+    """Comparison of the first-order interval of one output with that of the draws."""
 
-    Attributes:
-        name: Name of the output.
-        tolerance: Numerical tolerance of its standard uncertainty [m, rad].
-        low: Distance of the lower ends of the two 95 % intervals.
-        high: Distance of the upper ends.
-        stable: Whether the draws are stable.
-
-    """
-
-    name: str
-    tolerance: float
-    low: float
-    high: float
-    stable: bool
+    name: str  # name of the output
+    tolerance: float  # numerical tolerance of its standard uncertainty [m, rad]
+    low: float  # distance of the lower ends of the two 95 % intervals
+    high: float  # distance of the upper ends
+    stable: bool  # whether the draws are stable
 
     @property
     def holds(self) -> bool:
@@ -238,11 +204,7 @@ def numerical_tolerance(sigma: float, digits: int) -> float:
 def validate(budget: ErrorBudget, drawn: MonteCarlo, digits: int = 1) -> tuple[Validation, ...]:
     """Compare the two 95 % intervals of each output.
 
-    Args:
-        budget: First-order budget.
-        drawn: Draws of the same POSOR at the same pose and points.
-        digits: Significant digits of an uncertainty.
-
+    ``drawn``: draws of the same POSOR at the same pose and points. ``digits``: significant digits of an uncertainty.
     """
     found = []
     for i, output in enumerate(budget.outputs):

@@ -40,10 +40,8 @@ if TYPE_CHECKING:
 SLACK = 1.01
 """By how much more than necessary a requirement is relaxed; the excess grows fourfold until a search succeeds."""
 ATTEMPTS = 4
-LARGEST_FACTOR = 64.0
-"""Largest change of an entry that is tried."""
-STEPS = 7
-"""Bisections of such a change."""
+LARGEST_FACTOR = 64.0  # largest change of an entry that is tried
+STEPS = 7  # bisections of such a change
 EXCESSES = (0.0, *(0.01 * 2.0**n for n in range(8)))
 """By how much more than the least change a value is relaxed until it is accepted; then quarters of the last step."""
 _UNITS = dict(NATIVE)
@@ -79,9 +77,7 @@ def search_layouts(
 ) -> dict[str, tuple[SearchResult, Candidate]]:
     """Return result and chosen layout of each requirement by its name; a terminal shows the progress.
 
-    Raises:
-        DesignError: A requirement cannot be met.
-
+    Raises DesignError: a requirement cannot be met.
     """
     errors, found = Console(stderr=True), {}
     with Progress(console=errors, transient=True, disable=not errors.is_terminal) as progress:
@@ -101,9 +97,7 @@ def search_layouts(
 def refuse(result: SearchResult, progress: Callable[[float], object] = lambda _share: None) -> NoReturn:
     """Raise the error of a requirement that a search could not meet.
 
-    Raises:
-        DesignError: Always; it names the binding constraint and the nearest requirement that can be met.
-
+    Raises DesignError: always; it names the binding constraint and the nearest requirement that can be met.
     """
     where = f"requirement '{result.requirement.name}'"
     if result.best is None:

@@ -71,10 +71,8 @@ def _parser() -> CommandLineParser:
 def requirement_of(options: argparse.Namespace) -> Requirement:
     """Return the requirement of a file, or of the options.
 
-    Raises:
-        ParameterError: An option is missing or invalid, or there are a file and options.
-        CalibrationError: The file is invalid.
-
+    Raises ParameterError: an option is missing or invalid, or there are a file and options. Raises CalibrationError:
+    the file is invalid.
     """
     values = {name: getattr(options, name.removeprefix("--").replace("-", "_")) for name in OPTIONS}
     given = {name for name, value in values.items() if value is not None}

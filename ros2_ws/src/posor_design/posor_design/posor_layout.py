@@ -45,51 +45,33 @@ REFERENCE_RATE = 1e3
 BITS = (16, 18, 20, 24)
 VOLTAGE_SPAN, CURRENT_SPAN, MIDDLE_CURRENT = 14.0, 1.5e-4, 8.5e-5
 """Ranges of the converter [V], [A], and the current sum of a diode in the middle of its range [A]."""
-DIODE_SLOPE = 6.0 / 5.5
-"""Slope of a diode's map over the half width of its calibrated surface."""
-BUMP_SLOPE = 0.4 / 3.32
-"""Amplitude of the bumps over their pitch, as that of the sized designs."""
+DIODE_SLOPE = 6.0 / 5.5  # slope of a diode's map over the half width of its calibrated surface
+BUMP_SLOPE = 0.4 / 3.32  # amplitude of the bumps over their pitch, as that of the sized designs
 NOMINAL_RANGE = 0.6e-3
 """Motion to either side that the probes of ``designs`` (range 1) measure from their middle [m], with a reserve."""
 SPEED_RESERVE = 1.5
 """Limits of velocity of the calibration over the required speed, and over what the motion of the range has with it."""
-_LEAST_LIMITS = (0.02, 0.02)
-"""Of translation [m/s] and lean [rad/s]."""
-_STEP_NOISE = math.sqrt(1.0 / 12.0)
-"""Standard deviation of the rounding error of a converter, in its steps."""
+_LEAST_LIMITS = (0.02, 0.02)  # of translation [m/s] and lean [rad/s]
+_STEP_NOISE = math.sqrt(1.0 / 12.0)  # standard deviation of the rounding error of a converter, in its steps
 
 
 @dataclass(frozen=True)
 class PosorLayout:
-    """Positions and kinds of the sensors.
+    """Positions and kinds of the sensors."""
 
-    Attributes:
-        theta_sensor: What measures theta and the two runouts: fixed light sources with diodes, a coded ring of light
-            sources with diodes, or a bumpy ring with probes.
-        theta_probes: Number of diodes, or of probes of the bumpy ring.
-        gap_azimuths: Azimuths of the gap probes [rad].
-        outside_diameter: That the layout needs [m].
-        probe_circle: Radius of the circle of the gap probes [m].
-        probe_range: Range of the gap probes over that of the probes of ``designs``.
-        ring_radius: Of diodes and light sources, or mean radius of the bumpy ring [m].
-        ring_size: Half width of a diode's calibrated surface, or pitch of the bumps [m].
-        ring_range: Range of the ring probes over that of the gap probes of ``designs``; without meaning for diodes.
-        marks: Number of light sources, or of bumps.
-        noise: Noise of the electronics over the reference at the same scan rate.
-
-    """
-
+    # what measures theta and the two runouts: fixed light sources with diodes, a coded ring of light sources with
+    # diodes, or a bumpy ring with probes
     theta_sensor: ThetaSensor
-    theta_probes: int
-    gap_azimuths: tuple[float, ...]
-    outside_diameter: float
-    probe_circle: float
-    probe_range: float
-    ring_radius: float
-    ring_size: float
-    ring_range: float
-    marks: int
-    noise: float
+    theta_probes: int  # number of diodes, or of probes of the bumpy ring
+    gap_azimuths: tuple[float, ...]  # azimuths of the gap probes [rad]
+    outside_diameter: float  # that the layout needs [m]
+    probe_circle: float  # radius of the circle of the gap probes [m]
+    probe_range: float  # range of the gap probes over that of the probes of ``designs``
+    ring_radius: float  # of diodes and light sources, or mean radius of the bumpy ring [m]
+    ring_size: float  # half width of a diode's calibrated surface, or pitch of the bumps [m]
+    ring_range: float  # range of the ring probes over that of the gap probes of ``designs``; without meaning for diodes
+    marks: int  # number of light sources, or of bumps
+    noise: float  # noise of the electronics over the reference at the same scan rate
 
     @property
     def gap(self) -> float:

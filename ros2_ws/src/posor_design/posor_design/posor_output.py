@@ -34,14 +34,11 @@ CALIBRATION = f"calibrations/{JOINT}.yaml"
 ARM_FILE, URDF, SCENARIO, REQUIREMENT = "arm.yaml", "posor.urdf", "scenario.yaml", "requirement.yaml"
 PAGE, FIGURES = "design.html", "design.json"
 PROGRAM = "posor design posor"
-PLATE_THICKNESS = 0.0127
-"""Of the plates in the URDF, assumed [m]."""
+PLATE_THICKNESS = 0.0127  # of the plates in the URDF, assumed [m]
 _SPLINE_TURNS = 12.0
 """Duration of the motion to either side and back, in times that theta takes from the middle to one side."""
-_PART_OF_RANGE = 0.5
-"""Error motions of the simulated bearing over the required range."""
-_PART_OF_ROTATION = 0.9
-"""Waypoints of theta over the required rotation: between them a spline goes further."""
+_PART_OF_RANGE = 0.5  # error motions of the simulated bearing over the required range
+_PART_OF_ROTATION = 0.9  # waypoints of theta over the required rotation: between them a spline goes further
 
 
 def output_files(result: SearchResult, chosen: Candidate) -> dict[str, str]:
@@ -89,16 +86,9 @@ def add_output_options(parser: CommandLineParser, name: str) -> None:
 def output_folder(text: str | None, name: str, first: str, *, force: bool) -> Path:
     """Return the folder of a design, checked before the search.
 
-    Args:
-        text: Option ``--output``; None: ``build/design/<name>``.
-        name: Name of the arm.
-        first: File that an earlier design left in its folder.
-        force: Whether an earlier design is replaced.
-
-    Raises:
-        ParameterError: The option is empty.
-        OutputError: The folder cannot be written, or holds an earlier design.
-
+    ``text``: option ``--output``; None: ``build/design/<name>``. ``name``: name of the arm. ``first``: file that an
+    earlier design left in its folder. ``force``: whether an earlier design is replaced. Raises ParameterError: the
+    option is empty. Raises OutputError: the folder cannot be written, or holds an earlier design.
     """
     if text is not None and not text.strip():
         raise ParameterError(f"'{text}'", where="--output", expected="a folder")
@@ -115,12 +105,7 @@ def output_folder(text: str | None, name: str, first: str, *, force: bool) -> Pa
 
 
 def write_files(folder: Path, texts: Mapping[str, str], *, force: bool = False) -> None:
-    """Write files into a folder.
-
-    Raises:
-        OutputError: A file exists and ``force`` is false, or it cannot be written.
-
-    """
+    """Write files into a folder. Raises OutputError: a file exists and ``force`` is false, or it cannot be written."""
     existing = [name for name in texts if (folder / name).exists()]
     if existing and not force:
         raise OutputError(f"{existing[0]} exists already", where=str(folder), expected="another folder, or --force")

@@ -16,24 +16,16 @@ _QUANTITY = re.compile(
 _DIGITS = 5
 _LARGE_PREFIXES = frozenset(("Hz", "N", "Pa", "Ohm", "W"))
 _SMALL_PREFIXES = _LARGE_PREFIXES | {"m", "rad", "s", "V", "A", "F"}
-_EXAMPLES = {"m": ("mm", "um"), "rad": ("urad", "deg")}
-"""Units that an error proposes; for other SI units: themselves."""
-_STEP = 3
-"""Digits between two prefixes."""
+_EXAMPLES = {"m": ("mm", "um"), "rad": ("urad", "deg")}  # units that an error proposes; for other SI units: themselves
+_STEP = 3  # digits between two prefixes
 
 
 def parse_quantity(text: str, si: str, where: str, *, unit_required: bool = False) -> float:
     """Return a number with unit, such as ``60 in`` or ``5/32 in``, in an SI unit.
 
-    Args:
-        text: The quantity.
-        si: The SI unit of the result, and of a number without unit.
-        where: Name of the argument, for errors.
-        unit_required: Whether a number without unit is an error, unless the SI unit is ``1``.
-
-    Raises:
-        ParameterError: The text is not a finite number with a unit of the same dimension.
-
+    ``text``: the quantity. ``si``: the SI unit of the result, and of a number without unit. ``where``: name of the
+    argument, for errors. ``unit_required``: whether a number without unit is an error, unless the SI unit is ``1``.
+    Raises ParameterError: the text is not a finite number with a unit of the same dimension.
     """
     match = _QUANTITY.fullmatch(text.strip())
     if match is None:

@@ -28,13 +28,10 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
 VERSION = 1
-FULL_TURN = math.pi
-"""Rotation to either side [rad] that is a full turn."""
+FULL_TURN = math.pi  # rotation to either side [rad] that is a full turn
 LARGEST_TILT = 0.1
-LARGEST_RATE = 10_000.0
-"""Of the simulator [Hz]."""
-FREEDOMS = tuple(name for name, _ in NATIVE)
-"""Names of the freedoms in the order of all arrays, (6,)."""
+LARGEST_RATE = 10_000.0  # of the simulator [Hz]
+FREEDOMS = tuple(name for name, _ in NATIVE)  # names of the freedoms in the order of all arrays, (6,)
 
 
 class Option(NamedTuple):
@@ -164,9 +161,7 @@ class Requirement(FrozenModel):
 def load_requirement(path: Path) -> Requirement:
     """Read and validate a requirement file (YAML).
 
-    Raises:
-        CalibrationError: The file cannot be read, is not YAML, or holds an invalid entry.
-
+    Raises CalibrationError: the file cannot be read, is not YAML, or holds an invalid entry.
     """
     keys = "format, version, name, uncertainty, range, outside_diameter, scan_rate, speed"
     return load_document(path, "requirement file", keys, VERSION, Requirement.model_validate)[0]
@@ -177,12 +172,9 @@ def requirement_content(
 ) -> dict[str, Any]:
     """Return the content of a requirement file.
 
-    Args:
-        name: Name of the requirement.
-        limits: Largest uncertainty of each freedom [m, rad].
-        coverage_factor: Of these uncertainties.
-        values: Entries such as ``range.gap``, in SI units; those left out have the default of their option.
-
+    ``name``: name of the requirement. ``limits``: largest uncertainty of each freedom [m, rad]. ``coverage_factor``: of
+    these uncertainties. ``values``: entries such as ``range.gap``, in SI units; those left out have the default of
+    their option.
     """
     units = dict(NATIVE)
     uncertainty = {key: {"value": value, "unit": units[key]} for key, value in limits.items()}

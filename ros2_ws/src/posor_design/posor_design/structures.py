@@ -33,8 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-_THINNEST = 1e-6
-"""Least wall that sizing considers, relative to half of the smaller side."""
+_THINNEST = 1e-6  # least wall that sizing considers, relative to half of the smaller side
 
 
 @dataclass(frozen=True)
@@ -122,9 +121,7 @@ def _with_thinnest_walls(
 ) -> CantileverBeam:
     """Return the beam whose result of a name, which falls with the wall, is at its limit.
 
-    Raises:
-        ParameterError: The result of the thickest wall exceeds the limit.
-
+    Raises ParameterError: the result of the thickest wall exceeds the limit.
     """
 
     def excess(wall: float) -> float:
@@ -194,10 +191,7 @@ def cantilever_frequencies(
 def _cantilever_roots(ratio: float, count: int) -> list[float]:
     """Return the lowest wave numbers of a slender cantilever, times its length: one in each half wave.
 
-    Args:
-        ratio: Mass at the free end over the mass of the beam.
-        count: Number of roots.
-
+    ``ratio``: mass at the free end over the mass of the beam. ``count``: number of roots.
     """
 
     def equation(z: float) -> float:

@@ -57,9 +57,7 @@ class Unit:
 def parse_unit(text: str) -> Unit:
     """Return the unit that an expression names; empty: the number 1.
 
-    Raises:
-        ValueError: The expression is malformed, or contains an unknown symbol.
-
+    Raises ValueError: the expression is malformed, or contains an unknown symbol.
     """
     unit, end = Unit(), 0
     while end < len(text):

@@ -10,21 +10,14 @@ from posor.errors import ParameterError, similar_name
 from posor_design.calculators import type_of, unit_of
 from posor_design.quantity_text import describe_unit, format_quantity, parse_quantity, split_list
 
-LONGEST_LINE = 12
-"""Numbers of a value that a line shows."""
+LONGEST_LINE = 12  # numbers of a value that a line shows
 
 
 def parse_value(kind: Any, text: str, where: str) -> Any:
     """Return the value of an argument; commas separate several values, and the last unit holds for values without one.
 
-    Args:
-        kind: Annotation of the argument.
-        text: Text of the command line.
-        where: Name of the argument, for errors.
-
-    Raises:
-        ParameterError: The text is not a value of this kind.
-
+    ``kind``: annotation of the argument. ``text``: text of the command line. ``where``: name of the argument, for
+    errors. Raises ParameterError: the text is not a value of this kind.
     """
     bare = type_of(kind)
     if get_origin(bare) is tuple:

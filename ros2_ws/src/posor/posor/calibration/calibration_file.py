@@ -209,9 +209,7 @@ class Calibration(FrozenModel):
     def for_session(self, name: str) -> Self:
         """Return the calibration with the replacements of a session; an empty name returns it unchanged.
 
-        Raises:
-            CalibrationError: The session is unknown, or does not fit the sensors.
-
+        Raises CalibrationError: the session is unknown, or does not fit the sensors.
         """
         if not name:
             return self
@@ -246,9 +244,7 @@ def parse_calibration(text: str, source: str) -> Calibration:
 def calibration_from(content: Mapping[str, Any]) -> Calibration:
     """Validate the content of a calibration file against all installed sensor types.
 
-    Raises:
-        pydantic.ValidationError: The content is invalid; ``load_calibration`` turns this into one sentence.
-
+    Raises pydantic.ValidationError: the content is invalid; ``load_calibration`` turns this into one sentence.
     """
     types = sensor_types()
     union: Any = Annotated[Union[tuple(types.values())], select_model_by_key("type", types)]  # noqa: UP007
@@ -261,9 +257,7 @@ def calibration_from(content: Mapping[str, Any]) -> Calibration:
 def find_sensor(calibration: Calibration, kind: type[SensorKind], what: str) -> tuple[int, SensorKind]:
     """Return the only sensor of a kind and its index among the calibration's sensors; ``what`` needs it.
 
-    Raises:
-        FitError: There is none, or there are several.
-
+    Raises FitError: there is none, or there are several.
     """
     found = [(i, sensor) for i, sensor in enumerate(calibration.sensors) if isinstance(sensor, kind)]
     if len(found) != 1:

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
     from posor.numerics.array_types import FloatArray
 
-DIODE_ANGLE = 2.0 * math.pi / 3.0
-"""From the first diode of a coded ring to the second [rad]."""
+DIODE_ANGLE = 2.0 * math.pi / 3.0  # from the first diode of a coded ring to the second [rad]
 _GROWTHS = (0.12, 0.135, 0.15, 0.165, 0.18)
 _OFFSETS = tuple(0.05 * step for step in range(21))
 _LIT_PITCHES = 1.2
@@ -49,12 +48,8 @@ def _azimuths(sources: int, growth: float, offset: float) -> tuple[float, ...]:
 def slip_margins(azimuths: Sequence[float]) -> tuple[float, float]:
     """Return by how much the angle of two sources that can be lit differs at least from that of a wrong pair [rad].
 
-    Args:
-        azimuths: Of the sources [rad], ascending within one turn.
-
-    Returns:
-        Of wrong pairs that slipped by the same number of sources on both diodes; of all wrong pairs.
-
+    ``azimuths``: of the sources [rad], ascending within one turn. The first result is for wrong pairs that slipped by
+    the same number of sources on both diodes, the second for all wrong pairs.
     """
     around = np.asarray(azimuths)
     count = len(around)

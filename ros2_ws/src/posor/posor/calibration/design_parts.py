@@ -15,8 +15,7 @@ if TYPE_CHECKING:
 
 Part = dict[str, object]
 
-CHORD_MIDDLE = -0.25 * math.pi
-"""Azimuth in the middle between the two diodes of a coded ring [rad]."""
+CHORD_MIDDLE = -0.25 * math.pi  # azimuth in the middle between the two diodes of a coded ring [rad]
 
 
 @dataclass(frozen=True)
@@ -151,12 +150,8 @@ def diodes(kind: DiodeKind, positions: Sequence[tuple[float, float]], sources: S
 def light_ring(kind: DiodeKind, radius: float, sources: int, count: int = 2) -> Part:
     """Return a coded ring of light sources of a radius [m], and its diodes (``coded_azimuths``, ``coded_places``).
 
-    Args:
-        kind: Uncertainties of the parts.
-        radius: Of the ring and of the places of the diodes [m].
-        sources: Number of sources.
-        count: Number of diodes, two or three.
-
+    ``kind``: uncertainties of the parts. ``radius``: of the ring and of the places of the diodes [m]. ``sources``:
+    number of sources. ``count``: number of diodes, two or three.
     """
 
     def on_ring(azimuths: Sequence[float]) -> list[tuple[float, float]]:

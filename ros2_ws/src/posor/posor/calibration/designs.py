@@ -32,17 +32,13 @@ DesignName = Literal[
 ]
 SizedDesignName = Literal["triad_light_ring", "triad_bumpy_ring", "quad_light_ring", "quad_bumpy_ring"]
 
-THETA_OF_TWO_SOURCES = 0.1
-"""Largest theta [rad] with two fixed sources on their diodes, at a runout of 1 mm."""
+THETA_OF_TWO_SOURCES = 0.1  # largest theta [rad] with two fixed sources on their diodes, at a runout of 1 mm
 SOURCES = 36
 BUMPS = 36
-STANDOFF = 0.735e-3
-"""Gap at which a probe along Z reads 0 V, the nominal distance of the plates [m]."""
+STANDOFF = 0.735e-3  # gap at which a probe along Z reads 0 V, the nominal distance of the plates [m]
 
-PROBE_ACCURACY = 5e-6 * inch
-"""Accuracy of the probes of section 9.3.1, 5 microinch [m]."""
-SMALLEST_DIAMETER = 3.0 * inch
-"""Smallest outside diameter of ``sized_design`` [m]."""
+PROBE_ACCURACY = 5e-6 * inch  # accuracy of the probes of section 9.3.1, 5 microinch [m]
+SMALLEST_DIAMETER = 3.0 * inch  # smallest outside diameter of ``sized_design`` [m]
 SOURCE_PITCH = 7.7e-3
 """Largest mean distance between light sources [m]. With a coded ring's growth of pitch, one is always on each diode."""
 BUMPS_PER_INCH = 24
@@ -194,14 +190,11 @@ def design(
 ) -> Calibration:
     """Return the calibration of one of the designs of the 1985 size; a light ring is coded (``coded_ring``).
 
-    Args:
-        name: Which stack: ``triad_`` with the three gap probes of the thesis; ``quad_``, recommended, with a fourth one
-            opposite to the first, so that the gap probes check one another.
-        ring_probes: Number of probes of a bumpy ring, three or more.
-        motion: Whether to limit the velocity of the target: 1 mm/s, 0.02 rad/s of lean, 3 rad/s of theta.
-        converter: Whether to state the steps of the converter, so that repeated readings are a fault.
-        frames: Names of receiving and target plate.
-
+    ``name``: which stack: ``triad_`` with the three gap probes of the thesis; ``quad_``, recommended, with a fourth one
+    opposite to the first, so that the gap probes check one another. ``ring_probes``: number of probes of a bumpy ring,
+    three or more. ``motion``: whether to limit the velocity of the target: 1 mm/s, 0.02 rad/s of lean, 3 rad/s of
+    theta. ``converter``: whether to state the steps of the converter, so that repeated readings are a fault.
+    ``frames``: names of receiving and target plate.
     """
     tips = [[-0.0762, 0.0, 0.0], [0.0, 0.0381, 0.0], [0.0, -0.0381, 0.0]]
     if _with_fourth_probe(name):
@@ -227,15 +220,8 @@ def sized_design(name: SizedDesignName, outside_diameter: float, *, frames: tupl
     four probes, or a ring of light sources, of D - 2 in. Limits of velocity: 20 mm/s, 0.02 rad/s of lean, 3 rad/s of
     theta.
 
-    Args:
-        name: Which stack.
-        outside_diameter: [m].
-        frames: Names of receiving and target plate.
-        title: The calibration's name.
-
-    Raises:
-        CalibrationError: The diameter is too small.
-
+    ``name``: which stack. ``outside_diameter``: [m]. ``frames``: names of receiving and target plate. ``title``: the
+    calibration's name. Raises CalibrationError: the diameter is too small.
     """
     if not outside_diameter >= SMALLEST_DIAMETER:
         raise CalibrationError(

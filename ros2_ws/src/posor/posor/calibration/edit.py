@@ -21,9 +21,7 @@ _WIDTH = 120
 def parse_key_path(key: str) -> tuple[str | int, ...]:
     """Return the steps of a key path such as ``sensors[0].probes[1].tip``.
 
-    Raises:
-        CalibrationError: The key path is malformed.
-
+    Raises CalibrationError: the key path is malformed.
     """
     steps: list[str | int] = []
     end = 0
@@ -49,16 +47,10 @@ class _Replacement:
 def edit_document(text: str, source: str, changes: Mapping[str, Any]) -> str:
     """Return a YAML document with some entries replaced or added.
 
-    Args:
-        text: The document.
-        source: Name of the document in errors.
-        changes: New content by key path; the mapping of the entry must exist. A quantity (a mapping with ``value`` and
-            ``unit``) is written on one line.
-
-    Raises:
-        CalibrationError: The document is not YAML, a key path leads nowhere, or an entry shares its content
-            with another one by an alias or a merge.
-
+    ``source``: name of the document in errors. ``changes``: new content by key path; the mapping of the entry must
+    exist. A quantity (a mapping with ``value`` and ``unit``) is written on one line. Raises CalibrationError: the
+    document is not YAML, a key path leads nowhere, or an entry shares its content with another one by an alias or a
+    merge.
     """
     root, content = parse_yaml(text, source)
     plain: Any = _without_aliases(content)

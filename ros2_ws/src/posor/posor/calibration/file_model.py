@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from pydantic import ValidationError
     from pydantic_core import ErrorDetails
 
-Location = tuple[str | int, ...]
-"""Keys and indices from the root of a file."""
+Location = tuple[str | int, ...]  # keys and indices from the root of a file
 
 TEXT = "text, in quotes where YAML would read something else"
 _KEY_MARK = "[key]"  # pydantic's mark at the end of the location of a wrong key
@@ -50,16 +49,11 @@ _SHORT.maxstring = 80
 
 
 class EntryError(CalibrationError, ValueError):
-    """Raised by validators; pydantic adds the location of the validated part in the file.
-
-    Attributes:
-        key: Keys and indices from the validated part to the wrong entry; empty for the part itself.
-
-    """
+    """Raised by validators; pydantic adds the location of the validated part in the file."""
 
     def __init__(self, what: str, *, key: Location = (), expected: str = "") -> None:
         super().__init__(what, expected=expected)
-        self.key = key
+        self.key = key  # keys and indices from the validated part to the wrong entry; empty for the part itself
 
 
 def format_value(value: object) -> str:

@@ -28,17 +28,10 @@ RELATIVE_ROUNDING = 1e-12
 
 @dataclass(frozen=True)
 class ParameterEntry:
-    """One number of a calibration file.
+    """One number of a calibration file."""
 
-    Attributes:
-        key: Key of the quantity: ``sensors[0].probes[1].tip``.
-        index: Index of the component; empty for a scalar quantity.
-        quantity: The quantity.
-
-    """
-
-    key: str
-    index: tuple[int, ...]
+    key: str  # key of the quantity: ``sensors[0].probes[1].tip``
+    index: tuple[int, ...]  # index of the component; empty for a scalar quantity
     quantity: Quantity
 
     @property
@@ -54,9 +47,7 @@ def parameter_entries(calibration: Calibration, session: str = "") -> list[Param
     running number, and the parameters of sensors built from that copy show where the numbers come out. A value replaced
     by a session is found under the session's key.
 
-    Raises:
-        CalibrationError: The session is unknown.
-
+    Raises CalibrationError: the session is unknown.
     """
     entries: list[ParameterEntry] = []
     numbered = _numbered(calibration, "", entries).for_session(session)
@@ -87,13 +78,8 @@ def _numbered(part: Part, key: str, entries: list[ParameterEntry]) -> Part:
 def stated_covariance(calibration: Calibration, session: str = "") -> FloatArray:
     """Return the covariance of a stack's parameter vector, (p, p).
 
-    Args:
-        calibration: The calibration, its session applied or not.
-        session: Name of the session; values replaced by it are found there.
-
-    Raises:
-        CalibrationError: The session is unknown.
-
+    ``calibration``: the calibration, its session applied or not. ``session``: name of the session; values replaced by
+    it are found there. Raises CalibrationError: the session is unknown.
     """
     entries = parameter_entries(calibration, session)
     sigmas = np.array([0.0 if e is None else float(e.quantity.sigmas[e.index]) for e in entries])
@@ -146,19 +132,13 @@ def covariance_square_root(covariance: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class CovarianceSquareRoot:
-    """Sparse square root of the parameters' covariance: each parameter as a sum of standard normal factors.
+    """Sparse square root of the parameters' covariance: each parameter as a sum of standard normal factors."""
 
-    Attributes:
-        spans: For each parameter its first factor, the number of consecutive factors (zero: exact parameter), and the
-            index of its first coefficient, (p, 3).
-        coefficients: Coefficients of the factors, parameter after parameter, (n,).
-        factor_count: Number of independent standard normal factors.
-
-    """
-
+    # for each parameter its first factor, the number of consecutive factors (zero: exact parameter), and the index of
+    # its first coefficient, (p, 3)
     spans: IntArray
-    coefficients: FloatArray
-    factor_count: int
+    coefficients: FloatArray  # coefficients of the factors, parameter after parameter, (n,)
+    factor_count: int  # number of independent standard normal factors
 
     @staticmethod
     def of(sigmas: FloatArray, correlation: FloatArray | None = None) -> CovarianceSquareRoot:

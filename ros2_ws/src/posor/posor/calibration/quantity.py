@@ -89,15 +89,9 @@ class Quantity(FrozenModel):
 def _to_unit(raw: object, unit: str, factor: Decimal, key: Location) -> object:
     """Return a number, or lists of numbers, in an SI unit.
 
-    Args:
-        raw: As written: numbers in a unit of ``factor`` SI units, or texts with a unit of their own.
-        unit: The SI unit.
-        factor: The unit of numbers without one.
-        key: Keys from the quantity to the number.
-
-    Raises:
-        EntryError: A text is not a number with a unit of this dimension.
-
+    ``raw``: as written: numbers in a unit of ``factor`` SI units, or texts with a unit of their own. ``unit``: the SI
+    unit. ``factor``: the unit of numbers without one. ``key``: keys from the quantity to the number. Raises EntryError:
+    a text is not a number with a unit of this dimension.
     """
     if isinstance(raw, list | tuple):
         return [_to_unit(entry, unit, factor, (*key, i)) for i, entry in enumerate(raw)]
@@ -180,9 +174,7 @@ def describe_shape(shape: tuple[int, ...]) -> str:
 def check_unit_vector(name: str, quantity: Quantity) -> None:
     """Check that a vector has length 1.
 
-    Raises:
-        EntryError: The length differs from 1; ``name`` is the key of the vector.
-
+    Raises EntryError: the length differs from 1; ``name`` is the key of the vector.
     """
     length = float(np.linalg.norm(quantity.array))
     if abs(length - 1.0) > _UNIT_TOLERANCE:

@@ -17,17 +17,8 @@ def save_calibration(path: Path, text: str, *, force: bool = False) -> Path | No
     The write is atomic. A replaced file is kept beside the new one under its name with ``.1``, ``.2`` or the next free
     number.
 
-    Args:
-        path: Path of the file.
-        text: Content.
-        force: Whether an existing file may be replaced.
-
-    Returns:
-        Path of the replaced file; None if there was none.
-
-    Raises:
-        CalibrationError: The file exists and ``force`` is false, or it cannot be written.
-
+    ``force``: whether an existing file may be replaced. Returns the path of the replaced file; None if there was none.
+    Raises CalibrationError: the file exists and ``force`` is false, or it cannot be written.
     """
     where = f"calibration file {path}"
     # The target of a symbolic link is replaced, not the link.
@@ -54,9 +45,7 @@ def save_calibration(path: Path, text: str, *, force: bool = False) -> Path | No
 def refuse_existing(path: Path, *, force: bool) -> None:
     """Check before hours of work what ``save_calibration`` would refuse after them.
 
-    Raises:
-        CalibrationError: The file exists and ``force`` is false, or the folder is missing.
-
+    Raises CalibrationError: the file exists and ``force`` is false, or the folder is missing.
     """
     where = f"calibration file {path}"
     if path.exists() and not force:

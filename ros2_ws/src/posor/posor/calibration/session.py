@@ -9,15 +9,9 @@ from posor.calibration.quantity import ANY, Quantity, measured
 
 
 class Session(FrozenModel):
-    """Replacements for one session; all other values stay.
+    """Replacements for one session; all other values stay."""
 
-    Attributes:
-        note: Origin of the replacements.
-        zero_shifts: Added to the voltage of each gap probe [V] (thesis table 8.1).
-        diode_map: Name of the diode maps to use, a key of the diodes' ``maps``.
-
-    """
-
-    note: str
+    note: str  # origin of the replacements
+    # added to the voltage of each gap probe [V] (thesis table 8.1)
     zero_shifts: Annotated[Quantity, measured("V", ANY)] | None = None
-    diode_map: str | None = None
+    diode_map: str | None = None  # name of the diode maps to use, a key of the diodes' ``maps``

@@ -146,13 +146,8 @@ for _tag, _pattern, _first in _NUMBERS:
 def parse_yaml(text: str, source: str) -> tuple[yaml.Node | None, object]:
     """Return the root node of a YAML document, which knows line numbers, and its content.
 
-    Args:
-        text: The document.
-        source: Name of the document in errors, such as the path of the file.
-
-    Raises:
-        CalibrationError: The text is not YAML, or is ambiguous YAML.
-
+    ``source``: name of the document in errors, such as the path of the file. Raises CalibrationError: the text is not
+    YAML, or is ambiguous YAML.
     """
     try:
         return _compose(FastLoader(text) if yaml.__with_libyaml__ else StrictLoader(text))
@@ -177,24 +172,16 @@ def _compose(loader: StrictLoader) -> tuple[yaml.Node | None, object]:
 
 @dataclass(frozen=True)
 class FileLocations:
-    """Finds file, line and key of the entries of a YAML file.
+    """Finds file, line and key of the entries of a YAML file."""
 
-    Attributes:
-        source: Name of the file.
-        root: Its root node, from ``parse_yaml``.
-
-    """
-
-    source: str
-    root: yaml.Node | None
+    source: str  # name of the file
+    root: yaml.Node | None  # its root node, from ``parse_yaml``
 
     def describe(self, *location: str | int) -> str:
         """Return ``file, line n, key a.b[0].c``.
 
-        Args:
-            location: Keys and indices of the entry. Parts that are not in the file (a missing key, the tag of a union)
-                are left out. A part with dots may be nested mappings in the file.
-
+        ``location``: keys and indices of the entry. Parts that are not in the file (a missing key, the tag of a union)
+        are left out. A part with dots may be nested mappings in the file.
         """
         node = self.root
         line = 1
@@ -228,9 +215,7 @@ def _find_entry(node: yaml.MappingNode, key: str) -> tuple[yaml.Node, yaml.Node]
 def read_text(path: Path, kind: str) -> str:
     """Return the text of a file; ``kind`` names the kind of file in errors.
 
-    Raises:
-        CalibrationError: The file cannot be read.
-
+    Raises CalibrationError: the file cannot be read.
     """
     try:
         return read_input_text(path)
@@ -246,16 +231,10 @@ def load_document(
 ) -> tuple[Document, FileLocations]:
     """Read and validate a YAML file that states the version of its format.
 
-    Args:
-        path: The file.
-        kind: Kind of file in errors, such as ``calibration file``.
-        keys: Required keys, for the error of a file that is not a mapping.
-        version: Version of the format.
-        validate: Converts the content to the document; raises pydantic's ValidationError.
-
-    Raises:
-        CalibrationError: The file cannot be read, is not YAML, or has invalid content.
-
+    ``kind``: kind of file in errors, such as ``calibration file``. ``keys``: required keys, for the error of a file
+    that is not a mapping. ``version``: version of the format. ``validate``: converts the content to the document;
+    raises pydantic's ValidationError. Raises CalibrationError: the file cannot be read, is not YAML, or has invalid
+    content.
     """
     return parse_document(read_text(path, kind), str(path), keys, (version,), validate)
 
@@ -265,9 +244,7 @@ def parse_document(
 ) -> tuple[Document, FileLocations]:
     """Validate a YAML document as ``load_document`` does; ``source`` is its name in errors.
 
-    Raises:
-        CalibrationError: The text is not YAML, or has invalid content.
-
+    Raises CalibrationError: the text is not YAML, or has invalid content.
     """
     root, content = parse_yaml(text, source)
     locations = FileLocations(source, root)

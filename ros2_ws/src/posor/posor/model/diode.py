@@ -17,13 +17,11 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
 VALID, NOT_FINITE, DARK, BRIGHT, OUTSIDE_X, OUTSIDE_Y = range(6)
-CODES = 8
-"""A code of diode i is ``code + CODES * i``."""
+CODES = 8  # a code of diode i is ``code + CODES * i``
 
-MAX_MAP_LENGTH = 32
-"""Largest number of functions of one ratio in a tensor map."""
+MAX_MAP_LENGTH = 32  # largest number of functions of one ratio in a tensor map
 
-DIODE = np.dtype(
+DIODE = np.dtype(  # the calibration of one diode, its map parameters excepted
     [
         ("least_sum", "f8"),  # of A + C and of B + D with one light source lit [A]
         ("greatest_sum", "f8"),
@@ -36,9 +34,8 @@ DIODE = np.dtype(
     ],
     align=True,
 )
-"""The calibration of one diode, its map parameters excepted."""
 
-SPOT_POSITION = np.dtype(
+SPOT_POSITION = np.dtype(  # ratios and position of one spot, with memory for the basis functions of its map
     [
         ("ratios", "f8", (2,)),
         ("position", "f8", (2,)),  # [m]
@@ -47,7 +44,6 @@ SPOT_POSITION = np.dtype(
     ],
     align=True,
 )
-"""Ratios and position of one spot, with memory for the basis functions of its map."""
 
 
 @inlined

@@ -14,8 +14,7 @@ class State(IntEnum):
     UNCOUNTED = 3
 
 
-USABLE_STATES = (State.OK, State.DEGRADED)
-"""States in which the pose of an estimate may be used."""
+USABLE_STATES = (State.OK, State.DEGRADED)  # states in which the pose of an estimate may be used
 
 
 class Fault(IntFlag):

@@ -24,8 +24,7 @@ def theta_of(rotation: FloatArray) -> float:
     return math.atan2(-rotation[0, 1], rotation[1, 1])
 
 
-theta_in_kernel = inlined(theta_of)
-"""The same, for kernels."""
+theta_in_kernel = inlined(theta_of)  # the same, for kernels
 
 
 def thetas_of(rotations: FloatArray) -> FloatArray:

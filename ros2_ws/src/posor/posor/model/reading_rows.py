@@ -28,10 +28,8 @@ GAP = 0
 SPOT_X = 1
 SPOT_Y = 2
 RING = 3
-AFFINE = 4
-"""A reading known by its value and derivative at one pose, see ``predict_readings``."""
-SPOT_PAIR = 5
-"""This row and the next are x and y of one spot; set by ``pair_spots``, PAIRED is the next row."""
+AFFINE = 4  # a reading known by its value and derivative at one pose, see ``predict_readings``
+SPOT_PAIR = 5  # this row and the next are x and y of one spot; set by ``pair_spots``, PAIRED is the next row
 PAIRED = 6
 
 PARAMETERS = 8 + 3 * MAX_HARMONICS
@@ -96,8 +94,7 @@ ROW_DERIVATIVES = _record(_GEOMETRY)
 """Derivatives of a reading with respect to the parameters of its row, under the same names."""
 ROW_PARAMETER_IDS = _record({name: (_as_integer(form), at) for name, (form, at) in _GEOMETRY.items()})
 """Numbers of the parameters of a row in a parameter vector, under the same names."""
-ROW = _record(_GEOMETRY | _PREPARED)
-"""One reading row."""
+ROW = _record(_GEOMETRY | _PREPARED)  # one reading row
 POSE = np.dtype([("rotation", "f8", (3, 3)), ("translation", "f8", (3,))], align=True)
 """A pose ``T_R_T``: R_R_T and the origin of T in R [m]."""
 
@@ -163,15 +160,9 @@ def predict_readings(
 ) -> None:
     """Write what the first ``count`` rows read at a pose, (m,) [m], and the tangent derivatives, (m, 6).
 
-    Args:
-        rows: Reading rows, shape (m,), dtype ROW.
-        count: How many rows to evaluate.
-        pose: Record of dtype POSE.
-        step_sum: Sum of the tangent steps since the pose at which affine rows were expanded, shape (6,): they read
-            ``value + derivative . step_sum``.
-        predicted: Readings to write.
-        jacobian: Derivatives to write.
-
+    ``rows``: reading rows, shape (m,), dtype ROW. ``count``: how many rows to evaluate. ``pose``: record of dtype POSE.
+    ``step_sum``: sum of the tangent steps since the pose at which affine rows were expanded, shape (6,): they read
+    ``value + derivative . step_sum``. ``predicted``: readings to write. ``jacobian``: derivatives to write.
     """
     for r in range(count):
         row = rows[r]

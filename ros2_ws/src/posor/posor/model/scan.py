@@ -18,17 +18,14 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
 NO_SOURCE = 255
-CONTACTS = 4
-"""Contact currents A, B, C, D of a diode."""
+CONTACTS = 4  # contact currents A, B, C, D of a diode
 
 PROBES_ESTIMATED, DIODES_ESTIMATED, SATURATED, SIMULATED, HOME_BUMP = 1, 2, 16, 64, 128
 """Flags of ``posor_msgs/RawScan.status``: readings filled in, a channel at the end of its range, a simulated scan, the
 home mark seen."""
-STATED_HOME = 2
-"""``at_home`` where an operator states that the joint is within half a period of the home mark."""
+STATED_HOME = 2  # ``at_home`` where an operator states that the joint is within half a period of the home mark
 
-MAX_GAP_PROBES, MAX_RING_PROBES, MAX_DIODES = 8, 8, 4
-"""Bounds of the sequences of ``posor_msgs/RawScan``."""
+MAX_GAP_PROBES, MAX_RING_PROBES, MAX_DIODES = 8, 8, 4  # bounds of the sequences of ``posor_msgs/RawScan``
 
 SCAN = np.dtype(
     [
@@ -67,8 +64,7 @@ _SCALARS = {
 }
 
 
-SCAN_FIELDS = (*_SCALARS, *_COUNTS)
-"""Attributes of ``Scans``."""
+SCAN_FIELDS = (*_SCALARS, *_COUNTS)  # attributes of ``Scans``
 
 
 def _empty() -> FloatArray:
@@ -158,10 +154,8 @@ class Scans:
 
         An attribute that is left out is 0, or NaN for supply voltage and temperature, or has no readings.
 
-        Raises:
-            ParameterError: An attribute is unknown, ``stamps_ns`` is missing, or an array does not hold numbers.
-            ShapeError: An array has the wrong shape; names the attribute, the expected and the received shape.
-
+        Raises ParameterError: an attribute is unknown, ``stamps_ns`` is missing, or an array does not hold numbers.
+        Raises ShapeError: an array has the wrong shape; names the attribute, the expected and the received shape.
         """
         if "stamps_ns" not in arrays:
             raise ParameterError("stamps_ns is missing", where="Scans", expected="the middle of each exposure [ns]")
@@ -201,9 +195,7 @@ class Scans:
     def of(scans: Sequence[Scan]) -> Scans:
         """Return scans, which all have the same numbers of readings, as one object.
 
-        Raises:
-            ParameterError: An entry is no Scan, or the scans have different numbers of readings.
-
+        Raises ParameterError: an entry is no Scan, or the scans have different numbers of readings.
         """
         if not all(isinstance(scan, Scan) for scan in scans):
             raise ParameterError("an entry is no Scan", where="Scans.of", expected="a sequence of Scan")
@@ -275,10 +267,7 @@ class Scans:
     def with_fields(self, arrays: Mapping[str, NDArray[Any]]) -> Scans:
         """Return the same scans with some attributes replaced.
 
-        Raises:
-            ParameterError: See ``from_fields``.
-            ShapeError: See ``from_fields``.
-
+        Raises the errors of ``from_fields``.
         """
         scans = Scans(self._records.copy(), editable=self._editable)
         scans._write(arrays)
@@ -286,16 +275,11 @@ class Scans:
 
 
 class ScanBuffer:
-    """Memory for one scan record, filled again and again without allocating.
-
-    Attributes:
-        records: Shape (1,), dtype SCAN.
-
-    """
+    """Memory for one scan record, filled again and again without allocating."""
 
     def __init__(self) -> None:
         """Allocate."""
-        self.records = np.zeros(1, dtype=SCAN)
+        self.records = np.zeros(1, dtype=SCAN)  # shape (1,), dtype SCAN
         self._sequences = [(name, self.records[name][0], self.records[count]) for name, count in _COUNTS.items()]
         names = ("number", "stamp_ns", "supply_voltage", "temperature", "at_home", "status")
         self._scalars = [(name, self.records[name]) for name in names]
@@ -303,9 +287,8 @@ class ScanBuffer:
     def write(self, scan: Scan) -> None:
         """Write a scan.
 
-        Raises:
-            ShapeError: A sequence of readings is longer than its bound; names it, the expected and the received shape.
-
+        Raises ShapeError: a sequence of readings is longer than its bound; names it, the expected and the received
+        shape.
         """
         for name, memory, count in self._sequences:
             readings = np.asarray(getattr(scan, name)).reshape(-1)

@@ -34,17 +34,11 @@ _TOLERANCE_M = 1e-15
 def spot_position(diode: Any, parameters: FloatArray, spot: Any, residual_derivatives: FloatArray, row: int) -> int:
     """Map the ratios of a spot to its position and slope.
 
-    Args:
-        diode: Record of dtype DIODE.
-        parameters: Of the map, shape (p,).
-        spot: Record of dtype SPOT_POSITION; position and slope are written.
-        residual_derivatives: Derivatives of prediction minus reading by the parameters to write, x into ``row``, y
-            into the next, shape (m, p or more). Of a tensor map only each coordinate's own half is written.
-        row: Reading of the x coordinate.
-
-    Returns:
-        INSIDE, or OUTSIDE_X or OUTSIDE_Y where a coordinate lies beyond the outermost curves.
-
+    ``diode``: record of dtype DIODE. ``parameters``: of the map, shape (p,). ``spot``: record of dtype SPOT_POSITION;
+    position and slope are written. ``residual_derivatives``: derivatives of prediction minus reading by the parameters
+    to write, x into ``row``, y into the next, shape (m, p or more). Of a tensor map only each coordinate's own half is
+    written. ``row``: reading of the x coordinate. Returns INSIDE, or OUTSIDE_X or OUTSIDE_Y where a coordinate lies
+    beyond the outermost curves.
     """
     if diode.map_kind == CURVES:
         _find_on_curves(diode, parameters, spot)
@@ -199,13 +193,9 @@ def ratios_of_positions(
 ) -> None:
     """Write the ratios at which the map of one diode gives positions (n, 2) [m]; NaN where no ratio in the domain does.
 
-    Args:
-        diodes: The diode, shape (1,), dtype DIODE.
-        parameters: Of its map, shape (p,).
-        positions: Wanted positions [m], shape (n, 2).
-        spots: Where the ratios are written, shape (n,), dtype SPOT_POSITION.
-        work: Memory for derivatives, shape (2, p).
-
+    ``diodes``: the diode, shape (1,), dtype DIODE. ``parameters``: of its map, shape (p,). ``positions``: wanted
+    positions [m], shape (n, 2). ``spots``: where the ratios are written, shape (n,), dtype SPOT_POSITION. ``work``:
+    memory for derivatives, shape (2, p).
     """
     diode = diodes[0]
     for n in range(positions.shape[0]):

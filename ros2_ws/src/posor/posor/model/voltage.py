@@ -45,7 +45,7 @@ def _record(fields: dict[str, tuple[Any, int]]) -> np.dtype[np.void]:
 CHANNEL_DERIVATIVES = _record(_PARAMETERS)
 """Derivatives of a linearised gap with respect to the parameters of its channel; ``parameters`` holds all of them."""
 
-CHANNEL = _record(
+CHANNEL = _record(  # the calibration of one voltage channel
     {
         **_PARAMETERS,
         "order": ("i8", 8 * CHANNEL_PARAMETERS),  # number of coefficients
@@ -54,7 +54,6 @@ CHANNEL = _record(
         "noise": ("f8", 8 * CHANNEL_PARAMETERS + 24),  # standard deviation of the voltage [V]
     }
 )
-"""The calibration of one voltage channel."""
 
 VALID, NOT_FINITE, OUT_OF_RANGE = 0, 1, 2
 

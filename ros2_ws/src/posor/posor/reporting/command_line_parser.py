@@ -9,24 +9,16 @@ from posor.errors import ParameterError
 
 
 class CommandLineParser(argparse.ArgumentParser):
-    """An argument parser that raises instead of exiting.
-
-    Attributes:
-        help_call: The command that lists the options.
-
-    """
+    """An argument parser that raises instead of exiting."""
 
     def __init__(self, *arguments: Any, help_call: str = "", **named: Any) -> None:
         """Create a parser.
 
-        Args:
-            arguments: Of ``argparse.ArgumentParser``.
-            help_call: The command that lists the options; default: the program's name with ``--help``.
-            named: Of ``argparse.ArgumentParser``.
-
+        ``help_call``: the command that lists the options; default: the program's name with ``--help``. Other arguments:
+        see ``argparse.ArgumentParser``.
         """
         super().__init__(*arguments, **named)
-        self.help_call = help_call or f"{self.prog} --help"
+        self.help_call = help_call or f"{self.prog} --help"  # the command that lists the options
 
     def error(self, message: str) -> NoReturn:
         """Raise a ParameterError with argparse's message, which names the program as other errors do."""

@@ -61,12 +61,8 @@ def table(header: Iterable[str], rows: Iterable[Iterable[str | Cell]], css_class
 def render_page(title: str, verdict: str, *, holds: bool, sections: Sequence[Section]) -> str:
     """Return a page that loads nothing from elsewhere.
 
-    Args:
-        title: Heading; its first line is also the title of the window.
-        verdict: One sentence on the whole report.
-        holds: Whether the verdict is good.
-        sections: Parts of the page, in this order.
-
+    ``title``: heading; its first line is also the title of the window. ``verdict``: one sentence on the whole report.
+    ``holds``: whether the verdict is good. ``sections``: parts of the page, in this order.
     """
     plots = [plot for section in sections for plot in section.plots]
     library, script = "", ""

@@ -22,10 +22,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-FRAME_HEIGHT = 250
-"""Height of a plot without title, axis and legend [pixels]."""
-LEGEND_WIDTH = 48
-"""Letters of the two longest names of a legend with two columns."""
+FRAME_HEIGHT = 250  # height of a plot without title, axis and legend [pixels]
+LEGEND_WIDTH = 48  # letters of the two longest names of a legend with two columns
 _TEXT = {"text_font": "system-ui, sans-serif", "text_color": GREY}
 _STYLE = Theme(
     json={
@@ -56,13 +54,7 @@ _STYLE = Theme(
 
 
 class Plot:
-    """A plot and its data.
-
-    Attributes:
-        title: Title.
-        figure: The Bokeh figure, for what this class has no method.
-
-    """
+    """A plot and its data."""
 
     def __init__(
         self,
@@ -77,15 +69,10 @@ class Plot:
     ) -> None:
         """Create an empty plot.
 
-        Args:
-            title: Title.
-            x_label: Label of the x axis, with its unit.
-            y_label: Label of the y axis, with its unit.
-            x_of: Plot whose x range is this one's too: both zoom together.
-            categories: Names along the y axis, from top to bottom; empty: y is a number.
-            x_log: Whether the x axis is logarithmic.
-            y_log: Whether the y axis is logarithmic.
-
+        ``x_label``: label of the x axis, with its unit. ``y_label``: label of the y axis, with its unit. ``x_of``: plot
+        whose x range is this one's too: both zoom together. ``categories``: names along the y axis, from top to bottom;
+        empty: y is a number. ``x_log``: whether the x axis is logarithmic. ``y_log``: whether the y axis is
+        logarithmic.
         """
         self.title = title
         self._header = (x_label, y_label)
@@ -93,6 +80,7 @@ class Plot:
         ranges: dict[str, Any] = {"x_range": x_of.figure.x_range} if x_of else {}
         if categories:
             ranges["y_range"] = list(reversed(categories))
+        # the Bokeh figure, for what this class has no method
         self.figure: figure = figure(
             x_axis_label=x_label,
             y_axis_label="" if categories else y_label,
@@ -123,17 +111,10 @@ class Plot:
     ) -> None:
         """Draw a series as a line, as points, or both.
 
-        Args:
-            name: Name in legend and data.
-            x: Values, (n,).
-            y: Values or categories, (n,).
-            colour: Colour.
-            dash: Dash pattern of the line; None: no line.
-            marker: Marker of the points; None: no points.
-            size: Size of the points [pixels].
-            filled: Whether the points are filled.
-            extra: Further columns of the data by their labels with units, shown under the pointer, each (n,).
-
+        ``name``: name in legend and data. ``x``: values, (n,). ``y``: values or categories, (n,). ``dash``: dash
+        pattern of the line; None: no line. ``marker``: marker of the points; None: no points. ``size``: size of the
+        points [pixels]. ``filled``: whether the points are filled. ``extra``: further columns of the data by their
+        labels with units, shown under the pointer, each (n,).
         """
         source = self._source(name, x, y, extra or {})
         drawn: list[Any] = []

@@ -19,24 +19,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ReportTable:
-    """A table.
+    """A table."""
 
-    Attributes:
-        title: Title on a console.
-        header: Names of the columns.
-        rows: Cells of each row.
-        note: Meaning of the table, for the page; empty: none.
-        left: Number of columns, from the first on, that are flush left on a console; None: all.
-        rule_before: Number of the row that a console separates from the rows before; None: no row.
-
-    """
-
-    title: str
-    header: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    note: str = ""
-    left: int | None = None
-    rule_before: int | None = None
+    title: str  # on a console
+    header: Sequence[str]  # names of the columns
+    rows: Sequence[Sequence[str]]  # cells of each row
+    note: str = ""  # meaning of the table, for the page; empty: none
+    left: int | None = None  # number of columns, from the first on, that are flush left on a console; None: all
+    rule_before: int | None = None  # number of the row that a console separates from the rows before; None: no row
 
     def print(self, console: Console) -> None:
         """Print the table."""

@@ -60,20 +60,13 @@ class SensorCalibration(FrozenModel, ABC):
 
 @dataclass(frozen=True)
 class Linearised:
-    """Linearised readings of n scans; m readings.
+    """Linearised readings of n scans; m readings."""
 
-    Attributes:
-        values: Readings on the model's scale [m], shape (n, m).
-        variances: Their variances from the noise of the electronics [m^2], shape (n, m).
-        selected: Which row of the stack's pool each reading is, shape (n, m).
-        codes: Code of the first sensor with invalid readings, shape (n, sensors); zero for the others, also for those
-            behind it, which are not checked.
-
-    """
-
-    values: FloatArray
-    variances: FloatArray
-    selected: IntArray
+    values: FloatArray  # readings on the model's scale [m], shape (n, m)
+    variances: FloatArray  # their variances from the noise of the electronics [m^2], shape (n, m)
+    selected: IntArray  # which row of the stack's pool each reading is, shape (n, m)
+    # code of the first sensor with invalid readings, shape (n, sensors); zero for the others, also for those behind it,
+    # which are not checked
     codes: IntArray
 
     @property
@@ -151,25 +144,19 @@ class Sensor(ABC):
 
 @dataclass(frozen=True)
 class ReadingSource:
-    """Where the compiled kernels find a sensor's raw readings, and how they linearise them (``estimation.linearise``).
+    """Where the compiled kernels find a sensor's raw readings, and how ``estimation.linearise`` linearises them."""
 
-    Attributes:
-        source: Which field of a scan the readings come from.
-        parameters: Where the parameters of each reading's linearisation stand in the sensor's parameter vector,
-            negative for none, shape (m, L): those of its channel (``model.voltage``) or map (``model.spot_map``).
-        channels: Of voltage probes, shape (count,), dtype CHANNEL.
-        diodes: Of diodes, shape (count,), dtype DIODE.
-        map_parameters: Of the diodes' maps, shape (count, longest).
-        light_sources: How many light sources each diode can see.
-
-    """
-
-    source: int
+    source: int  # which field of a scan the readings come from
+    # where the parameters of each reading's linearisation stand in the sensor's parameter vector, negative for none,
+    # shape (m, L): those of its channel (``model.voltage``) or map (``model.spot_map``)
     parameters: IntArray
+    # of voltage probes, shape (count,), dtype CHANNEL
     channels: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, dtype=CHANNEL))
+    # of diodes, shape (count,), dtype DIODE
     diodes: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, dtype=DIODE))
+    # of the diodes' maps, shape (count, longest)
     map_parameters: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
-    light_sources: int = 0
+    light_sources: int = 0  # how many light sources each diode can see
 
     @property
     def table_parameters(self) -> IntArray:
@@ -186,16 +173,11 @@ def no_parameters(count: int) -> NDArray[np.void]:
 
 
 class RowSensor(Sensor):
-    """A sensor whose readings are rows of the compiled kernels.
+    """A sensor whose readings are rows of the compiled kernels."""
 
-    Attributes:
-        rows: Every row that the sensor can have (a diode has one pair for each light source), shape (K,), dtype ROW.
-        row_parameters: Where each row parameter stands in the sensor's parameter vector, negative for constants, shape
-            (K, PARAMETERS).
-
-    """
-
+    # every row that the sensor can have (a diode has one pair for each light source), shape (K,), dtype ROW
     rows: NDArray[np.void]
+    # where each row parameter stands in the sensor's parameter vector, negative for constants, shape (K, PARAMETERS)
     row_parameters: IntArray
 
     @property
@@ -221,13 +203,9 @@ class RowSensor(Sensor):
     def encode(self, readings: FloatArray, scans: Scans) -> dict[str, FloatArray]:
         """Return the raw readings that linearise to these: the inverse of the linearisation.
 
-        Args:
-            readings: On the model's scale [m], shape (n, m).
-            scans: Supply voltage, temperature and lit sources that hold; raw readings are not looked at.
-
-        Returns:
-            The fields of ``Scans`` that are this sensor's, such as ``gap_voltages``; NaN beyond the calibrated range.
-
+        ``readings``: on the model's scale [m], shape (n, m). ``scans``: supply voltage, temperature and lit sources
+        that hold; raw readings are not looked at. Returns the fields of ``Scans`` that are this sensor's, such as
+        ``gap_voltages``; NaN beyond the calibrated range.
         """
 
     @abstractmethod
@@ -259,19 +237,12 @@ class RowSensor(Sensor):
 
 @dataclass(frozen=True)
 class PlainReadings:
-    """One scan's readings of a plain sensor.
+    """One scan's readings of a plain sensor."""
 
-    Attributes:
-        values: Readings on the model's scale, shape (m,); any unit, as long as ``predict`` uses the same.
-        variances: Their variances from the noise of the electronics, shape (m,).
-        jacobian: Their derivatives with respect to the sensor's parameters, shape (m, p).
-        sensitivities: Their derivatives with respect to supply voltage and temperature, shape (m, 2); None: zero.
-
-    """
-
-    values: FloatArray
-    variances: FloatArray
-    jacobian: FloatArray
+    values: FloatArray  # readings on the model's scale, shape (m,); any unit, as long as ``predict`` uses the same
+    variances: FloatArray  # their variances from the noise of the electronics, shape (m,)
+    jacobian: FloatArray  # their derivatives with respect to the sensor's parameters, shape (m, p)
+    # their derivatives with respect to supply voltage and temperature, shape (m, 2); None: zero
     sensitivities: FloatArray | None = None
 
 
@@ -280,12 +251,7 @@ class PlainSensor(Sensor):
 
     @abstractmethod
     def read(self, scan: Scan) -> PlainReadings:
-        """Return the readings of a scan on the model's scale.
-
-        Raises:
-            ScanError: The scan's readings do not fit.
-
-        """
+        """Return the readings of a scan on the model's scale. Raises ScanError: the scan's readings do not fit."""
 
     @abstractmethod
     def predict(self, rotation: FloatArray, translation: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -114,13 +114,9 @@ class BumpyRing(ProbeSensor):
     def observability(self, phases: FloatArray) -> FloatArray:
         """Return how well the ring's readings tell (x, y, theta) apart at each bump phase.
 
-        Args:
-            phases: Bump phases [rad, 2 pi to a bump], shape (n,), at theta = phase / bumps, no runout.
-
-        Returns:
-            Smallest over largest singular value of the readings' sensitivity to x, y and theta times the mean radius,
-            shape (n,): zero is blind.
-
+        ``phases``: bump phases [rad, 2 pi to a bump], shape (n,), at theta = phase / bumps, no runout. Returns the
+        smallest over the largest singular value of the readings' sensitivity to x, y and theta times the mean radius,
+        shape (n,): zero is blind.
         """
         out = np.empty(len(phases))
         radius = float(self._array("mean_radius"))

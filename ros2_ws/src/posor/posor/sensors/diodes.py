@@ -99,14 +99,9 @@ def slip_angle(diodes: FloatArray, sources: FloatArray, sigma: float) -> float:
     pair of sources that two diodes can see at a time differs from that of the pair k further by more than CONTRADICTION
     standard deviations. One fixed source for each diode cannot slip.
 
-    Args:
-        diodes: Origins in the plane of R [m], shape (d, 2).
-        sources: Origins in the plane of T [m], in the order of their numbers around the ring, shape (n, 2).
-        sigma: Standard uncertainty of the distance of two spots [m].
-
-    Returns:
-        [rad]; zero: every slip is seen.
-
+    ``diodes``: origins in the plane of R [m], shape (d, 2). ``sources``: origins in the plane of T [m], in the order of
+    their numbers around the ring, shape (n, 2). ``sigma``: standard uncertainty of the distance of two spots [m]. The
+    result is in [rad]; zero: every slip is seen.
     """
     count = len(sources)
     if count <= len(diodes):
@@ -172,9 +167,7 @@ class DiodesCalibration(SensorCalibration):
     def for_session(self, session: Session) -> Self:
         """Return the calibration with the session's set of maps.
 
-        Raises:
-            CalibrationError: There is no set of that name.
-
+        Raises CalibrationError: there is no set of that name.
         """
         if session.diode_map is None:
             return self

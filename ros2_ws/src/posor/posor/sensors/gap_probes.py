@@ -51,9 +51,7 @@ class GapProbesCalibration(SensorCalibration):
     def for_session(self, session: Session) -> Self:
         """Return the calibration with the session's zero shifts.
 
-        Raises:
-            CalibrationError: The session has another number of shifts than there are probes.
-
+        Raises CalibrationError: the session has another number of shifts than there are probes.
         """
         shifts = session.zero_shifts
         if shifts is None:

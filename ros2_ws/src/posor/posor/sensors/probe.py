@@ -124,11 +124,8 @@ class Channels:
     def __init__(self, probes: Sequence[ProbeCalibration], kind: str, sensor: Sensor) -> None:
         """Lay out the channels.
 
-        Args:
-            probes: Calibration of the probes, for what is not a parameter.
-            kind: What messages call them, ``gap probe`` or ``ring probe``.
-            sensor: Holds the parameters, see ``probe_parameters``.
-
+        ``probes``: calibration of the probes, for what is not a parameter. ``kind``: what messages call them, ``gap
+        probe`` or ``ring probe``. ``sensor``: holds the parameters, see ``probe_parameters``.
         """
         self.names = tuple(probe.name for probe in probes)
         self._kind = kind
@@ -194,16 +191,11 @@ class Channels:
 
 
 class ProbeSensor(RowSensor):
-    """Probes with their linearisation; a subclass states what surface they see (``_layout``).
+    """Probes with their linearisation; a subclass states what surface they see (``_layout``)."""
 
-    Attributes:
-        KIND: Which probes, ``gap`` or ``ring``: part of the names of readings and of the field with the voltages.
-        VOLTAGES: Index of these voltages for the kernels.
-
-    """
-
+    # which probes, ``gap`` or ``ring``: part of the names of readings and of the field with the voltages
     KIND: ClassVar[Literal["gap", "ring"]]
-    VOLTAGES: ClassVar[int]
+    VOLTAGES: ClassVar[int]  # index of these voltages for the kernels
 
     def __init__(
         self, probes: Sequence[ProbeCalibration], surface: dict[str, FloatArray], surface_sigmas: dict[str, FloatArray]

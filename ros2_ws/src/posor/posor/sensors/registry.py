@@ -20,10 +20,8 @@ GROUP = "posor.sensors"
 def sensor_types() -> dict[str, type[SensorCalibration]]:
     """Return the calibration class of each installed sensor type.
 
-    Raises:
-        CalibrationError: An installed entry point does not load, is not a sensor, does not declare its name as its
-            ``type``, or has the name of another.
-
+    Raises CalibrationError: an installed entry point does not load, is not a sensor, does not declare its name as its
+    ``type``, or has the name of another.
     """
     found: dict[str, type[SensorCalibration]] = {}
     for entry in entry_points(group=GROUP):

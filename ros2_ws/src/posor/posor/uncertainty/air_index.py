@@ -14,10 +14,8 @@ from typing import NamedTuple
 
 from posor.errors import ParameterError
 
-ICE_POINT = 273.15
-"""0 C [K]."""
-CO2_FRACTION = 450e-6
-"""Carbon dioxide of Ciddor's standard air, molar fraction."""
+ICE_POINT = 273.15  # 0 C [K]
+CO2_FRACTION = 450e-6  # carbon dioxide of Ciddor's standard air, molar fraction
 
 
 class Range(NamedTuple):
@@ -41,7 +39,7 @@ PRESSURE = Range(10e3, 140e3, "Pa")
 FRACTION = Range(0.0, 1.0, "")
 CO2_FRACTIONS = Range(0.0, 2000e-6, "")
 
-_IF97 = (
+_IF97 = (  # IAPWS-IF97, table 34
     1.1670521452767e3,
     -7.2421316703206e5,
     -1.7073846940092e1,
@@ -53,7 +51,6 @@ _IF97 = (
     -2.3855557567849e-1,
     6.5017534844798e2,
 )
-"""IAPWS-IF97, table 34."""
 
 
 def saturation_pressure(temperature: float) -> float:
@@ -74,14 +71,9 @@ def _saturation_pressure(temperature: float) -> float:
 def vapour_fraction(relative_humidity: float, temperature: float, pressure: float) -> float:
     """Return the molar fraction of water vapour in moist air (Ciddor 1996, appendix A, with the enhancement factor).
 
-    Args:
-        relative_humidity: Over water, from 0 to 1.
-        temperature: Of the air [K], at least 273.15 K.
-        pressure: Of the air [Pa].
-
-    Raises:
-        ParameterError: A value is out of range, or the vapour pressure exceeds the pressure of the air.
-
+    ``relative_humidity``: over water, from 0 to 1. ``temperature``: of the air [K], at least 273.15 K. ``pressure``: of
+    the air [Pa]. Raises ParameterError: a value is out of range, or the vapour pressure exceeds the pressure of the
+    air.
     """
     FRACTION.require(relative_humidity, "relative humidity")
     MOIST_TEMPERATURE.require(temperature, "temperature of moist air")
@@ -106,16 +98,10 @@ def air_index(
 ) -> float:
     """Return the refractive index of air (Ciddor 1996, equations 1 to 5 and appendices A and B).
 
-    Args:
-        wavelength: In vacuum [m], 300 nm to 1700 nm.
-        temperature: Of the air [K], 233.15 K to 373.15 K (ITS-90).
-        pressure: Of the air [Pa], 10 kPa to 140 kPa.
-        vapour_fraction: Molar fraction of water vapour, as ``vapour_fraction`` returns it.
-        co2_fraction: Molar fraction of carbon dioxide, 0 to 2000e-6.
-
-    Raises:
-        ParameterError: A value is out of range.
-
+    ``wavelength``: in vacuum [m], 300 nm to 1700 nm. ``temperature``: of the air [K], 233.15 K to 373.15 K (ITS-90).
+    ``pressure``: of the air [Pa], 10 kPa to 140 kPa. ``vapour_fraction``: molar fraction of water vapour, as
+    ``vapour_fraction`` returns it. ``co2_fraction``: molar fraction of carbon dioxide, 0 to 2000e-6. Raises
+    ParameterError: a value is out of range.
     """
     WAVELENGTH.require(wavelength, "wavelength")
     TEMPERATURE.require(temperature, "temperature")
@@ -151,20 +137,12 @@ def _molar_density(temperature: float, pressure: float, vapour_fraction: float) 
 
 @dataclass(frozen=True)
 class Air:
-    """State of the air as its instruments show it.
+    """State of the air as its instruments show it."""
 
-    Attributes:
-        temperature: [K], 273.15 K to 373.15 K.
-        pressure: [Pa], 10 kPa to 140 kPa.
-        relative_humidity: Over water, from 0 to 1.
-        co2_fraction: Molar fraction of carbon dioxide.
-
-    """
-
-    temperature: float
-    pressure: float
-    relative_humidity: float
-    co2_fraction: float = CO2_FRACTION
+    temperature: float  # [K], 273.15 K to 373.15 K
+    pressure: float  # [Pa], 10 kPa to 140 kPa
+    relative_humidity: float  # over water, from 0 to 1
+    co2_fraction: float = CO2_FRACTION  # molar fraction of carbon dioxide
 
     def index(self, wavelength: float) -> float:
         """Return the refractive index at a vacuum wavelength [m]; errors as ``air_index``."""
@@ -173,20 +151,12 @@ class Air:
 
 
 class IndexSensitivities(NamedTuple):
-    """Derivatives of the refractive index with respect to the state of the air, each with the others constant.
+    """Derivatives of the refractive index with respect to the state of the air, each with the others constant."""
 
-    Attributes:
-        temperature: At constant relative humidity [1/K].
-        pressure: At constant relative humidity [1/Pa].
-        relative_humidity: For a change from 0 to 1.
-        co2_fraction: For a change from 0 to 1.
-
-    """
-
-    temperature: float
-    pressure: float
-    relative_humidity: float
-    co2_fraction: float
+    temperature: float  # at constant relative humidity [1/K]
+    pressure: float  # at constant relative humidity [1/Pa]
+    relative_humidity: float  # for a change from 0 to 1
+    co2_fraction: float  # for a change from 0 to 1
 
 
 STEPS = IndexSensitivities(temperature=0.05, pressure=50.0, relative_humidity=0.01, co2_fraction=50e-6)
@@ -196,9 +166,7 @@ STEPS = IndexSensitivities(temperature=0.05, pressure=50.0, relative_humidity=0.
 def index_sensitivities(wavelength: float, air: Air) -> IndexSensitivities:
     """Return the derivatives of ``Air.index`` by central differences; a step may leave the range by its size.
 
-    Raises:
-        ParameterError: The wavelength or the air is out of range.
-
+    Raises ParameterError: the wavelength or the air is out of range.
     """
     air.index(wavelength)
 

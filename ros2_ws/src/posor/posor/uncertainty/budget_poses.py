@@ -33,8 +33,7 @@ if TYPE_CHECKING:
 
 POSE_TOLERANCE = (1e-4, 1e-4, 1e-2, 0.1, 0.1, 0.1)
 """Weight of x, y, z [m] and rotations [rad] near zero in the search for the middle of the ranges, as sigmas."""
-READING_TOLERANCE = 1e-4
-"""Weight of a reading at the middle of its range [m], as sigma."""
+READING_TOLERANCE = 1e-4  # weight of a reading at the middle of its range [m], as sigma
 STEPS = 20
 
 
@@ -46,9 +45,7 @@ def pose_from_native(native: Sequence[float]) -> pin.SE3:
 def scan_at(posor: Posor, T_R_T: pin.SE3) -> Scan:
     """Return the readings of a POSOR at a pose, without noise.
 
-    Raises:
-        ParameterError: A sensor has no forward model, or is out of range at this pose.
-
+    Raises ParameterError: a sensor has no forward model, or is out of range at this pose.
     """
     for sensor in posor.stack.sensors:
         if not isinstance(sensor, RowSensor):
@@ -144,12 +141,8 @@ def model_covariances(
 ) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
     """Return the covariances of the POSORs' sensor models, by joint.
 
-    Returns:
-        Random covariances (noise) and systematic covariances (calibration), (6, 6) each, ROS order.
-
-    Raises:
-        ChainError: A POSOR has no valid pose at its angle.
-
+    Returns the random covariances (noise) and systematic covariances (calibration), (6, 6) each, ROS order. Raises
+    ChainError: a POSOR has no valid pose at its angle.
     """
     random, systematic = {}, {}
     for joint in chain.joints:

@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from posor.sensors.base import SensorCalibration
 
 NATIVE = (("x", "m"), ("y", "m"), ("gap", "m"), ("alpha", "rad"), ("beta", "rad"), ("theta", "rad"))
-THETA = 5
-"""Index of theta among the native coordinates."""
+THETA = 5  # index of theta among the native coordinates
 
 
 _PARAMETER_NAME = re.compile(r"(?P<array>\w+)\[(?P<first>\d*)")
@@ -47,28 +46,21 @@ _QUANTITIES_OF_PARTS: Mapping[str, tuple[str, str]] = {
 }
 """Parameter arrays with a row for each part of a list in the calibration file: the list, and the name of a row."""
 
-_WHOLE_QUANTITIES: Mapping[str, str] = {
+_WHOLE_QUANTITIES: Mapping[str, str] = {  # parameter arrays that are one quantity as a whole
     "plane_point": "target plane: point",
     "plane_tilt": "target plane: tilt",
     "mean_radius": "ring: mean radius",
     "cos": "ring: profile",
     "sin": "ring: profile",
 }
-"""Parameter arrays that are one quantity as a whole."""
 
 
 @dataclass(frozen=True)
 class PlatePoint:
-    """A point of the receiving plate; its gap is the reading of an exact probe along Z of R.
+    """A point of the receiving plate; its gap is the reading of an exact probe along Z of R."""
 
-    Attributes:
-        x: Along X of R [m].
-        y: Along Y of R [m].
-
-    """
-
-    x: float
-    y: float
+    x: float  # along X of R [m]
+    y: float  # along Y of R [m]
 
     @property
     def name(self) -> str:

@@ -41,18 +41,11 @@ class ContributionKind(StrEnum):
 
 @dataclass(frozen=True)
 class Contribution:
-    """Contribution of one input quantity to the outputs.
+    """Contribution of one input quantity to the outputs."""
 
-    Attributes:
-        name: Name of the quantity.
-        kind: Noise of a reading, or a calibrated quantity.
-        effects: Standard uncertainty of each output if all other quantities were exact [m, rad], shape (k,).
-
-    """
-
-    name: str
-    kind: ContributionKind
-    effects: FloatArray
+    name: str  # name of the quantity
+    kind: ContributionKind  # noise of a reading, or a calibrated quantity
+    effects: FloatArray  # standard uncertainty of each output if all other quantities were exact [m, rad], shape (k,)
 
 
 @dataclass(frozen=True, repr=False)
@@ -113,22 +106,13 @@ def _shares(effects: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Sensitivities:
-    """Derivatives of the outputs at one pose.
+    """Derivatives of the outputs at one pose."""
 
-    Attributes:
-        outputs: The k outputs.
-        values: Their values at the pose [m, rad], shape (k,).
-        by_reading: With respect to each linearised reading, shape (k, m).
-        by_parameter: With respect to each parameter of the stack at constant readings, shape (k, p).
-        noise: Standard deviation of each linearised reading from the electronics' noise [m], shape (m,).
-
-    """
-
-    outputs: tuple[Output, ...]
-    values: FloatArray
-    by_reading: FloatArray
-    by_parameter: FloatArray
-    noise: FloatArray
+    outputs: tuple[Output, ...]  # the k outputs
+    values: FloatArray  # their values at the pose [m, rad], shape (k,)
+    by_reading: FloatArray  # with respect to each linearised reading, shape (k, m)
+    by_parameter: FloatArray  # with respect to each parameter of the stack at constant readings, shape (k, p)
+    noise: FloatArray  # standard deviation of each linearised reading from the electronics' noise [m], shape (m,)
 
 
 def sensitivities(posor: Posor, scan: Scan, T_R_T: pin.SE3, points: Sequence[PlatePoint] = ()) -> Sensitivities:

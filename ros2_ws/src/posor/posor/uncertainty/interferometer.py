@@ -29,16 +29,10 @@ ASSUMED_INDEX = Range(1.0, 1.001, "")
 
 @dataclass(frozen=True)
 class Input:
-    """Input quantity of the model.
+    """Input quantity of the model."""
 
-    Attributes:
-        value: Estimate, in SI units.
-        uncertainty: Its standard uncertainty, in the same unit.
-
-    """
-
-    value: float
-    uncertainty: float = 0.0
+    value: float  # estimate, in SI units
+    uncertainty: float = 0.0  # its standard uncertainty, in the same unit
 
     def __mul__(self, other: Input) -> Input:
         """Return the product with an independent input; variance with its term of second order (JCGM 100, 5.1.2)."""
@@ -72,20 +66,12 @@ def _require_finite(quantity: Input, where: str) -> None:
 
 @dataclass(frozen=True)
 class AirQuantities(_Inputs):
-    """Air along the beam, or its change.
+    """Air along the beam, or its change."""
 
-    Attributes:
-        temperature: [K].
-        pressure: [Pa].
-        relative_humidity: Over water, from 0 to 1.
-        co2_fraction: Molar fraction of carbon dioxide.
-
-    """
-
-    temperature: Input
-    pressure: Input
-    relative_humidity: Input
-    co2_fraction: Input
+    temperature: Input  # [K]
+    pressure: Input  # [Pa]
+    relative_humidity: Input  # over water, from 0 to 1
+    co2_fraction: Input  # molar fraction of carbon dioxide
 
     @property
     def each(self) -> tuple[Input, Input, Input, Input]:
@@ -98,61 +84,37 @@ NO_CHANGE = AirQuantities(ZERO, ZERO, ZERO, ZERO)
 
 @dataclass(frozen=True)
 class AbbeOffset(_Inputs):
-    """Distance between the axis of measurement and the point of interest, and the turn of the carriage.
+    """Distance between the axis of measurement and the point of interest, and the turn of the carriage."""
 
-    Attributes:
-        offset: Distance across the beam [m].
-        angle: Turn since the zero [rad], positive if the interferometer reads more than the point moves.
-
-    """
-
-    offset: Input
-    angle: Input
+    offset: Input  # distance across the beam [m]
+    angle: Input  # turn since the zero [rad], positive if the interferometer reads more than the point moves
 
 
 @dataclass(frozen=True)
 class Expansion(_Inputs):
-    """Part of the machine between the optics, whose growth adds to the reading.
+    """Part of the machine between the optics, whose growth adds to the reading."""
 
-    Attributes:
-        length: [m].
-        coefficient: Of thermal expansion [1/K].
-        temperature_change: Of the part since the zero [K].
-
-    """
-
-    length: Input
-    coefficient: Input
-    temperature_change: Input
+    length: Input  # [m]
+    coefficient: Input  # of thermal expansion [1/K]
+    temperature_change: Input  # of the part since the zero [K]
 
 
 @dataclass(frozen=True)
 class Interferometer(_Inputs):
-    """Set-up of an interferometer. All input quantities are independent.
+    """Set-up of an interferometer. All input quantities are independent."""
 
-    Attributes:
-        wavelength: Vacuum wavelength [m].
-        assumed_index: Refractive index by which the instrument divides, the inverse of its compensation factor.
-        air: Air along the beam at the reading.
-        index_uncertainty: Standard uncertainty of the equation for the index of air.
-        air_change: Change of the air since the zero. Its uncertainty is that of the change: a constant error of the
-            air sensors does not count.
-        dead_path: Distance of the retroreflector from the interferometer at the zero [m].
-        misalignment: Angles between beam and motion in two perpendicular planes [rad], at most 0.02 rad.
-        abbe_offsets: Of the planes in which the carriage turns.
-        expansions: Parts of the machine that change their length.
-
-    """
-
-    wavelength: Input
-    assumed_index: float
-    air: AirQuantities
-    index_uncertainty: float
+    wavelength: Input  # vacuum wavelength [m]
+    assumed_index: float  # refractive index by which the instrument divides, the inverse of its compensation factor
+    air: AirQuantities  # air along the beam at the reading
+    index_uncertainty: float  # standard uncertainty of the equation for the index of air
+    # change of the air since the zero. Its uncertainty is that of the change: a constant error of the air sensors does
+    # not count
     air_change: AirQuantities = NO_CHANGE
-    dead_path: Input = ZERO
+    dead_path: Input = ZERO  # distance of the retroreflector from the interferometer at the zero [m]
+    # angles between beam and motion in two perpendicular planes [rad], at most 0.02 rad
     misalignment: tuple[Input, Input] = (ZERO, ZERO)
-    abbe_offsets: tuple[AbbeOffset, ...] = ()
-    expansions: tuple[Expansion, ...] = ()
+    abbe_offsets: tuple[AbbeOffset, ...] = ()  # of the planes in which the carriage turns
+    expansions: tuple[Expansion, ...] = ()  # parts of the machine that change their length
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -165,32 +127,20 @@ class Interferometer(_Inputs):
 
 @dataclass(frozen=True)
 class Term:
-    """Term of the correction.
+    """Term of the correction."""
 
-    Attributes:
-        name: Name of the term.
-        effect: Its part of the correction [m].
-        standard_uncertainty: Its part of the standard uncertainty [m].
-
-    """
-
-    name: str
-    effect: float
-    standard_uncertainty: float
+    name: str  # name of the term
+    effect: float  # its part of the correction [m]
+    standard_uncertainty: float  # its part of the standard uncertainty [m]
 
 
 @dataclass(frozen=True)
 class CorrectedReading:
-    """A reading with its correction.
+    """A reading with its correction."""
 
-    Attributes:
-        reading: Displacement that the instrument shows [m].
-        terms: The terms. The effect of the index of air stands in its own term, together with the uncertainty of the
-            equation; temperature, pressure, humidity and carbon dioxide follow with their uncertainties.
-
-    """
-
-    reading: float
+    reading: float  # displacement that the instrument shows [m]
+    # the terms. The effect of the index of air stands in its own term, together with the uncertainty of the equation;
+    # temperature, pressure, humidity and carbon dioxide follow with their uncertainties
     terms: tuple[Term, ...]
 
     @property
@@ -212,13 +162,9 @@ class CorrectedReading:
 def correct_reading(setup: Interferometer, reading: float) -> CorrectedReading:
     """Return the correction of a reading, to first order in each effect: products of two effects are left out.
 
-    Args:
-        setup: The interferometer and its surroundings.
-        reading: Displacement since the zero that the instrument shows [m].
-
-    Raises:
-        ParameterError: The reading is not finite, or the air at the reading or at the zero is out of range.
-
+    ``setup``: the interferometer and its surroundings. ``reading``: displacement since the zero that the instrument
+    shows [m]. Raises ParameterError: the reading is not finite, or the air at the reading or at the zero is out of
+    range.
     """
     _require_finite(Input(reading), "reading")
     wavelength, air = setup.wavelength.value, Air(*(quantity.value for quantity in setup.air.each))

@@ -43,8 +43,7 @@ INTEGRITY_RISK = 1e-5
 """Probability, of one scan and axis, that noise and calibration errors alone exceed their part of the level."""
 COVERAGE_FACTOR = float(-ndtri(0.5 * INTEGRITY_RISK))
 """K, 4.42: the standard uncertainties of the endpoint in a protection level."""
-NO_EXPANSIONS: FloatArray = np.zeros((0, 6))
-"""Of an arm without measuring beams, or of a single joint."""
+NO_EXPANSIONS: FloatArray = np.zeros((0, 6))  # of an arm without measuring beams, or of a single joint
 
 
 def endpoint_effects(chain: Chain, T_parent_child: Mapping[str, pin.SE3]) -> dict[str, FloatArray]:
@@ -52,14 +51,9 @@ def endpoint_effects(chain: Chain, T_parent_child: Mapping[str, pin.SE3]) -> dic
 
     The sag of the beams is left out: it changes the levers by less than a thousandth.
 
-    Args:
-        chain: The arm.
-        T_parent_child: Transform of each joint, by name.
-
-    Returns:
-        Matrix (6, 6) of each joint, by name: from a shift of the transform (ROS order, axes of the joint's parent) to
-        one of the endpoint (ROS order, axes of the base, the small turn applied at the endpoint).
-
+    ``T_parent_child``: transform of each joint, by name. Returns the matrix (6, 6) of each joint, by name: from a shift
+    of the transform (ROS order, axes of the joint's parent) to one of the endpoint (ROS order, axes of the base, the
+    small turn applied at the endpoint).
     """
     pose = chain.links[0].T_nominal
     axes, centres = {}, {}
@@ -85,13 +79,8 @@ def expansion_shifts(chain: Chain, T_parent_child: Mapping[str, pin.SE3]) -> Flo
     A beam of uniform temperature keeps its shape, so its expansion moves the endpoint without turning it. The sag of
     the beams is left out, as in ``endpoint_effects``.
 
-    Args:
-        chain: The arm.
-        T_parent_child: Transform of each joint, by name.
-
-    Returns:
-        Shift by each of the b beams between the base and the endpoint, (b, 6), ROS order, axes of the base [m, rad].
-
+    ``T_parent_child``: transform of each joint, by name. Returns the shift by each of the b beams between the base and
+    the endpoint, (b, 6), ROS order, axes of the base [m, rad].
     """
     moved = [T_parent_child[joint.name].rotation for joint in chain.joints]
     shifts, rotation = [], np.eye(3)
@@ -106,9 +95,7 @@ def expansion_shifts(chain: Chain, T_parent_child: Mapping[str, pin.SE3]) -> Flo
 def expansion_bound(expansions: FloatArray) -> FloatArray:
     """Return the bound of the endpoint's error by the temperature of the measuring beams, (6,) [m, rad].
 
-    Args:
-        expansions: Of the beams, (b, 6), as ``expansion_shifts``.
-
+    ``expansions``: of the beams, (b, 6), as ``expansion_shifts``.
     """
     return np.asarray(np.abs(expansions).sum(axis=0))
 
@@ -121,15 +108,10 @@ def endpoint_protection_level(
 ) -> FloatArray:
     """Return the protection level of the endpoint along and about X, Y, Z of the base, (6,) [m, rad].
 
-    Args:
-        shifts: Of each joint: the undetected shifts of its readings, (m, 6), as ``Reliability.shifts``.
-        effects: Of each joint: its matrix of ``endpoint_effects``, (6, 6).
-        covariance: Of the endpoint, (6, 6).
-        expansions: Of the measuring beams, (b, 6), as ``expansion_shifts``.
-
-    Returns:
-        The levels; infinite where an error that moves the endpoint is not detectable.
-
+    ``shifts``: of each joint: the undetected shifts of its readings, (m, 6), as ``Reliability.shifts``. ``effects``: of
+    each joint: its matrix of ``endpoint_effects``, (6, 6). ``covariance``: of the endpoint, (6, 6). ``expansions``: of
+    the measuring beams, (b, 6), as ``expansion_shifts``. Returns the levels; infinite where an error that moves the
+    endpoint is not detectable.
     """
     moved = np.concatenate([np.abs(transformed(effect, own)) for own, effect in zip(shifts, effects, strict=True)])
     sigmas = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
@@ -138,23 +120,15 @@ def endpoint_protection_level(
 
 @dataclass(frozen=True)
 class ArmReliability:
-    """Reliability of all joints of an arm in one posture, and what it means for the endpoint.
+    """Reliability of all joints of an arm in one posture, and what it means for the endpoint."""
 
-    Attributes:
-        angles: Of the joints [rad], by name.
-        joints: Reliability of each joint.
-        endpoint_shifts: Of each joint: change of the endpoint by the minimal detectable bias of each reading, (m, 6),
-            ROS order, axes of the base [m, rad]; infinite: not bounded.
-        expansions: Change of the endpoint by the largest expansion of each measuring beam, (b, 6), likewise.
-        protection_level: Of the endpoint, (6,).
-
-    """
-
-    angles: Mapping[str, float]
-    joints: Mapping[str, Reliability]
+    angles: Mapping[str, float]  # of the joints [rad], by name
+    joints: Mapping[str, Reliability]  # reliability of each joint
+    # of each joint: change of the endpoint by the minimal detectable bias of each reading, (m, 6), ROS order, axes of
+    # the base [m, rad]; infinite: not bounded
     endpoint_shifts: Mapping[str, FloatArray]
-    expansions: FloatArray
-    protection_level: FloatArray
+    expansions: FloatArray  # change of the endpoint by the largest expansion of each measuring beam, (b, 6), likewise
+    protection_level: FloatArray  # of the endpoint, (6,)
 
 
 def arm_reliability(
@@ -162,16 +136,10 @@ def arm_reliability(
 ) -> ArmReliability:
     """Return the reliability of an arm at rest.
 
-    Args:
-        chain: The arm, with uncertainty and temperature of its beams.
-        calibrations: Of the POSORs, by joint.
-        angles: Of the joints [rad], by name.
-
-    Raises:
-        ChainError: A POSOR has no valid pose at its angle.
-        ParameterError: A sensor has no forward model, or is out of range at its angle.
-        FitError: The readings of a joint do not determine all six freedoms.
-
+    ``chain``: the arm, with uncertainty and temperature of its beams. ``calibrations``: of the POSORs, by joint.
+    ``angles``: of the joints [rad], by name. Raises ChainError: a POSOR has no valid pose at its angle. Raises
+    ParameterError: a sensor has no forward model, or is out of range at its angle. Raises FitError: the readings of a
+    joint do not determine all six freedoms.
     """
     poses = {joint.name: chain.nominal_joint(joint.name, angles[joint.name]) for joint in chain.joints}
     random, systematic = model_covariances(calibrations, chain, angles)

@@ -17,18 +17,12 @@ if TYPE_CHECKING:
 
 
 class ReadingSensitivity(NamedTuple):
-    """What a shift of each of the m linearised readings does.
+    """What a shift of each of the m linearised readings does."""
 
-    Attributes:
-        gain: Change of the pose, (6, m), ROS order, axes of R [m/m, rad/m].
-        chi_square: Chi-square for a square metre of shift, (m,).
-        redundancy_numbers: Share of a shift that the reading's own residual shows, (m,), from 0 to 1; their sum is the
-            number of redundant readings.
-
-    """
-
-    gain: FloatArray
-    chi_square: FloatArray
+    gain: FloatArray  # change of the pose, (6, m), ROS order, axes of R [m/m, rad/m]
+    chi_square: FloatArray  # chi-square for a square metre of shift, (m,)
+    # share of a shift that the reading's own residual shows, (m,), from 0 to 1; their sum is the number of redundant
+    # readings
     redundancy_numbers: FloatArray
 
     @classmethod
@@ -43,9 +37,7 @@ class ReadingSensitivity(NamedTuple):
 def sensitivity_at(posor: Posor, scan: Scan, T_R_T: pin.SE3) -> ReadingSensitivity:
     """Return the sensitivity at a pose; the readings of the scan are used for their variances only.
 
-    Raises:
-        ScanError: A reading of the scan is invalid.
-
+    Raises ScanError: a reading of the scan is invalid.
     """
     stack, rotation, translation = posor.stack, T_R_T.rotation, T_R_T.translation
     linearised = stack.linearise(Scans.of([scan]))
@@ -68,21 +60,13 @@ class EstimateMatrices(NamedTuple):
     """Copies of the matrices of a POSOR's last estimate, which is not LOST and for which the m readings sufficed.
 
     Nodes compute the sensitivity from them, between two scans; ``sensitivity_at`` is too slow for that.
-
-    Attributes:
-        gain: Change of the pose by each reading, in the local tangent, (m, 6).
-        jacobian: Derivatives of the readings in the local tangent, (m, 6).
-        rotation: Of the target in R, (3, 3).
-        residual_space: Combinations of the readings that the pose does not change, (r, m), r the redundancy.
-        residual_covariance: Cholesky factor of their covariance, (r, r); its upper triangle is not used.
-
     """
 
-    gain: FloatArray
-    jacobian: FloatArray
-    rotation: FloatArray
-    residual_space: FloatArray
-    residual_covariance: FloatArray
+    gain: FloatArray  # change of the pose by each reading, in the local tangent, (m, 6)
+    jacobian: FloatArray  # derivatives of the readings in the local tangent, (m, 6)
+    rotation: FloatArray  # of the target in R, (3, 3)
+    residual_space: FloatArray  # combinations of the readings that the pose does not change, (r, m), r the redundancy
+    residual_covariance: FloatArray  # Cholesky factor of their covariance, (r, r); its upper triangle is not used
 
     @classmethod
     def of(cls, posor: Posor) -> Self:

@@ -37,12 +37,9 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
     from posor.uncertainty.reading_sensitivity import ReadingSensitivity
 
-MISSED_DETECTION = 1e-2
-"""Probability that a bias of the minimal detectable size passes the test of one scan."""
-UNCHECKED = 1e-4
-"""A reading with a smaller redundancy number is not checked: biases of hundreds of sigmas would pass."""
-_NO_COEFFICIENT = 1e-9
-"""Coefficients below this share of the largest are rounding errors of zero."""
+MISSED_DETECTION = 1e-2  # probability that a bias of the minimal detectable size passes the test of one scan
+UNCHECKED = 1e-4  # a reading with a smaller redundancy number is not checked: biases of hundreds of sigmas would pass
+_NO_COEFFICIENT = 1e-9  # coefficients below this share of the largest are rounding errors of zero
 
 
 @dataclass(frozen=True, repr=False)
