@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from posor.lazy_program import handle_interrupts
-from posor_ros.ros_domain import leased_domain
+from posor_lab.harness.ros_domain import leased_domain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -26,8 +26,8 @@ from posor_bringup.arms import load_checked_arm
 from posor_drivers.message_builder import SimulatedMessages
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.sources.source import SourceMessage, Topic
+from posor_lab.harness.message_conversion import scan_from_message
 from posor_msgs.msg import RawScan
-from posor_ros.message_conversion import scan_from_message
 from posor_ros.qos import RELIABLE_QOS, SENSOR_QOS
 from rclpy.serialization import deserialize_message
 

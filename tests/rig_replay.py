@@ -13,11 +13,11 @@ from posor.chain.kinematic_chain import Chain
 from posor.estimation.posor import Posor
 from posor_bringup.installed import JOINT, bag_path, calibration_path, urdf_path
 from posor_bringup.supervisor import Supervisor
+from posor_lab.harness.message_conversion import is_usable, scan_from_message, transform_message
+from posor_lab.harness.ros_domain import leased_domain
 from posor_lab.replay_1985.replay import Replay, ReplayPlan, StepCollector
 from posor_msgs.msg import JointTransform, RawScan
-from posor_ros.message_conversion import is_usable, scan_from_message, transform_message
 from posor_ros.node_program import ros_context
-from posor_ros.ros_domain import leased_domain
 from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader
 

@@ -18,9 +18,9 @@ from posor.chain.arm_file import DriverFile
 from posor_bringup.arm_programs import arm_programs
 from posor_bringup.arms import find_arm, load_checked_arm
 from posor_lab.harness.graph import Graph, wait_for_value
+from posor_lab.harness.message_conversion import stamp_ns
 from posor_lab.harness.program import Program
 from posor_msgs.msg import JointTransform, RawScan
-from posor_ros.message_conversion import stamp_ns
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 

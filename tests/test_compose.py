@@ -22,9 +22,9 @@ from posor_bringup.arm_programs import Layout, arm_programs, group_programs
 from posor_bringup.arms import load_checked_arm
 from posor_estimator.composition_file import NodeEntry
 from posor_lab.harness.graph import Graph, values_of, wait_for_value
+from posor_lab.harness.message_conversion import is_usable, stamp_ns
 from posor_lab.harness.program import Program
 from posor_msgs.msg import EndpointState, JointReliability, JointTransform
-from posor_ros.message_conversion import is_usable, stamp_ns
 from posor_ros.node_program import NodeGroup
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState

@@ -22,9 +22,9 @@ from posor_bringup.arms import load_checked_arm
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_lab.arm_study.arm_record import Dropouts
 from posor_lab.harness.graph import LOSSLESS, Graph, values_of, wait_for_value
+from posor_lab.harness.message_conversion import is_usable, pose_message, stamp_ns
 from posor_lab.harness.program import Program, script
 from posor_msgs.msg import JointTransform
-from posor_ros.message_conversion import is_usable, pose_message, stamp_ns
 from posor_ros.ros_arguments import ros_arguments
 from rosgraph_msgs.msg import Clock
 

@@ -23,10 +23,10 @@ from posor.sensors.base import PlainSensor
 from posor.sensors.registry import sensor_types
 from posor_lab.harness.case_tables import refusal
 from posor_lab.harness.graph import Graph, scan_message
+from posor_lab.harness.message_conversion import pose_from_message
 from posor_lab.harness.program import HAND_FED, Program, installed
 from posor_lab.harness.random_poses import TICK_NS, errors_in_parent
 from posor_msgs.msg import JointTransform, RawScan
-from posor_ros.message_conversion import pose_from_message
 from posor_ros.ros_arguments import ros_arguments
 from scipy.stats import chi2
 

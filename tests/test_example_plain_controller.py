@@ -12,8 +12,8 @@ from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from posor_bringup.arm_programs import arm_programs, group_programs
 from posor_lab.faults.fault_table import write_fault_arm
 from posor_lab.harness.graph import Graph
+from posor_lab.harness.message_conversion import stamp_ns
 from posor_lab.harness.program import Program, script
-from posor_ros.message_conversion import stamp_ns
 from posor_ros.ros_arguments import ros_arguments
 
 if TYPE_CHECKING:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
 from posor.model.fault import State
+from posor_lab.harness.message_conversion import stamp_ns
 from posor_lab.replay_1985.comparison import STEPS
 from posor_lab.replay_1985.replay import TOPICS
 from posor_msgs.msg import JointTransform
-from posor_ros.message_conversion import stamp_ns
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.serialization import deserialize_message
 

@@ -23,8 +23,8 @@ from posor.messages.message_definitions import Definition
 from posor.model.fault import State
 from posor_bringup.arms import find_arm, load_checked_arm
 from posor_bringup.installed import calibration_path, urdf_path
+from posor_lab.harness.message_conversion import pose_from_message
 from posor_msgs.msg import JointTransform
-from posor_ros.message_conversion import pose_from_message
 from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 

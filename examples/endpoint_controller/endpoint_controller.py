@@ -23,15 +23,16 @@ from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Vector3Stamped
+import pinocchio as pin
+from geometry_msgs.msg import Pose, PoseStamped, PoseWithCovarianceStamped, Vector3Stamped
 from posor.chain.time_synchroniser import TimeSynchroniser
 from posor.node_parameters import NodeParameters
+from posor.numerics.stamps import time_ns
 from posor.ros_names import ENDPOINT_COVARIANCE_TOPIC
 from posor_ros.diagnostics import Level
 from posor_ros.intra_process import IntraProcessPublisher
 from posor_ros.lifecycle_node import PosorNode
 from posor_ros.message_classes import schema_of_class
-from posor_ros.message_conversion import pose_from_message, stamp_ns
 from posor_ros.node_program import run_node
 from posor_ros.qos import RELIABLE_QOS
 from pydantic import Field
@@ -86,6 +87,17 @@ class LowPass:
         self._filtered = self._filtered + weight * (value - self._filtered)
         self._last_ns = time_ns
         return self._filtered
+
+
+def stamp_ns(message: Any) -> int:
+    """Return the header's stamp [ns]; 0 if the stamp is invalid."""
+    return time_ns(message.header.stamp.sec, message.header.stamp.nanosec)
+
+
+def pose_from_message(message: Pose) -> pin.SE3:
+    """Return a pose message as a transform."""
+    p, q = message.position, message.orientation
+    return pin.XYZQUATToSE3(np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w]))
 
 
 class EndpointController(PosorNode[ControllerParameters]):

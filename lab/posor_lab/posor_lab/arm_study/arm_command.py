@@ -20,7 +20,6 @@ from posor_bringup.supervisor import Supervisor
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_ros.node_program import StopSignal, non_ros_arguments, ros_context
-from posor_ros.ros_domain import isolated_network
 from rich.console import Console
 
 from posor_lab.arm_study.arm_budget_command import arm_budget
@@ -29,6 +28,7 @@ from posor_lab.arm_study.arm_receiver import ArmReceiver
 from posor_lab.arm_study.arm_record import count_outcomes
 from posor_lab.arm_study.arm_report import ArmOutcome, arm_figures, arm_findings, arm_page
 from posor_lab.arm_study.arm_run import ArmLiveTable, ArmRun
+from posor_lab.harness.ros_domain import isolated_network
 from posor_lab.output_files import write_files, write_json
 from posor_lab.reports.console_progress import InterruptedRunError, StageProgress
 from posor_lab.reports.findings import COMPARISON_HEADINGS, exit_code_of_findings, print_findings, print_verdict

@@ -12,12 +12,12 @@ from posor.ros_names import ENDPOINT_COVARIANCE_TOPIC, TRANSFORM_TOPIC
 from posor_drivers.message_builder import SimulatedTopics
 from posor_msgs.msg import JointTransform
 from posor_ros.lifecycle_node import LISTENERS_STATUS as LISTENERS
-from posor_ros.message_conversion import is_usable, pose_from_message
 from posor_ros.qos import KEEP_ALL_QOS
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 from posor_lab.arm_study.arm_record import CHAIN, GIVEN_UP, NO_SCAN, TRUTH, ArmRecord, pose_array
+from posor_lab.harness.message_conversion import is_usable, pose_from_message
 from posor_lab.reports.graph_receiver import GraphReceiver
 
 if TYPE_CHECKING:

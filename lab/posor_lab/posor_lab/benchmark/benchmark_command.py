@@ -16,7 +16,6 @@ from posor.errors import ParameterError
 from posor.reporting.program_errors import reports_errors
 from posor_bringup.bringup_options import prepare_output_folder
 from posor_ros.node_program import ros_context
-from posor_ros.ros_domain import isolated_network
 from rich.console import Console
 
 from posor_lab.benchmark.benchmark_sections import SECTIONS, BenchmarkArms, BenchmarkPlan, BenchmarkSections
@@ -27,6 +26,7 @@ from posor_lab.benchmark.growth_lines import growth_page
 from posor_lab.benchmark.offline_benchmark import SECONDS
 from posor_lab.benchmark.pass_through_nodes import register_nodes
 from posor_lab.benchmark.tick_statistics import host_description
+from posor_lab.harness.ros_domain import isolated_network
 from posor_lab.output_files import check_writable, write_json
 from posor_lab.reports.console_progress import InterruptedRunError
 from posor_lab.reports.trial_program import Option

@@ -15,7 +15,6 @@ from posor.estimation.posor import Posor
 from posor.model.scan import Scans
 from posor.ros_names import RAW_TOPIC
 from posor_msgs.msg import RawScan
-from posor_ros.message_conversion import scan_from_message
 from rclpy.serialization import deserialize_message
 
 from posor_lab.benchmark.generated_arm import generate_arm, record_scans
@@ -23,6 +22,7 @@ from posor_lab.benchmark.graph_load import LAYOUTS, PROFILE, SPIN_US, GraphLoad
 from posor_lab.benchmark.growth_lines import OVERLOADED, fit_line, select_series
 from posor_lab.benchmark.offline_benchmark import offline_figures
 from posor_lab.benchmark.tick_statistics import NothingReceivedError, run_figures
+from posor_lab.harness.message_conversion import scan_from_message
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -37,12 +37,13 @@ from posor.ros_names import (
 )
 from posor_msgs.msg import RawScan
 from posor_ros.message_classes import message_class, schema_of_class
-from posor_ros.message_conversion import scan_from_message, stamp_ns, transform_message
 from posor_ros.qos import sensor_publisher_qos
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import JointState
+
+from posor_lab.harness.message_conversion import scan_from_message, stamp_ns, transform_message
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

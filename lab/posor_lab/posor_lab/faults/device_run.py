@@ -15,10 +15,10 @@ from posor.numerics.stamps import NS
 from posor.ros_names import ENDPOINT_COVARIANCE_TOPIC
 from posor_bringup.arm_programs import arm_programs, group_programs
 from posor_bringup.arms import load_checked_arm
-from posor_ros.message_conversion import stamp_ns
 
 from posor_lab.faults.injection_run import InjectionRun
 from posor_lab.faults.pose_judge import SIGMAS
+from posor_lab.harness.message_conversion import stamp_ns
 from posor_lab.instruments.device_trials import DeviceTrial, serve_with_probes
 from posor_lab.instruments.simulated_readings import SimulatedReadings
 from posor_lab.instruments.trial_run import write_arm

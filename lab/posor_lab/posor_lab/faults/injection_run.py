@@ -12,7 +12,6 @@ from posor.numerics.stamps import NS
 from posor.ros_names import TRANSFORM_TOPIC
 from posor_bringup.arm_programs import arm_programs, group_programs
 from posor_drivers.simulator.arm_simulation import ArmSimulation
-from posor_ros.message_conversion import stamp_ns
 
 from posor_lab.faults.fault_table import (
     CYCLE_S,
@@ -23,6 +22,7 @@ from posor_lab.faults.fault_table import (
     write_fault_arm,
 )
 from posor_lab.faults.pose_judge import PoseJudge
+from posor_lab.harness.message_conversion import stamp_ns
 from posor_lab.reports.arrival_receiver import ArrivalReceiver
 from posor_lab.reports.graph_receiver import running_graph
 

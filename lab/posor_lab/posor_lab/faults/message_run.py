@@ -19,13 +19,13 @@ from posor.ros_names import RAW_TOPIC
 from posor_bringup.arm_programs import arm_programs
 from posor_drivers.message_builder import SimulatedMessages
 from posor_msgs.msg import JointTransform, RawScan
-from posor_ros.message_conversion import pose_message, stamp_ns
 from rclpy.duration import Duration
 from rclpy.qos import LivelinessPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 
 from posor_lab.faults.fault_table import RATES
 from posor_lab.faults.injection_run import InjectionRun
+from posor_lab.harness.message_conversion import pose_message, stamp_ns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

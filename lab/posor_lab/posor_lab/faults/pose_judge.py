@@ -8,7 +8,8 @@ import numpy as np
 from posor.numerics.stamps import NS
 from posor.ros_names import ENDPOINT_COVARIANCE_TOPIC, ENDPOINT_STATE_TOPIC, TRANSFORM_TOPIC
 from posor_drivers.simulator.pose_array import PoseArray
-from posor_ros.message_conversion import is_usable, stamp_ns
+
+from posor_lab.harness.message_conversion import is_usable, stamp_ns
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

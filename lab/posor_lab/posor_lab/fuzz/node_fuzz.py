@@ -21,10 +21,10 @@ from posor.numerics.stamps import NS
 from posor.ros_names import ENDPOINT_TOPIC, RAW_TOPIC, TRANSFORM_TOPIC
 from posor_bringup.arm_programs import arm_programs
 from posor_msgs.msg import JointTransform, RawScan
-from posor_ros.message_conversion import pose_from_message
 from rclpy.serialization import deserialize_message
 
 from posor_lab.fuzz.message_fuzz import ScanFuzz, TransformFuzz, mutate
+from posor_lab.harness.message_conversion import pose_from_message
 from posor_lab.reports.graph_receiver import NodePlayer, running_graph
 from posor_lab.soak.process_sample import ProcessSample, growth_mb
 

@@ -16,10 +16,10 @@ from posor.numerics.stamps import NS
 from posor.ros_names import ENDPOINT_COVARIANCE_TOPIC
 from posor_bringup.arm_programs import arm_programs, group_programs
 from posor_bringup.arms import ARM_FILE, load_checked_arm
-from posor_ros.message_conversion import stamp_ns
 from scipy.stats import chi2
 
 from posor_lab.accuracy.consistency import REGION, normalised_squares
+from posor_lab.harness.message_conversion import stamp_ns
 from posor_lab.instruments.simulated_readings import SimulatedReadings, quantity
 from posor_lab.reports.arrival_receiver import ArrivalReceiver
 from posor_lab.reports.graph_receiver import running_graph

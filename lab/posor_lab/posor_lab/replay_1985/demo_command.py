@@ -14,9 +14,9 @@ from posor_bringup.bringup_options import LOGS, prepare_output_folder
 from posor_bringup.installed import BAGS, CALIBRATIONS, JOINT, bag_path, calibration_path, urdf_path
 from posor_bringup.supervisor import Supervisor
 from posor_ros.node_program import non_ros_arguments, ros_context
-from posor_ros.ros_domain import isolated_network
 from rich.console import Console
 
+from posor_lab.harness.ros_domain import isolated_network
 from posor_lab.output_files import write_files
 from posor_lab.replay_1985.comparison import compare_with_thesis
 from posor_lab.replay_1985.motion_test import MotionTest

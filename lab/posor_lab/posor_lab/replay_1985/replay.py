@@ -16,8 +16,8 @@ from posor_bringup.installed import JOINT
 from posor_bringup.supervisor import ProcessError, ProgramCommand, RunningProgram, Supervisor
 from posor_msgs.msg import JointTransform
 from posor_ros.lifecycle_node import LISTENERS_STATUS
-from posor_ros.message_conversion import is_usable
 
+from posor_lab.harness.message_conversion import is_usable
 from posor_lab.replay_1985.motion_test import MotionStep
 from posor_lab.reports.graph_receiver import GraphReceiver, GraphWatch
 

@@ -13,7 +13,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from posor.ros_names import DIAGNOSTICS_TOPIC
 from posor_bringup.supervisor import ProcessError, Supervisor
 from posor_ros.lifecycle_node import LISTENERS_STATUS
-from posor_ros.message_conversion import stamp_ns
 from posor_ros.node_program import SPIN_TIMEOUT_S
 from posor_ros.qos import KEEP_ALL_QOS
 from rclpy.experimental.events_executor import EventsExecutor
@@ -21,6 +20,7 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from posor_lab.harness.graph import RETRY_S
+from posor_lab.harness.message_conversion import stamp_ns
 from posor_lab.reports.console_progress import InterruptedRunError
 
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from posor.errors import ParameterError
 from posor.reporting.command_line_parser import CommandLineParser
 from posor_ros.node_program import non_ros_arguments, ros_context
-from posor_ros.ros_domain import isolated_network
 from rich.console import Console
 
+from posor_lab.harness.ros_domain import isolated_network
 from posor_lab.output_files import check_writable, write_json
 from posor_lab.reports.console_progress import InterruptedRunError, StageProgress
 from posor_lab.reports.findings import FIGURE_HEADINGS, exit_code_of_findings, print_findings, print_verdict

@@ -24,12 +24,12 @@ from posor.messages.joint_transform import stamp_ns_of
 from posor.ros_names import ENDPOINT_STATE_TOPIC, ENDPOINT_TOPIC
 from posor_bringup.arm_programs import arm_programs, group_programs
 from posor_msgs.msg import EndpointState
-from posor_ros.message_conversion import is_usable
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
 from posor_lab.benchmark.tick_statistics import TickWindow
 from posor_lab.faults.fault_table import CYCLE_S, IMPERFECTION_PARAMETERS, RATES, write_fault_arm
+from posor_lab.harness.message_conversion import is_usable
 from posor_lab.output_files import page_notes
 from posor_lab.reports.findings import Finding, Findings, judge
 from posor_lab.reports.graph_receiver import GraphReceiver, running_graph

@@ -27,6 +27,7 @@ from posor.messages.raw_scan import scan_of
 from posor.model.fault import Fault, State
 from posor.model.scan import Scans
 from posor.node_parameters import PosorParameters
+from posor.numerics.stamps import time_ns
 from posor.ros_names import RAW_TOPIC, RELIABILITY_TOPIC, TRANSFORM_TOPIC
 from posor.uncertainty.reading_sensitivity import EstimateMatrices
 from posor_msgs.msg import JointReliability, JointTransform, RawScan
@@ -36,7 +37,6 @@ from posor_ros.idle_scheduler import run_when_idle
 from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_ros.lifecycle_node import PosorNode
 from posor_ros.message_classes import schema_of_class
-from posor_ros.message_conversion import stamp_ns as stamp_ns_of
 from posor_ros.node_program import run_node
 from posor_ros.qos import RELIABLE_QOS, input_qos, sensor_publisher_qos, sensor_subscription_qos
 from sensor_msgs.msg import JointState
@@ -247,7 +247,8 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             return
         try:
             theta = self._encoder_position(message)
-            if fault := self._inputs.stamp_limits.fault(stamp_ns_of(message)):
+            stamp = message.header.stamp
+            if fault := self._inputs.stamp_limits.fault(time_ns(stamp.sec, stamp.nanosec)):
                 raise TopicError(fault)
             with self._lock:
                 self._posor.confirm_theta(theta, self.parameters.encoder.sigma)

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from posor.messages.joint_transform import stamp_ns_of
 from posor_lab.harness.graph import Graph, wait_for_value
+from posor_lab.harness.message_conversion import stamp_ns
 from posor_lab.harness.program import Program, installed
 from posor_msgs.msg import EndpointState, JointTransform
-from posor_ros.message_conversion import stamp_ns
 from posor_ros.ros_arguments import ros_arguments
 from rclpy.qos import QoSProfile
 

@@ -15,7 +15,7 @@ from posor.chain.kinematic_chain import load_chain
 from posor_estimator.chain_node import ChainNode
 from posor_lab.harness.graph import Graph
 from posor_lab.harness.in_process_nodes import NodeProcess, run_refused_node
-from posor_ros.message_conversion import stamp_ns
+from posor_lab.harness.message_conversion import stamp_ns
 from posor_ros.qos import LATCHED_QOS, TF_QOS
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage

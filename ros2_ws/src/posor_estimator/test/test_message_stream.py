@@ -22,10 +22,10 @@ from posor.model.native_coordinates import rotation_from_native
 from posor.numerics.stamps import NS
 from posor_lab.harness.case_tables import refusal
 from posor_lab.harness.graph import scan_message
+from posor_lab.harness.message_conversion import transform_message
 from posor_lab.harness.random_poses import STACKS, TICK_NS
 from posor_msgs.msg import JointTransform, RawScan
 from posor_ros.message_classes import schema_of_class
-from posor_ros.message_conversion import transform_message
 from rclpy.serialization import deserialize_message
 
 if TYPE_CHECKING:

@@ -21,9 +21,9 @@ from posor.model.native_coordinates import native_from_rotation
 from posor.numerics.stamps import NS
 from posor.ros_names import JOINT_STATE, POSE_STAMPED, POSE_WITH_COVARIANCE_STAMPED
 from posor_lab.harness.case_tables import refusal
+from posor_lab.harness.message_conversion import scan_from_message, transform_message
 from posor_msgs.msg import JointTransform, RawScan
 from posor_ros.message_classes import schema_of_class
-from posor_ros.message_conversion import scan_from_message, transform_message
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 

@@ -15,9 +15,9 @@ from posor.ros_names import RAW_SCAN, REFERENCE_READING
 from posor.uncertainty.air_index import Air
 from posor_drivers.sources.instrument_source import InstrumentParameters, InstrumentSource
 from posor_lab.device_servers.stream_server import StreamServer
+from posor_lab.harness.message_conversion import stamp_ns
 from posor_lab.harness.program import wait_until
 from posor_msgs.msg import RawScan, ReferenceReading
-from posor_ros.message_conversion import stamp_ns
 from rclpy.serialization import deserialize_message, serialize_message
 
 from ..instruments.stream_rig import quantity, stream_rig, write_rig

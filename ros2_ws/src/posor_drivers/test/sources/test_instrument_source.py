@@ -13,9 +13,9 @@ from posor.messages.message_definitions import MessageTypes
 from posor.model.scan import HOME_BUMP, SATURATED
 from posor_drivers.sources.instrument_source import InstrumentParameters, InstrumentSource
 from posor_lab.device_servers.stream_server import StreamServer
+from posor_lab.harness.message_conversion import stamp_ns
 from posor_lab.harness.program import wait_until
 from posor_msgs.msg import RawScan
-from posor_ros.message_conversion import stamp_ns
 from rclpy.serialization import deserialize_message
 
 from ..instruments.stream_rig import quantity, stream_rig, write_rig

@@ -19,8 +19,8 @@ from posor_drivers.sources.looped_source import LoopedParameters, LoopedSource
 from posor_drivers.sources.source import Topic
 from posor_drivers.tick_scheduler import MissedTicks, TickScheduler, TickTask, schedule_ticks
 from posor_lab.harness.graph import BEST_EFFORT, Graph, values_of
+from posor_lab.harness.message_conversion import stamp_ns
 from posor_msgs.msg import RawScan
-from posor_ros.message_conversion import stamp_ns
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.serialization import deserialize_message

@@ -14,8 +14,8 @@ from posor.messages.message_definitions import MessageTypes
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.sources.simulated_source import SimulatedParameters, SimulatedSource
 from posor_lab.harness.graph import BEST_EFFORT, Graph, values_of, wait_for_value
+from posor_lab.harness.message_conversion import pose_from_message, stamp_ns
 from posor_msgs.msg import RawScan
-from posor_ros.message_conversion import pose_from_message, stamp_ns
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock

@@ -5,8 +5,8 @@ import socket
 
 import pytest
 from posor.errors import PosorError
-from posor_ros import ros_domain
-from posor_ros.ros_domain import isolated_network, leased_domain
+from posor_lab.harness import ros_domain
+from posor_lab.harness.ros_domain import isolated_network, leased_domain
 
 
 def test_two_leases_never_share_a_domain_or_the_port_of_the_domain_coordinator() -> None:

@@ -9,14 +9,14 @@ import pytest
 from posor.estimation.estimate import Estimate
 from posor.model.fault import Fault, State
 from posor.model.scan import DIODES_ESTIMATED, HOME_BUMP, NO_SOURCE, PROBES_ESTIMATED, SATURATED, SIMULATED
-from posor_msgs.msg import JointTransform, RawScan
-from posor_ros.message_conversion import (
+from posor_lab.harness.message_conversion import (
     is_usable,
     pose_from_message,
     pose_message,
     scan_from_message,
     transform_message,
 )
+from posor_msgs.msg import JointTransform, RawScan
 
 if TYPE_CHECKING:
     from enum import IntEnum, IntFlag
