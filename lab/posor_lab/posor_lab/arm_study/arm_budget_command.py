@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from posor.calibration.designs import PROBE_ACCURACY, SMALLEST_DIAMETER
 from posor.chain.arm_file import load_arm_file
 from posor.chain.kinematic_chain import load_chain
 from posor.errors import ChainError, DataFileError, ParameterError
@@ -18,7 +19,7 @@ from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.uncertainty.budget_poses import model_covariances
 from posor_bringup.installed import share
-from posor_design.endpoint_budget import Spread, configurations, endpoint_budget, monte_carlo, thesis_covariance
+from posor_design.endpoint_budget import Spread, configurations, endpoint_budget, monte_carlo
 from rich.console import Console
 from rich.table import Table
 from scipy.constants import inch
@@ -55,6 +56,21 @@ TITLES = {
     NOISE: "sensor models, exact beams: noise",
     WHOLE: "noise, calibration and beams",
 }
+
+
+def thesis_covariance(outside_diameter: float) -> FloatArray:
+    """Return the covariance (6, 6), ROS order, of a POSOR of an outside diameter [m] by section 9.3.1.
+
+    Small rotations: 5 microinch over 0.75 (D - 1 in). Large rotation: 5 microinch over the radius of the ring, half of
+    D - 2 in; the formula of the section has D - 2 in, but all its figures are those of the radius. Translations: zero.
+
+    Raises ParameterError: the diameter is too small for a ring.
+    """
+    if not outside_diameter >= SMALLEST_DIAMETER:
+        raise ParameterError(f"outside diameter {outside_diameter:g} m", expected=f"at least {SMALLEST_DIAMETER:g} m")
+    small = PROBE_ACCURACY / (0.75 * (outside_diameter - inch))
+    large = PROBE_ACCURACY / (0.5 * (outside_diameter - 2.0 * inch))
+    return np.diag(np.square([0.0, 0.0, 0.0, small, small, large]))
 
 
 def thesis_arm_path() -> Path:

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from posor.chain.arm_file import load_arm_file
-from posor.errors import DataFileError, PosorError
+from posor.errors import DataFileError, ParameterError, PosorError
 from posor_bringup.installed import share
-from posor_design.endpoint_budget import thesis_covariance
 from posor_lab.arm_study.arm_budget_command import (
     ENDPOINT_FILE,
     FIGURES,
@@ -24,8 +23,10 @@ from posor_lab.arm_study.arm_budget_command import (
     main,
     read_endpoint,
     read_joints,
+    thesis_covariance,
 )
 from posor_lab.thesis_data import data_path, read_table
+from scipy.constants import inch
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -209,3 +210,17 @@ def test_invalid_number_is_named(tmp_path: Path) -> None:
     table.write_text(text, encoding="utf-8")
     with pytest.raises(PosorError, match=r"elbow, column 'posor_od_in': 'six' is not a number; expected a number\."):
         read_joints(table)
+
+
+def test_the_thesis_accuracies_are_those_of_section_931() -> None:
+    """8 in: 1.67 and 0.95 urad; 4 in: 5.0 and 2.22 urad; no translations."""
+    for diameter_in, large, small in ((8.0, 1.67, 0.95), (4.0, 5.0, 2.22)):
+        covariance = thesis_covariance(diameter_in * inch)
+        assert np.count_nonzero(covariance) == 3
+        np.testing.assert_allclose(np.sqrt(np.diagonal(covariance))[3:] * 1e6, [small, small, large], atol=0.005)
+
+
+@pytest.mark.parametrize("diameter", [0.0, 2.0 * inch, math.nan])
+def test_a_diameter_without_room_for_a_ring_is_refused(diameter: float) -> None:
+    with pytest.raises(ParameterError, match=r"outside diameter .* m; expected at least 0\.0762 m\."):
+        thesis_covariance(diameter)

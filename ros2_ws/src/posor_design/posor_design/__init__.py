@@ -20,10 +20,12 @@ from posor_design.distance_sensors import probe_area as probe_area
 from posor_design.error_chain import endpoint_error as endpoint_error
 from posor_design.error_chain import position_bits as position_bits
 from posor_design.error_chain import straight_linkage as straight_linkage
+from posor_design.gimbals import dither_acceleration as dither_acceleration
 from posor_design.gimbals import gimbal_motion as gimbal_motion
 from posor_design.gimbals import gimbal_torques as gimbal_torques
 from posor_design.gimbals import shortest_wires as shortest_wires
 from posor_design.gimbals import wire_gimbal as wire_gimbal
+from posor_design.gimbals import yoke_friction as yoke_friction
 from posor_design.inertial_sensors import fibre_gyroscope as fibre_gyroscope
 from posor_design.inertial_sensors import inertial_drift as inertial_drift
 from posor_design.inertial_sensors import inertial_limits as inertial_limits
@@ -52,5 +54,3 @@ from posor_design.structures import cantilever_frequencies as cantilever_frequen
 from posor_design.torsion import beam_torsion as beam_torsion
 from posor_design.torsion import disc_inertia as disc_inertia
 from posor_design.torsion import shaft_stress as shaft_stress
-from posor_design.yoke_gimbals import dither_acceleration as dither_acceleration
-from posor_design.yoke_gimbals import yoke_friction as yoke_friction

@@ -12,6 +12,7 @@ from posor.reporting.plot import Plot
 from posor.reporting.report_table import ReportTable
 
 from posor_design.arm_allotment import AXES
+from posor_design.data_file import read_data
 from posor_design.posor_design_page import ring_text
 from posor_design.quantity_text import format_quantity
 
@@ -20,16 +21,6 @@ if TYPE_CHECKING:
 
     from posor_design.arm_allotment import Allotment
     from posor_design.layout_evaluation import Candidate
-
-NOTES = (
-    "Standard uncertainties, k = 1, the same about or along all axes of a part.",
-    (
-        "Least effort: the sum of present over required uncertainty of all parts is the smallest that meets the "
-        "requirement in every posture. Levers come from the endpoint budget of the chain."
-    ),
-    "Shares are of the endpoint's variance along or about the axis that uses most of its requirement.",
-    "The temperature of the beams is a bound, not a variance: it is in the protection level (posor budget --arm).",
-)
 
 
 def allotment_tables(allotment: Allotment, layouts: Mapping[str, Candidate]) -> dict[str, ReportTable]:
@@ -89,6 +80,6 @@ def render_arm_page(name: str, allotment: Allotment, layouts: Mapping[str, Candi
         holds=True,
         sections=(
             *(table.section(heading, plots.get(heading, ())) for heading, table in tables.items()),
-            Section("Notes", bullet_list(NOTES)),
+            Section("Notes", bullet_list(read_data("page_notes")["arm"])),
         ),
     )

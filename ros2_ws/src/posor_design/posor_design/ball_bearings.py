@@ -16,9 +16,7 @@ class BallLoad:
 
     ball_load: Annotated[float, "N", "Load of this ball in a bearing with clearance."]
     tight_ball_load: Annotated[float, "N", "Load of this ball in a bearing without clearance."]
-    two_ball_load: Annotated[
-        float, "N", "Load of each ball, if two balls on both sides of the load's direction carry all of it."
-    ]
+    two_ball_load: Annotated[float, "N", "Load of each ball, if two balls beside the load's direction carry all of it."]
 
 
 @calculator

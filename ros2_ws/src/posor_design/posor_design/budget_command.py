@@ -24,8 +24,7 @@ from posor.uncertainty.reliability import joint_reliability
 from rich.console import Console
 from rich.progress import Progress
 
-from posor_design.budget_page import render_budget_page
-from posor_design.budget_report import BudgetReport
+from posor_design.budget_report import BudgetReport, render_budget_page
 from posor_design.monte_carlo import BATCH, monte_carlo, validate
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Results of an error budget in words, tables, CSV and JSON."""
+"""Results of an error budget in words, tables, CSV and JSON, and as a self-contained page with interactive plots."""
 
 from __future__ import annotations
 
@@ -8,10 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from posor.model.native_coordinates import native_from_rotation
+from posor.reporting.figure_style import BLUE, GREY, ORANGE
+from posor.reporting.html_page import Section, bullet_list, definition_list, paragraph, render_page
+from posor.reporting.plot import Plot
 from posor.reporting.report_table import ReportTable
 from posor.uncertainty.budget_quantities import NATIVE
 from posor.uncertainty.first_order import ContributionKind
 
+from posor_design.data_file import read_data
 from posor_design.monte_carlo import COVERAGE
 from posor_design.reliability_report import arm_json, arm_table, reliability_json, reliability_table
 
@@ -34,6 +38,9 @@ NEGLIGIBLE_SHARE = 1e-4  # smaller shares of a contribution in one output are no
 CSV_COLUMNS = ("rank", "contribution", "kind", "quantity", "unit", "standard_uncertainty", "share_of_variance")
 DIFFERS = "the model is not linear over this uncertainty: use the interval of the draws, interval_95 in budget.json"
 NOT_STABLE = "too few draws for this tolerance: use more, --draws"
+BARS = 8  # number of contributions drawn for each output
+COLOURS = {ContributionKind.RANDOM: ORANGE, ContributionKind.SYSTEMATIC: BLUE}
+NAMES = {ContributionKind.RANDOM: "noise (random)", ContributionKind.SYSTEMATIC: "calibration (systematic)"}
 
 
 def heading(output: Output) -> str:
@@ -221,3 +228,47 @@ class BudgetReport:
             "reliability": reliability_json(self.reliability),
             "arm": None if self.arm is None else arm_json(self.arm),
         }
+
+
+def plot_contributions(report: BudgetReport) -> list[Plot]:
+    """Return a plot for each output: its largest contributions as bars, and its totals."""
+    plots = []
+    for i, output in enumerate(report.budget.outputs):
+        scale, unit = DISPLAY_UNITS[output.unit]
+        total, drawn = scale * report.budget.sigmas[i], scale * report.drawn.sigmas[i]
+        largest = sorted(report.budget.contributions, key=lambda part: part.effects[i], reverse=True)[:BARS]
+        title, label = f"{output.name}: {total:.3g} {unit}", f"standard uncertainty [{unit}]"
+        plot = Plot(title, label, "quantity", categories=[part.name for part in largest])
+        for kind, colour in COLOURS.items():
+            parts = [part for part in largest if part.kind is kind]
+            if parts:
+                plot.bars(
+                    NAMES[kind], [scale * part.effects[i] for part in parts], [part.name for part in parts], colour
+                )
+        plot.vertical(f"total, first order {total:.3g}", total)
+        plot.vertical(f"total, draws {drawn:.3g}", drawn, GREY, "dotted")
+        plots.append(plot)
+    return plots
+
+
+def render_budget_page(report: BudgetReport) -> str:
+    """Return the page as HTML without external references."""
+    notes = [note for note in (*read_data("page_notes")["budget"], report.correlation_note, report.exact_note) if note]
+    terms = {
+        "calibration": f"{report.calibration} (SHA-256 of its content {report.content_hash})",
+        "session": report.session or "none",
+        "pose": report.pose_text,
+        "draws": f"{report.drawn.trials} used, {report.drawn.lost} without a pose, seed {report.seed}",
+    }
+    return render_page(
+        f"Error budget of {report.calibration}",
+        report.verdict,
+        holds=report.holds,
+        sections=(
+            report.contributions().section("What to improve first", plot_contributions(report)),
+            report.validation(remarks=True).section("First order against draws"),
+            *(table.section(table.title) for table in report.reliability_tables()),
+            Section("Notes", bullet_list(notes)),
+            Section("Provenance", definition_list(terms) + paragraph("Figures in SI units: budget.csv, budget.json.")),
+        ),
+    )

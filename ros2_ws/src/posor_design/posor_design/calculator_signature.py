@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import inspect
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import yaml
-
 from posor_design.calculators import CALCULATORS, annotations_of
+from posor_design.data_file import read_data
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -67,14 +64,7 @@ def read_signature(name: str) -> CalculatorSignature:
         summary=summary.rstrip("."),
         description=description.strip(),
         source=" ".join(source.split()),
-        example=f"posor design {name} {_examples()[name]}",
+        example=f"posor design {name} {read_data('calculator_examples')[name]}",
         arguments=tuple(Value(key, kinds[key], each.default) for key, each in parameters.items()),
         results=tuple(Value(key, kind) for key, kind in annotations_of(kinds["return"]).items()),
     )
-
-
-@cache
-def _examples() -> dict[str, str]:
-    """Return the arguments of an example of each calculator."""
-    text = Path(__file__).with_name("calculator_examples.yaml").read_text(encoding="utf-8")
-    return dict(yaml.safe_load(text))

@@ -80,7 +80,7 @@ _BOTH = Limit(lambda count: count in {0, 2}, "a value for each of the two gimbal
 
 Shape = Annotated[Literal["tube", "box"], "Section of the beam."]
 Height = Annotated[
-    float, "m", POSITIVE, "Outer height of the section in the plane of bending; the outer diameter of a tube."
+    float, "m", POSITIVE, "Outer height of the section in the plane of bending; outer diameter of a tube."
 ]
 Wall = Annotated[float, "m", POSITIVE, "Thickness of the walls."]
 BoxWidth = Annotated[float, "m", NON_NEGATIVE, "Outer width of a box."]
@@ -90,7 +90,7 @@ BeamDensity = Annotated[float, "kg/m^3", POSITIVE, "Density of the beam."]
 WeightDensity = Annotated[float, "kg/m^3", NON_NEGATIVE, "Density; 0: the beam has no weight."]
 PoissonRatio = Annotated[float, "1", POISSON_RATIO, "Poisson's ratio."]
 GimbalPlaces = Annotated[
-    tuple[float, float], "m", NON_NEGATIVE, "Distances of the two gimbals from the start of the beam, the nearer first."
+    tuple[float, float], "m", NON_NEGATIVE, "Distances of the gimbals from the beam's start, nearer first."
 ]
 PlateInertias = Annotated[
     tuple[float, float],
@@ -100,7 +100,7 @@ PlateInertias = Annotated[
 ]
 PlateMasses = Annotated[tuple[float, float], "kg", NON_NEGATIVE, "Masses at start and end of the beam."]
 GimbalStiffness = Annotated[
-    tuple[float, ...], "N/m", POSITIVE, _BOTH, "Stiffness of each gimbal against deflection; left out: rigid."
+    tuple[float, ...], "N/m", POSITIVE, _BOTH, "Stiffness of each against deflection; left out: rigid."
 ]
 GimbalTurningStiffness = Annotated[
     tuple[float, ...],

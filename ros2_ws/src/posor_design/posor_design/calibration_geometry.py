@@ -29,9 +29,7 @@ def axis_offsets(
     distance: Annotated[float, "m", NON_NEGATIVE, "Distance that the light moves."],
     angle: Annotated[float, "rad", "Direction of the motion, from the X axis of the first diode."],
     angle_uncertainty: Annotated[float, "rad", NON_NEGATIVE, "Standard uncertainty of the direction."],
-    x_repeatability: Annotated[
-        float, "m", NON_NEGATIVE, "Standard deviation of the offset along X over several runs."
-    ] = 0.0,
+    x_repeatability: Annotated[float, "m", NON_NEGATIVE, "Standard deviation of the X offset over several runs."] = 0.0,
     y_repeatability: Annotated[float, "m", NON_NEGATIVE, "Standard deviation of the offset along Y."] = 0.0,
     x_difference: Annotated[float, "m", "Reading along X on the second diode less reading on the first."] = 0.0,
     y_difference: Annotated[float, "m", "Reading along Y on the second diode less reading on the first."] = 0.0,

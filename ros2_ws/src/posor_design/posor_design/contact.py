@@ -32,12 +32,8 @@ class Contact:
 @calculator
 def hertz_contact(
     load: Annotated[float, "N", POSITIVE, "Force between the bodies."],
-    curvature_x: Annotated[
-        float, "1/m", POSITIVE, "Sum of the curvatures of both bodies in the first principal direction."
-    ],
-    curvature_y: Annotated[
-        float, "1/m", POSITIVE, "Sum of the curvatures of both bodies in the second principal direction."
-    ],
+    curvature_x: Annotated[float, "1/m", POSITIVE, "Sum of both bodies' curvatures, first principal direction."],
+    curvature_y: Annotated[float, "1/m", POSITIVE, "Sum of both bodies' curvatures, second principal direction."],
     modulus: Annotated[float, "Pa", POSITIVE, "Modulus of elasticity of the first body."],
     poisson_ratio: Annotated[float, "1", POISSON_RATIO, "Poisson's ratio of the first body, 0 to 0.5."],
     other_modulus: Annotated[float, "Pa", POSITIVE, "Modulus of elasticity of the second body."],
@@ -121,9 +117,7 @@ def ball_race_contact(
     load: Annotated[float, "N", POSITIVE, "Force of the ball."],
     ball_diameter: Annotated[float, "m", POSITIVE, "Diameter of the ball."],
     pitch_diameter: Annotated[float, "m", POSITIVE, "Diameter of the circle through the centres of the balls."],
-    conformity: Annotated[
-        float, "1", more_than(0.5), "Radius of the groove over the diameter of the ball, more than 0.5."
-    ],
+    conformity: Annotated[float, "1", more_than(0.5), "Radius of the groove over diameter of the ball, more than 0.5."],
     ball_modulus: Annotated[float, "Pa", POSITIVE, "Modulus of elasticity of the ball."],
     ball_poisson_ratio: Annotated[float, "1", POISSON_RATIO, "Poisson's ratio of the ball."],
     race_modulus: Annotated[float, "Pa", POSITIVE, "Modulus of elasticity of the race."],

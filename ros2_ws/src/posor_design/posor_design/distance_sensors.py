@@ -29,7 +29,7 @@ class FibreLever:
     slope: Annotated[float, "1/m", "Derivative of ``collected`` with respect to the distance."]
     dead_distance: Annotated[float, "m", "Distance below which no light reaches the receiving fibres."]
     peak_distance: Annotated[
-        float, "m", "Distance of the largest received power; the response rises before it and falls behind it."
+        float, "m", "Distance of the largest received power: the response rises up to it, then falls."
     ]
     peak_collected: Annotated[float, "1", "Largest received power over transmitted power."]
 
@@ -40,7 +40,7 @@ def fibre_lever(
     core_radius: Annotated[float, "m", POSITIVE, "Radius of the core of each fibre."],
     spacing: Annotated[float, "m", "Distance between the axes of the transmitting and a receiving fibre."],
     half_angle: Annotated[
-        float, "rad", ACUTE_ANGLE, "Half angle of the cone of light; its sine is the numerical aperture."
+        float, "rad", ACUTE_ANGLE, "Half angle of the cone of light, arcsine of the numerical aperture."
     ],
     receivers: Annotated[int, POSITIVE, "Number of receiving fibres."] = 6,
     reflectivity: Annotated[float, "1", SHARE, "Reflectivity of the target."] = 1.0,
@@ -106,18 +106,14 @@ class CapacitanceProbe:
 def capacitance_probe(
     gap: Annotated[float, "m", POSITIVE, "Distance of the target at the axis of the probe."],
     radius: Annotated[float, "m", POSITIVE, "Radius of the disc; with a guard, to the middle of the slit."],
-    capacitance_resolution: Annotated[
-        float, "F", NON_NEGATIVE, "Change of the capacitance that the electronics resolve."
-    ] = 0.0,
+    capacitance_resolution: Annotated[float, "F", NON_NEGATIVE, "Change of the capacitance that is resolved."] = 0.0,
     tilt: Annotated[
-        float, "rad", "Angle between target and disc; its error holds for an even field, without the edge."
+        float, "rad", "Angle between target and disc; its error is that of an even field, without edge."
     ] = 0.0,
-    permittivity: Annotated[
-        float, "1", POSITIVE, "Relative permittivity of the medium; the default is that of air."
-    ] = 1.0006,
+    permittivity: Annotated[float, "1", POSITIVE, "Relative permittivity of the medium; default: air."] = 1.0006,
     permittivity_change: Annotated[float, "1", "Change of the relative permittivity since the calibration."] = 0.0,
     edge: Annotated[
-        Literal["guarded", "free"], "A guard keeps the field even up to the edge; a free disc has a stray field."
+        Literal["guarded", "free"], "A guarded disc has an even field, a free one a stray field."
     ] = "guarded",
 ) -> CapacitanceProbe:
     """Response of a capacitance probe, a disc in front of a conducting plane.
@@ -157,9 +153,7 @@ class ProbeArea:
     """Effect of the area over which a probe averages."""
 
     curvature_error: Annotated[float, "m", "Mean gap less gap at the axis, before a convex cylinder."]
-    amplitude_ratio: Annotated[
-        float, "1", "Amplitude of waves of the target that the probe shows, over their amplitude."
-    ]
+    amplitude_ratio: Annotated[float, "1", "Amplitude of the target's waves that the probe shows, over theirs."]
 
 
 @calculator

@@ -11,10 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
-from posor.calibration.designs import PROBE_ACCURACY, SMALLEST_DIAMETER
 from posor.chain.joint_measurements import MeasuredJoint
-from posor.errors import ParameterError
-from scipy.constants import inch
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -144,21 +141,6 @@ def _drawn(random: np.random.Generator, covariance: FloatArray, draws: int) -> F
 def disturbed(T_parent_child: pin.SE3, error: FloatArray) -> pin.SE3:
     """Return a transform with an error (x, y, z [m], about X, Y, Z [rad]) in the axes of the parent."""
     return pin.SE3(pin.exp3(error[3:]) @ T_parent_child.rotation, T_parent_child.translation + error[:3])
-
-
-def thesis_covariance(outside_diameter: float) -> FloatArray:
-    """Return the covariance (6, 6), ROS order, of a POSOR of an outside diameter [m] by section 9.3.1.
-
-    Small rotations: 5 microinch over 0.75 (D - 1 in). Large rotation: 5 microinch over the radius of the ring, half of
-    D - 2 in; the formula of the section has D - 2 in, but all its figures are those of the radius. Translations: zero.
-
-    Raises ParameterError: the diameter is too small for a ring.
-    """
-    if not outside_diameter >= SMALLEST_DIAMETER:
-        raise ParameterError(f"outside diameter {outside_diameter:g} m", expected=f"at least {SMALLEST_DIAMETER:g} m")
-    small = PROBE_ACCURACY / (0.75 * (outside_diameter - inch))
-    large = PROBE_ACCURACY / (0.5 * (outside_diameter - 2.0 * inch))
-    return np.diag(np.square([0.0, 0.0, 0.0, small, small, large]))
 
 
 def configurations(names: Sequence[str]) -> dict[str, dict[str, float]]:

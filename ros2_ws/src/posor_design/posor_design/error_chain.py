@@ -24,7 +24,7 @@ class EndpointError:
 @calculator
 def endpoint_error(
     link_lengths: Annotated[
-        tuple[float, ...], "m", POSITIVE, at_least(1), "Length of the link after each joint, base first."
+        tuple[float, ...], "m", POSITIVE, at_least(1), "Length of the link after each joint, from the base."
     ],
     joint_errors: Annotated[tuple[float, ...], "rad", "Error of each joint angle."],
 ) -> EndpointError:

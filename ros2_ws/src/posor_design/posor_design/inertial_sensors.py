@@ -16,9 +16,7 @@ class InertialLimits:
     """Largest errors of inertial sensors for an accuracy at the end of an arm."""
 
     drift_rate: Annotated[float, "rad/s", "Drift rate of a gyroscope."]
-    acceleration: Annotated[
-        float, "m/s^2", "Error of an accelerometer: its bias, or the smallest acceleration that it has to detect."
-    ]
+    acceleration: Annotated[float, "m/s^2", "Error of an accelerometer: bias, or smallest acceleration to detect."]
 
 
 @calculator

@@ -16,9 +16,7 @@ class AirEffects:
     """Change of the refractive index of air, which is the relative error of a length that ignores it."""
 
     index: Annotated[float, "1", "Refractive index of the air."]
-    temperature_effect: Annotated[
-        float, "1", "Its change by the change of the temperature, at the same relative humidity."
-    ]
+    temperature_effect: Annotated[float, "1", "Its change by that of the temperature, at the same relative humidity."]
     pressure_effect: Annotated[float, "1", "Its change by the change of the pressure."]
     humidity_effect: Annotated[float, "1", "Its change by the change of the relative humidity."]
     total: Annotated[float, "1", "Its change by all three."]

@@ -18,9 +18,7 @@ class JointMoment:
 
 @calculator
 def joint_moment(
-    distances: Annotated[
-        tuple[float, ...], "m", at_least(1), "Distances of the forces from the joint, positive away from the base."
-    ],
+    distances: Annotated[tuple[float, ...], "m", at_least(1), "Distances from the joint, positive away from the base."],
     forces: Annotated[tuple[float, ...], "N", "Forces."],
 ) -> JointMoment:
     """Force and moment at a joint by parallel forces beyond it, such as weights and the payload.

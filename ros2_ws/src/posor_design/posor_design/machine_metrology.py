@@ -27,7 +27,7 @@ class Straightness:
 
     intercept: Annotated[float, "m", "Intercept of the least squares line."]
     slope: Annotated[
-        float, "1", "Slope of this line: the angle between the motion and the axis of the straightness optics."
+        float, "1", "Slope of this line: angle between the motion and the axis of the straightness optics."
     ]
     deviation: Annotated[float, "m", "Standard deviation of the readings from this line."]
     least_squares: Annotated[float, "m", "Straightness: largest less least deviation from this line."]
@@ -85,9 +85,7 @@ class Alignment:
 
     angle: Annotated[float, "rad", "Root sum square of the misalignments."]
     cosine_error: Annotated[float, "m", "Travel less its component along the measured axis."]
-    lateral_error: Annotated[
-        float, "m", "Component of the travel across the measured axis: the error of squareness or parallelism."
-    ]
+    lateral_error: Annotated[float, "m", "Travel across the measured axis: error of squareness or parallelism."]
 
 
 @calculator

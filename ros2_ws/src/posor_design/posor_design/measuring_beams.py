@@ -43,9 +43,7 @@ class BeamFrequencies:
     frequencies: Annotated[tuple[float, ...], "Hz", "Natural frequencies, lowest first."]
     angular_frequencies: Annotated[tuple[float, ...], "rad/s", "The same, times 2 pi."]
     positions: Annotated[tuple[float, ...], "m", "Distances from the start of the beam at which the modes are given."]
-    shapes: Annotated[
-        tuple[tuple[float, ...], ...], "1", "Deflection of each mode at these positions; the largest is 1."
-    ]
+    shapes: Annotated[tuple[tuple[float, ...], ...], "1", "Deflection of each mode at these positions, at most 1."]
 
 
 @calculator
@@ -95,7 +93,7 @@ class BeamSag:
     end_deflection: Annotated[float, "m", "Deflection of the plate at the end."]
     end_slope: Annotated[float, "rad", "Slope of the plate at the end."]
     relative_deflection: Annotated[
-        float, "m", "Deflection of the end in the axes of the plate at the start: correction of the position."
+        float, "m", "Deflection of the end in the axes of the start: correction of position."
     ]
     relative_slope: Annotated[float, "rad", "Slope of the end in these axes: correction of the orientation."]
 
@@ -157,9 +155,7 @@ def sag_correction(
     poisson_ratio: PoissonRatio = 0.33,
     gimbal_stiffness: GimbalStiffness = (),
     gimbal_turning_stiffness: GimbalTurningStiffness = (),
-    loss_factor: Annotated[
-        float, "1", NON_NEGATIVE, "Structural damping: imaginary over real part of the stiffness."
-    ] = 0.0,
+    loss_factor: Annotated[float, "1", NON_NEGATIVE, "Structural damping: imaginary over real stiffness."] = 0.0,
 ) -> SagCorrection:
     """Error of the static sag correction of a measuring beam whose gimbals vibrate.
 

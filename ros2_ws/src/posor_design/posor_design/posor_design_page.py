@@ -14,6 +14,7 @@ from posor.reporting.plot import Plot
 from posor.reporting.report_table import ReportTable
 from posor.uncertainty.budget_quantities import NATIVE
 
+from posor_design.data_file import read_data
 from posor_design.layout_geometry import DIODE_FRAME, PROBE_LENGTH, PROBE_RADIUS
 from posor_design.layout_search import RESERVE, objectives
 from posor_design.quantity_text import format_quantity
@@ -29,20 +30,6 @@ if TYPE_CHECKING:
     from posor_design.requirement import Requirement
 
 COLOURS = {"light_ring": BLUE, "bumpy_ring": ORANGE, "diodes": GREEN}
-NOTES = (
-    (
-        "Simulated: uncertainties are those that the estimator states for simulated scans at corners of the required "
-        "range and in its middle; the largest counts. The search keeps a reserve of "
-        f"{100 * (1 - RESERVE):.0f} % of each uncertainty."
-    ),
-    "Detectable fault: the largest bias of a single reading that the test of one scan may miss (posor budget).",
-    (
-        "Assumed: all parts are calibrated as assembled, with the uncertainties of the sized designs; white noise, at "
-        "1 kHz and noise 1 a share of 1 / 11 000 of a probe's range; bodies of probes of 8 mm by 12 mm; diodes with a "
-        "frame of 1.5 mm."
-    ),
-    "Noise: of the electronics over this reference at the same scan rate. Bits: the fewest with steps below the noise.",
-)
 
 
 def layout_tables(result: SearchResult, chosen: Candidate) -> tuple[ReportTable, ReportTable]:
@@ -141,6 +128,7 @@ def render_posor_page(result: SearchResult, chosen: Candidate) -> str:
     """Return the page as HTML without external references."""
     requirement = result.requirement
     uncertainties, trade_off = layout_tables(result, chosen)
+    notes = [note.format(reserve=100.0 * (1.0 - RESERVE)) for note in read_data("page_notes")["posor"]]
     layout = uncertainties.section("Chosen layout", [_plan_view(chosen.layout, requirement)])
     return render_page(
         f"POSOR for the requirement '{requirement.name}' (simulated)",
@@ -149,7 +137,7 @@ def render_posor_page(result: SearchResult, chosen: Candidate) -> str:
         sections=(
             replace(layout, body=definition_list(layout_terms(requirement, chosen)) + layout.body),
             trade_off.section("Trade-off", _trade_off_plots(result, chosen)),
-            Section("Notes", bullet_list(NOTES)),
+            Section("Notes", bullet_list(notes)),
         ),
     )
 

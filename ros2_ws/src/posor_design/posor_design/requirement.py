@@ -20,6 +20,7 @@ from posor.chain.arm_file import Name
 from posor.uncertainty.budget_quantities import NATIVE
 from pydantic import AfterValidator, Field, model_validator
 
+from posor_design.data_file import read_data
 from posor_design.quantity_text import parse_quantity
 
 if TYPE_CHECKING:
@@ -43,22 +44,7 @@ class Option(NamedTuple):
     meaning: str
 
 
-OPTIONS = {
-    "--outside-diameter": Option("outside_diameter", "m", "", "largest outside diameter"),
-    "--inside-diameter": Option("inside_diameter", "m", "0 m", "free inside diameter"),
-    "--translations": Option("", "m", "", "largest uncertainty of x, y and gap"),
-    "--angles": Option("", "rad", "", "largest uncertainty of alpha, beta and theta"),
-    "--coverage-factor": Option("", "1", "1", "of the uncertainties; 1: standard uncertainties"),
-    "--range-gap": Option("range.gap", "m", "0.1 mm", "motion of the gap to either side"),
-    "--range-tilt": Option("range.tilt", "rad", "1 mrad", "motion of alpha and of beta to either side"),
-    "--range-runout": Option("range.runout", "m", "0.1 mm", "motion of x and of y to either side"),
-    "--rotation": Option("range.rotation", "rad", "180 deg", "motion of theta to either side; 180 deg: full turn"),
-    "--scan-rate": Option("scan_rate", "Hz", "1 kHz", "scans a second"),
-    "--speed": Option("speed", "rad/s", "1 rad/s", "largest velocity of theta"),
-    "--fault": Option(
-        "minimum_detectable_fault", "m", "", "largest bias of a reading that one scan may miss; default: any"
-    ),
-}
+OPTIONS = {name: Option(*row) for name, row in read_data("requirement_options").items()}
 
 
 def _within(low: float, high: float, expected: str) -> AfterValidator:

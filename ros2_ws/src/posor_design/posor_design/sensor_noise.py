@@ -17,9 +17,7 @@ class DiodeNoise:
     """Noise of a lateral effect diode."""
 
     thermal_noise: Annotated[float, "A/Hz^0.5", "Current noise of the resistance between the contacts."]
-    amplifier_noise: Annotated[
-        float, "A/Hz^0.5", "Current noise that the amplifier's voltage noise drives through this resistance."
-    ]
+    amplifier_noise: Annotated[float, "A/Hz^0.5", "Current noise by the amplifier's voltage noise over the resistance."]
     shot_noise: Annotated[float, "A/Hz^0.5", "Current noise of the photocurrent."]
     position_noise: Annotated[float, "m/Hz^0.5", "Standard deviation of a position in a bandwidth of 1 Hz."]
     resolution: Annotated[float, "m", "Standard deviation of a position in the given bandwidth."]
@@ -107,17 +105,13 @@ class AngleResolution:
     """Angle that two distances resolve."""
 
     step: Annotated[float, "rad", "Angle of a step of one distance."]
-    noise: Annotated[
-        float, "rad", "Standard deviation of the angle if both distances have the step as their standard deviation."
-    ]
+    noise: Annotated[float, "rad", "Standard deviation of the angle if the step is that of both distances."]
 
 
 @calculator
 def angle_resolution(
     resolution: Annotated[float, "m", POSITIVE, "Step or standard deviation of a distance."],
-    base: Annotated[
-        float, "m", POSITIVE, "Distance between the sensors across their direction, or radius of a single one."
-    ],
+    base: Annotated[float, "m", POSITIVE, "Distance between the sensors across their direction, or radius of one."],
 ) -> AngleResolution:
     """Angle that two distance sensors resolve, or one at a radius.
 

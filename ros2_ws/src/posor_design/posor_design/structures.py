@@ -147,9 +147,7 @@ class CantileverFrequencies:
 
     frequencies: Annotated[tuple[float, ...], "Hz", "Lowest first, with shear and rotary inertia."]
     angular_frequencies: Annotated[tuple[float, ...], "rad/s", "The same, times 2 pi."]
-    slender_angular_frequencies: Annotated[
-        tuple[float, ...], "rad/s", "Angular frequencies of a slender beam, without shear and rotary inertia."
-    ]
+    slender_angular_frequencies: Annotated[tuple[float, ...], "rad/s", "Without shear and rotary inertia."]
 
 
 @calculator

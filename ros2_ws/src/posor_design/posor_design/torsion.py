@@ -48,9 +48,7 @@ def beam_torsion(
     length: BeamLength,
     modulus: Modulus,
     density: BeamDensity,
-    gimbal: Annotated[
-        float, "m", NON_NEGATIVE, "Distance of the gimbal that holds the beam from the start of the beam."
-    ],
+    gimbal: Annotated[float, "m", NON_NEGATIVE, "Distance of the gimbal that holds the beam from its start."],
     plate_inertias: Annotated[
         tuple[float, float],
         "kg m^2",

@@ -22,7 +22,7 @@ from posor.errors import ParameterError
 from posor_design.calculator_signature import CalculatorSignature, read_signature
 from posor_design.calculators import CALCULATORS, annotations_of, unit_of
 from posor_design.design_command import PROGRAMS, build_parser, list_calculators, main
-from posor_design.unit_expression import parse_unit
+from posor_design.quantity_text import parse_unit
 from posor_design.value_kinds import name_kind, summarise_value
 
 NAMES = sorted(CALCULATORS)

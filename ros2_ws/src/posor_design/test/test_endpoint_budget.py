@@ -10,17 +10,9 @@ import pytest
 from posor.calibration.designs import design, sized_design
 from posor.chain.beams_file import BeamsFile
 from posor.chain.kinematic_chain import Chain
-from posor.errors import ChainError, ParameterError
+from posor.errors import ChainError
 from posor.uncertainty.budget_poses import model_covariances
-from posor_design.endpoint_budget import (
-    BEAMS,
-    Spread,
-    configurations,
-    disturbed,
-    endpoint_budget,
-    monte_carlo,
-    thesis_covariance,
-)
+from posor_design.endpoint_budget import BEAMS, Spread, configurations, disturbed, endpoint_budget, monte_carlo
 
 INCH = 0.0254
 DRAWS = 4_000
@@ -76,21 +68,11 @@ def straight() -> Chain:
 
 @pytest.fixture
 def accuracies() -> dict[str, np.ndarray]:
-    return {"turn": thesis_covariance(8.0 * INCH), "lift": thesis_covariance(6.0 * INCH)}
-
-
-def test_the_thesis_accuracies_are_those_of_section_931() -> None:
-    """8 in: 1.67 and 0.95 urad; 4 in: 5.0 and 2.22 urad; no translations."""
-    for diameter_in, large, small in ((8.0, 1.67, 0.95), (4.0, 5.0, 2.22)):
-        covariance = thesis_covariance(diameter_in * INCH)
-        assert np.count_nonzero(covariance) == 3
-        np.testing.assert_allclose(np.sqrt(np.diagonal(covariance))[3:] * 1e6, [small, small, large], atol=0.005)
-
-
-@pytest.mark.parametrize("diameter", [0.0, 2.0 * INCH, math.nan])
-def test_a_diameter_without_room_for_a_ring_is_refused(diameter: float) -> None:
-    with pytest.raises(ParameterError, match=r"outside diameter .* m; expected at least 0\.0762 m\."):
-        thesis_covariance(diameter)
+    """About X, Y and Z: POSORs of 8 in and 6 in, by section 9.3.1 of the thesis."""
+    return {
+        name: np.diag(np.square([0.0, 0.0, 0.0, small, small, large]))
+        for name, small, large in (("turn", 0.952e-6, 1.667e-6), ("lift", 1.333e-6, 2.5e-6))
+    }
 
 
 def test_the_budget_of_an_extended_arm_is_as_by_hand(straight: Chain, accuracies: dict[str, np.ndarray]) -> None:

@@ -7,8 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from posor_design.gimbals import gimbal_motion, gimbal_torques, shortest_wires, wire_gimbal
-from posor_design.yoke_gimbals import dither_acceleration, yoke_friction
+from posor_design.gimbals import (
+    dither_acceleration,
+    gimbal_motion,
+    gimbal_torques,
+    shortest_wires,
+    wire_gimbal,
+    yoke_friction,
+)
 
 TUBE: dict[str, Any] = {
     "length": 0.762,

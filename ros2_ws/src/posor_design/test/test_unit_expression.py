@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from posor_design.unit_expression import parse_unit, similar_units
+from posor_design.quantity_text import parse_unit, similar_units
 
 PUBLISHED = yaml.safe_load(Path(__file__).with_name("published_units.yaml").read_text(encoding="utf-8"))
 

@@ -74,40 +74,38 @@ class Motion(FrozenModel):
     theta: Annotated[Quantity, measured("rad/s")]
 
 
-class SupplyRange(FrozenModel):
-    """Supply voltage of the probe electronics at which the calibration is valid.
+class EnvironmentRange(FrozenModel):
+    """What the probes' electronics or the receiving plate may have while the calibration is valid.
 
-    ``range`` is the lowest and the highest voltage; ``spread`` the standard uncertainty of the voltage, about each
-    probe's reference, in scans that do not measure it.
+    ``range`` is the lowest and the highest value; ``spread`` the standard uncertainty of the value, about each probe's
+    reference, in scans that do not measure it.
     """
+
+    range: Quantity
+    spread: Quantity
+
+    @model_validator(mode="after")
+    def _check_range(self) -> Self:
+        low, high = self.range.array
+        if not 0.0 <= low < high:
+            raise EntryError(f"range {self.range.value}", key=("range",), expected="[lowest, highest], not negative")
+        if self.spread.number < 0.0:
+            raise EntryError(f"spread {self.spread.value}", key=("spread",), expected="zero or more")
+        return self
+
+
+class SupplyRange(EnvironmentRange):
+    """Supply voltage of the probe electronics."""
 
     range: Annotated[Quantity, measured("V", 2)]
     spread: Annotated[Quantity, measured("V")]
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        _check_range(self)
-        return self
 
-
-class TemperatureRange(FrozenModel):
-    """Temperature of the receiving plate at which the calibration is valid; see ``SupplyRange``."""
+class TemperatureRange(EnvironmentRange):
+    """Temperature of the receiving plate."""
 
     range: Annotated[Quantity, measured("K", 2)]
     spread: Annotated[Quantity, measured("K")]
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        _check_range(self)
-        return self
-
-
-def _check_range(part: SupplyRange | TemperatureRange) -> None:
-    low, high = part.range.array
-    if not 0.0 <= low < high:
-        raise EntryError(f"range {part.range.value}", key=("range",), expected="[lowest, highest], not negative")
-    if part.spread.number < 0.0:
-        raise EntryError(f"spread {part.spread.value}", key=("spread",), expected="zero or more")
 
 
 class Environment(FrozenModel):

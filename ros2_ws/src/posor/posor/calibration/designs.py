@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Literal
 
 from scipy.constants import inch
@@ -25,6 +26,7 @@ from posor.calibration.design_parts import (
     light_ring,
     quantity_entry,
 )
+from posor.calibration.yaml_document import parse_yaml
 from posor.errors import CalibrationError
 
 DesignName = Literal[
@@ -45,71 +47,24 @@ BUMPS_PER_INCH = 24
 """Bumps per inch of a sized ring's diameter (pitch 3.32 mm). The slopes then resolve theta nearly as section 9.3.1
 assumes, 5 microinch over the ring's radius. The number of bumps is a multiple of four for whole inches."""
 
-GAP_OF_VOLT = (STANDOFF, -0.118e-3, 1.5e-6, -2e-7, 1e-8)
 _RING_RANGE = 1.5
 """Range of the ring probes of sized designs over that of others: for bumps of 0.4 mm and motions of 0.5 mm."""
 
-_PROBE = ProbeKind(
-    volts_to_gap=GAP_OF_VOLT,
-    volts_to_gap_sigmas=(0.13e-6, 5e-8, 5e-9, 0.0, 0.0),
-    noise=1e-3,
-    tip_sigma=(20e-6, 20e-6, 1e-6),
-    axis_sigma=1e-3,
-    zero_shift_sigma=5e-4,
-    supply_sigma=0.01,
-)
-_DIODE = DiodeKind(
-    noise=1e-4,
-    origin_sigma=(5e-6, 5e-6, 20e-6),
-    axis_sigma=(2e-4, 1e-3),
-    map_sigma=0.5e-6,
-    source_sigma=(3e-6, 3e-6, 20e-6),
-    direction_sigma=5e-4,
-)
-# The places of a coded ring's parts are measured as assembled. Its rays lean little: the lean changes the distances of
-# the spots that tell the sources apart.
-_CODED_LEAN = 1e-4
-_CODED_DIODE = replace(_DIODE, origin_sigma=(1e-6, 1e-6, 20e-6), source_sigma=(1e-6, 1e-6, 20e-6), lean=_CODED_LEAN)
-_RING = RingShape(
-    bumps=BUMPS,
-    mean_radius=0.0508,
-    cos=(-4e-6, 0.0, 1.6e-4, 2e-7, 9e-6),
-    sin=(0.0, -5e-6, 0.0, -4e-6, 0.0),
-    radius_sigma=1e-6,
-    amplitude_sigma=0.2e-6,
-    tip_radius=0.0516,
-)
-
-# Sized designs are calibrated as assembled, against an index table and an interferometer. The remaining uncertainty is
-# the resolution of the sensors, about 50 nm, not the accuracy of single parts.
-SIZED_GAP_PROBE = ProbeKind(
-    volts_to_gap=GAP_OF_VOLT,
-    volts_to_gap_sigmas=(30e-9, 1e-8, 1e-9, 0.0, 0.0),
-    noise=PROBE_ACCURACY / 0.118e-3,
-    tip_sigma=(5e-6, 5e-6, 30e-9),
-    axis_sigma=1e-4,
-    zero_shift_sigma=2e-4,
-    supply_sigma=1e-3,
-)
-SIZED_RING_PROBE = ProbeKind(
+_PARTS: Any = parse_yaml(Path(__file__).with_name("design_parts.yaml").read_text("utf-8"), "design_parts.yaml")[1]
+GAP_OF_VOLT: tuple[float, ...] = tuple(_PARTS["gap_of_volt"])
+_PROBE = ProbeKind(**_PARTS["probe"])
+_DIODE, _CODED_DIODE = DiodeKind(**_PARTS["diode"]), DiodeKind(**_PARTS["coded_diode"])
+_RING = RingShape(**_PARTS["ring"])
+SIZED_GAP_PROBE = ProbeKind(noise=PROBE_ACCURACY / 0.118e-3, **_PARTS["sized_gap_probe"])
+SIZED_RING_PROBE = replace(
+    SIZED_GAP_PROBE,
     volts_to_gap=tuple(_RING_RANGE * coefficient for coefficient in GAP_OF_VOLT),
-    volts_to_gap_sigmas=(30e-9, 1e-8, 1e-9, 0.0, 0.0),
     noise=PROBE_ACCURACY / (_RING_RANGE * 0.118e-3),
     tip_sigma=(30e-9, 30e-9, 5e-6),
     axis_sigma=2e-5,
-    zero_shift_sigma=2e-4,
-    supply_sigma=1e-3,
 )
+SIZED_DIODE = DiodeKind(**_PARTS["sized_diode"])
 SIZED_TILT_SIGMA = 0.3e-6
-SIZED_DIODE = DiodeKind(
-    noise=2e-5,
-    origin_sigma=(0.1e-6, 0.1e-6, 5e-6),
-    axis_sigma=(1e-5, 1e-4),
-    map_sigma=0.1e-6,
-    source_sigma=(0.1e-6, 0.1e-6, 5e-6),
-    direction_sigma=2e-5,
-    lean=_CODED_LEAN,
-)
 
 
 def _sized_ring(outside_diameter: float) -> RingShape:
@@ -188,7 +143,7 @@ def design(
     converter: bool = False,
     frames: tuple[str, str] = ("receiving", "target"),
 ) -> Calibration:
-    """Return the calibration of one of the designs of the 1985 size; a light ring is coded (``coded_ring``).
+    """Return the calibration of one of the designs of the 1985 size; a light ring is coded (``coded_azimuths``).
 
     ``name``: which stack: ``triad_`` with the three gap probes of the thesis; ``quad_``, recommended, with a fourth one
     opposite to the first, so that the gap probes check one another. ``ring_probes``: number of probes of a bumpy ring,

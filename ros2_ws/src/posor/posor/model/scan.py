@@ -265,10 +265,7 @@ class Scans:
         return Scans(self._records.copy(), editable=True)
 
     def with_fields(self, arrays: Mapping[str, NDArray[Any]]) -> Scans:
-        """Return the same scans with some attributes replaced.
-
-        Raises the errors of ``from_fields``.
-        """
+        """Return the same scans with some attributes replaced. Raises the errors of ``from_fields``."""
         scans = Scans(self._records.copy(), editable=self._editable)
         scans._write(arrays)
         return scans

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
@@ -24,33 +25,7 @@ if TYPE_CHECKING:
 
 FRAME_HEIGHT = 250  # height of a plot without title, axis and legend [pixels]
 LEGEND_WIDTH = 48  # letters of the two longest names of a legend with two columns
-_TEXT = {"text_font": "system-ui, sans-serif", "text_color": GREY}
-_STYLE = Theme(
-    json={
-        "attrs": {
-            "Axis": {
-                **{f"axis_label_{key}": value for key, value in _TEXT.items()},
-                **{f"major_label_{key}": value for key, value in _TEXT.items()},
-                "axis_label_text_font_style": "normal",
-                "axis_label_text_font_size": "12px",
-                "axis_line_color": "#999999",
-                "major_tick_line_color": "#999999",
-                "minor_tick_line_color": None,
-            },
-            "Grid": {"grid_line_color": "#dddddd"},
-            "Plot": {"outline_line_color": None},
-            "Legend": {
-                "label_text_font": "system-ui, sans-serif",
-                "label_text_font_size": "12px",
-                "border_line_color": None,
-                "padding": 0,
-                "spacing": 8,
-                "click_policy": "hide",
-            },
-            "Toolbar": {"logo": None, "autohide": True},
-        }
-    }
-)
+_STYLE = Theme(filename=str(Path(__file__).with_name("plot_theme.yaml")))
 
 
 class Plot:

@@ -194,27 +194,18 @@ class Diodes(RowSensor):
             record["map_kind"], record["map_lengths"] = spot_map.map_kind, spot_map.map_lengths
         longest = max(m.parameters[0].size for m in maps)
 
-        def padded(parameters: FloatArray) -> FloatArray:
-            return np.pad(parameters, (0, longest - parameters.size))
+        def of(attribute: str) -> dict[str, FloatArray]:
+            tables = [m.parameters[attribute == "sigmas"] for m in maps]
+            return {
+                "origins": np.array([getattr(d.origin, attribute) for d in diodes]),
+                "x_axes": np.array([getattr(d.x_axis, attribute) for d in diodes]),
+                "y_axes": np.array([getattr(d.y_axis, attribute) for d in diodes]),
+                "maps": np.array([np.pad(table, (0, longest - table.size)) for table in tables]),
+                "source_origins": np.array([getattr(s.origin, attribute) for s in sources]),
+                "source_directions": np.array([getattr(s.direction, attribute) for s in sources]),
+            }
 
-        super().__init__(
-            {
-                "origins": np.array([d.origin.array for d in diodes]),
-                "x_axes": np.array([d.x_axis.array for d in diodes]),
-                "y_axes": np.array([d.y_axis.array for d in diodes]),
-                "maps": np.array([padded(m.parameters[0]) for m in maps]),
-                "source_origins": np.array([s.origin.array for s in sources]),
-                "source_directions": np.array([s.direction.array for s in sources]),
-            },
-            {
-                "origins": np.array([d.origin.sigmas for d in diodes]),
-                "x_axes": np.array([d.x_axis.sigmas for d in diodes]),
-                "y_axes": np.array([d.y_axis.sigmas for d in diodes]),
-                "maps": np.array([padded(m.parameters[1]) for m in maps]),
-                "source_origins": np.array([s.origin.sigmas for s in sources]),
-                "source_directions": np.array([s.direction.sigmas for s in sources]),
-            },
-        )
+        super().__init__(of("array"), of("sigmas"))
 
     def _prepare(self) -> None:
         super()._prepare()
@@ -267,41 +258,41 @@ class Diodes(RowSensor):
         rows: IntArray = self._rows_of(np.array([scan.lit_sources], dtype=np.int64))[0]
         return rows
 
-    def explain(self, scan: Scan, code: int) -> ScanError:  # noqa: PLR0911  one sentence for each code
+    def explain(self, scan: Scan, code: int) -> ScanError:
         """Return what a code of the contact currents means."""
         where = f"scan {scan.number}"
         count, fault = len(self._names), Fault(fault_of_code(DIODE_CURRENTS, code))
         if code == WRONG_COUNT:
-            what = f"{scan.diode_currents.size} contact currents"
-            return ScanError(what, fault=fault, where=where, expected=f"{4 * count}")
-        if code == WRONG_SOURCES:
-            what = f"{len(scan.lit_sources)} lit sources"
-            return ScanError(what, fault=fault, where=where, expected=f"{count}, one for each diode")
-        if code <= WRONG_SOURCE:
+            what, expected = f"{scan.diode_currents.size} contact currents", f"{4 * count}"
+        elif code == WRONG_SOURCES:
+            what, expected = f"{len(scan.lit_sources)} lit sources", f"{count}, one for each diode"
+        elif code <= WRONG_SOURCE:
             diode = WRONG_SOURCE - code
             lit = scan.lit_sources[diode]
-            what = "no light source was lit" if lit == NO_SOURCE else f"light source {lit} is unknown"
             where = f"{where}, diode {self._names[diode]}"
-            return ScanError(what, fault=fault, where=where, expected=f"a source from 0 to {self._sources - 1}")
-        diode, what_code = divmod(code, codes.CODES)
-        where = f"{where}, diode {self._names[diode]}"
-        a, b, c, d = (float(current) for current in scan.diode_currents[diode])
-        if what_code == codes.NOT_FINITE:
-            what = f"contact currents {a}, {b}, {c}, {d}"
-            return ScanError(what, fault=fault, where=where, expected="finite currents")
+            what = "no light source was lit" if lit == NO_SOURCE else f"light source {lit} is unknown"
+            expected = f"a source from 0 to {self._sources - 1}"
+        else:
+            diode, what_code = divmod(code, codes.CODES)
+            where = f"{where}, diode {self._names[diode]}"
+            what, expected = self._explain_currents(scan.diode_currents[diode].tolist(), diode, what_code)
+        return ScanError(what, fault=fault, where=where, expected=expected)
+
+    def _explain_currents(self, currents: list[float], diode: int, code: int) -> tuple[str, str]:
+        """Return what is wrong with the contact currents of a diode, and what is expected."""
+        a, b, c, d = currents
         least, greatest = self._diodes[diode][["least_sum", "greatest_sum"]].tolist()
         sums = f"A + C = {a + c:.3g} A, B + D = {b + d:.3g} A"
-        if what_code == codes.DARK:
-            what = f"too dark, {sums}"
-            return ScanError(what, fault=fault, where=where, expected=f"at least {least:.3g} A")
-        if what_code == codes.BRIGHT:
-            what = f"too bright for one light source, {sums}"
-            return ScanError(what, fault=fault, where=where, expected=f"at most {greatest:.3g} A")
-        axis = what_code - codes.OUTSIDE_X
+        if code == codes.NOT_FINITE:
+            return f"contact currents {a}, {b}, {c}, {d}", "finite currents"
+        if code == codes.DARK:
+            return f"too dark, {sums}", f"at least {least:.3g} A"
+        if code == codes.BRIGHT:
+            return f"too bright for one light source, {sums}", f"at most {greatest:.3g} A"
+        axis = code - codes.OUTSIDE_X
         ratio = ((a - c) / (a + c), (b - d) / (b + d))[axis]
         low, high = self._diodes["domain"][diode, axis]
-        what = f"{'xy'[axis]} ratio {ratio:.6g} is outside the calibrated map"
-        return ScanError(what, fault=fault, where=where, expected=f"{low:g} to {high:g}")
+        return f"{'xy'[axis]} ratio {ratio:.6g} is outside the calibrated map", f"{low:g} to {high:g}"
 
     def encode(self, readings: FloatArray, scans: Scans) -> dict[str, FloatArray]:
         """Return the contact currents of spot positions, their sums in the middle of the diode's range."""

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from posor.calibration.coded_ring import coded_azimuths, slip_margins
+from posor.calibration.design_parts import coded_azimuths, slip_margins
 from posor.calibration.designs import STANDOFF, design, sized_design
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
