@@ -76,13 +76,7 @@ class BearingFriction:
 
 @calculator
 def bearing_friction(
-    deflections: Annotated[
-        tuple[float, ...],
-        "m",
-        POSITIVE,
-        at_least(2),
-        "Deflection of the end of the spring at each breakaway, at least two.",
-    ],
+    deflections: Annotated[tuple[float, ...], "m", POSITIVE, at_least(2), "Deflection of the spring at breakaways."],
     spring_length: Annotated[float, "m", POSITIVE, "Length of the spring from the axis to the stage."],
     spring_width: Annotated[float, "m", POSITIVE, "Width of the spring along the axis."],
     spring_thickness: Annotated[float, "m", POSITIVE, "Thickness of the spring."],

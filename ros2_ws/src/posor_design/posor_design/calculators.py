@@ -79,9 +79,7 @@ MODES = Limit(lambda modes: 1 <= modes <= MOST_MODES, f"1 to {MOST_MODES}")
 _BOTH = Limit(lambda count: count in {0, 2}, "a value for each of the two gimbals", of_count=True)
 
 Shape = Annotated[Literal["tube", "box"], "Section of the beam."]
-Height = Annotated[
-    float, "m", POSITIVE, "Outer height of the section in the plane of bending; outer diameter of a tube."
-]
+Height = Annotated[float, "m", POSITIVE, "Outer height of the section in the plane of bending; diameter of a tube."]
 Wall = Annotated[float, "m", POSITIVE, "Thickness of the walls."]
 BoxWidth = Annotated[float, "m", NON_NEGATIVE, "Outer width of a box."]
 BeamLength = Annotated[float, "m", POSITIVE, "Length of the beam."]
@@ -89,9 +87,7 @@ Modulus = Annotated[float, "Pa", POSITIVE, "Young's modulus."]
 BeamDensity = Annotated[float, "kg/m^3", POSITIVE, "Density of the beam."]
 WeightDensity = Annotated[float, "kg/m^3", NON_NEGATIVE, "Density; 0: the beam has no weight."]
 PoissonRatio = Annotated[float, "1", POISSON_RATIO, "Poisson's ratio."]
-GimbalPlaces = Annotated[
-    tuple[float, float], "m", NON_NEGATIVE, "Distances of the gimbals from the beam's start, nearer first."
-]
+GimbalPlaces = Annotated[tuple[float, float], "m", NON_NEGATIVE, "Distances of gimbals from the start, nearer first."]
 PlateInertias = Annotated[
     tuple[float, float],
     "kg m^2",
@@ -99,9 +95,7 @@ PlateInertias = Annotated[
     "Moments of inertia of these masses about the axis across the plane of bending.",
 ]
 PlateMasses = Annotated[tuple[float, float], "kg", NON_NEGATIVE, "Masses at start and end of the beam."]
-GimbalStiffness = Annotated[
-    tuple[float, ...], "N/m", POSITIVE, _BOTH, "Stiffness of each against deflection; left out: rigid."
-]
+GimbalStiffness = Annotated[tuple[float, ...], "N/m", POSITIVE, _BOTH, "Stiffness against deflection; left out: rigid."]
 GimbalTurningStiffness = Annotated[
     tuple[float, ...],
     "N m/rad",

@@ -28,9 +28,7 @@ class FibreLever:
     collected: Annotated[float, "1", "Received power over transmitted power."]
     slope: Annotated[float, "1/m", "Derivative of ``collected`` with respect to the distance."]
     dead_distance: Annotated[float, "m", "Distance below which no light reaches the receiving fibres."]
-    peak_distance: Annotated[
-        float, "m", "Distance of the largest received power: the response rises up to it, then falls."
-    ]
+    peak_distance: Annotated[float, "m", "Distance of the largest received power: the response rises, then falls."]
     peak_collected: Annotated[float, "1", "Largest received power over transmitted power."]
 
 
@@ -39,9 +37,7 @@ def fibre_lever(
     distance: Annotated[float, "m", NON_NEGATIVE, "Distance of the target."],
     core_radius: Annotated[float, "m", POSITIVE, "Radius of the core of each fibre."],
     spacing: Annotated[float, "m", "Distance between the axes of the transmitting and a receiving fibre."],
-    half_angle: Annotated[
-        float, "rad", ACUTE_ANGLE, "Half angle of the cone of light, arcsine of the numerical aperture."
-    ],
+    half_angle: Annotated[float, "rad", ACUTE_ANGLE, "Half angle of the light cone, arcsine of numerical aperture."],
     receivers: Annotated[int, POSITIVE, "Number of receiving fibres."] = 6,
     reflectivity: Annotated[float, "1", SHARE, "Reflectivity of the target."] = 1.0,
 ) -> FibreLever:
@@ -107,14 +103,10 @@ def capacitance_probe(
     gap: Annotated[float, "m", POSITIVE, "Distance of the target at the axis of the probe."],
     radius: Annotated[float, "m", POSITIVE, "Radius of the disc; with a guard, to the middle of the slit."],
     capacitance_resolution: Annotated[float, "F", NON_NEGATIVE, "Change of the capacitance that is resolved."] = 0.0,
-    tilt: Annotated[
-        float, "rad", "Angle between target and disc; its error is that of an even field, without edge."
-    ] = 0.0,
+    tilt: Annotated[float, "rad", "Angle between target and disc; its error is that of an even field."] = 0.0,
     permittivity: Annotated[float, "1", POSITIVE, "Relative permittivity of the medium; default: air."] = 1.0006,
     permittivity_change: Annotated[float, "1", "Change of the relative permittivity since the calibration."] = 0.0,
-    edge: Annotated[
-        Literal["guarded", "free"], "A guarded disc has an even field, a free one a stray field."
-    ] = "guarded",
+    edge: Annotated[Literal["guarded", "free"], "Guarded: even field up to the edge; free: stray field."] = "guarded",
 ) -> CapacitanceProbe:
     """Response of a capacitance probe, a disc in front of a conducting plane.
 

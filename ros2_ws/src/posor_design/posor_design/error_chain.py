@@ -23,9 +23,7 @@ class EndpointError:
 
 @calculator
 def endpoint_error(
-    link_lengths: Annotated[
-        tuple[float, ...], "m", POSITIVE, at_least(1), "Length of the link after each joint, from the base."
-    ],
+    link_lengths: Annotated[tuple[float, ...], "m", POSITIVE, at_least(1), "Length of each joint's link, base first."],
     joint_errors: Annotated[tuple[float, ...], "rad", "Error of each joint angle."],
 ) -> EndpointError:
     """Error at the end of a straight arm by backlash, encoders and other errors of its joint angles.

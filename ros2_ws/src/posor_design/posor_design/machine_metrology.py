@@ -26,9 +26,7 @@ class Straightness:
     """Straightness of a motion."""
 
     intercept: Annotated[float, "m", "Intercept of the least squares line."]
-    slope: Annotated[
-        float, "1", "Slope of this line: angle between the motion and the axis of the straightness optics."
-    ]
+    slope: Annotated[float, "1", "Slope of this line: angle between the motion and the axis of straightness optics."]
     deviation: Annotated[float, "m", "Standard deviation of the readings from this line."]
     least_squares: Annotated[float, "m", "Straightness: largest less least deviation from this line."]
     minimum_zone: Annotated[float, "m", "Straightness: width of the narrowest band with all readings."]
@@ -157,12 +155,7 @@ class ProbeZero:
 
 @calculator
 def probe_zero(
-    coefficients: Annotated[
-        tuple[float, ...],
-        "1",
-        at_least(1),
-        "Gap in metres over voltage in volts, from the constant to the highest power.",
-    ],
+    coefficients: Annotated[tuple[float, ...], "1", at_least(1), "Gap [m] over voltage [V], constant term first."],
     start: Annotated[float, "V", "Voltage at the start of the motion."],
     finish: Annotated[float, "V", "Voltage at its end."],
     gauge_error: Annotated[float, "m", "Error of the gap that the gauge blocks set."],

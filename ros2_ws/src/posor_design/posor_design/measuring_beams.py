@@ -92,9 +92,7 @@ class BeamSag:
     start_slope: Annotated[float, "rad", "Slope of the plate at the start."]
     end_deflection: Annotated[float, "m", "Deflection of the plate at the end."]
     end_slope: Annotated[float, "rad", "Slope of the plate at the end."]
-    relative_deflection: Annotated[
-        float, "m", "Deflection of the end in the axes of the start: correction of position."
-    ]
+    relative_deflection: Annotated[float, "m", "Deflection of the end in the start's axes: correction of position."]
     relative_slope: Annotated[float, "rad", "Slope of the end in these axes: correction of the orientation."]
 
 
