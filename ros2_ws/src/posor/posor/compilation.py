@@ -50,8 +50,7 @@ def compile_kernels(report: Callable[[str], object], cancelled: Callable[[], boo
             with suppress(subprocess.TimeoutExpired):
                 process.wait(POLL_S)
     if process.returncode:
-        raise SystemRefusal(
-            f"the kernels could not be compiled, exit code {process.returncode}", where=str(mark.parent)
-        )
+        what = f"the kernels could not be compiled, exit code {process.returncode}"
+        raise SystemRefusal(what, where=str(mark.parent))
     kept = "" if mark.exists() else "; they could not be kept there: expected a writable folder in NUMBA_CACHE_DIR"
     report(f"kernels compiled in {monotonic() - begin_s:.1f} s{kept}")

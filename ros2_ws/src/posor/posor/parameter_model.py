@@ -143,12 +143,9 @@ def validate_parameters(model: type[ModelT], values: Mapping[str, object], *, no
     known = {spec.name: spec for spec in parameter_specs(model)}
     for name in values:
         if name not in known:
-            raise ParameterError(
-                "there is no such parameter",
-                where=f"node {node}, parameter '{name}'",
-                expected=similar_name(name, known, "a parameter of the node", least=0.0),
-                parameter=name,
-            )
+            where = f"node {node}, parameter '{name}'"
+            expected = similar_name(name, known, "a parameter of the node", least=0.0)
+            raise ParameterError("there is no such parameter", where=where, expected=expected, parameter=name)
     tree: dict[str, Any] = {}
     for name in known:
         *groups, leaf = name.split(".")

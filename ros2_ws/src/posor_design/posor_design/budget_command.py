@@ -132,9 +132,8 @@ def compute_budget(options: argparse.Namespace, progress: Callable[[int], None] 
         options.output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         where = f"budget, --output, {options.output}"
-        raise ParameterError(
-            f"cannot be created: {error.strerror}", where=where, expected="a writable folder"
-        ) from error
+        what = f"cannot be created: {error.strerror}"
+        raise ParameterError(what, where=where, expected="a writable folder") from error
     drawn = monte_carlo(posor, scan, pose, points, seed=options.seed, max_draws=options.draws, progress=progress)
     return BudgetReport(
         calibration=calibration.name,

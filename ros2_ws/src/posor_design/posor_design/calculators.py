@@ -160,11 +160,8 @@ def require_as_many(first: str, **values: Sequence[float]) -> None:
 
 
 def _no_solution(name: str) -> ParameterError:
-    return ParameterError(
-        "no solution for these arguments",
-        where=f"design {name}",
-        expected="quantities of a usual size; check the units",
-    )
+    expected = "quantities of a usual size; check the units"
+    return ParameterError("no solution for these arguments", where=f"design {name}", expected=expected)
 
 
 def _is_finite(value: Any) -> bool:

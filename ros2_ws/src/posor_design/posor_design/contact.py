@@ -75,11 +75,9 @@ def _axis_ratio(curvature_x: float, curvature_y: float) -> float:
         return _curvature_ratio(k) - target
 
     if excess(_FLATTEST) < 0.0:
-        raise ParameterError(
-            f"the ratio of the curvatures is {target:.3g}: the contact is a line",
-            where="curvature_x, curvature_y",
-            expected=f"a ratio of at most {_curvature_ratio(_FLATTEST):.3g}",
-        )
+        what = f"the ratio of the curvatures is {target:.3g}: the contact is a line"
+        expected = f"a ratio of at most {_curvature_ratio(_FLATTEST):.3g}"
+        raise ParameterError(what, where="curvature_x, curvature_y", expected=expected)
     return 1.0 if excess(1.0) >= 0.0 else float(brentq(excess, _FLATTEST, 1.0, xtol=1e-15, rtol=1e-14))
 
 

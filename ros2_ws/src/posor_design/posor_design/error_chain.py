@@ -86,11 +86,8 @@ def straight_linkage(
     steepest = math.pi / 3.0
     if excess_force(steepest) < 0.0:
         limit = excess_force(steepest) + joint_force
-        raise ParameterError(
-            f"{joint_force:g} N stretches the links to more than twice their length",
-            where="joint_force",
-            expected=f"less than {limit:.4g} N",
-        )
+        what = f"{joint_force:g} N stretches the links to more than twice their length"
+        raise ParameterError(what, where="joint_force", expected=f"less than {limit:.4g} N")
     angle = float(brentq(excess_force, 0.0, steepest, xtol=1e-15))
     strain = 1.0 / math.cos(angle) - 1.0
     return StraightLinkage(stiffness * strain, link_length * strain, angle)

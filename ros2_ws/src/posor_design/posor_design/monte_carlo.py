@@ -88,10 +88,8 @@ def monte_carlo(
         tried += BATCH
         lost = tried - sum(map(len, batches)) - len(found)
         if lost > MAX_LOST_SHARE * tried:
-            raise FitError(
-                f"{lost} of {tried} draws give no pose",
-                expected="a pose further from the ends of the sensors' ranges, or smaller uncertainties",
-            )
+            expected = "a pose further from the ends of the sensors' ranges, or smaller uncertainties"
+            raise FitError(f"{lost} of {tried} draws give no pose", expected=expected)
         batches.append(np.array(found))
         stable = _stable(batches, digits)
     values = np.concatenate(batches)
@@ -128,11 +126,8 @@ class _Draws:
         scans = self._scans
         for sensor in self._stack.sensors:
             if not isinstance(sensor, RowSensor):
-                raise ParameterError(
-                    f"the noise of {type(sensor).__name__} cannot be drawn",
-                    where="Monte Carlo",
-                    expected="sensors with a forward model (RowSensor)",
-                )
+                what = f"the noise of {type(sensor).__name__} cannot be drawn"
+                raise ParameterError(what, where="Monte Carlo", expected="sensors with a forward model (RowSensor)")
             scans = scans.with_fields(sensor.disturbed(scans, self._random))
         return [scans.part(n, n + 1) for n in range(BATCH)]
 

@@ -131,11 +131,9 @@ def _with_thinnest_walls(
     thinnest, thickest = half * _THINNEST, half * (1.0 - _THINNEST)
     least = float(getattr(beam(thickest), name))
     if least > limit:
-        raise ParameterError(
-            f"{limit:g} {unit} cannot be met with these outer dimensions",
-            where=name,
-            expected=f"at least {least:.4g} {unit}, the value of the solid section",
-        )
+        what = f"{limit:g} {unit} cannot be met with these outer dimensions"
+        expected = f"at least {least:.4g} {unit}, the value of the solid section"
+        raise ParameterError(what, where=name, expected=expected)
     if excess(thinnest) <= 0.0:
         return beam(thinnest)
     return beam(float(brentq(excess, thinnest, thickest, xtol=half * 1e-9)))

@@ -173,9 +173,8 @@ class Calibration(FrozenModel):
             raise EntryError("fits in a file of version 1", key=("fits",), expected="version 2")
         for key in ("environment", "converter"):
             if getattr(self, key) is not None and self.version < VERSION:
-                raise EntryError(
-                    f"{key} in a file of version {self.version}", key=(key,), expected=f"version {VERSION}"
-                )
+                what = f"{key} in a file of version {self.version}"
+                raise EntryError(what, key=(key,), expected=f"version {VERSION}")
         return self
 
     def __repr__(self) -> str:

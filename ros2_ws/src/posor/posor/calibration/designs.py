@@ -179,9 +179,8 @@ def sized_design(name: SizedDesignName, outside_diameter: float, *, frames: tupl
     calibration's name. Raises CalibrationError: the diameter is too small.
     """
     if not outside_diameter >= SMALLEST_DIAMETER:
-        raise CalibrationError(
-            f"outside diameter {outside_diameter:g} m", where=title, expected=f"at least {SMALLEST_DIAMETER:g} m"
-        )
+        what = f"outside diameter {outside_diameter:g} m"
+        raise CalibrationError(what, where=title, expected=f"at least {SMALLEST_DIAMETER:g} m")
     circle = 0.5 * (outside_diameter - inch)
     half_side = circle * math.sqrt(0.75)
     tips = [[-circle, 0.0, 0.0], [0.5 * circle, half_side, 0.0], [0.5 * circle, -half_side, 0.0]]

@@ -68,11 +68,8 @@ def edit_document(text: str, source: str, changes: Mapping[str, Any]) -> str:
     except CalibrationError:
         changed = None
     if changed != plain:
-        raise CalibrationError(
-            f"{', '.join(changes)} cannot be changed alone",
-            where=source,
-            expected="entries without aliases, anchors or merges",
-        )
+        what = f"{', '.join(changes)} cannot be changed alone"
+        raise CalibrationError(what, where=source, expected="entries without aliases, anchors or merges")
     return text
 
 

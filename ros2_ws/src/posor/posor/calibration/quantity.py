@@ -178,9 +178,8 @@ def check_unit_vector(name: str, quantity: Quantity) -> None:
     """
     length = float(np.linalg.norm(quantity.array))
     if abs(length - 1.0) > _UNIT_TOLERANCE:
-        raise EntryError(
-            f"{name} {format_value(quantity.value)} has length {length:.9g}", key=(name,), expected="a unit vector"
-        )
+        what = f"{name} {format_value(quantity.value)} has length {length:.9g}"
+        raise EntryError(what, key=(name,), expected="a unit vector")
 
 
 def measured(unit: str, *shape: int) -> AfterValidator:

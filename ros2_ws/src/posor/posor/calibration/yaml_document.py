@@ -221,9 +221,8 @@ def read_text(path: Path, kind: str) -> str:
         return read_input_text(path)
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise CalibrationError(
-            f"cannot be read: {reason}", where=f"{kind} {path}", expected=f"a YAML {kind}"
-        ) from error
+        what = f"cannot be read: {reason}"
+        raise CalibrationError(what, where=f"{kind} {path}", expected=f"a YAML {kind}") from error
 
 
 def load_document(

@@ -104,9 +104,8 @@ class CurvesMap(MapDomain):
     def _consistent(self) -> Self:
         if self.x_curves.array.shape != self.y_curves.array.shape:
             expected = f"{describe_shape(self.x_curves.array.shape)}, as x_curves has"
-            raise EntryError(
-                f"y_curves has {describe_shape(self.y_curves.array.shape)}", key=("y_curves",), expected=expected
-            )
+            what = f"y_curves has {describe_shape(self.y_curves.array.shape)}"
+            raise EntryError(what, key=("y_curves",), expected=expected)
         count = self.x_curves.array.shape[0]
         for name, at in (("x_curves_at", self.x_curves_at), ("y_curves_at", self.y_curves_at)):
             if at.array.size != count or count < 2 or not np.all(np.diff(at.array) > 0.0):  # noqa: PLR2004

@@ -172,9 +172,8 @@ class DiodesCalibration(SensorCalibration):
         if session.diode_map is None:
             return self
         if session.diode_map not in self.maps:
-            raise CalibrationError(
-                f"'{session.diode_map}'", where="diode_map of the session", expected=f"one of {', '.join(self.maps)}"
-            )
+            expected = f"one of {', '.join(self.maps)}"
+            raise CalibrationError(f"'{session.diode_map}'", where="diode_map of the session", expected=expected)
         return self.model_copy(update={"map": session.diode_map})
 
 

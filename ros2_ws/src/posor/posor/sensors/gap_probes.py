@@ -57,11 +57,8 @@ class GapProbesCalibration(SensorCalibration):
         if shifts is None:
             return self
         if shifts.array.shape != (len(self.probes),):
-            raise CalibrationError(
-                f"{shifts.array.size} values",
-                where="zero_shifts of the session",
-                expected=f"{len(self.probes)}, one for each gap probe",
-            )
+            expected = f"{len(self.probes)}, one for each gap probe"
+            raise CalibrationError(f"{shifts.array.size} values", where="zero_shifts of the session", expected=expected)
         probes = [
             probe.model_copy(update={"zero_shift": Quantity(value=float(value), sigma=float(sigma), unit="V")})
             for probe, value, sigma in zip(self.probes, shifts.array, shifts.sigmas, strict=True)

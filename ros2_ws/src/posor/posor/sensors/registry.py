@@ -36,16 +36,10 @@ def sensor_types() -> dict[str, type[SensorCalibration]]:
             raise CalibrationError("is not a sensor", where=where, expected="a subclass of SensorCalibration")
         declared = loaded.model_fields.get("type")
         if declared is None or get_args(declared.annotation) != (entry.name,):
-            raise CalibrationError(
-                "does not declare its name",
-                where=where,
-                expected=f"the field type: Literal['{entry.name}'] in the class",
-            )
+            expected = f"the field type: Literal['{entry.name}'] in the class"
+            raise CalibrationError("does not declare its name", where=where, expected=expected)
         if found.setdefault(entry.name, loaded) is not loaded:
             other = found[entry.name]
-            raise CalibrationError(
-                f"is there twice, also as {other.__module__}:{other.__qualname__}",
-                where=where,
-                expected="one package for each type",
-            )
+            what = f"is there twice, also as {other.__module__}:{other.__qualname__}"
+            raise CalibrationError(what, where=where, expected="one package for each type")
     return found

@@ -49,11 +49,9 @@ def scan_at(posor: Posor, T_R_T: pin.SE3) -> Scan:
     """
     for sensor in posor.stack.sensors:
         if not isinstance(sensor, RowSensor):
-            raise ParameterError(
-                f"{type(sensor).__name__} has no forward model",
-                where=f"calibration '{posor.calibration.name}'",
-                expected="sensors with a forward model (RowSensor)",
-            )
+            what = f"{type(sensor).__name__} has no forward model"
+            expected = "sensors with a forward model (RowSensor)"
+            raise ParameterError(what, where=f"calibration '{posor.calibration.name}'", expected=expected)
     scans = scans_at(posor.stack, T_R_T.rotation[None], T_R_T.translation[None], np.zeros(1, dtype=np.int64))
     scan = scans[0]
     for kind, readings in (
@@ -63,11 +61,9 @@ def scan_at(posor: Posor, T_R_T: pin.SE3) -> Scan:
     ):
         out_of_range = np.flatnonzero(~np.isfinite(readings))
         if out_of_range.size:
-            raise ParameterError(
-                f"{kind} {out_of_range[0] + 1} is out of its calibrated range at this pose",
-                where=f"calibration '{posor.calibration.name}'",
-                expected="a pose (x, y, gap, alpha, beta, theta) in the range of every sensor",
-            )
+            what = f"{kind} {out_of_range[0] + 1} is out of its calibrated range at this pose"
+            expected = "a pose (x, y, gap, alpha, beta, theta) in the range of every sensor"
+            raise ParameterError(what, where=f"calibration '{posor.calibration.name}'", expected=expected)
     supply, temperature = _references(posor)
     return replace(scan, supply_voltage=supply, temperature=temperature)
 
@@ -152,11 +148,8 @@ def model_covariances(
         estimates = posor.estimate_each(scans, np.array([angles[joint.name]]))
         if estimates.states[0] != State.OK:
             fault = Fault(int(estimates.faults[0])).name or "no pose"
-            raise ChainError(
-                f"has no valid pose at {math.degrees(angles[joint.name]):g} degrees ({fault})",
-                where=f"joint '{joint.name}'",
-                expected="an angle in the range of its sensors",
-            )
+            what = f"has no valid pose at {math.degrees(angles[joint.name]):g} degrees ({fault})"
+            raise ChainError(what, where=f"joint '{joint.name}'", expected="an angle in the range of its sensors")
         random[joint.name], systematic[joint.name] = (
             estimates.covariances_random[0],
             estimates.covariances_systematic[0],

@@ -139,9 +139,8 @@ def require_determined(stack: Stack, readings: Linearised, T_R_T: pin.SE3) -> No
     """Refuse readings that do not determine all six freedoms, by the estimator's own measure."""
     outcome = stack.solve(readings, 0, T_R_T.rotation.copy(), T_R_T.translation.copy())
     if outcome == ILL_CONDITIONED:
-        raise FitError(
-            "the readings do not determine all six freedoms at this pose", expected="a pose at which they do"
-        )
+        what = "the readings do not determine all six freedoms at this pose"
+        raise FitError(what, expected="a pose at which they do")
 
 
 def error_budget(posor: Posor, scan: Scan, T_R_T: pin.SE3, points: Sequence[PlatePoint] = ()) -> ErrorBudget:
