@@ -67,9 +67,7 @@ class RealtimeParameters(ParameterGroup):
     priority: Annotated[int, Field(ge=0, le=99)] = Field(
         default=0, description="real-time priority (SCHED_FIFO) of the process; 0: normal scheduling"
     )
-    cpus: tuple[int, ...] = Field(
-        default=(), description="processors that the process may run on, counted from 0; empty: all"
-    )
+    cpus: tuple[int, ...] = Field(default=(), description="processors that the process may run on, from 0; empty: all")
     lock_memory: bool = Field(default=False, description="keep all memory of the process from being swapped out")
     required: bool = Field(
         default=False, description="do not start if the system refuses any of this; false: warn in the diagnostics"
@@ -146,9 +144,7 @@ class EncoderParameters(ParameterGroup):
     sigma: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
         default=0.0, description="standard uncertainty of the encoder's angle as theta [rad]; 0: no encoder"
     )
-    joint: str = Field(
-        default="", description="name of the joint in the encoder's messages; empty: they hold one position only"
-    )
+    joint: str = Field(default="", description="joint in the encoder's messages; empty: they hold one position only")
     topic: str = Field(default="encoder", description="topic of the encoder, relative to the node's namespace")
 
 
@@ -156,9 +152,7 @@ class PosorParameters(AlarmParameters):
     """Parameters of posor_node."""
 
     calibration: str = Field(description="path of the calibration file (YAML) of this joint's POSOR")
-    session: str = Field(
-        default="", description="session of the calibration file whose zero shifts and maps apply; empty: none"
-    )
+    session: str = Field(default="", description="session whose zero shifts and maps apply; empty: none")
     covariance: CovarianceKind = Field(
         default="total",
         description="which uncertainty to publish: of the readings' noise, of the calibration, or of both",

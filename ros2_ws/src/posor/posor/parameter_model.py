@@ -53,9 +53,7 @@ class ParameterSpec:
     @property
     def read_only(self) -> bool:
         """Whether the parameter is fixed once the node has started."""
-        return not any(
-            isinstance(item, ChangeableAtRunTime) or item is ChangeableAtRunTime for item in self.field.metadata
-        )
+        return not any(ChangeableAtRunTime in (item, type(item)) for item in self.field.metadata)
 
     @property
     def required(self) -> bool:

@@ -28,6 +28,7 @@ from posor.uncertainty.budget_poses import model_covariances
 from scipy.optimize import NonlinearConstraint, minimize
 
 from posor_design.endpoint_budget import BEAMS, endpoint_budget
+from posor_design.reliability_report import AXES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
 
     from posor_design.endpoint_budget import Spread
 
-AXES = ("x", "y", "z", "about X", "about Y", "about Z")  # axes of the base in the order of all arrays, (6,)
+
 LARGEST_IMPROVEMENT, LARGEST_RELAXATION = 10.0, 100.0
 """Present over allotted uncertainty of a part at most, and allotted over present."""
 _UNIT = 1e-6  # standard uncertainty for which the weights are computed [m], [rad]; the budget is linear in its square
@@ -241,10 +242,8 @@ def beams_with(beams: BeamsFile, variances: Mapping[str, FloatArray], *, sag: bo
     for beam in content["beams"]:
         if beam["joint"] in variances:
             sigmas = np.sqrt(variances[beam["joint"]]).tolist()
-            beam["uncertainty"]["position"]["value"], beam["uncertainty"]["orientation"]["value"] = (
-                sigmas[:3],
-                sigmas[3:],
-            )
+            beam["uncertainty"]["position"]["value"] = sigmas[:3]
+            beam["uncertainty"]["orientation"]["value"] = sigmas[3:]
         if not sag:
             beam["sag"] = None
     return type(beams).model_validate(content)

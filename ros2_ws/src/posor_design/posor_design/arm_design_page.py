@@ -11,10 +11,10 @@ from posor.reporting.html_page import Section, bullet_list, render_page
 from posor.reporting.plot import Plot
 from posor.reporting.report_table import ReportTable
 
-from posor_design.arm_allotment import AXES
 from posor_design.data_file import read_data
 from posor_design.posor_design_page import ring_text
 from posor_design.quantity_text import format_quantity
+from posor_design.reliability_report import AXES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -14,8 +14,9 @@ from posor.chain.beams_file import load_beams
 from posor.errors import ChainError
 from posor.uncertainty.budget_quantities import NATIVE
 
-from posor_design.arm_allotment import AXES, beams_with
+from posor_design.arm_allotment import beams_with
 from posor_design.posor_output import ARM_FILE, SCENARIO, arm_text, made_by
+from posor_design.reliability_report import AXES
 from posor_design.requirement import Requirement, requirement_content
 
 if TYPE_CHECKING:

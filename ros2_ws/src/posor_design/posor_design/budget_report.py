@@ -242,9 +242,8 @@ def plot_contributions(report: BudgetReport) -> list[Plot]:
         for kind, colour in COLOURS.items():
             parts = [part for part in largest if part.kind is kind]
             if parts:
-                plot.bars(
-                    NAMES[kind], [scale * part.effects[i] for part in parts], [part.name for part in parts], colour
-                )
+                effects = [scale * part.effects[i] for part in parts]
+                plot.bars(NAMES[kind], effects, [part.name for part in parts], colour)
         plot.vertical(f"total, first order {total:.3g}", total)
         plot.vertical(f"total, draws {drawn:.3g}", drawn, GREY, "dotted")
         plots.append(plot)

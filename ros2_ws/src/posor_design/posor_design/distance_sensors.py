@@ -195,6 +195,5 @@ def linearity(
     span = max(displacements) - min(displacements)
     if span == 0.0:
         raise ParameterError("all values are equal", where="displacements", expected="different values")
-    return Linearity(
-        line.slope, line.standard_deviation, line.largest_residual, 0.5 * line.band, 0.5 * line.band / span
-    )
+    half = 0.5 * line.band
+    return Linearity(line.slope, line.standard_deviation, line.largest_residual, half, half / span)

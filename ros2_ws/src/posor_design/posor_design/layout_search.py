@@ -171,8 +171,7 @@ class LayoutSearch:
         """Return the preferred candidate that also meets the requirement at random poses."""
         random = np.random.default_rng(SEED)
         for candidate in sorted(feasible, key=lambda each: self._preference(each, preference)):
-            gap = candidate.layout.gap
-            poses = random_poses(self.requirement, gap, CHECKED_POSES, random)
+            poses = random_poses(self.requirement, candidate.layout.gap, CHECKED_POSES, random)
             self.evaluations += 1
             checked = evaluate(self.requirement, candidate.kind, candidate.layout, poses)
             if checked.readable and np.all(checked.sigmas <= self.requirement.sigmas):
@@ -205,6 +204,4 @@ def trade_off(requirement: Requirement, candidates: Iterable[Candidate]) -> list
         for each, own in zip(listed, values, strict=True)
         if not np.any(np.all(values <= own, axis=1) & np.any(values < own, axis=1))
     ]
-    return sorted(
-        kept, key=lambda each: (each.layout.outside_diameter, float(np.max(each.sigmas / requirement.sigmas)))
-    )
+    return sorted(kept, key=lambda own: (own.layout.outside_diameter, float(np.max(own.sigmas / requirement.sigmas))))

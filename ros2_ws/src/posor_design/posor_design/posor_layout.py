@@ -170,10 +170,8 @@ def _velocity_limits(requirement: Requirement) -> dict[str, object]:
     """Return the limits of velocity: error motions of once a turn over the whole range have twice its half width."""
     limits, speed = requirement.range, SPEED_RESERVE * requirement.speed.number
     shift, tilt = max(limits.runout.number, limits.gap.number), limits.tilt.number
-    translation, lean = (
-        max(least, 2.0 * half * speed) for least, half in zip(_LEAST_LIMITS, (shift, tilt), strict=True)
-    )
-    return velocity_limits(translation, lean, speed)
+    least_translation, least_lean = _LEAST_LIMITS
+    return velocity_limits(max(least_translation, 2.0 * shift * speed), max(least_lean, 2.0 * tilt * speed), speed)
 
 
 def gap_azimuths(count: int, obstacles: tuple[float, ...]) -> tuple[float, ...]:

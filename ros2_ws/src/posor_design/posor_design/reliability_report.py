@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from posor.uncertainty.protection_level import ArmReliability
     from posor.uncertainty.reliability import Reliability
 
-AXES = ("x", "y", "z", "about X", "about Y", "about Z")
+AXES = ("x", "y", "z", "about X", "about Y", "about Z")  # axes of the base in the order of all arrays, (6,)
 _UNITS = ("µm",) * 3 + ("µrad",) * 3
 _SHIFT_COLUMNS = tuple(f"{axis} [{unit}]" for axis, unit in zip(AXES, _UNITS, strict=True))
 NOT_DETECTABLE = "not detectable"

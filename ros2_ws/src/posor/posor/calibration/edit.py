@@ -114,10 +114,8 @@ def _replacement(
     key = _format_yaml(steps[-1], 0, flow=True)
     end = _end(text, parent)
     if _in_flow(parent):
-        comma = ", " if parent.value else ""
-        return _Replacement(
-            end - 1, end - 1, comma + key + _format_value_of_key(new, parent.start_mark.column + 2, flow=True)
-        )
+        value = _format_value_of_key(new, parent.start_mark.column + 2, flow=True)
+        return _Replacement(end - 1, end - 1, (", " if parent.value else "") + key + value)
     column = parent.value[0][0].start_mark.column
     return _Replacement(end, end, "\n" + " " * column + key + _format_value_of_key(new, column + 2, flow=flow))
 

@@ -155,10 +155,8 @@ class Plot:
 
     def intervals(self, name: str, low: ArrayLike, high: ArrayLike, categories: Sequence[str], colour: str) -> None:
         """Draw a thick line from low to high for each category; its data belong to a curve, as those of ``band``."""
-        names = list(categories)
-        self.figure.segment(
-            _floats(low), names, _floats(high), names, line_color=colour, line_width=4, legend_label=name
-        )
+        x0, x1, names = _floats(low), _floats(high), list(categories)
+        self.figure.segment(x0, names, x1, names, line_color=colour, line_width=4, legend_label=name)
 
     def mark(self, name: str, x: ArrayLike, y: ArrayLike, colour: str) -> None:
         """Draw a ring around points of a curve."""

@@ -104,10 +104,8 @@ class BumpyRing(ProbeSensor):
         of_row = no_parameters(len(rows))
         of_row["tip"], of_row["axis"] = self.parameter_ids("tips"), self.parameter_ids("axes")
         of_row["mean_radius"] = self.parameter_ids("mean_radius")
-        of_row["cosines"][:, :harmonics], of_row["sines"][:, :harmonics] = (
-            self.parameter_ids("cos"),
-            self.parameter_ids("sin"),
-        )
+        of_row["cosines"][:, :harmonics] = self.parameter_ids("cos")
+        of_row["sines"][:, :harmonics] = self.parameter_ids("sin")
         self.row_parameters = of_row["parameters"]
         return rows
 

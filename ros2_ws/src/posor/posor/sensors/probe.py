@@ -153,9 +153,8 @@ class Channels:
     def encode(self, gaps: FloatArray, scans: Scans) -> FloatArray:
         """Return the voltages (n, p) of gaps (n, p) [m]; NaN beyond the calibrated range."""
         volts = np.empty(gaps.shape)
-        supplies, temperatures = (
-            np.require(array, float, ["C", "W"]) for array in (scans.supply_voltages, scans.temperatures)
-        )
+        supplies = np.require(scans.supply_voltages, float, ["C", "W"])
+        temperatures = np.require(scans.temperatures, float, ["C", "W"])
         voltages_of_gaps(np.ascontiguousarray(gaps), supplies, temperatures, record_view(self.records), volts)
         return volts
 

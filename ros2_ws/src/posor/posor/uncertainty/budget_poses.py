@@ -150,8 +150,6 @@ def model_covariances(
             fault = Fault(int(estimates.faults[0])).name or "no pose"
             what = f"has no valid pose at {math.degrees(angles[joint.name]):g} degrees ({fault})"
             raise ChainError(what, where=f"joint '{joint.name}'", expected="an angle in the range of its sensors")
-        random[joint.name], systematic[joint.name] = (
-            estimates.covariances_random[0],
-            estimates.covariances_systematic[0],
-        )
+        random[joint.name] = estimates.covariances_random[0]
+        systematic[joint.name] = estimates.covariances_systematic[0]
     return random, systematic

@@ -177,9 +177,8 @@ def error_budget(posor: Posor, scan: Scan, T_R_T: pin.SE3, points: Sequence[Plat
             continue
         if np.any(np.delete(root, where, axis=0)[:, np.any(root[where], axis=0)]):
             correlated.append(quantity.name)
-        parts.append(
-            Contribution(quantity.name, ContributionKind.SYSTEMATIC, np.linalg.norm(own @ root[where], axis=1))
-        )
+        effects = np.linalg.norm(own @ root[where], axis=1)
+        parts.append(Contribution(quantity.name, ContributionKind.SYSTEMATIC, effects))
     largest = _shares(np.array([part.effects for part in parts])).max(axis=1)
     order = sorted(range(len(parts)), key=lambda i: largest[i], reverse=True)
     systematic = found.by_parameter @ root

@@ -26,9 +26,7 @@ class ReadingSensitivity(NamedTuple):
     redundancy_numbers: FloatArray
 
     @classmethod
-    def of(
-        cls, gain: FloatArray, jacobian: FloatArray, rotation: FloatArray, chi_square: FloatArray
-    ) -> ReadingSensitivity:
+    def of(cls, gain: FloatArray, jacobian: FloatArray, rotation: FloatArray, chi_square: FloatArray) -> Self:
         """Return it from gain and derivatives of the readings in the local tangent, (m, 6) each."""
         turned = np.concatenate([rotation @ gain[:, :3].T, rotation @ gain[:, 3:].T])
         return cls(turned, chi_square, 1.0 - (jacobian * gain).sum(axis=1))
